@@ -63,6 +63,23 @@ class ResumableFolder:
             )
         return content
 
+    def begin_or_continue(self, content: DataclassInstance) -> None:
+        """Writes the manifest, unless it says the same.
+
+        Raises:
+            CadenzaError: it says something else.
+        """
+        if self.begun and checked(self.read_manifest(), type(content), self.manifest) != content:
+            raise self.other_options()
+        self.write_manifest(content)
+
+    def other_options(self) -> CadenzaError:
+        """The error where the manifest says something else than what is asked for."""
+        return CadenzaError(
+            f"{self.path}: holds a run with other options; give the same to continue it, or "
+            "choose another folder with --output"
+        )
+
     def check_complete(self, has_checkpoints: bool) -> None:
         """Raises: CadenzaError: there are checkpoints, but no manifest says what they are of."""
         if has_checkpoints and not self.begun:  # a new run would go on from them
@@ -70,3 +87,19 @@ class ResumableFolder:
                 f"{self.manifest}: missing, but there are checkpoints; use another copy, or choose "
                 "another folder with --output"
             )
+
+
+@contextmanager
+def errors_of_resuming(run: Path) -> Iterator[None]:
+    """Names the run in errors of a block that goes on from its checkpoint.
+
+    Raises:
+        CadenzaError: the checkpoint does not fit, which shows in many ways.
+    """
+    try:
+        yield
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        raise CadenzaError(
+            f"{run}: its checkpoint does not belong to this run ({error!r}); use another copy, or "
+            "start a new run"
+        ) from error

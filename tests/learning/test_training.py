@@ -168,7 +168,7 @@ def test_an_evaluation_that_ends_early_is_not_the_best_for_what_it_played(
         f1, steps = next(results)
         return {"eval_step": step, "eval/f1": f1, "eval/steps": steps}, learnt
 
-    monkeypatch.setattr(Training, "_play_once", played)
+    monkeypatch.setattr(Training, "_play_episode", played)
     run = runs()
     train(CONFIG, run)
     about = read_checksummed(run.path / "best", "policy")[0]["about"]

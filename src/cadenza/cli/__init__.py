@@ -18,6 +18,7 @@ from cadenza.cli import (
     compare,
     dataset,
     etude,
+    generalist,
     importing,
     info,
     plan,
@@ -67,9 +68,16 @@ _COMMANDS: dict[str, _Command | dict[str, _Command]] = {
         "play": (dataset.DatasetPlay, dataset.play),
         "export": (dataset.DatasetExport, dataset.export),
     },
+    "generalist": {
+        "clone": (generalist.CloneGeneralist, generalist.clone),
+        "reinforce": (generalist.ReinforceGeneralist, generalist.reinforce),
+    },
 }
 """A command, or several under one name."""
-_ABOUT = {"dataset": "Record demonstrations to learn from, and use them"}
+_ABOUT = {
+    "dataset": "Record demonstrations to learn from, and use them",
+    "generalist": "Train networks of the agent generalist",
+}
 """What several commands under one name are for."""
 
 

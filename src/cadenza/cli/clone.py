@@ -14,11 +14,10 @@ from cadenza.cli.console import stop_on_signal
 from cadenza.cli.options import RecordedParts
 from cadenza.cli.progress import progress
 from cadenza.cli.saving import check_writable
-from cadenza.errors import CadenzaError
 from cadenza.learning.config import ImitationConfig
 
 if TYPE_CHECKING:
-    from cadenza.learning.imitation import Imitation
+    from cadenza.learning.checkpointed_run import CheckpointedRun
 
 
 @dataclass(frozen=True)
@@ -39,33 +38,34 @@ class Clone(RecordedParts):
 
 
 def clone(command: Clone) -> None:
-    from cadenza.files import locked
-    from cadenza.learning.imitation import Imitation
+    from cadenza.learning.imitation import Imitation, imitation_folder
 
     check_writable(command.output)
-    with locked(command.output) as ours:
-        if not ours:
-            raise CadenzaError(f"{command.output}: another process is training this run")
+    with imitation_folder(command.output).locked():
         run = Imitation(command.imitation, command.demonstrations, command.output)
-        _train(run)
-    if not run.finished:
-        raise KeyboardInterrupt
+        train_until_stopped(run, "cloning", "updates", "train/error")
     policy = command.output / "last"
     print(f"learnt {len(run.songs)} songs; cadenza play SONG --agent {policy}")
 
 
-def _train(run: Imitation) -> None:
-    """Trains until the last update, or until a signal."""
+def train_until_stopped(run: CheckpointedRun, stage: str, unit: str, metric: str) -> None:
+    """Trains until all updates are done.
+
+    Raises:
+        KeyboardInterrupt: there was a signal; there is a checkpoint then.
+    """
     first, began = run.update, time.perf_counter()
-    with progress("cloning", "updates", 30.0) as advance, stop_on_signal("a checkpoint") as stop:
+    with progress(stage, unit, 30.0) as advance, stop_on_signal("a checkpoint") as stop:
         stop()  # from now on
 
         def goes_on() -> bool:
-            remark = f"{(run.update - first) / (time.perf_counter() - began):.0f} a second"
-            if run.error is not None:
-                remark += f", error {run.error:.5f}"
-            advance(run.update, run.config.num_updates, remark)
+            remark = f"{(run.update - first) / (time.perf_counter() - began):.3g} a second"
+            if run.rows and (value := run.rows[-1].get(metric)) is not None:
+                remark += f", {metric.rpartition('/')[2].replace('_', ' ')} {value:.5f}"
+            advance(run.update, run.num_updates, remark)
             return not stop()
 
         run.run(goes_on)
         goes_on()
+    if not run.finished:
+        raise KeyboardInterrupt

@@ -20,7 +20,7 @@ from cadenza.cli.options import SETUP_HELP
 from cadenza.cli.progress import QUIET, progress, stages
 from cadenza.cli.saving import check_name, check_writable, save
 from cadenza.errors import CadenzaError
-from cadenza.files import folder_name, plain, read_json
+from cadenza.files import folder_name, plain
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.learner import DROQ, Preset, name_of
 from cadenza.music.arrangement import Arrangement
@@ -105,7 +105,7 @@ def default(chosen: Chosen) -> Train:
 
 
 def train(command: Train) -> None:
-    from cadenza.learning.cores import claimed_cores
+    from cadenza.learning.cpu_affinity import claimed_cores
 
     if (command.song is None) == (command.resume is None):
         raise CadenzaError("give a song to learn, or the folder of a run with --resume")
@@ -152,12 +152,12 @@ def _train(command: Train, folder: Path) -> None:
             config, score = run.settings()
             training = Training(config, score, run)
         with closing(training):
-            finished = _train_on(training, command, run, score.title)
+            finished = _train_until_stopped(training, command, run, score.title)
         if finished:
             with stages("playing") as tell:
                 performance = play(folder / "best", progress=tell)
             save(performance, folder / "best_played", command.video)
-        if run.rows():
+        if run.metrics.rows():
             _write_curves(folder, score.title, config)
             print(f"Learning curves in {folder / 'report.html'}")
         if not finished:
@@ -194,7 +194,7 @@ def _prints_how_to_resume(folder: Path, config: TrainingConfig) -> Iterator[None
         raise
 
 
-def _train_on(training: Training, command: Train, run: RunFolder, song: str) -> bool:
+def _train_until_stopped(training: Training, command: Train, run: RunFolder, song: str) -> bool:
     """Trains until the last step, or until a signal; returns whether the last step was reached."""
     from cadenza.report.scalars import Scalars, TensorBoard, WeightsAndBiases
 
@@ -202,7 +202,9 @@ def _train_on(training: Training, command: Train, run: RunFolder, song: str) -> 
     if command.wandb:
         settings = asdict(training.config)
         shown.append(WeightsAndBiases(command.wandb, run.path, run.id, settings))
-    renew = _rate_limited(lambda: _write_curves(run.path, song, training.config, going_on=True))
+    write_page = _rate_limited(
+        lambda: _write_curves(run.path, song, training.config, going_on=True)
+    )
     scores = ""
     with progress("learning", "steps", 30.0) as advance, stop_on_signal("a checkpoint") as stop:
         stop()  # from now on
@@ -213,7 +215,7 @@ def _train_on(training: Training, command: Train, run: RunFolder, song: str) -> 
                 row = training.rows.popleft()
                 for scalars in shown:
                     scalars.add(row)
-                renew()
+                write_page()
                 if "eval/f1" in row:
                     best = training.best["eval/f1"]
                     onsets = row["eval/note_onset_f1"]
@@ -285,8 +287,6 @@ def _title_and_settings(run: Path) -> list[str]:
 
     if not (run / "run.json").exists():
         return [re.sub(r"[ _-]*\d+$", "", run.name) or run.name]
-    if "demonstrations" in read_json(run / "run.json", dict[str, Any]):
-        raise CadenzaError(f"{run}: is a run of cadenza clone; curves are of runs of cadenza train")
     config, score = RunFolder(run).description()
 
     def differences(name: Preset) -> list[str]:
@@ -303,7 +303,7 @@ def _title_and_settings(run: Path) -> list[str]:
 
 
 def _curve(run: Path) -> Curve:
-    from cadenza.learning.run_folder import read_rows
+    from cadenza.learning.metrics_log import read_rows
     from cadenza.report.training_page import Curve
 
     rows = read_rows(run)

@@ -1,7 +1,7 @@
-"""Folders of files that are whole or not there: checkpoints and policies.
+"""Folders of facts and arrays that are replaced atomically: checkpoints and policies.
 
-A folder lists the digests of its files in `manifest.json`. What was changed or damaged since is
-refused; nothing that a file says is carried out.
+`manifest.json` has the SHA-256 of each file. A folder that was changed or damaged is refused, and
+nothing in a file is executed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from cadenza.files import (
 )
 
 MANIFEST, _FACTS, _ARRAYS = "manifest.json", "facts.json", "arrays.safetensors"
-_MOST_ARRAYS = 2**30  # bytes: a policy of ours takes a few million, a checkpoint ten times as many
+_MOST_ARRAYS = 2**30  # bytes: policies take a few million, checkpoints ten times as many
 
 
 class _Manifest(TypedDict):
@@ -44,7 +44,7 @@ def write_checksummed(
 
     Args:
         folder: a reader sees the old one or the whole new one, or for a moment none.
-        kind: what it is, for `read_checksummed`.
+        kind: of the content, which `read_checksummed` checks.
         facts: numbers, text, lists and dictionaries of them.
         arrays: without objects.
 
@@ -80,12 +80,12 @@ def write_checksummed(
 
 
 def is_there(folder: Path) -> bool:
-    """Whether there is something for `read_checksummed` to read."""
-    return _held(folder).exists()
+    """True if there is something for `read_checksummed` to read."""
+    return _current(folder).exists()
 
 
-def _held(folder: Path) -> Path:
-    """Where it is: whoever writes may be between two renames, or have stopped there."""
+def _current(folder: Path) -> Path:
+    """The folder with the content: a writer may be between two renames, or have stopped there."""
     old = _beside(folder, "old")
     return old if old.exists() and not folder.exists() else folder
 
@@ -93,12 +93,12 @@ def _held(folder: Path) -> Path:
 def read_checksummed(
     folder: Path, kind: str, expected: Expected = ANY
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Facts and arrays as they were written, the arrays as they are `expected`, if any are.
+    """The facts, and the `expected` arrays.
 
     Raises:
-        CadenzaError: the folder is not there, of another kind, or was changed or damaged.
+        CadenzaError: the folder is missing, of another kind, changed or damaged.
     """
-    folder = _held(folder)
+    folder = _current(folder)
     if not (folder / MANIFEST).exists():
         raise CadenzaError(f"{folder}: holds no {MANIFEST}, so it cannot be read")
     manifest = read_json(folder / MANIFEST, _Manifest)
@@ -116,7 +116,7 @@ def read_checksummed(
 
 
 def _remove(path: Path) -> None:
-    """Whatever is there, but nothing that it links to."""
+    """Deletes a file, a folder or a link, but not what it links to."""
     if path.is_symlink() or path.is_file():
         path.unlink()
     else:

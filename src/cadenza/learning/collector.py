@@ -1,4 +1,4 @@
-"""Plays N environments side by side and keeps what happens for learning."""
+"""Collects experience in N environments for the replay buffer."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ class Collector:
     ) -> None:
         """Args:
         task: with N environments.
-        goals: where the scores of the episodes are entered.
-        observer: what is observed.
-        replay: where everything goes.
-        ctrl: turns what the policy does into actuator units.
+        goals: the table of goals, to which scores of episodes are added.
+        observer: makes the observations.
+        replay: gets the experience.
+        ctrl: turns the policy's actions into controls.
         rng: of the actions, and of each environment.
         """
         self._task, self._goals, self._observer = task, goals, observer
@@ -57,8 +57,8 @@ class Collector:
         self._reward = np.zeros(task.num_envs, np.float32)
         self._return = np.zeros(task.num_envs)
         self._first_row = np.zeros(task.num_envs, np.int64)
-        self._taken: list[list[Floats]] = [[] for _ in self._env_ids]
-        self._began: list[dict[str, Any]] = [{} for _ in self._env_ids]
+        self._actions_so_far: list[list[Floats]] = [[] for _ in self._env_ids]
+        self._rng_states: list[dict[str, Any]] = [{} for _ in self._env_ids]
 
     def begin(self) -> None:
         """Begins an episode in every environment."""
@@ -81,7 +81,7 @@ class Collector:
         return finished
 
     def _step(self, action: Floats) -> list[Finished]:
-        result = self._take(action)
+        result = self._step_task(action)
         self._replay.act(action, self._reward, result.terminated)
         ended = np.flatnonzero(result.terminated | result.truncated)
         finished = [
@@ -94,7 +94,7 @@ class Collector:
         self._observe(self._env_ids)
         return finished
 
-    def _take(self, action: Floats, env_ids: list[int] | None = None) -> Transition:
+    def _step_task(self, action: Floats, env_ids: list[int] | None = None) -> Transition:
         task = self._task
         result = task.step(self._ctrl(action, task.goals.row, task.state), env_ids)
         moving = self._env_ids if env_ids is None else env_ids
@@ -102,13 +102,13 @@ class Collector:
         self._reward[moving] = result.reward[moving]
         self._return[moving] += result.reward[moving]
         for env in moving:
-            self._taken[env].append(action[env])
+            self._actions_so_far[env].append(action[env])
         return result
 
     def _reset(self, env_ids: Rows) -> None:
         for env in env_ids:
-            self._began[env] = self._env_rngs[env].bit_generator.state
-            self._taken[env] = []
+            self._rng_states[env] = self._env_rngs[env].bit_generator.state
+            self._actions_so_far[env] = []
         self._task.reset([self._env_rngs[env] for env in env_ids], env_ids.tolist())
         goals = self._task.goals
         for env in env_ids.tolist():
@@ -127,16 +127,16 @@ class Collector:
     # To go on later
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """What can be written as JSON and as arrays, for `restore`."""
+        """The state as JSON and arrays, for `restore`."""
         plain = {
             "action_rng": self._rng.bit_generator.state,
-            "began": self._began,
+            "began": self._rng_states,
         }
-        taken = [np.array(actions, np.float32) for actions in self._taken]
+        taken = [np.array(actions, np.float32) for actions in self._actions_so_far]
         return plain, {f"taken_{env}": actions for env, actions in enumerate(taken)}
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-        """Plays the episodes that were under way again, with the actions that were taken.
+        """Plays the unfinished episodes again, with the same actions.
 
         The simulation repeats itself to the last bit, and its state need not be kept. The replay
         is to be restored before.
@@ -149,6 +149,6 @@ class Collector:
             moving = [env for env, actions in enumerate(taken) if step < len(actions)]
             action = np.zeros_like(self._action)
             action[moving] = [taken[env][step] for env in moving]
-            self._take(action, moving)
+            self._step_task(action, moving)
         self._rng.bit_generator.state = plain["action_rng"]
         self._observe(self._env_ids)

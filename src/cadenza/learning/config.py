@@ -1,4 +1,4 @@
-"""What can be chosen about learning. Imports nothing heavy: the command line shows it."""
+"""The options of training. Imports nothing heavy: the command line shows it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cadenza.tasks.config import TaskConfig
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """How a policy for one song is trained."""
+    """The options of training a policy for one song."""
 
     learner: LearnerConfig = field(default_factory=lambda: learner_config(DROQ)())
     task: TaskConfig = field(default_factory=TaskConfig)
@@ -66,12 +66,11 @@ def preset(
     learner: str = DROQ,
     otherwise: Mapping[str, Any] | None = None,
 ) -> TrainingConfig:
-    """What a run begins with.
+    """The options of a preset.
 
     paper: the table of the paper. published: the same with what the published run script sets
-    differently, and the reward terms for pedal and forearms. fast: for few cores, and with
-    what a setup has `otherwise` (`NamedSetup.training`). With `residual` a run learns corrections
-    to a plan, which are small.
+    differently, and the reward terms for pedal and forearms. fast: for few cores, changed by
+    `otherwise` (`NamedSetup.training`). With `residual` a run learns small corrections of a plan.
 
     Raises:
         CadenzaError: there is no `learner` of this name.
@@ -90,7 +89,7 @@ def preset(
 
 
 def _with(options: Mapping[str, Any], config: TrainingConfig) -> TrainingConfig:
-    """Changed where it, or its learner, has such an option; another learner has others."""
+    """`config` with those of `options` that it or its learner has."""
     own, its = (
         {f.name: options[f.name] for f in fields(each) if f.name in options}
         for each in (config, config.learner)
@@ -99,7 +98,7 @@ def _with(options: Mapping[str, Any], config: TrainingConfig) -> TrainingConfig:
 
 
 def _fast() -> TrainingConfig:
-    """A tune is learnt long before the end; pieces for two hands still improve then."""
+    """The preset fast. Tunes are learnt long before its end; pieces for two hands still improve."""
     return TrainingConfig(
         task=TaskConfig(initial_buffer_time=0.5),
         num_steps=1_000_000,
@@ -145,7 +144,7 @@ def check(config: TrainingConfig) -> None:
 
 @dataclass(frozen=True)
 class ImitationConfig:
-    """How a policy for many songs is trained on demonstrations."""
+    """The options of training a policy for many songs on demonstrations."""
 
     learner: CloningConfig = field(default_factory=CloningConfig)
     songs: tuple[str, ...] = ()

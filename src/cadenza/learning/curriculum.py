@@ -1,4 +1,4 @@
-"""Which song to learn next: from easy to hard as learning gets on."""
+"""A curriculum: draws the next song to learn, from easy to hard as learning progresses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cadenza.errors import CadenzaError
 
 @dataclass(frozen=True)
 class Curriculum:
-    """Draws songs by their grades and by how far learning is.
+    """Draws songs by their grades and by the progress of learning.
 
         curriculum = Curriculum([song.difficulty for song in songs])
         song = songs[curriculum.draw(rng, progress=0.3)]
@@ -22,7 +22,7 @@ class Curriculum:
     """
 
     grades: tuple[float, ...]
-    """Of the songs, see `cadenza.fingering.difficulty.grade`."""
+    """Grades of the songs, see `cadenza.fingering.difficulty.grade`."""
     width: float = 1.0
     """Standard deviation of the grades around the one that is asked for."""
     review: float = 0.1
@@ -39,7 +39,7 @@ class Curriculum:
             )
 
     def probabilities(self, progress: float) -> NDArray[np.float64]:
-        """(num_songs,) how likely each is drawn; `progress` from 0 to 1.
+        """(num_songs,) probabilities of the songs at a `progress` from 0 to 1.
 
         Raises:
             CadenzaError: `progress` is something else.
@@ -47,9 +47,9 @@ class Curriculum:
         if not 0 <= progress <= 1:
             raise CadenzaError(f"progress {progress}: choose 0 to 1")
         grades = np.array(self.grades)
-        off = (grades - np.quantile(grades, progress)) / self.width
-        likely = np.exp((np.min(off**2) - off**2) / 2)  # the likeliest is 1 before it is scaled
-        return self.review / len(grades) + (1 - self.review) * likely / likely.sum()
+        z = (grades - np.quantile(grades, progress)) / self.width
+        density = np.exp((np.min(z**2) - z**2) / 2)  # its largest is 1, so that none underflows
+        return self.review / len(grades) + (1 - self.review) * density / density.sum()
 
     def draw(self, rng: np.random.Generator, progress: float) -> int:
         """The index of a song."""

@@ -1,46 +1,36 @@
 """Trains a policy for many songs on demonstrations, to be stopped and resumed at any moment.
 
-RUN/run.json            what was asked for, and which episodes are learnt from
-RUN/checkpoint/         the learner and the random generator after so many updates
-RUN/metrics.jsonl       metrics, a row a line
-RUN/last/               the policy of the checkpoint
+RUN/run.json also says which episodes are learnt from. RUN/last/ is the policy of the checkpoint.
+The other files are those of `checkpointed_run`.
 """
 
 from __future__ import annotations
 
-import time
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import Batch, Dataset, check_values, kept
-from cadenza.demonstrations.recorded import Recorded
+from cadenza.demonstrations.recorded_episode import RecordedEpisode
 from cadenza.errors import CadenzaError
-from cadenza.files import FLOATS, NUMBERS, ArrayOf, checked
-from cadenza.learning.checksummed_folder import is_there, read_checksummed, write_checksummed
+from cadenza.files import FLOATS, NUMBERS, ArrayOf, Expected, checked
+from cadenza.learning.checkpointed_run import Arrays, CheckpointedRun
 from cadenza.learning.config import ImitationConfig
-from cadenza.learning.metrics_log import MetricsLog
 from cadenza.learning.observation import Floats, Inputs, ObservationSpec
 from cadenza.learning.policy_folder import LearntPolicy, save_policy
 from cadenza.learning.ranges import Ranges
-from cadenza.learning.run_folder import errors_of_resuming
 from cadenza.music.formats.reading import name_without_ending
 from cadenza.resumable import ResumableFolder
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import from_range
 
-_KIND = "checkpoint of imitation"
-_EXPECTED = {
-    "learner:*": ArrayOf(NUMBERS, None),
-    "errors": ArrayOf(FLOATS, ("updates",), needed=True),
-}
 _UPDATES_AT_ONCE = 20  # between two questions whether to go on
 _MOST_HELD_OUT = 5_000  # steps on which the error on held-out demonstrations is measured
 _MOST_CACHED = 2**30  # bytes of examples; of more, those of each update are made anew
@@ -70,23 +60,13 @@ class _Manifest:
     held_out: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Facts:
-    """The facts of a checkpoint."""
+class Imitation(CheckpointedRun):
+    """A run of training on demonstrations."""
 
-    update: int
-    seconds: float
-    rng: dict[str, Any]
-    metrics_size: int
-
-
-class Imitation:
-    """A run of training on demonstrations.
-
-    Attributes:
-        update: updates so far.
-        rows: metrics so far, oldest first.
-    """
+    expected: ClassVar[Expected] = {
+        "learner:*": ArrayOf(NUMBERS, None),
+        "errors": ArrayOf(FLOATS, ("updates",), needed=True),
+    }
 
     def __init__(self, config: ImitationConfig, demonstrations: Path, folder: Path) -> None:
         """Goes on with the run in `folder`, if there is one.
@@ -101,8 +81,10 @@ class Imitation:
                 go together, or the folder holds a run with other options.
         """
         config.check()
-        self.config, self._path = config, folder
-        self.folder, self._metrics = imitation_folder(folder), MetricsLog(folder)
+        super().__init__(
+            imitation_folder(folder), config.num_updates, config.checkpoint_interval, config.seed
+        )
+        self.config = config
         recorded = kept(demonstrations)
         manifest = self._manifest(demonstrations, recorded)
         episodes = {episode.folder.name: episode for episode in recorded}
@@ -111,20 +93,20 @@ class Imitation:
         names = (*manifest.learnt_from, *manifest.held_out)
         scene = Dataset([episodes[name] for name in names]).scene  # or says what differs
         self._dataset = Dataset([episodes[name] for name in manifest.learnt_from])
-        self.songs = tuple(sorted({episode.about.song for episode in self._dataset.episodes}))
+        self.songs = tuple(sorted({episode.facts.song for episode in self._dataset.episodes}))
         first = self._dataset.episodes[0]
         self._task = replace(  # as is observed, see `observed`
-            first.about.task,
+            first.facts.task,
             n_steps_lookahead=config.n_steps_lookahead,
             n_seconds_lookahead=None,
             fingering="auto",
             trim_silence=True,
         )
-        with closing(PianoTask([first.score], self._task, first.about.scene)) as task:
+        with closing(PianoTask([first.score], self._task, first.facts.scene)) as task:
             self._spec = ObservationSpec.of(task.spec)
             limits = np.stack([task.spec.action_low, task.spec.action_high])
         for name in names:  # anew, as what is read of both arrays holds open files
-            check_values(Recorded(episodes[name].folder, episodes[name].about), scene)
+            check_values(RecordedEpisode(episodes[name].folder, episodes[name].facts), scene)
         self._inputs = _inputs(self._spec, self._dataset, config.previous_action)
         self._ranges = _ranges(self._dataset, limits)
         self._held_out: Examples | None = None
@@ -135,20 +117,13 @@ class Imitation:
         self._learner = config.learner.make(
             self._inputs, limits.shape[1], ((0, config.num_updates),)
         )
-        self.update, self._seconds = 0, 0.0
-        self._rng = np.random.default_rng(config.seed)
         self._state = self._learner.init(config.seed)
         self._errors = np.zeros(0, np.float32)
-        self.rows: list[dict[str, Any]] = []
         if not self.folder.begun:  # now that nothing stands in its way
             self.folder.write_manifest(manifest)
-        if is_there(folder / "checkpoint"):
-            with errors_of_resuming(folder):
-                self._restore()
-        else:
-            self._metrics.delete()
+        self.resume()
 
-    def _manifest(self, demonstrations: Path, recorded: Sequence[Recorded]) -> _Manifest:
+    def _manifest(self, demonstrations: Path, recorded: Sequence[RecordedEpisode]) -> _Manifest:
         """The manifest of the run, or of a new one that learns from recorded episodes."""
         config, where = self.config, str(demonstrations.resolve())
         if self.folder.begun:
@@ -156,44 +131,19 @@ class Imitation:
                 self.folder.read_manifest(), _Manifest, self.folder.manifest
             )
             if (manifest.config, manifest.demonstrations) != (config, where):
-                raise CadenzaError(
-                    f"{self._path}: holds a run with other options; give the same to continue it, "
-                    "or choose another folder with --output"
-                )
+                raise self.folder.other_options()
             return manifest
-        self.folder.check_complete(is_there(self._path / "checkpoint"))
+        self.folder.check_complete(self.has_checkpoint)
         learnt_from, held_out = _split(_by_song(recorded, config.songs), config.held_out)
         return _Manifest(config, where, learnt_from, held_out)
 
-    @property
-    def error(self) -> float | None:
-        """The latest training error; None before there is any."""
-        error = self.rows[-1].get("train/error") if self.rows else None
-        return error if isinstance(error, float) else None
+    def _learn(self) -> dict[str, Any] | None:
+        interval = self.config.log_interval
+        to_log = interval - self.update % interval
+        self._make_updates(min(_UPDATES_AT_ONCE, to_log, self.num_updates - self.update))
+        return self._row() if self.finished or self.update % interval == 0 else None
 
-    @property
-    def finished(self) -> bool:
-        """Whether all updates are done."""
-        return self.update >= self.config.num_updates
-
-    def run(self, goes_on: Callable[[], bool]) -> None:
-        """Trains until all updates are done, or `goes_on` is false, asked every few updates."""
-        config, first = self.config, self.update
-        began = saved = time.perf_counter()
-        before = self._seconds
-        while not self.finished and goes_on():
-            to_log = config.log_interval - self.update % config.log_interval
-            self._learn(min(_UPDATES_AT_ONCE, to_log, config.num_updates - self.update))
-            self._seconds = before + time.perf_counter() - began
-            if self.finished or self.update % config.log_interval == 0:
-                self._log()
-            if time.perf_counter() - saved > config.checkpoint_interval:
-                self._save()
-                saved = time.perf_counter()
-        if self.update > first:
-            self._save()
-
-    def _learn(self, updates: int) -> None:
+    def _make_updates(self, updates: int) -> None:
         shape = updates, self.config.learner.batch_size
         steps = self._dataset.sample(self._rng, updates * shape[1])
         cached = self._cached
@@ -225,26 +175,19 @@ class Imitation:
         action = from_range(batch.action, *self._ranges.actions)
         return Examples(observation, action.astype(np.float32))
 
-    def _log(self) -> None:
-        row: dict[str, Any] = {"step": self.update, "seconds": round(self._seconds, 3)}
-        row["train/error"] = float(self._errors.mean())
+    def _row(self) -> dict[str, Any]:
+        row = {"train/error": float(self._errors.mean())}
         if self._held_out is not None:
             row["held_out/error"] = self._learner.error(self._state, self._held_out)
         self._errors = self._errors[:0]
-        self.rows.append(row)
-        self._metrics.add(row)
+        return row
 
-    def _save(self) -> None:
-        rng = dict(self._rng.bit_generator.state)
-        facts = _Facts(self.update, self._seconds, rng, self._metrics.size)
+    def _arrays(self) -> Arrays:
         learner = self._learner.to_arrays(self._state)
         arrays = {f"learner:{name}": array for name, array in learner.items()}
-        write_checksummed(
-            self._path / "checkpoint", _KIND, asdict(facts), arrays | {"errors": self._errors}
-        )
-        self._save_policy()
+        return arrays | {"errors": self._errors}
 
-    def _save_policy(self) -> None:
+    def _save_result(self) -> None:
         learnt = LearntPolicy(
             policy=self._learner.policy(self._state),
             observation=self._spec,
@@ -252,24 +195,15 @@ class Imitation:
             reference=None,
             ranges=self._ranges,
             task=self._task,
-            scene=self._dataset.episodes[0].about.scene,
+            scene=self._dataset.episodes[0].facts.scene,
             score=None,
         )
-        save_policy(self._path / "last", learnt, {"step": self.update, "songs": self.songs})
+        save_policy(self.folder.path / "last", learnt, {"step": self.update, "songs": self.songs})
 
-    def _restore(self) -> None:
-        plain, arrays = read_checksummed(self._path / "checkpoint", _KIND, _EXPECTED)
-        facts = checked(plain, _Facts, self._path / "checkpoint" / "facts.json")
-        if not 0 <= facts.update <= self.config.num_updates:
-            raise ValueError(f"after {facts.update} updates")
+    def _restore(self, arrays: Arrays) -> None:
         learner = {n.removeprefix("learner:"): a for n, a in arrays.items() if n != "errors"}
         self._state = self._learner.from_arrays(learner)
-        self.update, self._seconds = facts.update, facts.seconds
-        self._rng.bit_generator.state = facts.rng
         self._errors = arrays["errors"]
-        self._metrics.truncate(facts.metrics_size)
-        self.rows = self._metrics.rows()
-        self._save_policy()  # a kill may have come before it
 
 
 def observed(batch: Batch, ranges: Ranges) -> Floats:
@@ -335,11 +269,11 @@ def imitation_folder(path: Path) -> ResumableFolder:
     return ResumableFolder(path, "cadenza clone")
 
 
-def _by_song(episodes: Sequence[Recorded], wanted: Sequence[str]) -> dict[str, list[Recorded]]:
+def _by_song(episodes: Sequence[RecordedEpisode], wanted: Sequence[str]) -> dict[str, list[RecordedEpisode]]:
     """Episodes by song; of all songs if none are `wanted`."""
-    found = defaultdict[str, list[Recorded]](list)
+    found = defaultdict[str, list[RecordedEpisode]](list)
     for episode in episodes:
-        found[episode.about.song].append(episode)
+        found[episode.facts.song].append(episode)
     if not wanted:
         return found
     return {song: found[song] for song in (_song_named(name, list(found)) for name in wanted)}
@@ -363,7 +297,7 @@ def _song_named(name: str, songs: Sequence[str]) -> str:
 
 
 def _split(
-    songs: dict[str, list[Recorded]], held_out: int
+    songs: dict[str, list[RecordedEpisode]], held_out: int
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of episodes to learn from, at least one of each song, and of those held out."""
     learnt_from, others = [], []

@@ -1,4 +1,4 @@
-"""What a learner is, and learners by name. Imports nothing heavy: the command line shows options.
+"""The protocol of learners, and learners by name. Imports nothing heavy: --help shows options.
 
 A learner is named by its configuration, a frozen dataclass that makes it. Another package adds one
 by an entry point of the group `cadenza.learners`.
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 State = TypeVar("State")
 Preset = Literal["fast", "paper", "published"]
 Ends = tuple[tuple[int, int], ...]
-"""Since which update a run was to end at which one; the first since 0, then at each change."""
+"""Pairs of updates: since the first, 0 or a change of the end, the run was to end at the second."""
 
 DROQ = "droq"
 LEARNERS = Registry(
@@ -46,7 +46,7 @@ class Learner(Protocol[State]):
     """
 
     num_threads: int | None
-    """With how many threads it adds numbers up, if its last digits depend on them."""
+    """Its number of threads, if the last digits of its results depend on that."""
 
     def init(self, seed: int) -> State:
         """A state that begins."""
@@ -59,19 +59,19 @@ class Learner(Protocol[State]):
         """
 
     def policy(self, state: State) -> Policy:
-        """What is evaluated and kept."""
+        """The policy that is evaluated and saved."""
 
     def behavior_policy(self, state: State) -> Policy:
-        """What gathers experience, by its samples."""
+        """The policy that collects experience, by its samples."""
 
     def to_arrays(self, state: State) -> dict[str, NDArray[Any]]:
-        """All of a state, to be kept; see `from_arrays`."""
+        """A state as arrays by name, for `from_arrays`."""
 
     def from_arrays(self, arrays: dict[str, NDArray[Any]]) -> State:
-        """The state that was kept.
+        """The state of `to_arrays`.
 
         Raises:
-            CadenzaError: it is not that of such a learner.
+            CadenzaError: the arrays are those of another learner.
         """
 
 
@@ -80,14 +80,14 @@ MOST_BATCH = 2**16  # transitions, which fit into the memory of a small machine
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """What every learner's configuration has. That of a learner adds its own, and makes it."""
+    """Options that all learners have. A learner's own configuration adds others, and makes it."""
 
     batch_size: int = 256
     """Transitions per update."""
 
     @classmethod
     def preset(cls, name: Preset, residual: bool) -> Self:  # noqa: ARG003
-        """What a run begins with, its defaults unless it has others for a preset."""
+        """The options of a preset; by default the same for all."""
         return cls()
 
     def check(self) -> None:
@@ -109,7 +109,7 @@ class LearnerConfig:
 
     @classmethod
     def policy_of(cls, facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Policy:
-        """The policy of such a learner whose `state` this was, if it is no `Perceptron`.
+        """The policy of such a learner from its `state`, if it is no `Perceptron`.
 
         Raises:
             CadenzaError: there is none.
@@ -136,7 +136,7 @@ def learner_config(name: str) -> type[LearnerConfig]:
 
 
 def name_of(config: LearnerConfig) -> str:
-    """By which `learner_config` finds the class of `config`.
+    """The name by which `learner_config` finds the class of `config`.
 
     Raises:
         CadenzaError: another process could not find it.

@@ -1,4 +1,4 @@
-"""What a policy observes: what the task shows, its previous action and reward, a reference action.
+"""A policy's observation: the task's, its previous action and reward, a reference action.
 
 Its shape follows from task and scene, and is the same for every song (`ObservationSpec`). For a
 single song it can be pruned (`pruned`) and put on the scale of that song (`ranges`).
@@ -46,7 +46,7 @@ class ObservationSpec:
 
     @classmethod
     def of(cls, task: TaskSpec, residual: bool = False) -> ObservationSpec:
-        """That of a task."""
+        """The observation of a task."""
         sizes = {name: part.stop - part.start for name, part in task.observation_layout.items()}
         return cls(
             **{name: sizes.get(name, 0) for name in _OF_THE_TASK},
@@ -76,7 +76,7 @@ class ObservationSpec:
 
     @property
     def inputs(self) -> Inputs:
-        """All entries."""
+        """Inputs of all entries."""
         return Inputs(tuple(range(self.size)), self.size)
 
 
@@ -85,12 +85,12 @@ _OF_THE_TASK = ("goal", "fingering", "key_state", "pedal", "joints", "touch")
 
 @dataclass(frozen=True)
 class Inputs:
-    """Which entries of an observation a network is given."""
+    """The entries of an observation that a network is given."""
 
     kept: tuple[int, ...]
-    """Indices of those that are given, ascending."""
+    """Their indices, ascending."""
     total: int
-    """How many there are."""
+    """The number of entries of the observation."""
 
     def __post_init__(self) -> None:
         """Raises: CadenzaError: indices that cannot be."""
@@ -150,7 +150,7 @@ class GoalTable:
         return ever[: self._num_goals], ever[self._num_goals :]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """To keep; see `restore`."""
+        """The table as arrays, for `restore`."""
         return {"rows": self._rows, "first": np.array(sorted(self._first.values()), np.int64)}
 
     @property
@@ -171,7 +171,7 @@ class GoalTable:
 
 
 def pruned(spec: ObservationSpec, goals: GoalTable) -> Inputs:
-    """Without goals of keys and fingers that none of the scores ever asks for.
+    """Inputs without goals of keys and fingers that no score ever asks for.
 
     They are always zero, so that no weight of theirs would ever be used or change. A network
     without them begins with the same other weights.

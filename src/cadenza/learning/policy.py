@@ -18,7 +18,7 @@ def relu(x: Floats) -> Floats:
 
 
 def gelu(x: Floats) -> Floats:
-    """With the hyperbolic tangent (Hendrycks & Gimpel, Gaussian Error Linear Units, 2016)."""
+    """GELU, approximated by tanh (Hendrycks & Gimpel, Gaussian Error Linear Units, 2016)."""
     return x / 2 * (1 + np.tanh(_SQRT_2_OVER_PI * (x + np.float32(0.044715) * x**3)))
 
 
@@ -26,16 +26,16 @@ _ACTIVATIONS = {"relu": relu, "gelu": gelu}
 
 
 class Policy(Protocol):
-    """From observations (N, D) to actions (N, A) in [-1, 1]."""
+    """A map from observations (N, D) to actions (N, A) in [-1, 1]."""
 
     def mode(self, observation: Floats) -> Floats:
-        """(N, A) what it finds best, as it is evaluated and played."""
+        """(N, A) best actions, with which it is evaluated and plays."""
 
     def sample(self, observation: Floats, rng: np.random.Generator) -> Floats:
-        """(N, A) with what is random in gathering experience."""
+        """(N, A) random actions, with which it collects experience."""
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """What can be written as JSON and as arrays, for `LearnerConfig.policy_of`."""
+        """Facts for JSON and arrays by name, for `LearnerConfig.policy_of`."""
 
 
 class Perceptron:
@@ -72,7 +72,7 @@ class Perceptron:
         return np.tanh(mean + np.exp(np.clip(log_std, *self.log_std_range)) * noise)
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """What it was made with."""
+        """The arguments of `__init__`."""
         facts = {"activation": self.activation, "log_std_range": self.log_std_range}
         return facts, self.weights
 

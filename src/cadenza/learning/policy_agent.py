@@ -17,7 +17,7 @@ from cadenza.tasks.view import TaskSpec, View
 
 
 class PolicyAgent(Agent):
-    """Does what the policy finds best, in all environments at once."""
+    """Plays the mode of a policy, in all environments at once."""
 
     def __init__(
         self,
@@ -28,11 +28,11 @@ class PolicyAgent(Agent):
         ranges: Ranges | None,
     ) -> None:
         """Args:
-        policy: what was learnt.
-        observation: what it has learnt to observe.
-        inputs: which of that it is given.
-        reference: what it corrects, if it does.
-        ranges: on whose scale it sees and acts, if not on the task's.
+        policy: what plays.
+        observation: what it was trained to observe.
+        inputs: the entries of the observation that it is given.
+        reference: what a residual policy corrects.
+        ranges: the scale of its joints and actions, if not the task's.
         """
         self._policy, self._observation, self._inputs = policy, observation, inputs
         self._reference, self._ranges = reference, ranges
@@ -47,8 +47,8 @@ class PolicyAgent(Agent):
 
     def act(self, view: View) -> Array:
         """Raises:
-        CadenzaError: the task shows other things than the policy has learnt to observe, or the
-            policy corrects what is for another one.
+        CadenzaError: the task shows other things than the policy was trained to observe, or is of
+            another length than its reference.
         """
         if view.task is not self._task:
             self._prepare(view)
@@ -67,7 +67,7 @@ class PolicyAgent(Agent):
         return self._control.ctrl(self._action, step, view.state)
 
     def _prepare(self, view: View) -> None:
-        """For another task."""
+        """Gets ready for another task."""
         self._check_fits(view)
         self._task = task = view.task
         self._control = action_mapping(task, self._reference, self._ranges)

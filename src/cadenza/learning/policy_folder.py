@@ -79,7 +79,7 @@ _EXPECTED = _EXPECTED_OF_ALL | {
 
 @dataclass(frozen=True)
 class _Facts:
-    """What is written beside the arrays."""
+    """The content of facts.json."""
 
     format: int
     observation: ObservationSpec
@@ -99,42 +99,42 @@ class _PerceptronFacts(_Facts):
 @dataclass(frozen=True)
 class _OtherFacts(_Facts):
     learner: str
-    """By whose name the policy is read."""
+    """The name of the learner that reads the policy."""
     policy: dict[str, Any]
-    """What that has written."""
+    """The facts of `Policy.state`."""
 
 
 @dataclass(frozen=True)
 class LearntPolicy:
-    """A policy and all that is needed to play with it."""
+    """A policy and everything needed to play with it."""
 
     policy: Policy
     observation: ObservationSpec
     inputs: Inputs
-    """Which of that it is given."""
+    """The entries of the observation that it is given."""
     reference: Reference | None
-    """What it corrects, if it does."""
+    """The trajectory that a residual policy corrects."""
     ranges: Ranges | None
-    """On whose scale it sees and acts, if not on the task's."""
+    """The scale of its joints and actions, if not the task's."""
     task: TaskConfig
     scene: SceneConfig
     score: Score | None
-    """What it was trained to play, None for one that plays any."""
+    """The song it was trained on, None for a policy of many."""
     learner: str | None = None
-    """By whose name the policy is read, if it is no `Perceptron`."""
+    """The name of the learner that reads the policy, None for a `Perceptron`."""
 
     @property
     def agent(self) -> PolicyAgent:
-        """For one that is played."""
+        """The agent that plays it."""
         return PolicyAgent(self.policy, self.observation, self.inputs, self.reference, self.ranges)
 
     @property
     def residual(self) -> bool:
-        """Whether it corrects a reference, which is that of one song."""
+        """True if it corrects a reference, which is that of one song."""
         return self.reference is not None
 
     def has_learnt(self, score: Score) -> bool:
-        """Whether it was trained to play the notes and the pedal of `score`, or those of any."""
+        """True if it was trained on the notes and the pedal of `score`, or plays any song."""
         if self.score is None:
             return True
         notes = score.without_fingers().notes
@@ -142,8 +142,8 @@ class LearntPolicy:
 
     def check(self, name: str, task: PianoTask) -> None:
         """Raises:
-        CadenzaError: `name`, as it is known, corrects another reference than is needed for `task`,
-            or observes other things than that shows.
+        CadenzaError: the policy, which is called `name`, corrects another reference than that of
+            `task`, or observes something else.
         """
         options: tuple[str, ...] = _CHANGE_THE_REFERENCE if self.residual else ()
         if self.observation != ObservationSpec.of(task.spec, self.residual):
@@ -161,7 +161,7 @@ class LearntPolicy:
 
 
 def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> None:
-    """Writes `learnt` to `folder`, and with it what else there is to know `about` it.
+    """Writes a policy to a folder, with remarks `about` it.
 
     Raises:
         CadenzaError: there is no room; what the folder held is still there.
@@ -181,7 +181,7 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
         "score": None if learnt.score is None else asdict(WrittenScore.of(learnt.score)),
     }
     try:
-        parts = _named(_REFERENCE, learnt.reference) | _named(_RANGES, learnt.ranges)
+        parts = _with_prefix(_REFERENCE, learnt.reference) | _with_prefix(_RANGES, learnt.ranges)
         write_checksummed(folder, _KIND, facts, arrays | parts)
     except OSError as error:
         raise CadenzaError(
@@ -232,19 +232,19 @@ def load_policy(folder: Path) -> LearntPolicy:
     return learnt
 
 
-def _named(prefix: str, part: Reference | Ranges | None) -> dict[str, NDArray[Any]]:
+def _with_prefix(prefix: str, part: Reference | Ranges | None) -> dict[str, NDArray[Any]]:
     return {} if part is None else {prefix + name: a for name, a in part._asdict().items()}
 
 
-def _with(prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def _without_prefix(prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
 
 
 def _learnt(
     facts: _Facts, score: Score | None, arrays: dict[str, NDArray[Any]]
 ) -> LearntPolicy | None:
-    """None where arrays of the reference or of the ranges are missing."""
-    reference, ranges = _with(_REFERENCE, arrays), _with(_RANGES, arrays)
+    """The policy, or None if arrays of the reference or of the ranges are missing."""
+    reference, ranges = _without_prefix(_REFERENCE, arrays), _without_prefix(_RANGES, arrays)
     for found, kind in ((reference, Reference), (ranges, Ranges)):
         if found and found.keys() != set(kind._fields):
             return None
@@ -263,14 +263,16 @@ def _learnt(
 
 def _policy(facts: _Facts, arrays: dict[str, NDArray[Any]]) -> Policy:
     if isinstance(facts, _OtherFacts):
-        return learner_config(facts.learner).policy_of(facts.policy, _with(_POLICY, arrays))
+        return learner_config(facts.learner).policy_of(
+            facts.policy, _without_prefix(_POLICY, arrays)
+        )
     assert isinstance(facts, _PerceptronFacts)
     weights = {n: a for n, a in arrays.items() if not n.startswith((_REFERENCE, _RANGES))}
     return Perceptron(weights, facts.activation, facts.log_std_range)
 
 
 def _fits_together(learnt: LearntPolicy) -> bool:
-    """Whether the arrays belong to what is observed and done."""
+    """True if the shapes of the arrays are those of the observation and the actions."""
     observation, reference, ranges = learnt.observation, learnt.reference, learnt.ranges
     actions = observation.previous_action
     try:

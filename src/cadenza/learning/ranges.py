@@ -1,8 +1,8 @@
-"""The part of the keyboard that a song needs, as the scale of what a policy sees and does.
+"""Ranges of joints and actions that a song needs, to which a policy's are normalised.
 
 The forearms of the hands slide along 1.2 m of rails, a key is 2 cm wide, and a tune rarely spans
-more than a third of the keyboard. On a scale of the whole of it random actions hardly ever land
-where the song is, and neighbouring keys are hard to tell from each other.
+more than a third of the keyboard. Normalised to the whole keyboard, random actions hardly ever
+land where the song is, and neighbouring keys are hard to tell from each other.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ from cadenza.tasks.view import to_range
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-_SPARE = 0.05  # [m] on either side, at a piano: hands turn and fingers spread
+_MARGIN = 0.05  # [m] on either side, at a piano: hands turn and fingers spread
 _ALONG_KEYBOARD = 1  # axis y
 
 
 class Ranges(NamedTuple):
-    """From where to where each joint and each action goes, which a policy calls -1 to 1."""
+    """Least and largest joint positions and actions, which become -1 and 1."""
 
     joints: Array
-    """(2, J) least and most [m, rad]."""
+    """(2, J) [m, rad]"""
     actions: Array
-    """(2, A) least and most [m, rad], the pedal last."""
+    """(2, A) [m, rad], the pedal last."""
 
     def ctrl(self, action: Floats) -> Array:
-        """(N, A) actions in actuator units from those in [-1, 1]; what lies outside is clipped."""
+        """(N, A) actions in actuator units from those in [-1, 1], which are clipped."""
         return to_range(action, *self.actions)
 
     def scaled(self, joints: Floats) -> Floats:
-        """(..., J) -1 to 1 from positions of joints; beyond that where they are out of range."""
+        """(..., J) normalised joint positions; beyond -1 and 1 where they are out of range."""
         low, high = self.joints.astype(np.float32)
         return (joints - (high + low) / 2) / ((high - low) / 2)
 
 
 def ranges_of(task: PianoTask) -> Ranges:
-    """Those of a task with hands: near their rest, and of forearms where its scores need them."""
+    """The ranges of a task with hands: near their rest, forearms where its scores need them."""
     scene, servos = task.scene, servos_of(task.scene)
     joints = np.array([scene.model.joint(name).range for name in scene.hand_joint_names]).T
     actions = np.stack([task.action_low, task.action_high])
@@ -56,23 +56,23 @@ def ranges_of(task: PianoTask) -> Ranges:
     moved = servos.joints[near].any(axis=0)
     joints[:, moved] = (actions[:, :-1][:, near] @ servos.joints[near])[:, moved]
     fingertips = Kinematics(scene, servos).fingertips(np.where(near, rest, 0.0)[None])
-    tips, slopes = (values[0, :, _ALONG_KEYBOARD] for values in fingertips)
-    spare = _SPARE * scene.keyboard.spacing / PIANO.spacing
+    tips, jacobian = (values[0, :, _ALONG_KEYBOARD] for values in fingertips)
+    margin = _MARGIN * scene.keyboard.spacing / PIANO.spacing
     slides = servos.along_keyboard
     for side, servo in zip(scene.sides, slides, strict=bool(slides)):
         mine = scene.fingertips_on(side)
-        along = slopes[mine, servo - scene.servos_on(side).start]
+        along = jacobian[mine, servo - scene.servos_on(side).start]
         finger, key = np.nonzero(keys[mine])
         wanted = (scene.keyboard.centre[key, _ALONG_KEYBOARD] - tips[mine][finger]) / along[finger]
         wanted = wanted if len(wanted) else np.zeros(1)  # it may rest
-        ends = np.array([wanted.min() - spare, wanted.max() + spare])
+        ends = np.array([wanted.min() - margin, wanted.max() + margin])
         actions[:, servo] = np.clip(ends, *actions[:, servo])
         joints[:, np.flatnonzero(servos.joints[servo])] = actions[:, servo, None]
     return Ranges(joints, actions)
 
 
 def _keys_of_fingers(task: PianoTask) -> NDArray[np.bool_]:
-    """(F, K) whether any score wants a key of a finger, or of whichever."""
+    """(F, K) true where a score wants the key from that finger, or from any."""
     there = task.scene.fingers_there
     numbers = range(there.start, there.stop)
     keys = np.full((len(numbers), task.scene.keyboard.num_keys), draws_pitch(task.config))

@@ -1,7 +1,7 @@
-"""The transitions that are learnt from.
+"""A replay buffer that stores each result of the simulation once.
 
-Kept is what the simulation produced, once: an observation serves as the one after the step before
-and as the one before the step after, and what follows from the score is rebuilt (`observation`).
+An observation is the next one of the step before, and what follows from the score is not stored but
+rebuilt (`observation`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cadenza.learning.observation import Floats, Observer
 
 Rows = NDArray[np.int64]
 
-_FEW = 1 / 8  # of the frames; where fewer are complete, drawing from all takes too many attempts
+_LEAST_COMPLETE = 1 / 8  # of the frames; of fewer, rejection sampling takes too many attempts
 
 
 class Batch(NamedTuple):
@@ -34,8 +34,8 @@ class Batch(NamedTuple):
 class ReplayBuffer:
     """A ring of frames for each of N environments, in the order in which they came.
 
-    A frame is what was observed, the action taken then, its reward, and whether it ended the
-    episode for good. The last frame of an episode has no action, and neither has the newest.
+    A frame is an observation, the action taken then, its reward, and whether it terminated the
+    episode. The last frame of an episode has no action, and neither has the newest.
     """
 
     def __init__(self, observer: Observer, num_envs: int, capacity: int, action_size: int) -> None:
@@ -45,7 +45,7 @@ class ReplayBuffer:
             CadenzaError: there is no room for them.
         """
         self._observer = observer
-        # With four, one that was acted on outlives the end of its episode and the next beginning.
+        # At least four: a frame with an action outlives the end of its episode and the next start.
         length = max(-(-capacity // num_envs), 4)
         self._shape = (num_envs, length)
         try:
@@ -67,7 +67,7 @@ class ReplayBuffer:
         }
 
     def __len__(self) -> int:
-        """How many transitions there are to learn from."""
+        """The number of transitions."""
         return self._size
 
     def observe(
@@ -81,7 +81,7 @@ class ReplayBuffer:
         frames["row"][at], frames["first"][at] = row, first
         frames["complete"][at] = False
         self._count[env_ids] += 1
-        # What came before the next frame is gone.
+        # The frame that is overwritten next loses the one before it.
         after = (env_ids, self._count[env_ids] % length)
         lost = frames["complete"][after] & ~frames["first"][after]
         self._size -= int(lost.sum())
@@ -109,7 +109,7 @@ class ReplayBuffer:
     def _draw(self, rng: np.random.Generator, number: int) -> tuple[Rows, Rows]:
         num_envs, length = self._shape
         written = int(min(self._count.max(), length))
-        if self._size < _FEW * num_envs * written:  # much was lost
+        if self._size < _LEAST_COMPLETE * num_envs * written:  # much was lost
             complete = np.flatnonzero(self._frames["complete"][:, :written])
             drawn = rng.choice(complete, number)
             return drawn // written, drawn % written
@@ -151,17 +151,17 @@ class ReplayBuffer:
     # To go on later
 
     def complete_counts(self) -> Rows:
-        """(N,) how many frames ever added are not going to change any more."""
+        """(N,) the number of frames ever added that will not change any more."""
         return self._count - 1
 
     def holds(self, counts: Rows) -> bool:
-        """Whether any frame is still there that was added before there were `counts` (N,)."""
+        """True if a frame is left that was added before there were `counts` (N,)."""
         return bool((counts > self.complete_counts() - self._shape[1]).any())
 
     def since(self, counts: Rows | int) -> dict[str, NDArray[Any]]:
-        """The frames that were completed since the environments had `counts` (N,), and are there.
+        """The frames left that were completed since the environments had `counts` (N,).
 
-        Those of one environment after another; `from` and `to` (N,) say which they are.
+        They are in order of environments; `from` and `to` (N,) number them.
         """
         length, to = self._shape[1], self.complete_counts()
         start = np.maximum(counts, to - length)
@@ -172,10 +172,10 @@ class ReplayBuffer:
         }
 
     def restore(self, chunk: dict[str, NDArray[Any]]) -> None:
-        """Adds what `since` returned, in its order. The newest frame is to be observed again.
+        """Adds the frames of `since`, in its order. The newest frame is to be observed again.
 
         Raises:
-            CadenzaError: it is not that of such environments.
+            CadenzaError: the frames are of other environments.
         """
         check_arrays(chunk, self._expected(), "experience")
         start, to, there = chunk["from"], chunk["to"], len(chunk["row"])
@@ -196,7 +196,7 @@ class ReplayBuffer:
         self._count, self._size = to.copy(), int(self._frames["complete"].sum())
 
     def skip(self, counts: Rows) -> None:
-        """Goes on as if there were `counts` (N,) frames; those that are not there are lost."""
+        """Continues after `counts` (N,) frames; those that were not restored are lost."""
         length, complete = self._shape[1], self._frames["complete"]
         # The last before a gap lacks the one after it.
         last = np.where(self._count < counts, self._count - 1, counts)
@@ -204,7 +204,7 @@ class ReplayBuffer:
         self._count, self._size = counts.copy(), int(complete.sum())
 
     def _places(self, start: Rows, to: Rows) -> tuple[Rows, Rows]:
-        """Where the frames from `start` (N,) up to `to` (N,) are."""
+        """Environments and columns of the frames from `start` (N,) up to `to` (N,)."""
         env = np.repeat(np.arange(len(to)), to - start)
         number = np.concatenate([np.arange(a, b) for a, b in zip(start, to, strict=True)])
         return env, number % self._shape[1]

@@ -348,19 +348,3 @@ def _lost(checkpoint: Checkpoint) -> int:
         for (start, end), chunk in zip(pairwise(ends), checkpoint.replay, strict=True)
         if chunk is None
     )
-
-
-@contextmanager
-def errors_of_resuming(run: Path) -> Iterator[None]:
-    """Names the run in errors of a block that goes on from its checkpoint.
-
-    Raises:
-        CadenzaError: the checkpoint does not fit, which shows in many ways.
-    """
-    try:
-        yield
-    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
-        raise CadenzaError(
-            f"{run}: its checkpoint does not belong to this run ({error!r}); use another copy, or "
-            "start a new run"
-        ) from error

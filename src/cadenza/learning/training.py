@@ -28,15 +28,16 @@ from cadenza.learning.policy import Perceptron
 from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.replay_buffer import ReplayBuffer
-from cadenza.learning.run_folder import Checkpoint, Chunk, Facts, RunFolder, errors_of_resuming
+from cadenza.learning.run_folder import Checkpoint, Chunk, Facts, RunFolder
 from cadenza.music.score import Score
+from cadenza.resumable import errors_of_resuming
 from cadenza.tasks.augmentation import draws_pitch
 from cadenza.tasks.piano_task import PianoTask
 
 Row = dict[str, float]
 
-_EPISODES_SHOWN = 100  # a row of metrics holds the mean of the last so many episodes
-_EXPECTED = {  # arrays of a checkpoint; their sizes are checked by whose they are
+_EPISODES_AVERAGED = 100  # in a row of metrics
+_EXPECTED = {  # arrays of a checkpoint; whoever restores them checks their sizes
     "learner:*": ArrayOf(NUMBERS, None),
     "collector:*": ArrayOf(FLOATS, None),
     "scores:*": ArrayOf(INTEGERS, None),
@@ -54,12 +55,12 @@ class Training:
     """
 
     def __init__(self, config: TrainingConfig, score: Score, folder: RunFolder) -> None:
-        """Goes on from the newest checkpoint in `folder`, if there is one.
+        """Resumes from the newest checkpoint in `folder`, if there is one.
 
         Args:
             config: of the run.
-            score: what is to be learnt.
-            folder: where the run is kept.
+            score: the song to learn.
+            folder: of the run.
 
         Raises:
             CadenzaError: the song cannot be played, an option makes no sense, or the checkpoints
@@ -79,7 +80,7 @@ class Training:
         self._ranges = ranges_of(self._task) if narrowed else None
         control = action_mapping(self._task.spec, self._reference, self._ranges)
         self._observation = ObservationSpec.of(self._task.spec, config.residual)
-        prune = self._has_known_scores() and config.prune_inputs
+        prune = self._has_fixed_scores() and config.prune_inputs
         inputs = pruned(self._observation, self._goals) if prune else self._observation.inputs
         observer = Observer(self._task.spec, self._goals, inputs, control.reference, self._ranges)
         actions = self._task.action_size
@@ -101,13 +102,13 @@ class Training:
         self._learning = ThreadPoolExecutor(1)
         self._evaluation: Future[tuple[Row, LearntPolicy]] | None = None
         self._metrics: list[dict[str, NDArray[Any]]] = []
-        self._finished = deque[Finished](maxlen=_EPISODES_SHOWN)
+        self._finished = deque[Finished](maxlen=_EPISODES_AVERAGED)
         self._chunks: list[Chunk] = []
         self._seconds = 0.0
         with threadpool_limits(1):
-            self._take_up(checkpoint)
+            self._begin_or_resume(checkpoint)
 
-    def _take_up(self, checkpoint: Checkpoint | None) -> None:
+    def _begin_or_resume(self, checkpoint: Checkpoint | None) -> None:
         if checkpoint is None:
             self._collector.begin()
             return
@@ -117,8 +118,8 @@ class Training:
     def _new_task(self, num_envs: int) -> PianoTask:
         return PianoTask([self._score], self.config.task, self.config.scene, num_envs)
 
-    def _has_known_scores(self) -> bool:
-        """Whether no other keys and fingers will be asked for."""
+    def _has_fixed_scores(self) -> bool:
+        """True if every episode asks for the same keys and fingers."""
         return not draws_pitch(self.config.task)
 
     # The loop
@@ -129,7 +130,7 @@ class Training:
         Raises:
             CadenzaError: there is no room for a checkpoint.
         """
-        kept, began = self.step, time.perf_counter() - self._seconds
+        saved_step, began = self.step, time.perf_counter() - self._seconds
         saved = time.perf_counter()
         with threadpool_limits(1):  # the other cores learn
             while self.step < self.config.num_steps and goes_on():
@@ -143,11 +144,11 @@ class Training:
                     self._log()
                 if time.perf_counter() - saved > self.config.checkpoint_interval:
                     self._save()
-                    kept, saved = self.step, time.perf_counter()
+                    saved_step, saved = self.step, time.perf_counter()
             if self.step >= self.config.num_steps and not (self.best or self._evaluation):
                 self._evaluate()  # a run that is over has a best policy
-            self._take_evaluation()
-            if self.step > kept:
+            self._finish_evaluation()
+            if self.step > saved_step:
                 self._save()
 
     def _passed(self, before: int, interval: int) -> bool:
@@ -165,7 +166,7 @@ class Training:
         else:
             self._collect(random=False)
             self._learn(self._batches())
-        self._take_policy()
+        self._update_policy()
 
     def _collect(self, random: bool) -> None:
         config = self.config
@@ -184,8 +185,8 @@ class Training:
         self._metrics.append({name: np.asarray(values) for name, values in metrics.items()})
         self._updates += self.config.gradient_steps
 
-    def _take_policy(self) -> None:
-        """Acts from now on as was learnt; before that is evaluated or kept.
+    def _update_policy(self) -> None:
+        """Acts by the new policy, once it is checked.
 
         Raises:
             CadenzaError: it is not finite.
@@ -215,7 +216,7 @@ class Training:
     # Figures
 
     def _log(self) -> None:
-        metrics = _one_after_another(self._metrics)
+        metrics = _concatenated(self._metrics)
         row = {
             f"train/{name}": float(np.nanmean(values))
             for name, values in metrics.items()
@@ -235,31 +236,31 @@ class Training:
         self.rows.append(row)
 
     def _evaluate(self) -> None:
-        self._take_evaluation()
-        self._evaluation = self._background.submit(self._play_once, self._learnt(), self.step)
+        self._finish_evaluation()
+        self._evaluation = self._background.submit(self._play_episode, self._learnt(), self.step)
 
-    def _play_once(self, learnt: LearntPolicy, step: int) -> tuple[Row, LearntPolicy]:
+    def _play_episode(self, learnt: LearntPolicy, step: int) -> tuple[Row, LearntPolicy]:
         with closing(self._new_task(1)) as task:
             metrics = play_episode(task, learnt.agent, self.config.seed).metrics
         numbers = {n: v for n, v in metrics.items() if isinstance(v, int | float)}
         row = {f"eval/{name}": float(value) for name, value in numbers.items()}
         return {"eval_step": step} | row, learnt
 
-    def _take_evaluation(self) -> None:
-        """Waits for the evaluation under way and keeps its policy if it is the best so far."""
+    def _finish_evaluation(self) -> None:
+        """Waits for the running evaluation and saves its policy if it is the best so far."""
         if self._evaluation is None:
             return
         row, learnt = self._evaluation.result()
         self._evaluation = None
         self._add_row(row)
-        if not self.best or _right(row) > _right(self.best):
+        if not self.best or _f1_steps(row) > _f1_steps(self.best):
             self.best = row
             save_policy(self._folder.path / "best", learnt, row | self._rewarded)
 
     # Checkpoints
 
     def _save(self) -> None:
-        self._take_evaluation()
+        self._finish_evaluation()
         since = np.array(self._chunks[-1].to) if self._chunks else 0
         experience = self._replay.since(since)
         name = self._folder.save_experience(self.step, experience)
@@ -279,8 +280,8 @@ class Training:
             updates=self._updates,
         )
         parts = {"learner": self._learner.to_arrays(self._state), "collector": arrays}
-        parts |= {"scores": self._goals.arrays(), "metrics": _one_after_another(self._metrics)}
-        self._folder.save(facts, _joined(parts))
+        parts |= {"scores": self._goals.arrays(), "metrics": _concatenated(self._metrics)}
+        self._folder.save(facts, _with_prefixes(parts))
         self._save_last()
 
     def _save_last(self) -> None:
@@ -289,11 +290,11 @@ class Training:
         )
 
     def _restore(self, checkpoint: Checkpoint) -> None:
-        facts, parts = checkpoint.facts, _parted(checkpoint.arrays)
+        facts, parts = checkpoint.facts, _by_prefix(checkpoint.arrays)
         self.step, self._seconds = facts.step, facts.seconds
         if facts.best and self._best_is_there():
-            self.best = {name: _number(value) for name, value in facts.best.items()}
-        self._finished += [Finished(*map(_number, episode)) for episode in facts.finished]
+            self.best = {name: _or_nan(value) for name, value in facts.best.items()}
+        self._finished += [Finished(*map(_or_nan, episode)) for episode in facts.finished]
         self._sample_rng.bit_generator.state = facts.sample_rng
         self._updates = facts.updates
         self._state = self._learner.from_arrays(parts["learner"])
@@ -305,7 +306,7 @@ class Training:
         self._save_last()  # a kill may have come before it
 
     def _best_is_there(self) -> bool:
-        """Whether the best policy can be read; else the best of those to come takes its place."""
+        """True if the best policy can be read; else the next evaluation takes its place."""
         try:
             load_policy(self._folder.path / "best")
         except CadenzaError as error:
@@ -348,7 +349,7 @@ def begin(config: TrainingConfig, score: Score, folder: RunFolder) -> Training:
 
 
 def _ends(config: TrainingConfig, checkpoint: Checkpoint | None) -> tuple[tuple[int, int], ...]:
-    """Since which step the run was to end at which, with the end that it has now."""
+    """Since which step the run was to end at which one, its present end last."""
     ends = checkpoint.facts.ends if checkpoint else ()
     if not ends:
         return ((0, config.num_steps),)
@@ -357,26 +358,26 @@ def _ends(config: TrainingConfig, checkpoint: Checkpoint | None) -> tuple[tuple[
     return ends
 
 
-def _right(row: Row) -> float:
-    """How many steps of an evaluation were right; none after a wrong key that ended it early."""
+def _f1_steps(row: Row) -> float:
+    """F1 times the length of an evaluation, which a wrong key may end early."""
     return row["eval/f1"] * row["eval/steps"]
 
 
-def _number(value: float | None) -> float:
+def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _one_after_another(metrics: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    """By name (U,) of all updates, from those (u,) of each round."""
+def _concatenated(metrics: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """Metrics (U,) by name of all updates, from those (u,) of each round."""
     names = metrics[0] if metrics else {}
     return {name: np.concatenate([some[name] for some in metrics]) for name in names}
 
 
-def _joined(parts: dict[str, dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+def _with_prefixes(parts: dict[str, dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
     return {f"{part}:{name}": a for part, arrays in parts.items() for name, a in arrays.items()}
 
 
-def _parted(arrays: dict[str, NDArray[Any]]) -> dict[str, dict[str, NDArray[Any]]]:
+def _by_prefix(arrays: dict[str, NDArray[Any]]) -> dict[str, dict[str, NDArray[Any]]]:
     parts: dict[str, dict[str, NDArray[Any]]] = {}
     for name, array in arrays.items():
         part, _, rest = name.partition(":")

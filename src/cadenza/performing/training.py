@@ -32,7 +32,7 @@ def train(
         song: see `cadenza.play`.
         folder: of the run; nothing else may be in it. If the run is killed,
             `cadenza train --resume` continues it from the last checkpoint.
-        config: how to train; by default what the command's preset "fast" says.
+        config: how to train; by default the command's preset "fast".
         progress: is told how far it is, `progress("learning", done, total)`.
         options: fields of `TrainingConfig`, which change `config`.
 

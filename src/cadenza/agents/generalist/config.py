@@ -12,8 +12,8 @@ class GeneralistConfig:
     """The generalist: the planner's plan, corrected by what was learnt or rehearsed; no search."""
 
     weights: str | None = field(default=None, metadata=names_file())
-    """File of networks that tools/train_generalist.py has written. The default are those that come
-    with Cadenza for these hands. Where there are none for them, it can only rehearse."""
+    """File of networks that "cadenza generalist" has written. The default are those that come with
+    Cadenza for these hands. Where there are none for them, it can only rehearse."""
     look_ahead: float | None = None
     """How far ahead it knows the score [s]. By default, it plans the whole song in advance."""
     rehearsals: int | None = None

@@ -8,7 +8,7 @@ from cadenza.errors import CadenzaError
 
 
 def pretrained_folder(song: str) -> Path:
-    """Of the policy that plays a bundled song (upper or lower case).
+    """The folder of the policy that plays a bundled song (upper or lower case).
 
     Raises:
         CadenzaError: there is none.

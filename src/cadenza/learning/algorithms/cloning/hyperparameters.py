@@ -13,7 +13,7 @@ from cadenza.learning.policy import Activation
 
 @dataclass(frozen=True)
 class Hyperparameters(LearnerConfig):
-    """All that can be chosen."""
+    """The hyperparameters of behaviour cloning."""
 
     hidden_sizes: tuple[int, ...] = (256, 256, 256)
     """Hidden layer widths."""

@@ -14,7 +14,7 @@ from cadenza.learning.policy import Activation
 
 @dataclass(frozen=True)
 class Hyperparameters(LearnerConfig):
-    """All that can be chosen; the defaults are those of the paper (Zakka et al., CoRL 2023)."""
+    """Hyperparameters; the defaults are those of the paper (Zakka et al., CoRL 2023)."""
 
     hidden_sizes: tuple[int, ...] = (256, 256, 256)
     """Hidden layer widths of the actor and the critics."""
@@ -59,11 +59,10 @@ class Hyperparameters(LearnerConfig):
 
     @classmethod
     def preset(cls, name: Preset, residual: bool) -> Self:
-        """What a run begins with.
+        """The hyperparameters of a preset.
 
-        fast: little entropy to begin with, as a temperature of 1 takes ten thousands of updates to
-        cool. What corrections spoil was nearly right: with `residual` changes are smaller, and
-        there is more to found each of them on.
+        fast: a low initial temperature, as one of 1 takes tens of thousands of updates to fall. A
+        `residual` policy is nearly right from the start: it gets smaller steps and larger batches.
         """
         if name == "paper":
             return cls()

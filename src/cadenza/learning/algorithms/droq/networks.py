@@ -17,8 +17,8 @@ from cadenza.learning.observation import Inputs
 class Dropout(nn.Module):
     """Sets a share `rate` of its inputs to zero and scales the others up.
 
-    As `flax.linen.Dropout`, but random by the finaliser of MurmurHash3 (A. Appleby) on the number
-    of the entry, keyed anew each time: generating better bits took a sixth of an update.
+    It is `flax.linen.Dropout` with other random bits: MurmurHash3's finaliser (A. Appleby) of the
+    entry's index, with a new key each time. Better bits took a sixth of an update.
     """
 
     rate: float
@@ -34,7 +34,7 @@ class Dropout(nn.Module):
 
 
 class FirstLayer(nn.Module):
-    """A linear layer whose weights begin as those rows that it has of the layer with all inputs."""
+    """A linear layer, initialised as its rows of the layer with all inputs."""
 
     size: int
     inputs: Inputs
@@ -95,7 +95,7 @@ class Critic(nn.Module):
 
     config: Hyperparameters
     inputs: Inputs
-    """Of observations and actions together."""
+    """Entries of observation and action, concatenated."""
 
     @nn.compact
     def __call__(self, observation: jax.Array, action: jax.Array) -> jax.Array:

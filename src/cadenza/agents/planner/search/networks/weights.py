@@ -103,7 +103,7 @@ class Weights(NamedTuple):
         if not (inside.all() and np.array_equal(moved, np.arange(servos))):
             raise CadenzaError(
                 f"{path}: its networks do not fit {num_inputs} inputs and {servos} servos; "
-                "fit them again with tools/train_generalist.py"
+                "fit them again with cadenza generalist clone"
             )
         return cls((num_inputs, servos), networks)
 

@@ -1,0 +1,107 @@
+"""`cadenza generalist`, which trains networks of the agent generalist."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from cadenza.cli.arguments import Quiet
+from cadenza.cli.clone import train_until_stopped
+from cadenza.cli.saving import check_writable
+from cadenza.cli.options import RecordedParts
+from cadenza.cli.progress import stages
+from cadenza.errors import extra_packages
+from cadenza.learning.algorithms.generalist.config import (
+    GeneralistCloningConfig,
+    GeneralistReinforcementConfig,
+)
+
+
+@dataclass(frozen=True)
+class CloneGeneralist(RecordedParts):
+    """Fit networks to how the planner corrects its plans.
+
+    Ctrl-C stops it. The same command continues it.
+
+    Example: cadenza generalist clone demonstrations -o trained; cadenza play OdeToJoy --agent
+    generalist --generalist.weights trained/weights.npz
+    """
+
+    demonstrations: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DATASET...")
+    ]
+    """Folders that "cadenza dataset collect" has made, of at least three songs."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/generalist")
+    """Folder of the run."""
+    quiet: Quiet = False
+    config: tyro.conf.OmitArgPrefixes[GeneralistCloningConfig] = field(
+        default_factory=GeneralistCloningConfig
+    )
+
+
+@dataclass(frozen=True)
+class ReinforceGeneralist:
+    """Improve networks by reinforcement learning over the songs of a library.
+
+    Ctrl-C stops it. The same command continues it.
+
+    Example: cadenza generalist reinforce LIBRARY:train --weights trained/weights.npz -o reinforced
+    """
+
+    songs: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="LIBRARY")]
+    """The library, or a split of it as LIBRARY:SPLIT."""
+    weights: Path | None = None
+    """File of the networks to improve; by default, those that come with Cadenza."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/reinforced")
+    """Folder of the run."""
+    quiet: Quiet = False
+    config: tyro.conf.OmitArgPrefixes[GeneralistReinforcementConfig] = field(
+        default_factory=GeneralistReinforcementConfig
+    )
+
+
+def clone(command: CloneGeneralist) -> None:
+    with extra_packages("train", "training"):
+        from cadenza.learning.algorithms.generalist.cloning import (
+            GeneralistCloning,
+            cloning_folder,
+        )
+
+    check_writable(command.output)
+    with cloning_folder(command.output).locked():
+        with stages("reading") as tell:
+            run = GeneralistCloning(command.config, command.demonstrations, command.output, tell)
+        train_until_stopped(run, "fitting", "perceptrons", "train/explained_variance")
+    _print_how_to_play(command.output)
+
+
+def reinforce(command: ReinforceGeneralist) -> None:
+    with extra_packages("train", "training"):
+        from cadenza.learning.algorithms.generalist.reinforcement import (
+            GeneralistReinforcement,
+            reinforcement_folder,
+        )
+    from cadenza.evaluation.collecting.variation import excerpt
+    from cadenza.music.libraries.library import load_score, open_library
+
+    config, rng = command.config, np.random.default_rng(command.config.seed)
+    check_writable(command.output)
+    songs = open_library(command.songs).songs
+    drawn = rng.permutation(len(songs))[: config.num_songs].tolist()
+    scores = [excerpt(load_score(songs[i].name), config.seconds, rng.random())[0] for i in drawn]
+    with reinforcement_folder(command.output).locked():
+        with stages("planning") as tell:
+            run = GeneralistReinforcement(
+                config, command.songs, scores, command.output, command.weights, tell
+            )
+        train_until_stopped(run, "learning", "rounds", "train/cost")
+    _print_how_to_play(command.output)
+
+
+def _print_how_to_play(folder: Path) -> None:
+    weights = folder / "weights.npz"
+    print(f"cadenza play SONG --agent generalist --generalist.weights {weights}")

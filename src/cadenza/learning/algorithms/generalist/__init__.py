@@ -1,0 +1,1 @@
+"""Training of the agent `generalist`: behaviour cloning of the planner, then PPO."""

@@ -1,0 +1,107 @@
+"""The options of training a generalist. Imports nothing heavy: the command line shows them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from cadenza.configs import MOST_COUNT, check_ranges
+
+
+@dataclass(frozen=True)
+class GeneralistCloningConfig:
+    """The options of fitting the networks to the planner's corrections."""
+
+    hidden_sizes: tuple[int, int] = (128, 64)
+    """Hidden layer widths."""
+    learning_rate: float = 1e-3
+    """Initial learning rate (AdamW, cosine decay)."""
+    weight_decay: float = 0.01
+    """Weight decay."""
+    dropout: float = 0.15
+    """Dropout rate of hidden units."""
+    previous_dropout: float = 0.7
+    """How often the previous correction is hidden from a network, so that it does not repeat it."""
+    batch_size: int = 512
+    """Examples per update."""
+    num_epochs: int = 15
+    """Epochs at most."""
+    patience: int = 4
+    """Epochs without improvement on held-out songs before a network stops."""
+    checkpoint_interval: float = 60.0
+    """Time between checkpoints [s]."""
+    seed: int = 0
+    """Random seed."""
+
+    def check(self) -> None:
+        """Raises: CadenzaError: an option makes no sense."""
+        counts = ("batch_size", "num_epochs", "patience")
+        check_ranges(
+            self,
+            {
+                **dict.fromkeys(counts, (1, MOST_COUNT)),
+                "learning_rate": (0, 1),
+                "weight_decay": (0, 1),
+                "dropout": (0, 0.99),
+                "previous_dropout": (0, 1),
+                "checkpoint_interval": (0, math.inf),
+                "seed": (0, MOST_COUNT),
+            },
+        )
+
+
+@dataclass(frozen=True)
+class GeneralistReinforcementConfig:
+    """The options of proximal policy optimisation over many songs."""
+
+    num_songs: int = 160
+    """Songs of the library to learn from, drawn at random."""
+    seconds: float = 12.0
+    """Length of the excerpt of each song [s]."""
+    num_rounds: int = 850
+    """Rollouts, each followed by updates."""
+    num_envs: int = 32
+    """Excerpts played in parallel."""
+    rollout_steps: int = 64
+    """Control steps of each excerpt per rollout."""
+    noise: float = 0.2
+    """Standard deviation of the exploration noise, as a fraction of the largest correction."""
+    discount: float = 0.9
+    """Discount factor per control step."""
+    gae_lambda: float = 0.9
+    """Lambda of generalised advantage estimation."""
+    clip: float = 0.2
+    """Clip range of the probability ratio."""
+    learning_rate: float = 1e-4
+    """Initial learning rate of the networks (Adam). It decays linearly to 0."""
+    value_learning_rate: float = 5e-4
+    """Learning rate of the value functions (Adam)."""
+    batch_size: int = 512
+    """Steps of a hand per update."""
+    num_epochs: int = 2
+    """Passes over each rollout."""
+    value_warmup: int = 8
+    """Rounds in which only the value functions are updated."""
+    ema: float = 0.04
+    """Update rate per round of the average of the networks, which is saved."""
+    checkpoint_interval: float = 60.0
+    """Time between checkpoints [s]."""
+    seed: int = 0
+    """Random seed, of which songs and of the noise."""
+
+    def check(self) -> None:
+        """Raises: CadenzaError: an option makes no sense."""
+        counts = ("num_songs", "num_rounds", "num_envs", "rollout_steps", "batch_size")
+        rates = ("learning_rate", "value_learning_rate", "discount", "gae_lambda", "clip", "ema")
+        check_ranges(
+            self,
+            {
+                **dict.fromkeys((*counts, "num_epochs"), (1, MOST_COUNT)),
+                **dict.fromkeys(rates, (0, 1)),
+                "seconds": (1, 3600),
+                "noise": (0.001, 1),
+                "value_warmup": (0, MOST_COUNT),
+                "checkpoint_interval": (0, math.inf),
+                "seed": (0, MOST_COUNT),
+            },
+        )

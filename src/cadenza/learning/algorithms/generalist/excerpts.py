@@ -1,0 +1,205 @@
+"""Excerpts of songs, played many at once by planned hands that are corrected, with rewards.
+
+Each finger has its own reward: what its keys lack, wrong keys that it is nearest to, and how far
+its fingertip is from the plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from copy import copy
+from typing import NamedTuple
+
+import numpy as np
+
+from cadenza.agents.agent import Progress, silent
+from cadenza.agents.generalist.corrected_hands import CorrectedHands
+from cadenza.agents.generalist.generalist import HASTE
+from cadenza.agents.planner.plan.hand_goals import HandGoals
+from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
+from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
+from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
+from cadenza.learning.algorithms.generalist.hand_networks import Array
+from cadenza.music.score import Score
+from cadenza.scene.scene import Scene
+from cadenza.sim.mujoco_simulation import MujocoSimulation
+from cadenza.sim.protocol import State
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+# Weights of a step's costs, as in the planner's search, but that a key counts the less the more are
+# wanted at once.
+_WRONG, _EARLY, _OFF_PLAN = 3.0, 1.5, 0.3
+_AXES = np.array([0.55, 1.0, 1.0])  # weights of distances: those along a key count less
+_MOST = 15.0  # cost of a finger in a step
+
+
+class FingerCosts:
+    """What a song asks of the F fingers in each of its T steps, and what they fail to do."""
+
+    def __init__(self, plan: SongPlan) -> None:
+        scene, goals, nominal = plan.scene, plan.goals, plan.nominal
+        hands = [HandGoals(plan, side) for side in scene.sides]
+        self.num_steps, self.keyboard = goals.num_steps, scene.keyboard
+        self._held = np.any([hand.planned for hand in hands], axis=0)
+        self._due = self._held & np.any([hand.due for hand in hands], axis=0)
+        self._early = np.any([hand.unwelcome for hand in hands], axis=0)
+        self._fingers, self._wrong = goals.fingers, ~goals.keys
+        self._share = 2.0 / (1 + goals.keys.sum(axis=1))
+        self._fingertips = nominal.fingertips
+        self._weight = _OFF_PLAN * np.concatenate([hand.weight for hand in hands], axis=1)
+        self._top = scene.keyboard.centre[:, 2] + scene.keyboard.half_size[:, 2]
+
+    def after(
+        self, step: int, key_qpos: Array, fingertips: Array, sounded: Array
+    ) -> tuple[Array, Array]:
+        """(F,) costs of the fingers after a step, and (K,) the keys that sound.
+
+        Args:
+            step: of the song.
+            key_qpos: (K,) after it [rad].
+            fingertips: (F, 3) after it [m].
+            sounded: (K,) keys that sounded before it.
+        """
+        keyboard, held, share = self.keyboard, self._held[step], self._share[step]
+        sounding, depth = key_qpos >= keyboard.sounds_from, key_qpos / keyboard.travel
+        lacking = ~sounding + np.clip(1 - depth, 0, 1) ** 2
+        missed = _WRONG * share * held * lacking + _WRONG * (self._due[step] & ~sounding)
+        wrong = (
+            _WRONG * share * self._wrong[step] * (sounding + np.maximum(depth - HARMLESS_DEPTH, 0) ** 2)
+        )
+        wrong += _EARLY * (self._early[step] & sounding & ~sounded)
+        off = (fingertips - self._fingertips[step + 1]) * _AXES
+        costs = self._weight[step + 1] * np.minimum((off * off).sum(axis=1), MAX_ERROR**2)
+        keys = np.flatnonzero(missed)
+        np.add.at(costs, self._fingers[step, keys], missed[keys])
+        keys = np.flatnonzero(wrong)
+        along = fingertips[:, 1] - keyboard.centre[keys, 1, None]
+        above = np.maximum(fingertips[:, 2] - self._top[keys, None], 0)
+        np.add.at(costs, (along**2 + above**2).argmin(axis=1), wrong[keys])
+        return np.minimum(costs, _MOST), sounding
+
+
+class Excerpt(NamedTuple):
+    """A planned excerpt of a song."""
+
+    costs: FingerCosts
+    hands: CorrectedHands
+    start: Array
+    """(J,) initial joint positions [m, rad]."""
+
+
+def planned_excerpts(scores: Sequence[Score], progress: Progress = silent) -> list[Excerpt]:
+    """Plans each of the scores for the hands and the keyboard of the default scene."""
+    excerpts = []
+    for i, score in enumerate(scores):
+        progress("plans", i, len(scores))
+        with closing(PianoTask([score.without_fingers()], TaskConfig())) as task:
+            start = task.state.hand_qpos[0].copy()
+            plan = plan_song(task.tracks[0], start, haste=HASTE)
+        excerpts.append(Excerpt(FingerCosts(plan), CorrectedHands(plan), start))
+    return excerpts
+
+
+class _Player:
+    """Plays one excerpt in one of the simulations."""
+
+    def __init__(self, excerpt: Excerpt) -> None:
+        self.excerpt, self._step, self._total = excerpt, 0, 0.0
+        self._hands = copy(excerpt.hands)
+        self._hands.answer = np.zeros_like(self._hands.answer)
+        self._sounding = np.zeros(len(excerpt.costs.keyboard.travel), bool)
+
+    @property
+    def over(self) -> bool:
+        return self._step == self.excerpt.costs.num_steps
+
+    @property
+    def mean_cost(self) -> float:
+        """Cost of all fingers together per step, so far."""
+        return self._total / self._step
+
+    def inputs(self, state: State) -> Array:
+        """(H, D) inputs of the networks in a state of one simulation."""
+        inputs, self._planned = self._hands.observe(self._step, state)
+        return inputs
+
+    def ctrl(self, corrections: Array) -> Array:
+        """(H A,) the controls of a step with corrections (H, A)."""
+        return self._hands.corrected(self._planned, corrections)
+
+    def costs(self, state: State) -> Array:
+        """(H, F) costs of the fingers of each hand in the step that led to a state."""
+        step, tips = self._step, state.fingertip_xpos[0]
+        costs, self._sounding = self.excerpt.costs.after(
+            step, state.key_qpos[0], tips, self._sounding
+        )
+        self._step += 1
+        self._total += float(costs.sum())
+        return costs.reshape(len(self._hands.answer), -1)
+
+
+class Rollout(NamedTuple):
+    """T steps of N hands."""
+
+    inputs: Array
+    """(T + 1, N, D)"""
+    corrections: Array
+    """(T, N, A) with noise."""
+    rewards: Array
+    """(T, N, F) of each finger."""
+    ends: Array
+    """(T, N) true if the excerpt ended with the step."""
+
+
+class ExcerptEnvs:
+    """Simulations that play excerpts: the more often, the more they cost when last played."""
+
+    def __init__(
+        self, excerpts: Sequence[Excerpt], scene: Scene, num_envs: int, rng: np.random.Generator
+    ) -> None:
+        self._excerpts, self._rng, self._num_envs = excerpts, rng, num_envs
+        self._unplayed = rng.permutation(len(excerpts)).tolist()
+        self._last_cost = np.ones(len(excerpts))
+        self._simulation = MujocoSimulation(scene, num_envs)
+        self._playing = [0] * num_envs  # indices of excerpts
+        self._players = [self._next_player(i) for i in range(num_envs)]
+
+    def rollout(self, policy: Callable[[Array], Array], steps: int, noise: float) -> Rollout:
+        """The next steps, with Gaussian noise added to the policy's corrections (N, A)."""
+        inputs, corrections, rewards, ends = [self._inputs()], [], [], []
+        for _ in range(steps):
+            mean = policy(inputs[-1])
+            action = mean + noise * self._rng.standard_normal(mean.shape).astype(np.float32)
+            each = np.split(action, self._num_envs)
+            players = zip(self._players, each, strict=True)
+            self._simulation.step(np.stack([player.ctrl(own) for player, own in players]))
+            costs = [player.costs(self._state(i)) for i, player in enumerate(self._players)]
+            over = np.array([player.over for player in self._players])
+            over |= self._simulation.state.unstable
+            for i in np.flatnonzero(over).tolist():
+                self._last_cost[self._playing[i]] = self._players[i].mean_cost
+                self._players[i] = self._next_player(i)
+            corrections.append(action)
+            rewards.append(-np.concatenate(costs))
+            ends.append(np.repeat(over, len(action) // self._num_envs))
+            inputs.append(self._inputs())
+        return Rollout(*map(np.array, (inputs, corrections, rewards, ends)))
+
+    def _next_player(self, env: int) -> _Player:
+        index = self._unplayed.pop() if self._unplayed else self._draw()
+        self._playing[env] = index
+        player = _Player(self._excerpts[index])
+        self._simulation.reset([env], player.excerpt.start[None])
+        return player
+
+    def _draw(self) -> int:
+        p = self._last_cost / self._last_cost.sum()
+        return int(self._rng.choice(len(self._excerpts), p=p))
+
+    def _inputs(self) -> Array:
+        return np.concatenate([p.inputs(self._state(i)) for i, p in enumerate(self._players)])
+
+    def _state(self, env: int) -> State:
+        return State._make(values[env : env + 1] for values in self._simulation.state)

@@ -1,0 +1,68 @@
+"""The generalist's networks as functions of their layers, in JAX.
+
+A network serves one or more parts of a hand that are alike: the hand as a whole, its thumb, its
+other fingers. It is an ensemble of perceptrons whose outputs are averaged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.planner.search.networks.weights import CONSTANTS, INPUT_LIMIT, Network
+
+Array = NDArray[Any]
+Layers = list[tuple[Any, Any]]
+"""Kernels (N, I, O) and biases (N, 1, O) of an ensemble of N perceptrons."""
+
+OUTPUT_SCALE = 0.1 * np.sqrt(2)  # of a policy's last layer: it begins with small corrections
+
+
+def initial_layers(
+    sizes: Sequence[int], rng: np.random.Generator, output_scale: float = np.sqrt(2)
+) -> Layers:
+    """Layers (1, I, O) of rectified units (He et al., Delving Deep into Rectifiers, 2015)."""
+    gains = [np.sqrt(2)] * (len(sizes) - 2) + [output_scale]
+    return [
+        (
+            (gain / np.sqrt(i) * rng.standard_normal((1, i, o))).astype(np.float32),
+            np.zeros((1, 1, o), np.float32),
+        )
+        for gain, (i, o) in zip(gains, pairwise(sizes), strict=True)
+    ]
+
+
+def forward(layers: Layers, x: Any, dropout: float = 0.0, key: Any = None) -> Any:
+    """(N, B, O) outputs for x (1, B, I), with dropout of hidden units if there is a `key`."""
+    for i, (kernel, bias) in enumerate(layers):
+        if i:
+            x = jax.nn.relu(x)
+        if i and key is not None:
+            key, now = jax.random.split(key)
+            x *= jax.random.bernoulli(now, 1 - dropout, x.shape) / (1 - dropout)
+        x = x @ kernel + bias
+    return x
+
+
+def hand_outputs(layers: Layers, network: Network, inputs: Any) -> Any:
+    """(B, M, O) outputs for the M parts that a network serves, from inputs of hands (B, D).
+
+    `layers` take the place of the network's own.
+    """
+    inputs = jnp.concatenate([inputs, jnp.tile(CONSTANTS, (len(inputs), 1))], axis=1)
+    normalised = (inputs[:, network.inputs] - network.middle) / network.spread
+    x = jnp.clip(normalised, -INPUT_LIMIT, INPUT_LIMIT).reshape(1, -1, len(network.middle))
+    mean = forward(layers, x).mean(axis=0)
+    return mean.reshape(len(inputs), len(network.inputs), -1)
+
+
+def with_layers(network: Network, layers: Layers) -> Network:
+    """The network with other layers."""
+    kernels, biases = (tuple(map(np.asarray, each)) for each in zip(*layers, strict=True))
+    return network._replace(kernels=kernels, biases=biases)

@@ -1,0 +1,124 @@
+"""A generalist is cloned from demonstrations, reinforced over a library, and plays."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cadenza
+from cadenza.agents.generalist.config import GeneralistConfig
+from cadenza.agents.planner.search.networks.weights import Weights
+from cadenza.cli import main
+from cadenza.errors import CadenzaError
+from cadenza.evaluation.collecting.variation import Variation
+from cadenza.learning.algorithms.generalist.cloning import GeneralistCloning
+from cadenza.learning.algorithms.generalist.config import GeneralistCloningConfig
+from cadenza.learning.algorithms.generalist.reinforcement import Rollout, gae
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.score import Note, Score
+from demonstrations.made import collected
+
+SONG = Score((Note(0.0, 0.3, 60), Note(0.3, 0.6, 64)), title="song")
+CLONE = ["--batch-size", "8", "--num-epochs", "2", "--hidden-sizes", "8", "8", "-q"]
+REINFORCE = [
+    *("--num-envs", "2", "--rollout-steps", "4", "--batch-size", "8", "--seconds", "1"),
+    *("--value-warmup", "1", "--learning-rate", "0.01", "-q"),
+]
+
+
+@pytest.fixture(scope="module")
+def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Episodes of three songs."""
+    folder = tmp_path_factory.mktemp("made") / "demonstrations"
+    for i in range(3):
+        score = Score((Note(0.0, 0.3, 60 + 2 * i), Note(0.3, 0.6, 50 - i)), title=f"song {i}")
+        write_midi(score, folder.parent / "demonstrations-songs" / f"song{i}.mid")
+    collected(folder, Variation(noise=0.2, mirror=False))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def cloned(demonstrations: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("cloned") / "run"
+    main(["generalist", "clone", str(demonstrations), "-o", str(folder), *CLONE])
+    return folder
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> str:
+    write_midi(SONG, tmp_path / "songs" / "song.mid")
+    return str(tmp_path / "songs")
+
+
+def same(one: Path, other: Path) -> bool:
+    arrays = Weights.load(one).arrays
+    return all(np.array_equal(a, arrays[n]) for n, a in Weights.load(other).arrays.items())
+
+
+def test_a_cloned_generalist_plays(cloned: Path) -> None:
+    agent = cadenza.make_agent("generalist", GeneralistConfig(str(cloned / "weights.npz")))
+    own = cadenza.play(SONG, agent=agent).episode
+    shipped = cadenza.play(SONG, agent="generalist").episode
+    assert (own["action"] != shipped["action"]).any()
+
+
+def test_cloning_goes_on_where_it_was_stopped(
+    demonstrations: Path, cloned: Path, tmp_path: Path
+) -> None:
+    config = GeneralistCloningConfig(batch_size=8, num_epochs=2, hidden_sizes=(8, 8))
+    run = GeneralistCloning(config, [demonstrations], tmp_path / "run")
+    run.run(lambda: run.update < 4)
+    assert not (tmp_path / "run/weights.npz").exists()
+    again = GeneralistCloning(config, [demonstrations], tmp_path / "run")
+    assert again.update == 4
+    again.run(lambda: True)
+    assert same(tmp_path / "run/weights.npz", cloned / "weights.npz")
+    with pytest.raises(CadenzaError, match="holds a run with other options"):
+        GeneralistCloning(GeneralistCloningConfig(), [demonstrations], tmp_path / "run")
+
+
+def test_reinforcement_changes_the_networks_and_they_play(
+    cloned: Path, library: str, tmp_path: Path
+) -> None:
+    weights, folder = cloned / "weights.npz", tmp_path / "reinforced"
+    command = ["generalist", "reinforce", library, "--weights", str(weights), "-o", str(folder)]
+    main([*command, "--num-rounds", "2", *REINFORCE])
+    assert not same(folder / "weights.npz", weights)
+    agent = cadenza.make_agent("generalist", GeneralistConfig(str(folder / "weights.npz")))
+    assert cadenza.play(SONG, agent=agent).episode.num_steps > 0
+
+
+@pytest.mark.slow
+def test_reinforcement_goes_on_where_it_was_stopped(
+    cloned: Path, library: str, tmp_path: Path
+) -> None:
+    weights, folder = cloned / "weights.npz", tmp_path / "reinforced"
+    command = ["generalist", "reinforce", library, "--weights", str(weights), "-o", str(folder)]
+    main([*command, "--num-rounds", "1", *REINFORCE])  # in which only values are learnt
+    assert same(folder / "weights.npz", weights)
+    main([*command, "--num-rounds", "3", *REINFORCE])
+    assert len((folder / "metrics.jsonl").read_text().splitlines()) == 3
+    shutil.copy(folder / "weights.npz", tmp_path / "copy.npz")
+    main([*command, "--num-rounds", "3", *REINFORCE])  # nothing is left to do
+    assert same(folder / "weights.npz", tmp_path / "copy.npz")
+
+
+def test_too_few_songs_are_refused(tmp_path: Path) -> None:
+    collected(tmp_path / "made", Variation(noise=0.2, mirror=False))
+    with pytest.raises(CadenzaError, match=r"1 songs with episodes .*; 3 are needed"):
+        GeneralistCloning(GeneralistCloningConfig(), [tmp_path / "made"], tmp_path / "run")
+
+
+def test_advantages_are_those_of_td_errors() -> None:
+    """At lambda 0; and no value is carried over the end of an excerpt."""
+    rng = np.random.default_rng(0)
+    rewards, values = rng.normal(size=(3, 1, 2)), rng.normal(size=(4, 1, 2))
+    ends = np.array([[False], [True], [False]])
+    rollout = Rollout(np.zeros((4, 1, 1)), np.zeros((3, 1, 1)), rewards, ends)
+    td_errors = rewards + 0.9 * ~ends[..., None] * values[1:] - values[:-1]
+    np.testing.assert_allclose(gae(rollout, values, 0.9, 0.0), td_errors)
+    expected = td_errors[0] + 0.9 * 0.5 * td_errors[1]
+    np.testing.assert_allclose(gae(rollout, values, 0.9, 0.5)[0], expected)
