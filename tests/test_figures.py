@@ -28,6 +28,7 @@ COUNTS = {5, 10, 88}
 # Where one of these numbers may stand, and what it counts there.
 ALLOWED = {
     ("agents/planner/search/hand_rehearsal.py", 5): "rollouts of a rehearsal",
+    ("learning/algorithms/generalist/cloning.py", 5): "folds of songs",
     ("music/formats/finger_numbers.py", 5): "the fingers of a hand, in the numbering of files",
     ("music/formats/midi_chunks.py", 88): "the kind of a time signature in MIDI",
     ("music/libraries/pig_dataset.py", 5): "the note F, in semitones above C",

@@ -269,7 +269,9 @@ def imitation_folder(path: Path) -> ResumableFolder:
     return ResumableFolder(path, "cadenza clone")
 
 
-def _by_song(episodes: Sequence[RecordedEpisode], wanted: Sequence[str]) -> dict[str, list[RecordedEpisode]]:
+def _by_song(
+    episodes: Sequence[RecordedEpisode], wanted: Sequence[str]
+) -> dict[str, list[RecordedEpisode]]:
     """Episodes by song; of all songs if none are `wanted`."""
     found = defaultdict[str, list[RecordedEpisode]](list)
     for episode in episodes:

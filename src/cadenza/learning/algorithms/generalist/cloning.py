@@ -129,7 +129,9 @@ class GeneralistCloning(CheckpointedRun):
         self._layers: list[Layers] = []
         self.resume()
 
-    def _examples_by_song(self, episodes: Sequence[RecordedEpisode], progress: Progress) -> list[Examples]:
+    def _examples_by_song(
+        self, episodes: Sequence[RecordedEpisode], progress: Progress
+    ) -> list[Examples]:
         songs: dict[str, list[Examples]] = {}
         for i, episode in enumerate(episodes):
             progress("examples", i, len(episodes))

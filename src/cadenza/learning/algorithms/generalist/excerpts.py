@@ -67,7 +67,10 @@ class FingerCosts:
         lacking = ~sounding + np.clip(1 - depth, 0, 1) ** 2
         missed = _WRONG * share * held * lacking + _WRONG * (self._due[step] & ~sounding)
         wrong = (
-            _WRONG * share * self._wrong[step] * (sounding + np.maximum(depth - HARMLESS_DEPTH, 0) ** 2)
+            _WRONG
+            * share
+            * self._wrong[step]
+            * (sounding + np.maximum(depth - HARMLESS_DEPTH, 0) ** 2)
         )
         wrong += _EARLY * (self._early[step] & sounding & ~sounded)
         off = (fingertips - self._fingertips[step + 1]) * _AXES
