@@ -214,7 +214,7 @@ def test_it_says_when_it_will_play_well(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(train, "_train_on", interrupted)
+    monkeypatch.setattr(train, "_train_until_stopped", interrupted)
     with pytest.raises(SystemExit):
         main(["train", str(tune), "-o", str(tmp_path / "run"), *SMALL, *options])
     err = capsys.readouterr().err
