@@ -11,8 +11,8 @@ from cadenza.agents.playback import SavedPlan, load_plan
 from cadenza.configs import as_config
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.files import TENSORS
-from cadenza.learning.policy_folder import LearntPolicy, check_is_no_run, load_policy
 from cadenza.learning.checksummed_folder import MANIFEST
+from cadenza.learning.policy_folder import LearntPolicy, check_is_no_run, load_policy
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.reading import name_without_ending
 from cadenza.music.libraries.bundled import songs
