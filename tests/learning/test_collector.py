@@ -71,7 +71,9 @@ class Run:
         self.task = Watched(songs, config, SceneConfig(), num_envs=3)
         self.scores = GoalTable(self.task)
         self.scores.add_all(self.task)
-        control = action_mapping(self.task, reference_of(self.task) if residual else None, None)
+        control = action_mapping(
+            self.task.spec, reference_of(self.task) if residual else None, None
+        )
         self.observer = Observer(self.task, self.scores, reference=control.reference)
         self.replay = ReplayBuffer(self.observer, 3, capacity, self.task.action_size)
         rng = np.random.default_rng(0)
