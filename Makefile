@@ -54,9 +54,9 @@ test: $(ALL)
 # A minute on two cores, for each commit: quick tests of every folder, and what may differ from one Python to another.
 SMOKE := api configs registry layering docs errors cli_estimate cli_etude tasks/env tasks/env_in_threads \
 	tasks/piano_task tasks/reward tasks/parity music/midi music/score music/goals music/playing_metrics \
-	music/tracks music/bars agents/misses agents/learning_control learning/networks learning/policy \
+	music/tracks music/bars agents/misses agents/iterative_learning_control learning/networks learning/policy \
 	learning/replay_buffer demonstrations/dataset demonstrations/mirror evaluation/statistics \
-	evaluation/results report/page report/results_page studio/requests
+	evaluation/results report/performance_page report/results_pages studio/requests
 SMOKE_TESTS := tests/hands tests/keyboards tests/scene tests/sim tests/fingering $(foreach name,$(SMOKE),$(dir tests/$(name))test_$(notdir $(name)).py)
 
 smoke: $(ALL)
