@@ -221,6 +221,23 @@ def test_it_says_when_it_will_play_well(
     assert (said in err) if said else ("plays well" not in err)
 
 
+def test_progress_tells_first_how_long_it_takes_to_play_well(
+    tune: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[tuple[int, int, str]] = []
+
+    @contextmanager
+    def recorded(*_: object) -> Iterator[Callable[..., None]]:
+        yield lambda done, total, remark="": shown.append((done, total, remark))
+
+    monkeypatch.setattr(train, "progress", recorded)
+    monkeypatch.setattr(train, "_PLAYS_WELL", {False: 100, True: 100})
+    main(["train", str(tune), "-o", str(tmp_path / "run"), *SMALL, *SHORT])
+    assert {total for done, total, _ in shown if done < 100} == {100}
+    assert {total for done, total, _ in shown if done >= 100} == {200}
+    assert all(remark.startswith("to play well") for done, _, remark in shown if done < 100)
+
+
 @pytest.mark.parametrize("when", ["while it is made", "before the first figures"])
 def test_a_run_that_is_stopped_at_once_can_go_on(
     when: str,

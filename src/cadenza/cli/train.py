@@ -166,17 +166,22 @@ def _train(command: Train, folder: Path) -> None:
 
 def _print_when_it_plays_well(command: Train) -> None:
     """Prints after how many steps a short tune plays well, by docs/learning.md."""
-    config = command.training
-    usual = (command.preset, command.setup, command.learner) == ("fast", None, Train.learner)
-    if QUIET.get() or not usual or config.num_steps <= _PLAYS_WELL[config.residual]:
+    config, enough = command.training, _steps_to_play_well(command)
+    if QUIET.get() or enough is None:
         return
-    steps = f"{_PLAYS_WELL[config.residual]:,} of {config.num_steps:,} steps"
     harder = "" if config.residual else "; harder pieces take ten times as many"
     print(
-        f"a short tune plays well (F1 0.9) after about {steps}{harder}. "
-        "Ctrl-C keeps the best so far",
+        f"a short tune plays well (F1 0.9) after about {enough:,} of {config.num_steps:,} steps"
+        f"{harder}. Ctrl-C keeps the best so far",
         file=sys.stderr,
     )
+
+
+def _steps_to_play_well(command: Train) -> int | None:
+    """The steps after which a short tune plays well, None where that was not measured."""
+    usual = (command.preset, command.setup, command.learner) == ("fast", None, Train.learner)
+    steps = _PLAYS_WELL[command.training.residual]
+    return steps if usual and steps < command.training.num_steps else None
 
 
 @contextmanager
@@ -205,7 +210,7 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
     write_page = _rate_limited(
         lambda: _write_curves(run.path, song, training.config, going_on=True)
     )
-    scores = ""
+    scores, enough = "", _steps_to_play_well(command) or 0
     with progress("learning", "steps", 30.0) as advance, stop_on_signal("a checkpoint") as stop:
         stop()  # from now on
 
@@ -221,7 +226,10 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
                     onsets = row["eval/note_onset_f1"]
                     scores = f"F1 {row['eval/f1']:.3f}, note onsets F1 {onsets:.3f}"
                     scores += f", best F1 {best:.3f}"
-            advance(training.step, training.config.num_steps, scores)
+            if training.step < enough:  # how long that takes is told first
+                advance(training.step, enough, ", ".join(filter(None, ("to play well", scores))))
+            else:
+                advance(training.step, training.config.num_steps, scores)
             return not stop()
 
         training.run(goes_on)
