@@ -95,7 +95,7 @@ def gather(score: Score) -> Experience:
     spec = ObservationSpec.of(task.spec)
     inputs, short_inputs = spec.inputs, pruned(spec, scores)
     observer = Observer(task.spec, scores, inputs)
-    actions = task.action_size
+    actions = task.spec.action_size
     played = ReplayBuffer(observer, 1, 2 * PLAYED, actions)
     ctrl = action_mapping(task.spec, None, None).ctrl
     collector = Collector(task, scores, observer, played, ctrl, rng)
@@ -207,8 +207,8 @@ class PlainLoop:
 
     def __init__(self, score: Score) -> None:
         self._task, self._rng = PianoTask([score]), np.random.default_rng(0)
-        actions = self._task.action_size
-        size = self._task.observation_size + actions + 1
+        actions = self._task.spec.action_size
+        size = self._task.spec.observation_size + actions + 1
         self._learner = PlainLearner(size, actions)
         self._state = self._learner.init(0)
         self._buffer = PlainBuffer(size, actions, TRANSITIONS)
@@ -216,7 +216,7 @@ class PlainLoop:
 
     def _begin(self) -> None:
         self._task.reset([self._rng], [0])
-        self._observation = self._observe(np.zeros(self._task.action_size), np.zeros(1))
+        self._observation = self._observe(np.zeros(self._task.spec.action_size), np.zeros(1))
 
     def _observe(self, ctrl: Any, reward: Any) -> Floats:
         parts = (self._task.observation()[0], ctrl, reward)
@@ -236,7 +236,7 @@ class PlainLoop:
         """Random actions, kept; returns control steps per second."""
         start = time.perf_counter()
         for _ in range(steps):
-            self._step(self._rng.uniform(-1, 1, self._task.action_size).astype(np.float32))
+            self._step(self._rng.uniform(-1, 1, self._task.spec.action_size).astype(np.float32))
         return steps / (time.perf_counter() - start)
 
     def learn(self, steps: int) -> float:

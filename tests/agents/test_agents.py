@@ -176,7 +176,9 @@ def test_a_plan_is_held_over_each_step_goes_on_a_step_later_and_stays_at_its_end
     task.reset([np.random.default_rng(0)], [0])
     planner.reset([0], [np.random.default_rng(0)])
     planner.act(task.view())
-    here, there = np.random.default_rng(1).uniform(task.action_low, task.action_high, (2, 20))
+    here, there = np.random.default_rng(1).uniform(
+        task.spec.action_low, task.spec.action_high, (2, 20)
+    )
     planner.planners[0]._nominal = np.stack([here, there])[:, :-1]  # at 0 and at 0.2 s
     tried, roll_out = [], PlanningSimulation.rollout
 

@@ -345,9 +345,9 @@ def test_plans_for_other_hands(hands: Any) -> None:
     task = begun(planner, scene)
     task.step(planner.act(task.view()))
     (action,) = planner.act(task.view())
-    assert action.shape == (task.action_size,)
-    assert (action >= task.action_low).all()
-    assert (action <= task.action_high).all()
+    assert action.shape == (task.spec.action_size,)
+    assert (action >= task.spec.action_low).all()
+    assert (action <= task.spec.action_high).all()
 
 
 def test_keeps_account_of_its_time(right_hand: Scene) -> None:

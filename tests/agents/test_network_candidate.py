@@ -31,7 +31,7 @@ def test_proposes_what_the_generalist_plays() -> None:
     agent.reset([0], [np.random.default_rng(0)])
     trials = HandRollouts(task.scene, TASK.control_timestep)
     played, proposed = list[Array](), list[Array]()
-    before = np.zeros(task.action_size - 1)
+    before = np.zeros(task.spec.action_size - 1)
     for step in range(6 * STEPS):
         state = task.view().state
         action = agent.act(task.view())[0]

@@ -143,7 +143,7 @@ def test_candidates_lie_sigma_around_the_best(
     task = begun(agent, right_hand)
     with pytest.raises(StopIteration):
         agent.act(task.view())
-    low, high = task.action_low[:-1], task.action_high[:-1]
+    low, high = task.spec.action_low[:-1], task.spec.action_high[:-1]
     best, *others = drawn[0][:, 0]  # in the first step
     far = np.minimum(best - low, high - best) > 0.2  # from the limits
     assert far.sum() > 5

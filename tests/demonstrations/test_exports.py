@@ -58,7 +58,7 @@ def test_observations_are_those_of_the_environment(made: Path) -> None:
     with task_of(episode, dataset.scene) as task:
         (result,) = play_episodes(task, Watching(played_actions(episode.steps, task.scene)), [0])
         seen.append(task.observation()[0])
-        layout = task.observation_layout
+        layout = task.spec.observation_layout
     shown = np.array(seen)
     fingering = exported.fingering.shape[1]  # played again without looking for fingers
     at = layout["goal"].stop

@@ -79,7 +79,9 @@ def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> 
     wrist = [a for a, name in enumerate(task.scene.actuator_names) if "WRJ" in name]
     assert_allclose(reference_of(task).reach[wrist], 0.1)
     plain, moved = (
-        tracker.ctrl(np.full((1, task.action_size), c, np.float32), np.zeros(1, int), task.state)[0]
+        tracker.ctrl(
+            np.full((1, task.spec.action_size), c, np.float32), np.zeros(1, int), task.state
+        )[0]
         for c in (0.0, 1.0)
     )
     change = moved - plain
@@ -99,7 +101,7 @@ def test_the_actions_of_the_plan_are_what_is_done_but_for_feedback() -> None:
     plan = task.spec.scale_action(ReferenceTracker(task.spec, reference_of(task)).actions)
     done = played.episode.arrays["action"]
     assert plan.shape == done.shape
-    size = task.action_high - task.action_low
+    size = task.spec.action_high - task.spec.action_low
     assert np.median(np.abs(plan - done) / size) < 0.02
 
 

@@ -39,7 +39,7 @@ class Watched(PianoTask):
         self.log: list[tuple[Any, ...]] = []
         self.finished: list[Finished] = []
         super().__init__(*args, **options)
-        self.previous = np.zeros((self.num_envs, self.action_size + 1))
+        self.previous = np.zeros((self.num_envs, self.spec.action_size + 1))
         self.total = np.zeros(self.num_envs)
 
     def reset(self, rngs: Any, env_ids: Any) -> None:
@@ -75,7 +75,7 @@ class Run:
             self.task.spec, reference_of(self.task) if residual else None, None
         )
         self.observer = Observer(self.task, self.scores, reference=control.reference)
-        self.replay = ReplayBuffer(self.observer, 3, capacity, self.task.action_size)
+        self.replay = ReplayBuffer(self.observer, 3, capacity, self.task.spec.action_size)
         rng = np.random.default_rng(0)
         self.collector = Collector(
             self.task, self.scores, self.observer, self.replay, control.ctrl, rng
@@ -87,7 +87,7 @@ class Run:
 
 def some_policy(run: Run) -> Perceptron:
     rng = np.random.default_rng(1)
-    inputs, actions = len(run.observer.inputs.kept), run.task.action_size
+    inputs, actions = len(run.observer.inputs.kept), run.task.spec.action_size
     weights = {
         f"{name}/{part}": rng.normal(0, 0.1, shape).astype(np.float32)
         for name, sizes in {
@@ -150,7 +150,7 @@ def test_the_policy_acts_on_what_is_shown() -> None:
     class Spy:
         def sample(self, observation: Any, rng: Any) -> Any:
             seen.append((observation.copy(), run.task.shown()))
-            return np.zeros((3, run.task.action_size), np.float32)
+            return np.zeros((3, run.task.spec.action_size), np.float32)
 
     run.collector.begin()
     run.collector.collect(Spy(), 20)  # type: ignore[arg-type]
@@ -164,14 +164,16 @@ def test_a_residual_policy_corrects_the_plan() -> None:
 
     class Nothing:
         def sample(self, observation: Any, rng: Any) -> Any:
-            return np.zeros((3, run.task.action_size), np.float32)
+            return np.zeros((3, run.task.spec.action_size), np.float32)
 
     run.collector.begin()
     for _ in range(10):
-        plan = run.task.spec.scale_action(run.collector.observation[:, -run.task.action_size :])
+        plan = run.task.spec.scale_action(
+            run.collector.observation[:, -run.task.spec.action_size :]
+        )
         run.collector.collect(Nothing(), 1)  # type: ignore[arg-type]
         done = np.array([entry[1] for entry in run.task.log[-3:]])
-        size = run.task.action_high - run.task.action_low
+        size = run.task.spec.action_high - run.task.spec.action_low
         assert np.median(np.abs(done - plan) / size) < 0.02
         assert_array_equal(done[:, -1], plan[:, -1])  # the pedal is the score's
 

@@ -35,7 +35,7 @@ class Acting:
         self.task, self.scores = task, scores
         self.rng = np.random.default_rng(seed)
         reset(task, seed)
-        shape = (task.num_envs, task.action_size)
+        shape = (task.num_envs, task.spec.action_size)
         self.action = self.rng.uniform(-1, 1, shape).astype(np.float32)  # of the episode before
         self.reward = np.full(task.num_envs, 3.0, np.float32)
         self.first_row = np.array([scores.add(track) for track in task.goals.tracks])
@@ -68,7 +68,7 @@ def test_is_what_the_task_shows_at_every_step_and_past_the_end(task: PianoTask) 
         acting = Acting(task, scores, seed)
         for _ in range(int(task.goals.num_steps.max()) + 3):
             assert_array_equal(
-                acting.seen_by(observer)[:, : task.observation_size], task.observation()
+                acting.seen_by(observer)[:, : task.spec.observation_size], task.observation()
             )
             acting.step()
 
@@ -80,9 +80,9 @@ def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task: PianoTask) -> N
     observer = Observer(task, scores, inputs)
     whole = Observer(task, scores)
     kept = np.array(inputs.kept)
-    left_out = np.setdiff1d(np.arange(task.observation_size), kept)
+    left_out = np.setdiff1d(np.arange(task.spec.observation_size), kept)
     # Some 80 keys that no song asks for, in all the steps ahead.
-    assert len(left_out) > 80 * (task.observation_layout["goal"].stop // (NUM_KEYS + 1))
+    assert len(left_out) > 80 * (task.spec.observation_layout["goal"].stop // (NUM_KEYS + 1))
     for seed in range(3):
         acting = Acting(task, scores, seed)
         for _ in range(int(task.goals.num_steps.max()) + 1):
@@ -98,13 +98,13 @@ def test_every_input_that_is_kept_of_the_goal_is_used() -> None:
     scores.add_all(task)
     inputs = pruned(ObservationSpec.of(task), scores)
     acting = Acting(task, scores)
-    seen = np.zeros(task.observation_size, bool)
-    seen[task.observation_layout["key_state"].start :] = True
+    seen = np.zeros(task.spec.observation_size, bool)
+    seen[task.spec.observation_layout["key_state"].start :] = True
     for _ in range(int(task.goals.num_steps[0])):
         seen |= task.observation()[0] != 0
         acting.step()
-    kept_of_task = [i for i in inputs.kept if i < task.observation_size]
-    assert len(kept_of_task) < task.observation_size
+    kept_of_task = [i for i in inputs.kept if i < task.spec.observation_size]
+    assert len(kept_of_task) < task.spec.observation_size
     # What only the first steps ask for is never seen far ahead.
     assert set(np.flatnonzero(seen)) <= set(kept_of_task)
     assert np.mean(seen[kept_of_task]) > 0.9
@@ -116,12 +116,12 @@ def test_the_previous_action_and_reward_follow_as_the_published_wrappers_put_the
     (dm_env_wrappers; there the action before the first is the least, and here it is zero.)
     """
     task = PianoTask(SONGS, num_envs=2)
-    low, high = task.action_low, task.action_high
+    low, high = task.spec.action_low, task.spec.action_high
     observer = Observer(task, scores := GoalTable(task))
     acting = Acting(task, scores)
-    previous = np.zeros((2, task.action_size + 1))
+    previous = np.zeros((2, task.spec.action_size + 1))
     for _ in range(6):
-        shown = acting.seen_by(observer)[:, task.observation_size :]
+        shown = acting.seen_by(observer)[:, task.spec.observation_size :]
         assert shown.dtype == np.float32
         assert_allclose(shown, previous, rtol=1e-6, atol=1e-6)
         acting.step()
@@ -137,12 +137,12 @@ def test_with_a_reference_its_next_action_comes_last() -> None:
     reset(task)
     steps = int(task.goals.num_steps[0])
     reference = (
-        np.random.default_rng(0).uniform(-1, 1, (steps, task.action_size)).astype(np.float32)
+        np.random.default_rng(0).uniform(-1, 1, (steps, task.spec.action_size)).astype(np.float32)
     )
     observer = Observer(task, scores, reference=reference)
     acting = Acting(task, scores)
     for step in range(steps + 2):
-        shown = acting.seen_by(observer)[0, -task.action_size :]
+        shown = acting.seen_by(observer)[0, -task.spec.action_size :]
         assert_array_equal(shown, reference[min(step, steps - 1)])
         acting.step()
 
@@ -182,7 +182,7 @@ def test_scores_of_many_rows_are_looked_up_together() -> None:
     rng = np.random.default_rng(0)
     rows = rng.integers(8, size=(2, 5))
     rest = rng.random((2, 5, observer.proprioception_size), np.float32)
-    action = rng.random((2, 5, task.action_size), np.float32)
+    action = rng.random((2, 5, task.spec.action_size), np.float32)
     reward, first = rng.random((2, 5), np.float32), rng.random((2, 5)) < 0.5
     together = observer.observation(rows, rest, action, reward, first)
     for i in np.ndindex(2, 5):
@@ -198,8 +198,11 @@ def test_its_shape_is_the_same_for_every_song(residual: bool) -> None:
     assert len(specs) == 1
     (spec,) = specs
     task = PianoTask(SONGS[:1])
-    assert {n: spec.layout[n] for n in task.observation_layout} == task.observation_layout
-    assert spec.size == task.observation_size + task.action_size + 1 + residual * task.action_size
+    assert {n: spec.layout[n] for n in task.spec.observation_layout} == task.spec.observation_layout
+    assert (
+        spec.size
+        == task.spec.observation_size + task.spec.action_size + 1 + residual * task.spec.action_size
+    )
     assert spec.inputs.kept == tuple(range(spec.size))
     less = PianoTask(SONGS[:1], TaskConfig(n_steps_lookahead=3), SceneConfig(hands="left"))
     assert ObservationSpec.of(less).goal == 4 * (NUM_KEYS + 1)

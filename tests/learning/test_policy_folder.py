@@ -59,7 +59,7 @@ def some_policy(
             f"{name}/bias": rng.normal(0, 0.2, shape[-1]).astype(np.float32),
         }
 
-    actions = shown.action_size
+    actions = shown.spec.action_size
     weights = layer("hidden_0", len(inputs.kept), 16) | layer("hidden_1", 16, 16)
     weights |= layer("mean", 16, actions) | layer("log_std", 16, actions)
     reference = reference_of(shown) if residual else None

@@ -44,7 +44,9 @@ def above(task: PianoTask, forearm: float, finger: int, pitch: int) -> float:
 def test_every_finger_gets_to_its_keys_and_5_cm_further() -> None:
     task = PianoTask([SONG])
     low, high = ranges_of(task).actions[:, slides(task)[0]]
-    assert high - low < 0.4 < np.subtract(task.action_high, task.action_low)[slides(task)[0]]
+    assert (
+        high - low < 0.4 < np.subtract(task.spec.action_high, task.spec.action_low)[slides(task)[0]]
+    )
     found = sorted(
         forearm
         for finger, pitch in ((THUMB, 64), (LITTLE, 72))
@@ -81,9 +83,9 @@ def test_only_the_forearms_along_the_keyboard_are_kept_to_less(hands: str) -> No
     scene = SceneConfig(hands=hands, forearm_dofs=("tx", "ty"))  # type: ignore[arg-type]
     task = PianoTask([SONG], scene=scene)
     ranges = ranges_of(task)
-    others = np.setdiff1d(np.arange(task.action_size), slides(task))
-    assert_array_equal(ranges.actions[0, others], task.action_low[others])
-    assert_array_equal(ranges.actions[1, others], task.action_high[others])
+    others = np.setdiff1d(np.arange(task.spec.action_size), slides(task))
+    assert_array_equal(ranges.actions[0, others], task.spec.action_low[others])
+    assert_array_equal(ranges.actions[1, others], task.spec.action_high[others])
     joints = [task.scene.model.joint(name).range for name in task.scene.hand_joint_names]
     moved = np.flatnonzero((joints != ranges.joints.T).any(axis=1))
     names = [task.scene.hand_joint_names[j] for j in moved]
@@ -118,19 +120,21 @@ def test_acts_and_sees_on_that_scale() -> None:
     scores.add_all(task)
     observer = Observer(task, scores, ranges=ranges)
     for end, rows in ((-1.0, ranges.actions[0]), (1.0, ranges.actions[1])):
-        assert_allclose(ranges.ctrl(np.full((2, task.action_size), end, np.float32)), [rows, rows])
+        assert_allclose(
+            ranges.ctrl(np.full((2, task.spec.action_size), end, np.float32)), [rows, rows]
+        )
     assert_array_equal(
-        ranges.ctrl(np.full((1, task.action_size), 9, np.float32)), ranges.actions[1:]
+        ranges.ctrl(np.full((1, task.spec.action_size), 9, np.float32)), ranges.actions[1:]
     )
     reset(task)
     for _ in range(3):
-        action = default_rng(0).uniform(-1, 1, (2, task.action_size)).astype(np.float32)
+        action = default_rng(0).uniform(-1, 1, (2, task.spec.action_size)).astype(np.float32)
         reward = task.step(ranges.ctrl(action)).reward.astype(np.float32)
         rest, zero = observer.proprioception(task.observation()), np.zeros(2, bool)
         seen = observer.observation(task.goals.row, rest, action, reward, zero)
-        joints = seen[:, task.observation_layout["joints"]]
+        joints = seen[:, task.spec.observation_layout["joints"]]
         low, high = ranges.joints
         assert_allclose(low + (joints + 1) / 2 * (high - low), task.state.hand_qpos, atol=1e-6)
-        assert_array_equal(seen[:, task.observation_size : -1], action)
-        keys = task.observation_layout["key_state"]
+        assert_array_equal(seen[:, task.spec.observation_size : -1], action)
+        keys = task.spec.observation_layout["key_state"]
         assert_array_equal(seen[:, keys], task.observation()[:, keys])

@@ -15,6 +15,7 @@ from random_controls import assert_same, controls
 from cadenza.errors import CadenzaError
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.mujoco_simulation import MujocoSimulation
+from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 
 
@@ -73,11 +74,14 @@ def test_a_diverging_simulation_is_reported_once_and_harms_no_other(
     scene: Scene, num_threads: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     healthy = run(scene, 3, 1)
-    simulation = MujocoSimulation(scene, 3, num_threads=num_threads)
+    simulation = PlanningSimulation(scene, 3, num_threads=num_threads)
+    rest = np.zeros((3, len(scene.hand_joint_names)))
+    far_too_fast = np.zeros_like(rest)
+    far_too_fast[1] = 1e9  # [m/s, rad/s]
     with caplog.at_level(logging.WARNING):
         for step, ctrl in enumerate(controls(scene, 3)):
             if step == 5:
-                simulation._data[1].qvel[:] = 1e12
+                simulation.displace_hands(rest, far_too_fast)
             simulation.step(ctrl)
     assert_array_equal(simulation.state.unstable, [False, True, False])
     logged = [r.message for r in caplog.records if "became unstable" in r.message]

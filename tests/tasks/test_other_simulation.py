@@ -78,7 +78,7 @@ def test_a_wrong_key_and_a_diverged_simulation_end_it() -> None:
     task = make_task(2, wrong_press_termination=True)
     task.reset(np.random.default_rng(0).spawn(2), [0, 1])
     ctrl = np.zeros((2, 89))
-    ctrl[0, 3] = task.action_high[3]
+    ctrl[0, 3] = task.spec.action_high[3]
     assert_array_equal(task.step(ctrl).terminated, [True, False])
     task.simulation.state = task.state._replace(unstable=np.array([False, True]))
     assert_array_equal(task.step(np.zeros((2, 89))).terminated, [False, True])

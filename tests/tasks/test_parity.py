@@ -173,7 +173,10 @@ def test_metrics_follow_from_recorded_states(recording: Recording) -> None:
 def test_replaying_the_actions(recording: Recording) -> None:
     """Goal and fingering are observed as recorded, hands and keys move as recorded."""
     task = recording.task()
-    goal, fingering = task.observation_layout["goal"], task.observation_layout["fingering"]
+    goal, fingering = (
+        task.spec.observation_layout["goal"],
+        task.spec.observation_layout["fingering"],
+    )
     assert_array_equal(task.observation()[0, goal], recording["goal_obs0"])
     assert_array_equal(task.observation()[0, fingering], recording["fingering_obs0"])
     assert_array_equal(task.state.hand_qpos[0], recording["hand_qpos0"])

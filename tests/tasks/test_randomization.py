@@ -60,7 +60,7 @@ def actions(envs: PianoVectorEnv, steps: int = 20) -> NDArray[np.float32]:
     """The same in all environments, and a new one each step."""
     rng = np.random.default_rng(1)
     return np.repeat(
-        rng.uniform(-0.5, 0.5, (steps, 1, envs.task.action_size)), envs.num_envs, axis=1
+        rng.uniform(-0.5, 0.5, (steps, 1, envs.task.spec.action_size)), envs.num_envs, axis=1
     ).astype(np.float32)
 
 
@@ -213,7 +213,9 @@ def test_weaker_servos_lag(gain: float, hands: Any) -> None:
         config = TaskConfig(randomization=DomainRandomization(servo_gain=(factor, factor)))
         task = PianoTask([TUNE], config, SceneConfig(hands=hands))
         task.reset([np.random.default_rng(0)], [0])
-        ctrl = np.clip(np.full((1, task.action_size), 0.2), task.action_low, task.action_high)
+        ctrl = np.clip(
+            np.full((1, task.spec.action_size), 0.2), task.spec.action_low, task.spec.action_high
+        )
         task.step(ctrl)
         slides = task.scene.slide_joints
         return task.state.hand_qpos[0, slides] - task.scene.hand_start[slides]
@@ -241,7 +243,9 @@ def late(scene: Scene, latency: float, steps: int = 8) -> tuple[PianoTask, NDArr
     config = DomainRandomization(latency=(latency, latency))
     task = PianoTask([TUNE], TaskConfig(randomization=config, random_hand_position=0.05), scene)
     task.reset([np.random.default_rng(0)], [0])
-    ctrl = np.clip(np.full((1, task.action_size), 0.1), task.action_low, task.action_high)
+    ctrl = np.clip(
+        np.full((1, task.spec.action_size), 0.1), task.spec.action_low, task.spec.action_high
+    )
     ctrl[0, -1] = 1.0
     path, pedals = [], []
     for _ in range(steps):
@@ -276,7 +280,9 @@ def test_a_latency_within_a_step_is_that_of_mujoco_stepped_by_hand(scene: Scene)
     model, data = scene.model, mujoco.MjData(scene.model)
     data.qpos[scene.hand_qpos] = fresh.state.hand_qpos[0]
     rest = servos_of(scene).clip(fresh.state.hand_qpos[0] @ servos_of(scene).of_joints)
-    then = np.clip(np.full(task.action_size, 0.1), task.action_low, task.action_high)[:-1]
+    then = np.clip(
+        np.full(task.spec.action_size, 0.1), task.spec.action_low, task.spec.action_high
+    )[:-1]
     for k in range(10):
         data.ctrl = rest if k < 3 else then
         mujoco.mj_step(model, data)
@@ -292,7 +298,7 @@ def test_observations_have_noise_and_the_state_has_none(scene: Scene) -> None:
     noise = DomainRandomization(joint_noise=0.03, slide_noise=0.002, key_noise=0.05)
     task = PianoTask([TUNE], TaskConfig(randomization=noise), scene, 4)
     task.reset(np.random.default_rng(0).spawn(4), range(4))
-    off, parts = [], task.observation_layout
+    off, parts = [], task.spec.observation_layout
     low, high = np.inf, -np.inf
     for _ in range(25):
         seen = task.observation()
@@ -301,7 +307,7 @@ def test_observations_have_noise_and_the_state_has_none(scene: Scene) -> None:
         keys = seen[:, parts["key_state"]]
         low, high = min(low, keys.min()), max(high, keys.max())
         assert set(np.unique(seen[:, parts["goal"]])) <= {0, 1}
-        task.step(np.tile(np.clip(0, task.action_low, task.action_high), (4, 1)))
+        task.step(np.tile(np.clip(0, task.spec.action_low, task.spec.action_high), (4, 1)))
     slides = np.array(
         [name.split("forearm")[-1] in ("_tx", "_ty") for name in scene.hand_joint_names]
     )
@@ -322,8 +328,8 @@ def test_controls_have_noise_in_each_step_and_environment(scene: Scene) -> None:
     config = TaskConfig(randomization=DomainRandomization(control_noise=0.05))
     task = PianoTask([TUNE], config, scene, 4, make_simulation=Listening)
     task.reset(np.random.default_rng(0).spawn(4), range(4))
-    half = (task.action_high - task.action_low)[:-1] / 2
-    middle = (task.action_low + task.action_high) / 2
+    half = (task.spec.action_high - task.spec.action_low)[:-1] / 2
+    middle = (task.spec.action_low + task.spec.action_high) / 2
     for _ in range(10):
         task.step(np.tile(middle, (4, 1)))
     noise = (np.array(arrived) - middle[:-1]) / half

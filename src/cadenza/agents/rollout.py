@@ -158,7 +158,7 @@ class _Recorder:
         self._start |= {f"randomization_{name}": v[env].copy() for name, v in task.drawn.items()}
 
     def _goals(self, observation: NDArray[np.float32]) -> dict[str, Any]:
-        layout = self._task.observation_layout
+        layout = self._task.spec.observation_layout
         names = [name for name in ("goal", "fingering") if name in layout]
         return {f"{name}_obs": observation[layout[name]].astype(np.uint8) for name in names}
 
@@ -222,8 +222,8 @@ class _Recorder:
         goal, fingers = task.goals.between(self._env, 0, self._done)
         xpos, xquat = body_poses(scene, rows["hand_qpos"])
         constants = {
-            "action_min": task.action_low,
-            "action_max": task.action_high,
+            "action_min": task.spec.action_low,
+            "action_max": task.spec.action_high,
             "actuator_names": np.array(scene.actuator_names),
             "hand_joint_names": np.array(scene.hand_joint_names, dtype=np.str_),
             "reduced_action_space": np.array(scene.config.reduced_action_space),

@@ -53,7 +53,7 @@ class Collector:
         self._replay, self._ctrl = replay, ctrl
         self._rng, *self._env_rngs = rng.spawn(1 + task.num_envs)
         self._env_ids = np.arange(task.num_envs)
-        self._action = np.zeros((task.num_envs, task.action_size), np.float32)
+        self._action = np.zeros((task.num_envs, task.spec.action_size), np.float32)
         self._reward = np.zeros(task.num_envs, np.float32)
         self._return = np.zeros(task.num_envs)
         self._first_row = np.zeros(task.num_envs, np.int64)

@@ -48,7 +48,7 @@ def ranges_of(task: PianoTask) -> Ranges:
     """The ranges of a task with hands: near their rest, forearms where its scores need them."""
     scene, servos = task.scene, servos_of(task.scene)
     joints = np.array([scene.model.joint(name).range for name in scene.hand_joint_names]).T
-    actions = np.stack([task.action_low, task.action_high])
+    actions = np.stack([task.spec.action_low, task.spec.action_high])
     keys = _keys_of_fingers(task)
     rest, travel = np.array([(s.rest, s.travel) for s in map(scene.hand.servo, servos.names)]).T
     near = np.isfinite(travel)

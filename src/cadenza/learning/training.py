@@ -83,7 +83,7 @@ class Training:
         prune = self._has_fixed_scores() and config.prune_inputs
         inputs = pruned(self._observation, self._goals) if prune else self._observation.inputs
         observer = Observer(self._task.spec, self._goals, inputs, control.reference, self._ranges)
-        actions = self._task.action_size
+        actions = self._task.spec.action_size
         self._inputs = inputs
         self._replay = ReplayBuffer(observer, config.num_envs, config.buffer_size, actions)
         rng, self._sample_rng = np.random.default_rng(config.seed).spawn(2)

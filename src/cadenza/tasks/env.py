@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,31 +27,25 @@ from cadenza.sim.render import Drawing, Picture
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import EpisodeStart, PianoTask, Transition
-from cadenza.tasks.reward import RewardTerm
+from cadenza.tasks.reward import Array, RewardTerm, finite_array
 from cadenza.tasks.setups import configure
 
 Song = str | Path | Score | Mapping[str, Any]
 Observation = Any  # an array, or with pixels a dictionary of two
 
-_FIXED = ("song", "score", "start", "randomization")  # about an episode, by options of a reset
-_RESET_OPTIONS = {"reset_mask", *_FIXED}
+_EPISODE_OPTIONS = ("song", "score", "start", "randomization")
+_RESET_OPTIONS = {"reset_mask", *_EPISODE_OPTIONS}
 
 
-def load_songs(song: Song | Sequence[Song]) -> tuple[Score, ...]:
-    """The scores of one or several songs: bundled names, paths of files, scores, or their JSON."""
-    songs: list[Any] = [*song] if isinstance(song, list | tuple) else [song]
-    return tuple(_score(s) or load_score(s) for s in songs)
-
-
-def _score(song: Any) -> Score | None:
+def _as_score(song: Any) -> Score | None:
     """The score, if `song` is one, also as JSON (`WrittenScore`); None if it only names one."""
     if isinstance(song, Mapping):
         return checked(song, WrittenScore, "the score").score
     return song if isinstance(song, Score) else None
 
 
-def make_task(
-    song: Song | Sequence[Song] | None,
+def _make_task(
+    songs: list[Any],
     num_envs: int,
     num_threads: int,
     task: TaskConfig | PianoTask | None,
@@ -58,9 +53,10 @@ def make_task(
     reward_terms: Mapping[str, RewardTerm] | None,
     options: dict[str, Any],
 ) -> PianoTask:
-    """The task of an environment, see `PianoVectorEnv`."""
+    """The task of an environment, see `PianoVectorEnv`; no song is given as [None]."""
+    no_song = songs == [None]
     if isinstance(task, PianoTask):
-        if song is not None or scene is not None or reward_terms is not None or options:
+        if not no_song or scene is not None or reward_terms is not None or options:
             raise CadenzaError(
                 "a PianoTask already has its songs, scene, reward and options: pass nothing else, "
                 "or a TaskConfig instead"
@@ -69,11 +65,12 @@ def make_task(
             raise CadenzaError(f"num_envs {num_envs}: the task has {task.num_envs}; give the same")
         return task
     config, scene = configure(options, task, scene)  # first: it may be the song that is misspelt
-    if song is None:
+    if no_song:
         raise CadenzaError(
             "no song to play: give song='OdeToJoy', the path of a MIDI file, a Score, or several"
         )
-    return PianoTask(load_songs(song), config, scene, num_envs, num_threads, reward_terms)
+    scores = [_as_score(song) or load_score(song) for song in songs]
+    return PianoTask(scores, config, scene, num_envs, num_threads, reward_terms)
 
 
 class PianoVectorEnv(VectorEnv):
@@ -136,8 +133,10 @@ class PianoVectorEnv(VectorEnv):
             raise CadenzaError(
                 f"autoreset_mode {autoreset_mode!r}: choose one of gymnasium.vector.AutoresetMode"
             ) from error
-        self.task = make_task(song, num_envs, num_threads, task, scene, reward_terms, options)
-        self._given = list(song) if isinstance(song, list | tuple) else [song]
+        self._given: list[Any] = list(song) if isinstance(song, list | tuple) else [song]
+        self.task = _make_task(
+            self._given, num_envs, num_threads, task, scene, reward_terms, options
+        )
         self._lock = Lock()
         self.num_envs = self.task.num_envs
         self.render_mode = render_mode
@@ -151,7 +150,7 @@ class PianoVectorEnv(VectorEnv):
         self._drawing = Drawing(self.task.scene, self._picture)
         self._rngs: list[np.random.Generator] = []
         self._finished = np.zeros(self.num_envs, bool)
-        self.single_action_space = spaces.Box(-1.0, 1.0, (self.task.action_size,), np.float32)
+        self.single_action_space = spaces.Box(-1.0, 1.0, (self.task.spec.action_size,), np.float32)
         self.single_observation_space = self._observation_space()
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -160,11 +159,11 @@ class PianoVectorEnv(VectorEnv):
     @property
     def observation_layout(self) -> dict[str, slice]:
         """Name -> slice of an observation (see `PianoTask.observation`)."""
-        return self.task.observation_layout
+        return self.task.spec.observation_layout
 
     def _observation_space(self) -> spaces.Space:
-        low = np.zeros(self.task.observation_size, np.float32)
-        high = np.ones(self.task.observation_size, np.float32)
+        low = np.zeros(self.task.spec.observation_size, np.float32)
+        high = np.ones(self.task.spec.observation_size, np.float32)
         if "joints" in self.observation_layout:
             joints = self.observation_layout["joints"]
             low[joints], high[joints] = -np.inf, np.inf  # joint limits are soft
@@ -210,12 +209,13 @@ class PianoVectorEnv(VectorEnv):
 
     def _starts(self, options: Mapping[str, Any]) -> list[EpisodeStart]:
         """(N,) what the options of a reset fix about the episode of each environment."""
-        given = (self._each(name, options.get(name)) for name in _FIXED)
-        joints = len(self.task.scene.hand_start)
+        given = (self._each(name, options.get(name)) for name in _EPISODE_OPTIONS)
+        shape = self.task.scene.hand_start.shape
+        wanted = f"give a finite number for each of the hands' joints, {shape}"
         return [
             EpisodeStart(
                 self._song(song, score),
-                None if start is None else _hand_qpos(start, joints),
+                None if start is None else finite_array("start", start, shape, wanted),
                 None if drawn is None else whole_number(drawn, "randomization", 0, MOST_COUNT),
             )
             for song, score, start, drawn in zip(*given, strict=True)
@@ -227,7 +227,7 @@ class PianoVectorEnv(VectorEnv):
             return None if song is None else self._index(song)
         if song is not None:
             raise CadenzaError("song and score: give one of them, as an episode plays one")
-        if (played := _score(score)) is None:
+        if (played := _as_score(score)) is None:
             raise CadenzaError(f"score {score!r:.100}: give a Score; a song is named by song")
         return self.task.unchanged_track(played)
 
@@ -249,36 +249,41 @@ class PianoVectorEnv(VectorEnv):
 
     def _songs(self, known: NDArray[np.bool_]) -> dict[str, Any]:
         titles = np.array([score.title for score in self.task.goals.scores], object)
-        return {"song": titles, "_song": known}
+        return _infos({"song": titles}, known)
 
     def _drawn(self, fresh: NDArray[np.bool_]) -> dict[str, Any]:
         """Infos on the draws of domain randomization for the episodes that begin."""
         drawn = {f"randomization/{name}": v.copy() for name, v in self.task.drawn.items()}
-        return drawn | {f"_{name}": fresh for name in drawn}
+        return _infos(drawn, fresh)
+
+    def _metrics(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
+        """Infos on how well the episodes that end were played."""
+        metrics: defaultdict[str, Array] = defaultdict(lambda: np.zeros(self.num_envs))
+        for env in np.flatnonzero(ended).tolist():
+            for name, value in self.task.episode_metrics(env).items():
+                metrics[f"metrics/{name}"][env] = value
+        return _infos(metrics, ended)
 
     def _seed(self, seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]) -> None:
         """Seeds environments of the mask (N,); those without a seed keep their generators."""
         if seed is None and self._rngs:
             return
-        for each in seed if isinstance(seed, Sequence | np.ndarray) else [seed]:
-            if each is not None and not (isinstance(each, int | np.integer) and each >= 0):
-                raise CadenzaError(f"seed {each!r}: give a whole number of 0 or more, or None")
-        if seed is None or isinstance(seed, int | np.integer):
-            first = seeding.np_random(None if seed is None else int(seed))
-            self._np_random, self._np_random_seed = first
-            if seed is None:
-                self._rngs = list(self._np_random.spawn(self.num_envs))
-                return
-            seed = [int(seed) + i for i in range(self.num_envs)]
-        if len(seed) != self.num_envs:
+        each_has_one = isinstance(seed, Sequence | np.ndarray)
+        given: Sequence[Any] = seed if isinstance(seed, Sequence | np.ndarray) else [seed]
+        seeds = [_checked_seed(each) for each in given]
+        if not each_has_one:
+            first = seeds[0]
+            self._np_random, self._np_random_seed = seeding.np_random(first)
+            seeds = [None if first is None else first + i for i in range(self.num_envs)]
+        if len(seeds) != self.num_envs:
             raise CadenzaError(
-                f"{len(seed)} seeds for {self.num_envs} environments: give one for each"
+                f"{len(seeds)} seeds for {self.num_envs} environments: give one for each"
             )
         self._rngs = [
             self._rngs[i]
             if self._rngs and (each is None or not mask[i])
-            else seeding.np_random(None if each is None else int(each))[0]
-            for i, each in enumerate(seed)
+            else seeding.np_random(each)[0]
+            for i, each in enumerate(seeds)
         ]
 
     def _restart(
@@ -310,37 +315,25 @@ class PianoVectorEnv(VectorEnv):
         result = self.task.step(self.task.spec.scale_action(actions), moving)
         if moving is not None:
             result = _blanked(result, fresh)
-        infos = self._infos(result, ~fresh)
+        everyone = np.ones(self.num_envs, bool)
+        terms = {f"reward/{name}": values for name, values in result.terms.items()}
+        infos = self._songs(everyone) | _infos({"unstable": result.unstable, **terms}, ~fresh)
         if moving is not None:
             infos |= self._drawn(fresh)
         ended = result.terminated | result.truncated
         any_ended = bool(ended.any())
         if any_ended:
-            self._add_metrics(infos, ended)
+            infos |= self._metrics(ended)
         observation = self._observe()
         self._finished = ended
         if any_ended and mode == AutoresetMode.SAME_STEP:
             infos |= {"final_info": infos.copy(), "_final_info": ended}
             infos |= {"final_obs": _rows(observation, ended), "_final_obs": ended}
             self._restart(np.flatnonzero(ended))
-            infos |= self._songs(np.ones_like(ended)) | self._drawn(ended)
+            infos |= self._songs(everyone) | self._drawn(ended)
             self._finished = np.zeros_like(ended)
             observation = self._observe()
         return observation, result.reward, result.terminated, result.truncated, infos
-
-    def _infos(self, result: Transition, stepped: NDArray[np.bool_]) -> dict[str, Any]:
-        infos = self._songs(np.ones_like(stepped))
-        infos |= {"unstable": result.unstable, "_unstable": stepped}
-        for name, values in result.terms.items():
-            infos[f"reward/{name}"], infos[f"_reward/{name}"] = values, stepped
-        return infos
-
-    def _add_metrics(self, infos: dict[str, Any], ended: NDArray[np.bool_]) -> None:
-        for env in np.flatnonzero(ended):
-            for name, value in self.task.episode_metrics(int(env)).items():
-                key = f"metrics/{name}"
-                infos.setdefault(key, np.zeros(self.num_envs))[env] = value
-                infos[f"_{key}"] = ended
 
     def _observe(self) -> Observation:
         state = self.task.observation()
@@ -376,29 +369,16 @@ class PianoEnv(gymnasium.Env):
         self,
         song: Song | Sequence[Song] | None = None,
         render_mode: str | None = None,
-        picture: Picture | None = None,
-        pixels: bool = False,
-        task: TaskConfig | PianoTask | None = None,
-        scene: SceneConfig | None = None,
-        reward_terms: Mapping[str, RewardTerm] | None = None,
         **options: Any,
     ) -> None:
-        """See `PianoVectorEnv`."""
+        """Takes the arguments of `PianoVectorEnv`, without `num_envs` and `autoreset_mode`."""
         if of_several := sorted(options.keys() & {"num_envs", "autoreset_mode"}):
             raise CadenzaError(
                 f"{' and '.join(of_several)}: this is one environment; make several with "
                 "gymnasium.make_vec"
             )
         self._batch = PianoVectorEnv(
-            song,
-            autoreset_mode=AutoresetMode.DISABLED,
-            render_mode=render_mode,
-            picture=picture,
-            pixels=pixels,
-            task=task,
-            scene=scene,
-            reward_terms=reward_terms,
-            **options,
+            song, autoreset_mode=AutoresetMode.DISABLED, render_mode=render_mode, **options
         )
         self._lock = self._batch._lock
         self.task = self._batch.task
@@ -410,7 +390,7 @@ class PianoEnv(gymnasium.Env):
     @property
     def observation_layout(self) -> dict[str, slice]:
         """Name -> slice of an observation (see `PianoTask.observation`)."""
-        return self.task.observation_layout
+        return self.task.spec.observation_layout
 
     @one_at_a_time
     def reset(
@@ -429,16 +409,14 @@ class PianoEnv(gymnasium.Env):
         self._batch._rngs = [self.np_random]
         options = {n: value for n, value in _known(options).items() if n != "reset_mask"}
         observation, infos = self._batch.reset(options=options)
-        return _row(observation), _first(infos)
+        return _row(observation, 0), _first(infos)
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control step, as `gymnasium.Env.step`."""
         _check_shape("action", action, self.action_space)
-        observation, reward, terminated, truncated, infos = self._batch.step(
-            np.asarray(action)[None]
-        )
-        ended = bool(terminated[0]), bool(truncated[0])
-        return _row(observation), float(reward[0]), *ended, _first(infos)
+        observation, reward, *ended, infos = self._batch.step(np.asarray(action)[None])
+        terminated, truncated = (bool(each[0]) for each in ended)
+        return _row(observation, 0), float(reward[0]), terminated, truncated, _first(infos)
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture (height, width, 3), if `render_mode` asks for it."""
@@ -463,22 +441,15 @@ def _known(options: dict[str, Any] | None) -> dict[str, Any]:
     return options or {}
 
 
-def _hand_qpos(start: Any, count: int) -> NDArray[np.float64]:
-    """(J,) joint positions at the start of an episode.
+def _checked_seed(seed: Any) -> int | None:
+    if seed is None or (isinstance(seed, int | np.integer) and seed >= 0):
+        return None if seed is None else int(seed)
+    raise CadenzaError(f"seed {seed!r}: give a whole number of 0 or more, or None")
 
-    Raises:
-        CadenzaError: `start` is not `count` finite numbers.
-    """
-    wanted = f"give a finite number for each of the hands' joints, ({count},)"
-    try:
-        joints = np.asarray(start, np.float64)
-    except (TypeError, ValueError) as error:
-        raise CadenzaError(f"start {start!r:.100}: {wanted}") from error
-    if joints.shape != (count,):
-        raise CadenzaError(f"start of shape {joints.shape}: {wanted}")
-    if not np.isfinite(joints).all():
-        raise CadenzaError(f"start is not finite: {wanted}")
-    return joints
+
+def _infos(values: Mapping[str, Any], known: NDArray[np.bool_]) -> dict[str, Any]:
+    """Infos of a vector environment: values (N,) by name, and which environments have them."""
+    return {**values, **{f"_{name}": known for name in values}}
 
 
 def _check_shape(what: str, given: Any, space: spaces.Space) -> None:
@@ -495,10 +466,10 @@ def _first(infos: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _row(observation: Observation) -> Observation:
+def _row(observation: Observation, env: int) -> Observation:
     if isinstance(observation, dict):
-        return {name: part[0] for name, part in observation.items()}
-    return observation[0]
+        return {name: part[env] for name, part in observation.items()}
+    return observation[env]
 
 
 def _blanked(result: Transition, fresh: NDArray[np.bool_]) -> Transition:
@@ -515,10 +486,6 @@ def _blanked(result: Transition, fresh: NDArray[np.bool_]) -> Transition:
 def _rows(observation: Observation, ended: NDArray[np.bool_]) -> NDArray[Any]:
     """The observations of ended episodes as Gymnasium's vector environments give them."""
     rows = np.full(len(ended), None, dtype=object)
-    for i in np.flatnonzero(ended):
-        rows[i] = (
-            _row({k: v[i : i + 1] for k, v in observation.items()})
-            if isinstance(observation, dict)
-            else observation[i]
-        )
+    for env in np.flatnonzero(ended).tolist():
+        rows[env] = _row(observation, env)
     return rows

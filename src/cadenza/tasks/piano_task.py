@@ -69,9 +69,6 @@ class PianoTask:
         scene: the nominal scene, which simulations may differ from, see `DomainRandomization`.
         config: the task's configuration.
         simulation: the physics.
-        action_low, action_high: (A,) ranges of an action in actuator units, the pedal last.
-        observation_layout: name -> slice of an observation.
-        observation_size: D.
         goals: what each environment has to play and how far it has got.
         state: what the simulation was like after the last step, or reset.
         key_state: (N, K) how far the keys are down, 0..1.
@@ -129,27 +126,16 @@ class PianoTask:
             num_envs,
             self.simulation,
         )
-        keyboard = self.scene.keyboard
-        self._travel, self._sounds_from = keyboard.travel, keyboard.sounds_from
         self.goals = EpisodeGoals(num_envs, self.config.lookahead_steps, self.config, self.scene)
         self.spec = task_spec(self.config, self.scene)
-        self.action_low, self.action_high = self.spec.action_low, self.spec.action_high
-        self.observation_layout = self.spec.observation_layout
-        self.observation_size = self.spec.observation_size
-        self._played = np.zeros((num_envs, 0, keyboard.num_keys + 1), bool)
-        self.wanted = np.zeros((num_envs, keyboard.num_keys), bool)
+        num_keys = self.scene.keyboard.num_keys
+        self._played = np.zeros((num_envs, 0, num_keys + 1), bool)
+        self.wanted = np.zeros((num_envs, num_keys), bool)
         self._reward = Reward(self.config, self.scene, reward_terms)
         self._pedal, self._lost = np.zeros(num_envs), np.zeros(num_envs, bool)
         self._env_ids = np.arange(num_envs)
         self.reward = np.zeros(num_envs)
         self._read_state()
-
-    # Shapes and ranges
-
-    @property
-    def action_size(self) -> int:
-        """A: actuators and the pedal."""
-        return self.spec.action_size
 
     def _find_offset_joints(self) -> NDArray[np.intp]:
         names, most = self.scene.hand_joint_names, self.config.random_hand_position
@@ -235,8 +221,9 @@ class PianoTask:
 
     def _read_state(self) -> None:
         self.state = self.simulation.state
-        self.key_state = key_state(self.state.key_qpos, self._travel)
-        self.sounding = key_activation(self.state.key_qpos, self._sounds_from)
+        keyboard, key_qpos = self.scene.keyboard, self.state.key_qpos
+        self.key_state = key_state(key_qpos, keyboard.travel)
+        self.sounding = key_activation(key_qpos, keyboard.sounds_from)
 
     def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> Transition:
         """Takes one control step with actions `ctrl` (N, A) in actuator units, the pedal last.
@@ -298,7 +285,7 @@ class PianoTask:
         return self._pedal >= PEDAL_DOWN
 
     def observation(self) -> NDArray[np.float32]:
-        """(N, D) observations; `observation_layout` names the parts.
+        """(N, D) observations; `TaskSpec.observation_layout` names the parts.
 
         goal: keys and pedal of the next step and of those after it, 0 or 1; fingering: 1 for each
         finger that has a key to press next; key_state: 0 (up) to 1 (down); pedal: 0 to 1; joints:
@@ -306,8 +293,8 @@ class PianoTask:
         where the sensors saturate, at `TOUCH_RANGE`. Joints and key states have the noise of
         `DomainRandomization`.
         """
-        layout = self.observation_layout
-        result = np.empty((self.num_envs, self.observation_size), np.float32)
+        layout = self.spec.observation_layout
+        result = np.empty((self.num_envs, self.spec.observation_size), np.float32)
         result[:, layout["goal"]] = self.goals.lookahead
         if "fingering" in layout:
             result[:, layout["fingering"]] = self.goals.fingers_wanted

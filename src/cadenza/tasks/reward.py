@@ -256,8 +256,10 @@ class Reward:
         if config.forearm_term:
             terms["forearm"] = forearm(state.forearm_contact)
         num_envs = len(outcome.ctrl)
+        wanted = f"give a finite number for each environment, ({num_envs},)"
         for name, term in self._more_terms.items():
-            terms[name] = _finite(name, term(outcome), num_envs)
+            what = f"reward term {name!r} returned values"
+            terms[name] = finite_array(what, term(outcome), (num_envs,), wanted)
         return terms
 
     def _fingering(self, outcome: Outcome) -> Array:
@@ -284,20 +286,19 @@ def _checked(terms: Mapping[str, RewardTerm]) -> dict[str, RewardTerm]:
     return dict(terms)
 
 
-def _finite(term: str, returned: Any, num_envs: int) -> Array:
-    """(N,) what a user's term has returned.
+def finite_array(what: str, given: Any, shape: tuple[int, ...], wanted: str) -> Array:
+    """The numbers that a user has given, as an array of this shape.
 
     Raises:
-        CadenzaError: it is not a finite number for each environment.
+        CadenzaError: they are not finite numbers of this shape; the message begins with `what` and
+            ends with what is `wanted`.
     """
-    wanted = f"give a finite number for each environment, ({num_envs},)"
     try:
-        values = np.asarray(returned, float)
+        values = np.asarray(given, float)
     except (TypeError, ValueError) as error:
-        kind = type(returned).__name__
-        raise CadenzaError(f"reward term {term!r} returned {kind}: {wanted}") from error
-    if values.shape != (num_envs,):
-        raise CadenzaError(f"reward term {term!r} returned shape {values.shape}: {wanted}")
+        raise CadenzaError(f"{what} {given!r:.100}: {wanted}") from error
+    if values.shape != shape:
+        raise CadenzaError(f"{what} of shape {values.shape}: {wanted}")
     if not np.isfinite(values).all():
-        raise CadenzaError(f"reward term {term!r} returned {values}: {wanted}")
+        raise CadenzaError(f"{what} not finite: {wanted}")
     return values
