@@ -15,7 +15,6 @@ how well the grades of songs go with what agents have reached in a folder of `ca
 from __future__ import annotations
 
 import argparse
-import json
 import warnings
 from dataclasses import astuple
 from pathlib import Path
@@ -23,24 +22,19 @@ from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from openings import add_options, add_row, drawn_songs, metrics_of, opening, rows_of
 from scipy.optimize import nnls
 from scipy.stats import ConstantInputWarning, spearmanr
 
 from cadenza.agents.planner.config import PlannerConfig, SamplingMethod
-from cadenza.agents.planner.planner import Planner
-from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.results import read_results
 from cadenza.evaluation.summary import summarize
-from cadenza.files import parsed_json
 from cadenza.fingering.difficulty import EASIEST, ODDS, Features, Model, features_of
 from cadenza.fingering.search import find_fingering
-from cadenza.music.libraries.library import load_score, open_library
-from cadenza.music.score import Score
+from cadenza.music.libraries.library import load_score
 from cadenza.scene.scene import build_scene
-from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import players_of
-from cadenza.tasks.piano_task import PianoTask
 
 Array = NDArray[np.float64]
 
@@ -55,10 +49,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     commands = parser.add_subparsers(dest="command", required=True)
     playing = commands.add_parser("play", help="have the planner play")
-    playing.add_argument("libraries", nargs="+", help="as LIBRARY or LIBRARY:SPLIT")
-    playing.add_argument("--output", "-o", type=Path, required=True)
-    playing.add_argument("--most", type=int, help="songs of each library, drawn; all by default")
-    playing.add_argument("--seconds", type=float, default=15.0, help="that are played of each song")
+    add_options(playing, seconds=15.0)
     playing.add_argument(
         "--method",
         default="none",
@@ -80,37 +71,20 @@ def main() -> None:
 
 
 def play(libraries: list[str], output: Path, most: int | None, seconds: float, method: str) -> None:
-    rows = rows_of(output) if output.exists() else []
+    rows = rows_of(output)
     if any((row["seconds"], row["method"]) != (seconds, method) for row in rows):
         raise CadenzaError(
             f"{output}: holds other --seconds or another --method; choose another file"
         )
     done = {row["song"] for row in rows}
     planner = PlannerConfig(method=method)  # type: ignore[arg-type]
-    for library in libraries:
-        songs = open_library(library).songs
-        for i in np.random.default_rng(0).permutation(len(songs))[:most]:
-            name = songs[i].name
-            if name in done:
-                continue
-            done.add(name)
-            score = opening(songs[i].load(), seconds)
-            task = PianoTask([score], TaskConfig(initial_buffer_time=0.5))
-            f1 = play_episode(task, Planner(planner), 0).metrics["f1"]
-            task.close()
-            row = {"library": library, "song": name, "seconds": seconds, "method": method, "f1": f1}
-            with output.open("a") as file:
-                print(json.dumps(row), file=file)
-
-
-def opening(score: Score, seconds: float) -> Score:
-    """Its first seconds, without fingers."""
-    return score.with_silence_trimmed().beginning(seconds).without_fingers()
-
-
-def rows_of(path: Path) -> list[dict]:
-    lines = enumerate(path.read_text().splitlines(), start=1)
-    return [parsed_json(line, dict, f"{path}, line {n}") for n, line in lines]
+    for library, song in drawn_songs(libraries, most):
+        if song.name in done:
+            continue
+        done.add(song.name)
+        f1 = metrics_of(opening(song.load(), seconds), planner)["f1"]
+        row = {"library": library, "song": song.name, "seconds": seconds, "method": method}
+        add_row(output, row | {"f1": f1})
 
 
 def fit(fitted: Path, checked: list[Path]) -> None:
@@ -126,7 +100,7 @@ def fit(fitted: Path, checked: list[Path]) -> None:
 
 
 def data_of(path: Path) -> tuple[Array, Array, list[str]]:
-    """Of N songs: features (N, F), logarithms of the odds of an error (N,), libraries."""
+    """Features (N, F), logarithms of the odds of an error (N,), and libraries of N songs."""
     rows = rows_of(path)
     features = []
     for row in rows:
@@ -153,7 +127,7 @@ def fitted_model(features: Array, errors: Array) -> Model:
 
 
 def compare(bench: Path) -> None:
-    """With the mean over the seeds of each song that has a grade."""
+    """Compares the grade of each song that has one with its mean F1 over the seeds."""
     about = summarize(read_results(bench), bench.name)
     grades = np.array([piece.difficulty for piece in about.pieces])
     libraries = np.array([piece.library for piece in about.pieces])

@@ -13,7 +13,6 @@ figures that say best how late each one lands, beside those that the hand has.
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -21,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from openings import add_row, rows_of
 from scipy.optimize import differential_evolution
 
 from cadenza.agents.planner.config import PlannerConfig
@@ -28,7 +28,6 @@ from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError, errors_in_a_line
-from cadenza.files import parsed_json
 from cadenza.fingers import Finger
 from cadenza.hands.hand import Hand
 from cadenza.hands.reach import JumpTimes
@@ -48,14 +47,14 @@ LOWEST = 21  # MIDI number of the first key
 LATEST = 6  # steps; later is a hand that is caught, not one that is on its way
 Chord = list[tuple[int, int]]  # pitches and their fingers
 HAND: Hand
-"""Of which no key is let go but by the score."""
+"""A hand whose jumps take no time, so that the planner lets go of no key early."""
 
 
 class Jump(NamedTuple):
-    """What was done, and what came of it."""
+    """A jump of a hand from keys to others, and how late it landed."""
 
     way: float
-    """[m]"""
+    """The distance along the keyboard [m]."""
     left: int
     struck: int
     ahead: float
@@ -83,13 +82,12 @@ def main() -> None:
 
 
 def jumps_in(path: Path, hand: str) -> list[Jump]:
-    """Those that were written.
+    """The jumps in a file.
 
     Raises:
         CadenzaError: there are none, or they are of another hand.
     """
-    lines = enumerate(path.read_text().splitlines(), start=1)
-    rows = [parsed_json(line, dict, f"{path}, line {n}") for n, line in lines]
+    rows = rows_of(path)
     if any(row.pop("hand", hand) != hand for row in rows):
         raise CadenzaError(f"{path}: holds jumps of another hand than {hand}; choose another file")
     if not rows:
@@ -115,12 +113,12 @@ def play(path: Path, name: str, etudes: int) -> None:
         episode = play_episode(task, agent, etude).episode
         task.close()
         jumps = jumps_of(episode, chords, ways, round(config.initial_buffer_time / DT))
-        with path.open("a") as file:
-            file.writelines(json.dumps({"hand": name, **jump._asdict()}) + "\n" for jump in jumps)
+        for jump in jumps:
+            add_row(path, {"hand": name, **jump._asdict()})
 
 
 def jumps_of(episode: Episode, chords: list[Chord], ways: list[float], first: int) -> list[Jump]:
-    """How `chords` were played, the first of which is struck in step `first`."""
+    """The jumps between `chords`, the first of which is struck in step `first`."""
     goal = episode["goal_keys"]
     missing = goal & ~episode["key_activation"]
     jumps = []
@@ -199,7 +197,7 @@ def fit(jumps: list[Jump], hand: Hand) -> None:
 
 
 def times_of(figures: Array, others: JumpTimes) -> JumpTimes:
-    """Of a reach, two glides and a descent; the rest of `others`."""
+    """Jump times with these figures: a reach, two glides and a descent; else as `others`."""
     reach, glide, of_chord, descent = figures[:4].tolist()
     return replace(
         others, within_reach=reach, glide=glide, glide_of_chord=of_chord, descent=descent

@@ -69,12 +69,12 @@ class Run:
     def __init__(self, config: TaskConfig, residual: bool = False, capacity: int = 5000) -> None:
         songs = [melody(60, 64), melody(50, 53, 72, pedal=True)][: 1 if residual else 2]
         self.task = Watched(songs, config, SceneConfig(), num_envs=3)
-        self.scores = GoalTable(self.task)
+        self.scores = GoalTable(self.task.spec)
         self.scores.add_all(self.task)
         control = action_mapping(
             self.task.spec, reference_of(self.task) if residual else None, None
         )
-        self.observer = Observer(self.task, self.scores, reference=control.reference)
+        self.observer = Observer(self.task.spec, self.scores, reference=control.reference)
         self.replay = ReplayBuffer(self.observer, 3, capacity, self.task.spec.action_size)
         rng = np.random.default_rng(0)
         self.collector = Collector(

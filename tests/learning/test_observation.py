@@ -62,8 +62,8 @@ def task(request: pytest.FixtureRequest) -> PianoTask:
 
 
 def test_is_what_the_task_shows_at_every_step_and_past_the_end(task: PianoTask) -> None:
-    scores = GoalTable(task)
-    observer = Observer(task, scores)
+    scores = GoalTable(task.spec)
+    observer = Observer(task.spec, scores)
     for seed in range(3):
         acting = Acting(task, scores, seed)
         for _ in range(int(task.goals.num_steps.max()) + 3):
@@ -74,11 +74,11 @@ def test_is_what_the_task_shows_at_every_step_and_past_the_end(task: PianoTask) 
 
 
 def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task: PianoTask) -> None:
-    scores = GoalTable(task)
+    scores = GoalTable(task.spec)
     scores.add_all(task)
-    inputs = pruned(ObservationSpec.of(task), scores)
-    observer = Observer(task, scores, inputs)
-    whole = Observer(task, scores)
+    inputs = pruned(ObservationSpec.of(task.spec), scores)
+    observer = Observer(task.spec, scores, inputs)
+    whole = Observer(task.spec, scores)
     kept = np.array(inputs.kept)
     left_out = np.setdiff1d(np.arange(task.spec.observation_size), kept)
     # Some 80 keys that no song asks for, in all the steps ahead.
@@ -94,9 +94,9 @@ def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task: PianoTask) -> N
 def test_every_input_that_is_kept_of_the_goal_is_used() -> None:
     """By one song: a key is kept for all steps ahead, and is asked for in all of them."""
     task = PianoTask([SONGS[0]])
-    scores = GoalTable(task)
+    scores = GoalTable(task.spec)
     scores.add_all(task)
-    inputs = pruned(ObservationSpec.of(task), scores)
+    inputs = pruned(ObservationSpec.of(task.spec), scores)
     acting = Acting(task, scores)
     seen = np.zeros(task.spec.observation_size, bool)
     seen[task.spec.observation_layout["key_state"].start :] = True
@@ -117,7 +117,7 @@ def test_the_previous_action_and_reward_follow_as_the_published_wrappers_put_the
     """
     task = PianoTask(SONGS, num_envs=2)
     low, high = task.spec.action_low, task.spec.action_high
-    observer = Observer(task, scores := GoalTable(task))
+    observer = Observer(task.spec, scores := GoalTable(task.spec))
     acting = Acting(task, scores)
     previous = np.zeros((2, task.spec.action_size + 1))
     for _ in range(6):
@@ -132,14 +132,14 @@ def test_the_previous_action_and_reward_follow_as_the_published_wrappers_put_the
 
 def test_with_a_reference_its_next_action_comes_last() -> None:
     task = PianoTask(SONGS[:1])
-    scores = GoalTable(task)
+    scores = GoalTable(task.spec)
     scores.add_all(task)
     reset(task)
     steps = int(task.goals.num_steps[0])
     reference = (
         np.random.default_rng(0).uniform(-1, 1, (steps, task.spec.action_size)).astype(np.float32)
     )
-    observer = Observer(task, scores, reference=reference)
+    observer = Observer(task.spec, scores, reference=reference)
     acting = Acting(task, scores)
     for step in range(steps + 2):
         shown = acting.seen_by(observer)[0, -task.spec.action_size :]
@@ -149,7 +149,7 @@ def test_with_a_reference_its_next_action_comes_last() -> None:
 
 def test_a_score_that_comes_again_takes_no_room() -> None:
     task = PianoTask(SONGS, num_envs=4)
-    scores = GoalTable(task)
+    scores = GoalTable(task.spec)
     scores.add_all(task)
     room = scores.arrays()["rows"].nbytes
     for seed in range(4):
@@ -160,10 +160,10 @@ def test_a_score_that_comes_again_takes_no_room() -> None:
 def test_scores_are_restored_with_their_rows() -> None:
     config = TaskConfig(random_stretch=0.5, random_pitch_shift=3)
     task = PianoTask(SONGS, config, num_envs=4)
-    scores = GoalTable(task)
+    scores = GoalTable(task.spec)
     for seed in range(3):
         Acting(task, scores, seed)
-    again = GoalTable(task)
+    again = GoalTable(task.spec)
     again.restore({name: array.copy() for name, array in scores.arrays().items()})
     for seed in range(5):  # of which the last two are new to both
         assert_array_equal(
@@ -176,9 +176,9 @@ def test_scores_are_restored_with_their_rows() -> None:
 def test_scores_of_many_rows_are_looked_up_together() -> None:
     """A batch of rows gives for each what it gives alone."""
     task = PianoTask(SONGS)
-    scores = GoalTable(task)
+    scores = GoalTable(task.spec)
     scores.add_all(task)
-    observer = Observer(task, scores, pruned(ObservationSpec.of(task), scores))
+    observer = Observer(task.spec, scores, pruned(ObservationSpec.of(task.spec), scores))
     rng = np.random.default_rng(0)
     rows = rng.integers(8, size=(2, 5))
     rest = rng.random((2, 5, observer.proprioception_size), np.float32)
@@ -213,6 +213,6 @@ def test_its_shape_is_the_same_for_every_song(residual: bool) -> None:
 def test_the_shape_is_that_of_what_is_observed(name: str) -> None:
     options, scene = TASKS[name]
     task = PianoTask(SONGS, TaskConfig(**options), SceneConfig(**scene))
-    acting = Acting(task, GoalTable(task))
-    observer = Observer(task, acting.scores)
-    assert acting.seen_by(observer).shape == (1, ObservationSpec.of(task).size)
+    acting = Acting(task, GoalTable(task.spec))
+    observer = Observer(task.spec, acting.scores)
+    assert acting.seen_by(observer).shape == (1, ObservationSpec.of(task.spec).size)

@@ -116,9 +116,9 @@ def test_the_plan_of_a_hand_that_stays_near_its_rest_is_within_reach(drill: str)
 
 def test_acts_and_sees_on_that_scale() -> None:
     task = PianoTask([SONG], num_envs=2)
-    scores, ranges = GoalTable(task), ranges_of(task)
+    scores, ranges = GoalTable(task.spec), ranges_of(task)
     scores.add_all(task)
-    observer = Observer(task, scores, ranges=ranges)
+    observer = Observer(task.spec, scores, ranges=ranges)
     for end, rows in ((-1.0, ranges.actions[0]), (1.0, ranges.actions[1])):
         assert_allclose(
             ranges.ctrl(np.full((2, task.spec.action_size), end, np.float32)), [rows, rows]

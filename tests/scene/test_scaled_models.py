@@ -10,20 +10,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.randomization import Factors, scale, shapes
+from cadenza.scene.randomization import SCALED_FIELDS, Factors, scale, shapes
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
 
-SCALED = {
-    "mass": ("body_mass", "body_inertia"),
-    "friction": ("geom_friction",),
-    "joint_damping": ("dof_damping",),
-    "joint_friction": ("dof_frictionloss",),
-    "armature": ("dof_armature",),
-    "servo_gain": ("actuator_gainprm", "actuator_biasprm"),
-    "key_spring": ("jnt_stiffness",),
-}
 KEPT = ("body_pos", "jnt_range", "geom_size", "actuator_ctrlrange", "actuator_forcerange", "qpos0")
 
 
@@ -56,16 +47,17 @@ def test_factors_of_one_change_no_bit(scene: Scene) -> None:
         assert_array_equal(values, there[name], err_msg=name)
 
 
-@pytest.mark.parametrize("what", SCALED)
+@pytest.mark.parametrize("what", SCALED_FIELDS)
 def test_one_thing_is_scaled_and_nothing_else(scene: Scene, what: str) -> None:
     before, factor = arrays(scene.model), drawn(scene, 0)[what]
     there = arrays(scaled(scene, {what: factor}))
     for name, values in arrays(scene.model).items():
         assert_array_equal(before[name], values, err_msg=name)
     keys = slice(0, 88) if what == "key_spring" else slice(None)
-    for name in SCALED[what]:
+    for name in SCALED_FIELDS[what]:
         assert_allclose(there[name][keys], (before[name][keys].T * factor).T, rtol=1e-15)
-    for name in {*KEPT, *(name for names in SCALED.values() for name in names)} - {*SCALED[what]}:
+    fields = {*KEPT, *(name for names in SCALED_FIELDS.values() for name in names)}
+    for name in fields - {*SCALED_FIELDS[what]}:
         assert_array_equal(before[name], there[name], err_msg=name)
 
 

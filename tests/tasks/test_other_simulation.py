@@ -58,7 +58,7 @@ def test_plays_an_episode() -> None:
     envs = PianoVectorEnv(num_envs=2, task=make_task(2))
     envs.reset(seed=0)
     for _ in range(STEPS):
-        goal = envs.task.goals.goal
+        goal = envs.task.goals.upcoming.goal[:, 0]
         actions = np.where(goal, 1.0, -1.0) * [[1], [0]] - [[0], [1]]
         observation, reward, terminated, truncated, infos = envs.step(actions)
         pressed = observation[:, envs.observation_layout["key_state"]]

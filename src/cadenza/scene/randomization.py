@@ -1,4 +1,4 @@
-"""Models of one scene whose figures differ, as those of real instruments and robots do."""
+"""Domain randomization of models: one scene, scaled as real instruments and robots differ."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from cadenza.scene.scene import Scene
 
 Factors = Mapping[str, NDArray[np.float64]]
-"""Name of what is scaled, see `shapes` -> its factors."""
+"""Name of a scaled quantity, see `shapes` -> its factors."""
 
-_FIGURES = {
+SCALED_FIELDS = {
     "mass": ("body_mass", "body_inertia"),
     "friction": ("geom_friction",),
     "joint_damping": ("dof_damping",),
@@ -23,11 +23,12 @@ _FIGURES = {
     "servo_gain": ("actuator_gainprm", "actuator_biasprm"),
     "key_spring": ("jnt_stiffness",),
 }
-_INERTIAL = {"mass", "armature"}  # from which MuJoCo has computed others
+"""Name of a scaled quantity -> the fields of `mujoco.MjModel` that its factors multiply."""
+_INERTIAL = {"mass", "armature"}  # MuJoCo has computed other fields from these
 
 
 def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
-    """Name of what can be scaled -> the shape of its factors.
+    """Name of a quantity that can be scaled -> the shape of its factors.
 
     - mass (bodies,): mass and inertia of each body, keys included; the weight of the hands stays
       compensated where it is,
@@ -54,21 +55,21 @@ def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
 
 
 def scale(model: mujoco.MjModel, scene: Scene, factors: Factors, data: mujoco.MjData) -> None:
-    """Makes `model`, a copy of that of `scene`, differ from it by `factors` and nothing else.
+    """Sets fields of `model`, a copy of that of `scene`, to the nominal ones times `factors`.
 
-    What the same names have scaled before is forgotten. `data` is used to compute with, and has to
-    be reset afterwards.
+    Earlier factors of the same names are replaced. MuJoCo computes with `data`, which has to be
+    reset afterwards.
     """
     for name, factor in factors.items():
         rows = scene.key_qpos if name == "key_spring" else slice(None)  # each key is one hinge
-        for figure in _FIGURES[name]:
-            nominal = getattr(scene.model, figure)[rows]
-            getattr(model, figure)[rows] = (nominal.T * factor).T
+        for field in SCALED_FIELDS[name]:
+            nominal = getattr(scene.model, field)[rows]
+            getattr(model, field)[rows] = (nominal.T * factor).T
     if factors.keys() & _INERTIAL:
         mujoco.mj_setConst(model, data)
 
 
 def sliding(scene: Scene) -> NDArray[np.bool_]:
-    """(J,) which joints of the hands slide instead of turning."""
+    """(J,) whether each joint of the hands is a slide, not a hinge."""
     kinds = scene.model.jnt_type[scene.hand_qpos]  # each joint has one coordinate
     return np.asarray(kinds == mujoco.mjtJoint.mjJNT_SLIDE)

@@ -24,6 +24,7 @@ from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.lock import Lock, one_at_a_time
 from cadenza.sim.render import Drawing, Picture
+from cadenza.tasks.augmentation import find_song, unchanged_track
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import EpisodeStart, PianoTask, Transition
@@ -229,11 +230,11 @@ class PianoVectorEnv(VectorEnv):
             raise CadenzaError("song and score: give one of them, as an episode plays one")
         if (played := _as_score(score)) is None:
             raise CadenzaError(f"score {score!r:.100}: give a Score; a song is named by song")
-        return self.task.unchanged_track(played)
+        return unchanged_track(played, self.task.config, self.task.scene)
 
     def _index(self, song: Any) -> int:
         as_given = isinstance(song, str | Path) and song in self._given
-        return self._given.index(song) if as_given else self.task.find_song(song)
+        return self._given.index(song) if as_given else find_song(self.task.scores, song)
 
     def _each(self, name: str, given: Any) -> list[Any]:
         """(N,) the option of each environment, given for all of them or as a list."""

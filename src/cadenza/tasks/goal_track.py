@@ -125,8 +125,8 @@ def players_of(scene: Scene) -> Players:
     return players_at(scene.hand.reach, scene.keyboard, scene.sides, spacing, slides, arm)
 
 
-class _Upcoming(NamedTuple):
-    """The next goals of N environments."""
+class UpcomingGoals(NamedTuple):
+    """The goals of the next control steps of N environments."""
 
     goal: NDArray[np.bool_]
     """(N, L + 1, K + 1) keys and pedal; past the end of an episode nothing is to be played."""
@@ -160,7 +160,7 @@ class EpisodeGoals:
         self._steps_seen = lookahead + 1
         self._num_keys, self._num_fingers = scene.keyboard.num_keys, scene.fingers.count
         self._goals = [silence(1, self._num_keys, self._num_fingers)] * num_envs
-        self._cached: _Upcoming | None = None
+        self._cached: UpcomingGoals | None = None
 
     def begin(self, env: int, track: GoalTrack) -> None:
         """Begins an episode of environment `env`, in which it plays `track`."""
@@ -181,28 +181,8 @@ class EpisodeGoals:
         return tuple(track.score for track in self.tracks)
 
     @property
-    def goal(self) -> NDArray[np.bool_]:
-        """(N, K + 1) keys and pedal of the next step."""
-        return self._upcoming.goal[:, 0]
-
-    @property
-    def fingers(self) -> NDArray[np.int8]:
-        """(N, K) fingers for the keys of the next step, -1 for none."""
-        return self._upcoming.fingers
-
-    @property
-    def fingers_wanted(self) -> NDArray[np.bool_]:
-        """(N, F) which fingers have a key to press in the next step."""
-        return self._upcoming.fingers_wanted
-
-    @property
-    def lookahead(self) -> NDArray[np.bool_]:
-        """(N, (L + 1) * (K + 1)) the goals of the next step and of the L steps after it."""
-        return self._upcoming.goal.reshape(len(self.row), -1)
-
-    @property
-    def _upcoming(self) -> _Upcoming:
-        """The next goals, which are gathered once a step."""
+    def upcoming(self) -> UpcomingGoals:
+        """The goals of the next steps, which are gathered once a step."""
         if self._cached is None:
             num_envs = len(self.row)
             goal = np.zeros((num_envs, self._steps_seen, self._num_keys + 1), bool)
@@ -214,7 +194,7 @@ class EpisodeGoals:
                 goal[env, : len(keys), -1] = goals.sustain[row : row + self._steps_seen]
                 fingers[env] = goals.fingers[row]
                 wanted[env] = goals.fingers_wanted[row]
-            self._cached = _Upcoming(goal, fingers, wanted)
+            self._cached = UpcomingGoals(goal, fingers, wanted)
         return self._cached
 
     def between(

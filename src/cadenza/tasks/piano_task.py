@@ -171,14 +171,6 @@ class PianoTask:
         """Draws from these scores from the next reset on; see the constructor."""
         self.tracks = augmentation.prepare_tracks(scores, self.config, self.scene, progress)
 
-    def find_song(self, song: int | str) -> int:
-        """The index among `scores` of a song, given by index or title.
-
-        Raises:
-            CadenzaError: there is no such song, or several have the title.
-        """
-        return augmentation.find_song(self.scores, song)
-
     def reset(
         self,
         rngs: Sequence[np.random.Generator],
@@ -215,10 +207,6 @@ class PianoTask:
         pitches = self.scene.keyboard.pitches
         return augmentation.draw_track(self.tracks, self.config, pitches, rng, song)
 
-    def unchanged_track(self, score: Score) -> GoalTrack:
-        """The track of a score that is played as it is, see `augmentation.unchanged_track`."""
-        return augmentation.unchanged_track(score, self.config, self.scene)
-
     def _read_state(self) -> None:
         self.state = self.simulation.state
         keyboard, key_qpos = self.scene.keyboard, self.state.key_qpos
@@ -237,7 +225,7 @@ class PianoTask:
             CadenzaError: a reward term of the user's is not a finite number for each environment.
         """
         goals = self.goals
-        goal, fingers, row = goals.goal, goals.fingers, goals.row
+        goal, fingers, row = goals.upcoming.goal[:, 0], goals.upcoming.fingers, goals.row
         moving = slice(None) if env_ids is None else np.asarray(env_ids, np.intp)
         arrived = self._randomization.step(ctrl, moving)
         self._read_state()
@@ -295,14 +283,15 @@ class PianoTask:
         """
         layout = self.spec.observation_layout
         result = np.empty((self.num_envs, self.spec.observation_size), np.float32)
-        result[:, layout["goal"]] = self.goals.lookahead
+        upcoming = self.goals.upcoming
+        result[:, layout["goal"]] = upcoming.goal.reshape(self.num_envs, -1)
         if "fingering" in layout:
-            result[:, layout["fingering"]] = self.goals.fingers_wanted
+            result[:, layout["fingering"]] = upcoming.fingers_wanted
         result[:, layout["key_state"]] = self._randomization.observed_keys(self.key_state)
         result[:, layout["pedal"]] = self._pedal[:, None]
         if "joints" in layout:
-            joints = self._randomization.observed_joints(self.state.hand_qpos)
-            result[:, layout["joints"]] = joints
+            hand_qpos = self.state.hand_qpos
+            result[:, layout["joints"]] = self._randomization.observed_joints(hand_qpos)
         if "touch" in layout:
             result[:, layout["touch"]] = np.minimum(
                 self.state.touch[:, self.scene.fingers_there] / TOUCH_RANGE, 1.0
@@ -324,7 +313,7 @@ class PianoTask:
             playing=np.ones(self.num_envs, bool) if playing is None else playing,
             state=self.state,
             observation=self.observation(),
-            fingers=goals.fingers,
+            fingers=goals.upcoming.fingers,
             reward=self.reward.copy(),
             simulation=self.simulation,
         )
