@@ -1,4 +1,4 @@
-"""How policies play what they were trained on, from where hands begin and from beside it.
+"""Measures how policies play their own song, with hands that begin in place and beside it.
 
     python -m benchmarks.drills RUN/best ... [--starts N]
 
@@ -8,7 +8,6 @@ its time or more, and no other key sounds, but for one control step before or af
 
 from __future__ import annotations
 
-import argparse
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +15,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.arguments import one_or_more
+from benchmarks.arguments import one_or_more, parser_for
 from cadenza.agents.rollout import EpisodeResult, play_episodes
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
+from cadenza.music.performance import key_runs
 from cadenza.tasks.piano_task import PianoTask
 
 _BESIDE = 0.01  # [m] that hands begin to the left or to the right, at most
@@ -29,14 +29,12 @@ def succeeds(goal: NDArray[np.bool_], sounding: NDArray[np.bool_]) -> bool:
     """Whether all keys are right; arrays (T, K)."""
     near = np.pad(goal, ((1, 1), (0, 0)))
     near = near[:-2] | near[1:-1] | near[2:]
-    edges = np.diff(np.pad(goal, ((1, 1), (0, 0))).astype(int), axis=0).T
-    starts, ends = np.argwhere(edges > 0), np.argwhere(edges < 0)
-    held = [sounding[a:b, k].mean() for (k, a), (_, b) in zip(starts, ends, strict=True)]
+    held = [sounding[a:b, key].mean() for a, b, key in zip(*key_runs(goal), strict=True)]
     return not (sounding & ~near).any() and min(held) >= 0.5
 
 
 def played(learnt: LearntPolicy, starts: int, beside: float) -> list[EpisodeResult]:
-    """Episodes that begin up to `beside` [m] from where hands usually do.
+    """The episodes of a policy whose hands begin up to `beside` [m] from where hands usually do.
 
     Raises:
         CadenzaError: the policy was not trained on one song.
@@ -50,8 +48,8 @@ def played(learnt: LearntPolicy, starts: int, beside: float) -> list[EpisodeResu
 
 @errors_in_a_line()
 def main() -> None:
-    """The command line."""
-    parser = argparse.ArgumentParser(description="How policies play what they were trained on.")
+    """Plays and prints a table in Markdown."""
+    parser = parser_for(__doc__)
     parser.add_argument("policies", nargs="+", type=Path)
     parser.add_argument("--starts", type=one_or_more, default=20)
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""How fast learning is, as ratios measured side by side in one run.
+"""Measures how fast learning is, as ratios side by side in one run.
 
     python -m benchmarks.learning [SONG] [--published VENV]
 
@@ -12,7 +12,6 @@ from its time follows what the plain learner would make with it.
 
 from __future__ import annotations
 
-import argparse
 import math
 import tempfile
 import time
@@ -26,7 +25,7 @@ import flax.linen as nn
 import jax
 import numpy as np
 
-from benchmarks.arguments import one_or_more
+from benchmarks.arguments import one_or_more, parser_for
 from benchmarks.plain_droq import DROPOUT, Function, PlainBuffer, PlainLearner
 from benchmarks.speed import Contestant, medians, published
 from cadenza.errors import errors_in_a_line
@@ -71,24 +70,24 @@ def no_dropout() -> Function:
 
 
 class Experience(NamedTuple):
-    """The same random play in each of the ways to keep it."""
+    """One random play, kept in several replay buffers."""
 
     plain: PlainBuffer
     complete: ReplayBuffer
-    """With all inputs."""
+    """Our replay buffer with all inputs."""
     short: ReplayBuffer
-    """Without those that are always zero."""
+    """Our replay buffer without the inputs that are always zero."""
     inputs: Inputs
     short_inputs: Inputs
     action_size: int
     bytes_per_frame: int
-    """Of ours."""
+    """Bytes of a frame in our replay buffer."""
     frames_per_transition: float
-    """Of ours: an episode has one frame more than transitions."""
+    """Frames for each transition in our replay buffer: an episode has one frame more."""
 
 
 def gather(score: Score) -> Experience:
-    """`PLAYED` control steps, over and over."""
+    """Plays `PLAYED` control steps, and keeps them over and over."""
     task, rng = PianoTask([score]), np.random.default_rng(0)
     scores = GoalTable(task.spec)
     scores.add_all(task)
@@ -151,14 +150,14 @@ def updates(update: Any, state: Any, sample: Sample, number: int) -> Contestant:
 
 
 def plain_updates(learner: PlainLearner, sample: Sample, number: int) -> Contestant:
-    """The plain learner's."""
+    """Updates of the plain learner."""
     return updates(learner.update, learner.init(0), sample, number)
 
 
 def our_updates(
     inputs: Inputs, action_size: int, sample: Sample, number: int, config: DroQConfig
 ) -> Contestant:
-    """Ours; what is sampled is (updates a call, B, ...)."""
+    """Updates of our learner, for which batches are (updates a call, B, ...)."""
     learner = config.make(inputs, action_size)
     return updates(learner.update, learner.init(0), sample, number)
 
@@ -255,7 +254,7 @@ class PlainLoop:
 
 
 def whole_updates(had: Experience, number: int) -> dict[str, Contestant]:
-    """An update and drawing its batch."""
+    """The contestants of a table: they draw batches and update."""
     rng = np.random.default_rng(0)
     relu, gelu = DroQConfig(), DroQConfig(activation="gelu")
 
@@ -285,7 +284,7 @@ def whole_updates(had: Experience, number: int) -> dict[str, Contestant]:
 
 
 def ingredients(had: Experience, number: int) -> dict[str, Contestant]:
-    """The plain update of one and the same batch, changed bit by bit into ours."""
+    """The contestants of a table: the plain update of one batch, changed bit by bit into ours."""
     rng = np.random.default_rng(0)
     batch, short = had.complete.sample(rng, (1, BATCH)), had.short.sample(rng, (1, BATCH))
 
@@ -313,7 +312,7 @@ def ingredients(had: Experience, number: int) -> dict[str, Contestant]:
 
 
 def sampling(had: Experience, number: int) -> dict[str, Contestant]:
-    """A batch."""
+    """The contestants of a table: they sample batches."""
     rng = np.random.default_rng(0)
     return {
         "plain": samples(lambda: had.plain.sample(rng, BATCH), number),
@@ -325,7 +324,7 @@ def sampling(had: Experience, number: int) -> dict[str, Contestant]:
 def whole_training(
     score: Score, song: str, folder: Path, venv: Path | None, number: int
 ) -> dict[str, Contestant]:
-    """One environment, an update a control step."""
+    """The contestants of a table: they train in one environment, an update a control step."""
     loop = PlainLoop(score)
     loop.play(LEARNING_STARTS)
     loop.learn(1)  # compiles
@@ -376,9 +375,7 @@ def print_training(speeds: dict[str, float]) -> None:
 @errors_in_a_line()
 def main() -> None:
     """Measures and prints tables in Markdown."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = parser_for(__doc__)
     parser.add_argument(
         "song",
         nargs="?",

@@ -1,4 +1,4 @@
-"""How much of a song hands could hold at most, whoever plans for them.
+"""Calculates how much of a song hands could hold at most, whoever plans for them.
 
     python -m benchmarks.limits LIBRARY[:SPLIT] [--first-seconds S] [--fingerings N]
 
@@ -11,7 +11,6 @@ simulated, so a song takes seconds.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from tqdm import tqdm
 
-from benchmarks.arguments import one_or_more
+from benchmarks.arguments import one_or_more, parser_for
 from cadenza.agents.planner.plan.presses import presses_of
 from cadenza.agents.planner.plan.release_times import release_in_time
 from cadenza.agents.planner.plan.rest_poses import forearm_places
@@ -45,7 +44,7 @@ FINEST = 5e-4  # [s] steps in which the least times of jumps are calculated
 
 
 def least_seconds(scene: Scene) -> Array:
-    """How long the servo of a forearm takes at least for each of `WAYS`, from rest to rest [s].
+    """Least times in which the servo of a forearm moves by each of `WAYS`, from rest to rest [s].
 
     Its control is at one end of its range and then at the other (bang-bang), from where along the
     keyboard that is fastest.
@@ -83,7 +82,7 @@ def least_seconds(scene: Scene) -> Array:
 
 @dataclass(frozen=True)
 class FastestJumps(JumpTimes):
-    """Of forearms that move as fast as their servos can, without lifting the hand or landing.
+    """Jump times of forearms as fast as their servos can be, without lifting the hand or landing.
 
     Where the planner takes less time, since it counts on fingers that swing, so do these.
     """
@@ -100,7 +99,7 @@ class FastestJumps(JumpTimes):
 
 
 class Holding:
-    """Says what hands would hold that jump in some way."""
+    """The keys that hands would hold whose jumps take these times."""
 
     def __init__(self, scene: Scene, times: JumpTimes) -> None:
         servos = servos_of(scene)
@@ -109,7 +108,7 @@ class Holding:
         self._hand = replace(scene.hand, jump_times=times)
 
     def f1(self, track: GoalTrack) -> Array:
-        """(T,) after each step, if what is held sounds and nothing else."""
+        """(T,) F1 of each step, if the keys that are held sound and no others."""
         goals, held = track.goals, np.zeros_like(track.goals.keys)
         presses = presses_of(goals.keys, goals.fingers, self._fingers)
         for press in release_in_time(presses, self._places, self._is_black, DT, self._hand):
@@ -118,7 +117,7 @@ class Holding:
 
 
 def costs_to_try(number: int) -> list[Costs]:
-    """Those of the planner, and others: each of them times or over 16 at most, drawn."""
+    """The costs of the planner, and random ones: each multiplied by 1/16 to 16."""
     rng, costs = np.random.default_rng(0), np.array(astuple(COSTS))
     drawn = costs * 16.0 ** rng.uniform(-1, 1, (number - 1, len(costs)))
     return [COSTS, *(Costs(*each.tolist()) for each in drawn)]
@@ -141,9 +140,7 @@ def of_song(score: Score, scene: Scene, ways: Sequence[Holding], costs: Sequence
 @errors_in_a_line()
 def main() -> None:
     """Calculates and prints the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = parser_for(__doc__)
     parser.add_argument("library", help="as LIBRARY or LIBRARY:SPLIT, see cadenza libraries")
     parser.add_argument("--first-seconds", type=float, default=30.0, help="of each song [s]")
     parser.add_argument("--fingerings", type=one_or_more, default=40)

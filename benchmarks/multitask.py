@@ -1,4 +1,4 @@
-"""One network for n songs, cloned from the planner: F1 on songs that it has learnt and on others.
+"""Measures one network for n songs, cloned from the planner, on songs learnt and on others.
 
     python -m benchmarks.multitask -o multitask [--songs 1 2 4 ... 64 --more LIBRARY --widths 1024]
 
@@ -50,7 +50,7 @@ HOW = ["--no-mirror", "--random-stretch", "0", "--random-pitch-shift", "0", "--n
 
 
 class Policy(NamedTuple):
-    """One that was trained."""
+    """A policy that was trained."""
 
     learnt_from: tuple[str, ...]
     width: int
@@ -78,7 +78,7 @@ def to_learn(most: int, more: str | None) -> list[str]:
 
 
 def shuffled(names: Sequence[str]) -> list[str]:
-    """In an order that is always the same."""
+    """The names in a random order, always the same."""
     shuffled: list[str] = np.random.default_rng(0).permutation(names).tolist()
     return shuffled
 
@@ -142,7 +142,7 @@ class Mean(NamedTuple):
 
 
 def means(rows: Sequence[dict[str, object]]) -> list[Mean]:
-    """Of each number of songs and width, on those learnt and on those that nobody has learnt."""
+    """Means for each number of songs and width, on songs learnt and on those nobody has learnt."""
     found: dict[tuple[bool, int, int], list[list[float]]] = {}
     for row in rows:
         of = bool(row["learnt"]), int(str(row["width"])), int(str(row["songs"]))

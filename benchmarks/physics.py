@@ -1,4 +1,4 @@
-"""What the fast physics changes: recorded performances replayed in it and in the published one.
+"""Measures what the fast physics changes: it replays recorded performances in both physics.
 
     python -m benchmarks.physics tests/data/episode_d.npz ...
 
@@ -8,13 +8,13 @@ decide whether a finger catches on a key, of the same actions with a little nois
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.arguments import parser_for
 from cadenza.agents.playback import load_plan
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.files import ANY, read_arrays
@@ -52,9 +52,7 @@ def replayed_f1(
 @errors_in_a_line()
 def main() -> None:
     """Replays and prints a table in Markdown."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = parser_for(__doc__)
     parser.add_argument("episodes", type=Path, nargs="+", help="recorded episodes (.npz)")
     options = parser.parse_args()
     print("| performance | physics | F1 | with noise: mean | least | most |")

@@ -95,7 +95,7 @@ class Critics(nn.Module):
 
 
 class PlainState(NamedTuple):
-    """All that learning changes."""
+    """The state of training: parameters, optimisers and the random key."""
 
     key: jax.Array
     actor: Params
@@ -159,7 +159,7 @@ class PlainLearner:
         return state._replace(key=key), np.asarray(action)
 
     def update(self, state: PlainState, batch: Batch) -> tuple[PlainState, Figures]:
-        """One update by one batch (B, ...), and figures of it by name."""
+        """Updates by one batch (B, ...), and returns the new state and figures by name."""
         return self._update_once(state, batch)
 
     def _act(
@@ -261,11 +261,11 @@ class PlainBuffer:
 
     @property
     def nbytes(self) -> int:
-        """Of all that it holds."""
+        """Bytes of all transitions."""
         return sum(column.nbytes for column in self._columns)
 
     def insert(self, transition: Batch) -> None:
-        """Adds one, (D,), (A,), (), (), (D,)."""
+        """Adds a transition, (D,), (A,), (), (), (D,)."""
         for column, value in zip(self._columns, transition, strict=True):
             column[self._next] = value
         self._next = (self._next + 1) % self._capacity

@@ -1,4 +1,4 @@
-"""Predictive sampling and iLQG at the paper's settings: how well they play, and where time goes.
+"""Measures predictive sampling and iLQG at the paper's settings, and where their time goes.
 
     python -m benchmarks.planners SONG [--steps N] [--iterations I ...] [--budgets B ...]
 
@@ -10,13 +10,12 @@ Prints a table in Markdown.
 
 from __future__ import annotations
 
-import argparse
 import time
 from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.arguments import one_or_more
+from benchmarks.arguments import one_or_more, parser_for
 from cadenza.agents.agent import Agent, PlannerPerEnv, ZeroAgent
 from cadenza.agents.baselines.ilqg import ILQG
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
@@ -35,7 +34,7 @@ from cadenza.tasks.piano_task import PianoTask
 
 
 class Result(NamedTuple):
-    """How the first steps of a song went."""
+    """Figures of the first steps of a song."""
 
     f1: float
     note_onset_f1: float
@@ -84,9 +83,7 @@ def line(name: str, results: list[Result]) -> str:
 @errors_in_a_line()
 def main() -> None:
     """Plays and prints, row by row."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = parser_for(__doc__)
     parser.add_argument("song", help="a bundled piece or a MIDI file")
     parser.add_argument(
         "--steps", type=one_or_more, default=40, help="control steps, at most the song's"

@@ -9,7 +9,6 @@ second prints that file as tables in Markdown. To measure a setting anew, delete
 
 from __future__ import annotations
 
-import argparse
 import csv
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -22,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmarks.arguments import one_or_more
+from benchmarks.arguments import one_or_more, parser_for
 from benchmarks.robustness import TROUBLES, Trouble, troubled_task
 from benchmarks.table import write_table
 from cadenza.agents.agent import Agent, Array
@@ -60,12 +59,12 @@ class Setting:
     """A robot at a piano, and who moves it."""
 
     about: str
-    """What the tables call it."""
+    """The name of the setting in tables."""
     agent: Callable[[], Agent]
     scene: SceneConfig = field(default_factory=SceneConfig)
     task: TaskConfig = field(default_factory=with_time_to_begin)
     open_loop: bool = False
-    """What the agent does when nothing is amiss is recorded and played back."""
+    """Whether actions are replayed that the agent chose when nothing was amiss."""
     troubles: tuple[Trouble, ...] = (NOTHING,)
 
 
@@ -120,7 +119,7 @@ class Timed(Agent):
 def played(
     setting: Setting, score: Score, trouble: Trouble, seed: int, agent: Agent | None = None
 ) -> tuple[dict[str, Any], Array]:
-    """How a performance went, and the actions (T, A)."""
+    """Figures of a performance, and its actions (T, A)."""
     task = troubled_task(score, setting.task, trouble, setting.scene)
     timed = Timed(agent or setting.agent())
     with threadpool_limits(1):
@@ -139,7 +138,7 @@ def played(
 
 
 def rows(name: str, seeds: int, known: Collection[tuple[str, ...]]) -> Iterator[dict[str, Any]]:
-    """Those of a setting that are not known yet."""
+    """Yields the rows of a setting that are not known yet."""
     setting = SETTINGS[name]
     for piece, load in PIECES.items():
         score = load().beginning(SECONDS)
@@ -207,9 +206,7 @@ def _ratio(table: Sequence[dict[str, str]], column: str) -> str:
 @errors_in_a_line()
 def main() -> None:
     """Measures what is missing, or prints what there is."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = parser_for(__doc__)
     parser.add_argument("--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS))
     parser.add_argument("--seeds", type=one_or_more, default=2)
     parser.add_argument("--tables", action="store_true", help="print what there is")

@@ -1,4 +1,4 @@
-"""How well and how quickly the planner plays the bundled pieces, or any.
+"""Measures how well and how quickly the planner plays the bundled pieces, or any.
 
     python -m benchmarks.repertoire [SONG ...] [--seeds 5]
 

@@ -1,4 +1,4 @@
-"""How well plans hold up when starts, controls or the model are not what was planned with.
+"""Measures how robust plans are against other starts, noisy controls and another model.
 
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.robustness SONG ... [--seeds N] [--agents A ...]
 
@@ -8,14 +8,13 @@ loop: what it plays when nothing is amiss, recorded and replayed.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from benchmarks.arguments import one_or_more
+from benchmarks.arguments import one_or_more, parser_for
 from cadenza.agents.agent import Agent, Array
 from cadenza.agents.baselines.tracked_presses import TrackedPresses
 from cadenza.agents.planner.config import PlannerConfig
@@ -41,7 +40,7 @@ OF_THE_MODEL = (
 
 @dataclass(frozen=True)
 class Trouble:
-    """What is amiss."""
+    """A disturbance."""
 
     name: str
     start: float = 0.0
@@ -108,9 +107,7 @@ def rows(score: Score, config: TaskConfig, agent: Callable[[], Agent], seeds: in
 @errors_in_a_line()
 def main() -> None:
     """Plays and prints, agent by agent."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = parser_for(__doc__)
     parser.add_argument("songs", nargs="+", help="bundled pieces or MIDI files")
     parser.add_argument("--seeds", type=one_or_more, default=5)
     parser.add_argument("--agents", nargs="+", choices=AGENTS, default=["refined"])

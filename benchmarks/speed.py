@@ -1,4 +1,4 @@
-"""How fast the environments are, as ratios measured side by side in one run.
+"""Measures how fast the environments are, as ratios side by side in one run.
 
     python -m benchmarks.speed tests/data/episode_d.npz [--published VENV]
 
@@ -9,7 +9,6 @@ noisy machine disturbs all alike; of each the median speed counts. "random" draw
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -22,7 +21,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from benchmarks.arguments import one_or_more
+from benchmarks.arguments import one_or_more, parser_for
 from cadenza.agents.playback import load_plan
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.scene.config import SceneConfig
@@ -142,9 +141,7 @@ def creation_seconds() -> float:
 @errors_in_a_line()
 def main() -> None:
     """Measures and prints tables in Markdown."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = parser_for(__doc__)
     parser.add_argument("episode", type=Path, help="the recorded skilled performance")
     parser.add_argument("--published", type=Path, help="venv made by tools/published_setup.sh")
     parser.add_argument("--rounds", type=one_or_more, default=3)

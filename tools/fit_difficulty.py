@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def play(libraries: list[str], output: Path, most: int | None, seconds: float, method: str) -> None:
-    rows = rows_of(output)
+    rows = rows_of(output) if output.exists() else []
     if any((row["seconds"], row["method"]) != (seconds, method) for row in rows):
         raise CadenzaError(
             f"{output}: holds other --seconds or another --method; choose another file"

@@ -51,7 +51,7 @@ class Played:
         self.songs, self.path = songs, path
         self._seconds = seconds
         self._known: dict[tuple[str, Costs], float] = {}
-        for row in rows_of(path):
+        for row in rows_of(path) if path.exists() else ():
             if row.get("seconds") != seconds:
                 raise CadenzaError(
                     f"{path}: holds other than {seconds:g} s; choose another --output"

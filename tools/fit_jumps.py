@@ -58,9 +58,9 @@ class Jump(NamedTuple):
     left: int
     struck: int
     ahead: float
-    """How long before the strike the keys were let go [s]."""
+    """Time from the release of the keys to the strike [s]."""
     late: float
-    """How long the keys struck were missing, their mean [s]."""
+    """Mean time for which the keys struck were missing [s]."""
 
 
 @errors_in_a_line()

@@ -67,12 +67,12 @@ class Hand:
         return tips[0], jacobian[0]
 
     def forearm_y(self, q: Array) -> float:
-        """Where the forearm is along the keyboard [m]."""
+        """The place of the forearm along the keyboard [m]."""
         return self._mount + float(q[self.slide])
 
 
 def distance(hand: Hand, q: Array, fingers: tuple[int, ...]) -> float:
-    """Between the first and the last of the fingertips; of one, from the forearm [m]."""
+    """The distance from the first to the last fingertip; of one, from the forearm [m]."""
     y = hand.tips(q)[0][list(fingers), 1]
     return float(y[-1] - (y[0] if len(fingers) > 1 else hand.forearm_y(q)))
 
@@ -158,7 +158,7 @@ def print_rest(hand: Hand) -> None:
 
 
 def misses(hand: Hand, q: Array) -> str:
-    """Why the fingers cannot all press at once, a line for each that does not."""
+    """An error that says why the fingers cannot all press at once, with a line for each."""
     tips = hand.tips(q)[0]
     lines = ["the fingers cannot all press at once; change rest, on_white or the joints:"]
     for name, towards, up in zip(

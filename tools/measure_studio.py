@@ -78,7 +78,7 @@ FRAMES = f"""new Promise((done) => {{
 
 
 def control_steps_a_second(count: int = 600) -> float:
-    """Of two hands that move at random."""
+    """Simulates two hands that move at random, and returns control steps a second."""
     model = build_scene().model
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     low, high = model.actuator_ctrlrange.T
@@ -91,7 +91,7 @@ def control_steps_a_second(count: int = 600) -> float:
 
 @contextmanager
 def page() -> Iterator[Browser]:
-    """Of a studio of its own, when its player is ready."""
+    """Yields the page of a studio of its own, when its player is ready."""
     with tempfile.TemporaryDirectory() as folder:
         command = ["studio", "--folder", f"{folder}/played", "--no-video", "--no-browser"]
         server = subprocess.Popen(
@@ -112,7 +112,7 @@ def page() -> Iterator[Browser]:
 
 
 def ask_for(browser: Browser, song: str) -> None:
-    """A bundled piece by a click, and a file by dropping it."""
+    """Asks for a bundled piece by a click, and for a file by dropping it."""
     if not Path(song).is_file():
         browser.evaluate(f"location.hash = 'song={song}'")
         time.sleep(0.5)
@@ -124,7 +124,7 @@ def ask_for(browser: Browser, song: str) -> None:
 
 
 def play(browser: Browser, song: str, seconds: float) -> dict[str, Any]:
-    """Plays so much of it [s]; what was measured."""
+    """Plays so much of a song [s], and returns what was measured."""
     load = os.getloadavg()[0]
     ask_for(browser, song)
     browser.wait("measured.heard !== null || cadenza.error", LONGEST)
@@ -136,7 +136,7 @@ def play(browser: Browser, song: str, seconds: float) -> dict[str, Any]:
 
 
 def frames(browser: Browser) -> float:
-    """How many pictures of the flat view a second, while it plays and is being planned."""
+    """Pictures of the flat view a second, while it plays and is being planned."""
     ask_for(browser, "FurEliseOpening")
     browser.wait("measured.heard !== null", LONGEST)
     return float(browser.evaluate(FRAMES))

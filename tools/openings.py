@@ -56,13 +56,14 @@ def metrics_of(score: Score, config: PlannerConfig) -> dict[str, Any]:
 
 
 def rows_of(path: Path) -> list[dict[str, Any]]:
-    """The results in a file, none if there is no such file.
+    """The results in a file.
 
     Raises:
         CadenzaError: a line is no JSON object.
+        OSError: the file cannot be read.
     """
-    lines = path.read_text().splitlines() if path.exists() else ()
-    return [parsed_json(line, dict, f"{path}, line {n}") for n, line in enumerate(lines, start=1)]
+    lines = enumerate(path.read_text().splitlines(), start=1)
+    return [parsed_json(line, dict, f"{path}, line {n}") for n, line in lines]
 
 
 def add_row(path: Path, row: dict[str, Any]) -> None:

@@ -194,19 +194,16 @@ def test_scores_of_many_rows_are_looked_up_together() -> None:
 @pytest.mark.parametrize("residual", [False, True])
 def test_its_shape_is_the_same_for_every_song(residual: bool) -> None:
     """It follows from the task and the scene."""
-    specs = {ObservationSpec.of(PianoTask([song]), residual) for song in SONGS}
+    specs = {ObservationSpec.of(PianoTask([song]).spec, residual) for song in SONGS}
     assert len(specs) == 1
     (spec,) = specs
-    task = PianoTask(SONGS[:1])
-    assert {n: spec.layout[n] for n in task.spec.observation_layout} == task.spec.observation_layout
-    assert (
-        spec.size
-        == task.spec.observation_size + task.spec.action_size + 1 + residual * task.spec.action_size
-    )
+    task = PianoTask(SONGS[:1]).spec
+    assert {n: spec.layout[n] for n in task.observation_layout} == task.observation_layout
+    assert spec.size == task.observation_size + task.action_size + 1 + residual * task.action_size
     assert spec.inputs.kept == tuple(range(spec.size))
     less = PianoTask(SONGS[:1], TaskConfig(n_steps_lookahead=3), SceneConfig(hands="left"))
-    assert ObservationSpec.of(less).goal == 4 * (NUM_KEYS + 1)
-    assert ObservationSpec.of(less).joints < spec.joints
+    assert ObservationSpec.of(less.spec).goal == 4 * (NUM_KEYS + 1)
+    assert ObservationSpec.of(less.spec).joints < spec.joints
 
 
 @pytest.mark.parametrize("name", TASKS)

@@ -47,9 +47,9 @@ def some_policy(
     config = TaskConfig(initial_buffer_time=0.1, **task)
     scene = SceneConfig(hands="right", forearm_dofs=("tx", "ty"))
     shown = PianoTask([SONG], config, scene)
-    scores = GoalTable(shown)
+    scores = GoalTable(shown.spec)
     scores.add_all(shown)
-    observation = ObservationSpec.of(shown, residual)
+    observation = ObservationSpec.of(shown.spec, residual)
     inputs = pruned(observation, scores) if prune else observation.inputs
     rng = np.random.default_rng(0)
 
