@@ -15,7 +15,7 @@ from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.formats.source import MAX_BYTES
 from cadenza.music.libraries.library import load_score
-from cadenza.music.repair import RawNote, repaired
+from cadenza.music.repair import RawNote, playable
 from cadenza.music.score import Note, PedalEvent, Score
 from music_strategies import monophonic_per_key, scores, seconds
 
@@ -518,13 +518,14 @@ def test_of_two_notes_at_the_same_moment_the_finger_that_is_known_is_kept() -> N
     known = Finger(0, 2)
     for fingers in ((None, known), (known, None), (known, Finger(1, 0))):
         doubled = [RawNote(0, 480, 60, 80, True, finger) for finger in fingers]
-        (note,) = repaired(doubled, Counter())
+        (note,), _ = playable(doubled, Counter(), (), "a.mid")
         assert note.finger == known
 
 
 @pytest.mark.parametrize("known_first", [True, False])
 def test_of_two_notes_at_the_same_moment_an_end_that_is_known_is_kept(known_first: bool) -> None:
     doubled = [RawNote(0, 480, 60, 80, True), RawNote(0, 9600, 60, 90, False)]
-    (note,) = repaired(doubled if known_first else doubled[::-1], counts := Counter())
-    assert (note.end, note.released, note.velocity) == (480, True, 90)
-    assert (counts["doubled"], counts["unreleased"]) == (1, 0)
+    found = doubled if known_first else doubled[::-1]
+    (note,), remarks = playable(found, Counter(), (), "a.mid")
+    assert (note.end, note.velocity) == (480, 90)
+    assert remarks == ("1 note doubled at the same moment merged",)

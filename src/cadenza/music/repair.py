@@ -1,12 +1,14 @@
-"""Repairs of the notes of a file, so that one piano can play them; and their remarks."""
+"""Repairs of the notes of a file, so that one piano can play them, and remarks on the repairs."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
+from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
+from cadenza.music.score import Note
 
 
 @dataclass(slots=True)
@@ -20,8 +22,42 @@ class RawNote:
     released: bool = False
     finger: Finger | None = None
 
+    def release(self, time: float) -> None:
+        """Ends the note."""
+        self.end, self.released = time, True
 
-def repaired(found: list[RawNote], counts: Counter[str]) -> list[RawNote]:
+
+def playable(
+    found: list[RawNote],
+    counts: Counter[str],
+    remarks: Iterable[str],
+    where: object,
+    seconds: Callable[[float], float] = float,
+) -> tuple[tuple[Note, ...], tuple[str, ...]]:
+    """The notes of a file that one piano can play, and remarks on what was repaired.
+
+    Args:
+        found: all notes of the file, in its unit of time.
+        counts: the numbers of notes that were repaired before, see `_remarks`.
+        remarks: remarks that were made before.
+        where: the file, for errors.
+        seconds: converts times of the file to seconds [s].
+
+    Raises:
+        CadenzaError: there are no notes.
+    """
+    notes = tuple(
+        Note(seconds(note.start), seconds(note.end), note.pitch, note.velocity, note.finger)
+        for note in _repaired(found, counts)
+    )
+    remarks = (*remarks, *_remarks(counts))
+    if not notes:
+        why = f" left ({'; '.join(remarks)})" if remarks else ""
+        raise CadenzaError(f"{where}: there are no notes{why}; choose another file")
+    return notes, remarks
+
+
+def _repaired(found: list[RawNote], counts: Counter[str]) -> list[RawNote]:
     """The notes without those of length zero, at most one of a pitch at a time.
 
     `counts` gets the number of each kind of repair.
@@ -38,7 +74,7 @@ def repaired(found: list[RawNote], counts: Counter[str]) -> list[RawNote]:
             continue
         if before and before.end > note.start:
             counts["cut"] += 1
-            before.end, before.released = note.start, True
+            before.release(note.start)
         latest[note.pitch] = replace(note)
         played.append(latest[note.pitch])
     counts["unreleased"] = sum(not note.released for note in played)
@@ -52,16 +88,16 @@ def _merge(note: RawNote, other: RawNote) -> None:
     if note.released == other.released:
         note.end = max(note.end, other.end)
     elif other.released:
-        note.end, note.released = other.end, True
+        note.release(other.end)
 
 
 def counted_remarks(cases: Iterable[tuple[int, str, str]]) -> list[str]:
-    """Remarks on (count, what, what was done), for counts that are not zero."""
+    """Remarks such as "2 notes left out" from counts, nouns and what was done; none for 0."""
     return [f"{count} {what}{'s'[: count != 1]} {done}" for count, what, done in cases if count]
 
 
-def repair_remarks(counts: Counter[str]) -> list[str]:
-    """Remarks on what was changed, in plain words."""
+def _remarks(counts: Counter[str]) -> list[str]:
+    """Remarks on repairs, in plain words."""
     repairs = {
         "drums": "on the drum channel (10) left out",
         "outside": "outside the piano's 88 keys left out",

@@ -1,4 +1,4 @@
-"""Which finger plays which note: a small text file next to the MIDI file.
+"""The fingering of a MIDI file, in a small text file beside it.
 
 MIDI has no place for fingers, so `song.mid` has its fingering in `song.fingering`, one line a note:
 
@@ -23,6 +23,7 @@ from cadenza.errors import CadenzaError
 from cadenza.files import content_of, write_atomically
 from cadenza.fingers import Finger
 from cadenza.music.formats.finger_numbers import finger_from, written
+from cadenza.music.formats.source import decoded
 from cadenza.music.score import Score
 
 SUFFIX = ".fingering"
@@ -45,11 +46,7 @@ def read_fingering(path: str | Path, score: Score, all_there: bool = True) -> Sc
             note a second, different finger; the line number is named.
     """
     path = Path(path)
-    try:
-        text = content_of(path, _MAX_BYTES).decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise CadenzaError(f"{path}: not a text file in UTF-8; give a fingering file") from None
-
+    text = decoded(content_of(path, _MAX_BYTES), path)
     by_pitch: defaultdict[int, list[int]] = defaultdict(list)  # indices of notes, by start
     for index, note in enumerate(score.notes):
         by_pitch[note.pitch].append(index)
@@ -78,7 +75,7 @@ def read_fingering(path: str | Path, score: Score, all_there: bool = True) -> Sc
 
 
 def write_fingering(score: Score, path: str | Path) -> None:
-    """Writes a line for every note, with -1 where the finger is unknown, to be filled in."""
+    """Writes a line for every note, with -1 for an unknown finger, to be filled in."""
     lines = (f"{note.start:.4f} {note.pitch} {written(note.finger)}\n" for note in score.notes)
     with write_atomically(Path(path)) as file:
         file.write((_HEADER + "".join(lines)).encode())
@@ -100,7 +97,10 @@ def _parsed(content: list[str], where: str) -> tuple[float, int, Finger | None]:
 
 
 def _nearest(score: Score, indices: list[int], start: float) -> int | None:
-    """Of the notes `indices`, sorted by start, the one that starts nearest, if near enough."""
+    """The index, of `indices` by start, of the note that starts nearest to `start` [s].
+
+    None if no note starts within the tolerance.
+    """
     place = bisect_left(indices, start, key=lambda i: score.notes[i].start)
     nearest = min(
         indices[max(0, place - 1) : place + 1],

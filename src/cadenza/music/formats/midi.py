@@ -5,9 +5,10 @@ from __future__ import annotations
 import sys
 from bisect import bisect_right
 from collections import Counter, defaultdict, deque
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import count, pairwise
+from itertools import accumulate, count, pairwise
+from operator import itemgetter
 from pathlib import Path
 
 import mido
@@ -18,12 +19,11 @@ from cadenza.music.formats.general_midi import INSTRUMENTS
 from cadenza.music.formats.midi_chunks import MidiFile, parsed
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
-from cadenza.music.repair import RawNote, repair_remarks, repaired
+from cadenza.music.repair import RawNote, playable
 from cadenza.music.score import (
     HIGHEST_PITCH,
     LOWEST_PITCH,
     Bar,
-    Note,
     PedalEvent,
     Score,
     Track,
@@ -102,20 +102,12 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
     if not tracks:
         drums = (part for part in parts if part.channel == _DRUM_CHANNEL)
         counts["drums"] = sum(len(part.notes) + part.outside for part in drums)
-    played = repaired([note for part in melodic for note in part.notes], counts)
-    remarks += repair_remarks(counts)
     if any(part.sostenuto for part in melodic):
         remarks.append("the sostenuto pedal is left out")
-
-    if not played:
-        why = f" left ({'; '.join(remarks)})" if remarks else ""
-        raise CadenzaError(f"{path}: there are no notes{why}; choose another file")
-    notes = tuple(
-        Note(clock.seconds(note.start), clock.seconds(note.end), note.pitch, note.velocity)
-        for note in played
-    )
-    bars = _bars(file.division, chunks, clock, played[-1].start)
-    return Score(notes, pedal, _title(chunks, path), tuple(remarks), listed, bars)
+    found = [note for part in melodic for note in part.notes]
+    notes, said = playable(found, counts, remarks, path, clock.seconds)
+    bars = _bars(file.division, chunks, clock, until=notes[-1].start)
+    return Score(notes, pedal, _title(chunks, path), said, listed, bars)
 
 
 def write_midi(score: Score, path: str | Path) -> None:
@@ -161,9 +153,9 @@ def write_midi(score: Score, path: str | Path) -> None:
 
 @dataclass(slots=True)
 class _Part:
-    """What one channel plays in one track of the file; `outside` counts what no key plays.
+    """The music of one channel in one track of the file.
 
-    `sostenuto` counts how often that pedal goes down.
+    `outside` counts notes that no key plays, `sostenuto` how often that pedal goes down.
     """
 
     channel: int
@@ -181,7 +173,7 @@ class _Part:
 
 @dataclass(frozen=True)
 class _Clock:
-    """Ticks to time in whole numbers, so that a thousand tempo changes add no rounding.
+    """A map from ticks to time in whole numbers, so that tempo changes add no rounding.
 
     From `ticks[i]`, which is at `units[i]`, every tick lasts `rates[i]` units.
     """
@@ -202,15 +194,10 @@ class _Clock:
             return cls([0], [0], [1], frames * ticks_per_frame)
         if division == 0:
             raise CadenzaError(f"{path}: the file's time division is zero, not valid MIDI")
-        changes = []
-        for track in tracks:
-            tick = 0
-            for message in track:
-                tick += message.time
-                if message.type == "set_tempo":
-                    changes.append((tick, message.tempo))
+        timed = (each for track in tracks for each in _timed(track))
+        changes = ((tick, each.tempo) for tick, each in timed if each.type == "set_tempo")
         clock = cls([0], [0], [_DEFAULT_TEMPO], division * 1_000_000)
-        for tick, tempo in sorted(changes, key=lambda change: change[0]):
+        for tick, tempo in sorted(changes, key=itemgetter(0)):
             clock.units.append(clock.at(tick))
             clock.ticks.append(tick)
             clock.rates.append(tempo)
@@ -222,6 +209,11 @@ class _Clock:
 
     def seconds(self, units: float) -> float:
         return units / self.units_per_second
+
+
+def _timed(chunk: mido.MidiTrack) -> Iterator[tuple[int, mido.Message]]:
+    """Yields the messages of a track with their times [ticks] since its beginning."""
+    return zip(accumulate(message.time for message in chunk), chunk, strict=True)
 
 
 def _parse(path: Path) -> MidiFile:
@@ -238,43 +230,38 @@ def _collect(
     parts: list[_Part],
     moves: list[tuple[int, PedalEvent]],
 ) -> None:
-    """Adds what the channels of a track of the file play to `parts`, the pedals' to `moves`."""
+    """Adds the music of a track of the file to `parts`, and the motions of pedals to `moves`."""
     here: dict[int, _Part] = {}
     sounding: defaultdict[tuple[int, int], deque[RawNote]] = defaultdict(deque)
     pedals: defaultdict[int, int] = defaultdict(int)  # where they stand, by channel
     name, tick = "", 0
-    for message in chunk:
-        tick += message.time
+    for tick, message in _timed(chunk):
         kind = message.type
         if kind == "track_name":
             name = name or _text(message.name)
         if kind not in ("note_on", "note_off", "control_change", "program_change"):
             continue
         channel = message.channel
-        part = here.setdefault(channel, _Part(channel))
+        part, now = here.setdefault(channel, _Part(channel)), clock.at(tick)
         if kind == "note_on" and message.velocity > 0:
             if not LOWEST_PITCH <= message.note <= HIGHEST_PITCH:
                 part.outside += 1
                 continue
-            now = clock.at(tick)
             note = RawNote(now, now, message.note, message.velocity)
             part.notes.append(note)
             sounding[channel, message.note].append(note)
         elif kind in ("note_on", "note_off"):
-            waiting = sounding[channel, message.note]
-            if waiting:
-                note = waiting.popleft()
-                note.end, note.released = clock.at(tick), True
+            if waiting := sounding[channel, message.note]:
+                waiting.popleft().release(now)
         elif kind == "program_change":
             part.program = message.program if part.program is None else part.program
         elif message.control in _ALL_OFF:
             for pitch in range(LOWEST_PITCH, HIGHEST_PITCH + 1):
                 while waiting := sounding[channel, pitch]:
-                    note = waiting.popleft()
-                    note.end, note.released = clock.at(tick), True
+                    waiting.popleft().release(now)
         elif message.control == _SUSTAIN or (message.control == _RESET and pedals[channel]):
             pedals[channel] = message.value if message.control == _SUSTAIN else 0
-            moves.append((channel, PedalEvent(clock.seconds(clock.at(tick)), pedals[channel])))
+            moves.append((channel, PedalEvent(clock.seconds(now), pedals[channel])))
         elif message.control == _SOSTENUTO:
             part.sostenuto += message.value >= _DOWN
     for waiting in sounding.values():
@@ -286,7 +273,7 @@ def _collect(
 
 
 def _tracks(parts: Sequence[_Part]) -> tuple[Track, ...]:
-    """Those with notes; without a program of its own a track has that of its channel, if any."""
+    """The tracks with notes; one without a program of its own has that of its channel, if any."""
     programs: dict[int, int] = {}
     for part in parts:
         if part.program is not None:
@@ -312,15 +299,13 @@ def _tracks(parts: Sequence[_Part]) -> tuple[Track, ...]:
 def _bars(
     division: int, chunks: Iterable[mido.MidiTrack], clock: _Clock, until: float
 ) -> tuple[Bar, ...]:
-    """By the time signatures, from the first on to the time `until` in units of the clock.
+    """The bars from the first time signature to the time `until` [s].
 
-    A new one begins a new bar. Of a division in SMPTE frames there are none: it has no beats.
+    A time signature begins a new bar. There are no bars in SMPTE frames, which have no beats.
     """
     fours: dict[int, int] = {}  # a tick -> how many four bars have from there on
     for chunk in chunks:
-        tick = 0
-        for message in chunk:
-            tick += message.time
+        for tick, message in _timed(chunk):
             if message.type == "time_signature" and message.denominator <= _SHORTEST_BEAT:
                 fours[tick] = 16 * division * message.numerator // message.denominator
     bars: list[Bar] = []
@@ -328,11 +313,12 @@ def _bars(
     for first, end in pairwise([*begins, sys.maxsize]):
         for n in count():
             tick = first + n * fours[first] // 4
-            if tick >= end or clock.at(tick) > until:
+            time = clock.seconds(clock.at(tick))
+            if tick >= end or time > until:
                 break
             if len(bars) == _MOST_BARS:
                 return ()
-            bars.append(Bar(clock.seconds(clock.at(tick)), len(bars) + 1))
+            bars.append(Bar(time, len(bars) + 1))
     return tuple(bars)
 
 
@@ -343,10 +329,10 @@ def _title(chunks: Sequence[mido.MidiTrack], path: Path) -> str:
 
 
 def _text(text: str) -> str:
-    """What a file says, printable and on one line; nothing where its letters are not known.
+    """The text of a file, printable and on one line; empty if its encoding is not known.
 
     Args:
-        text: its bytes as Latin-1, as mido gives them.
+        text: the bytes as Latin-1, as mido gives them.
     """
     written = text.encode("latin1")
     try:

@@ -1,4 +1,4 @@
-"""The bytes of a file of music, as a person names it."""
+"""The bytes and the text of a file that a user names."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ MAX_BYTES = 2 * 2**20  # an hour of dense piano music in MIDI needs about half o
 
 
 def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
-    """What the file holds, which is something and at most `most` bytes.
+    """The bytes of a file.
 
     Raises:
-        CadenzaError: it is not there, cannot be read, is empty or larger.
+        CadenzaError: there is no such file, or it cannot be read, is empty or holds over `most`
+            bytes.
     """
     if os.path.isdir(path):
         raise CadenzaError(f"{path}: is a folder; give a file")
@@ -39,8 +40,21 @@ def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
     return data
 
 
+def decoded(data: bytes, where: object) -> str:
+    """The text in the bytes of a file.
+
+    Raises:
+        CadenzaError: it is not in UTF-8; the message begins with `where`, and names the line.
+    """
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise CadenzaError(f"{where}:{line}: not text in UTF-8; save it as that") from error
+
+
 def _hint(path: Path) -> str:
-    """Which files of that folder have a name like it."""
+    """Advice that names the files of the folder with a similar name."""
     try:
         names = os.listdir(path.parent)
     except (OSError, ValueError):

@@ -18,7 +18,7 @@ from typing import Any
 
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
-from cadenza.music.formats.source import read_bytes
+from cadenza.music.formats.source import decoded, read_bytes
 from cadenza.music.formats.titles import printable
 
 INDEX = "index.csv"
@@ -34,16 +34,16 @@ _COLUMNS = (_NAMES[0], *_TEXTS, *_NUMBERS)
 _MAX_BYTES = 64 * 2**20  # of a hundred thousand pieces
 
 Facts = dict[str, Any]
-"""What an index says of a piece, by the names of the fields of `Song`."""
+"""Facts about a piece, by the names of the fields of `Song`."""
 
 
 def read_index(path: Path) -> dict[str, Facts]:
-    """What the index says, by how it names the pieces, in its order.
+    """Name of a piece, as the index has it -> facts about it, in the order of the index.
 
     Raises:
         CadenzaError: it cannot be read, is no table, or names a piece twice.
     """
-    header, rows = read_table(text_of(path), path)
+    header, rows = read_table(decoded(read_bytes(path, _MAX_BYTES), path), path)
     column = next((name for name in _NAMES if name in header), None)
     if column is None:
         raise CadenzaError(
@@ -89,21 +89,8 @@ def read_table(
     return header, rows
 
 
-def text_of(path: Path) -> str:
-    """A text file in UTF-8.
-
-    Raises:
-        CadenzaError: it cannot be read, or is none.
-    """
-    try:
-        return read_bytes(path, _MAX_BYTES).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = error.object.count(b"\n", 0, error.start) + 1
-        raise CadenzaError(f"{path}:{line}: not text in UTF-8; save it as that") from error
-
-
 def write_index(path: Path, rows: Iterable[tuple[str, Facts]]) -> None:
-    """Writes an index of files and what is known of them."""
+    """Writes the index of files and facts about them."""
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
     writer.writeheader()
@@ -114,7 +101,7 @@ def write_index(path: Path, rows: Iterable[tuple[str, Facts]]) -> None:
 
 
 def _facts(cells: Mapping[str, str]) -> Facts:
-    """Of a line; what is no number where one should be is not known."""
+    """The facts in a line, None for a number that is none."""
     texts = {name: printable(cells.get(name, "")) for name in _TEXTS}
     return texts | {name: _number(cells.get(name, ""), kind) for name, kind in _NUMBERS.items()}
 

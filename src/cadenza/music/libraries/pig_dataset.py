@@ -10,6 +10,7 @@ is taken). From // on, a line is a comment.
 
 from __future__ import annotations
 
+import io
 import os
 import re
 from collections import Counter
@@ -27,14 +28,14 @@ from cadenza.files import opened, opened_archive, unpacked
 from cadenza.fingers import Finger
 from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
 from cadenza.music.formats.midi import write_midi
-from cadenza.music.formats.source import MAX_BYTES, read_bytes
+from cadenza.music.formats.source import MAX_BYTES, decoded, read_bytes
 from cadenza.music.formats.titles import printable
 from cadenza.music.libraries.folder import short, unique
 from cadenza.music.libraries.imported import Grade, NewLibrary, Progress, new_library, silent
 from cadenza.music.libraries.index import read_table
 from cadenza.music.libraries.pig import ALL, WEBSITE, published_name
-from cadenza.music.repair import RawNote, repair_remarks, repaired
-from cadenza.music.score import MAX_SECONDS, PITCHES, Note, Score
+from cadenza.music.repair import RawNote, playable
+from cadenza.music.score import MAX_SECONDS, PITCHES, Score
 
 _LIST, _FINGERINGS = "list.csv", "FingeringFiles"
 _FILE = re.compile(r"(\d{1,6})-(\d{1,6})_fingering\.txt", re.ASCII)
@@ -89,7 +90,7 @@ def import_pig(
 
 class _Piece(NamedTuple):
     where: str
-    """The line of the list."""
+    """The file of the list, and the line in it."""
     number: int
     title: str
     composer: str
@@ -113,7 +114,7 @@ def _add(
 
 @contextmanager
 def _files(source: Path) -> Iterator[_Files]:
-    """Those of a folder, or of a ZIP file, of which nothing is unpacked to the disk."""
+    """Yields the files of a folder, or of a ZIP file, which is not unpacked to the disk."""
     if os.path.isdir(source):
         yield {path: partial(read_bytes, source / path) for path in _in_folder(source)}
         return
@@ -165,7 +166,7 @@ def _unpacked(archive: ZipFile, member: str, source: Path) -> bytes:
 
 
 def _list_file(files: _Files, source: Path) -> PurePosixPath:
-    """Of several, the one in the fewest folders."""
+    """The list of pieces, in the fewest folders if there are several."""
     lists = [path for path in files if path.name.lower() == _LIST]
     if not lists:
         raise CadenzaError(
@@ -175,7 +176,7 @@ def _list_file(files: _Files, source: Path) -> PurePosixPath:
 
 
 def _first_fingerings(files: _Files, folder: PurePosixPath) -> dict[int, PurePosixPath]:
-    """The file of the first annotator, by the number of the piece."""
+    """Number of a piece -> the file of its first annotator."""
     found = []
     for path in files:
         match = _FILE.fullmatch(path.name)
@@ -188,7 +189,7 @@ def _first_fingerings(files: _Files, folder: PurePosixPath) -> dict[int, PurePos
 
 
 def _pieces(content: bytes, where: str, left_out: list[str]) -> list[_Piece]:
-    """Those of `List.csv`; lines that name none are added to `left_out`.
+    """The pieces in `List.csv`; lines that name none are added to `left_out`.
 
     Raises:
         CadenzaError: it is no table, or there is no column of titles.
@@ -236,7 +237,8 @@ def read_fingered(content: bytes, where: str) -> Score:
     ids: dict[int, int] = {}  # where the notes stand
     wrong: dict[int, str] = {}
     other_hand: list[int] = []
-    for number, line in enumerate(_lines(content, where), start=1):
+    lines = io.StringIO(decoded(content, where), newline=None)
+    for number, line in enumerate(lines, start=1):
         said = line.partition("//")[0]
         if not said.strip():
             continue
@@ -261,16 +263,8 @@ def read_fingered(content: bytes, where: str) -> Score:
             f"{where}:{first}: channel and finger are of different hands, the finger is taken"
             f"{_and_lines(others)}"
         ]
-    return _score(notes, doubts, where)
-
-
-def _lines(content: bytes, where: str) -> list[str]:
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise CadenzaError(f"{where}:{line}: not text in UTF-8") from error
-    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    playing, repairs = playable(notes, Counter(), (), where)
+    return Score(playing, remarks=(*doubts, *(f"{where}: {repair}" for repair in repairs)))
 
 
 def _note(line: str) -> tuple[int, RawNote, int]:
@@ -330,19 +324,8 @@ def _finger(text: str) -> Finger:
     return Finger(hand=1 if match[1] else 0, index=int(match[2]) - 1)
 
 
-def _score(found: list[RawNote], doubts: list[str], where: str) -> Score:
-    counts = Counter[str]()
-    notes = tuple(
-        Note(note.start, note.end, note.pitch, note.velocity, note.finger)
-        for note in repaired(found, counts)
-    )
-    if not notes:
-        raise CadenzaError(f"{where}: there are no notes")
-    return Score(notes, remarks=(*doubts, *(f"{where}: {said}" for said in repair_remarks(counts))))
-
-
 def _and_lines(numbers: list[int]) -> str:
-    """Where else."""
+    """The end of an error that names the other lines, if any."""
     if not numbers:
         return ""
     named = ", ".join(map(str, numbers[:_MOST_NAMED]))
