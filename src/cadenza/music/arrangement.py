@@ -1,4 +1,4 @@
-"""Which notes of a song are played. Imports nothing heavy: the command line shows its options."""
+"""Arrangements of songs. Imports nothing heavy: the command line shows its options."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MIN_SHARE = 0.25  # of the notes of the busiest voice; tracks with fewer only f
 
 @dataclass(frozen=True)
 class Arrangement:
-    """Which notes of a song are played."""
+    """A choice of the notes of a song that are played."""
 
     tracks: tuple[int, ...] = ()
     """Play only these tracks, numbered as in "cadenza info SONG"."""
@@ -40,7 +40,7 @@ class Arrangement:
             check_beginning(self.first_seconds)
 
     def score(self, song: str) -> Score:
-        """The score of `song`, a bundled song or a file, with only these notes.
+        """The arranged score of `song`, a bundled song or a file.
 
         Raises:
             CadenzaError: it cannot be read, has no such tracks, or lasts over an hour.
@@ -66,7 +66,7 @@ class Arrangement:
 
     @property
     def chosen(self) -> bool:
-        """Whether anything is left out on purpose."""
+        """Whether any notes of a song are left out."""
         return self != Arrangement()
 
 
@@ -93,7 +93,7 @@ def melody_and_bass_tracks(tracks: Mapping[int, Score]) -> tuple[int, ...]:
 
 
 def melody_and_bass(score: Score) -> Score:
-    """The highest and the lowest voice of `score`, each of one note at a time.
+    """The highest and the lowest voice of `score`, each monophonic.
 
     Of the notes that begin together the highest is of the melody, unless a note of either voice
     sounds above it, and the lowest of the bass, unless one sounds below it. In either voice a note

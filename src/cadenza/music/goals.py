@@ -1,4 +1,4 @@
-"""Goals: what should sound at each control step."""
+"""Goals: the keys and the pedal that should be down at each control step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Metrics: how well the keys that sounded match the keys that should have."""
+"""Metrics of a performance, from the keys that sounded and those that should have."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def playing_metrics(
     score: Score,
     lowest_pitch: int = LOWEST_PITCH,
 ) -> dict[str, float]:
-    """Figures of merit, 0..1 but for the last, of T control steps of `dt` [s].
+    """Metrics of T control steps of `dt` [s], 0..1 but for the last.
 
     `precision`, `recall`, `f1` of the keys (T, K) and `sustain_*` of the pedal (T,): of each step
     as in `step_metrics`, then the mean over steps, as the published RoboPianist computes them.
@@ -93,7 +93,7 @@ def playing_metrics(
 def _note_metrics(
     played: NDArray[Any], score: Score, dt: float, lowest_pitch: int
 ) -> dict[str, float]:
-    """Figures of whole notes: those of the score are the reference, those played the estimate."""
+    """Metrics of whole notes: those of the score are the reference, those played the estimate."""
     reference = _Notes.of_score(score, len(played) * dt, lowest_pitch)
     estimated = _Notes.of_roll(played, dt)
     if not len(reference.key) or not len(estimated.key):

@@ -1,4 +1,4 @@
-"""The performed score: from the keys that sounded back to notes and pedal."""
+"""The performed score: notes and pedal from the keys that sounded."""
 
 from __future__ import annotations
 

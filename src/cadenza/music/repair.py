@@ -82,7 +82,7 @@ def _repaired(found: list[RawNote], counts: Counter[str]) -> list[RawNote]:
 
 
 def _merge(note: RawNote, other: RawNote) -> None:
-    """Makes `note` as loud as the louder and as long as the longer; a known end beats none."""
+    """Gives `note` the larger velocity and the later end of both; a known end counts first."""
     note.velocity = max(note.velocity, other.velocity)
     note.finger = note.finger or other.finger
     if note.released == other.released:

@@ -29,7 +29,7 @@ _NAMES = ("C", "C♯", "D", "D♯", "E", "F", "F♯", "G", "G♯", "A", "A♯", 
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """One note: `start` and `end` in [s], MIDI `pitch` 0..127, `velocity` 1..127, and its finger.
+    """A note: `start` and `end` in [s], MIDI `pitch` 0..127, `velocity` 1..127, and its finger.
 
     Raises:
         CadenzaError: a value is outside its range, or the note does not end after it starts.
@@ -93,10 +93,10 @@ class Bar:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """The notes of one instrument in a file: how many, from the `lowest` to the `highest` pitch.
+    """The part of one instrument: so many `notes` from the `lowest` pitch to the `highest`.
 
-    `number` counts the tracks with notes from 1; `channel` is that of MIDI, 1 to 16, None
-    where the file is not MIDI.
+    `number` counts the tracks with notes from 1; `channel` is that of MIDI, 1 to 16, or None if
+    the file is not MIDI.
     """
 
     number: int
@@ -110,11 +110,11 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Notes sorted by (start, pitch) and pedal events sorted by time (given in any order).
+    """A score: notes by (start, pitch) and pedal events by time, which are given in any order.
 
-    `remarks` lists in plain words what was repaired when the score was read. `tracks` are those of
-    the file, chosen or not. `bars` are in the order in which they are played, and none where the
-    file has no metre. Tracks and bars play no part in whether two scores are equal.
+    `remarks` say in plain words what was repaired when the score was read. `tracks` are those of
+    the file, played or not. `bars` are in the order in which they are played; there are none if the
+    file has no metre. Scores that differ only in tracks or bars are equal.
     """
 
     notes: tuple[Note, ...]
@@ -145,11 +145,11 @@ class Score:
         return any(note.finger is not None for note in self.notes)
 
     def without_fingers(self) -> Score:
-        """The same notes, for which fingers are to be found."""
+        """The score without fingering."""
         return self.with_fingers([None] * len(self.notes))
 
     def with_fingers(self, fingers: Iterable[Finger | None]) -> Score:
-        """The same notes, each played by one of `fingers`, in their order."""
+        """The score with these `fingers` for its notes, in their order."""
         notes = zip(self.notes, fingers, strict=True)
         return replace(self, notes=tuple(replace(note, finger=finger) for note, finger in notes))
 
@@ -181,7 +181,7 @@ class Score:
 
     @property
     def mirrored(self) -> Score:
-        """The mirror image about D4, where black keys stay black, for the other hand each.
+        """The mirror image about D4, with left and right hand exchanged; black keys stay black.
 
         Raises:
             CadenzaError: a note would have a pitch that MIDI does not have.
@@ -209,7 +209,7 @@ class Score:
         return replace(self, pedal=tuple(held + during))._shifted(-start)
 
     def until(self, seconds: float) -> Score:
-        """The score up to `seconds`, where notes that would go on end."""
+        """The score up to `seconds`, at which held notes end."""
         notes = (replace(n, end=min(n.end, seconds)) for n in self.notes if n.start < seconds)
         pedal = (event for event in self.pedal if event.time < seconds)
         bars = (bar for bar in self.bars if bar.time < seconds)
@@ -227,7 +227,7 @@ class Score:
         return self._shifted(seconds)
 
     def beginning(self, seconds: float) -> Score:
-        """The first `seconds` of the score from the first note on, at whose end all notes end.
+        """The first `seconds` of the score from the first note on, after which held notes end.
 
         Raises:
             CadenzaError: `seconds` is not a positive number.
@@ -253,7 +253,7 @@ class Score:
 
 
 def chords(notes: Iterable[Note]) -> Iterator[list[Note]]:
-    """The groups of `notes`, sorted by time, that begin within `CHORD_TOLERANCE` of their first."""
+    """Yields groups of `notes` by time, which begin within `CHORD_TOLERANCE` of the first."""
     chord: list[Note] = []
     for note in notes:
         if chord and note.start > chord[0].start + CHORD_TOLERANCE:
@@ -298,7 +298,7 @@ def check_chosen(chosen: Collection[int], tracks: Sequence[Track], path: Path) -
         raise CadenzaError(f"{path}: there is no track {missing[0]}; the file has {there}")
 
 
-# Keys and bars by their names
+# Names of keys and bars
 
 
 def is_black(pitch: int) -> bool:

@@ -1,4 +1,4 @@
-"""Practice pieces without end, drawn from a seed."""
+"""Etudes: practice pieces that are generated from a seed."""
 
 from cadenza.music.etudes.drills import DRILLS
 from cadenza.music.etudes.library import KINDS, etude, etude_names, make_etude

@@ -27,7 +27,7 @@ _RANGES = {"bass": (38, 57), "tenor": (48, 62), "alto": (58, 72), "soprano": (62
 _VOICES = (("bass", "soprano"), ("bass", "alto", "soprano"), tuple(_RANGES))
 _PHRASE = 7  # chords of a phrase of eight beats, of which the last lasts two
 _WIDEST = OCTAVE + 7  # [semitones] between the bass and the alto, which the other hand plays
-# Costs
+# Costs of voicings and of voice leading
 _DOUBLED_THIRD, _INVERSION, _NO_FIFTH, _HIDDEN, _NOT_RESOLVED = 40, 30, 60, 60, 80
 _SOPRANO_STAYS = 50
 _LEAP = 12  # per semitone beyond a second
@@ -47,7 +47,7 @@ class _Voicings(NamedTuple):
 
 
 def chorale(sheet: Sheet) -> Iterator[Tone]:
-    """Phrases of eight beats; in harder ones thirds are filled with passing notes."""
+    """Yields phrases of eight beats; harder etudes fill thirds with passing notes."""
     names = _VOICES[(sheet.difficulty > _TWO_VOICES) + (sheet.difficulty > _THREE_VOICES)]
     beats = sheet.bars * sheet.beats
     chords = progression(sheet.rng, beats // (_PHRASE + 1), _PHRASE)
@@ -75,7 +75,7 @@ def chorale(sheet: Sheet) -> Iterator[Tone]:
 
 
 def _voicings(sheet: Sheet, chord: Chord, names: Sequence[str], ends: bool) -> _Voicings:
-    """All voicings that keep the rules; where a phrase ends, the root is in the bass."""
+    """The voicings of a chord that keep the rules, in root position if it `ends` a phrase."""
     degrees = np.arange(-3 * STEPS, 3 * STEPS)
     pitches = np.array([sheet.pitch(int(degree), chord) for degree in degrees])
     belongs = np.array([chord.has(int(degree)) for degree in degrees])
@@ -120,7 +120,7 @@ def _is_diminished(sheet: Sheet, chord: Chord) -> bool:
 
 
 def _voice_leading_costs(before: _Voicings, after: _Voicings) -> Costs:
-    """(n, n') costs of going from one voicing to another."""
+    """(n, n') costs of the voice leading from each voicing to each of the next."""
     old, new = before.pitches[:, None], after.pitches
     moved = new - old
     leap = np.abs(moved)

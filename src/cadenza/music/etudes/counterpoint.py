@@ -42,7 +42,7 @@ class _Pair:
 
 
 def counterpoint(sheet: Sheet) -> Iterator[Tone]:
-    """The voices take turns to move faster where there are more notes against one."""
+    """Yields two voices, which take turns to be the faster one in the second and third species."""
     easy, moderate = (sheet.difficulty <= at_most for at_most in (_FIRST_SPECIES, _SECOND_SPECIES))
     against = 1 if easy else 2 if moderate else 4
     per_phrase = PHRASE * sheet.bar // against
@@ -62,7 +62,7 @@ def counterpoint(sheet: Sheet) -> Iterator[Tone]:
 
 
 def _first_species(sheet: Sheet, count: int, per_phrase: int) -> list[_Pair]:
-    """Note against note: the pairs on which the faster voice is built."""
+    """The pairs of first species, note against note, on which the faster voice is built."""
     low, high = (grid.ravel() for grid in np.meshgrid(_LOW, _HIGH, indexing="ij"))
     forms: list[Form] = ["natural"] * count
     forms[-2] = "melodic"
@@ -91,7 +91,7 @@ def _pitches(sheet: Sheet, degrees: Pitches, form: Form) -> Pitches:
 def _pair_costs(
     low: Pitches, high: Pitches, below: Pitches, above: Pitches, then_below: Pitches, then: Pitches
 ) -> Costs:
-    """(n, n) costs of going from a pair of notes to another, given by degrees and by pitches."""
+    """(n, n) costs of the motion from each pair of notes to each next, by degrees and pitches."""
     cost = _melodic_costs(low, below, then_below) + _melodic_costs(high, above, then)
     voices = below[:, None], above[:, None], then_below, then
     cost += _SIMILAR * ((then_below - below[:, None]) * (then - above[:, None]) > 0)
@@ -129,7 +129,7 @@ def _florid(sheet: Sheet, phrase: Sequence[_Pair], upper: bool, against: int) ->
 
 
 def _florid_costs(sheet: Sheet, degrees: Pitches, upper: bool, now: _Pair, then: _Pair) -> Costs:
-    """(n, n) costs of going from a note against the held one of `now` to one against `then`'s."""
+    """(n, n) costs of the motion from a note against that held in `now` to one against `then`'s."""
     pitches, will = _pitches(sheet, degrees, now.form), _pitches(sheet, degrees, then.form)
     held, held_then = (
         _pitches(sheet, np.array([pair.low if upper else pair.high]), pair.form)

@@ -1,4 +1,4 @@
-"""Triads of a key, and the order in which they follow one another."""
+"""Triads of a key, and chord progressions."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Chord:
 
 @cache
 def _transition_costs() -> Costs:
-    """(7, 7) costs of going from a chord to the next."""
+    """(7, 7) costs of the progression from each chord to each next."""
     costs = np.full((STEPS, STEPS), FORBIDDEN)
     for chord, others in _SUCCESSORS.items():
         costs[chord, list(others)] = 0

@@ -1,6 +1,6 @@
-"""Homophonic etudes: melodies, chords and figures over a harmony for each bar.
+"""Homophonic etudes, with a chord for each bar.
 
-Alberti basses, leaps, trills, arpeggios, broken chords and repeated notes.
+They are Alberti basses, leaps, trills, arpeggios, broken chords and repeated notes.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _RANDOM = 100  # largest random cost of a note
 
 
 def alberti(sheet: Sheet) -> Iterator[Tone]:
-    """A melody over chords that the left hand breaks."""
+    """Yields a melody over an Alberti bass."""
     *chords, _ = sheet.chords()
     for at, length, degree, chord in _melody(sheet, chords, 2, STEPS + 4):
         yield Tone(at, length, sheet.pitch(degree, chord), _LOUD)
@@ -63,7 +63,7 @@ def alberti(sheet: Sheet) -> Iterator[Tone]:
 
 
 def leaps(sheet: Sheet) -> Iterator[Tone]:
-    """The left hand leaps from basses to chords; in harder etudes the right one leaps as well."""
+    """Yields leaps of the left hand from bass to chord, in harder etudes of the right one, too."""
     *chords, _ = sheet.chords()
     widest = 2 * (2 + sheet.difficulty)  # [semitones]
     for bar, chord in enumerate(chords):
@@ -77,7 +77,7 @@ def leaps(sheet: Sheet) -> Iterator[Tone]:
 
 
 def _stride(sheet: Sheet, bar: int, chord: Chord, widest: int) -> Iterator[Tone]:
-    """Bass and chord in turn, as in a march; in three beats bass, chord, chord."""
+    """Yields bass and chord in turn, as in a march; in triple metre bass, chord, chord."""
     pitches = sheet.voicing(chord, chord.nearest(-STEPS + 1), sheet.thickness)
     bass = sheet.pitch(chord.root - STEPS, chord)
     while bass >= pitches[0]:
@@ -96,7 +96,7 @@ def _stride(sheet: Sheet, bar: int, chord: Chord, widest: int) -> Iterator[Tone]
 def _leap_up(
     sheet: Sheet, at: float, length: float, degree: int, chord: Chord, widest: int
 ) -> Iterator[Tone]:
-    """A note, and then the highest tone of the chord that is at most `widest` above it."""
+    """Yields a note, and then the highest tone of the chord at most `widest` semitones above it."""
     low = sheet.pitch(degree, chord)
     index = chord.nearest(degree)
     while sheet.pitch(chord.tone(index + 1), chord) - low <= widest:
@@ -106,7 +106,7 @@ def _leap_up(
 
 
 def trills(sheet: Sheet) -> Iterator[Tone]:
-    """A trill with a turn in each bar, by one hand over chords of the other, later by both."""
+    """Yields a trill with a turn in each bar, of one hand over chords, in harder etudes of both."""
     *chords, _ = sheet.chords()
     for bar, chord in enumerate(chords):
         hands = sheet.hands(bar)
@@ -122,7 +122,7 @@ def trills(sheet: Sheet) -> Iterator[Tone]:
 
 
 def _trill(sheet: Sheet, bar: int, chord: Chord, main: int) -> Iterator[Tone]:
-    """Main note and upper neighbour in turn; before the end the lower neighbour."""
+    """Yields main note and upper neighbour in turn; before the end the lower neighbour."""
     at = bar * sheet.bar
     for i in range(sheet.bar - 2):
         yield Tone(at + i, 1, sheet.pitch(main + i % 2, chord))
@@ -133,20 +133,20 @@ def _trill(sheet: Sheet, bar: int, chord: Chord, main: int) -> Iterator[Tone]:
 def _held_chord(
     sheet: Sheet, bar: int, chord: Chord, lowest: int, count: int, velocity: int
 ) -> Iterator[Tone]:
-    """A chord of `count` tones from its tone `lowest` upwards, held for a bar."""
+    """Yields `count` tones of a chord from its tone `lowest` upwards, held for a bar."""
     for pitch in sheet.voicing(chord, lowest, count):
         yield Tone(bar * sheet.bar, sheet.bar, pitch, velocity)
 
 
 def arpeggios(sheet: Sheet) -> Iterator[Tone]:
-    """Up the chord in the first half of each bar, and down in the second."""
+    """Yields arpeggios, up in the first half of each bar and down in the second."""
     half = sheet.bar // 2
     wave = [half - abs(half - i) for i in range(sheet.bar)]
     yield from _figures(sheet, wave, wave)
 
 
 def broken_chords(sheet: Sheet) -> Iterator[Tone]:
-    """Cells of four notes over a chord and its inversions, upwards and downwards in turn."""
+    """Yields broken chords, four notes on each inversion, upwards and downwards in turn."""
     cell = _CELLS[sheet.pick(*range(len(_CELLS)))]
     cells = range(sheet.bar // len(cell))
     rising = [inversion + tone for inversion in cells for tone in cell]
@@ -155,7 +155,7 @@ def broken_chords(sheet: Sheet) -> Iterator[Tone]:
 
 
 def _figures(sheet: Sheet, odd: Sequence[int], even: Sequence[int]) -> Iterator[Tone]:
-    """Figures of odd and of even bars, as tones of a chord; the hand without one holds a chord."""
+    """Yields figures of odd and even bars, as tones of a chord; an idle hand holds a chord."""
     *chords, _ = sheet.chords()
     # In the easiest etudes the other hand has nothing to do.
     held = 0 if sheet.difficulty <= 2 else 1 if sheet.difficulty == 3 else 3
@@ -177,7 +177,7 @@ def _figures(sheet: Sheet, odd: Sequence[int], even: Sequence[int]) -> Iterator[
 
 
 def repeated_notes(sheet: Sheet) -> Iterator[Tone]:
-    """A melody of which every note is struck again and again, over chords or, later, basses."""
+    """Yields a melody of repeated notes over basses or chords."""
     *chords, _ = sheet.chords()
     below = (0, -2) if sheet.difficulty >= _REPEATED_THIRDS else (0,)
     for at, length, degree, chord in _melody(sheet, chords, 0, STEPS + 2, slow=True):
@@ -190,7 +190,7 @@ def repeated_notes(sheet: Sheet) -> Iterator[Tone]:
 
 
 def _basses(sheet: Sheet, bar: int, chord: Chord) -> Iterator[Tone]:
-    """Basses under repeated notes: one a bar at first, then a chord a beat, then repeated ones."""
+    """Yields the accompaniment of a bar: a bass, in harder etudes chords on beats or steps."""
     easy, hard = sheet.difficulty <= 2, sheet.difficulty >= 8
     every = sheet.bar if easy else 1 if hard else sheet.division
     count = 1 if sheet.difficulty < 4 or every == 1 else 2
@@ -204,13 +204,13 @@ def _basses(sheet: Sheet, bar: int, chord: Chord) -> Iterator[Tone]:
 def _melody(
     sheet: Sheet, chords: Sequence[Chord], low: int, high: int, slow: bool = False
 ) -> Iterator[tuple[float, float, int, Chord]]:
-    """The notes of a melody over a chord a bar: (at, length) in steps, degree, chord.
+    """Yields the notes of a melody over a chord a bar: (at, length) in steps, degree, chord.
 
     Bars begin with a tone of the chord. Other notes are tones of the chord, too, or are reached and
     left by step.
 
     Args:
-        sheet: of the etude.
+        sheet: the sheet of the etude.
         chords: a chord for each bar.
         low, high: the degrees between which the melody moves.
         slow: whether to do without halves of beats.
@@ -240,7 +240,7 @@ def _melody(
 def _melody_rhythm(
     sheet: Sheet, chords: Sequence[Chord], slow: bool
 ) -> Iterator[tuple[float, float, Chord]]:
-    """Times, lengths and chords of notes; all phrases have one rhythm, and end on a long note."""
+    """Yields times and lengths of notes [steps], and chords. All phrases have the same rhythm."""
     known = _RHYTHMS[sheet.beats]
     if slow:
         known = tuple(rhythm for rhythm in known if all(beats % 1 == 0 for beats in rhythm))

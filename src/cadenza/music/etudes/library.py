@@ -1,4 +1,4 @@
-"""Etudes by kind, difficulty and seed; also as a song library.
+"""Etudes by kind, difficulty and seed, and the library of them.
 
 The names of libraries are `etudes:N`, `etudes:N:SEED`, and `etudes:KIND-DIFFICULTY:N`.
 """
@@ -75,15 +75,13 @@ _OF_ONE_KIND = re.compile(r"([a-z-]+-\d{1,9}):([1-9]\d{0,5})", re.ASCII)
 
 
 def make_etude(kind: str, difficulty: int, seed: int) -> Score:
-    """An etude of 15 to 40 s for two hands, or a drill for one; the same for the same arguments.
-
-    No note has a finger.
+    """An etude of 15 to 40 s for two hands, or a drill for one, both without fingers.
 
     Args:
         kind: one of `KINDS` or `DRILLS`.
         difficulty: 1 to 10: tempo, range, accidentals, how much the hands do at once; of a drill,
             how many notes or chords there are.
-        seed: of all that is random: key, tempo, chords, lines.
+        seed: the seed of key, tempo, chords and voices; the same seed gives the same etude.
 
     Raises:
         CadenzaError: there is no such kind, difficulty or seed.
@@ -174,14 +172,14 @@ def etude_names(count: int, seed: int = 0) -> list[str]:
 
 
 def etude_library(which: str = str(_DEFAULT_COUNT)) -> Library:
-    """Etudes of all kinds and difficulties, or of one.
+    """A library of etudes of all kinds and difficulties, or of one.
 
     Args:
-        which: how many, such as "300", and perhaps the seed that they are drawn from: "300:1"; or
-            a kind, a difficulty and how many, with the seeds 0, 1 and so on: "notes-6:20".
+        which: the number of etudes, such as "300", or with a seed "300:1"; or a kind, a difficulty
+            and the number, with the seeds 0, 1 and so on: "notes-6:20".
 
     Raises:
-        CadenzaError: `which` is nothing like this.
+        CadenzaError: `which` has another form.
     """
     if of_one_kind := _OF_ONE_KIND.fullmatch(which.lower()):
         names = [f"{LIBRARY}/{of_one_kind[1]}-{seed}" for seed in range(int(of_one_kind[2]))]

@@ -14,7 +14,7 @@ _MOST_NOTES = 8  # of a figure
 
 
 def scales(sheet: Sheet) -> Iterator[Tone]:
-    """Up and down over one, two or four octaves; the third time in the relative key."""
+    """Yields scales up and down over one, two or four octaves, the third in the relative key."""
     at, count = 0, 0
     while at < sheet.length:
         motion = _motion(sheet, count)
@@ -32,7 +32,7 @@ def scales(sheet: Sheet) -> Iterator[Tone]:
 
 
 def _motion(sheet: Sheet, count: int) -> str:
-    """The hand that plays the scale of this number, or how both move: alone first."""
+    """The hand that plays the scale of this number, or the motion of both hands."""
     if sheet.difficulty <= 2:
         return ("right", "left")[count % 2]
     if sheet.difficulty == 3:
@@ -43,7 +43,7 @@ def _motion(sheet: Sheet, count: int) -> str:
 
 
 def _scale(key: Key, motion: str, octaves: int, at: int) -> Iterator[Tone]:
-    """A scale up and down over one to four octaves from step `at` on."""
+    """Yields a scale up and down over one to four octaves from step `at` on."""
     top = STEPS * octaves
     degrees = [*range(top), *range(top, -1, -1)]
     low = -STEPS * (octaves // 4)
@@ -59,7 +59,7 @@ def _scale(key: Key, motion: str, octaves: int, at: int) -> Iterator[Tone]:
 
 
 def hanon(sheet: Sheet) -> Iterator[Tone]:
-    """A figure of up to eight notes climbs the scale and, mirrored, comes down again."""
+    """Yields a figure of up to eight notes that climbs the scale and, reversed, descends."""
     size = min(_MOST_NOTES, sheet.bar)
     figure = _figure(sheet, size)
     count = (sheet.length - sheet.bar) // size

@@ -1,4 +1,4 @@
-"""The sheet that an etude is written on: key, tempo and bars; and its notes."""
+"""The sheet of an etude: its key, tempo, metre and notes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ACCENT = 12  # additional velocity of notes that begin a bar
 
 @dataclass(frozen=True)
 class Tone:
-    """A note; `at` is when it begins and `length` how long it is, in steps."""
+    """A note that begins at `at` and lasts `length`, both in steps."""
 
     at: float
     length: float
@@ -77,7 +77,7 @@ class Sheet:
         return progression(self.rng, self.bars // PHRASE, PHRASE)
 
     def pick(self, *choices: int) -> int:
-        """One of the choices, at random."""
+        """A random one of the choices."""
         return choices[int(self.rng.integers(len(choices)))]
 
     def ending(self, right: int = 0, left: int = -STEPS) -> list[Tone]:

@@ -15,7 +15,7 @@ from cadenza.music.etudes.keys import OCTAVE
 Costs = NDArray[np.int64]
 Pitches = NDArray[np.int64]
 FORBIDDEN = 1_000_000
-"""Cost of what is against a rule: more than all other costs of an etude together."""
+"""Cost of breaking a rule: more than all other costs of an etude together."""
 _FIFTH, _TRITONE, _AUGMENTED_SECOND = 7, 6, 3  # [semitones]
 _CONSONANCES = (0, 3, 4, 7, 8, 9)  # [semitones] unison, thirds, fifth, sixths
 
@@ -39,18 +39,18 @@ def cheapest_sequence(costs: Sequence[Costs], steps: Sequence[Costs]) -> list[in
 
 
 def random_costs(rng: np.random.Generator, count: int, largest: int) -> Costs:
-    """(count,) costs from 0 to `largest`, which make one etude unlike another."""
+    """(count,) random costs from 0 to `largest`, so that etudes differ."""
     return rng.integers(0, largest, count, endpoint=True)
 
 
 def is_perfect(low: Pitches, high: Pitches) -> NDArray[np.bool_]:
-    """Whether they are a fifth, an octave or a unison apart, or octaves more."""
+    """Whether intervals are perfect: a unison, fifth or octave, simple or compound."""
     interval = (high - low) % OCTAVE
     return (interval == 0) | (interval == _FIFTH)
 
 
 def is_consonant(low: Pitches, high: Pitches) -> NDArray[np.bool_]:
-    """Whether they are a unison, third, fifth or sixth apart, or octaves more."""
+    """Whether intervals are consonant: a unison, third, fifth or sixth, simple or compound."""
     return np.isin((high - low) % OCTAVE, _CONSONANCES)
 
 
@@ -66,7 +66,7 @@ def are_parallel(
 def are_hidden(
     low: Pitches, high: Pitches, then_low: Pitches, then_high: Pitches
 ) -> NDArray[np.bool_]:
-    """Whether two voices move in the same direction to a fifth or an octave."""
+    """Whether two voices move in hidden fifths or octaves: in similar motion to them."""
     similar = (then_low - low) * (then_high - high) > 0
     return similar & is_perfect(then_low, then_high)
 

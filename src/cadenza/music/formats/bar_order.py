@@ -1,4 +1,4 @@
-"""In which order bars are played: repeats, endings, da capo, dal segno, coda and fine."""
+"""The order in which bars are played: repeats, endings, da capo, dal segno, coda and fine."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Signs:
 
     begins_repeat: bool = False
     times: int = 1
-    """How often the section is played that ends here with a repeat sign; 1 without that sign."""
+    """The number of times that a section is played whose repeat sign is here; 1 without one."""
     ending: frozenset[int] = frozenset()
-    """On which passes through its section the bar is played; none: on all."""
+    """The passes through its section on which the bar is played; empty for all."""
     segno: str | None = None
     coda: str | None = None
     dal_segno: str | None = None
@@ -30,7 +30,7 @@ class Signs:
 
 
 def played_order(bars: Sequence[Signs]) -> Iterator[int]:
-    """The numbers of bars, from 0, one after the other as they are played.
+    """Yields the numbers of bars, from 0, in the order in which they are played.
 
     A jump is taken once, on the last pass through its bar. From where it leads to up to the bar
     where it stood, repeats are not taken again; a fine ends the music, and the first sign to the
@@ -60,7 +60,7 @@ def played_order(bars: Sequence[Signs]) -> Iterator[int]:
 
 
 def without_goal(bars: Sequence[Signs]) -> int:
-    """How many signs send the player to a segno or a coda that is not there."""
+    """The number of signs that send the player to a segno or a coda that is not there."""
     goals = _Goals(bars)
     return sum(
         (signs.dal_segno is not None and goals.of_return(at) is None)
@@ -70,7 +70,7 @@ def without_goal(bars: Sequence[Signs]) -> int:
 
 
 class _Jumps:
-    """Those taken up to now; the latest led back from the bar `returned`, -1 where none did."""
+    """The jumps taken so far; the latest led back from the bar `returned`, -1 for none."""
 
     def __init__(self, bars: Sequence[Signs]) -> None:
         self.returned = -1
@@ -79,7 +79,7 @@ class _Jumps:
         self._taken: set[int] = set()  # bars whose jump back was
 
     def goal(self, at: int) -> int | None:
-        """Takes the jump at the end of a bar, if there is one to be taken now."""
+        """Takes the jump at the end of a bar; None if there is none to be taken now."""
         if self._to_coda and (coda := self._goals.of_coda(at)) is not None:
             self._to_coda = False
             return coda
@@ -93,7 +93,7 @@ class _Jumps:
 
 
 class _Goals:
-    """Where jumps lead to; where the label of a sign is that of no goal, any goal will do."""
+    """The goals of jumps. A sign whose label no goal has leads to the nearest goal of its kind."""
 
     def __init__(self, bars: Sequence[Signs]) -> None:
         self._bars = bars
@@ -106,7 +106,7 @@ class _Goals:
                     goals[None].append(at)
 
     def of_return(self, at: int) -> int | None:
-        """The first bar, or the nearest segno before."""
+        """The goal of a da capo or dal segno: the first bar, or the nearest segno before."""
         signs = self._bars[at]
         if signs.dal_segno is not None:
             for label in (signs.dal_segno, None):
@@ -115,7 +115,7 @@ class _Goals:
         return 0 if signs.da_capo else None
 
     def of_coda(self, at: int) -> int | None:
-        """The nearest coda after."""
+        """The nearest coda after a bar."""
         signs = self._bars[at]
         if signs.to_coda is not None:
             for label in (signs.to_coda, None):
@@ -126,7 +126,7 @@ class _Goals:
 
 
 def _sections(bars: Sequence[Signs]) -> list[tuple[int, int, int]]:
-    """What is repeated as a whole: its first bar, the one after its last, and how many passes.
+    """The sections that are repeated as a whole: first bar, bar after the last, and passes.
 
     A section begins at a repeat sign, after the endings or the repeat sign of the one before.
     """

@@ -1,4 +1,4 @@
-"""How files name fingers.
+"""The numbers of fingers in files.
 
 0..4 are the right hand's thumb to little finger, 5..9 the left hand's, and -1 none or an unknown
 one. Of hands with more fingers, R6 is the sixth of the right hand, L7 the seventh of the left.
@@ -18,7 +18,7 @@ _COUNTED = re.compile(rf"([{_LETTERS}])([1-9][0-9]?)")
 
 
 def written(finger: Finger | None) -> int | str:
-    """How files have a finger."""
+    """The number of a finger in files."""
     if finger is None:
         return _UNKNOWN
     if finger.index < _NUMBERED:
@@ -27,7 +27,7 @@ def written(finger: Finger | None) -> int | str:
 
 
 def finger_from(text: int | str) -> Finger | None:
-    """The finger that is `written` so, or none.
+    """The finger with this number in files, None for an unknown one.
 
     Raises:
         CadenzaError: there is no such finger.

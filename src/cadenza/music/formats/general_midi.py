@@ -1,4 +1,4 @@
-"""What the 128 programs of General MIDI are called."""
+"""The names of the 128 programs of General MIDI."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tracks in the bytes of a MIDI file, of which as much is read as is whole."""
+"""The tracks in the bytes of a MIDI file, which may be cut off."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ class MidiFile:
 
 
 def parsed(data: bytes) -> MidiFile:
-    """What a Standard MIDI file holds, bare or wrapped, with remarks on what is missing of it.
+    """The tracks of a Standard MIDI file, bare or wrapped, with remarks on missing parts.
 
     Raises:
-        CadenzaError: it is none, or damaged otherwise than by an early end.
+        CadenzaError: it is no MIDI file, or damaged otherwise than by an early end.
     """
     data = _unwrapped(data)
     if not data.startswith(b"MThd"):
@@ -79,7 +79,7 @@ def _unwrapped(data: bytes) -> bytes:
 
 
 def _chunks(data: bytes, order: Literal["big", "little"]) -> Iterator[_Chunk]:
-    """Chunks of a name, a size and as many bytes: MIDI's are big-endian, RIFF's little."""
+    """Yields chunks of a name, a size and as many bytes: big-endian in MIDI, little in RIFF."""
     at = 0
     while at < len(data):
         size = int.from_bytes(data[at + 4 : at + 8], order)
@@ -92,7 +92,11 @@ class _Track:
     """Reads the chunk of a track up to its end."""
 
     def __init__(self, chunk: _Chunk) -> None:
-        """Raises: CadenzaError: it is damaged."""
+        """Reads the messages.
+
+        Raises:
+            CadenzaError: the track is damaged.
+        """
         self.messages = mido.MidiTrack()
         self.clipped = 0  # data bytes that are none
         self.strange = 0  # names, tempos and time signatures that cannot be read
@@ -145,7 +149,7 @@ class _Track:
             self.messages.append(message)
 
     def _sign(self, kind: int, content: bytes) -> mido.MetaMessage | None:
-        """A name, an end, a tempo or a time signature; None where it cannot be read."""
+        """The meta message of a name, end, tempo or time signature; None if it cannot be read."""
         try:
             return build_meta_message(kind, content)
         except Exception:  # mido raises almost anything
@@ -153,14 +157,18 @@ class _Track:
             return None
 
     def _bytes(self, size: int) -> bytes:
-        """Raises: EOFError: there are not as many left."""
+        """The next bytes.
+
+        Raises:
+            EOFError: fewer are left.
+        """
         begin, self._at = self._at, self._at + size
         if self._at > len(self._data):
             raise EOFError
         return self._data[begin : self._at]
 
     def _number(self) -> int:
-        """Seven bits a byte, of which the last has its highest bit unset."""
+        """The next number: seven bits a byte, of which the last has its highest bit unset."""
         number = 0
         for _ in range(_LONGEST_NUMBER):
             byte = self._bytes(1)[0]

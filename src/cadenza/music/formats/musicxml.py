@@ -98,7 +98,7 @@ class _Written:
 
 @dataclass(frozen=True, slots=True)
 class _Move:
-    """Of the pedal to a value, in a bar, its time in quarters."""
+    """A motion of the pedal to a value, in a bar, at a time in quarters."""
 
     bar: int
     quarter: float
@@ -110,7 +110,7 @@ _T = TypeVar("_T", _Written, _Move)
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """Notes and moves of the pedal, in the order of their bars."""
+    """A part: its notes and motions of the pedal, in the order of their bars."""
 
     name: str
     notes: list[_Written]
@@ -119,7 +119,7 @@ class _Part:
 
 @dataclass(frozen=True, slots=True)
 class _Bar:
-    """A measure or a part of one: when it begins and ends, in quarters, and its number."""
+    """A measure or a part of one, with its start and end in quarters, and its number."""
 
     measure: int
     start: float
@@ -129,7 +129,7 @@ class _Bar:
 
 @dataclass(frozen=True, slots=True)
 class _Sheet:
-    """What is written, times in quarters.
+    """The written music, with times in quarters.
 
     `sections`, each from one bar up to another, are played one after the other; `tempos` say from
     when on a quarter lasts how long.
@@ -151,7 +151,7 @@ def _track(number: int, part: _Part) -> Track:
 def _played(
     parts: list[_Part], sheet: _Sheet, counts: Counter[str], path: Path
 ) -> tuple[list[RawNote], list[tuple[float, int]], list[tuple[float, int]]]:
-    """The notes, when [s] the pedal moves where, and when which bar begins, by sections."""
+    """The notes, the motions of the pedal (time [s], value) and the bars (time [s], number)."""
     at = _clock(sheet)
     found: list[RawNote] = []
     pedal: list[tuple[float, int]] = []
@@ -186,7 +186,7 @@ def _played(
 
 
 def _clock(sheet: _Sheet) -> Callable[[float], float]:
-    """The time [s] of a quarter as written, by the tempos."""
+    """A function from a time on the sheet [quarters] to time [s], by the tempos."""
     tempos = dict(sorted(({0.0: _SECONDS_PER_QUARTER} | sheet.tempos).items()))
     quarters = np.array([*tempos, 1e6])
     seconds = np.cumsum([0.0, *np.diff(quarters) * list(tempos.values())])
@@ -194,7 +194,7 @@ def _clock(sheet: _Sheet) -> Callable[[float], float]:
 
 
 def _within(items: list[_T], first: int, beyond: int) -> list[_T]:
-    """Those of `items`, which are in the order of their bars, from one bar up to another."""
+    """The `items`, sorted by bar, from one bar up to another."""
     begin, end = (bisect_left(items, bar, key=lambda item: item.bar) for bar in (first, beyond))
     return items[begin:end]
 
@@ -208,7 +208,7 @@ def _sounding(note: _Written, at: Callable[[float], float], later: float) -> Raw
 
 
 def _partitura() -> Any:
-    """The library, without the sound font that it fetches where pyfluidsynth is installed."""
+    """Imports partitura, but not the sound font that it fetches if pyfluidsynth is installed."""
     hidden = "fluidsynth"
     before = sys.modules.get(hidden)
     sys.modules[hidden] = None  # type: ignore[assignment]  # makes its import fail
@@ -247,7 +247,7 @@ def _sheet(root: ElementTree.Element, path: Path) -> _Sheet:
 
 @dataclass(frozen=True, slots=True)
 class _Timeline:
-    """A part as the library has it, with what that leaves out.
+    """A part as partitura has it, with the marks that it leaves out.
 
     Its measures begin at `units` and `own_quarters` of its own, and at `quarters` of the sheet:
     where a measure is not as long in all parts, the next begins when it has ended in all of them.
@@ -261,7 +261,7 @@ class _Timeline:
     quarters: list[float]
 
     def quarter(self, measure: int, unit: int) -> float:
-        """When, on the sheet, it is `unit` in that measure."""
+        """The time on the sheet [quarters] of `unit` in a measure."""
         return self.quarters[measure] + (float(self.own_quarter(unit)) - self.own_quarters[measure])
 
 
@@ -282,7 +282,7 @@ def _timelines(parts: list[tuple[Any, Marks]], symbols: Any) -> list[_Timeline]:
 
 
 def _tempos(timelines: list[_Timeline]) -> dict[float, float]:
-    """Since when [quarters] a quarter lasts how long [s]."""
+    """Time [quarters] -> length of a quarter [s] from then on."""
     tempos: dict[float, float] = {}
     for each in reversed(timelines):  # so that the first part has the last word
         for (measure, into), seconds in each.marks.tempos:
@@ -293,7 +293,7 @@ def _tempos(timelines: list[_Timeline]) -> dict[float, float]:
 
 
 def _bars(part: _Timeline) -> list[_Bar]:
-    """Those of the part with most measures."""
+    """The bars of the part with most measures."""
     places = [place for place, _ in part.marks.bars]
     begin = [part.quarter(measure, part.units[measure] + into) for measure, into in places]
     end = [*begin[1:], part.quarters[-1]]
@@ -354,13 +354,13 @@ def _move(timeline: _Timeline, bars: list[_Bar], measure: int, unit: int, value:
 
 
 def _bar_at(bars: list[_Bar], measure: int, quarter: float) -> int:
-    """The index of the one that is the measure, or the part of it where it is `quarter`."""
+    """The index of the bar that is the measure, or the part of it, at a time [quarters]."""
     near = quarter + _ROUNDING
     return bisect_right(bars, (measure, near), key=lambda bar: (bar.measure, bar.start)) - 1
 
 
 def _finger(note: Any, symbols: Any) -> Finger | None:
-    """The right hand's on the upper staff, the left hand's on the lower; the thumb's sign is 1."""
+    """The finger of a note, of the right hand on the upper staff, of the left one on the lower."""
     for sign in note.technical or ():
         if isinstance(sign, symbols.Fingering) and sign.fingering in _SIGNS:
             return Finger(hand=note.staff - 1, index=sign.fingering - 1)
@@ -368,7 +368,7 @@ def _finger(note: Any, symbols: Any) -> Finger | None:
 
 
 def _before_beat(note: Any, symbols: Any) -> int:
-    """Of how many grace notes it is the first, up to the note that they ornament."""
+    """The number of grace notes from this one to the note that they ornament; 0 for others."""
     count = 0
     while isinstance(note, symbols.GraceNote):
         note = note.grace_next
@@ -377,7 +377,7 @@ def _before_beat(note: Any, symbols: Any) -> int:
 
 
 def _sections(marks: Marks) -> tuple[list[tuple[int, int]], list[str]]:
-    """Which bars are played in which order, with remarks on signs that are not followed."""
+    """The sections in the order in which they are played, and remarks on signs not followed."""
     signs = [each for _, each in marks.bars]
     sections: list[tuple[int, int]] = []
     for bar in islice(played_order(signs), _MAX_PLAYED + 1):

@@ -1,4 +1,4 @@
-"""What the parsing library leaves out of a part of MusicXML: jumps, tempos, ties, bars of notes.
+"""Marks in a part of MusicXML that partitura leaves out: jumps, tempos, ties, bars of notes.
 
 Places are a measure, from 0, and how far into it, in the divisions of a quarter that hold there.
 """
@@ -23,7 +23,7 @@ _MINUTE = 60  # seconds
 
 @dataclass(frozen=True, slots=True)
 class NoteMarks:
-    """In which measure a note or rest stands, and whether a tie leads to it and on from it."""
+    """The measure of a note or rest, and whether a tie leads to it and on from it."""
 
     measure: int
     tied: bool
@@ -32,12 +32,12 @@ class NoteMarks:
 
 @dataclass(slots=True)
 class Marks:
-    """Of one part.
+    """The marks of one part.
 
-    `notes` has notes and rests in the order of the document. `numbers` has
-    those of measures, as printed where that is a number. `bars` are measures, or what repeat signs
-    within them make of them: where they begin, and their signs. `tempos` have the seconds
-    that a quarter lasts. `in_words` counts jumps that are words without a sign for playback.
+    `notes` are notes and rests in the order of the document. `numbers` are those of measures, as
+    printed if that is a number. `bars` are measures, or their parts between repeat signs: the place
+    of the beginning, and the signs. `tempos` are places and lengths of a quarter [s]. `in_words`
+    counts jumps that are words without a sign for playback.
     """
 
     notes: list[NoteMarks] = field(default_factory=list)
@@ -48,7 +48,7 @@ class Marks:
 
 
 def marks_of(part: Element) -> Marks:
-    """What stands in a `<part>`, whose numbers have been mended."""
+    """The marks in a `<part>`, whose numbers have been mended."""
     marks = Marks()
     bracket: frozenset[int] = frozenset()  # of the ending that goes on
     following = Signs()
@@ -78,7 +78,7 @@ def marks_of(part: Element) -> Marks:
 
 
 def _placed(measure: Element) -> Iterator[tuple[int, Element]]:
-    """Its elements and, last, itself, each with how far into it that stands."""
+    """Yields places in a measure and its elements; last its end, with the measure itself."""
     now = begun = 0
     for element in measure:
         if element.tag == "note":
@@ -95,7 +95,7 @@ def _placed(measure: Element) -> Iterator[tuple[int, Element]]:
 
 
 def _whole(text: str | None) -> int:
-    """0 where it is no whole number, as the library has it."""
+    """The whole number, 0 for other text, as partitura reads it."""
     try:
         return int(text or "")
     except ValueError:
@@ -103,13 +103,13 @@ def _whole(text: str | None) -> int:
 
 
 def _ties(note: Element) -> tuple[bool, bool]:
-    """Whether one leads to the note, and one on from it."""
+    """Whether a tie leads to the note, and one on from it."""
     kinds = {tie.get("type") for tie in (*note.iterfind("tie"), *note.iterfind("notations/tied"))}
     return "stop" in kinds or "continue" in kinds, "start" in kinds or "continue" in kinds
 
 
 def _offset(element: Element, sound: Element) -> int:
-    """How much later than it stands a sound is meant."""
+    """The offset of a sound from the place of its element."""
     shown = element.find("offset")
     if shown is not None and element is not sound and shown.get("sound") != "yes":
         shown = None  # only on paper
@@ -123,7 +123,7 @@ def _read_barline(
     following: Signs,
     bracket: frozenset[int],
 ) -> frozenset[int]:
-    """Notes its signs, beginning a new bar where it repeats within a measure.
+    """Adds the signs of a barline, and a new bar at a repeat sign within a measure.
 
     Returns:
         The bracket of the ending that goes on behind it.

@@ -1,4 +1,4 @@
-"""Mends MusicXML before it is parsed: what the library stumbles over, or mistakes."""
+"""Mends MusicXML that partitura cannot parse, or reads wrongly."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _QUARTERS = {"whole": 4.0, "half": 2.0, "quarter": 1.0, "eighth": 0.5, "16th": 0
 
 
 def mend(root: Element) -> list[str]:
-    """Mends a document, and says what was changed of what it says.
+    """Mends a document, and returns remarks on what changed its music.
 
     A score ordered by measures becomes one ordered by parts. Metronome marks become tempos for
     playback if there are none. A change of the pedal becomes a lift and a press. Fingerings
@@ -55,7 +55,7 @@ def mend(root: Element) -> list[str]:
 
 
 def _order_by_parts(root: Element) -> None:
-    """Makes a score of measures that hold parts one of parts that hold measures."""
+    """Turns a score of measures that hold parts into one of parts that hold measures."""
     if root.tag != "score-timewise":
         return
     root.tag = "score-partwise"
@@ -68,7 +68,7 @@ def _order_by_parts(root: Element) -> None:
 
 
 def _distinguish_parts(root: Element) -> None:
-    """Makes the parts' names for themselves differ, by which the library knows them."""
+    """Makes the ids of parts differ, by which partitura tells them apart."""
     for parts in (root.findall("part-list/score-part"), root.findall("part")):
         seen = Counter[str]()
         for part in parts:
@@ -78,7 +78,7 @@ def _distinguish_parts(root: Element) -> None:
 
 
 def _play_metronomes(root: Element) -> None:
-    """Makes metronome marks tempos for playback, in a file without any."""
+    """Adds tempos for playback at metronome marks, in a file without any."""
     if root.find(".//sound[@tempo]") is not None:
         return
     for direction in root.iter("direction"):
@@ -100,7 +100,7 @@ def _split_pedal_changes(root: Element) -> None:
 
 
 def _lift_and_press(direction: Element) -> Iterator[Element]:
-    """Two directions in place of one that changes the pedal; all else as it is."""
+    """Yields two directions in place of one that changes the pedal, others as they are."""
     yield direction
     change = direction.find("direction-type/pedal[@type='change']")
     if direction.tag != "direction" or change is None:
@@ -116,7 +116,7 @@ def _lift_and_press(direction: Element) -> Iterator[Element]:
 
 
 def _round_alterations(root: Element) -> int:
-    """Returns how many were not whole."""
+    """Rounds alterations to semitones, and returns how many were not whole."""
     fractions = 0
     for each in root.iter("alter"):
         if re.fullmatch(r"-?\d{1,3}\.\d{1,12}", text := (each.text or "").strip()):
@@ -126,7 +126,7 @@ def _round_alterations(root: Element) -> int:
 
 
 def _add_octaves(root: Element) -> None:
-    """Makes semitones of the octaves of a transposition, which the library does not read."""
+    """Adds the octaves of transpositions, which partitura does not read, to their semitones."""
     for each in root.iter("transpose"):
         octaves, semitones = (_whole(each, tag) for tag in ("octave-change", "chromatic"))
         if octaves:
@@ -137,7 +137,7 @@ def _add_octaves(root: Element) -> None:
 
 
 def _whole(parent: Element, tag: str) -> int:
-    """The number in a child, 0 where there is none."""
+    """The number in a child, 0 if there is none."""
     text = parent.findtext(tag, "").strip()
     return int(text) if re.fullmatch(r"[+-]?\d{1,3}", text) else 0
 
@@ -170,7 +170,7 @@ def _takes_no_time(note: Element) -> bool:
 
 
 def _silence(note: Element) -> None:
-    """Makes a rest of a note."""
+    """Turns a note into a rest."""
     note[:] = [part for part in note if part.tag not in _SOUND]
     if (pitch := note.find("pitch")) is not None:
         pitch.clear()
@@ -185,9 +185,9 @@ def _remove(root: Element, elements: Iterable[Element]) -> None:
 
 
 def _refine(root: Element) -> None:
-    """Counts in units so fine that all durations are whole, or nearly so.
+    """Divides the unit of time so that all durations are whole, or nearly so.
 
-    What is no number stays: the library has it as no time at all.
+    Text that is no number stays: partitura reads it as 0.
     """
     counts = {each: _number(each) for tag in _COUNTED for each in root.iter(tag)}
     known = {each: count for each, count in counts.items() if count is not None}
@@ -199,6 +199,6 @@ def _refine(root: Element) -> None:
 
 
 def _number(element: Element) -> Fraction | None:
-    """None where it is no number with few digits, of which others could have billions."""
+    """The number of an element; None unless it has few digits, as others could have billions."""
     text = (element.text or "0").strip()
     return Fraction(text) if re.fullmatch(r"-?\d{1,12}(\.\d{0,12})?", text) else None

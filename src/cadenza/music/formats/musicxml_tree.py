@@ -1,4 +1,4 @@
-"""The tree of a MusicXML document, which is refused before it costs more than a song does."""
+"""The tree of a MusicXML document, refused as soon as it is too large for a song."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ _MARKS = b"\xef\xbb\xbf\xff\xfe"  # of the encoding, before the document
 def tree_of(path: Path) -> Element:
     """The root of the document, from its archive where it is compressed.
 
-    Names are without namespaces and their prefixes, and what MusicXML has no attributes for is left
-    out: those with a prefix.
+    Names lose their prefixes of namespaces, and attributes with a prefix, which MusicXML does not
+    use, are left out.
 
     Raises:
         CadenzaError: it cannot be read, is no XML, declares anything of its own, or is too large or
@@ -57,7 +57,7 @@ def tree_of(path: Path) -> Element:
 
 
 class _Reader:
-    """Makes the tree of what the parser reports, and counts on the way."""
+    """Builds the tree from events of the parser, and counts elements and attributes."""
 
     def __init__(self) -> None:
         # Without namespaces, whose names are repeated with every element.
@@ -104,7 +104,7 @@ class _Reader:
 
 
 def _document_of(data: bytes) -> bytes:
-    """The document in an archive."""
+    """The document in a compressed MusicXML file."""
     try:
         with opened_archive(io.BytesIO(data)) as archive:
             return unpacked(archive, _name_of_document(archive), MAX_XML_BYTES)
@@ -116,7 +116,7 @@ def _document_of(data: bytes) -> bytes:
 
 
 def _name_of_document(archive: ZipFile) -> str:
-    """The first that its table of contents names; without that, the only one."""
+    """The first document that the table of contents names; without one, the only document."""
     names = archive.namelist()
     if _CONTENTS in names:
         contents = unpacked(archive, _CONTENTS, _MAX_CONTENTS).decode("utf-8", "replace")

@@ -1,4 +1,4 @@
-"""Reading a file of music of any format that is read."""
+"""Reads music files of every known format."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _MUSICXML = (".musicxml", ".xml", ".mxl")
 _BEGINS_MIDI = (b"MThd", b"RIFF")
 _BEGINS_MUSICXML = (b"<", b"PK", b"\xef\xbb\xbf<", b"\xff\xfe<", b"\xfe\xff\0<")
 MUSIC = (*_MIDI, *_MUSICXML)
-"""Endings of the files that are read."""
+"""The endings of music files."""
 
 _NOTATION = "open it in a notation program such as MuseScore, and export it as MIDI or MusicXML"
 _SOUND = "convert the sound to MIDI with a transcription program such as Basic Pitch"
 _SHEET = "convert the sheet music to MusicXML with a recognition program such as Audiveris"
-NOT_READ = {  # what to do about formats that some may hold for music
+NOT_READ = {  # ending of other files -> how to convert them
     **dict.fromkeys((".mscz", ".mscx", ".sib", ".musx", ".dorico", ".ptb", ".mei"), _NOTATION),
     **dict.fromkeys((".gp", ".gp3", ".gp4", ".gp5", ".gpx", ".cap", ".capx"), _NOTATION),
     **dict.fromkeys((".abc",), "convert it with abc2midi"),
@@ -40,22 +40,26 @@ def name_without_ending(song: str) -> str:
 
 
 def check_format(path: Path) -> None:
-    """Raises: CadenzaError: by its ending, the file is of a format that is not read."""
+    """Checks the ending of a file.
+
+    Raises:
+        CadenzaError: it is that of a format that is not read.
+    """
     suffix = path.suffix.lower()
     if suffix in NOT_READ:
         raise CadenzaError(f"{path}: {suffix} files cannot be read; {NOT_READ[suffix]}")
 
 
 def read_score(path: Path, tracks: Collection[int] = ()) -> Score:
-    """The score in a file of MIDI or MusicXML.
+    """The score in a MIDI or MusicXML file.
 
-    Where a file of the same name ending in .fingering lies next to the file, the notes have its
-    fingers, see `cadenza.music.formats.fingering_file`.
+    Notes have the fingers of a file beside it with the ending .fingering, see
+    `cadenza.music.formats.fingering_file`.
 
     Args:
-        path: the file; by how it begins it is taken for the one or the other. If that does not
-            say, its ending does; of one that is not known, it is read as MIDI.
-        tracks: numbers of those to be played, as in `Score.tracks`; all where none is given.
+        path: the file, whose first bytes tell its format, or else its ending; with an unknown
+            ending it is read as MIDI.
+        tracks: the numbers of the tracks to be played, as in `Score.tracks`; all by default.
 
     Raises:
         CadenzaError: a format that is not read, or a file that `read_midi`, `read_musicxml` or
@@ -79,7 +83,7 @@ def read_score(path: Path, tracks: Collection[int] = ()) -> Score:
 
 
 def _beginning(path: Path) -> bytes:
-    """A few bytes; none of what cannot be read, of which the one that reads it says why."""
+    """The first bytes; none if the file cannot be read, which its reader will report."""
     try:
         with opened(path) as file:
             return file.read(4) or b""  # of the kernel's log there may be nothing yet

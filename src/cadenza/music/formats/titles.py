@@ -1,4 +1,4 @@
-"""What a song is called: text that a terminal and a page can show."""
+"""Titles of songs, as text that a terminal and a page can show."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _LONGEST = 500  # letters
 
 
 def printable(text: str) -> str:
-    """`text` on one line, without what cannot be printed and without what no title needs."""
+    """`text` on one line, without characters that cannot be printed, and shortened."""
     if not text.isprintable():
         text = "".join(c if c.isprintable() else " " for c in text)
     return " ".join(text.split())[:_LONGEST].rstrip()

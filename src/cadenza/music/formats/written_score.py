@@ -1,4 +1,4 @@
-"""A score as JSON files of runs and policies have it."""
+"""Scores in the JSON files of runs and policies."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cadenza.music.score import Bar, Note, PedalEvent, Score, Track
 
 @dataclass(frozen=True)
 class WrittenNote:
-    """A `Note`, its finger as files have it."""
+    """A `Note` whose finger has its number in files."""
 
     start: float
     end: float
@@ -21,7 +21,7 @@ class WrittenNote:
 
 @dataclass(frozen=True)
 class WrittenScore:
-    """A `Score` of such notes."""
+    """A `Score` of written notes."""
 
     notes: tuple[WrittenNote, ...]
     pedal: tuple[PedalEvent, ...] = ()
@@ -32,7 +32,7 @@ class WrittenScore:
 
     @classmethod
     def of(cls, score: Score) -> WrittenScore:
-        """To be written."""
+        """Converts a score."""
         notes = (
             WrittenNote(n.start, n.end, n.pitch, n.velocity, written(n.finger)) for n in score.notes
         )
@@ -40,7 +40,11 @@ class WrittenScore:
 
     @property
     def score(self) -> Score:
-        """Raises: CadenzaError: a note is none."""
+        """The score.
+
+        Raises:
+            CadenzaError: a note, or its finger, is not possible.
+        """
         notes = (
             Note(n.start, n.end, n.pitch, n.velocity, finger_from(n.finger)) for n in self.notes
         )

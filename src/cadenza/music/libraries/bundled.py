@@ -1,4 +1,4 @@
-"""The pieces that come with Cadenza. Listing them reads one small index."""
+"""The pieces that come with Cadenza. To list them, only a small index is read."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cadenza.music.formats.reading import read_score
 from cadenza.music.libraries.songs import Library, Song
 
 _FOLDER = Path(__file__).parent / "pieces"
-_SHORT = (  # those that the published system has, too
+_SHORT = (  # pieces that the published system has, too
     "TwinkleTwinkleLittleStar",
     "CMajorScaleOneHand",
     "DMajorScaleOneHand",
@@ -26,7 +26,7 @@ _SHORT = (  # those that the published system has, too
 class Piece:
     """A bundled piece: it lasts `seconds` [s] and is played by one or two `hands`.
 
-    `difficulty` is what pianists would say, `grade` what two robot hands find, from 1 to 10 (see
+    `difficulty` is that for pianists, `grade` that for two robot hands, from 1 to 10 (see
     `cadenza.fingering.difficulty`). `source` names the work, why it is free to use, and who
     arranged and fingered it.
     """
@@ -49,12 +49,12 @@ def songs() -> tuple[Piece, ...]:
 
 
 def bundled() -> Library:
-    """All of them, from easy to hard; their names stand alone, without that of the library."""
+    """The library of all bundled pieces, from easy to hard; songs are named without the library."""
     return Library("bundled", tuple(map(_song, songs())))
 
 
 def debug() -> Library:
-    """Some that are over soon, to try things with."""
+    """The library of short bundled pieces, for quick experiments."""
     return Library("debug", tuple(_song(piece) for piece in songs() if piece.name in _SHORT))
 
 

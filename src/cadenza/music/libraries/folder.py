@@ -1,4 +1,4 @@
-"""A folder of files of music as a library."""
+"""Song libraries from folders of music files."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _LONGEST = 120  # bytes of the name of a piece
 
 
 def folder_library(folder: Path, name: str = "") -> Library:
-    """The files of music in a folder and the folders in it; none of them is opened.
+    """The library of the music files in a folder and the folders in it; none of them is opened.
 
     Args:
-        folder: where they are, with an index if there is one (see `cadenza.music.libraries.index`).
-        name: of the library, whose songs are then called `name/piece`. Without it they are called
-            by their paths.
+        folder: the folder, which may have an index (see `cadenza.music.libraries.index`).
+        name: the name of the library, whose songs are then called `name/piece`. Without it they
+            are called by their paths.
 
     Raises:
-        CadenzaError: there are none, or the index cannot be read.
+        CadenzaError: there are no music files, or the index cannot be read.
     """
     files = music_files(folder)
     if not files:
@@ -58,16 +58,16 @@ def import_folder(
     progress: Progress = silent,
     grade: Grade | None = None,
 ) -> NewLibrary:
-    """Copies the files of music in a folder, with what its index says, to a library of the user's.
+    """Copies the music files in a folder, and the facts of its index, to a library of the user's.
 
     Files that cannot be read are left out.
 
     Args:
-        folder: where they are, see `folder_library`.
-        name: of the library.
-        replace: whether it may take the place of one that is there.
-        progress: is told how many files are read.
-        grade: what says how difficult a piece is; without it, listings do not.
+        folder: the folder, see `folder_library`.
+        name: the name of the library.
+        replace: whether it may replace a library of this name.
+        progress: is called with the number of files read, and of all.
+        grade: grades the pieces; without it their difficulty is unknown.
 
     Raises:
         CadenzaError: nothing can be read, the index is damaged, or there is such a library.
@@ -109,18 +109,18 @@ def _safe_names(files: Sequence[Path]) -> list[str]:
 
 
 def _safe(name: str) -> str:
-    """Letters, digits, dashes and underscores only, and not too many."""
+    """The name in letters, digits, dashes and underscores only, and shortened."""
     safe = re.sub(r"[^\w-]+", "-", unicodedata.normalize("NFC", printable(name))).strip("-")
     return short(safe) or "song"
 
 
 def short(name: str) -> str:
-    """Its beginning, so long that a number and an ending still make the name of a file."""
+    """The beginning of a name, with room in a file name for a number and an ending."""
     return name.encode()[:_LONGEST].decode(errors="ignore")
 
 
 def music_files(folder: Path) -> list[Path]:
-    """Paths within the folder, in alphabetical order; what is hidden is left out."""
+    """The paths of music files within a folder, in alphabetical order, without hidden ones."""
     return sorted(_music_files(folder))
 
 
@@ -136,16 +136,16 @@ def _music_files(folder: Path) -> Iterator[Path]:
 
 
 def index_of(folder: Path) -> dict[str, Facts]:
-    """What the folder's index says; nothing where there is none.
+    """The facts in the index of a folder; none if it has no index.
 
     Raises:
-        CadenzaError: it cannot be read.
+        CadenzaError: the index cannot be read.
     """
     return read_index(folder / INDEX) if os.path.isfile(folder / INDEX) else {}
 
 
 def _facts(files: Sequence[Path], index: Mapping[str, Facts]) -> Iterator[Facts]:
-    """What an index says of each file. What is the path of one file names no other."""
+    """Yields the facts about each file. A name that is the path of a file means no other file."""
     paths = {path for file in files for path in _paths(file)}
     for file in files:
         names = [*_paths(file), *(name for name in _names(file) if name not in paths)]
@@ -153,7 +153,7 @@ def _facts(files: Sequence[Path], index: Mapping[str, Facts]) -> Iterator[Facts]
 
 
 def _paths(file: Path) -> tuple[str, str]:
-    """A file's, with its ending and without."""
+    """The path of a file with its ending and without."""
     return file.as_posix(), file.with_suffix("").as_posix()
 
 
@@ -162,7 +162,7 @@ def _names(file: Path) -> tuple[str, str]:
 
 
 def unique(names: Iterable[str]) -> list[str]:
-    """The names, those that are taken with a number; upper and lower case are the same."""
+    """The names, with a number behind each that was there before in upper or lower case."""
     taken: set[str] = set()
     numbers: Counter[str] = Counter()
     result = []

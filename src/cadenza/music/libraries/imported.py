@@ -1,6 +1,8 @@
-"""The libraries that a user has imported, each in a folder of its own with an index and files.
+"""The song libraries that a user has imported, each in a folder with an index and files.
 
-The index is written last, as a whole, and says in which folder the files are. So a library is the
+They are in the user's data folder, or in that which the environment variable CADENZA_DATA names.
+
+The index is written last, atomically, and says in which folder the files are. So a library is the
 old one or the new one, whenever an import is interrupted.
 """
 
@@ -15,41 +17,53 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+
+from platformdirs import user_data_path
 
 from cadenza.errors import CadenzaError, is_full
 from cadenza.files import locked_file
 from cadenza.music.formats.reading import read_score
 from cadenza.music.libraries.index import INDEX, Facts, read_index, write_index
 from cadenza.music.libraries.songs import Library, Song
-from cadenza.music.libraries.user_data import libraries_folder
 from cadenza.music.score import Score
 
 _NAME = re.compile(r"\w[\w.-]{0,63}")
-_FILES = "files-"  # what the name of the folder of files begins with
+_FILES = "files-"  # prefix of the name of the folder of files
+
+Progress = Callable[[int, int], None]
+"""A function that an import calls with the number of pieces done and of all."""
+
+Grade = Callable[[Score], float]
+"""A function that says how difficult a score is, from 1 to 10."""
+
+
+def _libraries_folder() -> Path:
+    """The folder of imported song libraries, with a folder for each."""
+    chosen = os.environ.get("CADENZA_DATA")
+    return (Path(chosen) if chosen else user_data_path("cadenza", appauthor=False)) / "libraries"
 
 
 def imported_libraries() -> list[str]:
-    """Their names, in alphabetical order."""
+    """The names of imported libraries, in alphabetical order."""
     try:
-        names = os.listdir(libraries_folder())
+        names = os.listdir(_libraries_folder())
     except OSError:
         return []
     return sorted(name for name in names if is_imported(name))
 
 
 def is_imported(name: str) -> bool:
-    """Whether there is such a library."""
-    return bool(_NAME.fullmatch(name)) and os.path.isfile(libraries_folder() / name / INDEX)
+    """Whether a library of this name has been imported."""
+    return bool(_NAME.fullmatch(name)) and os.path.isfile(_libraries_folder() / name / INDEX)
 
 
 def imported(name: str) -> Library:
-    """One that has been imported; only its index is read.
+    """The library that was imported under this name; only its index is read.
 
     Raises:
-        CadenzaError: it is not there, or its index is damaged.
+        CadenzaError: there is no such library, or its index is damaged.
     """
-    folder = libraries_folder() / name
+    folder = _libraries_folder() / name
     songs = (
         Song(f"{name}/{Path(file).stem}", partial(read_score, folder / file), **facts)
         for file, facts in read_index(folder / INDEX).items()
@@ -57,41 +71,30 @@ def imported(name: str) -> Library:
     return Library(name, tuple(songs))
 
 
-class Progress(Protocol):
-    """What an import calls as it gets on."""
-
-    def __call__(self, done: int, total: int) -> None:
-        """Pieces done and in all."""
-
-
-Grade = Callable[[Score], float]
-"""How difficult a score is, from 1 to 10."""
-
-
 def silent(done: int, total: int) -> None:
-    """Tells nobody."""
+    """Reports no progress."""
 
 
 @dataclass(frozen=True)
 class NewLibrary:
-    """A library that is being made: files go into `folder`."""
+    """A library that is being imported, whose files are written to `folder`."""
 
     name: str
     folder: Path
     grade: Grade | None = None
     rows: list[tuple[str, Facts]] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
-    """What could not be read, and why."""
+    """A line for each file that could not be read, which says why."""
     doubtful: list[str] = field(default_factory=list)
-    """What looks wrong but could be read."""
+    """A line for each thing that looks wrong but could be read."""
 
     def add(self, file: str, score: Score, facts: Facts) -> None:
-        """Has a piece listed.
+        """Adds a piece to the index.
 
         Args:
-            file: its name in the folder; what stands before its ending is the name of the piece.
-            score: what is in it, which is counted now, so that no listing has to read it.
-            facts: what else is known of it.
+            file: the name of its file in the folder; without the ending, that of the piece.
+            score: its score, from which come length, notes, hands and difficulty.
+            facts: other facts about it.
         """
         difficulty = None if self.grade is None else round(self.grade(score), 2)
         counted = {**_counted(score), "difficulty": difficulty}
@@ -99,10 +102,10 @@ class NewLibrary:
 
     @contextmanager
     def leaving_out_what_is_wrong(self) -> Iterator[None]:
-        """Goes on after an error, which is noted.
+        """Catches an error in the block, and keeps its message in `left_out`.
 
         Raises:
-            OSError: the disk is full, of which the next piece would only tell again.
+            OSError: the disk is full, as it would be for the next piece.
         """
         try:
             yield
@@ -116,22 +119,22 @@ class NewLibrary:
 def new_library(
     name: str, replace: bool = False, grade: Grade | None = None
 ) -> Iterator[NewLibrary]:
-    """Yields a library to add pieces to, which is there when the block ends without an error.
+    """Yields a library to add pieces to, and saves it when the block ends without an error.
 
     Args:
-        name: of the library.
-        replace: whether it may take the place of one that is there.
-        grade: what says how difficult a piece is; that is not known without it.
+        name: the name of the library.
+        replace: whether it may replace a library of this name.
+        grade: grades the pieces; without it their difficulty is unknown.
 
     Raises:
-        CadenzaError: the name cannot be one, there is such a library, nothing has been added, or
+        CadenzaError: the name is not allowed, there is such a library, nothing has been added, or
             another import is running.
     """
     if not _NAME.fullmatch(name):
         raise CadenzaError(
             f"library name {name!r}: give up to 64 letters, digits, dots, dashes or underscores"
         )
-    all_libraries = libraries_folder()
+    all_libraries = _libraries_folder()
     place = all_libraries / name
     all_libraries.mkdir(parents=True, exist_ok=True)
     with locked_file(all_libraries / ".lock") as ours:
@@ -158,7 +161,7 @@ def new_library(
 
 
 def _tidy(place: Path) -> None:
-    """Removes files that belong to no library any more, and the folder if nothing is in it."""
+    """Removes files that the index does not name, and the folder of the library if it is empty."""
     with suppress(CadenzaError):
         index = read_index(place / INDEX) if os.path.isfile(place / INDEX) else {}
         kept = {file.split("/")[0] for file in index}
@@ -170,7 +173,7 @@ def _tidy(place: Path) -> None:
 
 
 def _counted(score: Score) -> Facts:
-    """What a listing says of a score."""
+    """Facts about a score, for listings."""
     return {
         "seconds": round(score.total_time, 2),
         "notes": len(score.notes),
@@ -179,6 +182,6 @@ def _counted(score: Score) -> Facts:
 
 
 def _hands(score: Score) -> int | None:
-    """How many play, by the fingers or the tracks; None if neither says."""
+    """The number of hands, by the fingers or the tracks; None if neither tells."""
     hands = {note.finger.hand for note in score.notes if note.finger}
     return len(hands) or (2 if len(score.tracks) > 1 else None)

@@ -1,7 +1,7 @@
-"""Songs and libraries by name, and how to load any score.
+"""Song libraries and songs by name, and the scores of songs.
 
-Listing reads no more than an index; MIDI is imported only when a score is loaded, because the names
-are wanted whenever Cadenza starts.
+A listing reads only an index. Readers of music files are imported when a score is loaded, because
+the names are needed whenever Cadenza starts.
 """
 
 from __future__ import annotations
@@ -41,25 +41,25 @@ LIBRARIES = Registry(
     },
     otherwise="a folder",
 )
-"""What has a name without being imported: a library, a folder of songs (as other packages add
-them), or a function that returns one."""
+"""The names of libraries that need no import. Each stands for a library, for a folder of songs, as
+other packages add them, or for a function that returns either."""
 
 
 def libraries() -> dict[str, str]:
-    """All libraries by name, and what they are."""
+    """Name -> description of every library."""
     registered = {name: entry.about for name, entry in LIBRARIES.entries().items()}
     found = {name: "imported" for name in imported_libraries() if name not in registered}
     return {**registered, **found}
 
 
 def distinct_libraries() -> list[str]:
-    """The names of those that have no song in common with another of them, and an end."""
+    """The names of libraries of which no two have a song in common, and none is endless."""
     added = [name for name in LIBRARIES.entries() if name not in LIBRARIES.own]
     return list(dict.fromkeys(["bundled", *imported_libraries(), *added]))
 
 
 def open_library(spec: str | Path) -> Library:
-    """A library by its name, or a folder; nothing but an index is read.
+    """The library of a name or a folder; only an index is read.
 
     Args:
         spec: the name of a library, see `libraries`, or the path of a folder of MIDI or MusicXML
@@ -97,13 +97,11 @@ def open_library(spec: str | Path) -> Library:
 
 
 def find_song(name_or_path: str | Path) -> Song:
-    """A song by its name (upper or lower case), or a file of MIDI or MusicXML by its path.
+    """The song of a name, in upper or lower case, or of the path of a MIDI or MusicXML file.
 
-    The bundled pieces are called by their names, those of other libraries `library/piece`.
-
-    Whatever is there as a file, or ends as a file of music does, is a path; all else is a name.
-    Where a file of the same name ending in .fingering lies next to the file, the notes have its
-    fingers, see `cadenza.music.formats.fingering_file`.
+    Bundled pieces are called by their names, those of other libraries `library/piece`. A word is a
+    path if there is such a file, or if it has the ending of a music file. Notes have the fingers
+    of a file beside it with the ending .fingering, see `cadenza.music.formats.fingering_file`.
 
     Raises:
         CadenzaError: there is no such song.
@@ -126,7 +124,7 @@ def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
 
     Args:
         name_or_path: the song or file.
-        tracks: numbers of those to be played, as in `Score.tracks`; all where none is given.
+        tracks: the numbers of the tracks to be played, as in `Score.tracks`; all by default.
 
     Raises:
         CadenzaError: no such song or track, a format that is not read, or a file that
@@ -136,7 +134,11 @@ def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
 
 
 def check_is_free(name: str) -> None:
-    """Raises: CadenzaError: a library that is not imported has this name."""
+    """Checks that an imported library may have this name.
+
+    Raises:
+        CadenzaError: a library that needs no import has it.
+    """
     if name in (entries := LIBRARIES.entries()):
         raise CadenzaError(
             f"there is a library {name} already ({entries[name].about}); choose another --name"
@@ -144,7 +146,11 @@ def check_is_free(name: str) -> None:
 
 
 def check_is_name(song: object) -> None:
-    """Raises: CadenzaError: it is nothing that names a song."""
+    """Checks that a song is given by a name or a path.
+
+    Raises:
+        CadenzaError: it is not.
+    """
     if not isinstance(song, str | Path):
         raise CadenzaError(
             f"song {song!r:.100}: give the name of a bundled song, the path of a MIDI or MusicXML "

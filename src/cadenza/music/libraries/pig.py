@@ -35,10 +35,10 @@ _UNSAID = re.compile(r"\bin [a-h]\b([ -]?(flat|sharp))?( (major|minor))?|\b(no|m
 
 
 def repertoire_150() -> Library:
-    """The pieces of the dataset, once it has been imported.
+    """The pieces of the dataset.
 
     Raises:
-        CadenzaError: it has not.
+        CadenzaError: the dataset has not been imported.
     """
     if not is_imported(ALL):
         raise CadenzaError(
@@ -49,7 +49,7 @@ def repertoire_150() -> Library:
 
 
 def etude_12() -> Library:
-    """Twelve of these pieces, in the order in which they were published.
+    """Twelve pieces of the dataset, in the order of the published benchmark.
 
     Raises:
         CadenzaError: the dataset has not been imported, or has none of them.
@@ -64,19 +64,19 @@ def etude_12() -> Library:
 
 
 def etudes_among(songs: Sequence[Song]) -> tuple[Song, ...]:
-    """Those of the twelve that are there, by their titles."""
+    """The songs that are among the twelve etudes, by their titles."""
     by_work = {_work(song.title): song for song in reversed(songs)}
     return tuple(by_work[work] for work in map(_work, _ETUDES) if work in by_work)
 
 
 def published_name(title: str) -> str:
-    """What the published benchmark calls a piece, such as PianoSonataD8451StMov."""
+    """The name of a piece in the published benchmark, such as PianoSonataD8451StMov."""
     words = re.sub(r"[\W_]+", " ", re.sub("[.,'’]", "", title))
     return words.title().replace(" ", "") or "Piece"
 
 
 def _work(title: str) -> str:
-    """The same for all ways to write a title: its words and numbers but "in C", "no.", "mov."."""
+    """The words and numbers of a title without "in C", "no.", "mov.": equal for equal works."""
     plain = unicodedata.normalize("NFKD", title).lower().replace("'", "").replace("’", "")
     words = " ".join(re.findall(r"[a-z]+|\d+", plain))
     return " ".join(_UNSAID.sub("", words).split())

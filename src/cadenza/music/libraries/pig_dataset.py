@@ -51,7 +51,7 @@ _COLUMNS = "number, onset, offset, pitch, two velocities, channel, finger"
 _MOST_NAMED = 10  # other lines of a file that are wrong
 
 _Files = Mapping[PurePosixPath, Callable[[], bytes]]
-"""The files of a dataset by their paths within it, with what reads them."""
+"""Path of a file within the dataset -> function that reads it."""
 
 
 def import_pig(
@@ -60,13 +60,13 @@ def import_pig(
     progress: Progress = silent,
     grade: Grade | None = None,
 ) -> NewLibrary:
-    """Makes the library `repertoire-150` of the dataset; damaged pieces are left out.
+    """Imports the dataset as the library `repertoire-150`; damaged pieces are left out.
 
     Args:
         source: its folder, or the ZIP file, as downloaded.
-        replace: whether it may take the place of one that is there.
-        progress: is told how many pieces are read.
-        grade: what says how difficult a piece is; without it, listings do not.
+        replace: whether it may replace the library.
+        progress: is called with the number of pieces read, and of all.
+        grade: grades the pieces; without it their difficulty is unknown.
 
     Raises:
         CadenzaError: it is not the dataset, nothing in it can be read, or it was imported before.

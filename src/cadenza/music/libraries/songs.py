@@ -1,4 +1,4 @@
-"""A song as a listing knows it, and libraries of songs. Nothing here opens a file of music."""
+"""Songs with what listings say of them, and libraries of songs. No music file is opened here."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from cadenza.errors import CadenzaError
 from cadenza.music.score import Score
 
 Read = Callable[[Collection[int]], Score]
-"""Loads a score with the tracks of these numbers, or with all where none is given."""
+"""A function that loads a score with the tracks of these numbers, or with all if none is given."""
 
 
 @dataclass(frozen=True, slots=True)
 class Song:
-    """A song that can be loaded; what is not known of it is empty or None.
+    """A song that can be loaded; unknown facts are empty or None.
 
-    `name` is what `cadenza play` takes. It lasts `seconds` [s] and has so many `notes`, for one or
-    two `hands`; `difficulty` is its grade from 1 to 10; `source` says where it is from, and `split`
-    what it is for, such as "train".
+    `name` is that which `cadenza play` takes. The song lasts `seconds` [s] and has so many `notes`,
+    for one or two `hands`; `difficulty` is its grade from 1 to 10; `source` says where it is from,
+    and `split` names the split of its library, such as "train".
     """
 
     name: str
@@ -34,10 +34,10 @@ class Song:
     difficulty: float | None = None
 
     def load(self, tracks: Collection[int] = ()) -> Score:
-        """The score, under this title.
+        """Loads the score, under the title of the song.
 
         Args:
-            tracks: numbers of those to be played, as in `Score.tracks`; all where none is given.
+            tracks: the numbers of the tracks to be played, as in `Score.tracks`; all by default.
 
         Raises:
             CadenzaError: it cannot be read, or has no such track.
@@ -58,7 +58,7 @@ class Library:
 
     @property
     def splits(self) -> tuple[str, ...]:
-        """Those that the songs are divided into, in alphabetical order."""
+        """The splits of the library, in alphabetical order."""
         return tuple(sorted({song.split for song in self.songs} - {""}))
 
     def of_split(self, split: str) -> Library:
@@ -75,18 +75,16 @@ class Library:
 
 
 def song_named(name: str, library: Library) -> Song:
-    """The song of a library that is so called, in upper or lower case.
+    """The song of a library with this name, in upper or lower case.
 
     Raises:
         CadenzaError: there is none.
     """
     known = {song.name.lower(): song for song in library.songs}
-    # Those of the bundled libraries are called by their names alone.
-    wanted = (
-        name.lower() if name.lower() in known else name.lower().removeprefix(f"{library.name}/")
-    )
-    if wanted in known:
-        return known[wanted]
+    # Bundled songs are called by their names alone, and found with the name of the library, too.
+    for wanted in (name.lower(), name.lower().removeprefix(f"{library.name}/")):
+        if wanted in known:
+            return known[wanted]
     close = [known[match].name for match in get_close_matches(name.lower(), known, cutoff=0.5)]
     hint = f"did you mean {' or '.join(close)}? " if close else ""
     raise CadenzaError(
