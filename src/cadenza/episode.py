@@ -1,4 +1,4 @@
-"""An episode: everything that was recorded while the hands played a score.
+"""Episodes: recordings of how the hands played a score.
 
 `episode.npz` holds the arrays below under their own names, which are those of the recordings of the
 published system. There are T control steps, A actuators (right hand's, left hand's, pedal), J hand
@@ -103,7 +103,7 @@ _ARRAYS = {
 
 @dataclass(frozen=True)
 class Episode:
-    """T control steps; every row of an array is what held *after* that step's action."""
+    """A recorded episode of T control steps. A row of an array is the state *after* a step."""
 
     song: str
     """The title of the song."""

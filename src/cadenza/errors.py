@@ -19,7 +19,7 @@ _LACKS_MEMORY = (
 
 
 class CadenzaError(Exception):
-    """Something the user gave cannot be used.
+    """An error for users: something they gave cannot be used.
 
     The message is one line: what is wrong, where, and what to do about it. The command line
     prints it without a traceback and exits with status 2.
@@ -27,7 +27,7 @@ class CadenzaError(Exception):
 
 
 class CadenzaWarning(UserWarning):
-    """Something was done, though not as one may expect.
+    """A warning for users: something was done, but maybe not as expected.
 
     The message is one line. The command line prints it without a traceback.
     """
@@ -39,12 +39,12 @@ def is_full(error: Exception) -> bool:
 
 
 def lacks_memory(error: BaseException) -> bool:
-    """Whether the error, or a cause of it, says that memory was short, in any library's words."""
+    """Whether the error, or a cause of it, is that memory was short, in any library."""
     return _lack_of_memory(error) is not None
 
 
 def _lack_of_memory(error: BaseException | None) -> BaseException | None:
-    """The error among `error` and its causes that says so."""
+    """The error among `error` and its causes which says that memory was short."""
     while error is not None:
         said = "" if isinstance(error, CadenzaError) else str(error)
         if isinstance(error, MemoryError) or any(words in said for words in _LACKS_MEMORY):

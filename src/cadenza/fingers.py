@@ -40,7 +40,7 @@ class Finger:
 
     @property
     def mirrored(self) -> Finger:
-        """The same finger of the other hand."""
+        """The corresponding finger of the other hand."""
         return Finger(1 - self.hand, self.index)
 
     @property

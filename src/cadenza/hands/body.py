@@ -26,8 +26,6 @@ FOREARM_RGBA = (0.27, 0.30, 0.35, 1.0)
 LINK_RGBA = (0.80, 0.82, 0.85, 1.0)
 FINGERTIP_RGBA = (0.36, 0.39, 0.45, 1.0)  # grey, as pages colour keys by hits and misses
 DRAWN_GROUP, COLLIDING_GROUP = 0, 3  # MuJoCo's viewers hide group 3
-_SITE_GROUP, _SITE_SIZE = 4, (0.004, 0.004, 0.004)
-_TOUCH_RADIUS = 1.1  # of the sphere in which contacts count, in radii of the tip
 
 GEOM_TYPES = {
     "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, 1),
@@ -49,7 +47,7 @@ def prefix(side: Side) -> str:
 
 @dataclass(frozen=True)
 class Geom:
-    """A shape fixed to a link; `mirrored` False marks the few that both hands have alike."""
+    """A shape fixed to a link; `mirrored` is False for the few that are the same on both hands."""
 
     type: str
     size: tuple[float, ...]
@@ -110,7 +108,7 @@ class Actuator:
     kp: float
     force: float
     kv: float = 0.0
-    """Its damping [N m s/rad]."""
+    """The damping [N m s/rad]."""
 
 
 @dataclass(frozen=True)
@@ -182,45 +180,12 @@ class Body:
     contact_solref: tuple[float, float] = (0.005, 1.0)
     contact_solimp: tuple[float, float, float, float, float] = (0.5, 0.99, 0.0001, 0.5, 2.0)
 
-    def add_to(self, spec: mujoco.MjSpec, side: Side, options: Options) -> None:
-        """Adds links, joints, geoms, tendons, actuators and exclusions of the hand on one side."""
-        _Builder(self, spec, side, options).build()
-
-
-def add_fingertip_site(spec: mujoco.MjSpec, side: Side, finger: str, link: str, pos: Vector) -> str:
-    """Marks where a finger presses, in the frame of a link; returns the site's name."""
-    name = f"{prefix(side)}{finger}tip"
-    spec.body(prefix(side) + link).add_site(
-        name=name, pos=_mirror(pos, side), size=_SITE_SIZE, group=_SITE_GROUP
-    )
-    return name
-
-
-def add_touch_sensor(spec: mujoco.MjSpec, fingertip: str, radius: float) -> None:
-    """Adds a sensor of the normal force on a round fingertip [N].
-
-    It counts contacts of the tip's link within a sphere that is a little larger than the tip.
-
-    Args:
-        spec: the scene, with the hand.
-        fingertip: the name of the fingertip's site.
-        radius: the radius of the tip [m].
-    """
-    site = spec.site(fingertip)
-    site.size = np.full(3, _TOUCH_RADIUS * radius)
-    spec.add_sensor(
-        name=f"{fingertip}_touch",
-        type=mujoco.mjtSensor.mjSENS_TOUCH,
-        objtype=mujoco.mjtObj.mjOBJ_SITE,
-        objname=fingertip,
-    )
-
 
 _CONTACT_BITS: dict[Side, int] = {"right": 8, "left": 16}  # bits of contype and conaffinity
 
 
-class _Builder:
-    """Builds one hand into a scene."""
+class BodyBuilder:
+    """Builds the body of one hand into a scene."""
 
     def __init__(self, body: Body, spec: mujoco.MjSpec, side: Side, options: Options) -> None:
         self._body, self._spec, self._side, self._options = body, spec, side, options
@@ -232,6 +197,7 @@ class _Builder:
         self._forearm_dofs = () if body.mount else options.forearm_dofs
 
     def build(self) -> None:
+        """Adds links, joints, geoms, tendons, actuators and exclusions."""
         for link in self._body.links:
             body = self._add_link(link)
             if not link.parent:
@@ -264,10 +230,10 @@ class _Builder:
         mass_side = self._side if self._body.mirrored_masses else "right"
         return parent.add_body(
             name=self._prefix + link.name,
-            pos=_mirror(link.pos, self._side),
+            pos=mirrored(link.pos, self._side),
             quat=quat,
             mass=link.mass,
-            ipos=_mirror(link.com, mass_side),
+            ipos=mirrored(link.com, mass_side),
             inertia=link.inertia,
             iquat=_mirror_quat(link.inertia_quat, mass_side),
             explicitinertial=True,
@@ -303,7 +269,7 @@ class _Builder:
         return forearm.joint_range(name, self._mount_y, self._options.keyboard_half_length)
 
     def _add_joint(self, body: mujoco.MjsBody, joint: Joint) -> None:
-        axis = (_mirror if joint.slide else _mirror_axis)(joint.axis, self._side)
+        axis = (mirrored if joint.slide else _mirror_axis)(joint.axis, self._side)
         if self._side == "left" and joint.left_axis:
             axis = joint.left_axis
         body.add_joint(
@@ -336,7 +302,7 @@ class _Builder:
     def _add_geom(self, body: mujoco.MjsBody, geom: Geom, **attributes: Any) -> None:
         pos, quat, size = geom.pos, geom.quat, geom.size
         if self._side == "left" and geom.mirrored:
-            pos, quat = _mirror(pos, self._side), geom.left_quat or _mirror_quat(quat, self._side)
+            pos, quat = mirrored(pos, self._side), geom.left_quat or _mirror_quat(quat, self._side)
             size = geom.left_size or size
         padded = np.zeros(3)
         padded[: len(size)] = size
@@ -393,7 +359,8 @@ class _Builder:
             actuator.forcerange = (-force, force)
 
 
-def _mirror(vector: Vector, side: Side) -> Vector:
+def mirrored(vector: Vector, side: Side) -> Vector:
+    """A vector of the right hand, or its mirror image for the left."""
     x, y, z = vector
     return vector if side == "right" else (-x, y, z)
 

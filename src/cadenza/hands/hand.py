@@ -1,4 +1,4 @@
-"""A hand, for all that builds, simulates, fingers and plans with it; and its checks."""
+"""A hand as a value, its checks, and its part of the scene."""
 
 from __future__ import annotations
 
@@ -18,17 +18,22 @@ from cadenza.hands import forearm
 from cadenza.hands.body import (
     GEOM_TYPES,
     Body,
+    BodyBuilder,
     Geom,
     Link,
     Options,
-    add_fingertip_site,
-    add_touch_sensor,
+    mirrored,
+    prefix,
 )
 from cadenza.hands.reach import JumpTimes, Reach
 from cadenza.hands.servo import Servo
 
 MAX_FINGERS = 8
-"""The search for fingers enumerates all sets of them."""
+"""The largest number of fingers of a hand, as the search for fingers enumerates their subsets."""
+
+_SITE_GROUP = 4  # hidden by MuJoCo's viewers
+_SITE_RADIUS = 0.004  # [m] of a fingertip without touch
+_TOUCH_RADIUS = 1.1  # of the sphere in which contacts count, in radii of the tip
 
 # Field of a link -> how many numbers it has.
 _LINK_NUMBERS = {"pos": 3, "com": 3, "inertia": 3, "quat": 4, "inertia_quat": 4}
@@ -91,19 +96,35 @@ class Hand:
 
     def add_to(self, spec: mujoco.MjSpec, side: Side, options: Options) -> tuple[str, ...]:
         """Adds the hand of one side to a scene; returns the names of its fingertips' sites."""
-        self.body.add_to(spec, side, options)
-        sites = tuple(
-            add_fingertip_site(spec, side, finger.name, finger.links[-1], finger.tip)
-            for finger in self.fingers
-        )
-        if options.touch:
-            for site, finger in zip(sites, self.fingers, strict=True):
-                add_touch_sensor(spec, site, finger.tip_radius)
-        return sites
+        BodyBuilder(self.body, spec, side, options).build()
+        return tuple(_add_fingertip(spec, side, each, options.touch) for each in self.fingers)
 
     def servo(self, name: str) -> Servo:
         """The servo of the hand or of its forearm with a name such as "FFJ3" or "forearm_tx"."""
         return self.servos[name] if name in self.servos else forearm.SERVOS[name]
+
+
+def _add_fingertip(spec: mujoco.MjSpec, side: Side, finger: FingerChain, touch: bool) -> str:
+    """Adds the site where a finger presses, and a touch sensor if wanted; returns the site's name.
+
+    The sensor measures the normal force [N] of contacts of the last link in the sphere of the site,
+    which is a little larger than the tip.
+    """
+    name = f"{prefix(side)}{finger.name}tip"
+    spec.body(prefix(side) + finger.links[-1]).add_site(
+        name=name,
+        pos=mirrored(finger.tip, side),
+        size=np.full(3, _TOUCH_RADIUS * finger.tip_radius if touch else _SITE_RADIUS),
+        group=_SITE_GROUP,
+    )
+    if touch:
+        spec.add_sensor(
+            name=f"{name}_touch",
+            type=mujoco.mjtSensor.mjSENS_TOUCH,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=name,
+        )
+    return name
 
 
 def _faults(hand: Hand) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The reach of fingers and the speed of hands, for those who do not simulate them."""
+"""The reach of fingers and the speed of hands, for planners that do not simulate them."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ class Reach:
 
 @dataclass(frozen=True)
 class JumpTimes:
-    """A model of the time that a hand takes from keys to the next.
+    """A model of the time that a hand takes from some keys to the next.
 
-    Within reach the fingers get there without it. To keys further away the hand glides: it speeds
-    up over half the way and slows down over the other half. On a chord it then comes straight down.
+    Fingers get to keys within reach without the hand. To keys further away it glides: over half the
+    way it accelerates, then it decelerates. To strike a chord it then descends.
     """
 
     within_reach: float = 0.05
@@ -78,7 +78,7 @@ class JumpTimes:
     """Time in which a finger gets from a white key onto a black one [s]."""
 
     def hurried(self, haste: float) -> JumpTimes:
-        """The same hand with `haste` times the acceleration."""
+        """The times of the hand with `haste` times the acceleration."""
         return replace(self, glide=haste * self.glide, glide_of_chord=haste * self.glide_of_chord)
 
     def seconds(

@@ -1,4 +1,4 @@
-"""A servo as planners and residual policies use it."""
+"""The parameters of servos for planners and residual policies."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Servo:
-    """A servo as inverse kinematics, sampling and learning see it; in its own units [m, rad]."""
+    """The parameters of a servo in inverse kinematics, sampling and learning, in [m, rad]."""
 
     rest: float = 0.0
-    """Its position while its hand is at ease over the keys."""
+    """The position at which the hand is at ease over the keys."""
     ease: float = 0.5
-    """Scale of its distance from rest: the distance that costs 1."""
+    """The distance from rest that costs 1."""
     acceleration: float = 160.0
-    """Scale of its acceleration: the acceleration that costs 1 [m/s^2, rad/s^2]."""
+    """The acceleration that costs 1 [m/s^2, rad/s^2]."""
     stride: float = 0.4
     """Largest step of an iteration of inverse kinematics."""
     noise: float = 0.08

@@ -1,4 +1,4 @@
-"""A keyboard as a value, and its builder for MuJoCo.
+"""A keyboard as a value, and its part of the MuJoCo scene.
 
 World frame: x towards the player, y to the player's right, z up; the keyboard's middle is at y = 0.
 Sizes in [m], masses in [kg], angles in [rad].
@@ -28,7 +28,7 @@ _FROM_GROUP_START = np.array([2, 0, 0, 1, 0, 0, 1])
 
 @dataclass(frozen=True)
 class KeyShape:
-    """One kind of key: a box whose hinge runs along y through the end away from the player."""
+    """A kind of key: a box whose hinge runs along y through the end away from the player."""
 
     half_size: tuple[float, float, float]
     centre_x: float
@@ -101,7 +101,7 @@ class Keyboard:
     servo: KeyServo
     base: Base
     sound_tolerance: float
-    """A key sounds within this of its stop [rad]."""
+    """The distance from its stop at which a key sounds [rad]."""
     contact_solref: tuple[float, float]
     """MuJoCo's time constant and damping ratio of contacts with keys."""
 

@@ -33,7 +33,7 @@ _WRISTS_X = 0.2  # [m] end of the view
 
 
 def player_camera(keyboard: Keyboard, keys: tuple[int, int], aspect: float) -> mujoco.MjvCamera:
-    """The camera over the player's head, so near that a song's keys and the hands fill the view.
+    """The camera over the player's head, at which a song's keys and the hands fill the view.
 
     Args:
         keyboard: the keyboard.

@@ -25,7 +25,7 @@ class SceneConfig:
     hand: str = "shadow"
     """Kind of hand: shadow, allegro, another that `cadenza info` lists, or module:NAME."""
     hands: Hands = "both"
-    """Which hands play. apart: both, each in a scene of its own; what they play is combined. none:
+    """The hands that play. apart: both, each in a scene of its own, with the keys combined. none:
     the piano plays itself."""
     reduced_action_space: bool = True
     """Lock the joints that the hand names as such (Shadow, as in the paper: thumb 5 and 1, little

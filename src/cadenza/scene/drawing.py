@@ -1,4 +1,4 @@
-"""Shapes, and poses over time, with which a page draws a performance without MuJoCo."""
+"""Shapes and poses, with which pages draw a performance without MuJoCo."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _DECIMALS = 6  # of lengths [m] and quaternions
 
 
 def drawing(scene: Scene) -> dict[str, Any]:
-    """All visible shapes, as plain values for JSON.
+    """The visible shapes of a scene, as plain values for JSON.
 
     bodies: names of the B bodies of the hands, in the order of `body_poses`.
     skeleton: for each of them its parent (index, or -1 where that stands still), pos [m] and quat

@@ -1,4 +1,4 @@
-"""Reflection of a scene: what one hand does, in the coordinates of the other."""
+"""Reflections, which map the motion of one hand to the coordinates of the other."""
 
 from __future__ import annotations
 

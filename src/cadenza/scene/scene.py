@@ -28,7 +28,7 @@ Ids = NDArray[np.intp]
 
 PHYSICS_TIMESTEP = {"published": 0.005, "fast": 0.01}  # [s]
 SLEEP_TOLERANCE = 1e-5
-"""At this tolerance, keys at rest cost no time and a recorded song replays to 1e-4 rad."""
+"""The tolerance at which keys at rest cost no time and a recorded song replays to 1e-4 rad."""
 _FRICTION_IMPEDANCE = 10  # MuJoCo's impratio of the published scene: keys do not slip
 _KEY_BIT = 2  # of contype and conaffinity, for fingers on keys
 _NUM_POSTURES = 400  # enough that more find no other pair of parts that collides
@@ -142,9 +142,9 @@ class HandAlone(NamedTuple):
 
     scene: Scene
     servos: slice
-    """Its actuators among those of both hands."""
+    """The actuators of the hand among those of both."""
     joints: slice
-    """Its joints among those of both hands."""
+    """The joints of the hand among those of both."""
 
 
 @lru_cache(maxsize=8)  # shared by all that play a plan, as it takes long to build
@@ -155,7 +155,7 @@ def hand_alone(scene: Scene, side: Side) -> HandAlone:
 
 
 def in_steps_of(scene: Scene, seconds: float) -> Scene:
-    """The same scene with another physics timestep [s], to look ahead more coarsely."""
+    """The scene with another physics timestep [s], for coarser rollouts."""
     model = copy(scene.model)
     model.opt.timestep = seconds
     return replace(scene, model=model)

@@ -1,4 +1,4 @@
-"""Both hands, each simulated by itself at a piano of its own; the keys are combined."""
+"""Simulations of hands apart: each at a piano of its own, whose keys are combined."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 class HandsApart:
     """N pairs of simulations, of either hand; implements `protocol.RandomizableSimulation`.
 
-    The hands never meet. A key is where the hand has it that pushes it further down. Both pianos
-    are alike, also where they are randomized.
+    The hands never meet. The position of a key is the deeper one of both pianos. Both pianos are
+    alike, also if they are randomized.
 
     Attributes:
         state: both hands, and the keys of both pianos combined.
@@ -73,13 +73,11 @@ class HandsApart:
         self.state = State(
             key_qpos=np.where(deeper, right.key_qpos, left.key_qpos),
             key_xpos=np.where(deeper[..., None], right.key_xpos, left.key_xpos),
-            hand_qpos=np.concatenate([right.hand_qpos, left.hand_qpos], axis=1),
-            hand_qvel=np.concatenate([right.hand_qvel, left.hand_qvel], axis=1),
+            **{
+                name: np.concatenate([getattr(right, name), getattr(left, name)], axis=1)
+                for name in ("hand_qpos", "hand_qvel", "actuator_force", "actuator_velocity")
+            },
             fingertip_xpos=right.fingertip_xpos + left.fingertip_xpos,
-            actuator_force=np.concatenate([right.actuator_force, left.actuator_force], axis=1),
-            actuator_velocity=np.concatenate(
-                [right.actuator_velocity, left.actuator_velocity], axis=1
-            ),
             forearm_contact=np.zeros_like(right.forearm_contact),
             touch=right.touch + left.touch,
             unstable=right.unstable | left.unstable,

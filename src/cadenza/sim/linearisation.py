@@ -17,8 +17,8 @@ from cadenza.sim.mujoco_simulation import PHYSICS_STATE
 Array = NDArray[np.float64]
 
 EPSILON = 1e-8
-"""Finite differences [m, rad, m/s, rad/s, actuator units]. Contacts and dry friction switch so
-often that at 1e-6 the derivatives over a control step can be wrong by their own size."""
+"""Size of finite differences [m, rad, m/s, rad/s, actuator units]. Contacts and dry friction switch
+so often that at 1e-6 the derivatives over a control step can be wrong by their own size."""
 
 
 class Linearisation(NamedTuple):
@@ -108,7 +108,7 @@ class Lineariser:
         mujoco.mj_setState(model, data, state, PHYSICS_STATE)
         for row, before in zip(np.ndindex(self._shape), self._data, strict=True):
             data.ctrl = ctrl[row[0]]
-            _copy_state(model, data, before)
+            mujoco.mj_copyState(model, data, before, PHYSICS_STATE)
             mujoco.mj_step(model, data)
             self._read(states, row)
         return states
@@ -144,9 +144,3 @@ def _products(transitions: Array) -> Iterator[Array]:
         product = transition[:, :size] @ product
         product[:, size:] += transition[:, size:]
         yield product
-
-
-def _copy_state(model: Any, source: Any, target: Any) -> None:
-    state = np.empty(mujoco.mj_stateSize(model, PHYSICS_STATE))
-    mujoco.mj_getState(model, source, state, PHYSICS_STATE)
-    mujoco.mj_setState(model, target, state, PHYSICS_STATE)

@@ -15,7 +15,7 @@ _T = TypeVar("_T")
 
 
 class Lock:
-    """Re-entrant. A copy is a lock of its own, and in a forked child it is free again."""
+    """A re-entrant lock. A copy is a lock of its own, and in a forked child it is free again."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()

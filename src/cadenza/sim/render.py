@@ -37,8 +37,10 @@ class Picture:
     published scene's: closeup, left, right, back, egocentric, topdown."""
 
     def __post_init__(self) -> None:
-        """Raises:
-        CadenzaError: there is no such camera, or the picture is empty or too large.
+        """Checks camera and size.
+
+        Raises:
+            CadenzaError: there is no such camera, or the picture is empty or too large.
         """
         if self.camera not in (names := (PLAYER, *CAMERAS)):
             raise CadenzaError(f"no camera {self.camera!r}: choose from {', '.join(names)}")
@@ -60,7 +62,10 @@ class Renderer:
         picture: Picture | None = None,
         keys: tuple[int, int] | None = None,
     ) -> None:
-        """Takes the lowest and the highest key that the player's camera is to frame, or all.
+        """Args:
+            scene: the scene to draw.
+            picture: size and camera.
+            keys: the lowest and the highest key that the player's camera frames; all by default.
 
         Raises:
             CadenzaError: this machine cannot draw.
@@ -146,19 +151,13 @@ class Drawing:
         self._scene, self._picture = scene, picture
         self._mine = threading.local()
 
-    def frame(
-        self,
-        hand_qpos: NDArray[Any],
-        key_qpos: NDArray[Any],
-        sounding: NDArray[Any],
-        goal: NDArray[Any],
-    ) -> NDArray[np.uint8]:
-        """See `Renderer.frame`.
+    def frame(self, *state: NDArray[Any]) -> NDArray[np.uint8]:
+        """Draws a picture (height, width, 3) of the arrays that `Renderer.frame` takes.
 
         Raises:
             CadenzaError: this machine cannot draw, or the picture makes no sense.
         """
-        return self._renderer().frame(hand_qpos, key_qpos, sounding, goal)
+        return self._renderer().frame(*state)
 
     def _renderer(self) -> Renderer:
         renderer, process = getattr(self._mine, "made", (None, None))
@@ -196,7 +195,7 @@ _RENDERED_IN: set[int] = set()  # this process, or the one that it was forked fr
 
 
 def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.MjrContext]:
-    """A graphics context of the first backend that works; MUJOCO_GL, if set, names the only one."""
+    """A graphics context of the first backend that works, or of that which MUJOCO_GL names."""
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted in ("on", "enable", "enabled", "1", "true"):
         wanted = ""

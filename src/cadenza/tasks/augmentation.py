@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.music.goals import check_pitches, check_steps
 from cadenza.music.score import NUM_KEYS, Score, check_length
@@ -16,7 +17,7 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
 
 _OCTAVE = 12  # [semitones]
-_MAXIMUM = {  # of options that are 0 or more, such as no user needs to exceed
+_MAXIMUM = {  # of options from 0 on, which no user needs to exceed
     "control_timestep": 60,
     "n_steps_lookahead": 100_000,
     "n_seconds_lookahead": 3600,
@@ -39,7 +40,7 @@ def prepare_tracks(
 ) -> tuple[GoalTrack, ...]:
     """Trims, stretches and transposes the scores, and fingers them for the hands of a `scene`.
 
-    `progress` is that of `find_fingering`.
+    `progress` is called as by `find_fingering`.
 
     Raises:
         CadenzaError: there is no score, or one without notes, or an option makes no sense.
@@ -97,10 +98,8 @@ def _check_options(config: TaskConfig) -> None:
     for name in ("control_timestep", "fingering_margin"):
         if not (value := getattr(config, name)) > 0:
             raise CadenzaError(f"{name} {value}: choose more than 0")
-    for name, most in _MAXIMUM.items():
-        value = getattr(config, name)
-        if value is not None and not 0 <= value <= most:
-            raise CadenzaError(f"{name} {value}: choose 0 to {most}")
+    given = {name: most for name, most in _MAXIMUM.items() if getattr(config, name) is not None}
+    check_ranges(config, {name: (0, most) for name, most in given.items()})
 
 
 def _check_duration(seconds: float, config: TaskConfig) -> None:

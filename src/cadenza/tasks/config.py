@@ -16,7 +16,7 @@ Repeats = Literal["published", "shortened"]
 
 
 Range = tuple[float, float]
-"""Minimum and maximum."""
+"""A minimum and a maximum."""
 
 SAME: Range = (1.0, 1.0)
 NOISE_ON_OBSERVATIONS = "joint_noise", "slide_noise", "key_noise"  # of `DomainRandomization`
@@ -27,17 +27,17 @@ class RewardWeights:
     """The weights of the terms whose sum is the reward, as in the published code."""
 
     key_press: float = 0.5
-    """Goal keys that are down."""
+    """Weight of goal keys that are down."""
     no_wrong_key: float = 0.5
-    """No other key sounds; a part of the term "key_press", too."""
+    """Weight of no other key sounding, which is a part of the term "key_press", too."""
     fingering: float = 1.0
-    """Fingers near the keys that they are to press."""
+    """Weight of fingers near the keys that they should press."""
     energy: float = 0.005
-    """Minus the power of all actuators [1/W]; the default of `TaskConfig.energy_coefficient`."""
+    """Weight of the power of all actuators, a penalty [1/W]; default `energy_coefficient`."""
     sustain: float = 1.0
-    """The pedal as the score has it."""
+    """Weight of the pedal as the score has it."""
     forearm: float = 0.5
-    """The forearms do not touch."""
+    """Weight of forearms that do not touch."""
 
 
 WEIGHTS = RewardWeights()
@@ -68,24 +68,23 @@ class DomainRandomization:
     latency: Range = (0.0, 0.0)
     """Range of the time that actions take to arrive [s], rounded to physics steps."""
     joint_noise: float = 0.0
-    """Normal noise on observed joint angles, drawn anew in each step: its standard deviation
-    [rad]."""
+    """Standard deviation of the normal noise on observed joint angles, drawn in each step [rad]."""
     slide_noise: float = 0.0
-    """The same of joints that slide, as forearms do [m]."""
+    """Standard deviation of the normal noise on observed positions of slides [m]."""
     key_noise: float = 0.0
-    """The same of observed key states, as a fraction of the way down; they stay in 0 to 1."""
+    """Standard deviation of the normal noise on observed key states, which stay in 0 to 1."""
     control_noise: float = 0.0
-    """Normal noise on the controls of the servos, drawn anew in each step: its standard deviation,
-    as a fraction of half the control range. Controls stay in their range."""
+    """Standard deviation of the normal noise on controls, drawn in each step, as a fraction of half
+    the control range. Controls stay in their range."""
     seed: int | None = None
-    """Seed of all of this, the same in every episode. Without it, each reset draws one with the
-    random numbers of its environment."""
+    """Seed of all that is drawn, the same in every episode. By default each reset draws a seed with
+    the random numbers of its environment."""
 
     __repr__ = in_short
 
     @property
     def is_on(self) -> bool:
-        """Whether anything may differ from the nominal model."""
+        """Whether anything may differ from the nominal model or its sensors."""
         return replace(self, seed=None) != DomainRandomization()
 
 
@@ -109,7 +108,7 @@ class TaskConfig:
     """Silence before the first note [s]. The hands start 10 cm above the keys and need it to reach
     a note at time 0."""
     repeats: Repeats = "published"
-    """When a key is struck again without a gap, published: the repeated note starts one step late,
+    """Notes that repeat a key without a gap. published: the repeated note starts one step late,
     as in RoboPianist; shortened: the note before it ends one step early, and a pedal that is lifted
     and pressed again within a step comes up."""
     wrong_press_termination: bool = False
@@ -162,7 +161,7 @@ def with_time_to_begin() -> TaskConfig:
     return TaskConfig(initial_buffer_time=0.5)
 
 
-# Options with which the same actions move keys and hands alike.
+# Options that do not change how the same actions move keys and hands.
 _PLAYED_ALIKE = {
     "n_steps_lookahead",
     "n_seconds_lookahead",
@@ -178,15 +177,15 @@ _PLAYED_ALIKE = {
 
 
 def task_identity(task: TaskConfig, scene: SceneConfig, seed: int, **song: Any) -> dict[str, Any]:
-    """The options, as JSON has them, that have to be the same for a plan to play the same.
+    """The options, as in JSON, on which it depends how a plan is played.
 
-    What identifies a task for a plan stands here, below all that plans: a plan's file keeps it,
-    practice goes on only with the same, and comparisons tell where it differs.
+    The file of a plan keeps them, practice is continued only with the same, and comparisons tell
+    where they differ.
 
     Args:
         task, scene: all options.
-        seed: counts only where the task draws something.
-        song: what of the song is played.
+        seed: the seed, which is left out if the task draws nothing at random.
+        song: the arrangement of the song.
     """
     options = asdict(task) | asdict(scene)
     drawn = any(value for name, value in asdict(task).items() if name.startswith("random_"))

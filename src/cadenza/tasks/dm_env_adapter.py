@@ -1,4 +1,4 @@
-"""The task as a `dm_env.Environment`; needs the package's extra `dm-env`."""
+"""The task as a `dm_env.Environment`, for which the package has the extra `dm-env`."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class DmEnvAdapter(dm_env.Environment):
 
     def __init__(self, env: gymnasium.Env, seed: int | None = None) -> None:
         """Args:
-            env: what to wrap, without pixels and without wrappers that change observations.
-            seed: of the first episode; the following ones draw on.
+            env: the environment, without pixels and without wrappers that change observations.
+            seed: the seed of the first episode; the following ones continue its random numbers.
 
         Raises:
             CadenzaError: observations are not those of a `PianoEnv`.
@@ -55,7 +55,7 @@ class DmEnvAdapter(dm_env.Environment):
         return dm_env.restart(self._parts(observation))
 
     def step(self, action: NDArray[Any]) -> dm_env.TimeStep:
-        """One control step; after the last one of an episode, as dm_env asks for, a reset."""
+        """Takes a control step, or after the end of an episode a reset, as dm_env demands."""
         if self._ended:
             return self.reset()
         observation, reward, terminated, truncated, _ = self._env.step(np.asarray(action))
@@ -71,14 +71,14 @@ class DmEnvAdapter(dm_env.Environment):
         return {name: observation[part] for name, part in self._layout.items()}
 
     def observation_spec(self) -> dict[str, specs.Array]:
-        """Name -> shape of each part."""
+        """Name -> shape of each part of an observation."""
         return {
             name: specs.Array((part.stop - part.start,), np.float32, name)
             for name, part in self._layout.items()
         }
 
     def action_spec(self) -> specs.BoundedArray:
-        """Actions (A,) in [-1, 1], the pedal last."""
+        """The specification of actions (A,) in [-1, 1], the pedal last."""
         shape = self._env.action_space.shape
         return specs.BoundedArray(shape, np.float32, -1.0, 1.0, "action")
 

@@ -75,7 +75,7 @@ def _make_task(
 
 
 class PianoVectorEnv(VectorEnv):
-    """N copies of the task, stepped together on a pool of threads.
+    """N environments of the task, stepped together on a pool of threads.
 
     Actions are in [-1, 1], scaled to the actuators' ranges, the pedal last. Observations are
     float32 arrays whose parts `observation_layout` names; with `pixels` a dictionary of them,
@@ -209,7 +209,7 @@ class PianoVectorEnv(VectorEnv):
         return self._observe(), self._songs(mask) | self._drawn(mask)
 
     def _starts(self, options: Mapping[str, Any]) -> list[EpisodeStart]:
-        """(N,) what the options of a reset fix about the episode of each environment."""
+        """(N,) starts of the episodes, as far as the options of a reset fix them."""
         given = (self._each(name, options.get(name)) for name in _EPISODE_OPTIONS)
         shape = self.task.scene.hand_start.shape
         wanted = f"give a finite number for each of the hands' joints, {shape}"
@@ -258,7 +258,7 @@ class PianoVectorEnv(VectorEnv):
         return _infos(drawn, fresh)
 
     def _metrics(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
-        """Infos on how well the episodes that end were played."""
+        """Infos on the metrics of the episodes that end."""
         metrics: defaultdict[str, Array] = defaultdict(lambda: np.zeros(self.num_envs))
         for env in np.flatnonzero(ended).tolist():
             for name, value in self.task.episode_metrics(env).items():
@@ -290,7 +290,7 @@ class PianoVectorEnv(VectorEnv):
     def _restart(
         self, env_ids: NDArray[np.intp], starts: Sequence[EpisodeStart] | None = None
     ) -> None:
-        """Begins episodes in these environments; `starts` (N,) says what is fixed about them."""
+        """Begins episodes in these environments, with their `starts` (N,) if any."""
         if len(env_ids):
             rngs, fixed = [self._rngs[i] for i in env_ids], starts and [starts[i] for i in env_ids]
             self.task.reset(rngs, env_ids.tolist(), fixed)
@@ -299,7 +299,7 @@ class PianoVectorEnv(VectorEnv):
     def step(
         self, actions: NDArray[Any]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """One control step in every environment, as `gymnasium.vector.VectorEnv.step`."""
+        """Takes a control step in every environment, as `gymnasium.vector.VectorEnv.step`."""
         mode = self.metadata["autoreset_mode"]
         if not self._rngs:
             raise CadenzaError("no episode has started: call reset() before step()")
@@ -362,7 +362,7 @@ class PianoVectorEnv(VectorEnv):
 
 
 class PianoEnv(gymnasium.Env):
-    """One copy of the task: a batch of one. Everything is as in `PianoVectorEnv`."""
+    """A single environment: a `PianoVectorEnv` with N = 1."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
 
@@ -413,7 +413,7 @@ class PianoEnv(gymnasium.Env):
         return _row(observation, 0), _first(infos)
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """One control step, as `gymnasium.Env.step`."""
+        """Takes a control step, as `gymnasium.Env.step`."""
         _check_shape("action", action, self.action_space)
         observation, reward, *ended, infos = self._batch.step(np.asarray(action)[None])
         terminated, truncated = (bool(each[0]) for each in ended)

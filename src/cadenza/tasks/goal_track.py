@@ -24,15 +24,15 @@ class GoalTrack:
     """A score as a task plays it: its fingers, its initial silence, its goals per control step."""
 
     score: Score
-    """Trimmed, stretched and transposed, without the silence before it."""
+    """The score, trimmed, stretched and transposed, without the initial silence."""
     dropped: tuple[Dropped, ...] | None
-    """Notes that no finger can play, and why; None if fingers have not been looked for."""
+    """The notes that no finger can play, and why; None before a search for fingers."""
     config: TaskConfig
     """The task's options."""
     scene: Scene
     """The hands and the keys."""
     found: bool = False
-    """Whether a search for these hands found all its fingers: the song gives none."""
+    """Whether a search found all fingers, because the song gives none."""
     _cached: list[weakref.ref[Goals]] = field(default_factory=list, init=False, repr=False)
 
     def __repr__(self) -> str:
@@ -69,9 +69,9 @@ class GoalTrack:
 
     @property
     def goals(self) -> Goals:
-        """Goals of every control step of the episode; fingers that the hands lack are left out.
+        """The goals of every control step of the episode, without fingers that the hands lack.
 
-        They are computed when first asked for, and cached as long as anybody has them.
+        They are computed on demand, and cached as long as they are referenced.
         """
         goals = self._cached[0]() if self._cached else None
         if goals is None:
@@ -99,13 +99,13 @@ class GoalTrack:
         return {**vars(self), "_cached": []}  # weak references cannot be pickled
 
     def with_score(self, score: Score) -> GoalTrack:
-        """The same track with another score, for which fingers have not been looked for."""
+        """The track with another score, whose fingers have not been searched for."""
         return replace(self, score=score, dropped=None, found=False)
 
     def fingered(self, progress: Callable[[int, int], None] | None = None) -> GoalTrack:
         """Finds a finger for every note that the hands can play, unless that was done before.
 
-        `progress` is that of `find_fingering`.
+        `progress` is called as by `find_fingering`.
         """
         if self.dropped is not None:
             return self
@@ -113,7 +113,7 @@ class GoalTrack:
         return replace(self, score=score, dropped=dropped, found=not self.score.has_fingering)
 
     def with_found_fingers(self) -> GoalTrack:
-        """The same track without the fingers that the song gives, if it gives any."""
+        """The track without the fingers that the song gives, if it gives any."""
         return self if self.found else self.with_score(self.score.without_fingers())
 
 

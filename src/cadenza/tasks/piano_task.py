@@ -1,7 +1,7 @@
 """The task: N simulations, each with a score to play, stepped together.
 
-The Gymnasium classes, the adapters and the planners all stand on this one class, which speaks in
-actuator units and arrays (num_envs, ...).
+The Gymnasium classes, the adapters and the planners use this class. Its actions are in actuator
+units, and its arrays are (num_envs, ...).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from cadenza.tasks.view import View, task_spec
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-PEDAL_DOWN = 0.5  # of the way: from here on the pedal sustains
+PEDAL_DOWN = 0.5  # fraction of its range from which on the pedal sustains
 TOUCH_RANGE = 5.0
 """Greatest force that is observed [N]; a key is held down with about one."""
 
@@ -43,22 +43,22 @@ class Transition(NamedTuple):
     terms: dict[str, Array]
     """Each term of the reward by name; they add up to it."""
     terminated: Mask
-    """A wrong key sounded where that ends the episode, or it is unstable."""
+    """Whether a wrong key sounded and that ends the episode, or the simulation is unstable."""
     truncated: Mask
-    """The score is over."""
+    """Whether the score is over."""
     unstable: Mask
-    """The simulation diverged, or an action was not a number."""
+    """Whether the simulation diverged, or an action was not a number."""
 
 
 class EpisodeStart(NamedTuple):
-    """What is fixed about an episode of one environment; what is None is drawn."""
+    """The start of an episode of one environment; fields that are None are drawn."""
 
     song: int | GoalTrack | None = None
     """The index of a song among the task's, or a track that is played as it is."""
     hand_qpos: Array | None = None
     """(J,) joint positions of the hands [m, rad]."""
     randomization: int | None = None
-    """The number from which everything follows that `DomainRandomization` draws."""
+    """The seed of everything that `DomainRandomization` draws."""
 
 
 class PianoTask:
@@ -323,7 +323,7 @@ class PianoTask:
         return self.goals.tracks[env].delayed_score
 
     def episode_metrics(self, env: int) -> dict[str, float]:
-        """How well environment `env` has played its score so far (see `music.metrics`)."""
+        """The metrics of the episode of environment `env` so far (see `music.metrics`)."""
         done = int(min(self.goals.steps_done[env], self.goals.num_steps[env]))
         played, (goal, _) = self._played[env, :done], self.goals.between(env, 0, done)
         return playing_metrics(

@@ -45,7 +45,7 @@ class Outcome(NamedTuple):
     sounding: Mask
     """(N, K) which keys sound."""
     pedal_down: Mask
-    """(N,)"""
+    """(N,) whether the pedal is down."""
     goal_keys: Mask
     """(N, K) which keys should sound."""
     goal_sustain: Mask
@@ -60,11 +60,11 @@ class Outcome(NamedTuple):
 
 
 RewardTerm = Callable[[Outcome], Array]
-"""A term of the reward, (N,)."""
+"""A function that returns a term of the reward, (N,)."""
 
 
 def press_offset(key_half_size: Array) -> Array:
-    """(K, 3) where on a key a finger is wanted, from the centre of its box (K, 3) [m]."""
+    """(K, 3) the points on keys that fingers should press, from the centres of their boxes [m]."""
     return _PRESS_AT * key_half_size
 
 
@@ -85,7 +85,7 @@ def key_activation(key_qpos: Array, sounds_from: Array) -> Mask:
 
 
 def key_press(state: Array, activation: Mask, goal: Mask) -> Array:
-    """Goal keys that are down, and no other key sounding; arrays (N, K) to (N,)."""
+    """(N,) reward for goal keys that are down, and for no other key that sounds; arrays (N, K)."""
     xp = state.__array_namespace__()
     down = _tolerance(xp, 1.0 - state - _KEY_BOUND, _KEY_MARGIN)
     wrong = (activation > goal).any(-1)
@@ -93,7 +93,7 @@ def key_press(state: Array, activation: Mask, goal: Mask) -> Array:
 
 
 def graded_key_press(state: Array, activation: Mask, goal: Mask) -> Array:
-    """`key_press` graded: every touch counts, and a wrong key is not as bad as silence.
+    """(N,) graded `key_press`: every touch counts, and a wrong key is not as bad as silence.
 
     A goal key is worth half of how far it is down, and as much again once it sounds. The part for
     no wrong key falls by the share of wrong keys among goal keys and wrong ones.
@@ -179,13 +179,13 @@ def keys_by_transport(
 
 
 def energy(force: Array, velocity: Array, coefficient: float) -> Array:
-    """Minus the power of all actuators times `coefficient`; arrays (N, A) [N, N m] and speeds."""
+    """(N,) penalty for the power of all actuators, from forces and velocities (N, A)."""
     xp = force.__array_namespace__()
     return -coefficient * xp.vecdot(abs(force), abs(velocity))
 
 
 def sustain(pedal_down: Mask, goal: Mask) -> Array:
-    """The pedal as the score has it; arrays (N,)."""
+    """(N,) reward for the pedal as the score has it; arrays (N,)."""
     xp = goal.__array_namespace__()
     difference = goal.astype(float) - pedal_down.astype(float)
     beyond = xp.maximum(difference - _KEY_BOUND, -difference)
@@ -193,7 +193,7 @@ def sustain(pedal_down: Mask, goal: Mask) -> Array:
 
 
 def forearm(contact: Mask) -> Array:
-    """Forearms that do not touch; arrays (N,)."""
+    """(N,) reward for forearms that do not touch."""
     return contact.__array_namespace__().where(contact, 0.0, WEIGHTS.forearm)
 
 

@@ -36,6 +36,11 @@ SETUPS = Registry(
 )
 
 
+def _options_of(kind: type, options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that are fields of `kind`."""
+    return {field.name: options[field.name] for field in fields(kind) if field.name in options}
+
+
 @dataclass(frozen=True, eq=False)
 class NamedSetup:
     """A setup: options of scene, task, agent and training."""
@@ -43,19 +48,23 @@ class NamedSetup:
     options: Mapping[str, Any] = field(default_factory=dict)
     """Fields of `SceneConfig` and `TaskConfig`; the others keep their defaults."""
     agent: str | None = None
-    """The default agent; None for the usual one."""
+    """The name of the agent; None for the default one."""
     training: Mapping[str, Any] = field(default_factory=dict)
-    """Changes to the preset fast: fields of `TrainingConfig` and of its learner."""
+    """Changes to the preset "fast": fields of `TrainingConfig` and of its learner."""
 
     def __post_init__(self) -> None:
-        """Raises: CadenzaError: no configuration has such an option."""
+        """Checks the names of the options.
+
+        Raises:
+            CadenzaError: no configuration has such an option.
+        """
         known = {*self.of(SceneConfig), *self.of(TaskConfig)}
         if unknown := sorted(self.options.keys() - known):
             raise CadenzaError(f"setup: there is no option {unknown[0]!r} of a scene or a task")
 
     def of(self, kind: type) -> dict[str, Any]:
         """The options that are fields of `kind`."""
-        return {f.name: self.options[f.name] for f in fields(kind) if f.name in self.options}
+        return _options_of(kind, self.options)
 
     def applied_to(self, config: T) -> T:
         """Returns `config`, a dataclass with a `task` and a `scene`, with this setup's options."""
@@ -118,10 +127,7 @@ def configure(
     if (setup := options.get("setup")) is not None:
         options = {**setup_named(setup).options, **options}
     options = {name: value for name, value in options.items() if name != "setup"}
-    known: dict[type, set[str]] = {
-        kind: {field.name for field in fields(kind)} for kind in (TaskConfig, SceneConfig)
-    }
-    names = set().union(*known.values())
+    names = {field.name for kind in (TaskConfig, SceneConfig) for field in fields(kind)}
     if unknown := sorted(options.keys() - names):
         close = get_close_matches(unknown[0], [*names, "setup", "song"], 1)
         hint = f"did you mean {close[0]}? " if close else ""
@@ -130,8 +136,5 @@ def configure(
             f"{', '.join(sorted({*names, 'setup'}))}"
         )
 
-    def chosen(kind: type) -> dict[str, Any]:
-        return {name: options[name] for name in known[kind] & options.keys()}
-
-    task = replace(as_config(task, TaskConfig), **chosen(TaskConfig))
-    return task, replace(as_config(scene, SceneConfig), **chosen(SceneConfig))
+    task = replace(as_config(task, TaskConfig), **_options_of(TaskConfig, options))
+    return task, replace(as_config(scene, SceneConfig), **_options_of(SceneConfig, options))

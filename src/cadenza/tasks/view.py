@@ -1,4 +1,4 @@
-"""The view that an agent has of a task: values, and nothing that it could change."""
+"""The view of an agent: the constants of a task, and values that it must not change."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class TaskSpec:
     action_low: Array
     """(A,) the least action in actuator units [m, rad], the pedal last."""
     action_high: Array
-    """(A,) the greatest."""
+    """(A,) the greatest action in actuator units [m, rad], the pedal last."""
     observation_layout: dict[str, slice]
     """Name -> slice of an observation."""
 
@@ -51,12 +51,12 @@ class TaskSpec:
 
     @property
     def action_size(self) -> int:
-        """A: actuators and the pedal."""
+        """A, the number of actuators and the pedal."""
         return len(self.action_low)
 
     @property
     def observation_size(self) -> int:
-        """D."""
+        """D, the number of values in an observation."""
         return max(part.stop for part in self.observation_layout.values())
 
     def scale_action(self, action: NDArray[Any]) -> Array:
@@ -92,24 +92,23 @@ class View:
 
     task: TaskSpec
     env_ids: Ids
-    """(N,) their numbers."""
+    """(N,) numbers of the environments."""
     tracks: tuple[GoalTrack, ...]
-    """(N,) what each has to play: score, fingers, and goals per control step."""
+    """(N,) tracks that they play: score, fingers, and goals of every control step."""
     num_steps: Ids
     """(N,) control steps of the episode."""
     steps: Ids
     """(N,) control steps since the episode began."""
     playing: Mask
-    """(N,) whether it takes the next step; the actions of the others are ignored."""
+    """(N,) whether each takes the next step; the actions of the others are ignored."""
     state: State
     """True positions and speeds of hands and keys, fingertips, forces, all (N, ...)."""
     observation: NDArray[np.float32]
-    """(N, D) as the environments give it, with noise if there is any, see
-    `TaskSpec.observation_layout`."""
+    """(N, D) observations, with noise if there is any, see `TaskSpec.observation_layout`."""
     fingers: NDArray[np.int8]
     """(N, K) the fingers for the keys of the next step, -1 for none."""
     reward: Array
-    """(N,) of the last step, 0 before the first."""
+    """(N,) reward of the last step, 0 before the first."""
     simulation: Simulation
     """The physics of all environments of the task, for planners that copy it. Not to be stepped."""
 
