@@ -17,7 +17,7 @@ from cadenza.agents.registry import make_agent
 from cadenza.episode import load_episode
 from cadenza.files import read_json
 from cadenza.fingers import Side
-from cadenza.hands.arm_allegro import ARM_ALLEGRO, SPEED, TORQUE
+from cadenza.hands.arm_allegro import ARM_ALLEGRO
 from cadenza.hands.body import prefix
 from cadenza.music.score import Note, Score
 from cadenza.performing.hand_episodes import hand_episodes
@@ -29,7 +29,9 @@ from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import TaskConfig
 
 ARM = [f"armJ{number}" for number in range(1, 8)]
-# iiwa7_allegro.urdf of differentiable-robot-model 0.2.3: limits [rad] and masses [kg].
+# iiwa7_allegro.urdf of differentiable-robot-model 0.2.3: limits of the position [rad], velocity
+# [rad/s] and torque [N m], and masses [kg].
+SPEED, TORQUE = 10.0, 300.0
 _FULL, _HALF = 2.9670597283903604, 2.0943951023931953
 LIMITS = (_FULL, _HALF, _FULL, _HALF, _FULL, _HALF, 3.0543261909900763)
 MASSES = (5.0, 3.4525, 3.4821, 4.05623, 3.4822, 2.1633, 2.3466, 3.129)
@@ -61,7 +63,6 @@ def test_figures_are_those_of_the_urdf(scene: Scene, side: str) -> None:
         np.testing.assert_allclose(joint.range, (-limit, limit))
         np.testing.assert_allclose(model.actuator(f"{p}A_{name}").forcerange, (-TORQUE, TORQUE))
     np.testing.assert_allclose([model.body(p + name).mass[0] for name in LINKS], MASSES)
-    assert (SPEED, TORQUE) == (10.0, 300.0)
 
 
 def test_the_arm_stretched_up_is_as_long_as_in_the_urdf(scene: Scene) -> None:

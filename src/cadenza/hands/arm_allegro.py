@@ -31,12 +31,8 @@ from cadenza.hands.body import (
 )
 from cadenza.hands.servo import Servo
 
-SPEED = 10.0
-"""Speed limit of the arm's joints [rad/s]."""
-TORQUE = 300.0
-"""Torque limit of the arm's motors [N m]."""
-
 _DAMPING = 0.5  # [N m s/rad]
+_TORQUE = 300.0  # [N m], the limit of the motors
 _HALF = float(np.sqrt(0.5))
 _UP: Quaternion = (_HALF, _HALF, 0.0, 0.0)  # rpy (pi/2, 0, 0)
 _OVER: Quaternion = (0.0, 0.0, _HALF, _HALF)  # rpy (pi/2, 0, pi), and (-pi/2, pi, 0)
@@ -164,7 +160,7 @@ _BODY = Body(
     ),
     actuators=(
         *(
-            Actuator(joint, part.kp, TORQUE, part.kv)
+            Actuator(joint, part.kp, _TORQUE, part.kv)
             for joint, part in zip(_JOINTS, _PARTS, strict=True)
         ),
         *ALLEGRO.body.actuators,

@@ -1,4 +1,4 @@
-"""Derivatives of whole control steps by the hands and their controls, by finite differences."""
+"""Derivatives of control steps by hands and controls, from finite differences."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 class HandLinearisation(NamedTuple):
     """Derivatives of T control steps of hands with J joints and A actuators, among K keys.
 
-    All are by z = (positions, speeds, control), 2 J + A numbers, at the beginning of the step.
+    They are by z = (positions, velocities, control), 2 J + A numbers, at the beginning of the step.
     """
 
     hands: Array
@@ -42,10 +42,10 @@ class HandLineariser:
         self, scene: Scene, difference: Array, control_timestep: float, num_threads: int = 1
     ) -> None:
         """Args:
-        scene: with hands; its keys may sleep.
+        scene: a scene with hands, whose keys may sleep.
         difference: (2 J + A,) size of the difference of each element of z.
-        control_timestep: [s]
-        num_threads: how many threads share the work.
+        control_timestep: time of a control step [s].
+        num_threads: number of threads that share the work.
         """
         self._difference = difference
         self._joints = len(scene.hand_joint_names)

@@ -1,4 +1,4 @@
-"""Fast rollouts of one hand: with the keys near it only, and the links that touch them."""
+"""Fast rollouts of one hand, with only the keys near it and the links that touch them."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ class HandRollouts:
 
     def __init__(self, scene: Scene, control_timestep: float, whole: Scene | None = None) -> None:
         """Args:
-        scene: with one hand.
-        control_timestep: time that a step takes [s].
-        whole: scene of the simulations in whose states rollouts start; `scene` by default.
+        scene: a scene with one hand.
+        control_timestep: time of a control step [s].
+        whole: the scene of the simulations in whose states rollouts start; `scene` by default.
         """
         self._scene, self._whole = scene, whole or scene
         self._servos = servos_of(scene)
@@ -51,12 +51,12 @@ class HandRollouts:
         self._models: dict[range, _HandOnKeys] = {}
 
     def start_from(self, simulation: MujocoSimulation, low: float, high: float) -> None:
-        """Has rollouts start in the present state of a simulation, the first if it is a batch.
+        """Lets rollouts start in the present state of a simulation, the first if it is a batch.
 
         Args:
-            simulation: of the whole scene.
+            simulation: a simulation of the whole scene.
             low: the least y of fingertips, along the keyboard [m].
-            high: the largest [m].
+            high: the largest y [m].
         """
         keys = self._keys_between(low - _MARGIN, high + _MARGIN)
         self.keys = slice(keys.start, keys.stop)
@@ -86,12 +86,12 @@ class HandRollouts:
             yield data.qpos[hand.keys], data.site_xpos[hand.fingertips]
 
     def hand_joints(self, slot: int = 0) -> tuple[Array, Array]:
-        """(J,) positions and velocities of the hand's joints [m, rad, and /s]."""
+        """(J,) positions [m, rad] and velocities [m/s, rad/s] of the hand's joints."""
         data, first = self._model.data[slot], self._model.keys.stop
         return data.qpos[first:], data.qvel[first:]
 
     def servo_state(self, slot: int = 0) -> Array:
-        """(A, 2) positions and velocities of the servos [m, rad, and /s]."""
+        """(A, 2) positions [m, rad] and velocities [m/s, rad/s] of the servos."""
         return self._servos.of_joints.T @ np.stack(self.hand_joints(slot), axis=1)
 
     def key_qpos(self, slot: int = 0) -> Array:

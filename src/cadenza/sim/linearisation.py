@@ -24,7 +24,7 @@ so often that at 1e-6 the derivatives over a control step can be wrong by their 
 class Linearisation(NamedTuple):
     """States and derivatives after each of the P physics steps of T control steps.
 
-    K keys, V joints of keys and hands, A actuators, F fingers of two hands.
+    There are K keys, V joints of keys and hands, A actuators, and F fingers of two hands.
     """
 
     jacobian: Array
@@ -60,10 +60,10 @@ class Lineariser:
         centred: bool = False,
     ) -> None:
         """Args:
-            scene: what to linearise; its keys must not sleep.
+            scene: the scene to linearise, whose keys must not sleep.
             num_steps: T, control steps.
             num_substeps: P, physics steps in each.
-            num_threads: how many threads share the work.
+            num_threads: number of threads that share the work.
             centred: whether differences are centred, which takes twice the time of forward ones.
 
         Raises:
@@ -80,9 +80,11 @@ class Lineariser:
         self._pool, self._centred = ThreadPoolExecutor(num_threads), centred
 
     def linearise(self, state: Array, ctrl: Array) -> Linearisation:
-        """Args:
-        state: (S,) the first one, as `MujocoSimulation.physics_state` returns it.
-        ctrl: (T, A) in actuator units, held for a control step each.
+        """States and derivatives along the trajectory of these controls.
+
+        Args:
+            state: (S,) the first state, as `MujocoSimulation.physics_state` returns it.
+            ctrl: (T, A) controls in actuator units, each held for a control step.
         """
         states = self._roll_out(state, ctrl)
         transitions = np.array(list(self._pool.map(self._differentiate, self._data)))

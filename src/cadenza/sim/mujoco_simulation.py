@@ -26,7 +26,7 @@ PHYSICS_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 MOST_ENVS = 10_000
 """The most simulations of a batch. Each takes about 1 MB, or 1.5 MB with a model of its own."""
 _LOG = logging.getLogger(__name__)
-_AWAKE = "nbody_awake", "nparent_awake", "nv_awake", "ntree_awake"  # what MuJoCo does not pickle
+_AWAKE = "nbody_awake", "nparent_awake", "nv_awake", "ntree_awake"  # MuJoCo does not pickle these
 UNSTABLE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
 """Warnings of bad positions, velocities, accelerations and controls, neighbours in MuJoCo."""
 
@@ -54,10 +54,10 @@ class MujocoSimulation:
         watch_forearms: bool = False,
     ) -> None:
         """Args:
-            scene: what to simulate.
+            scene: the scene to simulate.
             num_envs: N.
-            control_timestep: time that a step takes [s], a multiple of the physics step.
-            num_threads: how many threads share the work.
+            control_timestep: time of a control step [s], a multiple of the physics step.
+            num_threads: number of threads that share the work.
             watch_forearms: whether `State.forearm_contact` is wanted.
 
         Raises:
@@ -84,7 +84,7 @@ class MujocoSimulation:
         """Puts simulations back to the start.
 
         Args:
-            env_ids: which; all by default.
+            env_ids: the simulations that are reset; all by default.
             hand_qpos: (len(env_ids), J) joint positions to start from; zero by default.
         """
 
@@ -122,8 +122,8 @@ class MujocoSimulation:
 
         Args:
             ctrl: one row for every simulation, also for those not stepped.
-            env_ids: which simulations to step; all by default.
-            held: the controls until then, if controls are late.
+            env_ids: the simulations to step; all by default.
+            held: the controls until these arrive, if they are late.
         """
         out = self.state.copy()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -18,8 +18,8 @@ class State(NamedTuple):
     """State of N simulations after a step, as far as the task may know it.
 
     Positions, velocities and contacts belong to the new state; forces to the last physics step that
-    led there, as in the published system. K keys, J hand joints, A actuators,
-    F fingers of two hands.
+    led there, as in the published system. There are K keys, J hand joints, A actuators, and F
+    fingers of two hands.
     """
 
     key_qpos: Array
@@ -29,13 +29,13 @@ class State(NamedTuple):
     hand_qpos: Array
     """(N, J) joint positions of the hands [m, rad]."""
     hand_qvel: Array
-    """(N, J) their velocities [m/s, rad/s]."""
+    """(N, J) joint velocities of the hands [m/s, rad/s]."""
     fingertip_xpos: Array
     """(N, F, 3) fingertips in the world [m]; zero for a hand that is not there."""
     actuator_force: Array
-    """(N, A) [N, N m]."""
+    """(N, A) forces of the actuators [N, N m]."""
     actuator_velocity: Array
-    """(N, A) [m/s, rad/s]."""
+    """(N, A) velocities of the actuators [m/s, rad/s]."""
     forearm_contact: NDArray[np.bool_]
     """(N,) whether links touch that the reward for forearms keeps apart (`Hand.kept_apart`); always
     False unless it was asked for."""
@@ -72,13 +72,13 @@ class Simulation(Protocol):
 
     @property
     def state(self) -> State:
-        """State after the last step or reset, or the first one; nobody writes to its arrays."""
+        """The state after the last step or reset; its arrays must not be changed."""
 
     def reset(self, env_ids: Sequence[int], hand_qpos: Array) -> None:
         """Resets some simulations: everything is at rest, and the keys are up.
 
         Args:
-            env_ids: which.
+            env_ids: the simulations that are reset.
             hand_qpos: (len(env_ids), J) joint positions of the hands to start from [m, rad].
         """
 
@@ -88,7 +88,7 @@ class Simulation(Protocol):
         Args:
             ctrl: (N, A) in actuator units, held through the step; one row for every simulation,
                 also for those not stepped.
-            env_ids: which simulations to step; all if None.
+            env_ids: the simulations to step; all if None.
         """
 
     def close(self) -> None:
@@ -99,9 +99,9 @@ class Held(NamedTuple):
     """Controls that are held at the beginning of a control step, until its own ones arrive."""
 
     ctrl: Array
-    """(N, A) in actuator units."""
+    """(N, A) controls in actuator units."""
     substeps: NDArray[np.intp]
-    """(N,) for how many physics steps, fewer than a control step has."""
+    """(N,) number of physics steps, fewer than a control step has."""
 
 
 @runtime_checkable
@@ -112,7 +112,7 @@ class RandomizableSimulation(Simulation, Protocol):
         """Scales the nominal model of one simulation, which is to be reset next.
 
         Args:
-            env_id: which.
+            env_id: the simulation.
             factors: see `cadenza.scene.randomization.shapes`; the same names every time.
         """
 
@@ -120,21 +120,5 @@ class RandomizableSimulation(Simulation, Protocol):
         """See `Simulation.step`; `held` are the controls until `ctrl` arrives, if it is late."""
 
 
-class MakeSimulation(Protocol):
-    """Makes the simulation of a task; `MujocoSimulation` is one."""
-
-    def __call__(
-        self,
-        scene: Scene,
-        num_envs: int,
-        control_timestep: float,
-        num_threads: int,
-        watch_forearms: bool,
-    ) -> Simulation:
-        """Args:
-        scene: what to simulate.
-        num_envs: N.
-        control_timestep: time that a step takes [s].
-        num_threads: how many threads may share the work.
-        watch_forearms: whether `State.forearm_contact` is wanted.
-        """
+MakeSimulation = Callable[..., Simulation]
+"""A function that makes the simulation of a task, with the arguments of `MujocoSimulation`."""

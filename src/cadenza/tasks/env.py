@@ -54,7 +54,7 @@ def _make_task(
     reward_terms: Mapping[str, RewardTerm] | None,
     options: dict[str, Any],
 ) -> PianoTask:
-    """The task of an environment, see `PianoVectorEnv`; no song is given as [None]."""
+    """The task of an environment, see `PianoVectorEnv`; without a song `songs` is [None]."""
     no_song = songs == [None]
     if isinstance(task, PianoTask):
         if not no_song or scene is not None or reward_terms is not None or options:
@@ -269,17 +269,12 @@ class PianoVectorEnv(VectorEnv):
         """Seeds environments of the mask (N,); those without a seed keep their generators."""
         if seed is None and self._rngs:
             return
-        each_has_one = isinstance(seed, Sequence | np.ndarray)
-        given: Sequence[Any] = seed if isinstance(seed, Sequence | np.ndarray) else [seed]
-        seeds = [_checked_seed(each) for each in given]
-        if not each_has_one:
-            first = seeds[0]
+        if isinstance(seed, Sequence | np.ndarray):
+            seeds = [_checked_seed(each) for each in self._each("seed", list(seed))]
+        else:
+            first = _checked_seed(seed)
             self._np_random, self._np_random_seed = seeding.np_random(first)
             seeds = [None if first is None else first + i for i in range(self.num_envs)]
-        if len(seeds) != self.num_envs:
-            raise CadenzaError(
-                f"{len(seeds)} seeds for {self.num_envs} environments: give one for each"
-            )
         self._rngs = [
             self._rngs[i]
             if self._rngs and (each is None or not mask[i])
