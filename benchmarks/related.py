@@ -22,7 +22,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.arguments import one_or_more, parser_for
-from benchmarks.robustness import TROUBLES, Trouble, troubled_task
+from benchmarks.robustness import DISTURBANCES, Disturbance, disturbed_task
 from benchmarks.table import write_table
 from cadenza.agents.agent import Agent, Array
 from cadenza.agents.baselines.icp import ICP
@@ -50,8 +50,8 @@ PIECES: dict[str, Callable[[], Score]] = {
     "MinuetInG": lambda: load_score("MinuetInG"),
     "etudes/hanon-3-7": lambda: etude("etudes/hanon-3-7"),
 }
-_OF_A_ROW = "setting", "piece", "amiss", "seed"
-NOTHING, _, SLIGHT, STRONG, MODEL = TROUBLES
+_OF_A_ROW = "setting", "piece", "disturbance", "seed"
+NOTHING, _, SLIGHT, STRONG, MODEL = DISTURBANCES
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ class Setting:
     scene: SceneConfig = field(default_factory=SceneConfig)
     task: TaskConfig = field(default_factory=with_time_to_begin)
     open_loop: bool = False
-    """Whether actions are replayed that the agent chose when nothing was amiss."""
-    troubles: tuple[Trouble, ...] = (NOTHING,)
+    """Whether actions are replayed that the agent chose without a disturbance."""
+    disturbances: tuple[Disturbance, ...] = (NOTHING,)
 
 
 def _nominal() -> Agent:
@@ -81,11 +81,13 @@ ARMS = replace(SceneConfig(), **_ARM.of(SceneConfig))
 TIME = replace(with_time_to_begin(), **_ARM.of(TaskConfig))
 ALL = (NOTHING, SLIGHT, STRONG, MODEL)
 SETTINGS: dict[str, Setting] = {
-    "planner": Setting("planner", Planner, troubles=ALL),
-    "planner-played-back": Setting("planner, played back", Planner, open_loop=True, troubles=ALL),
-    "nominal": Setting("plan with feedback", _nominal, troubles=ALL),
-    "nominal-played-back": Setting("plan, played back", _nominal, open_loop=True, troubles=ALL),
-    "stitched": Setting("stitched motions", Stitched, troubles=ALL),
+    "planner": Setting("planner", Planner, disturbances=ALL),
+    "planner-played-back": Setting(
+        "planner, played back", Planner, open_loop=True, disturbances=ALL
+    ),
+    "nominal": Setting("plan with feedback", _nominal, disturbances=ALL),
+    "nominal-played-back": Setting("plan, played back", _nominal, open_loop=True, disturbances=ALL),
+    "stitched": Setting("stitched motions", Stitched, disturbances=ALL),
     "arm-icp": Setting("arms, nearest fingers", partial(_icp, "nearest"), ARMS, TIME),
     "arm-search": Setting("arms, fingers by search", partial(_icp, "found"), ARMS, TIME),
     "predictive-sampling": Setting("predictive sampling", PredictiveSampling),
@@ -117,10 +119,10 @@ class Timed(Agent):
 
 
 def played(
-    setting: Setting, score: Score, trouble: Trouble, seed: int, agent: Agent | None = None
+    setting: Setting, score: Score, disturbance: Disturbance, seed: int, agent: Agent | None = None
 ) -> tuple[dict[str, Any], Array]:
     """Figures of a performance, and its actions (T, A)."""
-    task = troubled_task(score, setting.task, trouble, setting.scene)
+    task = disturbed_task(score, setting.task, disturbance, setting.scene)
     timed = Timed(agent or setting.agent())
     with threadpool_limits(1):
         result = play_episode(task, timed, seed)
@@ -144,13 +146,13 @@ def rows(name: str, seeds: int, known: Collection[tuple[str, ...]]) -> Iterator[
         score = load().beginning(SECONDS)
         for seed in range(seeds):
             plan: Agent | None = None
-            for trouble in setting.troubles:
-                of = name, piece, trouble.name, str(seed)
+            for disturbance in setting.disturbances:
+                of = name, piece, disturbance.name, str(seed)
                 if of in known:
                     continue
                 if setting.open_loop and plan is None:
                     plan = Playback(played(setting, score, NOTHING, seed)[1])
-                row, _ = played(setting, score, trouble, seed, plan)
+                row, _ = played(setting, score, disturbance, seed, plan)
                 yield dict(zip(_OF_A_ROW, of, strict=True)) | row
 
 
@@ -173,14 +175,14 @@ def _scores(table: Sequence[dict[str, str]]) -> str:
 
 
 def tables(table: Sequence[dict[str, str]]) -> Iterator[str]:
-    """Each setting on each piece; and what is lost where something is amiss."""
+    """Yields the lines of two tables: each setting on each piece, and with each disturbance."""
     names = [name for name in SETTINGS if any(row["setting"] == name for row in table)]
     yield "| setting | " + " | ".join(PIECES) + " | F1 | note onsets | before it plays | in all |"
     yield "| --- " * (len(PIECES) + 5) + "|"
     for name in names:
         if SETTINGS[name].open_loop:
             continue  # the same as what was recorded
-        mine = [r for r in table if r["setting"] == name and r["amiss"] == NOTHING.name]
+        mine = [r for r in table if r["setting"] == name and r["disturbance"] == NOTHING.name]
         cells = [_mean((r for r in mine if r["piece"] == piece), "f1") for piece in PIECES]
         if all(cells):
             cells += [_mean(mine, "f1"), _mean(mine, "note_onset_f1")]
@@ -189,12 +191,12 @@ def tables(table: Sequence[dict[str, str]]) -> Iterator[str]:
             cells += [""] * 4
         yield f"| {SETTINGS[name].about} | " + " | ".join(cells) + " |"
     yield ""
-    yield "| setting | " + " | ".join(trouble.name for trouble in ALL) + " |"
+    yield "| setting | " + " | ".join(disturbance.name for disturbance in ALL) + " |"
     yield "| --- " * (len(ALL) + 1) + "|"
     for name in names:
-        if SETTINGS[name].troubles == ALL:
+        if SETTINGS[name].disturbances == ALL:
             mine = [r for r in table if r["setting"] == name]
-            cells = [_scores([r for r in mine if r["amiss"] == t.name]) for t in ALL]
+            cells = [_scores([r for r in mine if r["disturbance"] == t.name]) for t in ALL]
             yield f"| {SETTINGS[name].about} | " + " | ".join(cells) + " |"
 
 
@@ -218,7 +220,9 @@ def main() -> None:
         known = {tuple(r[column] for column in _OF_A_ROW) for r in read()}
         for row in rows(name, options.seeds, known):
             write_table(RESULTS, [*read(), row])
-            print(name, row["piece"], row["amiss"], row["seed"], f"{row['f1']:.3f}", flush=True)
+            print(
+                name, row["piece"], row["disturbance"], row["seed"], f"{row['f1']:.3f}", flush=True
+            )
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.robustness SONG ... [--seeds N] [--agents A ...]
 
 Prints a table in Markdown. Closed loop: the agent sees how the hands really are. Open
-loop: what it plays when nothing is amiss, recorded and replayed.
+loop: its actions without a disturbance are recorded and replayed.
 """
 
 from __future__ import annotations
@@ -39,59 +39,59 @@ OF_THE_MODEL = (
 
 
 @dataclass(frozen=True)
-class Trouble:
-    """A disturbance."""
+class Disturbance:
+    """A disturbance of hands, controls or model."""
 
     name: str
     start: float = 0.0
     """The hands start up to this far to the left or right [m]."""
     noise: float = 0.0
-    """Standard deviation of what every control is off by, in units of half its range."""
+    """Standard deviation of the noise on every control, in units of half its range."""
     model: float = 0.0
-    """Figures of the model are off by up to this share, others in each episode."""
+    """Parameters of the model are off by up to this share, drawn for each episode."""
 
 
-TROUBLES = (
-    Trouble("nothing"),
-    Trouble("hands start within 5 cm", start=0.05),
-    Trouble("1 % noise on controls", noise=0.01),
-    Trouble("5 % noise on controls", noise=0.05),
-    Trouble("model off by 10 %", model=0.1),
+DISTURBANCES = (
+    Disturbance("nothing"),
+    Disturbance("hands start within 5 cm", start=0.05),
+    Disturbance("1 % noise on controls", noise=0.01),
+    Disturbance("5 % noise on controls", noise=0.05),
+    Disturbance("model off by 10 %", model=0.1),
 )
 
 
-def troubled_task(
+def disturbed_task(
     score: Score,
     config: TaskConfig,
-    trouble: Trouble,
+    disturbance: Disturbance,
     scene: SceneConfig | None = None,
 ) -> PianoTask:
-    """The task with hands, controls and model that are amiss."""
-    factors = (1.0 - trouble.model, 1.0 + trouble.model)
+    """The task with disturbed hands, controls and model."""
+    factors = (1.0 - disturbance.model, 1.0 + disturbance.model)
     model: Any = dict.fromkeys(OF_THE_MODEL, factors)
-    randomization = DomainRandomization(**model, control_noise=trouble.noise)
-    amiss = replace(config, random_hand_position=trouble.start, randomization=randomization)
-    return PianoTask([score], amiss, scene)
+    randomization = DomainRandomization(**model, control_noise=disturbance.noise)
+    disturbed = replace(config, random_hand_position=disturbance.start, randomization=randomization)
+    return PianoTask([score], disturbed, scene)
 
 
-def played_in_trouble(
-    score: Score, config: TaskConfig, trouble: Trouble, agent: Agent, seed: int
+def played_with(
+    score: Score, config: TaskConfig, disturbance: Disturbance, agent: Agent, seed: int
 ) -> tuple[tuple[float, float], Array]:
     """F1 and note onset F1, and the actions (T, A) that the agent chose."""
-    performance = play_episode(troubled_task(score, config, trouble), agent, seed)
+    performance = play_episode(disturbed_task(score, config, disturbance), agent, seed)
     metrics = performance.metrics
     return (metrics["f1"], metrics["note_onset_f1"]), performance.episode.arrays["action"]
 
 
 def rows(score: Score, config: TaskConfig, agent: Callable[[], Agent], seeds: int) -> Iterator[str]:
-    """A row of the table for each trouble, means and least over the seeds."""
-    nothing = TROUBLES[0]
-    plans = [played_in_trouble(score, config, nothing, agent(), seed)[1] for seed in range(seeds)]
-    for trouble in TROUBLES:
+    """A row of the table for each disturbance, means and least over the seeds."""
+    nothing = DISTURBANCES[0]
+    plans = [played_with(score, config, nothing, agent(), seed)[1] for seed in range(seeds)]
+    for disturbance in DISTURBANCES:
         scores = np.array(
             [
                 [
-                    played_in_trouble(score, config, trouble, player, seed)[0]
+                    played_with(score, config, disturbance, player, seed)[0]
                     for player in (agent(), Playback(plan))
                 ]
                 for seed, plan in enumerate(plans)
@@ -101,7 +101,7 @@ def rows(score: Score, config: TaskConfig, agent: Callable[[], Agent], seeds: in
         cells = " | ".join(
             f"{f1:.3f} · {onset:.3f} | {least:.3f}" for (f1, onset), least in figures
         )
-        yield f"{trouble.name} | {cells} |"
+        yield f"{disturbance.name} | {cells} |"
 
 
 @errors_in_a_line()

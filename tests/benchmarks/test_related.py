@@ -22,7 +22,7 @@ def short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         RandomAgent,
         SceneConfig(hands="right"),
         open_loop=True,
-        troubles=related.ALL,
+        disturbances=related.ALL,
     )
     monkeypatch.setattr(related, "PIECES", {"tune": lambda: tune})
     monkeypatch.setattr(related, "SETTINGS", {"waving": setting})
@@ -33,8 +33,10 @@ def test_what_is_known_is_not_measured_again() -> None:
     for row in related.rows("waving", 1, known=()):
         write_table(related.RESULTS, [*related.read(), row])
     table = related.read()
-    assert [row["amiss"] for row in table] == [trouble.name for trouble in related.ALL]
-    known = {(r["setting"], r["piece"], r["amiss"], r["seed"]) for r in table[:3]}
+    assert [row["disturbance"] for row in table] == [
+        disturbance.name for disturbance in related.ALL
+    ]
+    known = {(r["setting"], r["piece"], r["disturbance"], r["seed"]) for r in table[:3]}
     (missing,) = related.rows("waving", 1, known)
     kept = [name for name in missing if not name.endswith("cpu_seconds")]
     assert {n: str(missing[n]) for n in kept} == {n: table[3][n] for n in kept}
@@ -44,8 +46,12 @@ def test_tables_show_means(monkeypatch: pytest.MonkeyPatch) -> None:
     base = {"setting": "waving", "piece": "tune", "note_onset_f1": "0.5", "music_seconds": "2"}
     base |= {"prepare_cpu_seconds": "0.5", "cpu_seconds": "1"}
     table = [
-        base | {"amiss": trouble.name, "f1": f1}
-        for trouble, f1 in ((related.NOTHING, "0"), (related.NOTHING, "1"), (related.STRONG, "4"))
+        base | {"disturbance": each.name, "f1": f1}
+        for each, f1 in (
+            (related.NOTHING, "0"),
+            (related.NOTHING, "1"),
+            (related.STRONG, "4"),
+        )
     ]
     lines = list(related.tables(table))
     assert lines[-1] == "| hands that wave | 0.500 · 0.500 |  | 4.000 · 0.500 |  |"

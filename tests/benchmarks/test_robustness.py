@@ -1,4 +1,4 @@
-"""The robustness benchmark: that trouble is what it says, for whom it says."""
+"""The robustness benchmark: that disturbance is what it says, for whom it says."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import numpy as np
 from numpy.testing import assert_array_equal
 
 from benchmarks.robustness import (
+    DISTURBANCES,
     OF_THE_MODEL,
-    TROUBLES,
-    Trouble,
-    played_in_trouble,
+    Disturbance,
+    disturbed_task,
+    played_with,
     rows,
-    troubled_task,
 )
 from cadenza.agents.agent import ZeroAgent
 from cadenza.agents.playback import Playback
@@ -25,7 +25,7 @@ TUNE = Score(
 
 
 def test_the_model_is_off_by_as_much_and_differs_by_seed() -> None:
-    task = troubled_task(TUNE, TaskConfig(), Trouble("", model=0.1))
+    task = disturbed_task(TUNE, TaskConfig(), Disturbance("", model=0.1))
     masses = []
     for seed in (0, 1):
         task.reset([np.random.default_rng(seed)], [0])
@@ -36,25 +36,27 @@ def test_the_model_is_off_by_as_much_and_differs_by_seed() -> None:
 
 
 def test_noise_alone_leaves_the_model() -> None:
-    task = troubled_task(TUNE, TaskConfig(), Trouble("", noise=0.05))
+    task = disturbed_task(TUNE, TaskConfig(), Disturbance("", noise=0.05))
     task.reset([np.random.default_rng(0)], [0])
     assert task.drawn.keys() == {"seed"}
 
 
 def test_starts_differ_by_seed_and_recorded_plans_meet_them_unprepared() -> None:
-    trouble = Trouble("", start=0.05)
-    plan = played_in_trouble(TUNE, TaskConfig(), TROUBLES[0], ZeroAgent(), 0)[1]
+    disturbance = Disturbance("", start=0.05)
+    plan = played_with(TUNE, TaskConfig(), DISTURBANCES[0], ZeroAgent(), 0)[1]
     starts = []
     for seed in (0, 1):
-        task = troubled_task(TUNE, TaskConfig(), trouble)
+        task = disturbed_task(TUNE, TaskConfig(), disturbance)
         task.reset([np.random.default_rng(seed)], [0])
         starts.append(task.state.hand_qpos[0].copy())
     assert np.abs(starts[0] - starts[1]).max() > 1e-3
-    _, replayed = played_in_trouble(TUNE, TaskConfig(), trouble, Playback(plan), 0)
+    _, replayed = played_with(TUNE, TaskConfig(), disturbance, Playback(plan), 0)
     assert_array_equal(replayed, plan)
 
 
-def test_a_row_for_each_trouble() -> None:
+def test_a_row_for_each_disturbance() -> None:
     table = list(rows(TUNE, TaskConfig(), ZeroAgent, seeds=1))
-    assert [row.split(" | ")[0] for row in table] == [trouble.name for trouble in TROUBLES]
+    assert [row.split(" | ")[0] for row in table] == [
+        disturbance.name for disturbance in DISTURBANCES
+    ]
     assert all(row.count("|") == 5 for row in table)
