@@ -81,7 +81,7 @@ class Servos:
 
     def clip(self, coordinates: Array) -> Array:
         """`coordinates` (..., A), positions or controls, clipped to their ranges."""
-        return within(coordinates, self.low, self.high)
+        return clip(coordinates, self.low, self.high)
 
     def lead(self, dt: float) -> Array:
         """(3, A) weights of three positions, `dt` [s] apart, in the control that follows them.
@@ -94,8 +94,8 @@ class Servos:
         return np.array([driven, 0.5 - damped - 2 * driven, 0.5 + damped + driven])
 
 
-def within(values: NDArray[Any], low: ArrayLike, high: ArrayLike) -> NDArray[Any]:
-    """`values` clipped like `np.clip`, in half the time for the few of a short plan."""
+def clip(values: NDArray[Any], low: ArrayLike, high: ArrayLike) -> NDArray[Any]:
+    """`values` clipped as by `np.clip`, in half the time for the few of a short plan."""
     return np.minimum(np.maximum(values, low), high)
 
 

@@ -31,7 +31,7 @@ from cadenza.agents.planner.plan.kinematic_terms import (
 from cadenza.agents.planner.plan.link_collisions import link_collisions
 from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import Scene
-from cadenza.scene.servos import Servos, within
+from cadenza.scene.servos import Servos, clip
 
 Array = NDArray[Any]
 Ids = NDArray[np.intp]
@@ -269,7 +269,7 @@ class PostureProblem:
         squares = known.squares + ((2 * known.gradient + added) * change).sum(axis=(1, 2))
         motion = self._motion
         control = motion.control_range.stencil(rows) + known.pressing
-        violation = control - within(control, motion.low, motion.high)
+        violation = control - clip(control, motion.low, motion.high)
         residuals = rows[2:] - self._rest, motion.smoothness.stencil(rows), violation
         weighted: Array = sum(
             term.weight * residual**2
@@ -333,8 +333,8 @@ class PostureProblem:
     def step(self, postures: Array, bands: Array, gradient: Array, damping: Array) -> Array:
         """The postures (S, A) after a step that is damped (S - 1,)."""
         change = self._solved(bands, gradient, damping).reshape(gradient.shape)
-        change = within(change, -self._motion.stride, self._motion.stride)
-        moved = within(self._by_hand(postures[1:]) + change, self._motion.low, self._motion.high)
+        change = clip(change, -self._motion.stride, self._motion.stride)
+        moved = clip(self._by_hand(postures[1:]) + change, self._motion.low, self._motion.high)
         return np.concatenate([postures[:1], moved.reshape(len(moved), -1)])
 
     def _solved(self, bands: Array, gradient: Array, damping: Array) -> Array:

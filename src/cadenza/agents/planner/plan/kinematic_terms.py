@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cadenza.agents.planner.plan.link_collisions import LinkCollisions, LinkPairs
 from cadenza.hands.forearm import WIDTH
 from cadenza.scene.kinematics import TIP, Links
-from cadenza.scene.servos import Servos, within
+from cadenza.scene.servos import Servos, clip
 
 Array = NDArray[Any]
 Ids = NDArray[np.intp]
@@ -79,7 +79,7 @@ class TipsInBoxes:
     def __call__(self, hands: PosedHands) -> Term:
         low, high, sigma = (values[hands.rows] for values in self._boxes)
         tips, jacobian = hands.links.points[:, :, :, TIP], hands.links.tips
-        outside = (tips - within(tips, low, high)) / sigma
+        outside = (tips - clip(tips, low, high)) / sigma
         slope = jacobian * ((outside != 0) / sigma)[..., None]
         count, of = outside.shape[:2]
         return outside.reshape(count, of, -1), slope.reshape(count, of, -1, slope.shape[-1])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.hands.hand import Hand
-from cadenza.scene.servos import within
+from cadenza.scene.servos import clip
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
@@ -143,6 +143,6 @@ def _closest(between: Array, along_a: Array, along_b: Array) -> Array:
     ab = np.vecdot(along_a, along_b)
     da, db = np.vecdot(along_a, between), np.vecdot(along_b, between)
     aa, bb = np.maximum(aa, _POINT), np.maximum(bb, _POINT)
-    s = within((ab * db - da * bb) / np.maximum(aa * bb - ab * ab, _POINT), 0.0, 1.0)
-    t = within((ab * s + db) / bb, 0.0, 1.0)
-    return np.stack([within((ab * t - da) / aa, 0.0, 1.0), t])
+    s = clip((ab * db - da * bb) / np.maximum(aa * bb - ab * ab, _POINT), 0.0, 1.0)
+    t = clip((ab * s + db) / bb, 0.0, 1.0)
+    return np.stack([clip((ab * t - da) / aa, 0.0, 1.0), t])

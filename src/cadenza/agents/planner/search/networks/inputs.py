@@ -30,7 +30,7 @@ from cadenza.agents.planner.plan.presses import Press
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.fingers import SIDES, Side
 from cadenza.scene.scene import Scene, hand_alone
-from cadenza.scene.servos import servos_of, within
+from cadenza.scene.servos import clip, servos_of
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -172,13 +172,13 @@ class HandInputs:
         inputs[..., 4 : 4 + _HELD_STEPS] = (at >= 0) & (soon < ends[at])
         key, over = keys[which], first[which] == never
         to_begin = first[which] - steps[:, None]
-        inputs[..., 0] = within(to_begin, -FAR, FAR) / FAR
-        inputs[..., 1] = within(last[which] - steps[:, None], 0, FAR) / FAR
+        inputs[..., 0] = clip(to_begin, -FAR, FAR) / FAR
+        inputs[..., 1] = clip(last[which] - steps[:, None], 0, FAR) / FAR
         inputs[..., 2], inputs[..., 3] = self._keyboard.is_black[key], jumps[which]
-        near = within(1 - to_begin / FAR, 0, 1)
+        near = clip(1 - to_begin / FAR, 0, 1)
         offset = (self._keyboard.centre[key] - self._tips[steps]) * self._sign / _KEY_OFFSET_SCALE
         inputs[..., 5 + _HELD_STEPS : 8 + _HELD_STEPS] = (
-            within(offset, -_MAX_KEY_OFFSET, _MAX_KEY_OFFSET) * (near > 0)[..., None]
+            clip(offset, -_MAX_KEY_OFFSET, _MAX_KEY_OFFSET) * (near > 0)[..., None]
         )
         inputs[..., 8 + _HELD_STEPS] = near
         inputs[over] = 0.0
@@ -237,9 +237,9 @@ def _cases(presses: Array, depths: Array, error_now: Array, error_next: Array) -
         error_next: (F, 3) from the plan after the step.
     """
     black, soon, near = presses[:, 2], presses[:, 4], presses[:, 8 + _HELD_STEPS]
-    goal, lacking = depths[:, -1], within(1 - depths[:, len(_NEIGHBOURS) // 2], 0, 1)
+    goal, lacking = depths[:, -1], clip(1 - depths[:, len(_NEIGHBOURS) // 2], 0, 1)
     beside, beside_next = (np.hypot(some[:, 0], some[:, 1]) for some in (error_now, error_next))
-    low, is_off = within(-error_now[:, 2], 0, _MAX_ERROR), beside > _OFF_TARGET
+    low, is_off = clip(-error_now[:, 2], 0, _MAX_ERROR), beside > _OFF_TARGET
     too_high = goal * lacking
     cases_too_high = (1.0, beside < _OVER_ITS_KEY, black, lacking < _HALF_DOWN)
     depth = [too_high * case for case in cases_too_high] + [soon * (1 - goal) * lacking]
@@ -253,7 +253,7 @@ def _cases(presses: Array, depths: Array, error_now: Array, error_next: Array) -
 
 def _scaled(error: Array, scale: float) -> Array:
     """Errors in units of `scale`, clipped."""
-    return within(error / scale, -_MAX_ERROR, _MAX_ERROR)
+    return clip(error / scale, -_MAX_ERROR, _MAX_ERROR)
 
 
 class Corrections(NamedTuple):
@@ -271,8 +271,8 @@ class Corrections(NamedTuple):
 
     def ctrl(self, output: Floats) -> Array:
         """(H, A) what is added to the controls with outputs (H, A) [m, rad]."""
-        return within(output, -_MAX_OUTPUT, _MAX_OUTPUT) * self.sign * self.scale
+        return clip(output, -_MAX_OUTPUT, _MAX_OUTPUT) * self.sign * self.scale
 
     def output(self, ctrl: Array) -> Array:
         """(H, A) the outputs that add `ctrl` (H, A) to the controls: the inverse of `ctrl`."""
-        return within(ctrl * self.sign / self.scale, -_MAX_OUTPUT, _MAX_OUTPUT)
+        return clip(ctrl * self.sign / self.scale, -_MAX_OUTPUT, _MAX_OUTPUT)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, INTEGERS, ArrayOf, read_arrays, write_atomically
-from cadenza.scene.servos import within
+from cadenza.scene.servos import clip
 
 Floats = NDArray[np.float32]
 Ids = NDArray[np.intp]
@@ -63,7 +63,7 @@ class Network(NamedTuple):
     def __call__(self, inputs: Floats) -> Floats:
         """(H, M, O) the outputs for the inputs of H hands (H, D + 2), with `CONSTANTS`."""
         rows = inputs[:, self.inputs].reshape(-1, len(self.middle))
-        hidden = within((rows - self.middle) / self.spread, -INPUT_LIMIT, INPUT_LIMIT)
+        hidden = clip((rows - self.middle) / self.spread, -INPUT_LIMIT, INPUT_LIMIT)
         for kernel, bias in zip(self.kernels[:-1], self.biases[:-1], strict=True):
             hidden = np.maximum(hidden @ kernel + bias, 0.0)
         outputs: Floats = (hidden @ self.kernels[-1] + self.biases[-1]).mean(axis=0)
