@@ -25,6 +25,7 @@ from cadenza.errors import errors_in_a_line
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
+from cadenza.scene.randomization import SCALED_FIELDS
 from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
@@ -33,9 +34,6 @@ AGENTS: dict[str, Callable[[], Agent]] = {
     "nominal": lambda: Planner(PlannerConfig(method="none")),
     "tracked": TrackedPresses,
 }
-OF_THE_MODEL = (
-    "mass", "friction", "joint_damping", "joint_friction", "armature", "servo_gain", "key_spring",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ def disturbed_task(
 ) -> PianoTask:
     """The task with disturbed hands, controls and model."""
     factors = (1.0 - disturbance.model, 1.0 + disturbance.model)
-    model: Any = dict.fromkeys(OF_THE_MODEL, factors)
+    model: Any = dict.fromkeys(SCALED_FIELDS, factors)
     randomization = DomainRandomization(**model, control_noise=disturbance.noise)
     disturbed = replace(config, random_hand_position=disturbance.start, randomization=randomization)
     return PianoTask([score], disturbed, scene)

@@ -27,6 +27,7 @@ from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import load_episode
 from cadenza.files import read_json
+from cadenza.scene.randomization import SCALED_FIELDS
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.mujoco_simulation import MujocoSimulation
@@ -35,11 +36,8 @@ from cadenza.tasks.piano_task import PianoTask
 
 TUNE = Score((Note(0.0, 0.2, 60), Note(0.2, 0.4, 64), Note(0.2, 0.6, 43)), title="A tune")
 ID = "cadenza/Piano-v0"
-FACTORS = (
-    "mass", "friction", "joint_damping", "joint_friction", "armature", "servo_gain", "key_spring",
-)  # fmt: skip
 EACH: dict[str, Any] = {
-    **dict.fromkeys(FACTORS, (0.7, 1.4)),
+    **dict.fromkeys(SCALED_FIELDS, (0.7, 1.4)),
     "latency": (0.0, 0.12),
     **dict.fromkeys(("joint_noise", "slide_noise", "key_noise", "control_noise"), 0.02),
 }
@@ -151,7 +149,7 @@ def test_copies_go_on_as_their_originals(duplicate: Callable) -> None:
 def test_infos_tell_what_was_drawn_for_each_episode(mode: AutoresetMode) -> None:
     envs = make(2, autoreset_mode=mode)
     _, infos = envs.reset(seed=0)
-    names = {f"randomization/{name}" for name in (*FACTORS, "latency", "seed")}
+    names = {f"randomization/{name}" for name in (*SCALED_FIELDS, "latency", "seed")}
     assert {name for name in infos if name.startswith("randomization/")} == names
     assert infos["randomization/mass"].shape == (2, envs.task.scene.model.nbody)
     assert infos["_randomization/mass"].all()
@@ -349,7 +347,7 @@ def test_a_recorded_episode_plays_again_to_the_bit(tmp_path: Path) -> None:
     read = TaskConfig(**settings["task"])
     again = play_episode(PianoTask([TUNE], read), Playback(recorded["action"]), settings["seed"])
     drawn = {n for n in recorded.arrays if n.startswith("randomization_")}
-    assert drawn == {f"randomization_{n}" for n in (*FACTORS, "latency", "seed")}
+    assert drawn == {f"randomization_{n}" for n in (*SCALED_FIELDS, "latency", "seed")}
     for name in {"hand_qpos", "key_qpos", "reward_total", *drawn}:
         assert_array_equal(recorded[name], again.episode[name])
     seed = int(recorded["randomization_seed"])
