@@ -68,12 +68,16 @@ def test_a_forked_environment_steps_on() -> None:
 
         held, let_go = threading.Event(), threading.Event()
 
-        def hold():  # the lock, while the process forks
-            with envs._lock:
+        def hold(outcome):  # a step of the thread "holder", while the process forks
+            if threading.current_thread().name == "holder":
                 held.set()
                 let_go.wait()
+            return np.zeros(2)
 
-        threading.Thread(target=hold).start()
+        terms = {"hold": hold}
+        envs = PianoVectorEnv("OdeToJoy", num_envs=2, num_threads=2, reward_terms=terms)
+        envs.reset(seed=0)
+        threading.Thread(target=lambda: envs.step(np.ones((2, 39))), name="holder").start()
         held.wait()
         child = os.fork()
         if child == 0:
