@@ -27,21 +27,14 @@ class HandsApart:
         state: both hands, and the keys of both pianos combined.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        num_envs: int = 1,
-        control_timestep: float = 0.05,
-        num_threads: int = 1,
-        watch_forearms: bool = False,
-    ) -> None:
-        """Takes the arguments of `MujocoSimulation`, and a scene with both hands."""
+    def __init__(self, scene: Scene, watch_forearms: bool = False, **options: Any) -> None:
+        """Takes a scene with both hands and the options of `MujocoSimulation`.
+
+        Forearms never touch, whether `watch_forearms` or not.
+        """
         self.scene = scene
         self._alone = [hand_alone(scene, side) for side in SIDES]
-        self._parts = [
-            MujocoSimulation(alone.scene, num_envs, control_timestep, num_threads)
-            for alone in self._alone
-        ]
+        self._parts = [MujocoSimulation(alone.scene, **options) for alone in self._alone]
         self._rows = [_indices_of(scene, alone) for alone in self._alone]
         self._combine()
 

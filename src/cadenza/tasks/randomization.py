@@ -116,17 +116,15 @@ class Randomization:
         if not self.drawn:
             return
         for env, rng, seed in zip(env_ids, rngs, seeds, strict=True):
-            factors = self._draw(env, self._seed(rng) if seed is None else seed)
+            if seed is None:
+                seed = self._config.seed
+            factors = self._draw(env, int(rng.integers(MOST_COUNT)) if seed is None else seed)
             if factors and isinstance(self._simulation, RandomizableSimulation):
                 self._simulation.randomize(env, factors)
         if _LATENCY in self.drawn:
             self._sent[list(env_ids), :, :-1] = self._resting_ctrl(start)[:, None]
             self._sent[list(env_ids), :, -1] = 0.0  # the pedal is up
         self._draw_noise(np.asarray(env_ids, np.intp))
-
-    def _seed(self, rng: np.random.Generator) -> int:
-        seed = self._config.seed
-        return int(rng.integers(MOST_COUNT)) if seed is None else seed
 
     def _draw(self, env: int, seed: int) -> Factors:
         config = self._config

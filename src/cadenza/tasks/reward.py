@@ -112,14 +112,14 @@ def score_fingering(
     fingers: Ids,
     margin: float = TaskConfig.fingering_margin,
 ) -> Array:
-    """(N,) mean nearness of fingers to the keys that the score gives them, 0 where it gives none.
+    """(N,) mean nearness of fingers to the keys that the score gives them, 0 if it gives none.
 
     Args:
-        fingertips: (N, F, 3) [m].
+        fingertips: (N, F, 3) fingertips [m].
         key_xpos: (N, K, 3) centres of the keys' boxes [m].
-        press: (K, 3) from there to where fingers are wanted, see `press_offset` [m].
-        fingers: (N, K) for the keys, of 0..F-1, -1 for none.
-        margin: over which nearness falls to a tenth, from 1 cm on [m].
+        press: (K, 3) points to press, from the centres, see `press_offset` [m].
+        fingers: (N, K) fingers for the keys, 0..F-1, -1 for none.
+        margin: distance over which nearness falls to a tenth, from 1 cm on [m].
     """
     xp = fingertips.__array_namespace__()
     rows = xp.arange(len(fingers))[:, None]
@@ -134,14 +134,9 @@ def transport_fingering(
     keys: Ids,
     margin: float = TaskConfig.fingering_margin,
 ) -> Array:
-    """(N,) mean nearness of fingers to the keys assigned to them, 1 where none is (RP1M).
+    """(N,) mean nearness of fingers to the keys assigned to them, 1 if none is (RP1M).
 
-    Args:
-        fingertips: (N, F, 3) [m].
-        key_xpos: (N, K, 3) centres of the keys' boxes [m].
-        press: (K, 3) from there to where fingers are wanted, see `press_offset` [m].
-        keys: (N, F) for the fingers, -1 for none, see `keys_by_transport`.
-        margin: over which nearness falls to a tenth, from 1 cm on [m].
+    `keys` (N, F) are those of `keys_by_transport`; for the others see `score_fingering`.
     """
     xp = fingertips.__array_namespace__()
     rows = xp.arange(len(keys))[:, None]
@@ -156,13 +151,11 @@ def keys_by_transport(
 ) -> NDArray[np.intp]:
     """(N, F) the key of each finger, -1 for none, with the least sum of distances.
 
-    RP1M (Zhao et al., 2024) assigns fingers so. Unlike the reward terms this cannot be compiled:
-    SciPy solves one row after the other.
+    This optimal transport is that of RP1M (Zhao et al., 2024). Unlike the reward terms it cannot be
+    compiled: SciPy solves one row after the other.
 
     Args:
-        fingertips: (N, F, 3) [m].
-        key_xpos: (N, K, 3) centres of the keys' boxes [m].
-        press: (K, 3) from there to where fingers are wanted, see `press_offset` [m].
+        fingertips, key_xpos, press: see `score_fingering`.
         goal: (N, K) the keys to press.
         there: the fingers that the hands have, of the F.
     """

@@ -65,9 +65,8 @@ def import_folder(
     Args:
         folder: the folder, see `folder_library`.
         name: the name of the library.
-        replace: whether it may replace a library of this name.
         progress: is called with the number of files read, and of all.
-        grade: grades the pieces; without it their difficulty is unknown.
+        replace, grade: see `new_library`.
 
     Raises:
         CadenzaError: nothing can be read, the index is damaged, or there is such a library.

@@ -64,9 +64,8 @@ def import_pig(
 
     Args:
         source: its folder, or the ZIP file, as downloaded.
-        replace: whether it may replace the library.
         progress: is called with the number of pieces read, and of all.
-        grade: grades the pieces; without it their difficulty is unknown.
+        replace, grade: see `new_library`.
 
     Raises:
         CadenzaError: it is not the dataset, nothing in it can be read, or it was imported before.
