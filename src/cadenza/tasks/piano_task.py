@@ -239,7 +239,17 @@ class PianoTask:
         self._played[*here, -1] = self.pedal_down[within]
         goals.advance(moving)
 
-        terms = self._reward.terms(self._outcome(goal, fingers, ctrl))
+        outcome = Outcome(
+            state=self.state,
+            key_state=self.key_state,
+            sounding=self.sounding,
+            pedal_down=self.pedal_down,
+            goal_keys=goal[:, :-1],
+            goal_sustain=goal[:, -1],
+            fingers=fingers,
+            ctrl=ctrl,
+        )
+        terms = self._reward.terms(outcome)
         terminated = unstable = self.state.unstable | self._lost
         if self.config.wrong_press_termination:
             terminated = terminated | (self.sounding > goal[:, :-1]).any(axis=1)
@@ -251,18 +261,6 @@ class PianoTask:
             terminated=terminated,
             truncated=(goals.steps_done >= goals.num_steps) > terminated,
             unstable=unstable,
-        )
-
-    def _outcome(self, goal: Mask, fingers: NDArray[np.int8], ctrl: Array) -> Outcome:
-        return Outcome(
-            state=self.state,
-            key_state=self.key_state,
-            sounding=self.sounding,
-            pedal_down=self.pedal_down,
-            goal_keys=goal[:, :-1],
-            goal_sustain=goal[:, -1],
-            fingers=fingers,
-            ctrl=ctrl,
         )
 
     # Observations

@@ -120,18 +120,17 @@ def short(name: str) -> str:
 
 def music_files(folder: Path) -> list[Path]:
     """The paths of music files within a folder, in alphabetical order, without hidden ones."""
-    return sorted(_music_files(folder))
+    return sorted(path for path in files_in(folder, _DEEPEST) if path.suffix.lower() in MUSIC)
 
 
-def _music_files(folder: Path) -> Iterator[Path]:
+def files_in(folder: Path, deepest: int) -> Iterator[Path]:
+    """Yields the paths of files up to `deepest` folders within a folder, without hidden ones."""
     for place, folders, files in os.walk(folder):
+        here = Path(place).relative_to(folder)
         folders[:] = [name for name in folders if not name.startswith(".")]
-        if len(Path(place).relative_to(folder).parts) == _DEEPEST:
+        if len(here.parts) == deepest:
             folders.clear()
-        for name in files:
-            path = Path(place, name)
-            if path.suffix.lower() in MUSIC and not name.startswith("."):
-                yield path.relative_to(folder)
+        yield from (here / name for name in files if not name.startswith("."))
 
 
 def index_of(folder: Path) -> dict[str, Facts]:

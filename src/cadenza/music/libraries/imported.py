@@ -96,8 +96,12 @@ class NewLibrary:
             score: its score, from which come length, notes, hands and difficulty.
             facts: other facts about it.
         """
-        difficulty = None if self.grade is None else round(self.grade(score), 2)
-        counted = {**_counted(score), "difficulty": difficulty}
+        counted = {
+            "seconds": round(score.total_time, 2),
+            "notes": len(score.notes),
+            "hands": _hands(score),
+            "difficulty": None if self.grade is None else round(self.grade(score), 2),
+        }
         self.rows.append((f"{self.folder.name}/{file}", {**facts, **counted}))
 
     @contextmanager
@@ -170,15 +174,6 @@ def _tidy(place: Path) -> None:
                 shutil.rmtree(folder, ignore_errors=True)
     with suppress(OSError):
         place.rmdir()
-
-
-def _counted(score: Score) -> Facts:
-    """Facts about a score, for listings."""
-    return {
-        "seconds": round(score.total_time, 2),
-        "notes": len(score.notes),
-        "hands": _hands(score),
-    }
 
 
 def _hands(score: Score) -> int | None:

@@ -30,7 +30,7 @@ from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.formats.source import MAX_BYTES, decoded, read_bytes
 from cadenza.music.formats.titles import printable
-from cadenza.music.libraries.folder import short, unique
+from cadenza.music.libraries.folder import files_in, short, unique
 from cadenza.music.libraries.imported import Grade, NewLibrary, Progress, new_library, silent
 from cadenza.music.libraries.index import read_table
 from cadenza.music.libraries.pig import ALL, WEBSITE, published_name
@@ -115,7 +115,10 @@ def _add(
 def _files(source: Path) -> Iterator[_Files]:
     """Yields the files of a folder, or of a ZIP file, which is not unpacked to the disk."""
     if os.path.isdir(source):
-        yield {path: partial(read_bytes, source / path) for path in _in_folder(source)}
+        yield {
+            PurePosixPath(path.as_posix()): partial(read_bytes, source / path)
+            for path in files_in(source, _DEEPEST)
+        }
         return
     with ExitStack() as stack:
         try:
@@ -144,14 +147,6 @@ def _files(source: Path) -> Iterator[_Files]:
             PurePosixPath(member.filename): partial(_unpacked, archive, member.filename, source)
             for member in members
         }
-
-
-def _in_folder(folder: Path) -> Iterator[PurePosixPath]:
-    for place, folders, names in os.walk(folder):
-        here = Path(place).relative_to(folder)
-        if len(here.parts) == _DEEPEST:
-            folders.clear()
-        yield from (PurePosixPath(here.as_posix()) / name for name in names)
 
 
 def _unpacked(archive: ZipFile, member: str, source: Path) -> bytes:
