@@ -33,7 +33,6 @@ from cadenza.agents.planner.planner import Planner
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import errors_in_a_line
-from cadenza.music.etudes.library import etude
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
@@ -43,13 +42,14 @@ from cadenza.tasks.view import View
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results" / "related.csv"
 SECONDS = 12.0  # of each piece, at most
-PIECES: dict[str, Callable[[], Score]] = {
-    "CMajorScaleOneHand": lambda: load_score("CMajorScaleOneHand"),
-    "TwinkleTwinkleLittleStar": lambda: load_score("TwinkleTwinkleLittleStar"),
-    "OdeToJoy": lambda: load_score("OdeToJoy"),
-    "MinuetInG": lambda: load_score("MinuetInG"),
-    "etudes/hanon-3-7": lambda: etude("etudes/hanon-3-7"),
-}
+_NAMES = (
+    "CMajorScaleOneHand",
+    "TwinkleTwinkleLittleStar",
+    "OdeToJoy",
+    "MinuetInG",
+    "etudes/hanon-3-7",
+)
+PIECES: dict[str, Callable[[], Score]] = {name: partial(load_score, name) for name in _NAMES}
 _OF_A_ROW = "setting", "piece", "disturbance", "seed"
 NOTHING, _, SLIGHT, STRONG, MODEL = DISTURBANCES
 

@@ -146,10 +146,9 @@ class EpisodeGoals:
         row: (N,) the step that comes next; after the last, as in the published system, the last.
     """
 
-    def __init__(self, num_envs: int, lookahead: int, config: TaskConfig, scene: Scene) -> None:
+    def __init__(self, num_envs: int, config: TaskConfig, scene: Scene) -> None:
         """Args:
         num_envs: N.
-        lookahead: L, the number of steps after the next that are observed.
         config: the task's options.
         scene: the hands and the keys.
         """
@@ -157,7 +156,7 @@ class EpisodeGoals:
         self.num_steps = np.ones(num_envs, np.intp)
         self.steps_done = np.zeros(num_envs, np.intp)
         self.row = np.zeros(num_envs, np.intp)
-        self._steps_seen = lookahead + 1
+        self._steps_seen = config.lookahead_steps + 1
         self._num_keys, self._num_fingers = scene.keyboard.num_keys, scene.fingers.count
         self._goals = [silence(1, self._num_keys, self._num_fingers)] * num_envs
         self._cached: UpcomingGoals | None = None

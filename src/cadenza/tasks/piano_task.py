@@ -126,7 +126,7 @@ class PianoTask:
             num_envs,
             self.simulation,
         )
-        self.goals = EpisodeGoals(num_envs, self.config.lookahead_steps, self.config, self.scene)
+        self.goals = EpisodeGoals(num_envs, self.config, self.scene)
         self.spec = task_spec(self.config, self.scene)
         num_keys = self.scene.keyboard.num_keys
         self._played = np.zeros((num_envs, 0, num_keys + 1), bool)
