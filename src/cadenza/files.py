@@ -107,6 +107,13 @@ def new_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+def remove_half_written(folder: Path) -> None:
+    """Removes files that a process was writing to a folder with `write_atomically` as it died."""
+    for path in folder.glob(f"{TEMPORARY}*"):
+        if path.is_file() or path.is_symlink():
+            path.unlink(missing_ok=True)
+
+
 @contextmanager
 def opened_in_place(path: Path) -> Iterator[IO[bytes]]:
     """Yields a file that keeps what it holds, made if need be, to be read and written anywhere.

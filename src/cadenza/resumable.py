@@ -1,4 +1,9 @@
-"""Folders of work that can be stopped and resumed: locked, with a manifest of what they are for."""
+"""Folders of work that is stopped and resumed at any moment, such as training, benches, practice.
+
+One process at a time holds the folder's lock. A manifest says what the work is, and is written
+before the work begins. Every file is replaced as a whole (`cadenza.files.write_atomically`), so
+that a kill at any moment leaves what was finished last.
+"""
 
 from __future__ import annotations
 
@@ -6,37 +11,67 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from cadenza.errors import CadenzaError
-from cadenza.files import checked, locked, read_json, write_json
+from cadenza.files import checked, locked, read_json, remove_half_written, write_json
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+    Manifest = TypeVar("Manifest", bound=DataclassInstance)
+
 
 class ResumableFolder:
-    """The folder of a command's work; its manifest says what was asked for.
+    """The folder of one piece of work of a command.
 
     Attributes:
-        path: of the folder.
-        manifest: path of the manifest.
+        path: The folder.
+        command: The command that begins and resumes the work, such as "cadenza train".
+        manifest: The path of the manifest, which says what the work is.
     """
 
-    def __init__(self, path: Path, command: str) -> None:
-        """`command` is what is told of the folder, such as "cadenza train"."""
-        self.path, self.command, self.manifest = path, command, path / "run.json"
+    def __init__(
+        self, path: Path, command: str, locked_out: str, manifest: str = "run.json"
+    ) -> None:
+        """Makes nothing yet.
+
+        Args:
+            path: The folder.
+            command: The command that begins and resumes the work.
+            locked_out: What the error of `locked` says when another process holds the lock.
+            manifest: The name of the manifest.
+        """
+        self.path, self.command, self.manifest = path, command, path / manifest
+        self._locked_out = locked_out
+
+    @contextmanager
+    def claimed(self, patience: float = 0.0) -> Iterator[bool]:
+        """Yields whether this process holds the lock of the folder, which is made if need be.
+
+        Files that a killed process has left half-written are removed.
+
+        Args:
+            patience: The time to wait for another process to release the lock [s].
+
+        Raises:
+            CadenzaError: Nothing can be written in the folder.
+        """
+        with locked(self.path, patience) as ours:
+            if ours:
+                remove_half_written(self.path)
+            yield ours
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keeps other processes out for the block; makes the folder.
+        """Holds the lock of the folder for the block; see `claimed`.
 
         Raises:
-            CadenzaError: another process works in it, or nothing can be written there.
+            CadenzaError: Another process holds it, or nothing can be written in the folder.
         """
-        with locked(self.path) as ours:
+        with self.claimed() as ours:
             if not ours:
-                raise CadenzaError(f"{self.path}: another process is training this run")
+                raise CadenzaError(f"{self.path}: {self._locked_out}")
             yield
 
     @property
@@ -44,44 +79,60 @@ class ResumableFolder:
         """Whether there is a manifest."""
         return self.manifest.exists()
 
-    def write_manifest(self, content: DataclassInstance) -> None:
-        """Writes down what is asked for."""
-        write_json(self.manifest, {"command": self.command, **asdict(content)})
+    def write_manifest(self, fields: dict[str, Any]) -> None:
+        """Writes the manifest, with the command besides its fields."""
+        write_json(self.manifest, {"command": self.command, **fields})
 
     def read_manifest(self) -> dict[str, Any]:
-        """The fields of `write_manifest`, unchecked.
+        """Returns the fields of the manifest, unchecked.
 
         Raises:
-            CadenzaError: there is none, it is damaged, or it is that of another command.
+            CadenzaError: There is no manifest, it is damaged, or it is that of another command.
         """
-        content = read_json(self.manifest, dict[str, Any])
-        command = checked(content.pop("command", None), str, self.manifest)
+        fields = read_json(self.manifest, dict[str, Any])
+        command = checked(fields.pop("command", None), str, self.manifest)
         if command != self.command:
             raise CadenzaError(
                 f"{self.path}: holds a run of {command}, which that command continues; for "
                 f"{self.command}, choose another folder"
             )
-        return content
+        return fields
 
-    def begin_or_continue(self, content: DataclassInstance) -> None:
-        """Writes the manifest, unless it says the same.
+    def known(self, kind: type[Manifest]) -> Manifest | None:
+        """Returns the manifest as a dataclass, None where there is none.
 
         Raises:
-            CadenzaError: it says something else.
+            CadenzaError: The manifest is damaged, or that of another command.
         """
-        if self.begun and checked(self.read_manifest(), type(content), self.manifest) != content:
-            raise self.other_options()
-        self.write_manifest(content)
+        return checked(self.read_manifest(), kind, self.manifest) if self.begun else None
 
-    def other_options(self) -> CadenzaError:
-        """The error where the manifest says something else than what is asked for."""
-        return CadenzaError(
-            f"{self.path}: holds a run with other options; give the same to continue it, or "
-            "choose another folder with --output"
-        )
+    def begin_or_continue(self, wanted: Manifest, known: Manifest | None) -> None:
+        """Writes the manifest that is wanted, unless the `known` one is of other work.
+
+        Raises:
+            CadenzaError: The two manifests differ.
+        """
+        self.check_same(wanted, known)
+        self.write_manifest(asdict(wanted))
+
+    def check_same(self, wanted: Manifest, known: Manifest | None) -> None:
+        """Checks that the folder holds no work but the one that is wanted.
+
+        Raises:
+            CadenzaError: There is a `known` manifest, which differs.
+        """
+        if known not in (None, wanted):
+            raise CadenzaError(
+                f"{self.path}: holds a run with other options; give the same to continue it, or "
+                "choose another folder with --output"
+            )
 
     def check_complete(self, has_checkpoints: bool) -> None:
-        """Raises: CadenzaError: there are checkpoints, but no manifest says what they are of."""
+        """Checks that no checkpoint is left of work whose manifest is gone.
+
+        Raises:
+            CadenzaError: There are checkpoints, but no manifest says what they are of.
+        """
         if has_checkpoints and not self.begun:  # a new run would go on from them
             raise CadenzaError(
                 f"{self.manifest}: missing, but there are checkpoints; use another copy, or choose "
@@ -91,10 +142,10 @@ class ResumableFolder:
 
 @contextmanager
 def errors_of_resuming(run: Path) -> Iterator[None]:
-    """Names the run in errors of a block that goes on from its checkpoint.
+    """Names the run in errors of a block that restores its checkpoint.
 
     Raises:
-        CadenzaError: the checkpoint does not fit, which shows in many ways.
+        CadenzaError: The checkpoint does not fit the run, which shows in many ways.
     """
     try:
         yield

@@ -38,10 +38,10 @@ class Clone(RecordedParts):
 
 
 def clone(command: Clone) -> None:
-    from cadenza.learning.imitation import Imitation, imitation_folder
+    from cadenza.learning.imitation import Imitation
 
     check_writable(command.output)
-    with imitation_folder(command.output).locked():
+    with Imitation.folder_at(command.output).locked():
         run = Imitation(command.imitation, command.demonstrations, command.output)
         train_until_stopped(run, "cloning", "updates", "train/error")
     policy = command.output / "last"

@@ -66,13 +66,10 @@ class ReinforceGeneralist:
 
 def clone(command: CloneGeneralist) -> None:
     with extra_packages("train", "training"):
-        from cadenza.learning.algorithms.generalist.cloning import (
-            GeneralistCloning,
-            cloning_folder,
-        )
+        from cadenza.learning.algorithms.generalist.cloning import GeneralistCloning
 
     check_writable(command.output)
-    with cloning_folder(command.output).locked():
+    with GeneralistCloning.folder_at(command.output).locked():
         with stages("reading") as tell:
             run = GeneralistCloning(command.config, command.demonstrations, command.output, tell)
         train_until_stopped(run, "fitting", "perceptrons", "train/explained_variance")
@@ -81,10 +78,7 @@ def clone(command: CloneGeneralist) -> None:
 
 def reinforce(command: ReinforceGeneralist) -> None:
     with extra_packages("train", "training"):
-        from cadenza.learning.algorithms.generalist.reinforcement import (
-            GeneralistReinforcement,
-            reinforcement_folder,
-        )
+        from cadenza.learning.algorithms.generalist.reinforcement import GeneralistReinforcement
     from cadenza.evaluation.collecting.variation import excerpt
     from cadenza.music.libraries.library import load_score, open_library
 
@@ -93,7 +87,7 @@ def reinforce(command: ReinforceGeneralist) -> None:
     songs = open_library(command.songs).songs
     drawn = rng.permutation(len(songs))[: config.num_songs].tolist()
     scores = [excerpt(load_score(songs[i].name), config.seconds, rng.random())[0] for i in drawn]
-    with reinforcement_folder(command.output).locked():
+    with GeneralistReinforcement.folder_at(command.output).locked():
         with stages("planning") as tell:
             run = GeneralistReinforcement(
                 config, command.songs, scores, command.output, command.weights, tell

@@ -19,7 +19,7 @@ from cadenza.cli.options import Performing, Read, setting_up
 from cadenza.cli.progress import Advance, progress, stages
 from cadenza.cli.saving import check_writable, default_folder, save
 from cadenza.errors import CadenzaError
-from cadenza.files import checked, locked, read_json
+from cadenza.files import checked, read_json
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import describe_times
 from cadenza.scene.config import SceneConfig, check_modules
@@ -165,16 +165,13 @@ def practised(
     Yields:
         What was practised; it is kept.
     """
-    from cadenza.performing.practising import Practising, check_is_practice
+    from cadenza.performing.practising import Practising, check_is_practice, practice_folder
 
     check_is_practice(folder)
-    with locked(folder) as ours:
-        if not ours:
-            raise CadenzaError(
-                f"{folder}: somebody practises there; choose another folder with --output"
-            )
+    kept = practice_folder(folder)
+    with kept.locked():
         with stages("planning") as tell:
-            practising = Practising(setup, folder, tell)
+            practising = Practising(setup, kept, tell)
         _practise(practising, effort, minutes, stop)
         practising.save()
         practising.save_plan()

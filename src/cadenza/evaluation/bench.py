@@ -13,8 +13,7 @@ from cadenza.errors import CadenzaError
 from cadenza.evaluation.jobs import Job
 from cadenza.evaluation.results import FAILED, RESULT, RUNS, failure
 from cadenza.evaluation.run import is_complete
-from cadenza.evaluation.run_status import write_failure
-from cadenza.files import locked
+from cadenza.evaluation.run_status import folder_of, write_failure
 
 _POLL_INTERVAL = 0.5  # [s]
 _MAX_ATTEMPTS = 3  # at a run whose process dies
@@ -154,7 +153,7 @@ def _process_ended(state: BenchState, job: Job, crash: str) -> bool:
     name, folder = job.spec.name, state.folder / job.spec.name
     if _is_finished(state, job, crash):
         return True
-    with locked(folder) as ours:
+    with folder_of(job, folder).claimed() as ours:
         if not ours:
             return False
         if crash or not (folder / FAILED).exists():
@@ -173,7 +172,7 @@ def _poll_elsewhere(state: BenchState, ended: Callable[[BenchState, Job], None])
     """Takes over runs that other processes have given up."""
     waiting, state.elsewhere = state.elsewhere, []
     for job in waiting:
-        with locked(state.folder / job.spec.name) as ours:
+        with folder_of(job, state.folder / job.spec.name).claimed() as ours:
             pass
         if _is_finished(state, job) or (ours and _has_failed(state, job)):
             ended(state, job)

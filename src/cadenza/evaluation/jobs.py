@@ -13,7 +13,7 @@ from dataclasses import asdict, astuple, dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from cadenza.configs import files_named
 from cadenza.files import folder_name, plain, sha256_of
@@ -94,6 +94,8 @@ class SongFacts:
 class Job:
     """A run to be carried out."""
 
+    command: ClassVar[str] = "cadenza bench"
+    """The command that begins and resumes it."""
     spec: JobSpec
     song: SongFacts
     page: bool = True

@@ -63,7 +63,7 @@ def carry_out(
         num_threads: that a planner or training may use.
         stop: is asked now and then whether training is to end, with a checkpoint to go on from.
     """
-    with claimed_run(folder, lambda: is_complete(job, folder)) as ours:
+    with claimed_run(job, folder, lambda: is_complete(job, folder)) as ours:
         if not ours:
             return
         if is_finished(folder):
@@ -78,7 +78,6 @@ def is_complete(job: Job, folder: Path) -> bool:
 
 
 def _carry_out(job: Job, folder: Path, num_threads: int, stop: Callable[[], bool]) -> None:
-    write_json(folder / "job.json", job.spec.as_json())
     with failure_recorded(folder):
         result = _result(job, folder, num_threads, stop)
         if result is not None:

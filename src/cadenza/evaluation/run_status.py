@@ -21,10 +21,11 @@ from pathlib import Path
 
 from cadenza.agents.agent import Progress
 from cadenza.errors import CadenzaError, explained, lacks_memory
-from cadenza.evaluation.jobs import JobSpec, song_digest
+from cadenza.evaluation.jobs import Job, JobSpec, song_digest
 from cadenza.evaluation.results import FAILED, FORMAT
-from cadenza.files import TEMPORARY, locked, read_json, write_json
+from cadenza.files import read_json, write_json
 from cadenza.music.libraries.library import find_song
+from cadenza.resumable import ResumableFolder
 
 _LOCK_TIMEOUT = 2.0  # [s] for which a run waits for one that may just be ending
 _PROGRESS_INTERVAL = 1.0  # [s] at least between two writings of the progress
@@ -43,30 +44,37 @@ class RunProgress:
     pid: int
 
 
+def folder_of(job: Job, path: Path) -> ResumableFolder:
+    """Returns the folder of a run, whose name has the hash of what its manifest says."""
+    return ResumableFolder(path, job.command, "another process carries it out", "job.json")
+
+
 @contextmanager
-def claimed_run(folder: Path, is_complete: Callable[[], bool]) -> Iterator[bool]:
-    """Yields whether this process is to carry out the run in the block; its output goes to the log.
+def claimed_run(job: Job, path: Path, is_complete: Callable[[], bool]) -> Iterator[bool]:
+    """Yields whether this process is to carry out a run, whose output goes to its log meanwhile.
 
     It is not to where another process does, or where the run `is_complete`.
     """
-    with locked(folder, _LOCK_TIMEOUT) as ours:
+    folder = folder_of(job, path)
+    with folder.claimed(_LOCK_TIMEOUT) as ours:
         if not ours or is_complete():
             yield False
             return
-        _remove_leftovers(folder)
-        with _output_to(folder / "log.txt"):
+        folder.write_manifest(job.spec.as_json())
+        (path / FAILED).unlink(missing_ok=True)
+        with _output_to(path / "log.txt"):
             yield True
-        (folder / _PROGRESS).unlink(missing_ok=True)
+        (path / _PROGRESS).unlink(missing_ok=True)
 
 
 @contextmanager
-def failure_recorded(folder: Path) -> Iterator[None]:
+def failure_recorded(path: Path) -> Iterator[None]:
     """Records an error of the block as the reason why the run has no result."""
     try:
         yield
     except Exception as error:
         traceback.print_exc()
-        write_failure(folder, _error_line(error))
+        write_failure(path, _error_line(error))
 
 
 def write_failure(folder: Path, error: str) -> None:
@@ -79,13 +87,6 @@ def read_progress(folder: Path) -> RunProgress | None:
     with suppress(CadenzaError):
         return read_json(folder / _PROGRESS, RunProgress)
     return None
-
-
-def _remove_leftovers(folder: Path) -> None:
-    """Removes what an earlier attempt has left."""
-    (folder / FAILED).unlink(missing_ok=True)
-    for half_written in folder.glob(f"{TEMPORARY}*"):
-        half_written.unlink(missing_ok=True)
 
 
 def _error_line(error: Exception) -> str:

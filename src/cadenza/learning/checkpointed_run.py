@@ -11,6 +11,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,6 +23,10 @@ from cadenza.learning.metrics_log import MetricsLog
 from cadenza.resumable import ResumableFolder, errors_of_resuming
 
 Arrays = dict[str, NDArray[Any]]
+
+
+LOCKED_OUT = "another process is training this run"
+"""What is wrong where the folder of a run is locked."""
 
 
 @dataclass(frozen=True)
@@ -43,19 +48,24 @@ class CheckpointedRun(ABC):
         rows: metrics so far, oldest first.
     """
 
+    command: ClassVar[str]
+    """The command that begins and resumes such runs."""
     expected: ClassVar[Expected]
     """The arrays of a checkpoint."""
 
-    def __init__(
-        self, folder: ResumableFolder, num_updates: int, checkpoint_interval: float, seed: int
-    ) -> None:
-        self.folder, self.num_updates = folder, num_updates
+    @classmethod
+    def folder_at(cls, path: Path) -> ResumableFolder:
+        """Returns the folder of such a run, which whoever trains it locks before."""
+        return ResumableFolder(path, cls.command, LOCKED_OUT)
+
+    def __init__(self, path: Path, num_updates: int, checkpoint_interval: float, seed: int) -> None:
+        self.folder, self.num_updates = self.folder_at(path), num_updates
         self.update, self._seconds = 0, 0.0
         self.rows: list[dict[str, Any]] = []
         self._rng = np.random.default_rng(seed)
-        self._interval, self._metrics = checkpoint_interval, MetricsLog(folder.path)
-        self._checkpoint = folder.path / "checkpoint"
-        self._kind = f"checkpoint of {folder.command}"
+        self._interval, self._metrics = checkpoint_interval, MetricsLog(path)
+        self._checkpoint = path / "checkpoint"
+        self._kind = f"checkpoint of {self.command}"
 
     @abstractmethod
     def _learn(self) -> dict[str, Any] | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -20,14 +20,13 @@ from numpy.typing import NDArray
 from cadenza.demonstrations.dataset import Batch, Dataset, check_values, kept
 from cadenza.demonstrations.recorded_episode import RecordedEpisode
 from cadenza.errors import CadenzaError
-from cadenza.files import FLOATS, NUMBERS, ArrayOf, Expected, checked
+from cadenza.files import FLOATS, NUMBERS, ArrayOf, Expected
 from cadenza.learning.checkpointed_run import Arrays, CheckpointedRun
 from cadenza.learning.config import ImitationConfig
 from cadenza.learning.observation import Floats, Inputs, ObservationSpec
 from cadenza.learning.policy_folder import LearntPolicy, save_policy
 from cadenza.learning.ranges import Ranges
 from cadenza.music.formats.reading import name_without_ending
-from cadenza.resumable import ResumableFolder
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import from_range
 
@@ -63,6 +62,7 @@ class _Manifest:
 class Imitation(CheckpointedRun):
     """A run of training on demonstrations."""
 
+    command: ClassVar[str] = "cadenza clone"
     expected: ClassVar[Expected] = {
         "learner:*": ArrayOf(NUMBERS, None),
         "errors": ArrayOf(FLOATS, ("updates",), needed=True),
@@ -81,9 +81,7 @@ class Imitation(CheckpointedRun):
                 go together, or the folder holds a run with other options.
         """
         config.check()
-        super().__init__(
-            imitation_folder(folder), config.num_updates, config.checkpoint_interval, config.seed
-        )
+        super().__init__(folder, config.num_updates, config.checkpoint_interval, config.seed)
         self.config = config
         recorded = kept(demonstrations)
         manifest = self._manifest(demonstrations, recorded)
@@ -120,19 +118,15 @@ class Imitation(CheckpointedRun):
         self._state = self._learner.init(config.seed)
         self._errors = np.zeros(0, np.float32)
         if not self.folder.begun:  # now that nothing stands in its way
-            self.folder.write_manifest(manifest)
+            self.folder.write_manifest(asdict(manifest))
         self.resume()
 
     def _manifest(self, demonstrations: Path, recorded: Sequence[RecordedEpisode]) -> _Manifest:
         """The manifest of the run, or of a new one that learns from recorded episodes."""
         config, where = self.config, str(demonstrations.resolve())
-        if self.folder.begun:
-            manifest: _Manifest = checked(
-                self.folder.read_manifest(), _Manifest, self.folder.manifest
-            )
-            if (manifest.config, manifest.demonstrations) != (config, where):
-                raise self.folder.other_options()
-            return manifest
+        if (known := self.folder.known(_Manifest)) is not None:
+            self.folder.check_same(replace(known, config=config, demonstrations=where), known)
+            return known
         self.folder.check_complete(self.has_checkpoint)
         learnt_from, held_out = _split(_by_song(recorded, config.songs), config.held_out)
         return _Manifest(config, where, learnt_from, held_out)
@@ -262,11 +256,6 @@ def _used(arrays: Sequence[NDArray[Any]], limits: NDArray[np.float64]) -> NDArra
     high = np.max([array.max(axis=0) for array in arrays], axis=0).astype(np.float64)
     missing = np.maximum(_LEAST_RANGE * (limits[1] - limits[0]) - (high - low), 0) / 2
     return np.clip(np.stack([low - missing, high + missing]), *limits)
-
-
-def imitation_folder(path: Path) -> ResumableFolder:
-    """The folder of a run of `cadenza clone`."""
-    return ResumableFolder(path, "cadenza clone")
 
 
 def _by_song(

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.files import ANY, TEMPORARY, Expected, checked, read_arrays, write_atomically
+from cadenza.learning.checkpointed_run import LOCKED_OUT
 from cadenza.learning.checksummed_folder import read_checksummed, write_checksummed
 from cadenza.learning.config import TrainingConfig, check
 from cadenza.learning.learner import learner_config, name_of
@@ -114,7 +115,7 @@ class RunFolder(ResumableFolder):
     """
 
     def __init__(self, path: Path) -> None:
-        super().__init__(path, "cadenza train")
+        super().__init__(path, "cadenza train", LOCKED_OUT)
         self._checkpoints, self._replay = path / "checkpoints", path / "replay"
         self.metrics = MetricsLog(path)
 
@@ -133,7 +134,8 @@ class RunFolder(ResumableFolder):
             )
         self.check_complete(bool(self._saved()))
         song, learner = WrittenScore.of(score), name_of(config.learner)
-        self.write_manifest(_Manifest(config, song, _versions(), secrets.token_hex(8), learner))
+        manifest = _Manifest(config, song, _versions(), secrets.token_hex(8), learner)
+        self.write_manifest(asdict(manifest))
 
     def forget(self) -> None:
         """Deletes the manifest of a run that cannot be made: the folder is free for another."""
@@ -152,7 +154,7 @@ class RunFolder(ResumableFolder):
                 f"{self.path}: a resumed run keeps its own options; leave out all but --num-steps"
             )
         if config != manifest.config:
-            self.write_manifest(replace(manifest, config=config))
+            self.write_manifest(asdict(replace(manifest, config=config)))
 
     def _read(self) -> _Manifest:
         if not self.begun:

@@ -16,11 +16,17 @@ from cadenza.agents.planner.practice.practised_planner import PractisedHands, Pr
 from cadenza.agents.registry import options_name
 from cadenza.agents.rollout import begin_episodes
 from cadenza.errors import CadenzaError
-from cadenza.files import write_json
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.planning import plan_of
 from cadenza.performing.setup import Setup
 from cadenza.performing.source import PRACTICE, PRACTISED, PRACTISED_HOW, is_own_folder
+from cadenza.resumable import ResumableFolder
+
+
+def practice_folder(path: Path) -> ResumableFolder:
+    """Returns the folder of practice, whose manifest says of what song, in what task and scene."""
+    locked_out = "somebody practises there; choose another folder with --output"
+    return ResumableFolder(path, "cadenza practice", locked_out, PRACTISED_HOW)
 
 
 def check_is_practice(folder: Path) -> None:
@@ -43,30 +49,30 @@ class Practising:
         performance: the performance of the last plan that was saved, or ended early.
     """
 
-    def __init__(self, setup: Setup, folder: Path, progress: Progress = silent) -> None:
+    def __init__(self, setup: Setup, folder: ResumableFolder, progress: Progress = silent) -> None:
         """Args:
             setup: the song, with the planner as its agent.
-            folder: the folder in which practice is kept.
+            folder: the folder in which practice is kept, locked by whoever practises.
             progress: is told of "fingers" and "postures".
 
         Raises:
             CadenzaError: the folder holds practice of something else, or it cannot be read.
         """
         assert isinstance(setup.agent, Planner)
-        self._setup, self._agent, self._path = setup, setup.agent, folder / PRACTICE
+        self._setup, self._agent, self._path = setup, setup.agent, folder.path / PRACTICE
         self.performance: Performance | None = None
         (rng,) = begin_episodes(setup.task, [setup.seed])
         config, threads = replace(setup.agent.config, effort=0.0), setup.agent.threads
         self.practice = Practice(setup.task.view(), rng, config, threads, progress)
         if self._path.exists():
             self.practice.restore(self._path)
-
-    def save(self) -> None:
-        """Saves in the folder how far practice has got, and the settings to go on with."""
-        settings, song = self._setup.settings, self._setup.settings["song"]
+        settings, song = setup.settings, setup.settings["song"]
         if os.path.isfile(song) or is_own_folder(song):  # it goes on from anywhere
             settings = settings | {"song": os.path.abspath(song)}
-        write_json(self._path.with_name(PRACTISED_HOW), settings)
+        folder.write_manifest(settings)
+
+    def save(self) -> None:
+        """Saves in the folder how far practice has got."""
         self.practice.save(self._path)
 
     def save_plan(self) -> None:

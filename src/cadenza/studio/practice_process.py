@@ -16,8 +16,8 @@ from pathlib import Path
 
 from cadenza.agents.planner.config import ENOUGH
 from cadenza.errors import CadenzaError
-from cadenza.files import TEMPORARY, locked, parsed_json
-from cadenza.performing.practising import Practising
+from cadenza.files import parsed_json
+from cadenza.performing.practising import Practising, practice_folder
 from cadenza.performing.source import PRACTICE, PRACTISED
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.messages import Message, Send, json_message
@@ -54,18 +54,17 @@ def main() -> None:
 def practise(order: Order, send: Send) -> None:
     """Practises, and saves what is played better."""
     folder, report = practice_folder_of(order), ProgressReporter(send).report
-    with locked(folder) as is_ours, set_up_order(order, report) as setup:
-        if not is_ours:
+    kept = practice_folder(folder)
+    with kept.claimed() as ours, set_up_order(order, report) as setup:
+        if not ours:
             raise CadenzaError("another studio practises this song already")
-        for path in folder.glob(f"{TEMPORARY}*"):  # left by a process that was killed
-            path.unlink(missing_ok=True)
         try:
-            practising = Practising(setup, folder, report)
+            practising = Practising(setup, kept, report)
         except CadenzaError:  # damaged
             if not (folder / PRACTICE).exists():
                 raise
             (folder / PRACTICE).replace(folder / f"{PRACTICE}.old")
-            practising = Practising(setup, folder, report)
+            practising = Practising(setup, kept, report)
         _Session(practising, folder, send).run()
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,6 @@ from cadenza.evaluation.run_status import (
     progress_writer,
     versions,
 )
-from cadenza.files import write_json
 from cadenza.keyboards.registry import keyboard_named
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.libraries.songs import Library
@@ -74,6 +73,7 @@ class EpisodeSpec(JobSpec):
 class EpisodeJob(Job):
     """An episode to be played, and recorded if it is good enough."""
 
+    command: ClassVar[str] = "cadenza dataset collect"
     spec: EpisodeSpec
     page: bool = False
     least_f1: float = 0.0
@@ -131,9 +131,8 @@ def record(
     job: EpisodeJob, folder: Path, num_threads: int, _stop: Callable[[], bool] = lambda: False
 ) -> None:
     """Leaves the episode in `folder`, as `cadenza.evaluation.run.carry_out` does a run."""
-    with claimed_run(folder, lambda: is_complete(job, folder)) as ours:
+    with claimed_run(job, folder, lambda: is_complete(job, folder)) as ours:
         if ours:
-            write_json(folder / "job.json", job.spec.as_json())
             with failure_recorded(folder):
                 _record(job, folder, num_threads, progress_writer(folder))
 

@@ -47,7 +47,6 @@ from cadenza.learning.algorithms.generalist.hand_networks import (
 )
 from cadenza.learning.algorithms.on_jax import start_jax
 from cadenza.learning.checkpointed_run import Arrays, CheckpointedRun
-from cadenza.resumable import ResumableFolder
 from cadenza.scene.scene import Scene, hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
@@ -80,14 +79,10 @@ class _Manifest:
     episodes: tuple[str, ...]
 
 
-def cloning_folder(path: Path) -> ResumableFolder:
-    """The folder of a run of `cadenza generalist clone`."""
-    return ResumableFolder(path, "cadenza generalist clone")
-
-
 class GeneralistCloning(CheckpointedRun):
     """A run that fits networks; an update fits one perceptron of an ensemble."""
 
+    command: ClassVar[str] = "cadenza generalist clone"
     expected: ClassVar[Expected] = {"*": ArrayOf(FLOATS, None, finite=True)}
 
     def __init__(
@@ -111,7 +106,7 @@ class GeneralistCloning(CheckpointedRun):
         """
         config.check()
         updates = len(NETWORKS) * _ENSEMBLE
-        super().__init__(cloning_folder(folder), updates, config.checkpoint_interval, config.seed)
+        super().__init__(folder, updates, config.checkpoint_interval, config.seed)
         start_jax()
         self.config = config
         episodes = [episode for place in demonstrations for episode in kept(place)]
@@ -120,7 +115,8 @@ class GeneralistCloning(CheckpointedRun):
         places = tuple(str(place.resolve()) for place in demonstrations)
         names = tuple(episode.folder.name for episode in episodes)
         self._songs = self._examples_by_song(episodes, progress)
-        self.folder.begin_or_continue(_Manifest(config, places, names))
+        known = self.folder.known(_Manifest)
+        self.folder.begin_or_continue(_Manifest(config, places, names), known)
         alone = hand_alone(scene, scene.sides[0]).scene
         self._inputs, servos = InputLayout.of(alone), servos_of(alone).finger
         self._sizes, self._parts = (len(self._inputs.finger), len(servos)), hand_parts(alone)

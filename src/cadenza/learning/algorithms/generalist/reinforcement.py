@@ -24,7 +24,7 @@ from cadenza.agents.generalist.generalist import shipped_for
 from cadenza.agents.planner.search.networks.inputs import sizes_of
 from cadenza.agents.planner.search.networks.weights import Weights
 from cadenza.errors import CadenzaError
-from cadenza.files import NUMBERS, ArrayOf, Expected, checked, sha256_of
+from cadenza.files import NUMBERS, ArrayOf, Expected, sha256_of
 from cadenza.learning.algorithms.generalist.config import GeneralistReinforcementConfig
 from cadenza.learning.algorithms.generalist.excerpts import ExcerptEnvs, Rollout, planned_excerpts
 from cadenza.learning.algorithms.generalist.hand_networks import (
@@ -37,7 +37,6 @@ from cadenza.learning.algorithms.generalist.hand_networks import (
 from cadenza.learning.algorithms.on_jax import from_arrays, start_jax, to_arrays
 from cadenza.learning.checkpointed_run import Arrays, CheckpointedRun
 from cadenza.music.score import Score
-from cadenza.resumable import ResumableFolder
 from cadenza.scene.scene import Scene, build_scene, hand_alone
 from cadenza.scene.servos import servos_of
 
@@ -215,17 +214,13 @@ class _Manifest:
     """SHA-256 of the networks to begin with; empty for those of Cadenza."""
 
 
-def reinforcement_folder(path: Path) -> ResumableFolder:
-    """The folder of a run of `cadenza generalist reinforce`."""
-    return ResumableFolder(path, "cadenza generalist reinforce")
-
-
 class GeneralistReinforcement(CheckpointedRun):
     """A run of reinforcement learning; an update is a round of playing and learning.
 
     When it is resumed, the excerpts begin anew.
     """
 
+    command: ClassVar[str] = "cadenza generalist reinforce"
     expected: ClassVar[Expected] = {"*": ArrayOf(NUMBERS, None)}
 
     def __init__(
@@ -254,9 +249,7 @@ class GeneralistReinforcement(CheckpointedRun):
         config.check()
         if not scores:
             raise CadenzaError(f"{library}: no songs to play")
-        super().__init__(
-            reinforcement_folder(folder), config.num_rounds, config.checkpoint_interval, config.seed
-        )
+        super().__init__(folder, config.num_rounds, config.checkpoint_interval, config.seed)
         start_jax()
         self.config, scene = config, build_scene()
         initial = shipped_for(scene) if weights is None else Weights.load(weights)
@@ -272,13 +265,11 @@ class GeneralistReinforcement(CheckpointedRun):
 
     def _begin(self, manifest: _Manifest) -> None:
         self.folder.check_complete(self.has_checkpoint)
-        if self.folder.begun:
-            known: _Manifest = checked(self.folder.read_manifest(), _Manifest, self.folder.manifest)
-            rounds = manifest.config.num_rounds
-            same_end = replace(known, config=replace(known.config, num_rounds=rounds))
-            if same_end != manifest:
-                raise self.folder.other_options()
-        self.folder.write_manifest(manifest)
+        known = self.folder.known(_Manifest)
+        if known is not None:  # its end may be moved
+            config = replace(known.config, num_rounds=manifest.config.num_rounds)
+            known = replace(known, config=config)
+        self.folder.begin_or_continue(manifest, known)
 
     def _learn(self) -> dict[str, Any]:
         config = self.config
