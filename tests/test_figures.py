@@ -58,7 +58,7 @@ ALLOWED = {
 }
 COINCIDENCES = {
     ("cli/practice.py", 0.999): "almost a step",
-    ("learning/algorithms/droq/hyperparameters.py", 0.999): "Adam's decay of squares",
+    ("learning/algorithms/droq/config.py", 0.999): "Adam's decay of squares",
 }
 
 

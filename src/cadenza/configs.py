@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -134,6 +135,17 @@ def check_ranges(
     """
     for name, (least, most) in ranges.items():
         _check_range(getattr(config, name), prefix + name, least, most)
+
+
+def check_positive(config: object, names: Iterable[str]) -> None:
+    """Checks that fields are more than 0 and finite.
+
+    Raises:
+        CadenzaError: One is not.
+    """
+    for name in names:
+        if not 0 < (value := getattr(config, name)) < math.inf:
+            raise CadenzaError(f"{name} {value}: choose more than 0")
 
 
 def _check_range(value: float, name: str, least: float, most: float) -> None:

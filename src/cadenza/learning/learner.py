@@ -117,6 +117,16 @@ class LearnerConfig:
         raise NotImplementedError(f"{cls.__name__} reads no policy")
 
 
+def check_hidden_sizes(sizes: tuple[int, ...]) -> None:
+    """Checks the widths of hidden layers.
+
+    Raises:
+        CadenzaError: There is none, or one is not positive.
+    """
+    if not sizes or min(sizes) < 1:
+        raise CadenzaError(f"hidden_sizes {sizes}: give one width per layer")
+
+
 def learner_config(name: str) -> type[LearnerConfig]:
     """The configuration of the learner of this name.
 

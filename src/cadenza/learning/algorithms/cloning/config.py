@@ -1,13 +1,14 @@
-"""The configuration of behaviour cloning. Imports nothing heavy: the command line shows it."""
+"""The hyperparameters of behaviour cloning. This module imports nothing heavy."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from cadenza.configs import check_positive, check_ranges
 from cadenza.errors import extra_packages
-from cadenza.learning.algorithms.cloning.hyperparameters import Hyperparameters
-from cadenza.learning.learner import Ends
+from cadenza.learning.learner import Ends, LearnerConfig, check_hidden_sizes
+from cadenza.learning.policy import Activation
 
 if TYPE_CHECKING:
     from cadenza.learning.algorithms.cloning.learner import Cloning
@@ -15,11 +16,34 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class CloningConfig(Hyperparameters):
-    """The network is as wide and as deep as the paper's actor (Zakka et al., CoRL 2023)."""
+class CloningConfig(LearnerConfig):
+    """Hyperparameters of behaviour cloning.
+
+    The network is as wide and as deep as the actor of RoboPianist (Zakka et al., CoRL 2023).
+    """
+
+    hidden_sizes: tuple[int, ...] = (256, 256, 256)
+    """Hidden layer widths."""
+    activation: Activation = "relu"
+    """Activation function of the hidden layers."""
+    learning_rate: float = 1e-3
+    """Learning rate (Adam)."""
+    final_learning_rate_fraction: float = 0.01
+    """Fraction of the learning rate that is left at the end. It decays linearly."""
+
+    def check(self) -> None:
+        """Checks the hyperparameters.
+
+        Raises:
+            CadenzaError: One makes no sense.
+        """
+        super().check()
+        check_ranges(self, {"final_learning_rate_fraction": (0, 1)})
+        check_hidden_sizes(self.hidden_sizes)
+        check_positive(self, ("learning_rate",))
 
     def make(self, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)) -> Cloning:
-        """See `LearnerConfig.make`."""
+        """Returns the learner; see `LearnerConfig.make`."""
         with extra_packages("train", "training"):
             from cadenza.learning.algorithms.cloning.learner import Cloning
         return Cloning(self, inputs, action_size, ends)

@@ -12,7 +12,7 @@ import numpy as np
 import optax
 from numpy.typing import NDArray
 
-from cadenza.learning.algorithms.cloning.hyperparameters import Hyperparameters
+from cadenza.learning.algorithms.cloning.config import CloningConfig
 from cadenza.learning.algorithms.on_jax import (
     ACTIVATIONS,
     from_arrays,
@@ -49,7 +49,7 @@ class CloningState(NamedTuple):
 class Actor(nn.Module):
     """Observations (..., D) to actions (..., A) in [-1, 1]."""
 
-    config: Hyperparameters
+    config: CloningConfig
     action_size: int
 
     @nn.compact
@@ -68,7 +68,7 @@ class Cloning:
     """
 
     def __init__(
-        self, config: Hyperparameters, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
+        self, config: CloningConfig, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
     ) -> None:
         """Args:
         config: the hyperparameters.

@@ -1,8 +1,9 @@
 """DroQ: soft actor-critic with dropout and layer normalisation in the critics.
 
-SAC is Haarnoja et al., Soft Actor-Critic Algorithms and Applications, 2018; DroQ is Hiraoka et al.,
-Dropout Q-Functions for Doubly Efficient Reinforcement Learning, ICLR 2022. The hyperparameters are
-those of Zakka et al., RoboPianist, CoRL 2023. Equation numbers in comments are those of SAC.
+SAC is Haarnoja et al., Soft Actor-Critic Algorithms and Applications, 2018, whose symbols comments
+use; its temperature is learnt as in the section "Automating Entropy Adjustment for Maximum Entropy
+RL". DroQ is Hiraoka et al., Dropout Q-Functions for Doubly Efficient Reinforcement Learning, ICLR
+2022. The hyperparameters are those of Zakka et al., RoboPianist, CoRL 2023.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 import optax
 from numpy.typing import NDArray
 
-from cadenza.learning.algorithms.droq.hyperparameters import Hyperparameters
+from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.algorithms.droq.networks import Actor, Critic
 from cadenza.learning.algorithms.on_jax import (
     from_arrays,
@@ -52,27 +53,29 @@ class DroQState(NamedTuple):
 
 
 def actor_weights(actor: Params) -> dict[str, NDArray[np.float32]]:
-    """The weights of an actor as `Perceptron` names them."""
+    """Returns the weights of an actor by the names that `Perceptron` gives them."""
     heads = {name: actor[name] for name in ("mean", "log_std")}
     return named_weights(actor["HiddenLayers_0"] | heads)
 
 
 class DroQ:
-    """Improves a `DroQState` by batches of transitions; a `Learner`.
+    """A `Learner` that updates a `DroQState` by batches of transitions.
 
     Attributes:
-        num_threads: how many threads JAX has, if the system tells.
-        target_entropy: of the policy, in nats.
+        num_threads: The number of JAX's threads, None where the system does not tell.
+        target_entropy: The target entropy of the policy [nat].
     """
 
     def __init__(
-        self, config: Hyperparameters, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
+        self, config: DroQConfig, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
     ) -> None:
-        """Args:
-        config: the hyperparameters.
-        inputs: what the actor observes; the critics get the actions besides.
-        action_size: A.
-        ends: of the learning rates, see `learning_rate_schedule`.
+        """Builds the networks and their optimisers; nothing is drawn yet.
+
+        Args:
+            config: The hyperparameters.
+            inputs: The entries that the actor observes; the critics get the actions besides.
+            action_size: The number A of entries of an action.
+            ends: The ends of the learning rates' decay, see `learning_rate_schedule`.
         """
         self.num_threads = start_jax()
         actions = tuple(range(inputs.total, inputs.total + action_size))
@@ -92,7 +95,7 @@ class DroQ:
         self._update_all = jax.jit(partial(jax.lax.scan, self._update), donate_argnums=0)
 
     def _adam(self, learning_rate: float, every: int = 1) -> optax.GradientTransformation:
-        """Adam that takes a step once in `every` updates, so its schedule is as much shorter."""
+        """Returns Adam that steps once in `every` updates, so its schedule is as much shorter."""
         config = self._config
         ends = tuple((-(-begin // every), -(-end // every)) for begin, end in self._ends)
         rate = learning_rate_schedule(learning_rate, config.final_learning_rate_fraction, ends)
@@ -128,7 +131,7 @@ class DroQ:
         )
 
     def update(self, state: DroQState, batches: Batch) -> tuple[DroQState, Metrics]:
-        """One update for each of the batches (U, B, ...); `state` is used up.
+        """Makes one update for each of the batches (U, B, ...); `state` is used up.
 
         Returns:
             The new state, and by name metrics (U,) of each update.
@@ -136,11 +139,11 @@ class DroQ:
         return self._update_all(state, batches)
 
     def policy(self, state: DroQState) -> Perceptron:
-        """The policy of the averaged actor."""
+        """Returns the policy of the averaged actor."""
         return self._policy(state.actor_ema)
 
     def behavior_policy(self, state: DroQState) -> Perceptron:
-        """The policy of the latest actor."""
+        """Returns the policy of the latest actor."""
         return self._policy(state.actor)
 
     def _policy(self, actor: Params) -> Perceptron:
@@ -149,53 +152,54 @@ class DroQ:
         return Perceptron(actor_weights(actor), config.activation, log_std_range)
 
     def to_arrays(self, state: DroQState) -> dict[str, NDArray[Any]]:
-        """See `Learner.to_arrays`."""
+        """Returns the state as arrays by name; see `Learner.to_arrays`."""
         return to_arrays(state)
 
     def from_arrays(self, arrays: dict[str, NDArray[Any]]) -> DroQState:
-        """See `Learner.from_arrays`."""
+        """Returns the state of `to_arrays`; see `Learner.from_arrays`."""
         return from_arrays(arrays, jax.eval_shape(self._draw_state, jax.random.key(0)))
 
     def _update(self, state: DroQState, batch: Batch) -> tuple[DroQState, Metrics]:
+        """Updates the critics, and once in `policy_delay` times the actor and the temperature."""
         key, critic_key, actor_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
         state, critic_metrics = self._update_critics(state, batch, critic_key)
         state, actor_metrics = jax.lax.cond(
             state.updates % self._config.policy_delay == 0,
             partial(self._update_actor_and_alpha, batch=batch, key=actor_key),
-            self._skip_actor,
+            lambda state: (state, {"actor_loss": jnp.nan, "entropy": jnp.nan}),
             state,
         )
         state = state._replace(key=jax.random.key_data(key), updates=state.updates + 1)
-        alpha = {"temperature": jnp.exp(state.log_alpha)}
-        return state, critic_metrics | actor_metrics | alpha
+        metrics = critic_metrics | actor_metrics | {"temperature": jnp.exp(state.log_alpha)}
+        return state, metrics
 
     def _update_critics(
         self, state: DroQState, batch: Batch, key: jax.Array
     ) -> tuple[DroQState, Metrics]:
-        config = self._config
         action_key, target_key, dropout_key = jax.random.split(key, 3)
-        # y = r + gamma (1 - d) (min_i Q'_i(s', a') - alpha log pi(a' | s')), a' ~ pi (eq. 3 and 5).
-        next_action, next_log_prob = self._sample(state.actor, batch.next_observation, action_key)
+        alpha, gamma = jnp.exp(state.log_alpha), self._config.discount
+        # y = r + gamma (1 - d) (min_i Q'_i(s', a') - alpha log pi(a' | s')),  a' ~ pi(. | s')
+        next_action, next_log_pi = self._sample(state.actor, batch.next_observation, action_key)
         next_q = self._q_values(
             state.target_critics, batch.next_observation, next_action, target_key
         )
-        next_value = next_q.min(axis=0) - jnp.exp(state.log_alpha) * next_log_prob
-        target_q = batch.reward + config.discount * batch.discount * next_value
+        next_value = next_q.min(axis=0) - alpha * next_log_pi
+        target = batch.reward + gamma * batch.discount * next_value
 
-        def loss(critics: Params) -> tuple[jax.Array, jax.Array]:
-            q_values = self._q_values(critics, batch.observation, batch.action, dropout_key)
-            td_error = q_values - target_q
-            return (td_error**2).mean(), q_values.mean()
+        # J_Q = E[(Q_i(s, a) - y)^2], the soft Bellman residual
+        def critic_loss(critics: Params) -> tuple[jax.Array, jax.Array]:
+            q = self._q_values(critics, batch.observation, batch.action, dropout_key)
+            return ((q - target) ** 2).mean(), q.mean()
 
-        (critic_loss, value), gradient = jax.value_and_grad(loss, has_aux=True)(state.critics)
+        (loss, value), gradient = jax.value_and_grad(critic_loss, has_aux=True)(state.critics)
         updates, opt_state = self._critic_optimizer.update(gradient, state.critic_opt_state)
         critics = optax.apply_updates(state.critics, updates)
-        # Q' <- (1 - tau) Q' + tau Q
-        target_critics = optax.incremental_update(critics, state.target_critics, config.tau)
+        # Q' <- tau Q + (1 - tau) Q'
+        target_critics = optax.incremental_update(critics, state.target_critics, self._config.tau)
         state = state._replace(
             critics=critics, target_critics=target_critics, critic_opt_state=opt_state
         )
-        return state, {"critic_loss": critic_loss, "value": value}
+        return state, {"critic_loss": loss, "value": value}
 
     def _update_actor_and_alpha(
         self, state: DroQState, batch: Batch, key: jax.Array
@@ -203,36 +207,35 @@ class DroQ:
         action_key, dropout_key = jax.random.split(key)
         alpha = jnp.exp(state.log_alpha)
 
-        # J(pi) = E[alpha log pi(a | s) - Q(s, a)] (eq. 7); DroQ takes the mean of the critics.
-        def loss(actor: Params) -> tuple[jax.Array, jax.Array]:
-            action, log_prob = self._sample(actor, batch.observation, action_key)
-            q_values = self._q_values(state.critics, batch.observation, action, dropout_key)
-            return (alpha * log_prob - q_values.mean(axis=0)).mean(), -log_prob.mean()
+        # J_pi = E[alpha log pi(a | s) - Q(s, a)],  a ~ pi(. | s); DroQ takes the critics' mean.
+        def actor_loss(actor: Params) -> tuple[jax.Array, jax.Array]:
+            action, log_pi = self._sample(actor, batch.observation, action_key)
+            q = self._q_values(state.critics, batch.observation, action, dropout_key).mean(axis=0)
+            return (alpha * log_pi - q).mean(), -log_pi.mean()
 
-        (actor_loss, entropy), gradient = jax.value_and_grad(loss, has_aux=True)(state.actor)
+        # J_alpha = alpha (H(pi) - target entropy)
+        def alpha_loss(log_alpha: jax.Array) -> jax.Array:
+            return jnp.exp(log_alpha) * (entropy - self.target_entropy)
+
+        (loss, entropy), gradient = jax.value_and_grad(actor_loss, has_aux=True)(state.actor)
         updates, actor_opt_state = self._actor_optimizer.update(gradient, state.actor_opt_state)
         actor = optax.apply_updates(state.actor, updates)
-        # J(alpha) = alpha (H(pi) - target entropy) (eq. 18), by its gradient in log alpha.
-        alpha_gradient = alpha * (entropy - self.target_entropy)
-        alpha_updates, alpha_opt_state = self._alpha_optimizer.update(
-            alpha_gradient, state.alpha_opt_state
+        alpha_update, alpha_opt_state = self._alpha_optimizer.update(
+            jax.grad(alpha_loss)(state.log_alpha), state.alpha_opt_state
         )
         state = state._replace(
             actor=actor,
             actor_ema=optax.incremental_update(actor, state.actor_ema, self._config.actor_ema),
-            log_alpha=optax.apply_updates(state.log_alpha, alpha_updates),
+            log_alpha=optax.apply_updates(state.log_alpha, alpha_update),
             actor_opt_state=actor_opt_state,
             alpha_opt_state=alpha_opt_state,
         )
-        return state, {"actor_loss": actor_loss, "entropy": entropy}
-
-    def _skip_actor(self, state: DroQState) -> tuple[DroQState, Metrics]:
-        return state, {"actor_loss": jnp.float32(jnp.nan), "entropy": jnp.float32(jnp.nan)}
+        return state, {"actor_loss": loss, "entropy": entropy}
 
     def _sample(
         self, actor: Params, observation: Any, key: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Actions (B, A) and the logarithms (B,) of their probability densities (appendix C)."""
+        """Draws actions (B, A) with log pi (B,), as in SAC's appendix on action bounds."""
         mean, log_std = self._actor.apply({"params": actor}, observation)
         noise = jax.random.normal(key, mean.shape)
         u = mean + jnp.exp(log_std) * noise
@@ -244,7 +247,7 @@ class DroQ:
     def _q_values(
         self, critics: tuple[Params, ...], observation: Any, action: Any, key: jax.Array
     ) -> jax.Array:
-        """(C, B) Q-values of each critic, with dropout, as everywhere in DroQ."""
+        """Returns Q-values (C, B) of each critic, with dropout, as everywhere in DroQ."""
         # One after the other: products of stacked matrices take a little longer on a CPU.
         keys = jax.random.split(key, len(critics))
         q_values = [

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cadenza.learning.algorithms.droq.hyperparameters import Hyperparameters
+from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.algorithms.on_jax import ACTIVATIONS, xavier
 from cadenza.learning.observation import Inputs
 
@@ -51,7 +51,7 @@ class FirstLayer(nn.Module):
 class HiddenLayers(nn.Module):
     """Linear layers, each with dropout and layer normalisation if asked for, and activation."""
 
-    config: Hyperparameters
+    config: DroQConfig
     inputs: Inputs
     dropout: float = 0.0
     layer_norm: bool = False
@@ -78,7 +78,7 @@ class Actor(nn.Module):
     An action is the hyperbolic tangent of what is drawn from that normal distribution.
     """
 
-    config: Hyperparameters
+    config: DroQConfig
     inputs: Inputs
     action_size: int
 
@@ -93,7 +93,7 @@ class Actor(nn.Module):
 class Critic(nn.Module):
     """Observations (..., D) and actions (..., A) to values (...)."""
 
-    config: Hyperparameters
+    config: DroQConfig
     inputs: Inputs
     """Entries of observation and action, concatenated."""
 
