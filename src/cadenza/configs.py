@@ -55,7 +55,7 @@ def _plain(value: T, kind: type[T], prefix: str = "") -> T:
 
 
 def _nested(value: Any, kind: type[T], name: str) -> T:
-    """A `kind` within another dataclass, given as such or as a dictionary of its fields."""
+    """Returns a `kind` within another dataclass, given as such or as a dictionary of its fields."""
     if isinstance(value, Mapping):
         known = [each.name for each in fields(kind)]  # type: ignore[arg-type]
         if unknown := [key for key in value if key not in known]:
@@ -68,7 +68,7 @@ def _nested(value: Any, kind: type[T], name: str) -> T:
 
 
 def in_short(config: Any) -> str:
-    """A `__repr__` for a dataclass of options: those that are not the default."""
+    """Returns a `__repr__` for a dataclass of options: those that are not the default."""
     default = type(config)()
     values = ((each.name, getattr(config, each.name)) for each in fields(config))
     changed = (f"{name}={value!r}" for name, value in values if value != getattr(default, name))
@@ -76,12 +76,12 @@ def in_short(config: Any) -> str:
 
 
 def names_file() -> Mapping[str, Any]:
-    """The metadata of a field that is the path of a file."""
+    """Returns the metadata of a field that is the path of a file."""
     return {_FILE: True}
 
 
 def files_named(config: Any) -> list[str]:
-    """The paths of files in a configuration, which may be None; see `names_file`."""
+    """Returns the paths of files in a configuration, which may be None; see `names_file`."""
     named = [each.name for each in fields(config) if _FILE in each.metadata] if config else []
     return [value for name in named if (value := getattr(config, name)) is not None]
 
@@ -110,7 +110,7 @@ def _is_plain(hint: Any) -> bool:
 
 
 def whole_number(value: Any, name: str, least: int, most: int) -> int:
-    """`value` as an int from `least` to `most`.
+    """Returns `value` as an int from `least` to `most`.
 
     Raises:
         CadenzaError: it is not; the message begins with `name`.
@@ -165,7 +165,7 @@ def _as(value: Any, hint: Any, name: str) -> Any:
 
 
 def _demand(hint: Any) -> str:
-    """The demand of a type, in words."""
+    """Returns the demand of a type, in words."""
     first, *others = get_args(hint) or (hint,)
     match get_origin(hint):
         case origin if origin is Literal:

@@ -41,7 +41,7 @@ MOST_JSON = 32 * 2**20
 _MOST_TEXT = 4 * MOST_JSON  # bytes, of which numpy takes four for a letter
 _PIECE = 2**20  # bytes that are read at once of a file that may be of any size
 TENSORS = ".safetensors"
-"""What the name of a file of arrays of our own ends with."""
+"""The ending of the names of our own files of arrays."""
 _FACTS = "facts"  # in the header of such a file
 _ANOTHER = "it is damaged, modified or from another version; use another copy"
 
@@ -81,7 +81,7 @@ def write_atomically(path: Path) -> Iterator[IO[bytes]]:
 
 
 def _permissions(path: Path) -> int | None:
-    """Those of a regular file, None where there is none."""
+    """Returns the permissions of a regular file, None where there is none."""
     with suppress(FileNotFoundError):
         if stat.S_ISREG(mode := path.lstat().st_mode):
             return stat.S_IMODE(mode) & 0o777
@@ -128,7 +128,7 @@ def opened_in_place(path: Path) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
-    """Whether this process has the folder, which is made if need be, to itself for the block.
+    """Yields whether this process has the folder to itself, which is made if need be.
 
     Args:
         folder: others that lock it keep out of it.
@@ -154,7 +154,7 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
 
 @contextmanager
 def locked_file(path: Path, patience: float = 0.0) -> Iterator[bool]:
-    """Whether this process holds the lock file for the block, after `patience` [s] at most.
+    """Yields whether this process holds the lock file, after `patience` [s] at most.
 
     Raises:
         OSError: it cannot be written.
@@ -191,7 +191,11 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def _readable(path: Path, most: int | None) -> Iterator[IO[bytes]]:
-    """As `opened`; raises: CadenzaError: it is not there, cannot be read, or is too large."""
+    """Opens a regular file of at most `most` bytes to be read.
+
+    Raises:
+        CadenzaError: It is not there, cannot be read, or is too large.
+    """
     try:
         with opened(path) as file:
             size = os.fstat(file.fileno()).st_size
@@ -208,7 +212,7 @@ def _readable(path: Path, most: int | None) -> Iterator[IO[bytes]]:
 
 
 def content_of(path: Path, most: int = MOST_JSON) -> bytes:
-    """All that a file holds; nothing is read of one of over `most` bytes.
+    """Reads all of a file, and nothing of one of over `most` bytes.
 
     Raises:
         CadenzaError: it is not there, cannot be read, or is larger.
@@ -218,7 +222,7 @@ def content_of(path: Path, most: int = MOST_JSON) -> bytes:
 
 
 def sha256_of(*paths: Path, most: int | None = None) -> str:
-    """The digest of what files hold, one after the other, of which little is read at once.
+    """Returns the SHA-256 of what files hold, one after the other.
 
     Raises:
         CadenzaError: one is not there, cannot be read, or takes over `most` bytes.
@@ -226,8 +230,7 @@ def sha256_of(*paths: Path, most: int | None = None) -> str:
     digest = hashlib.sha256()
     for path in paths:
         with _readable(path, most) as file:
-            while piece := file.read(_PIECE):
-                digest.update(piece)
+            hashlib.file_digest(file, lambda: digest)  # type: ignore[arg-type]
     return digest.hexdigest()
 
 
@@ -262,7 +265,7 @@ def opened_archive(stream: IO[bytes]) -> Iterator[zipfile.ZipFile]:
 
 
 def unpacked(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """All that a member holds, which is at most `most` bytes; no more is unpacked.
+    """Unpacks a member of at most `most` bytes, and no more than that.
 
     Raises:
         CadenzaError: it holds more, or is packed in a way that may unpack any amount at once.
@@ -278,7 +281,7 @@ def unpacked(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
 
 
 def opened_member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
-    """A member, of which no more is unpacked than is read.
+    """Opens a member, of which no more is unpacked than is read.
 
     Raises:
         CadenzaError: it is packed in a way that may unpack any amount at once.
@@ -294,7 +297,7 @@ def opened_member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
 
 
 def read_json(path: Path, kind: type[T]) -> T:
-    """What a JSON file holds, as `kind`; see `checked`.
+    """Reads a JSON file as a value of a type; see `checked`.
 
     Raises:
         CadenzaError: it cannot be read, is too large, is no JSON, or holds something else.
@@ -303,7 +306,7 @@ def read_json(path: Path, kind: type[T]) -> T:
 
 
 def parsed_json(content: bytes | str, kind: type[T], where: object) -> T:
-    """JSON as `kind`; see `checked`.
+    """Parses JSON as a value of a type; see `checked`.
 
     Raises:
         CadenzaError: it is no JSON, or holds something else.
@@ -316,7 +319,7 @@ def parsed_json(content: bytes | str, kind: type[T], where: object) -> T:
 
 
 def checked(value: Any, kind: type[T], where: object) -> T:
-    """`value`, made of what JSON has, as `kind`: a dataclass, a named tuple, a list of some.
+    """Converts what JSON has to a dataclass, a named tuple, or lists and dictionaries of some.
 
     Nothing is converted but lists to tuples and whole numbers to floats. Fields that are missing
     get their defaults.
@@ -338,7 +341,7 @@ def checked(value: Any, kind: type[T], where: object) -> T:
 
 
 def _check_values(value: Any, at: str) -> None:
-    """For what JSON of Python has beyond that of others, and nobody can write again."""
+    """Refuses what Python's JSON has beyond that of others, and nobody can write again."""
     if isinstance(value, dict):
         for name, part in value.items():
             _check_values(name, at)
@@ -353,7 +356,7 @@ def _check_values(value: Any, at: str) -> None:
 
 
 def _check_names(given: Any, understood: Any, at: str) -> None:
-    """For fields that `msgspec.convert` leaves out."""
+    """Refuses fields that `msgspec.convert` leaves out."""
     if isinstance(given, dict):
         for name, part in given.items():
             if name not in understood:
@@ -365,7 +368,7 @@ def _check_names(given: Any, understood: Any, at: str) -> None:
 
 
 def _is_text(value: str) -> bool:
-    """Whether it could be written to a file: JSON and numpy know halves of characters."""
+    """Returns whether text can be written to a file: JSON and numpy know halves of characters."""
     try:
         value.encode()
     except UnicodeEncodeError:
@@ -386,10 +389,10 @@ _WORDS = {
 
 
 class ArrayOf(NamedTuple):
-    """What an array is expected to be."""
+    """The type, shape and values that an array is expected to have."""
 
     kinds: str
-    """Of its type, as `numpy.dtype.kind`."""
+    """The kinds of its type, as `numpy.dtype.kind`."""
     shape: tuple[int | str, ...] | None = ()
     """A name stands for any size, the same in all arrays of a file; `*` for any; None for any
     shape."""
@@ -404,12 +407,12 @@ class ArrayOf(NamedTuple):
 
 
 Expected = Mapping[str, ArrayOf]
-"""By name; the first that fits a name counts, and `*` stands for any part of one."""
+"""Arrays by name; the first that fits a name counts, and `*` stands for any part of one."""
 ANY: Expected = {"*": ArrayOf(NUMBERS + TEXT, None)}
 
 
 def read_arrays(path: Path, expected: Expected, most: int | None = None) -> dict[str, NDArray[Any]]:
-    """The arrays of a .npz file by name; nothing that a file says is carried out.
+    """Reads the arrays of a .npz file by name; nothing in it is executed.
 
     Args:
         path: the file.
@@ -442,7 +445,7 @@ def read_arrays(path: Path, expected: Expected, most: int | None = None) -> dict
 
 
 def tensor_bytes(arrays: Mapping[str, NDArray[Any]], facts: Any = None) -> bytes:
-    """A .safetensors file of arrays of numbers, with `facts` as JSON in its header."""
+    """Returns a .safetensors file of arrays of numbers, with `facts` as JSON in its header."""
     in_order = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     header = None if facts is None else {_FACTS: json.dumps(plain(facts), allow_nan=False)}
     return safetensors.numpy.save(in_order, header)
@@ -457,7 +460,7 @@ def write_tensors(path: Path, arrays: Mapping[str, NDArray[Any]], facts: Any = N
 def read_tensors(
     path: Path, expected: Expected, most: int
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """The arrays of a .safetensors file by name, and the facts in its header.
+    """Reads the arrays of a .safetensors file by name, and the facts in its header.
 
     Args:
         path: the file.
@@ -481,7 +484,11 @@ def read_tensors(
 
 
 def check_arrays(arrays: Mapping[str, NDArray[Any]], expected: Expected, where: object) -> None:
-    """Raises: CadenzaError: one is missing or something else; `where` and which one is named."""
+    """Compares arrays with those that are expected.
+
+    Raises:
+        CadenzaError: One is missing or something else; `where` and which one is named.
+    """
     for name, form in expected.items():
         if form.needed and name not in arrays:
             raise CadenzaError(f"{where}: holds no array named {name}, {form}; {_ANOTHER}")
@@ -510,7 +517,7 @@ def _members(file: zipfile.ZipFile) -> Iterator[tuple[str, zipfile.ZipInfo]]:
 
 
 def first_fitting(name: str, by_pattern: Mapping[str, T]) -> T | None:
-    """What is known of the first pattern that fits a name; `*` stands for any part of one."""
+    """Returns the value of the first pattern that fits a name; `*` stands for any part of one."""
     return next((of for known, of in by_pattern.items() if fnmatchcase(name, known)), None)
 
 
@@ -526,7 +533,7 @@ def _fits(
 
 
 def _array(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
-    """One that takes as much as the file's directory says, which is never exceeded.
+    """Reads an array that takes as much as the archive's directory says, and never more.
 
     Raises:
         ValueError: its header says something else, or text of more than any of ours.
@@ -545,7 +552,7 @@ def _array(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
 
 
 def array_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Shape and type of the array in an .npy file.
+    """Reads shape and type of the array in an .npy file.
 
     Raises:
         ValueError: it is none. A later version of the format may have a header of any size.
@@ -557,13 +564,13 @@ def array_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """As a whole or not at all."""
+    """Writes a JSON file as a whole or not at all; see `plain`."""
     with write_atomically(path) as file:
         file.write((json.dumps(plain(content), indent=2, allow_nan=False) + "\n").encode())
 
 
 def plain(value: Any) -> Any:
-    """The same as JSON has it: paths as text, null for what is no finite number.
+    """Returns a value as JSON has it: paths as text, null for what is no finite number.
 
     Bytes of a file's name that are no text become escapes such as `\\udcfc`.
     """
@@ -579,7 +586,7 @@ def plain(value: Any) -> Any:
 
 
 def folder_name(text: str) -> str:
-    """One name for a folder that says `text`, whatever that holds.
+    """Returns the name of a folder that says `text`, whatever that holds.
 
     It leads nowhere else and can be shown: separators, what no file system of ours takes, and what
     cannot be printed become `_`; dots and spaces at the ends go, and what exceeds 255 bytes.
@@ -589,7 +596,7 @@ def folder_name(text: str) -> str:
 
 
 def modification_times(paths: Iterable[Path]) -> dict[Path, float]:
-    """When files were changed last [s since 1970], the newest first.
+    """Returns when files were changed last [s since 1970], the newest first.
 
     Files that have gone meanwhile, or may not be looked at, are left out. Links are not followed.
     """

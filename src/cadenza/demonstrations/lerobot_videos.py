@@ -32,8 +32,10 @@ class Video:
     """
 
     def __init__(self, dataset: Dataset, picture: Picture, fps: int, folder: Path) -> None:
-        """Raises:
-        CadenzaError: this machine cannot draw, or a video cannot have this size.
+        """Opens the renderer; the first file begins with the first episode.
+
+        Raises:
+            CadenzaError: this machine cannot draw, or a video cannot have this size.
         """
         if (
             picture.width % 2

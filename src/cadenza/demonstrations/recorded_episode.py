@@ -57,7 +57,9 @@ _MIN_TIMESTEP = 1e-4  # [s]; a shorter one is damage
 
 
 def steps_type(scene: Scene) -> np.dtype[np.void]:
-    """A row of steps.npy, of a scene with J joints, A servos, K keys and F fingers.
+    """Returns the type of a row of steps.npy.
+
+    The scene has J joints, A servos, K keys and F fingers.
 
     The state before a step, and what came before it:
 
@@ -95,7 +97,7 @@ def steps_type(scene: Scene) -> np.dtype[np.void]:
 
 
 def plan_type(scene: Scene) -> np.dtype[np.void]:
-    """A row of plan.npy: where the plan without search has the hands before a step.
+    """Returns the type of a row of plan.npy: where the plan has the hands before a step.
 
     - `reference` (A, 2) position and speed of each servo [m, rad] and [m/s, rad/s]
     - `fingertips` (F, 3) [m]
@@ -134,7 +136,7 @@ class EpisodeFacts:
 
     @property
     def num_steps(self) -> int:
-        """Number T of control steps."""
+        """The number T of control steps."""
         return int(self.metrics["steps"] or 0)
 
     @property
@@ -170,12 +172,12 @@ class RecordedEpisode:
 
     @cached_property
     def steps(self) -> Array:
-        """Rows (T + 1,) of `steps_type`."""
+        """The rows (T + 1,) of `steps_type`."""
         return mapped(self.folder / STEPS)
 
     @cached_property
     def plan(self) -> Array:
-        """Rows (T + 1,) of `plan_type`."""
+        """The rows (T + 1,) of `plan_type`."""
         return mapped(self.folder / PLAN)
 
     @cached_property

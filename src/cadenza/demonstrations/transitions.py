@@ -36,12 +36,12 @@ class Transitions(NamedTuple):
 
     @property
     def observation(self) -> Floats:
-        """Observations (T + 1, D), laid out as in `PianoTask.observation`."""
+        """The observations (T + 1, D), laid out as in `PianoTask.observation`."""
         return np.concatenate([*self[: Transitions._fields.index("velocities")]], axis=1)
 
     @property
     def environment(self) -> Floats:
-        """Observations without the hands (T + 1, D - J)."""
+        """The observations (T + 1, D - J) without the hands."""
         return np.concatenate([*self[: Transitions._fields.index("joints")]], axis=1)
 
 

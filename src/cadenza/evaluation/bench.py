@@ -36,7 +36,7 @@ class Executor(Protocol):
 
     @property
     def capacity(self) -> int:
-        """Number of runs at once."""
+        """The number of runs at once."""
 
     def start(self, job: Job, folder: Path) -> None:
         """Begins to carry out a job, as with `cadenza.evaluation.run.carry_out`."""
@@ -72,7 +72,7 @@ class BenchState:
 
     @property
     def left(self) -> int:
-        """Number of runs that are neither finished nor failed."""
+        """The number of runs that are neither finished nor failed."""
         return self.total - self.finished - len(self.failed)
 
 

@@ -100,7 +100,7 @@ def _add_page(spec: JobSpec, folder: Path) -> None:
 def _result(
     job: Job, folder: Path, num_threads: int, stop: Callable[[], bool]
 ) -> ResultFile | None:
-    """Plays, and trains before it where that is asked for; returns None where it is stopped."""
+    """Plays, and trains before it if asked to; returns None where it is stopped."""
     spec, progress = job.spec, progress_writer(folder)
     progress("beginning", 0, 0)
     check_song(spec)

@@ -1,4 +1,4 @@
-"""How a policy's actions in [-1, 1] become those of a task: scaled, or as a residual of a plan.
+"""Maps a policy's actions in [-1, 1] to controls: scales them, or adds them to a plan.
 
 A residual policy corrects a reference: inverse kinematics of the song, tracked with feedback.
 """
@@ -53,7 +53,11 @@ def reference_of(task: PianoTask) -> Reference:
 
 
 def check_one_score(config: TaskConfig) -> None:
-    """Raises: CadenzaError: the task changes the score or the start at random."""
+    """Checks that a task has one score and one start, as a residual policy needs.
+
+    Raises:
+        CadenzaError: The task changes the score or the start at random.
+    """
     names = ("random_hand_position", "random_stretch", "random_pitch_shift", "random_octave_shift")
     if drawn := [name for name in names if getattr(config, name)]:
         raise CadenzaError(
@@ -65,7 +69,7 @@ class ToControls(Protocol):
     """A function from a policy's actions to controls."""
 
     def __call__(self, action: Floats, steps: NDArray[np.intp], state: State, /) -> Array:
-        """(N, A) in actuator units, the pedal last.
+        """Returns controls (N, A) in actuator units, the pedal last.
 
         Args:
             action: (N, A) of the policy, in [-1, 1].
@@ -75,7 +79,7 @@ class ToControls(Protocol):
 
 
 class ActionMapping(NamedTuple):
-    """What a policy's actions do."""
+    """The effect of a policy's actions."""
 
     ctrl: ToControls
     reference: Floats | None
@@ -103,13 +107,13 @@ class ReferenceTracker:
 
     @property
     def actions(self) -> Floats:
-        """(T, A + 1) actions of the reference with the pedal, in [-1, 1]."""
+        """The actions (T, A + 1) of the reference with the pedal, in [-1, 1]."""
         action = np.concatenate([self._reference.ctrl, self._reference.pedal[:, None]], axis=1)
         centre, scale = (self._high + self._low) / 2, (self._high - self._low) / 2
         return ((action - centre) / scale).astype(np.float32)
 
     def ctrl(self, correction: Floats, steps: NDArray[np.intp], state: State, /) -> Array:
-        """(N, A + 1) controls, see `ToControls`; the pedal is the score's whatever the action."""
+        """Returns controls (N, A + 1), see `ToControls`; the pedal is that of the score."""
         reference = self._reference
         position, speed = state.hand_qpos @ self._to_posture, state.hand_qvel @ self._to_posture
         measured = np.stack([position, speed], axis=-1)

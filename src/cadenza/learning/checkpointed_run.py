@@ -26,7 +26,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 LOCKED_OUT = "another process is training this run"
-"""What is wrong where the folder of a run is locked."""
+"""The error where another process holds the lock of a run."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class CheckpointedRun(ABC):
 
     @abstractmethod
     def _arrays(self) -> Arrays:
-        """The state of the learner, for `_restore`."""
+        """Returns the state of the learner, for `_restore`."""
 
     @abstractmethod
     def _restore(self, arrays: Arrays) -> None:

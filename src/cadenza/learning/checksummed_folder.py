@@ -80,12 +80,15 @@ def write_checksummed(
 
 
 def is_there(folder: Path) -> bool:
-    """True if there is something for `read_checksummed` to read."""
+    """Returns whether there is something for `read_checksummed` to read."""
     return _current(folder).exists()
 
 
 def _current(folder: Path) -> Path:
-    """The folder with the content: a writer may be between two renames, or have stopped there."""
+    """Returns the folder with the content.
+
+    A writer may be between two renames, or may have stopped there.
+    """
     old = _beside(folder, "old")
     return old if old.exists() and not folder.exists() else folder
 
@@ -93,7 +96,7 @@ def _current(folder: Path) -> Path:
 def read_checksummed(
     folder: Path, kind: str, expected: Expected = ANY
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """The facts, and the `expected` arrays.
+    """Returns the facts, and the `expected` arrays.
 
     Raises:
         CadenzaError: the folder is missing, of another kind, changed or damaged.

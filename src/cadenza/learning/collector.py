@@ -41,13 +41,15 @@ class Collector:
         ctrl: ToControls,
         rng: np.random.Generator,
     ) -> None:
-        """Args:
-        task: with N environments.
-        goals: the table of goals, to which scores of episodes are added.
-        observer: makes the observations.
-        replay: gets the experience.
-        ctrl: turns the policy's actions into controls.
-        rng: of the actions, and of each environment.
+        """Collects nothing before `begin` or `restore`.
+
+        Args:
+            task: with N environments.
+            goals: the table of goals, to which scores of episodes are added.
+            observer: makes the observations.
+            replay: gets the experience.
+            ctrl: turns the policy's actions into controls.
+            rng: of the actions, and of each environment.
         """
         self._task, self._goals, self._observer = task, goals, observer
         self._replay, self._ctrl = replay, ctrl
@@ -127,7 +129,7 @@ class Collector:
     # To go on later
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """The state as JSON and arrays, for `restore`."""
+        """Returns the state as JSON and arrays, for `restore`."""
         plain = {
             "action_rng": self._rng.bit_generator.state,
             "began": self._rng_states,

@@ -66,7 +66,7 @@ def preset(
     learner: str = DROQ,
     otherwise: Mapping[str, Any] | None = None,
 ) -> TrainingConfig:
-    """The options of a preset.
+    """Returns the options of a preset.
 
     paper: the table of the paper. published: the same with what the published run script sets
     differently, and the reward terms for pedal and forearms. fast: for few cores, changed by
@@ -89,7 +89,7 @@ def preset(
 
 
 def _with(options: Mapping[str, Any], config: TrainingConfig) -> TrainingConfig:
-    """`config` with those of `options` that it or its learner has."""
+    """Returns `config` with those of `options` that it or its learner has."""
     own, its = (
         {f.name: options[f.name] for f in fields(each) if f.name in options}
         for each in (config, config.learner)
@@ -98,7 +98,10 @@ def _with(options: Mapping[str, Any], config: TrainingConfig) -> TrainingConfig:
 
 
 def _fast() -> TrainingConfig:
-    """The preset fast. Tunes are learnt long before its end; pieces for two hands still improve."""
+    """Returns the preset fast.
+
+    Tunes are learnt long before its end; pieces for two hands still improve.
+    """
     return TrainingConfig(
         task=TaskConfig(initial_buffer_time=0.5),
         num_steps=1_000_000,
@@ -137,7 +140,11 @@ _RANGES: dict[str, tuple[float, float]] = {
 
 
 def check(config: TrainingConfig) -> None:
-    """Raises: CadenzaError: an option makes no sense."""
+    """Checks the options.
+
+    Raises:
+        CadenzaError: One makes no sense.
+    """
     check_ranges(config, _RANGES)
     config.learner.check()
 
@@ -165,7 +172,11 @@ class ImitationConfig:
     """Random seed."""
 
     def check(self) -> None:
-        """Raises: CadenzaError: an option makes no sense."""
+        """Checks the options.
+
+        Raises:
+            CadenzaError: One makes no sense.
+        """
         check_ranges(
             self,
             {

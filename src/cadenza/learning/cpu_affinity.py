@@ -49,7 +49,7 @@ def claimed_cores(number: int) -> Iterator[set[int]]:
 
 
 def _claims_folder() -> Path:
-    """The folder of this user's lock files, `CORE.SHARE` for each run that uses a core.
+    """Returns the folder of this user's lock files, `CORE.SHARE` for each run that uses a core.
 
     Raises:
         OSError: somebody else could write there.

@@ -39,7 +39,7 @@ class Curriculum:
             )
 
     def probabilities(self, progress: float) -> NDArray[np.float64]:
-        """(num_songs,) probabilities of the songs at a `progress` from 0 to 1.
+        """Returns probabilities (num_songs,) of the songs at a `progress` from 0 to 1.
 
         Raises:
             CadenzaError: `progress` is something else.
@@ -52,5 +52,5 @@ class Curriculum:
         return self.review / len(grades) + (1 - self.review) * density / density.sum()
 
     def draw(self, rng: np.random.Generator, progress: float) -> int:
-        """The index of a song."""
+        """Draws the index of a song."""
         return int(rng.choice(len(self.grades), p=self.probabilities(progress)))

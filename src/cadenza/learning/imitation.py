@@ -44,7 +44,7 @@ class Examples(NamedTuple):
     action: Floats
 
     def at(self, steps: NDArray[np.intp]) -> Examples:
-        """The examples of these rows."""
+        """Returns the examples of these rows."""
         return Examples(self.observation[steps], self.action[steps])
 
 
@@ -122,7 +122,7 @@ class Imitation(CheckpointedRun):
         self.resume()
 
     def _manifest(self, demonstrations: Path, recorded: Sequence[RecordedEpisode]) -> _Manifest:
-        """The manifest of the run, or of a new one that learns from recorded episodes."""
+        """Returns the manifest of the run, or of a new one that learns from recorded episodes."""
         config, where = self.config, str(demonstrations.resolve())
         if (known := self.folder.known(_Manifest)) is not None:
             self.folder.check_same(replace(known, config=config, demonstrations=where), known)
@@ -151,7 +151,7 @@ class Imitation(CheckpointedRun):
 
     @cached_property
     def _cached(self) -> Examples | None:
-        """All examples, if they fit into memory and updates need as many."""
+        """The examples of all steps, if they fit into memory and updates need as many."""
         config, count = self.config, self._dataset.num_steps
         sizes = len(self._inputs.kept), self._ranges.actions.shape[1]
         needed = config.num_updates * config.learner.batch_size
@@ -201,7 +201,7 @@ class Imitation(CheckpointedRun):
 
 
 def observed(batch: Batch, ranges: Ranges) -> Floats:
-    """(B, D) observations of a policy without a reference, see `ObservationSpec`.
+    """Returns observations (B, D) of a policy without a reference, see `ObservationSpec`.
 
     Args:
         batch: of steps.
@@ -223,7 +223,7 @@ def observed(batch: Batch, ranges: Ranges) -> Floats:
 
 
 def _inputs(spec: ObservationSpec, dataset: Dataset, previous_action: bool) -> Inputs:
-    """Inputs without goals of keys that no demonstration asks for.
+    """Returns inputs without goals of keys that no demonstration asks for.
 
     The previous action and its reward are left out unless `previous_action`.
     """
@@ -237,7 +237,7 @@ def _inputs(spec: ObservationSpec, dataset: Dataset, previous_action: bool) -> I
 
 
 def _ranges(dataset: Dataset, limits: NDArray[np.float64]) -> Ranges:
-    """The ranges of joints and actions in the demonstrations.
+    """Returns the ranges of joints and actions in the demonstrations.
 
     `limits` (2, A) are the least and the largest actions.
     """
@@ -251,7 +251,7 @@ def _ranges(dataset: Dataset, limits: NDArray[np.float64]) -> Ranges:
 
 
 def _used(arrays: Sequence[NDArray[Any]], limits: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(2, N) least and most in arrays (..., N), at least `_LEAST_RANGE` of the limits (2, N)."""
+    """Returns the range (2, N) of arrays (..., N), at least `_LEAST_RANGE` of the limits (2, N)."""
     low = np.min([array.min(axis=0) for array in arrays], axis=0).astype(np.float64)
     high = np.max([array.max(axis=0) for array in arrays], axis=0).astype(np.float64)
     missing = np.maximum(_LEAST_RANGE * (limits[1] - limits[0]) - (high - low), 0) / 2
@@ -261,7 +261,7 @@ def _used(arrays: Sequence[NDArray[Any]], limits: NDArray[np.float64]) -> NDArra
 def _by_song(
     episodes: Sequence[RecordedEpisode], wanted: Sequence[str]
 ) -> dict[str, list[RecordedEpisode]]:
-    """Episodes by song; of all songs if none are `wanted`."""
+    """Returns episodes by song; those of all songs if none are `wanted`."""
     found = defaultdict[str, list[RecordedEpisode]](list)
     for episode in episodes:
         found[episode.facts.song].append(episode)
@@ -271,7 +271,7 @@ def _by_song(
 
 
 def _song_named(name: str, songs: Sequence[str]) -> str:
-    """The song with this name, or with this last part of it.
+    """Returns the song with this name, or with this last part of it.
 
     Raises:
         CadenzaError: there is none, or there are several.
@@ -290,7 +290,7 @@ def _song_named(name: str, songs: Sequence[str]) -> str:
 def _split(
     songs: dict[str, list[RecordedEpisode]], held_out: int
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of episodes to learn from, at least one of each song, and of those held out."""
+    """Returns names of episodes to learn from, at least one of each song, and of those held out."""
     learnt_from, others = [], []
     for episodes in songs.values():
         names = [episode.folder.name for episode in episodes]

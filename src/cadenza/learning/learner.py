@@ -46,29 +46,29 @@ class Learner(Protocol[State]):
     """
 
     num_threads: int | None
-    """Its number of threads, if the last digits of its results depend on that."""
+    """The number of threads, if the last digits of the results depend on it."""
 
     def init(self, seed: int) -> State:
-        """A state that begins."""
+        """Draws the state before the first update."""
 
     def update(self, state: State, batches: Batch) -> tuple[State, dict[str, NDArray[Any]]]:
-        """One update for each of the batches (U, B, ...); `state` may be used up.
+        """Makes one update for each of the batches (U, B, ...); `state` may be used up.
 
         Returns:
             The new state, and by name metrics (U,) of each update, NaN where an update has none.
         """
 
     def policy(self, state: State) -> Policy:
-        """The policy that is evaluated and saved."""
+        """Returns the policy that is evaluated and saved."""
 
     def behavior_policy(self, state: State) -> Policy:
-        """The policy that collects experience, by its samples."""
+        """Returns the policy that collects experience, by its samples."""
 
     def to_arrays(self, state: State) -> dict[str, NDArray[Any]]:
-        """A state as arrays by name, for `from_arrays`."""
+        """Returns a state as arrays by name, for `from_arrays`."""
 
     def from_arrays(self, arrays: dict[str, NDArray[Any]]) -> State:
-        """The state of `to_arrays`.
+        """Returns the state of `to_arrays`.
 
         Raises:
             CadenzaError: the arrays are those of another learner.
@@ -87,15 +87,19 @@ class LearnerConfig:
 
     @classmethod
     def preset(cls, name: Preset, residual: bool) -> Self:  # noqa: ARG003
-        """The options of a preset; by default the same for all."""
+        """Returns the options of a preset; by default the same for all."""
         return cls()
 
     def check(self) -> None:
-        """Raises: CadenzaError: an option makes no sense."""
+        """Checks the options.
+
+        Raises:
+            CadenzaError: One makes no sense.
+        """
         check_ranges(self, {"batch_size": (1, MOST_BATCH)})
 
     def make(self, inputs: Inputs, action_size: int, ends: Ends) -> Learner[Any]:
-        """The learner.
+        """Returns the learner that these options describe.
 
         Args:
             inputs: what its policy observes.
@@ -109,7 +113,7 @@ class LearnerConfig:
 
     @classmethod
     def policy_of(cls, facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Policy:
-        """The policy of such a learner from its `state`, if it is no `Perceptron`.
+        """Returns the policy of such a learner from its `state`, if it is no `Perceptron`.
 
         Raises:
             CadenzaError: there is none.
@@ -128,7 +132,7 @@ def check_hidden_sizes(sizes: tuple[int, ...]) -> None:
 
 
 def learner_config(name: str) -> type[LearnerConfig]:
-    """The configuration of the learner of this name.
+    """Returns the configuration of the learner of this name.
 
     Raises:
         CadenzaError: there is none. A name may come from a file, and of `module:Name` the module is
@@ -146,7 +150,7 @@ def learner_config(name: str) -> type[LearnerConfig]:
 
 
 def name_of(config: LearnerConfig) -> str:
-    """The name by which `learner_config` finds the class of `config`.
+    """Returns the name by which `learner_config` finds the class of `config`.
 
     Raises:
         CadenzaError: another process could not find it.

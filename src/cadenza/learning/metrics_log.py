@@ -36,7 +36,7 @@ class MetricsLog:
             os.fsync(file.fileno())  # a checkpoint counts on all rows before it
 
     def rows(self) -> list[dict[str, Any]]:
-        """All rows, see `read_rows`."""
+        """Returns all rows, see `read_rows`."""
         return read_rows(self._run)
 
     @property
@@ -60,7 +60,7 @@ class MetricsLog:
 
 
 def read_rows(run: Path) -> list[dict[str, Any]]:
-    """The rows of metrics of a run so far, each with `step` and `seconds`.
+    """Returns the rows of metrics of a run so far, each with `step` and `seconds`.
 
     Half a row at the end is left out, and with a remark on standard error what is no row.
     """
@@ -82,5 +82,5 @@ def read_rows(run: Path) -> list[dict[str, Any]]:
 
 
 def finite(value: float) -> float | None:
-    """The number, or None in place of one that JSON does not have."""
+    """Returns the number, or None in place of one that JSON does not have."""
     return value if math.isfinite(value) else None

@@ -46,7 +46,7 @@ class ObservationSpec:
 
     @classmethod
     def of(cls, task: TaskSpec, residual: bool = False) -> ObservationSpec:
-        """The observation of a task."""
+        """Returns the observation of a task."""
         sizes = {name: part.stop - part.start for name, part in task.observation_layout.items()}
         return cls(
             **{name: sizes.get(name, 0) for name in _OF_THE_TASK},
@@ -57,17 +57,17 @@ class ObservationSpec:
 
     @property
     def size(self) -> int:
-        """D."""
+        """The number D of entries."""
         return sum(astuple(self))
 
     @property
     def goals_of_a_step(self) -> int:
-        """K + 1: keys and pedal."""
+        """The number K + 1 of goals of a step, one for each key and one for the pedal."""
         return self.key_state + self.pedal
 
     @property
     def layout(self) -> dict[str, slice]:
-        """Name -> slice of an observation."""
+        """The slice of an observation that each part takes, by its name."""
         ends = accumulate(astuple(self))
         return {
             field.name: slice(end - getattr(self, field.name), end)
@@ -76,7 +76,7 @@ class ObservationSpec:
 
     @property
     def inputs(self) -> Inputs:
-        """Inputs of all entries."""
+        """The inputs that keep all entries."""
         return Inputs(tuple(range(self.size)), self.size)
 
 
@@ -93,7 +93,11 @@ class Inputs:
     """The number of entries of the observation."""
 
     def __post_init__(self) -> None:
-        """Raises: CadenzaError: indices that cannot be."""
+        """Checks the indices.
+
+        Raises:
+            CadenzaError: They are not ascending, or not below the total.
+        """
         if any(a >= b for a, b in pairwise((-1, *self.kept, self.total))):
             raise CadenzaError("inputs must be ascending indices below their total")
 
@@ -105,7 +109,7 @@ class GoalTable:
     """
 
     def __init__(self, task: TaskSpec) -> None:
-        """`task` says how far ahead the score is observed."""
+        """Begins with an empty table; `task` says how far ahead the score is observed."""
         spec = ObservationSpec.of(task)
         self._num_goals = spec.goals_of_a_step
         self._num_bits = self._num_goals + task.scene.fingers.count
@@ -115,7 +119,7 @@ class GoalTable:
         self._first: dict[bytes, int] = {}
 
     def add(self, track: GoalTrack) -> int:
-        """The row of the first step of what is played."""
+        """Adds what is played, unless it is there; returns the row of its first step."""
         goals = track.goals
         silence = np.zeros((len(self._ahead) - 1, self._num_bits), bool)
         steps = np.column_stack([goals.keys, goals.sustain, goals.fingers_wanted])
@@ -132,34 +136,38 @@ class GoalTable:
             self.add(track)
 
     def goals(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
-        """(..., len(kept)) of what the task observes as goal, from these rows (...) on."""
+        """Returns what the task observes as goal from these rows (...) on, (..., len(kept))."""
         bits = self._unpacked(rows[..., None] + self._ahead)
         flat = bits[..., : self._num_goals].reshape(*rows.shape, -1)
         return flat[..., kept].astype(np.float32)
 
     def fingers(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
-        """(..., len(kept)) of the fingers that have a key to press in these rows (...)."""
+        """Returns the fingers (..., len(kept)) that have a key to press in these rows (...)."""
         return self._unpacked(rows)[..., self._num_goals + kept].astype(np.float32)
 
     def _unpacked(self, rows: NDArray[np.integer]) -> NDArray[np.uint8]:
         return np.unpackbits(self._rows[rows], axis=-1, count=self._num_bits)
 
     def ever_wanted(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """(K + 1,) keys and pedal and (F,) fingers that any row asks for."""
+        """Returns keys and pedal (K + 1,) and fingers (F,) that any row asks for."""
         ever = np.unpackbits(np.bitwise_or.reduce(self._rows), count=self._num_bits).astype(bool)
         return ever[: self._num_goals], ever[self._num_goals :]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """The table as arrays, for `restore`."""
+        """Returns the table as arrays, for `restore`."""
         return {"rows": self._rows, "first": np.array(sorted(self._first.values()), np.int64)}
 
     @property
     def num_rows(self) -> int:
-        """Rows in which an observation may begin."""
+        """The number of rows in which an observation may begin."""
         return len(self._rows) - len(self._ahead) + 1
 
     def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Raises: CadenzaError: it is not what `arrays` returned."""
+        """Fills the table with what `arrays` returned.
+
+        Raises:
+            CadenzaError: It is something else.
+        """
         expected = {
             "rows": ArrayOf("u", ("rows", self._rows.shape[1]), needed=True),
             "first": ArrayOf(INTEGERS, ("scores",), needed=True),
@@ -171,7 +179,7 @@ class GoalTable:
 
 
 def pruned(spec: ObservationSpec, goals: GoalTable) -> Inputs:
-    """Inputs without goals of keys and fingers that no score ever asks for.
+    """Returns inputs without goals of keys and fingers that no score ever asks for.
 
     They are always zero, so that no weight of theirs would ever be used or change. A network
     without them begins with the same other weights.
@@ -207,12 +215,14 @@ class Observer:
         reference: Floats | None = None,
         ranges: Ranges | None = None,
     ) -> None:
-        """Args:
-        task: whose observations they are.
-        goals: of the music.
-        inputs: which entries are to be there, all by default.
-        reference: (T, A) actions for the only score, in [-1, 1].
-        ranges: of joints and actions, which are shown as -1 to 1 then.
+        """Observes nothing yet.
+
+        Args:
+            task: whose observations they are.
+            goals: of the music.
+            inputs: which entries are to be there, all by default.
+            reference: (T, A) actions for the only score, in [-1, 1].
+            ranges: of joints and actions, which are shown as -1 to 1 then.
         """
         spec = ObservationSpec.of(task, residual=reference is not None)
         self.inputs = inputs or spec.inputs
@@ -231,7 +241,7 @@ class Observer:
         self._proprioception = slice(shown, task.observation_size)
 
     def proprioception(self, shown: Floats) -> Floats:
-        """(N, S) what does not follow from the score of what the task has `shown` (N, D)."""
+        """Returns the entries (N, S) of what is `shown` (N, D) that the score does not tell."""
         if self._ranges is not None:
             shown = shown.copy()
             shown[:, self._joints] = self._ranges.scaled(shown[:, self._joints])
@@ -239,7 +249,7 @@ class Observer:
 
     @property
     def proprioception_size(self) -> int:
-        """S."""
+        """The number S of entries that do not follow from the score."""
         return self._proprioception.stop - self._proprioception.start
 
     def observation(
@@ -250,7 +260,7 @@ class Observer:
         previous_reward: Floats,
         first: NDArray[np.bool_],
     ) -> Floats:
-        """(..., D)
+        """Returns observations (..., D).
 
         Args:
             rows: (...) of the scores, that are played next.

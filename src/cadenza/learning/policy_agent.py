@@ -27,12 +27,14 @@ class PolicyAgent(Agent):
         reference: Reference | None,
         ranges: Ranges | None,
     ) -> None:
-        """Args:
-        policy: what plays.
-        observation: what it was trained to observe.
-        inputs: the entries of the observation that it is given.
-        reference: what a residual policy corrects.
-        ranges: the scale of its joints and actions, if not the task's.
+        """Prepares nothing before the first step.
+
+        Args:
+            policy: what plays.
+            observation: what it was trained to observe.
+            inputs: the entries of the observation that it is given.
+            reference: what a residual policy corrects.
+            ranges: the scale of its joints and actions, if not the task's.
         """
         self._policy, self._observation, self._inputs = policy, observation, inputs
         self._reference, self._ranges = reference, ranges
@@ -46,9 +48,11 @@ class PolicyAgent(Agent):
         self._begun.update(env_ids)
 
     def act(self, view: View) -> Array:
-        """Raises:
-        CadenzaError: the task shows other things than the policy was trained to observe, or is of
-            another length than its reference.
+        """Returns the policy's actions (N, A) in actuator units.
+
+        Raises:
+            CadenzaError: The task shows other things than the policy was trained to observe, or is
+                of another length than its reference.
         """
         if view.task is not self._task:
             self._prepare(view)

@@ -134,16 +134,18 @@ class LearntPolicy:
         return self.reference is not None
 
     def has_learnt(self, score: Score) -> bool:
-        """True if it was trained on the notes and the pedal of `score`, or plays any song."""
+        """Returns whether it was trained on the notes and pedal of `score`, or plays any song."""
         if self.score is None:
             return True
         notes = score.without_fingers().notes
         return (notes, score.pedal) == (self.score.without_fingers().notes, self.score.pedal)
 
     def check(self, name: str, task: PianoTask) -> None:
-        """Raises:
-        CadenzaError: the policy, which is called `name`, corrects another reference than that of
-            `task`, or observes something else.
+        """Checks that the policy can play a task.
+
+        Raises:
+            CadenzaError: The policy, which is called `name`, corrects another reference than that
+                of `task`, or observes something else.
         """
         options: tuple[str, ...] = _CHANGE_THE_REFERENCE if self.residual else ()
         if self.observation != ObservationSpec.of(task.spec, self.residual):
@@ -190,7 +192,11 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
 
 
 def check_is_no_run(folder: Path) -> None:
-    """Raises: CadenzaError: the folder is that of a training run, which holds policies."""
+    """Checks that a folder is not that of a training run, which holds policies.
+
+    Raises:
+        CadenzaError: It is.
+    """
     for name, which in ("best", "best"), ("last", "latest"):
         if (folder / name).is_dir():
             raise CadenzaError(
@@ -199,8 +205,10 @@ def check_is_no_run(folder: Path) -> None:
 
 
 def load_policy(folder: Path) -> LearntPolicy:
-    """Raises:
-    CadenzaError: there is no policy, or not one that this version wrote, unchanged.
+    """Reads the policy in a folder.
+
+    Raises:
+        CadenzaError: there is no policy, or not one that this version wrote, unchanged.
     """
     check_is_no_run(folder)
     plain, arrays = read_checksummed(folder, _KIND)
@@ -243,7 +251,7 @@ def _without_prefix(prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, N
 def _learnt(
     facts: _Facts, score: Score | None, arrays: dict[str, NDArray[Any]]
 ) -> LearntPolicy | None:
-    """The policy, or None if arrays of the reference or of the ranges are missing."""
+    """Returns the policy, or None if arrays of the reference or of the ranges are missing."""
     reference, ranges = _without_prefix(_REFERENCE, arrays), _without_prefix(_RANGES, arrays)
     for found, kind in ((reference, Reference), (ranges, Ranges)):
         if found and found.keys() != set(kind._fields):
@@ -272,7 +280,7 @@ def _policy(facts: _Facts, arrays: dict[str, NDArray[Any]]) -> Policy:
 
 
 def _fits_together(learnt: LearntPolicy) -> bool:
-    """True if the shapes of the arrays are those of the observation and the actions."""
+    """Returns whether the shapes of the arrays are those of the observation and the actions."""
     observation, reference, ranges = learnt.observation, learnt.reference, learnt.ranges
     actions = observation.previous_action
     try:

@@ -35,17 +35,20 @@ class Ranges(NamedTuple):
     """(2, A) [m, rad], the pedal last."""
 
     def ctrl(self, action: Floats) -> Array:
-        """(N, A) actions in actuator units from those in [-1, 1], which are clipped."""
+        """Returns actions (N, A) in actuator units from those in [-1, 1], which are clipped."""
         return to_range(action, *self.actions)
 
     def scaled(self, joints: Floats) -> Floats:
-        """(..., J) normalised joint positions; beyond -1 and 1 where they are out of range."""
+        """Returns joint positions (..., J) normalised to [-1, 1], beyond it where out of range."""
         low, high = self.joints.astype(np.float32)
         return (joints - (high + low) / 2) / ((high - low) / 2)
 
 
 def ranges_of(task: PianoTask) -> Ranges:
-    """The ranges of a task with hands: near their rest, forearms where its scores need them."""
+    """Returns the ranges of a task with hands.
+
+    Those of fingers are near their rest, those of forearms where the scores need them.
+    """
     scene, servos = task.scene, servos_of(task.scene)
     joints = np.array([scene.model.joint(name).range for name in scene.hand_joint_names]).T
     actions = np.stack([task.spec.action_low, task.spec.action_high])
@@ -72,7 +75,7 @@ def ranges_of(task: PianoTask) -> Ranges:
 
 
 def _keys_of_fingers(task: PianoTask) -> NDArray[np.bool_]:
-    """(F, K) true where a score wants the key from that finger, or from any."""
+    """Returns where (F, K) a score wants the key from that finger, or from any."""
     there = task.scene.fingers_there
     numbers = range(there.start, there.stop)
     keys = np.full((len(numbers), task.scene.keyboard.num_keys), draws_pitch(task.config))

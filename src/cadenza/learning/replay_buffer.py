@@ -39,7 +39,7 @@ class ReplayBuffer:
     """
 
     def __init__(self, observer: Observer, num_envs: int, capacity: int, action_size: int) -> None:
-        """`capacity` is the number of frames of all environments together.
+        """Makes room for `capacity` frames of all environments together.
 
         Raises:
             CadenzaError: there is no room for them.
@@ -67,8 +67,14 @@ class ReplayBuffer:
         }
 
     def __len__(self) -> int:
-        """The number of transitions."""
+        """Returns the number of transitions."""
         return self._size
+
+    @property
+    def num_bytes(self) -> int:
+        """The most bytes that `since` returns."""
+        counts = 2 * self._count.nbytes
+        return counts + sum(values.nbytes for values in self._frames.values())
 
     def observe(
         self, env_ids: Rows, proprioception: Floats, row: Rows, first: NDArray[np.bool_]
@@ -96,7 +102,7 @@ class ReplayBuffer:
         self._size += num_envs
 
     def sample(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Batch:
-        """Transitions drawn uniformly with replacement, arrays (*shape, ...).
+        """Draws transitions uniformly with replacement, arrays (*shape, ...).
 
         Raises:
             ValueError: there is none.
@@ -151,15 +157,15 @@ class ReplayBuffer:
     # To go on later
 
     def complete_counts(self) -> Rows:
-        """(N,) the number of frames ever added that will not change any more."""
+        """Returns how many frames (N,) were ever added that will not change any more."""
         return self._count - 1
 
     def holds(self, counts: Rows) -> bool:
-        """True if a frame is left that was added before there were `counts` (N,)."""
+        """Returns whether a frame is left that was added before there were `counts` (N,)."""
         return bool((counts > self.complete_counts() - self._shape[1]).any())
 
     def since(self, counts: Rows | int) -> dict[str, NDArray[Any]]:
-        """The frames left that were completed since the environments had `counts` (N,).
+        """Returns the frames left that were completed since the environments had `counts` (N,).
 
         They are in order of environments; `from` and `to` (N,) number them.
         """
@@ -204,7 +210,7 @@ class ReplayBuffer:
         self._count, self._size = counts.copy(), int(complete.sum())
 
     def _places(self, start: Rows, to: Rows) -> tuple[Rows, Rows]:
-        """Environments and columns of the frames from `start` (N,) up to `to` (N,)."""
+        """Returns environments and columns of the frames from `start` (N,) up to `to` (N,)."""
         env = np.repeat(np.arange(len(to)), to - start)
         number = np.concatenate([np.arange(a, b) for a, b in zip(start, to, strict=True)])
         return env, number % self._shape[1]

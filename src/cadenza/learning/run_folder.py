@@ -90,7 +90,7 @@ class Facts:
     finished: tuple[tuple[float | None, float | None], ...]
     replay: tuple[Chunk, ...]
     ends: tuple[tuple[Count, Count], ...]
-    """Since which step it was to end at which one."""
+    """Pairs of a step and the last step at which the run was to end since then."""
     threads: int | None
     """Threads of the learner, if their number is known."""
     updates: Count
@@ -99,7 +99,7 @@ class Facts:
 
 
 class Checkpoint(NamedTuple):
-    """What `RunFolder.load` returns."""
+    """A checkpoint with its experience, as `RunFolder.load` returns it."""
 
     facts: Facts
     arrays: Arrays
@@ -167,7 +167,7 @@ class RunFolder(ResumableFolder):
         return replace(manifest, config=replace(manifest.config, learner=learner))
 
     def settings(self) -> tuple[TrainingConfig, Score]:
-        """The config and the score, to go on with them.
+        """Returns the config and the score, to go on with them.
 
         Raises:
             CadenzaError: the folder holds no run, or one whose hand or keyboard is of a module that
@@ -178,7 +178,7 @@ class RunFolder(ResumableFolder):
         return config, score
 
     def description(self) -> tuple[TrainingConfig, Score]:
-        """The config and the score, to be shown.
+        """Returns the config and the score, to be shown.
 
         Raises:
             CadenzaError: the folder holds no run.
@@ -240,11 +240,17 @@ class RunFolder(ResumableFolder):
             if path.name not in needed:
                 path.unlink()
 
-    def load(self, expected: Expected = ANY) -> Checkpoint | None:
-        """The intact checkpoint from which least is lost, as a rule the newest; None without any.
+    def load(
+        self, expected: Expected = ANY, most_experience: int | None = None
+    ) -> Checkpoint | None:
+        """Returns the intact checkpoint from which least is lost, as a rule the newest.
 
         What was done since is lost, and experience whose file is lost; both are counted in control
         steps. Damaged files are named on standard error. Metrics of later steps are dropped.
+
+        Args:
+            expected: The arrays of a checkpoint.
+            most_experience: The bytes that the experience of one file may take.
 
         Raises:
             CadenzaError: there are only damaged ones.
@@ -254,7 +260,7 @@ class RunFolder(ResumableFolder):
         if not saved:
             self.metrics.delete()
             return None
-        found = self._intact(saved, expected)
+        found = self._intact(saved, expected, most_experience)
         if not found:
             raise CadenzaError(f"{self.path}: no checkpoint is intact; start a new run")
         # The older one if they lose the same.
@@ -269,8 +275,10 @@ class RunFolder(ResumableFolder):
             self.metrics.truncate(found[best].facts.metrics_size)
         return found[best]
 
-    def _intact(self, saved: list[Path], expected: Expected) -> dict[Path, Checkpoint]:
-        """The newest intact checkpoints, down to one that has lost nothing."""
+    def _intact(
+        self, saved: list[Path], expected: Expected, most_experience: int | None
+    ) -> dict[Path, Checkpoint]:
+        """Returns the newest intact checkpoints, down to one that has lost nothing."""
         found: dict[Path, Checkpoint] = {}
         chunks: dict[str, Arrays | None] = {}
         for folder in reversed(saved):
@@ -280,15 +288,16 @@ class RunFolder(ResumableFolder):
                 print(error, file=sys.stderr)
                 continue
             names = [chunk.file for chunk in facts.replay]
-            chunks |= {name: self._chunk(name) for name in names if name not in chunks}
+            missing = (name for name in names if name not in chunks)
+            chunks |= {name: self._chunk(name, most_experience) for name in missing}
             found[folder] = Checkpoint(facts, arrays, [chunks[name] for name in names])
             if not _lost(found[folder]):
                 break
         return found
 
-    def _chunk(self, name: str) -> Arrays | None:
+    def _chunk(self, name: str, most: int | None) -> Arrays | None:
         try:
-            return read_arrays(self._replay / name, ANY)
+            return read_arrays(self._replay / name, ANY, most)
         except CadenzaError as error:
             print(error, file=sys.stderr)
             return None
@@ -327,7 +336,7 @@ class RunFolder(ResumableFolder):
 
 
 def _versions() -> dict[str, str]:
-    """The versions of installed libraries."""
+    """Returns the versions of installed libraries."""
     versions = {}
     for name in _VERSIONS:
         with suppress(PackageNotFoundError):
@@ -343,7 +352,7 @@ def _read_checkpoint(
 
 
 def _lost(checkpoint: Checkpoint) -> int:
-    """The number of frames in lost chunks."""
+    """Returns the number of frames in lost chunks."""
     ends = [0, *(chunk.frames for chunk in checkpoint.facts.replay)]
     return sum(
         end - start

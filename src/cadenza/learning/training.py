@@ -90,7 +90,7 @@ class Training:
         self._collector = Collector(
             self._task, self._goals, observer, self._replay, control.ctrl, rng
         )
-        checkpoint = folder.load(_EXPECTED)
+        checkpoint = folder.load(_EXPECTED, self._replay.num_bytes)
         self._ends = _ends(config, checkpoint)
         ends = tuple(
             (config.updates_by(since), config.updates_by(end)) for since, end in self._ends
@@ -119,7 +119,7 @@ class Training:
         return PianoTask([self._score], self.config.task, self.config.scene, num_envs)
 
     def _has_fixed_scores(self) -> bool:
-        """True if every episode asks for the same keys and fingers."""
+        """Returns whether every episode asks for the same keys and fingers."""
         return not draws_pitch(self.config.task)
 
     # The loop
@@ -306,7 +306,7 @@ class Training:
         self._save_last()  # a kill may have come before it
 
     def _best_is_there(self) -> bool:
-        """True if the best policy can be read; else the next evaluation takes its place."""
+        """Returns whether the best policy can be read; else the next evaluation replaces it."""
         try:
             load_policy(self._folder.path / "best")
         except CadenzaError as error:
@@ -335,7 +335,7 @@ class Training:
 
 
 def begin(config: TrainingConfig, score: Score, folder: RunFolder) -> Training:
-    """A new run in a folder, which holds none if it cannot be made.
+    """Begins a run in a folder, which holds none if it cannot be made.
 
     Raises:
         CadenzaError: see `Training`, or the folder holds a run already.
@@ -349,7 +349,7 @@ def begin(config: TrainingConfig, score: Score, folder: RunFolder) -> Training:
 
 
 def _ends(config: TrainingConfig, checkpoint: Checkpoint | None) -> tuple[tuple[int, int], ...]:
-    """Since which step the run was to end at which one, its present end last."""
+    """Returns since which step the run was to end at which one, its present end last."""
     ends = checkpoint.facts.ends if checkpoint else ()
     if not ends:
         return ((0, config.num_steps),)
@@ -359,7 +359,7 @@ def _ends(config: TrainingConfig, checkpoint: Checkpoint | None) -> tuple[tuple[
 
 
 def _f1_steps(row: Row) -> float:
-    """F1 times the length of an evaluation, which a wrong key may end early."""
+    """Returns F1 times the length of an evaluation, which a wrong key may end early."""
     return row["eval/f1"] * row["eval/steps"]
 
 
@@ -368,7 +368,7 @@ def _or_nan(value: float | None) -> float:
 
 
 def _concatenated(metrics: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    """Metrics (U,) by name of all updates, from those (u,) of each round."""
+    """Returns metrics (U,) by name of all updates, from those (u,) of each round."""
     names = metrics[0] if metrics else {}
     return {name: np.concatenate([some[name] for some in metrics]) for name in names}
 

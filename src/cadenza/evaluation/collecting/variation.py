@@ -15,7 +15,7 @@ _MIRRORED_SHARE = 0.5  # of the episodes whose mirror image can be played
 
 @dataclass(frozen=True)
 class Variation:
-    """What is drawn for each episode beside tempo, transposition and the place of the hands."""
+    """Ranges of what is drawn for each episode beside tempo, transposition and start."""
 
     noise: float = 0.2
     """Maximum noise on what is played, where 1 is the noise of the planner's search. How much is

@@ -1,4 +1,4 @@
-"""What learners in JAX share: starting JAX, learning rate schedules, states as arrays."""
+"""Functions for learners in JAX: its start, learning rate schedules, states as arrays."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _thread_name(thread: Path) -> str:
 def learning_rate_schedule(
     rate: float, final_fraction: float, ends: Ends
 ) -> optax.ScalarOrSchedule:
-    """A learning rate that decays linearly from `rate` to a fraction of it, by updates.
+    """Returns a learning rate that decays linearly from `rate` to a fraction of it, by updates.
 
     Each of `ends` is since which update, the first 0, and at which one the decay is to end. Where
     the end has been moved, it decays from its value at that update.
@@ -86,7 +86,7 @@ def learning_rate_schedule(
 
 
 def named_weights(layers: dict[str, dict[str, jax.Array]]) -> dict[str, NDArray[Any]]:
-    """The weights of a network's layers as `Perceptron` names them."""
+    """Returns the weights of a network's layers as `Perceptron` names them."""
     return {
         f"{layer}/{name}": np.asarray(array)
         for layer, arrays in layers.items()
@@ -95,13 +95,13 @@ def named_weights(layers: dict[str, dict[str, jax.Array]]) -> dict[str, NDArray[
 
 
 def to_arrays(state: Any) -> dict[str, NDArray[Any]]:
-    """A state as arrays by name, for `from_arrays`."""
+    """Returns a state as arrays by name, for `from_arrays`."""
     leaves = jax.tree_util.tree_flatten_with_path(state)[0]
     return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
 
 
 def from_arrays(arrays: dict[str, NDArray[Any]], like: State) -> State:
-    """The state of `to_arrays`; `like` is one of the same shapes.
+    """Returns the state of `to_arrays`; `like` is one of the same shapes.
 
     Raises:
         CadenzaError: the arrays have other names, shapes or types.

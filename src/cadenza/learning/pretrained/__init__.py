@@ -8,7 +8,7 @@ from cadenza.errors import CadenzaError
 
 
 def pretrained_folder(song: str) -> Path:
-    """The folder of the policy that plays a bundled song (upper or lower case).
+    """Returns the folder of the policy that plays a bundled song, in upper or lower case.
 
     Raises:
         CadenzaError: there is none.

@@ -70,11 +70,13 @@ class Cloning:
     def __init__(
         self, config: CloningConfig, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
     ) -> None:
-        """Args:
-        config: the hyperparameters.
-        inputs: what the actor observes.
-        action_size: A.
-        ends: of the learning rate, see `learning_rate_schedule`.
+        """Builds the actor and its optimiser; nothing is drawn yet.
+
+        Args:
+            config: the hyperparameters.
+            inputs: what the actor observes.
+            action_size: A.
+            ends: of the learning rate, see `learning_rate_schedule`.
         """
         self.num_threads = start_jax()
         self._config, self._num_inputs = config, len(inputs.kept)
@@ -95,7 +97,7 @@ class Cloning:
     def update(
         self, state: CloningState, batches: Examples
     ) -> tuple[CloningState, dict[str, NDArray[Any]]]:
-        """One update for each of the batches (U, B, ...); `state` is used up.
+        """Makes one update for each of the batches (U, B, ...); `state` may be used up.
 
         Returns:
             The new state, and by name metrics (U,) of each update.
@@ -103,11 +105,11 @@ class Cloning:
         return self._update_all(state, (batches.observation, batches.action))
 
     def error(self, state: CloningState, examples: Examples) -> float:
-        """The mean squared error on examples (B, ...)."""
+        """Returns the mean squared error on examples (B, ...)."""
         return float(self._loss(state.params, (examples.observation, examples.action)))
 
     def policy(self, state: CloningState) -> Perceptron:
-        """The policy, whose samples are its modes."""
+        """Returns the policy, whose samples are its modes."""
         weights = named_weights(state.params)
         weights["log_std/kernel"] = np.zeros_like(weights["mean/kernel"])
         weights["log_std/bias"] = np.full_like(weights["mean/bias"], _LOG_STD)
@@ -116,11 +118,11 @@ class Cloning:
     behavior_policy = policy
 
     def to_arrays(self, state: CloningState) -> dict[str, NDArray[Any]]:
-        """See `Learner.to_arrays`."""
+        """Returns the state as arrays by name; see `Learner.to_arrays`."""
         return to_arrays(state)
 
     def from_arrays(self, arrays: dict[str, NDArray[Any]]) -> CloningState:
-        """See `Learner.from_arrays`."""
+        """Returns the state of `to_arrays`; see `Learner.from_arrays`."""
         return from_arrays(arrays, jax.eval_shape(self._draw_state, jax.random.key(0)))
 
     @partial(jax.jit, static_argnums=0)

@@ -62,7 +62,7 @@ _EXAMPLES: Expected = {
 
 
 class Examples(NamedTuple):
-    """RecordedEpisode steps, for either hand."""
+    """Steps of recorded episodes, for either hand."""
 
     inputs: Array
     """(N, D) what networks see of a hand."""
@@ -163,7 +163,7 @@ class GeneralistCloning(CheckpointedRun):
         return {"train/explained_variance": explained}
 
     def _normalisation(self, inputs: Array, servos: Array) -> tuple[Array, Array]:
-        """Mean and standard deviation (I,) of what a network sees."""
+        """Returns mean and standard deviation (I,) of what a network sees."""
         seen = _of_parts(self._songs, inputs, servos).inputs
         std = seen.std(axis=0)
         return seen.mean(axis=0), np.where(std < _LEAST_STD, 1.0, std)
@@ -203,7 +203,7 @@ def fit(
     config: GeneralistCloningConfig,
     seed: int,
 ) -> tuple[Layers, float]:
-    """Layers of a perceptron, and the share of the squared corrections that it explains.
+    """Fits a perceptron; returns its layers and the share of the squared corrections it explains.
 
     AdamW (Loshchilov & Hutter, Decoupled Weight Decay Regularization, 2019) with dropout and early
     stopping. Inputs that are the `previous` correction (I,) are often hidden: what the planner did
@@ -246,7 +246,7 @@ def fit(
 
 @lru_cache
 def _adamw(config: GeneralistCloningConfig) -> tuple[Any, Any]:
-    """The initial state of AdamW as a function of layers, and an update; compiled once."""
+    """Returns the initial state of AdamW as a function of layers, and an update; compiled once."""
     adam = optax.scale_by_adam(), optax.add_decayed_weights(config.weight_decay)
     optimizer = optax.chain(*adam)  # its learning rate is an argument of each update
 
@@ -269,7 +269,7 @@ def _adamw(config: GeneralistCloningConfig) -> tuple[Any, Any]:
 
 
 def _predicted(layers: Layers, x: Array) -> Array:
-    """(B, O) outputs of a perceptron for x (B, I), without JAX."""
+    """Returns outputs (B, O) of a perceptron for x (B, I), without JAX."""
     for kernel, bias in layers[:-1]:
         x = np.maximum(x @ np.asarray(kernel[0]) + np.asarray(bias[0]), 0.0)
     kernel, bias = layers[-1]
@@ -277,7 +277,7 @@ def _predicted(layers: Layers, x: Array) -> Array:
 
 
 def examples_of(recorded: RecordedEpisode) -> Examples:
-    """The examples of an episode.
+    """Returns the examples of an episode.
 
     Raises:
         CadenzaError: its plan was made by another version.
@@ -302,14 +302,14 @@ def examples_of(recorded: RecordedEpisode) -> Examples:
 
 
 def _state_of(rows: Array, zeros: State, scene: Scene) -> State:
-    """The recorded part of a state."""
+    """Returns the recorded part of a state."""
     names = ("hand_qpos", "hand_qvel", "fingertip_xpos")
     known: Any = {name: rows[name].astype(np.float64) for name in names}
     return zeros._replace(**known, key_qpos=rows["key_state"] * scene.keyboard.travel)
 
 
 def _cached_examples(recorded: RecordedEpisode, folder: Path) -> Examples:
-    """The examples of an episode, made once."""
+    """Returns the examples of an episode, which are made once and kept in a folder."""
     files = hashlib.sha256("".join(recorded.facts.files.values()).encode()).hexdigest()
     path = folder / f"{recorded.folder.name}-{files[:12]}.npz"
     if path.exists():
@@ -325,7 +325,7 @@ def _joined(examples: Sequence[Examples]) -> Examples:
 
 
 def _of_parts(songs: Sequence[Examples], inputs: Array, servos: Array) -> Examples:
-    """Examples of parts of a hand, which see `inputs` (M, I) and correct `servos` (M, O)."""
+    """Returns examples of parts of a hand, with their `inputs` (M, I) and `servos` (M, O)."""
     examples = _joined(songs)
     constants = np.broadcast_to(CONSTANTS, (len(examples.inputs), len(CONSTANTS)))
     seen = np.concatenate([examples.inputs, constants], axis=1)
@@ -334,7 +334,7 @@ def _of_parts(songs: Sequence[Examples], inputs: Array, servos: Array) -> Exampl
 
 
 def hand_parts(alone: Scene) -> list[tuple[Array, Array]]:
-    """Inputs (M, I) and servos (M, O) of each `Network` of the hand that is alone in a scene."""
+    """Returns inputs (M, I) and servos (M, O) of each `Network` of a hand alone in a scene."""
     about, servos = InputLayout.of(alone), servos_of(alone).finger
     size, fingers = len(about.finger), np.unique(servos[servos >= 0])
     zero, one = size, size + 1  # `CONSTANTS`

@@ -21,7 +21,7 @@ class GeneralistCloningConfig:
     dropout: float = 0.15
     """Dropout rate of hidden units."""
     previous_dropout: float = 0.7
-    """How often the previous correction is hidden from a network, so that it does not repeat it."""
+    """Probability that the previous correction is hidden from a network, lest it repeat it."""
     batch_size: int = 512
     """Examples per update."""
     num_epochs: int = 15
@@ -34,7 +34,11 @@ class GeneralistCloningConfig:
     """Random seed."""
 
     def check(self) -> None:
-        """Raises: CadenzaError: an option makes no sense."""
+        """Checks the options.
+
+        Raises:
+            CadenzaError: One makes no sense.
+        """
         counts = ("batch_size", "num_epochs", "patience")
         check_ranges(
             self,
@@ -90,7 +94,11 @@ class GeneralistReinforcementConfig:
     """Random seed, of which songs and of the noise."""
 
     def check(self) -> None:
-        """Raises: CadenzaError: an option makes no sense."""
+        """Checks the options.
+
+        Raises:
+            CadenzaError: One makes no sense.
+        """
         counts = ("num_songs", "num_rounds", "num_envs", "rollout_steps", "batch_size")
         rates = ("learning_rate", "value_learning_rate", "discount", "gae_lambda", "clip", "ema")
         check_ranges(

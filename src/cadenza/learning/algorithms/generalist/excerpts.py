@@ -36,7 +36,7 @@ _MOST = 15.0  # cost of a finger in a step
 
 
 class FingerCosts:
-    """What a song asks of the F fingers in each of its T steps, and what they fail to do."""
+    """The costs of F fingers for what they fail to do in each of the T steps of a song."""
 
     def __init__(self, plan: SongPlan) -> None:
         scene, goals, nominal = plan.scene, plan.goals, plan.nominal
@@ -54,7 +54,7 @@ class FingerCosts:
     def after(
         self, step: int, key_qpos: Array, fingertips: Array, sounded: Array
     ) -> tuple[Array, Array]:
-        """(F,) costs of the fingers after a step, and (K,) the keys that sound.
+        """Returns costs (F,) of the fingers after a step, and the keys (K,) that sound.
 
         Args:
             step: of the song.
@@ -120,20 +120,20 @@ class _Player:
 
     @property
     def mean_cost(self) -> float:
-        """Cost of all fingers together per step, so far."""
+        """The mean over the steps so far of the cost of all fingers together."""
         return self._total / self._step
 
     def inputs(self, state: State) -> Array:
-        """(H, D) inputs of the networks in a state of one simulation."""
+        """Returns inputs (H, D) of the networks in a state of one simulation."""
         inputs, self._planned = self._hands.observe(self._step, state)
         return inputs
 
     def ctrl(self, corrections: Array) -> Array:
-        """(H A,) the controls of a step with corrections (H, A)."""
+        """Returns controls (H A,) of a step with corrections (H, A)."""
         return self._hands.corrected(self._planned, corrections)
 
     def costs(self, state: State) -> Array:
-        """(H, F) costs of the fingers of each hand in the step that led to a state."""
+        """Returns costs (H, F) of the fingers of each hand in the step that led to a state."""
         step, tips = self._step, state.fingertip_xpos[0]
         costs, self._sounding = self.excerpt.costs.after(
             step, state.key_qpos[0], tips, self._sounding
@@ -170,7 +170,7 @@ class ExcerptEnvs:
         self._players = [self._next_player(i) for i in range(num_envs)]
 
     def rollout(self, policy: Callable[[Array], Array], steps: int, noise: float) -> Rollout:
-        """The next steps, with Gaussian noise added to the policy's corrections (N, A)."""
+        """Plays the next steps, with Gaussian noise added to the policy's corrections (N, A)."""
         inputs, corrections, rewards, ends = [self._inputs()], [], [], []
         for _ in range(steps):
             mean = policy(inputs[-1])

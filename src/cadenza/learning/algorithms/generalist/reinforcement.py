@@ -64,11 +64,13 @@ class HandPPO:
         scene: Scene,
         rng: np.random.Generator,
     ) -> None:
-        """Args:
-        config: the hyperparameters.
-        weights: to begin with.
-        scene: with the hands.
-        rng: of the first values and of the batches.
+        """Builds the optimisers; nothing is drawn yet.
+
+        Args:
+            config: the hyperparameters.
+            weights: to begin with.
+            scene: with the hands.
+            rng: of the first values and of the batches.
         """
         fingers = servos_of(hand_alone(scene, scene.sides[0]).scene).finger
         self._config, self._weights, self._rng = config, weights, rng
@@ -91,7 +93,7 @@ class HandPPO:
         self._value_step = jax.jit(self._step(self._value_optimizer, self._value_loss))
 
     def init(self) -> PPOState:
-        """The state with the layers of the weights; the value functions are drawn."""
+        """Returns the state with the layers of the weights; the value functions are drawn."""
         networks = self._weights.networks
         policy = [list(zip(each.kernels, each.biases, strict=True)) for each in networks]
         values = [
@@ -102,7 +104,7 @@ class HandPPO:
         return PPOState(policy, policy, values, *opt_states)
 
     def weights(self, state: PPOState) -> Weights:
-        """The averaged networks."""
+        """Returns the averaged networks."""
         networks = map(with_layers, self._weights.networks, state.policy_ema)
         return self._weights._replace(networks=tuple(networks))
 
@@ -145,7 +147,7 @@ class HandPPO:
         return step
 
     def _corrections(self, policy: list[Layers], inputs: Any) -> Any:
-        """(N, A) corrections for inputs (N, D)."""
+        """Returns corrections (N, A) for inputs (N, D)."""
         corrections = jnp.zeros((len(inputs), len(self._part_of_servo)))
         for layers, network in zip(policy, self._weights.networks, strict=True):
             outputs = hand_outputs(layers, network, inputs)
@@ -153,7 +155,7 @@ class HandPPO:
         return corrections
 
     def _values(self, layers: list[Layers], inputs: Any) -> Any:
-        """(N, F) values of the fingers for inputs (N, D)."""
+        """Returns values (N, F) of the fingers for inputs (N, D)."""
         values = jnp.zeros((len(inputs), self._num_fingers))
         networks = zip(layers, self._weights.networks[1:], self._fingers[1:], strict=True)
         for own, network, fingers in networks:
@@ -161,7 +163,7 @@ class HandPPO:
         return values
 
     def _log_prob(self, policy: list[Layers], inputs: Any, corrections: Any) -> Any:
-        """(N, 1 + F) log probabilities of the corrections of each part, up to a constant."""
+        """Returns log probabilities (N, 1 + F) of each part's corrections, up to a constant."""
         z = (corrections - self._corrections(policy, inputs)) / self._config.noise
         return -0.5 * jnp.square(z) @ self._part_of_servo
 
@@ -173,7 +175,7 @@ class HandPPO:
         old_log_prob: Any,
         advantages: Any,
     ) -> Any:
-        """The clipped surrogate objective (eq. 7), summed over the parts of a hand."""
+        """Returns the negative clipped surrogate objective, summed over the parts of a hand."""
         clip = self._config.clip
         ratio = jnp.exp(self._log_prob(policy, inputs, corrections) - old_log_prob)
         clipped = jnp.clip(ratio, 1 - clip, 1 + clip)
@@ -184,7 +186,7 @@ class HandPPO:
 
 
 def gae(rollout: Rollout, values: Array, discount: float, gae_lambda: float) -> Array:
-    """(T, N, F) advantages, from values (T + 1, N, F).
+    """Returns generalised advantage estimates (T, N, F) from values (T + 1, N, F).
 
     Schulman et al., High-Dimensional Continuous Control Using Generalized Advantage Estimation,
     2016.
@@ -198,7 +200,10 @@ def gae(rollout: Rollout, values: Array, discount: float, gae_lambda: float) -> 
 
 
 def _normalised(advantages: Array) -> Array:
-    """(T, N, 1 + F) of the whole hand, which is the sum of (T, N, F) its fingers, and of each."""
+    """Returns normalised advantages (T, N, 1 + F) of the whole hand and each of its fingers.
+
+    That of the hand is the sum of those (T, N, F) of its fingers.
+    """
     centred = advantages - advantages.mean(axis=(0, 1))
     parts = np.concatenate([centred.sum(axis=-1, keepdims=True), centred], axis=-1)
     return parts / (parts.std(axis=(0, 1)) + np.finfo(np.float32).eps)
