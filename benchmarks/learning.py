@@ -29,7 +29,7 @@ from benchmarks.arguments import one_or_more, parser_for
 from benchmarks.plain_droq import DROPOUT, Function, PlainBuffer, PlainLearner
 from benchmarks.speed import Contestant, medians, published
 from cadenza.errors import errors_in_a_line
-from cadenza.learning.actions import action_mapping
+from cadenza.learning.actions import ActionMapping
 from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.algorithms.droq.networks import Dropout
 from cadenza.learning.collector import Collector
@@ -96,8 +96,8 @@ def gather(score: Score) -> Experience:
     observer = Observer(task.spec, scores, inputs)
     actions = task.spec.action_size
     played = ReplayBuffer(observer, 1, 2 * PLAYED, actions)
-    ctrl = action_mapping(task.spec, None, None).ctrl
-    collector = Collector(task, scores, observer, played, ctrl, rng)
+    mapping = ActionMapping(task.spec)
+    collector = Collector(task, scores, observer, played, mapping, rng)
     collector.begin()
     collector.collect(None, PLAYED)
 

@@ -292,11 +292,8 @@ def test_the_current_folder_can_be_written_to(
     assert (tmp_path / "empty" / "meta" / "info.json").exists()
 
 
-def test_minari_is_given_so_many_steps_at_once_whatever_episodes_they_are_of(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(minari_export, "_MAX_BATCH", 10)
-    batches = list(minari_export._batched(range(1, 7), [9, 4, 6, 1, 30, 2, 3]))
+def test_minari_is_given_so_many_steps_at_once_whatever_episodes_they_are_of() -> None:
+    batches = list(minari_export.batched(range(1, 7), [9, 4, 6, 1, 30, 2, 3], most=10))
     assert batches == [range(1, 3), range(3, 4), range(4, 5), range(5, 7)]
 
 
@@ -306,7 +303,7 @@ def test_half_of_an_export_is_never_seen(
     def fails(*_: object) -> None:
         raise CadenzaError("damaged")
 
-    monkeypatch.setattr("cadenza.demonstrations.lerobot_export._stats_of", fails)
+    monkeypatch.setattr("cadenza.demonstrations.lerobot_statistics.Statistics.of", fails)
     with pytest.raises(SystemExit, match="2"):
         main(["dataset", "export", str(made), "--format", "lerobot", "-o", str(tmp_path / "new")])
     assert list(tmp_path.iterdir()) == []

@@ -14,7 +14,7 @@ from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
-from cadenza.learning.actions import ReferenceTracker, reference_of
+from cadenza.learning.actions import ActionMapping, reference_of
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.servos import servos_of
@@ -35,9 +35,9 @@ class Following(Agent):
 
     def act(self, view: View) -> Any:
         if view.steps[0] == 0:
-            self.tracker = ReferenceTracker(view.task, self.reference)
+            self.mapping = ActionMapping(view.task, self.reference)
         correction = np.full((1, view.task.action_size), self.correction, np.float32)
-        return self.tracker.ctrl(correction, view.steps, view.state)
+        return self.mapping.ctrl(correction, view.steps, view.state)
 
 
 def performance(agent: Any, score: Score = SONG, **options: Any) -> EpisodeResult:
@@ -75,13 +75,11 @@ def test_it_begins_where_the_hands_do() -> None:
 def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> None:
     task = PianoTask([SONG], TaskConfig(**BUFFER))
     task.reset([np.random.default_rng(0)], [0])
-    tracker = ReferenceTracker(task.spec, reference_of(task))
+    mapping = ActionMapping(task.spec, reference_of(task))
     wrist = [a for a, name in enumerate(task.scene.actuator_names) if "WRJ" in name]
     assert_allclose(reference_of(task).reach[wrist], 0.1)
     plain, moved = (
-        tracker.ctrl(
-            np.full((1, task.spec.action_size), c, np.float32), np.zeros(1, int), task.state
-        )[0]
+        mapping.ctrl(np.full((1, task.spec.action_size), c, np.float32), np.zeros(1, int), task.state)[0]
         for c in (0.0, 1.0)
     )
     change = moved - plain
@@ -98,7 +96,7 @@ def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> 
 def test_the_actions_of_the_plan_are_what_is_done_but_for_feedback() -> None:
     played = performance(Following())
     task = PianoTask([SONG], TaskConfig(**BUFFER))
-    plan = task.spec.scale_action(ReferenceTracker(task.spec, reference_of(task)).actions)
+    plan = task.spec.scale_action(ActionMapping(task.spec, reference_of(task)).reference)
     done = played.episode.arrays["action"]
     assert plan.shape == done.shape
     size = task.spec.action_high - task.spec.action_low

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import melody
 
-from cadenza.learning.actions import action_mapping, reference_of
+from cadenza.learning.actions import ActionMapping, reference_of
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.observation import GoalTable, Observer
 from cadenza.learning.policy import Perceptron
@@ -71,15 +71,11 @@ class Run:
         self.task = Watched(songs, config, SceneConfig(), num_envs=3)
         self.scores = GoalTable(self.task.spec)
         self.scores.add_all(self.task)
-        control = action_mapping(
-            self.task.spec, reference_of(self.task) if residual else None, None
-        )
-        self.observer = Observer(self.task.spec, self.scores, reference=control.reference)
+        mapping = ActionMapping(self.task.spec, reference_of(self.task) if residual else None)
+        self.observer = Observer(self.task.spec, self.scores, reference=mapping.reference)
         self.replay = ReplayBuffer(self.observer, 3, capacity, self.task.spec.action_size)
         rng = np.random.default_rng(0)
-        self.collector = Collector(
-            self.task, self.scores, self.observer, self.replay, control.ctrl, rng
-        )
+        self.collector = Collector(self.task, self.scores, self.observer, self.replay, mapping, rng)
 
     def sample(self, seed: int, number: int) -> Batch:
         return self.replay.sample(np.random.default_rng(seed), (number,))

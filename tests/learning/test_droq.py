@@ -19,7 +19,7 @@ from rl_examples import random_batches
 from scipy.stats import norm
 
 from cadenza.learning.algorithms.droq.config import DroQConfig
-from cadenza.learning.algorithms.droq.learner import DroQ, DroQState, actor_weights
+from cadenza.learning.algorithms.droq.learner import DroQ, DroQState, actor_weights, adam
 from cadenza.learning.algorithms.on_jax import learning_rate_schedule, to_arrays
 from cadenza.learning.observation import Inputs
 from cadenza.learning.policy import Perceptron
@@ -224,11 +224,11 @@ def test_targets_begin_as_the_critics_and_follow_them(learner: DroQ) -> None:
 def test_learning_rates_have_fallen_when_the_run_ends() -> None:
     """Also those of what is updated only now and then."""
     config = replace(CONFIG, policy_delay=2, final_learning_rate_fraction=0.1)
-    learner = DroQ(config, ALL, ACTIONS, ends=((0, 8),))
-    for adam, updates in (learner._adam(1.0), 8), (learner._adam(1.0, every=2), 4):
-        state, rates = adam.init(jnp.zeros(1)), []
+    for every, updates in (1, 8), (2, 4):
+        optimizer = adam(config, 1.0, ((0, 8),), every)
+        state, rates = optimizer.init(jnp.zeros(1)), []
         for _ in range(updates + 1):
-            change, state = adam.update(jnp.ones(1), state)
+            change, state = optimizer.update(jnp.ones(1), state)
             rates.append(-float(change[0]))  # as long as the gradient stays the same
         assert_allclose(rates, np.linspace(1.0, 0.1, updates + 1), rtol=1e-3)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -40,29 +41,23 @@ def problems(
     paths = results_in(folder / EPISODES)
     scenes, sound = dict[SceneConfig, Scene](), list[tuple[RecordedEpisode, Scene]]()
     for done, path in enumerate(paths, start=1):
-        try:
-            recorded = RecordedEpisode(path.parent, read_facts(path.parent))
+        at = path.parent
+        with _reported(at, found := list[str]()):
+            recorded = RecordedEpisode(at, read_facts(at))
             if recorded.facts.kept:
                 if (config := recorded.facts.scene) not in scenes:
                     scenes[config] = recorded.build_scene()
                 scene = scenes[config]
-                found = list(recorded.wrong_files()) or list(_content_problems(recorded, scene))
-                yield from found
+                found += list(recorded.wrong_files()) or _content_problems(recorded, scene)
                 if not found:  # anew, as what is mapped holds an open file
-                    sound.append((RecordedEpisode(path.parent, recorded.facts), scene))
-        except CadenzaError as error:
-            yield _problem(path.parent, error)
-        except OSError as error:
-            yield _unreadable(path.parent, error)
+                    sound.append((RecordedEpisode(at, recorded.facts), scene))
+        yield from found
         progress(done, len(paths))
     chosen = np.unique(np.linspace(0, len(sound) - 1, min(replays, len(sound))).astype(int))
-    for i in chosen.tolist():
-        try:
-            yield from _replay_problems(*sound[i])
-        except CadenzaError as error:
-            yield _problem(sound[i][0].folder, error)
-        except OSError as error:
-            yield _unreadable(sound[i][0].folder, error)
+    for recorded, scene in (sound[i] for i in chosen.tolist()):
+        with _reported(recorded.folder, found := list[str]()):
+            found += _replay_problems(recorded, scene)
+        yield from found
 
 
 def _unfinished(runs: Path) -> Iterator[str]:
@@ -72,14 +67,16 @@ def _unfinished(runs: Path) -> Iterator[str]:
             yield f"{at}: has no {RESULT}, so it does not count; collect again, or delete it"
 
 
-def _problem(folder: Path, error: CadenzaError) -> str:
-    """Returns what is wrong with an episode, its folder, and what to do."""
-    said = str(error) if str(folder) in str(error) else f"{folder}: {error}"
-    return said if said.endswith(MAKE_AGAIN) else f"{said}; or {MAKE_AGAIN}"
-
-
-def _unreadable(folder: Path, error: OSError) -> str:
-    return f"{folder}: cannot be read ({error.strerror or error})"
+@contextmanager
+def _reported(folder: Path, problems: list[str]) -> Iterator[None]:
+    """Adds an error of the block to the problems of an episode, with its folder and what to do."""
+    try:
+        yield
+    except CadenzaError as error:
+        said = str(error) if str(folder) in str(error) else f"{folder}: {error}"
+        problems.append(said if said.endswith(MAKE_AGAIN) else f"{said}; or {MAKE_AGAIN}")
+    except OSError as error:
+        problems.append(f"{folder}: cannot be read ({error.strerror or error})")
 
 
 def _content_problems(recorded: RecordedEpisode, scene: Scene) -> Iterator[str]:

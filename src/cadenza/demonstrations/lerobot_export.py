@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import Dataset
-from cadenza.demonstrations.lerobot_videos import FILE_BYTES, FILES_PER_CHUNK, PATH, Video
+from cadenza.demonstrations.lerobot_statistics import Statistics
+from cadenza.demonstrations.lerobot_videos import FILE_BYTES, FILES_PER_CHUNK, IMAGES, PATH, Video
 from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import new_folder, write_json
@@ -35,7 +36,6 @@ _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 
 Arrays = dict[str, NDArray[Any]]
-Stats = dict[str, dict[str, Any]]
 
 
 def write_lerobot(
@@ -61,20 +61,22 @@ def write_lerobot(
             opened.enter_context(closing(Video(dataset, picture, fps, folder)))
             for picture in pictures
         ]
-        files, rows, stats = _FrameFiles(folder), _EpisodeTable(folder / _EPISODES), _Stats()
-        index = 0
+        files, rows = _FrameFiles(folder), _EpisodeTable(folder / _EPISODES)
+        index, whole = 0, dict[str, Statistics]()
         features: dict[str, Any] = {}
         for number, episode in enumerate(dataset.episodes):
             frames = _frames(dataset, number, index, tasks[episode.facts.song], fps)
             features = features or {name: _feature(values) for name, values in frames.items()}
-            of_episode, places = _stats_of(frames), dict[str, Any]()
+            of_episode = {name: Statistics.of(values) for name, values in frames.items()}
+            places = dict[str, Any]()
             for video in videos:
                 at, of_episode[video.name] = video.add(number)
                 places |= at
-            stats.add(of_episode)
+            for name, of in of_episode.items():
+                whole[name] = whole[name].merged(of) if name in whole else of
             place = files.add(pa.table({n: _column(pa, v) for n, v in frames.items()}))
             end = index + len(frames["index"])
-            row = _row(number, episode.facts.song, range(index, end), place, of_episode)
+            row = _row(number, episode.facts.song, range(index, end), place, _stats(of_episode))
             rows.add(row | places)
             index = end
             advance(number + 1, len(dataset.episodes))
@@ -82,7 +84,7 @@ def write_lerobot(
         rows.close()
         features |= {video.name: video.feature for video in videos}
         pq.write_table(_tasks(pa, songs), folder / "meta/tasks.parquet")
-        write_json(folder / "meta/stats.json", stats.whole)
+        write_json(folder / "meta/stats.json", _stats(whole))
         counts = {"episodes": len(dataset.episodes), "frames": index, "tasks": len(songs)}
         robot = f"{dataset.scene.hand.name} hands"
         write_json(folder / "meta/info.json", _info(robot, counts, fps, features))
@@ -98,7 +100,7 @@ def _fps(dataset: Dataset) -> int:
 
 
 def _row(
-    number: int, song: str, frames: range, place: tuple[int, int], stats: Stats
+    number: int, song: str, frames: range, place: tuple[int, int], stats: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Returns the row of an episode, whose frames are in a file of a chunk, the `place`."""
     chunk, file = place
@@ -185,45 +187,12 @@ def _tasks(pa: Any, songs: Sequence[str]) -> Any:
     return table.replace_schema_metadata({"pandas": json.dumps(about)})
 
 
-def _stats_of(frames: Mapping[str, NDArray[Any]]) -> Stats:
-    found: Stats = {}
-    for name, values in frames.items():
-        columns = values.reshape(len(values), -1).astype(np.float64)
-        found[name] = {
-            "min": columns.min(axis=0).tolist(),
-            "max": columns.max(axis=0).tolist(),
-            "mean": columns.mean(axis=0).tolist(),
-            "std": columns.std(axis=0).tolist(),
-            "count": [len(columns)],
-        }
-    return found
-
-
-class _Stats:
-    """Statistics of many episodes together, each added by its own."""
-
-    def __init__(self) -> None:
-        self.whole: Stats = {}
-
-    def add(self, stats: Stats) -> None:
-        if not self.whole:
-            self.whole = stats
-            return
-        for name, new in stats.items():
-            old = self.whole[name]
-            (m,), (n,) = old["count"], new["count"]
-            a, b = np.array(old["mean"]), np.array(new["mean"])
-            mean = (m * a + n * b) / (m + n)
-            # The law of total variance.
-            within = (m * np.array(old["std"]) ** 2 + n * np.array(new["std"]) ** 2) / (m + n)
-            between = (m * (a - mean) ** 2 + n * (b - mean) ** 2) / (m + n)
-            self.whole[name] = {
-                "min": np.minimum(old["min"], new["min"]).tolist(),
-                "max": np.maximum(old["max"], new["max"]).tolist(),
-                "mean": mean.tolist(),
-                "std": np.sqrt(within + between).tolist(),
-                "count": [m + n],
-            }
+def _stats(statistics: Mapping[str, Statistics]) -> dict[str, dict[str, Any]]:
+    """Returns statistics as JSON by feature; those of a video have a place for each channel."""
+    return {
+        name: of.as_json((-1, 1, 1) if name.startswith(IMAGES) else (-1,))
+        for name, of in statistics.items()
+    }
 
 
 class _FrameFiles:

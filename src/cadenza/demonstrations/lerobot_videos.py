@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import Dataset
+from cadenza.demonstrations.lerobot_statistics import Statistics
 from cadenza.errors import CadenzaError
 from cadenza.sim.render import Picture, Renderer
 
 PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+IMAGES = "observation.images."  # begins the names of features that are videos
 FILE_BYTES = 200 * 2**20  # after which another file is begun
 FILES_PER_CHUNK = 1000
 _MIN_SIZE = 16  # [px] that the encoder takes
@@ -46,7 +49,7 @@ class Video:
                 f"a video of {picture.width} x {picture.height} pixels cannot be encoded: choose "
                 f"even numbers, {_MIN_SIZE} or more"
             )
-        self.name = f"observation.images.{picture.camera}"
+        self.name = IMAGES + picture.camera
         self._dataset, self._picture, self._fps, self._folder = dataset, picture, fps, folder
         self._renderer = Renderer(dataset.scene, picture)
         self._file, self._frames = -1, 0
@@ -73,13 +76,14 @@ class Video:
             },
         }
 
-    def add(self, number: int) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Adds an episode; returns where it is, and the statistics of its pictures."""
+    def add(self, number: int) -> tuple[dict[str, Any], Statistics]:
+        """Adds an episode; returns where it is, and the statistics of its colours."""
         if self._output is None or self._path.stat().st_size > FILE_BYTES:
             self._begin()
-        first, colours = self._frames, _ColourStatistics()
+        first, pictures = self._frames, []
         for pixels in self._pictures(number):
-            colours.add(pixels)
+            colours = Statistics.of(pixels.reshape(-1, 3) / _MAX_BRIGHTNESS)
+            pictures.append(colours._replace(rows=1))  # LeRobot counts pictures
             self._encode(av.VideoFrame.from_ndarray(pixels, format="rgb24"))
             self._frames += 1
         chunk, file = divmod(self._file, FILES_PER_CHUNK)
@@ -89,7 +93,8 @@ class Video:
             "from_timestamp": first / self._fps,
             "to_timestamp": self._frames / self._fps,
         }
-        return {f"videos/{self.name}/{what}": of for what, of in place.items()}, colours.statistics
+        row = {f"videos/{self.name}/{what}": of for what, of in place.items()}
+        return row, reduce(Statistics.merged, pictures)
 
     def close(self) -> None:
         """Ends the last file, and frees graphics."""
@@ -128,27 +133,3 @@ class Video:
             self._encode(None)
             self._output.close()
             self._output = None
-
-
-class _ColourStatistics:
-    """The least, greatest, mean and deviation of each colour in pictures, from 0 to 1."""
-
-    def __init__(self) -> None:
-        self._count, self._least, self._most = 0, np.ones(3), np.zeros(3)
-        self._mean, self._square = np.zeros(3), np.zeros(3)
-
-    def add(self, pixels: NDArray[np.uint8]) -> None:
-        colours = pixels.reshape(-1, 3) / _MAX_BRIGHTNESS
-        self._count += 1
-        self._least = np.minimum(self._least, colours.min(axis=0))
-        self._most = np.maximum(self._most, colours.max(axis=0))
-        self._mean += (colours.mean(axis=0) - self._mean) / self._count
-        self._square += ((colours**2).mean(axis=0) - self._square) / self._count
-
-    @property
-    def statistics(self) -> dict[str, Any]:
-        """Statistics by name, each (3, 1, 1), and the number of pictures."""
-        deviation = np.sqrt(np.maximum(self._square - self._mean**2, 0.0))
-        found = {"min": self._least, "max": self._most, "mean": self._mean, "std": deviation}
-        shaped = {name: values[:, None, None].tolist() for name, values in found.items()}
-        return {**shaped, "count": [self._count]}

@@ -67,7 +67,7 @@ def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], Non
             data_format="parquet",
         )
         count, lengths = len(dataset.episodes), [e.facts.num_steps for e in dataset.episodes]
-        for some in _batched(range(1, count), lengths):
+        for some in batched(range(1, count), lengths):
             made.update_dataset_from_buffer(
                 [_buffer(EpisodeBuffer, transitions(dataset, i), dataset.episodes[i]) for i in some]
             )
@@ -130,11 +130,11 @@ def _root(folder: Path) -> Iterator[None]:
             os.environ[_ROOT] = before
 
 
-def _batched(episodes: range, lengths: Sequence[int]) -> Iterator[range]:
-    """Yields episodes that are written together, as few as memory wants, as many as are fast."""
+def batched(episodes: range, lengths: Sequence[int], most: int = _MAX_BATCH) -> Iterator[range]:
+    """Yields episodes that are written together: of `most` steps, or a single longer one."""
     first, steps = episodes.start, 0
     for episode in episodes:
-        if steps and steps + lengths[episode] > _MAX_BATCH:
+        if steps and steps + lengths[episode] > most:
             yield range(first, episode)
             first, steps = episode, 0
         steps += lengths[episode]

@@ -16,7 +16,6 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from cadenza.agents.agent import Progress
@@ -25,7 +24,7 @@ from cadenza.evaluation.jobs import Job, JobSpec, song_digest
 from cadenza.evaluation.results import FAILED, FORMAT
 from cadenza.files import read_json, write_json
 from cadenza.music.libraries.library import find_song
-from cadenza.resumable import ResumableFolder
+from cadenza.resumable import ResumableFolder, installed_versions
 
 _LOCK_TIMEOUT = 2.0  # [s] for which a run waits for one that may just be ending
 _PROGRESS_INTERVAL = 1.0  # [s] at least between two writings of the progress
@@ -146,8 +145,5 @@ def check_song(spec: JobSpec) -> None:
 
 def versions() -> dict[str, str]:
     """Returns the versions of the programs that a result depends on."""
-    found = {"python": platform.python_version(), "platform": platform.platform()}
-    for package in _VERSIONS:
-        with suppress(PackageNotFoundError):
-            found[package] = version(package)
-    return found
+    python = {"python": platform.python_version(), "platform": platform.platform()}
+    return python | installed_versions(_VERSIONS)

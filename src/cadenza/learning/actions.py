@@ -5,7 +5,7 @@ A residual policy corrects a reference: inverse kinematics of the song, tracked 
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,59 +65,43 @@ def check_one_score(config: TaskConfig) -> None:
         )
 
 
-class ToControls(Protocol):
-    """A function from a policy's actions to controls."""
+class ActionMapping:
+    """Maps a policy's actions in [-1, 1] to controls of a task.
 
-    def __call__(self, action: Floats, steps: NDArray[np.intp], state: State, /) -> Array:
-        """Returns controls (N, A) in actuator units, the pedal last.
+    Attributes:
+        reference: The actions (T, A + 1) of the reference with the pedal, in [-1, 1]; None without
+            a reference.
+    """
+
+    def __init__(
+        self, task: TaskSpec, reference: Reference | None = None, ranges: Ranges | None = None
+    ) -> None:
+        """Corrects a reference if there is one, else scales to `ranges` or to those of the task."""
+        self._reference, self.reference = reference, None
+        self._scaled = ranges.ctrl if ranges else task.scale_action
+        if reference is not None:
+            self._to_posture = servos_of(task.scene).of_joints
+            self._low, self._high = task.action_low, task.action_high
+            action = np.concatenate([reference.ctrl, reference.pedal[:, None]], axis=1)
+            centre, scale = (self._high + self._low) / 2, (self._high - self._low) / 2
+            self.reference = ((action - centre) / scale).astype(np.float32)
+
+    def ctrl(self, action: Floats, steps: NDArray[np.intp], state: State) -> Array:
+        """Returns controls (N, A + 1) in actuator units, the pedal last.
+
+        The pedal of a reference is that of the score, whatever the action.
 
         Args:
-            action: (N, A) of the policy, in [-1, 1].
-            steps: (N,) of the song, that are played next.
-            state: of N simulations.
+            action: The policy's actions (N, A + 1) in [-1, 1].
+            steps: The steps (N,) of the song that are played next.
+            state: The state of the N simulations.
         """
-
-
-class ActionMapping(NamedTuple):
-    """The effect of a policy's actions."""
-
-    ctrl: ToControls
-    reference: Floats | None
-    """(T, A) the reference's actions in [-1, 1], None without one."""
-
-
-def action_mapping(
-    task: TaskSpec, reference: Reference | None, ranges: Ranges | None
-) -> ActionMapping:
-    """Corrects a reference if there is one, else scales to `ranges` or to those of the task."""
-    if reference is not None:
-        tracker = ReferenceTracker(task, reference)
-        return ActionMapping(tracker.ctrl, tracker.actions)
-    scale = ranges.ctrl if ranges else task.scale_action
-    return ActionMapping(lambda action, _steps, _state: scale(action), None)
-
-
-class ReferenceTracker:
-    """Turns corrections in [-1, 1] into controls."""
-
-    def __init__(self, task: TaskSpec, reference: Reference) -> None:
-        self._reference = reference
-        self._to_posture = servos_of(task.scene).of_joints
-        self._low, self._high = task.action_low, task.action_high
-
-    @property
-    def actions(self) -> Floats:
-        """The actions (T, A + 1) of the reference with the pedal, in [-1, 1]."""
-        action = np.concatenate([self._reference.ctrl, self._reference.pedal[:, None]], axis=1)
-        centre, scale = (self._high + self._low) / 2, (self._high - self._low) / 2
-        return ((action - centre) / scale).astype(np.float32)
-
-    def ctrl(self, correction: Floats, steps: NDArray[np.intp], state: State, /) -> Array:
-        """Returns controls (N, A + 1), see `ToControls`; the pedal is that of the score."""
         reference = self._reference
+        if reference is None:
+            return self._scaled(action)
         position, speed = state.hand_qpos @ self._to_posture, state.hand_qvel @ self._to_posture
         measured = np.stack([position, speed], axis=-1)
         feedback = (reference.gain[steps] * (measured - reference.expected[steps])).sum(axis=-1)
-        hands = reference.ctrl[steps] - feedback + reference.reach * correction[:, :-1]
+        hands = reference.ctrl[steps] - feedback + reference.reach * action[:, :-1]
         ctrl = np.concatenate([hands, reference.pedal[steps, None]], axis=1)
         return np.clip(ctrl, self._low, self._high)

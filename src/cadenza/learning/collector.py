@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.learning.actions import ToControls
+from cadenza.learning.actions import ActionMapping
 from cadenza.learning.observation import Floats, GoalTable, Observer
 from cadenza.learning.policy import Policy
 from cadenza.learning.replay_buffer import ReplayBuffer, Rows
@@ -38,7 +38,7 @@ class Collector:
         goals: GoalTable,
         observer: Observer,
         replay: ReplayBuffer,
-        ctrl: ToControls,
+        mapping: ActionMapping,
         rng: np.random.Generator,
     ) -> None:
         """Collects nothing before `begin` or `restore`.
@@ -48,11 +48,11 @@ class Collector:
             goals: the table of goals, to which scores of episodes are added.
             observer: makes the observations.
             replay: gets the experience.
-            ctrl: turns the policy's actions into controls.
+            mapping: turns the policy's actions into controls.
             rng: of the actions, and of each environment.
         """
         self._task, self._goals, self._observer = task, goals, observer
-        self._replay, self._ctrl = replay, ctrl
+        self._replay, self._mapping = replay, mapping
         self._rng, *self._env_rngs = rng.spawn(1 + task.num_envs)
         self._env_ids = np.arange(task.num_envs)
         self._action = np.zeros((task.num_envs, task.spec.action_size), np.float32)
@@ -98,7 +98,7 @@ class Collector:
 
     def _step_task(self, action: Floats, env_ids: list[int] | None = None) -> Transition:
         task = self._task
-        result = task.step(self._ctrl(action, task.goals.row, task.state), env_ids)
+        result = task.step(self._mapping.ctrl(action, task.goals.row, task.state), env_ids)
         moving = self._env_ids if env_ids is None else env_ids
         self._action[moving] = action[moving]
         self._reward[moving] = result.reward[moving]

@@ -9,7 +9,7 @@ import numpy as np
 
 from cadenza.agents.agent import Agent, Array
 from cadenza.errors import CadenzaError
-from cadenza.learning.actions import Reference, action_mapping
+from cadenza.learning.actions import ActionMapping, Reference
 from cadenza.learning.observation import GoalTable, Inputs, ObservationSpec, Observer
 from cadenza.learning.policy import Policy
 from cadenza.learning.ranges import Ranges
@@ -68,16 +68,16 @@ class PolicyAgent(Agent):
             view.steps == 0,
         )
         self._action = np.asarray(self._policy.mode(observation), np.float32)
-        return self._control.ctrl(self._action, step, view.state)
+        return self._mapping.ctrl(self._action, step, view.state)
 
     def _prepare(self, view: View) -> None:
         """Gets ready for another task."""
         self._check_fits(view)
         self._task = task = view.task
-        self._control = action_mapping(task, self._reference, self._ranges)
+        self._mapping = ActionMapping(task, self._reference, self._ranges)
         self._goals = GoalTable(task)
         self._observer = Observer(
-            task, self._goals, self._inputs, self._control.reference, self._ranges
+            task, self._goals, self._inputs, self._mapping.reference, self._ranges
         )
         self._action = np.zeros((len(view.env_ids), task.action_size), np.float32)
         self._first_row = np.zeros(len(view.env_ids), np.intp)

@@ -17,7 +17,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from itertools import count, pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -36,7 +35,7 @@ from cadenza.learning.learner import learner_config, name_of
 from cadenza.learning.metrics_log import MetricsLog
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.score import Score
-from cadenza.resumable import ResumableFolder
+from cadenza.resumable import ResumableFolder, installed_versions
 from cadenza.scene.config import check_modules
 
 _VERSIONS = ("cadenza", "mujoco", "numpy", "jax", "flax", "optax")
@@ -134,7 +133,9 @@ class RunFolder(ResumableFolder):
             )
         self.check_complete(bool(self._saved()))
         song, learner = WrittenScore.of(score), name_of(config.learner)
-        manifest = _Manifest(config, song, _versions(), secrets.token_hex(8), learner)
+        manifest = _Manifest(
+            config, song, installed_versions(_VERSIONS), secrets.token_hex(8), learner
+        )
         self.write_manifest(asdict(manifest))
 
     def forget(self) -> None:
@@ -333,15 +334,6 @@ class RunFolder(ResumableFolder):
                 f"{self.path}: could not be written ({error.strerror}); the last checkpoint "
                 f"can still be loaded. Once there is room: cadenza train --resume {self.path}"
             ) from error
-
-
-def _versions() -> dict[str, str]:
-    """Returns the versions of installed libraries."""
-    versions = {}
-    for name in _VERSIONS:
-        with suppress(PackageNotFoundError):
-            versions[name] = version(name)
-    return versions
 
 
 def _read_checkpoint(

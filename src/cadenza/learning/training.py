@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, INTEGERS, NUMBERS, ArrayOf
-from cadenza.learning.actions import action_mapping, reference_of
+from cadenza.learning.actions import ActionMapping, reference_of
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig, check
 from cadenza.learning.learner import name_of
@@ -78,18 +78,16 @@ class Training:
         self._reference = reference_of(self._task) if config.residual else None
         narrowed = config.song_range and self._task.scene.sides
         self._ranges = ranges_of(self._task) if narrowed else None
-        control = action_mapping(self._task.spec, self._reference, self._ranges)
+        mapping = ActionMapping(self._task.spec, self._reference, self._ranges)
         self._observation = ObservationSpec.of(self._task.spec, config.residual)
         prune = self._has_fixed_scores() and config.prune_inputs
         inputs = pruned(self._observation, self._goals) if prune else self._observation.inputs
-        observer = Observer(self._task.spec, self._goals, inputs, control.reference, self._ranges)
+        observer = Observer(self._task.spec, self._goals, inputs, mapping.reference, self._ranges)
         actions = self._task.spec.action_size
         self._inputs = inputs
         self._replay = ReplayBuffer(observer, config.num_envs, config.buffer_size, actions)
         rng, self._sample_rng = np.random.default_rng(config.seed).spawn(2)
-        self._collector = Collector(
-            self._task, self._goals, observer, self._replay, control.ctrl, rng
-        )
+        self._collector = Collector(self._task, self._goals, observer, self._replay, mapping, rng)
         checkpoint = folder.load(_EXPECTED, self._replay.num_bytes)
         self._ends = _ends(config, checkpoint)
         ends = tuple(
@@ -199,7 +197,8 @@ class Training:
                 "smaller learning rates"
             )
 
-    def _learnt(self) -> LearntPolicy:
+    def learnt(self) -> LearntPolicy:
+        """Returns the policy learnt so far."""
         config, policy = self.config, self._learner.policy(self._state)
         return LearntPolicy(
             policy=policy,
@@ -237,7 +236,7 @@ class Training:
 
     def _evaluate(self) -> None:
         self._finish_evaluation()
-        self._evaluation = self._background.submit(self._play_episode, self._learnt(), self.step)
+        self._evaluation = self._background.submit(self._play_episode, self.learnt(), self.step)
 
     def _play_episode(self, learnt: LearntPolicy, step: int) -> tuple[Row, LearntPolicy]:
         with closing(self._new_task(1)) as task:
@@ -285,9 +284,7 @@ class Training:
         self._save_last()
 
     def _save_last(self) -> None:
-        save_policy(
-            self._folder.path / "last", self._learnt(), {"step": self.step} | self._rewarded
-        )
+        save_policy(self._folder.path / "last", self.learnt(), {"step": self.step} | self._rewarded)
 
     def _restore(self, checkpoint: Checkpoint) -> None:
         facts, parts = checkpoint.facts, _by_prefix(checkpoint.arrays)

@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 from cadenza.learning.algorithms.cloning.config import CloningConfig
 from cadenza.learning.algorithms.on_jax import (
     ACTIVATIONS,
-    from_arrays,
+    JaxLearner,
     learning_rate_schedule,
     named_weights,
-    start_jax,
-    to_arrays,
     xavier,
 )
 from cadenza.learning.learner import Ends
@@ -60,12 +58,8 @@ class Actor(nn.Module):
         return jnp.tanh(nn.Dense(self.action_size, kernel_init=xavier, name="mean")(x))
 
 
-class Cloning:
-    """Improves a `CloningState` by examples; a `Learner`.
-
-    Attributes:
-        num_threads: how many threads JAX has, if the system tells.
-    """
+class Cloning(JaxLearner[CloningState]):
+    """A `Learner` that updates a `CloningState` by examples."""
 
     def __init__(
         self, config: CloningConfig, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
@@ -78,18 +72,12 @@ class Cloning:
             action_size: A.
             ends: of the learning rate, see `learning_rate_schedule`.
         """
-        self.num_threads = start_jax()
+        super().__init__()
         self._config, self._num_inputs = config, len(inputs.kept)
         self._actor = Actor(config, action_size)
         final = config.final_learning_rate_fraction
         self._optimizer = optax.adam(learning_rate_schedule(config.learning_rate, final, ends))
-        self._update_all = jax.jit(partial(jax.lax.scan, self._update), donate_argnums=0)
 
-    def init(self, seed: int) -> CloningState:
-        """Draws the weights."""
-        return self._draw_state(jax.random.key(seed))
-
-    @partial(jax.jit, static_argnums=0)
     def _draw_state(self, key: jax.Array) -> CloningState:
         params = self._actor.init(key, jnp.zeros((1, self._num_inputs)))["params"]
         return CloningState(params, self._optimizer.init(params))
@@ -97,12 +85,8 @@ class Cloning:
     def update(
         self, state: CloningState, batches: Examples
     ) -> tuple[CloningState, dict[str, NDArray[Any]]]:
-        """Makes one update for each of the batches (U, B, ...); `state` may be used up.
-
-        Returns:
-            The new state, and by name metrics (U,) of each update.
-        """
-        return self._update_all(state, (batches.observation, batches.action))
+        """Makes one update for each of the batches (U, B, ...); see `Learner.update`."""
+        return super().update(state, (batches.observation, batches.action))
 
     def error(self, state: CloningState, examples: Examples) -> float:
         """Returns the mean squared error on examples (B, ...)."""
@@ -116,14 +100,6 @@ class Cloning:
         return Perceptron(weights, self._config.activation, (_LOG_STD, _LOG_STD))
 
     behavior_policy = policy
-
-    def to_arrays(self, state: CloningState) -> dict[str, NDArray[Any]]:
-        """Returns the state as arrays by name; see `Learner.to_arrays`."""
-        return to_arrays(state)
-
-    def from_arrays(self, arrays: dict[str, NDArray[Any]]) -> CloningState:
-        """Returns the state of `to_arrays`; see `Learner.from_arrays`."""
-        return from_arrays(arrays, jax.eval_shape(self._draw_state, jax.random.key(0)))
 
     @partial(jax.jit, static_argnums=0)
     def _loss(self, params: Any, examples: tuple[jax.Array, jax.Array]) -> jax.Array:

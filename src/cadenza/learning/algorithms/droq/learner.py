@@ -20,11 +20,9 @@ from numpy.typing import NDArray
 from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.algorithms.droq.networks import Actor, Critic
 from cadenza.learning.algorithms.on_jax import (
-    from_arrays,
+    JaxLearner,
     learning_rate_schedule,
     named_weights,
-    start_jax,
-    to_arrays,
 )
 from cadenza.learning.learner import Ends
 from cadenza.learning.observation import Inputs
@@ -58,11 +56,19 @@ def actor_weights(actor: Params) -> dict[str, NDArray[np.float32]]:
     return named_weights(actor["HiddenLayers_0"] | heads)
 
 
-class DroQ:
+def adam(
+    config: DroQConfig, learning_rate: float, ends: Ends, every: int = 1
+) -> optax.GradientTransformation:
+    """Returns Adam that steps once in `every` updates, so its schedule is as much shorter."""
+    ends = tuple((-(-begin // every), -(-end // every)) for begin, end in ends)
+    rate = learning_rate_schedule(learning_rate, config.final_learning_rate_fraction, ends)
+    return optax.adam(rate, config.adam_beta1, config.adam_beta2)
+
+
+class DroQ(JaxLearner[DroQState]):
     """A `Learner` that updates a `DroQState` by batches of transitions.
 
     Attributes:
-        num_threads: The number of JAX's threads, None where the system does not tell.
         target_entropy: The target entropy of the policy [nat].
     """
 
@@ -77,11 +83,10 @@ class DroQ:
             action_size: The number A of entries of an action.
             ends: The ends of the learning rates' decay, see `learning_rate_schedule`.
         """
-        self.num_threads = start_jax()
+        super().__init__()
         actions = tuple(range(inputs.total, inputs.total + action_size))
         self._config = config
-        self._action_size, self._ends = action_size, ends
-        self._num_inputs = len(inputs.kept)
+        self._action_size, self._num_inputs = action_size, len(inputs.kept)
         self._actor: Any = Actor(config, inputs, action_size)
         self._critic: Any = Critic(
             config, Inputs(inputs.kept + actions, inputs.total + action_size)
@@ -89,24 +94,13 @@ class DroQ:
         default = -action_size / 2
         self.target_entropy = default if config.target_entropy is None else config.target_entropy
         # The actor and alpha are updated once in `policy_delay` updates of the critics.
-        self._actor_optimizer = self._adam(config.actor_learning_rate, config.policy_delay)
-        self._alpha_optimizer = self._adam(config.temperature_learning_rate, config.policy_delay)
-        self._critic_optimizer = self._adam(config.critic_learning_rate)
-        self._update_all = jax.jit(partial(jax.lax.scan, self._update), donate_argnums=0)
+        delay = config.policy_delay
+        self._actor_optimizer = adam(config, config.actor_learning_rate, ends, delay)
+        self._alpha_optimizer = adam(config, config.temperature_learning_rate, ends, delay)
+        self._critic_optimizer = adam(config, config.critic_learning_rate, ends)
 
-    def _adam(self, learning_rate: float, every: int = 1) -> optax.GradientTransformation:
-        """Returns Adam that steps once in `every` updates, so its schedule is as much shorter."""
-        config = self._config
-        ends = tuple((-(-begin // every), -(-end // every)) for begin, end in self._ends)
-        rate = learning_rate_schedule(learning_rate, config.final_learning_rate_fraction, ends)
-        return optax.adam(rate, config.adam_beta1, config.adam_beta2)
-
-    def init(self, seed: int) -> DroQState:
-        """Draws the weights; the target critics and the average begin as copies."""
-        return self._draw_state(jax.random.key(seed))
-
-    @partial(jax.jit, static_argnums=0)  # one programme compiles sooner than many small ones
     def _draw_state(self, key: jax.Array) -> DroQState:
+        """Draws the weights; the target critics and the average begin as copies."""
         config = self._config
         key, actor_key, *critic_keys = jax.random.split(key, 2 + config.num_critics)
         observation = jnp.zeros((1, self._num_inputs))
@@ -130,14 +124,6 @@ class DroQ:
             alpha_opt_state=self._alpha_optimizer.init(log_alpha),
         )
 
-    def update(self, state: DroQState, batches: Batch) -> tuple[DroQState, Metrics]:
-        """Makes one update for each of the batches (U, B, ...); `state` is used up.
-
-        Returns:
-            The new state, and by name metrics (U,) of each update.
-        """
-        return self._update_all(state, batches)
-
     def policy(self, state: DroQState) -> Perceptron:
         """Returns the policy of the averaged actor."""
         return self._policy(state.actor_ema)
@@ -150,14 +136,6 @@ class DroQ:
         config = self._config
         log_std_range = (config.log_std_min, config.log_std_max)
         return Perceptron(actor_weights(actor), config.activation, log_std_range)
-
-    def to_arrays(self, state: DroQState) -> dict[str, NDArray[Any]]:
-        """Returns the state as arrays by name; see `Learner.to_arrays`."""
-        return to_arrays(state)
-
-    def from_arrays(self, arrays: dict[str, NDArray[Any]]) -> DroQState:
-        """Returns the state of `to_arrays`; see `Learner.from_arrays`."""
-        return from_arrays(arrays, jax.eval_shape(self._draw_state, jax.random.key(0)))
 
     def _update(self, state: DroQState, batch: Batch) -> tuple[DroQState, Metrics]:
         """Updates the critics, and once in `policy_delay` times the actor and the temperature."""
