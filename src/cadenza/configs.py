@@ -138,11 +138,7 @@ def check_ranges(
 
 
 def check_positive(config: object, names: Iterable[str]) -> None:
-    """Checks that fields are more than 0 and finite.
-
-    Raises:
-        CadenzaError: One is not.
-    """
+    """Raises a CadenzaError if one of these fields is not more than 0 and finite."""
     for name in names:
         if not 0 < (value := getattr(config, name)) < math.inf:
             raise CadenzaError(f"{name} {value}: choose more than 0")

@@ -191,11 +191,7 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def _readable(path: Path, most: int | None) -> Iterator[IO[bytes]]:
-    """Opens a regular file of at most `most` bytes to be read.
-
-    Raises:
-        CadenzaError: It is not there, cannot be read, or is too large.
-    """
+    """Opens a regular file of at most `most` bytes, or raises a CadenzaError."""
     try:
         with opened(path) as file:
             size = os.fstat(file.fileno()).st_size
@@ -484,11 +480,7 @@ def read_tensors(
 
 
 def check_arrays(arrays: Mapping[str, NDArray[Any]], expected: Expected, where: object) -> None:
-    """Compares arrays with those that are expected.
-
-    Raises:
-        CadenzaError: One is missing or something else; `where` and which one is named.
-    """
+    """Raises a CadenzaError that names an array which is missing or not as `expected`."""
     for name, form in expected.items():
         if form.needed and name not in arrays:
             raise CadenzaError(f"{where}: holds no array named {name}, {form}; {_ANOTHER}")

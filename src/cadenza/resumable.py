@@ -117,11 +117,7 @@ class ResumableFolder:
         self.write_manifest(asdict(wanted))
 
     def check_same(self, wanted: Manifest, known: Manifest | None) -> None:
-        """Checks that the folder holds no work but the one that is wanted.
-
-        Raises:
-            CadenzaError: There is a `known` manifest, which differs.
-        """
+        """Raises a CadenzaError if there is a `known` manifest, and it is not the `wanted` one."""
         if known not in (None, wanted):
             raise CadenzaError(
                 f"{self.path}: holds a run with other options; give the same to continue it, or "
@@ -129,11 +125,7 @@ class ResumableFolder:
             )
 
     def check_complete(self, has_checkpoints: bool) -> None:
-        """Checks that no checkpoint is left of work whose manifest is gone.
-
-        Raises:
-            CadenzaError: There are checkpoints, but no manifest says what they are of.
-        """
+        """Raises a CadenzaError if there are checkpoints, but no manifest says what they are of."""
         if has_checkpoints and not self.begun:  # a new run would go on from them
             raise CadenzaError(
                 f"{self.manifest}: missing, but there are checkpoints; use another copy, or choose "

@@ -107,11 +107,7 @@ class Dataset:
     """
 
     def __init__(self, episodes: Sequence[RecordedEpisode]) -> None:
-        """Opens the episodes, none of whose arrays is read yet.
-
-        Raises:
-            CadenzaError: There is none, or they do not go together.
-        """
+        """Raises a CadenzaError if there is none, or if they do not go together."""
         if not episodes:
             raise CadenzaError("no demonstrations: none was kept, or none was asked for")
         _allow_open_files()
@@ -261,11 +257,7 @@ class _Rows:
 
 
 def check_rows(episode: RecordedEpisode, name: str, array: Array, kind: np.dtype[np.void]) -> None:
-    """Checks the type and the number of an array's rows.
-
-    Raises:
-        CadenzaError: The array has other rows, or not as many as the episode.
-    """
+    """Raises a CadenzaError if an array has other rows, or not as many as the episode."""
     if array.dtype != kind or array.shape != (episode.facts.num_steps + 1,):
         raise CadenzaError(
             f"{episode.folder / name}: not the {episode.facts.num_steps + 1} rows of this episode; "

@@ -24,11 +24,7 @@ class Mirror:
     """Mirrors steps of a scene with two hands that slide along the keyboard."""
 
     def __init__(self, scene: Scene) -> None:
-        """Finds the image of each key, joint, servo and finger.
-
-        Raises:
-            CadenzaError: The scene has no mirror image.
-        """
+        """Raises a CadenzaError if the scene has no mirror image."""
         pitches = scene.keyboard.pitches
         if MIRROR // 2 not in pitches:
             raise CadenzaError(

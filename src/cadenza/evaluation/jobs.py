@@ -185,16 +185,9 @@ def songs_of(library: Library) -> list[tuple[SongFacts, str]]:
 
 
 def _facts(song: Song, library: Library) -> SongFacts:
-    return SongFacts(
-        song.name,
-        song.title,
-        song.composer,
-        library.name.partition(":")[0],
-        song.split,
-        song.difficulty,
-        song.seconds,
-        song.notes,
-    )
+    same = ("name", "title", "composer", "split", "difficulty", "seconds", "notes")
+    known = {name: getattr(song, name) for name in same}
+    return SongFacts(**known, library=library.name.partition(":")[0])
 
 
 def song_digest(song: Song) -> str:

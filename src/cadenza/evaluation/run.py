@@ -82,7 +82,8 @@ def _carry_out(job: Job, folder: Path, num_threads: int, stop: Callable[[], bool
         result = _result(job, folder, num_threads, stop)
         if result is not None:
             write_json(folder / RESULT, asdict(result))
-            _drop_checkpoints(folder / "training")
+            for name in ("checkpoints", "replay"):  # they are most of what training wrote
+                shutil.rmtree(folder / "training" / name, ignore_errors=True)
 
 
 def _add_page(spec: JobSpec, folder: Path) -> None:
@@ -161,9 +162,3 @@ def _train(
             if training.step < config.num_steps:
                 return None
         return Trained(config.num_steps, run.metrics.rows()[-1]["seconds"])
-
-
-def _drop_checkpoints(training: Path) -> None:
-    """Deletes the checkpoints of a finished run: they are most of what it wrote."""
-    for name in ("checkpoints", "replay"):
-        shutil.rmtree(training / name, ignore_errors=True)

@@ -53,11 +53,7 @@ def reference_of(task: PianoTask) -> Reference:
 
 
 def check_one_score(config: TaskConfig) -> None:
-    """Checks that a task has one score and one start, as a residual policy needs.
-
-    Raises:
-        CadenzaError: The task changes the score or the start at random.
-    """
+    """Raises a CadenzaError if the task changes the score or the start at random."""
     names = ("random_hand_position", "random_stretch", "random_pitch_shift", "random_octave_shift")
     if drawn := [name for name in names if getattr(config, name)]:
         raise CadenzaError(

@@ -140,11 +140,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 
 
 def check(config: TrainingConfig) -> None:
-    """Checks the options.
-
-    Raises:
-        CadenzaError: One makes no sense.
-    """
+    """Checks the options; raises a CadenzaError if one makes no sense."""
     check_ranges(config, _RANGES)
     config.learner.check()
 
@@ -172,11 +168,7 @@ class ImitationConfig:
     """Random seed."""
 
     def check(self) -> None:
-        """Checks the options.
-
-        Raises:
-            CadenzaError: One makes no sense.
-        """
+        """Checks the options; raises a CadenzaError if one makes no sense."""
         check_ranges(
             self,
             {

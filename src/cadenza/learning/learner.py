@@ -91,11 +91,7 @@ class LearnerConfig:
         return cls()
 
     def check(self) -> None:
-        """Checks the options.
-
-        Raises:
-            CadenzaError: One makes no sense.
-        """
+        """Checks the options; raises a CadenzaError if one makes no sense."""
         check_ranges(self, {"batch_size": (1, MOST_BATCH)})
 
     def make(self, inputs: Inputs, action_size: int, ends: Ends) -> Learner[Any]:
@@ -122,11 +118,7 @@ class LearnerConfig:
 
 
 def check_hidden_sizes(sizes: tuple[int, ...]) -> None:
-    """Checks the widths of hidden layers.
-
-    Raises:
-        CadenzaError: There is none, or one is not positive.
-    """
+    """Raises a CadenzaError if there is no hidden layer, or one without a unit."""
     if not sizes or min(sizes) < 1:
         raise CadenzaError(f"hidden_sizes {sizes}: give one width per layer")
 

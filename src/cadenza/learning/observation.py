@@ -93,11 +93,7 @@ class Inputs:
     """The number of entries of the observation."""
 
     def __post_init__(self) -> None:
-        """Checks the indices.
-
-        Raises:
-            CadenzaError: They are not ascending, or not below the total.
-        """
+        """Raises a CadenzaError if the indices are not ascending, or not below the total."""
         if any(a >= b for a, b in pairwise((-1, *self.kept, self.total))):
             raise CadenzaError("inputs must be ascending indices below their total")
 
@@ -163,11 +159,7 @@ class GoalTable:
         return len(self._rows) - len(self._ahead) + 1
 
     def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Fills the table with what `arrays` returned.
-
-        Raises:
-            CadenzaError: It is something else.
-        """
+        """Restores what `arrays` returned; raises a CadenzaError if it is something else."""
         expected = {
             "rows": ArrayOf("u", ("rows", self._rows.shape[1]), needed=True),
             "first": ArrayOf(INTEGERS, ("scores",), needed=True),

@@ -192,11 +192,7 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
 
 
 def check_is_no_run(folder: Path) -> None:
-    """Checks that a folder is not that of a training run, which holds policies.
-
-    Raises:
-        CadenzaError: It is.
-    """
+    """Raises a CadenzaError if the folder is that of a training run, which holds policies."""
     for name, which in ("best", "best"), ("last", "latest"):
         if (folder / name).is_dir():
             raise CadenzaError(

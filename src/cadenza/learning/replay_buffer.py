@@ -122,11 +122,9 @@ class ReplayBuffer:
         drawn = np.zeros(0, np.int64)
         while len(drawn) < number:
             flat = rng.integers(num_envs * written, size=number - len(drawn))
-            drawn = np.append(drawn, flat[self._complete_at(flat, written)])
+            complete = self._frames["complete"][flat // written, flat % written]
+            drawn = np.append(drawn, flat[complete])
         return drawn // written, drawn % written
-
-    def _complete_at(self, flat: Rows, written: int) -> NDArray[np.bool_]:
-        return self._frames["complete"][flat // written, flat % written]
 
     def _batch(self, env: Rows, column: Rows) -> Batch:
         frames, length = self._frames, self._shape[1]

@@ -80,7 +80,7 @@ class Training:
         self._ranges = ranges_of(self._task) if narrowed else None
         mapping = ActionMapping(self._task.spec, self._reference, self._ranges)
         self._observation = ObservationSpec.of(self._task.spec, config.residual)
-        prune = self._has_fixed_scores() and config.prune_inputs
+        prune = config.prune_inputs and not draws_pitch(config.task)  # asks for the same keys
         inputs = pruned(self._observation, self._goals) if prune else self._observation.inputs
         observer = Observer(self._task.spec, self._goals, inputs, mapping.reference, self._ranges)
         actions = self._task.spec.action_size
@@ -104,21 +104,14 @@ class Training:
         self._chunks: list[Chunk] = []
         self._seconds = 0.0
         with threadpool_limits(1):
-            self._begin_or_resume(checkpoint)
-
-    def _begin_or_resume(self, checkpoint: Checkpoint | None) -> None:
-        if checkpoint is None:
-            self._collector.begin()
-            return
-        with errors_of_resuming(self._folder.path):
-            self._restore(checkpoint)
+            if checkpoint is None:
+                self._collector.begin()
+                return
+            with errors_of_resuming(folder.path):
+                self._restore(checkpoint)
 
     def _new_task(self, num_envs: int) -> PianoTask:
         return PianoTask([self._score], self.config.task, self.config.scene, num_envs)
-
-    def _has_fixed_scores(self) -> bool:
-        """Returns whether every episode asks for the same keys and fingers."""
-        return not draws_pitch(self.config.task)
 
     # The loop
 

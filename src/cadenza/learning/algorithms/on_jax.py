@@ -66,14 +66,9 @@ def _thread_name(thread: Path) -> str:
 
 
 class JaxLearner(ABC, Generic[State]):
-    """A `Learner` whose state is a named tuple of JAX's arrays.
-
-    Attributes:
-        num_threads: The number of JAX's threads, None where the system does not tell.
-    """
+    """A `Learner` whose state is a named tuple of JAX's arrays."""
 
     def __init__(self) -> None:
-        """Starts JAX; nothing is drawn yet."""
         self.num_threads = start_jax()
         # One programme compiles sooner than many small ones.
         self._draw = jax.jit(self._draw_state)
@@ -88,23 +83,15 @@ class JaxLearner(ABC, Generic[State]):
         """Returns the state after an update by a batch (B, ...), and the update's metrics."""
 
     def init(self, seed: int) -> State:
-        """Draws the state before the first update."""
         return self._draw(jax.random.key(seed))
 
     def update(self, state: State, batches: Any) -> tuple[State, dict[str, Any]]:
-        """Makes one update for each of the batches (U, B, ...); `state` is used up.
-
-        Returns:
-            The new state, and by name metrics (U,) of each update.
-        """
         return self._update_all(state, batches)
 
     def to_arrays(self, state: State) -> dict[str, NDArray[Any]]:
-        """Returns the state as arrays by name; see `Learner.to_arrays`."""
         return to_arrays(state)
 
     def from_arrays(self, arrays: dict[str, NDArray[Any]]) -> State:
-        """Returns the state of `to_arrays`; see `Learner.from_arrays`."""
         return from_arrays(arrays, jax.eval_shape(self._draw_state, jax.random.key(0)))
 
 

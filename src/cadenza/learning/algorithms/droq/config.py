@@ -96,11 +96,7 @@ class DroQConfig(LearnerConfig):
         )
 
     def check(self) -> None:
-        """Checks the hyperparameters.
-
-        Raises:
-            CadenzaError: One makes no sense.
-        """
+        """Checks the hyperparameters; raises a CadenzaError if one makes no sense."""
         super().check()
         rates = ("discount", "tau", "actor_ema", "final_learning_rate_fraction")
         check_ranges(

@@ -34,11 +34,7 @@ class GeneralistCloningConfig:
     """Random seed."""
 
     def check(self) -> None:
-        """Checks the options.
-
-        Raises:
-            CadenzaError: One makes no sense.
-        """
+        """Checks the options; raises a CadenzaError if one makes no sense."""
         counts = ("batch_size", "num_epochs", "patience")
         check_ranges(
             self,
@@ -94,11 +90,7 @@ class GeneralistReinforcementConfig:
     """Random seed, of which songs and of the noise."""
 
     def check(self) -> None:
-        """Checks the options.
-
-        Raises:
-            CadenzaError: One makes no sense.
-        """
+        """Checks the options; raises a CadenzaError if one makes no sense."""
         counts = ("num_songs", "num_rounds", "num_envs", "rollout_steps", "batch_size")
         rates = ("learning_rate", "value_learning_rate", "discount", "gae_lambda", "clip", "ema")
         check_ranges(
