@@ -132,7 +132,7 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
 
     Args:
         folder: others that lock it keep out of it.
-        patience: how long to wait for them [s].
+        patience: The time to wait for them [s].
 
     Raises:
         CadenzaError: it cannot be locked, as nothing can be written there.

@@ -28,9 +28,9 @@ def problems(
     """Yields everything that is wrong with the episodes, a line each.
 
     Args:
-        folder: of the demonstrations.
-        replays: how many episodes are played again and compared, spread evenly over all.
-        progress: is told how many of how many episodes have been looked at.
+        folder: The folder of the demonstrations.
+        replays: The number of episodes, spread evenly over all, that are played again and compared.
+        progress: The function that is told how many of how many episodes have been looked at.
 
     Raises:
         CadenzaError: it holds no demonstrations.

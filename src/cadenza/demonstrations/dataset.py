@@ -100,10 +100,10 @@ class Dataset:
     Attributes:
         episodes: E episodes.
         first: number of the first step of each (E,).
-        num_steps: of all episodes together.
+        num_steps: The number of steps of all episodes together.
         scene: the hands and the keys.
         control_timestep: between two steps [s].
-        shows_fingers: whether the task's observations say which fingers have a key to press.
+        shows_fingers: True if the task's observations say which fingers have a key to press.
     """
 
     def __init__(self, episodes: Sequence[RecordedEpisode]) -> None:
@@ -148,7 +148,7 @@ class Dataset:
         Args:
             steps: their numbers, from 0 up to `num_steps`.
             lookahead: L, for how many steps after the next there are goals.
-            ahead: of which states there are references: 0 for the one before the step, 1 for the
+            ahead: The states that have references: 0 for the one before the step, 1 for the
                 one after it, and so on; past the end of the song, its last.
 
         Raises:

@@ -315,11 +315,11 @@ def write(
     """Writes an episode that is kept.
 
     Args:
-        folder: of the episode.
+        folder: The folder of the episode.
         facts: without its files.
-        song: as it was chosen.
-        score: what of it was to be played.
-        arrays: of STEPS and PLAN.
+        song: The song as it was chosen.
+        score: The part of it that was to be played.
+        arrays: The arrays of STEPS and PLAN.
     """
     for name, array in arrays.items():
         content = io.BytesIO()

@@ -88,14 +88,14 @@ def bench(
     """Carries out what is not complete yet.
 
     Args:
-        jobs: all runs that there are to be.
-        folder: of the bench.
-        executor: where they are carried out.
-        ended: is called with a run that has finished or failed, or whose process has died and that
-            is tried again.
-        should_continue: is asked now and then; where it is false, all runs are ended.
-        retry: runs that have failed before are carried out again.
-        is_complete: whether nothing is left to do for a run in its folder.
+        jobs: All runs that there are to be.
+        folder: The folder of the bench.
+        executor: The executor that carries them out.
+        ended: The function that is called with a run that has finished or failed, or whose process
+            has died and that is tried again.
+        should_continue: The function that is often asked; once it says False, all runs are ended.
+        retry: True if runs that have failed before are carried out again.
+        is_complete: The function that tells whether nothing is left to do for a run in its folder.
     """
     state = BenchState(folder / RUNS, len(jobs), is_complete)
     for job in jobs:

@@ -129,11 +129,11 @@ def bench_jobs(
     """Returns all runs, each once: those of the first seed come first.
 
     Args:
-        library: what is played.
+        library: The songs that are played.
         contenders: song -> who plays it.
-        seeds: of everything random.
-        arrangement: what of each song.
-        pages: which runs leave a page.
+        seeds: The random seeds.
+        arrangement: The part of each song that is played.
+        pages: The runs that leave a page.
 
     Raises:
         CadenzaError: a song cannot be read.

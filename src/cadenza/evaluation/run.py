@@ -58,10 +58,10 @@ def carry_out(
     Of a run that is finished, leaves the page if one is wanted.
 
     Args:
-        job: what to run.
-        folder: of the run.
-        num_threads: that a planner or training may use.
-        stop: is asked now and then whether training is to end, with a checkpoint to go on from.
+        job: The run to carry out.
+        folder: The folder of the run.
+        num_threads: The number of threads that a planner or training may use.
+        stop: The function that is asked now and then whether training is to end, with a checkpoint.
     """
     with claimed_run(job, folder, lambda: is_complete(job, folder)) as ours:
         if not ours:

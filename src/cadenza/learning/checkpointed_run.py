@@ -44,7 +44,7 @@ class CheckpointedRun(ABC):
 
     Attributes:
         update: updates so far.
-        num_updates: of the whole run.
+        num_updates: The number of updates of the whole run.
         rows: metrics so far, oldest first.
     """
 

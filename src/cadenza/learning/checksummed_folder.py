@@ -44,7 +44,7 @@ def write_checksummed(
 
     Args:
         folder: a reader sees the old one or the whole new one, or for a moment none.
-        kind: of the content, which `read_checksummed` checks.
+        kind: The kind of the content, which `read_checksummed` checks.
         facts: numbers, text, lists and dictionaries of them.
         arrays: without objects.
 

@@ -44,12 +44,12 @@ class Collector:
         """Collects nothing before `begin` or `restore`.
 
         Args:
-            task: with N environments.
+            task: The task with N environments.
             goals: the table of goals, to which scores of episodes are added.
-            observer: makes the observations.
-            replay: gets the experience.
-            mapping: turns the policy's actions into controls.
-            rng: of the actions, and of each environment.
+            observer: The maker of the observations.
+            replay: The buffer to which experience is added.
+            mapping: The map from the policy's actions to controls.
+            rng: The source of randomness of the actions and of each environment.
         """
         self._task, self._goals, self._observer = task, goals, observer
         self._replay, self._mapping = replay, mapping

@@ -72,9 +72,9 @@ class Imitation(CheckpointedRun):
         """Goes on with the run in `folder`, if there is one.
 
         Args:
-            config: of the run.
+            config: The options of the run.
             demonstrations: a folder of `cadenza dataset collect`.
-            folder: where the run is kept; no other process works in it.
+            folder: The folder of the run; no other process works in it.
 
         Raises:
             CadenzaError: an option makes no sense, there are no such demonstrations or they do not
@@ -204,8 +204,8 @@ def observed(batch: Batch, ranges: Ranges) -> Floats:
     """Returns observations (B, D) of a policy without a reference, see `ObservationSpec`.
 
     Args:
-        batch: of steps.
-        ranges: on whose scale joints and the previous action are.
+        batch: The steps (B,).
+        ranges: The ranges to which joints and the previous action are normalised.
     """
     count = len(batch.goal)
     first = ~batch.previous_action.any(axis=1, keepdims=True)  # nothing was played before

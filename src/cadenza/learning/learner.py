@@ -98,9 +98,9 @@ class LearnerConfig:
         """Returns the learner that these options describe.
 
         Args:
-            inputs: what its policy observes.
+            inputs: The entries that its policy observes.
             action_size: A, of actions in [-1, 1].
-            ends: of the run, for what changes on its way.
+            ends: The ends of the run, for schedules.
 
         Raises:
             CadenzaError: a library that it needs is missing.

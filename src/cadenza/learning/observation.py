@@ -196,7 +196,7 @@ class Observer:
     their scale.
 
     Attributes:
-        inputs: which entries of it are there.
+        inputs: The entries of it that are there.
     """
 
     def __init__(
@@ -210,11 +210,11 @@ class Observer:
         """Observes nothing yet.
 
         Args:
-            task: whose observations they are.
-            goals: of the music.
-            inputs: which entries are to be there, all by default.
+            task: The task that is observed.
+            goals: The goals of its scores.
+            inputs: The entries that are to be there, all by default.
             reference: (T, A) actions for the only score, in [-1, 1].
-            ranges: of joints and actions, which are shown as -1 to 1 then.
+            ranges: The ranges of joints and actions, which are normalised to -1 to 1.
         """
         spec = ObservationSpec.of(task, residual=reference is not None)
         self.inputs = inputs or spec.inputs

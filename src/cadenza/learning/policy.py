@@ -56,7 +56,7 @@ class Perceptron:
             weights: "hidden_0/kernel" (D, H), "hidden_0/bias" (H,) and so on, "mean/..." and
                 "log_std/...".
             activation: after every hidden layer.
-            log_std_range: what the logarithm of the deviation is limited to.
+            log_std_range: The limits of the log standard deviation.
         """
         self.weights, self.activation, self.log_std_range = weights, activation, log_std_range
         self._activate = _ACTIVATIONS[activation]

@@ -30,10 +30,10 @@ class PolicyAgent(Agent):
         """Prepares nothing before the first step.
 
         Args:
-            policy: what plays.
-            observation: what it was trained to observe.
+            policy: The policy that plays.
+            observation: The observation with which it was trained.
             inputs: the entries of the observation that it is given.
-            reference: what a residual policy corrects.
+            reference: The trajectory that a residual policy corrects.
             ranges: the scale of its joints and actions, if not the task's.
         """
         self._policy, self._observation, self._inputs = policy, observation, inputs

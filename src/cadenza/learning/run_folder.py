@@ -15,7 +15,7 @@ import secrets
 import shutil
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from itertools import count, pairwise
 from pathlib import Path
@@ -27,7 +27,14 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.files import ANY, TEMPORARY, Expected, checked, read_arrays, write_atomically
+from cadenza.files import (
+    ANY,
+    Expected,
+    checked,
+    read_arrays,
+    remove_half_written,
+    write_atomically,
+)
 from cadenza.learning.checkpointed_run import LOCKED_OUT
 from cadenza.learning.checksummed_folder import read_checksummed, write_checksummed
 from cadenza.learning.config import TrainingConfig, check
@@ -43,7 +50,6 @@ _KIND = "checkpoint"
 _NUM_CHECKPOINTS = 2  # should the newest be damaged, there is the one before
 # Names of what is written here; other files are left alone.
 _CHECKPOINT, _CHUNK = r"\d{12,}", r"\d{12,}\.\d+\.npz"
-_UNFINISHED = rf"\.{_CHECKPOINT}\.(new|old)|\.{_CHUNK}\..*|{re.escape(TEMPORARY)}.*"
 
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 Arrays = dict[str, NDArray[Any]]
@@ -219,8 +225,8 @@ class RunFolder(ResumableFolder):
         """Writes a checkpoint, and deletes what no checkpoint needs any more.
 
         Args:
-            facts: with the chunks that `save_experience` named; `metrics_size` is found here.
-            arrays: of the run.
+            facts: The progress, with chunks named by `save_experience`; `metrics_size` is set here.
+            arrays: The arrays of the checkpoint.
 
         Raises:
             CadenzaError: there is no room; the checkpoint before this is still there.
@@ -309,13 +315,10 @@ class RunFolder(ResumableFolder):
             kept = aside.with_name(aside.stem[1:])
             if not kept.exists():  # the process was killed between two renames
                 aside.rename(kept)
+        for unfinished in self._named(self._checkpoints, rf"\.{_CHECKPOINT}\.(new|old)"):
+            shutil.rmtree(unfinished, ignore_errors=True)
         for folder in (self.path, self._checkpoints, self._replay):
-            for path in self._named(folder, _UNFINISHED):
-                if path.is_dir():
-                    shutil.rmtree(path, ignore_errors=True)
-                else:
-                    with suppress(OSError):
-                        path.unlink()
+            remove_half_written(folder)
 
     def _saved(self) -> list[Path]:
         return sorted(path for path in self._named(self._checkpoints, _CHECKPOINT) if path.is_dir())

@@ -58,9 +58,9 @@ class Training:
         """Resumes from the newest checkpoint in `folder`, if there is one.
 
         Args:
-            config: of the run.
+            config: The options of the run.
             score: the song to learn.
-            folder: of the run.
+            folder: The folder of the run.
 
         Raises:
             CadenzaError: the song cannot be played, an option makes no sense, or the checkpoints

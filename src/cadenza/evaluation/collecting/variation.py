@@ -36,8 +36,8 @@ class Variation:
 
         Args:
             score: the song.
-            pitches: of the notes for which there are keys; a mirror image beyond is not played.
-            rng: what it is drawn from.
+            pitches: The pitches for which there are keys; a mirror image beyond them is not played.
+            rng: The source of randomness.
         """
         begin, mirror, noise = rng.random(3).tolist()
         since = 0.0

@@ -27,10 +27,10 @@ class RayExecutor:
         """Joins the cluster at `address`, or starts one on this machine.
 
         Args:
-            num_threads: of a run, for each of which Ray reserves a core.
-            num_jobs: how many runs at once, if not as many as there are cores for.
-            address: as `ray.init` takes it, such as "auto" or "ray.example.org:6379".
-            carry_out: what is done for a job.
+            num_threads: The number of threads of a run, for each of which Ray reserves a core.
+            num_jobs: The number of runs at once, by default as many as there are cores for.
+            address: The address that `ray.init` takes, such as "auto" or "ray.example.org:6379".
+            carry_out: The function that carries out a job.
 
         Raises:
             CadenzaError: Ray is not installed, or there is no such cluster.

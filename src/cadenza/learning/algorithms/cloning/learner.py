@@ -68,9 +68,9 @@ class Cloning(JaxLearner[CloningState]):
 
         Args:
             config: the hyperparameters.
-            inputs: what the actor observes.
+            inputs: The entries that the actor observes.
             action_size: A.
-            ends: of the learning rate, see `learning_rate_schedule`.
+            ends: The ends of the learning rate's decay, see `learning_rate_schedule`.
         """
         super().__init__()
         self._config, self._num_inputs = config, len(inputs.kept)

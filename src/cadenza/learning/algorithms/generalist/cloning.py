@@ -97,8 +97,8 @@ class GeneralistCloning(CheckpointedRun):
         Args:
             config: its options.
             demonstrations: folders of `cadenza dataset collect`.
-            folder: of the run.
-            progress: is told how many episodes have been read.
+            folder: The folder of the run.
+            progress: The function that is told how many episodes have been read.
 
         Raises:
             CadenzaError: an option makes no sense, the demonstrations do not go together or are too

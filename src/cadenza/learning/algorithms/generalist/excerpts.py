@@ -57,7 +57,7 @@ class FingerCosts:
         """Returns costs (F,) of the fingers after a step, and the keys (K,) that sound.
 
         Args:
-            step: of the song.
+            step: The step of the song.
             key_qpos: (K,) after it [rad].
             fingertips: (F, 3) after it [m].
             sounded: (K,) keys that sounded before it.

@@ -68,9 +68,9 @@ class HandPPO:
 
         Args:
             config: the hyperparameters.
-            weights: to begin with.
-            scene: with the hands.
-            rng: of the first values and of the batches.
+            weights: The initial networks.
+            scene: The scene with the hands.
+            rng: The source of randomness of the first values and of the batches.
         """
         fingers = servos_of(hand_alone(scene, scene.sides[0]).scene).finger
         self._config, self._weights, self._rng = config, weights, rng
@@ -243,9 +243,9 @@ class GeneralistReinforcement(CheckpointedRun):
             config: its options.
             library: the name of the library.
             scores: excerpts of its songs.
-            folder: of the run.
+            folder: The folder of the run.
             weights: file of the networks to begin with; by default those of Cadenza.
-            progress: is told how many excerpts have been planned.
+            progress: The function that is told how many excerpts have been planned.
 
         Raises:
             CadenzaError: an option makes no sense, there is no score, the networks are of other
