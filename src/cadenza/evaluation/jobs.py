@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os.path
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, astuple, dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -155,8 +155,8 @@ def bench_jobs(
     return list(jobs.values())
 
 
-def key_of(content: Mapping[str, Any]) -> str:
-    """Returns the hash of a run that is known as JSON, see `JobSpec.as_json`."""
+def key_of(content: Any) -> str:
+    """Returns the hash of what JSON has, such as `JobSpec.as_json`."""
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:_HASH]
 
@@ -206,5 +206,4 @@ def song_digest(song: Song) -> str:
         for note in score.notes
     ]
     pedal = [(event.time, event.value) for event in score.pedal]
-    content = json.dumps([notes, pedal]).encode()
-    return hashlib.sha256(content).hexdigest()[:_HASH]
+    return key_of([notes, pedal])

@@ -6,8 +6,6 @@ FOLDER/runs/NAME/         a run, see `cadenza.evaluation.run`
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +18,6 @@ from cadenza.files import checked, read_json, write_json
 FORMAT: Literal[1] = 1
 RESULT, FAILED, PAGE = "result.json", "failed.json", "report.html"
 PLANS, RUNS = "plans", "runs"
-_HASH = 12  # hexadecimal digits
 
 
 @dataclass(frozen=True)
@@ -112,9 +109,8 @@ class _Plan:
 def write_plan(folder: Path, command: str, jobs: Iterable[Job]) -> None:
     """Keeps which runs were asked for, so that what is missing can be told."""
     names = [job.spec.name for job in jobs]
-    key = hashlib.sha256(json.dumps(names).encode()).hexdigest()[:_HASH]
     plan = {"format": FORMAT, "command": command, "runs": names}
-    write_json(folder / PLANS / f"{key}.json", plan)
+    write_json(folder / PLANS / f"{key_of(names)}.json", plan)
 
 
 def read_results(folder: str | Path) -> Results:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import Batch, Dataset, check_values, kept
 from cadenza.demonstrations.recorded_episode import RecordedEpisode
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import FLOATS, NUMBERS, ArrayOf, Expected
 from cadenza.learning.checkpointed_run import Arrays, CheckpointedRun
 from cadenza.learning.config import ImitationConfig
@@ -112,9 +112,10 @@ class Imitation(CheckpointedRun):
             held_out = Dataset([episodes[name] for name in manifest.held_out])
             every = -(-held_out.num_steps // _MOST_HELD_OUT)
             self._held_out = self._examples(held_out, np.arange(0, held_out.num_steps, every))
-        self._learner = config.learner.make(
-            self._inputs, limits.shape[1], ((0, config.num_updates),)
-        )
+        with extra_packages("train", "training"):
+            from cadenza.learning.algorithms.cloning.learner import Cloning
+        ends = ((0, config.num_updates),)
+        self._learner = Cloning(config.learner, self._inputs, limits.shape[1], ends)
         self._state = self._learner.init(config.seed)
         self._errors = np.zeros(0, np.float32)
         if not self.folder.begun:  # now that nothing stands in its way

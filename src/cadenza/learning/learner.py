@@ -6,12 +6,13 @@ by an entry point of the group `cadenza.learners`.
 
 from __future__ import annotations
 
+import importlib
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, TypeVar
 
 from cadenza.configs import check_ranges
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, extra_packages
 from cadenza.registry import Entry, Registry, module_of
 
 if TYPE_CHECKING:
@@ -82,6 +83,9 @@ MOST_BATCH = 2**16  # transitions, which fit into the memory of a small machine
 class LearnerConfig:
     """Options that all learners have. A learner's own configuration adds others, and makes it."""
 
+    learner: ClassVar[str] = ""
+    """The place of the learner as `module:Name`, which is imported when it is made: help shows the
+    options without it."""
     batch_size: int = 256
     """Transitions per update."""
 
@@ -94,7 +98,7 @@ class LearnerConfig:
         """Checks the options; raises a CadenzaError if one makes no sense."""
         check_ranges(self, {"batch_size": (1, MOST_BATCH)})
 
-    def make(self, inputs: Inputs, action_size: int, ends: Ends) -> Learner[Any]:
+    def make(self, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)) -> Learner[Any]:
         """Returns the learner that these options describe.
 
         Args:
@@ -103,9 +107,15 @@ class LearnerConfig:
             ends: The ends of the run, for schedules.
 
         Raises:
-            CadenzaError: a library that it needs is missing.
+            CadenzaError: A library that it needs is missing.
         """
-        raise NotImplementedError(f"{type(self).__name__} makes no learner")
+        if not self.learner:
+            raise NotImplementedError(f"{type(self).__name__} makes no learner")
+        module, _, name = self.learner.partition(":")
+        with extra_packages("train", "training"):
+            learner = getattr(importlib.import_module(module), name)
+        made: Learner[Any] = learner(self, inputs, action_size, ends)
+        return made
 
     @classmethod
     def policy_of(cls, facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Policy:

@@ -105,7 +105,7 @@ def _own_song(folder: Path, name: str, arrangement: Arrangement) -> Source:
             raise CadenzaError(f"{path}: holds no song that was practised; use another copy")
         check_modules(plan.config(SceneConfig), path)
         return Source(name, plan.score, plan.config(Arrangement), practised=plan)
-    if (folder / PRACTICE).is_file():
+    if any((folder / name).is_file() for name in (PRACTICE, PRACTISED_HOW)):
         raise CadenzaError(
             f"{name}: practice has not played the song to the end yet; run the same command again "
             "that practised there"

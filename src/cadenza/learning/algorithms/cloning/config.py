@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import ClassVar
 
 from cadenza.configs import check_positive, check_ranges
-from cadenza.errors import extra_packages
-from cadenza.learning.learner import Ends, LearnerConfig, check_hidden_sizes
+from cadenza.learning.learner import LearnerConfig, check_hidden_sizes
 from cadenza.learning.policy import Activation
-
-if TYPE_CHECKING:
-    from cadenza.learning.algorithms.cloning.learner import Cloning
-    from cadenza.learning.observation import Inputs
 
 
 @dataclass(frozen=True)
@@ -22,6 +17,7 @@ class CloningConfig(LearnerConfig):
     The network is as wide and as deep as the actor of RoboPianist (Zakka et al., CoRL 2023).
     """
 
+    learner: ClassVar[str] = "cadenza.learning.algorithms.cloning.learner:Cloning"
     hidden_sizes: tuple[int, ...] = (256, 256, 256)
     """Hidden layer widths."""
     activation: Activation = "relu"
@@ -37,9 +33,3 @@ class CloningConfig(LearnerConfig):
         check_ranges(self, {"final_learning_rate_fraction": (0, 1)})
         check_hidden_sizes(self.hidden_sizes)
         check_positive(self, ("learning_rate",))
-
-    def make(self, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)) -> Cloning:
-        """Returns the learner; see `LearnerConfig.make`."""
-        with extra_packages("train", "training"):
-            from cadenza.learning.algorithms.cloning.learner import Cloning
-        return Cloning(self, inputs, action_size, ends)

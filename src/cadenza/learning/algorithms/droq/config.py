@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from typing import ClassVar, Self
 
 from cadenza.configs import MOST_COUNT, check_positive, check_ranges
-from cadenza.errors import CadenzaError, extra_packages
-from cadenza.learning.learner import Ends, LearnerConfig, Preset, check_hidden_sizes
+from cadenza.errors import CadenzaError
+from cadenza.learning.learner import LearnerConfig, Preset, check_hidden_sizes
 from cadenza.learning.policy import Activation
-
-if TYPE_CHECKING:
-    from cadenza.learning.algorithms.droq.learner import DroQ
-    from cadenza.learning.observation import Inputs
 
 
 @dataclass(frozen=True)
@@ -22,6 +18,7 @@ class DroQConfig(LearnerConfig):
     The defaults are those of RoboPianist (Zakka et al., CoRL 2023).
     """
 
+    learner: ClassVar[str] = "cadenza.learning.algorithms.droq.learner:DroQ"
     hidden_sizes: tuple[int, ...] = (256, 256, 256)
     """Hidden layer widths of the actor and the critics."""
     activation: Activation = "relu"
@@ -112,9 +109,3 @@ class DroQConfig(LearnerConfig):
                 raise CadenzaError(f"{name} {value}: choose 0 or more and less than 1")
         learning_rates = (f"{what}_learning_rate" for what in ("actor", "critic", "temperature"))
         check_positive(self, ("initial_temperature", *learning_rates))
-
-    def make(self, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)) -> DroQ:
-        """Returns the learner; see `LearnerConfig.make`."""
-        with extra_packages("train", "training"):
-            from cadenza.learning.algorithms.droq.learner import DroQ
-        return DroQ(self, inputs, action_size, ends)
