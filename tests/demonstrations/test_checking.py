@@ -61,7 +61,7 @@ def changed(folder: Path, name: str, change: Callable[[np.ndarray], None]) -> No
 
 @contextmanager
 def changed_result(folder: Path) -> Iterator[dict[str, Any]]:
-    """What result.json says, to be changed, and its checksum with it."""
+    """Yields the content of result.json, to be changed, and its checksum with it."""
     path = first(folder) / RESULT
     result = json.loads(path.read_text())
     del result["seal"]

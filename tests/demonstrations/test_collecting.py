@@ -187,7 +187,7 @@ def test_excerpts_begin_with_a_note_and_last_as_long_as_asked() -> None:
 def test_work_for_an_excerpt_is_proportional_to_the_length_of_the_song(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """How often all of a score's notes are gone through does not depend on how many there are."""
+    """The number of passes over a score's notes does not depend on how many there are."""
     looks = 0
     last = Score.total_time.fget
     assert last is not None

@@ -25,7 +25,7 @@ class Aborts(Still):
 
 
 class IsToldToEnd(Still):
-    """As by a system that is short of memory."""
+    """Is told to end, as by a system that is short of memory."""
 
     def at_step(self):
         os.kill(os.getpid(), signal.SIGTERM)

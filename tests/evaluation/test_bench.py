@@ -1,4 +1,4 @@
-"""What a bench does with runs that finish, fail, crash, end early, or belong to others."""
+"""Tests of runs of a bench that finish, fail, crash, end early, or belong to others."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def jobs(tmp_path: Path) -> Callable[..., list[Job]]:
 def carried_out(
     jobs: list[Job], folder: Path, instead: Sequence[Ended | None] = (), retry: bool = False
 ) -> tuple[BenchState, list[str]]:
-    """How it was at the end, and which agents began."""
+    """Returns the state at the end, and which agents began."""
     executor, told = OneByOne(instead), list[str]()
     state = bench(
         jobs, folder, executor, lambda _, job: told.append(job.spec.name), lambda _: True, retry
@@ -118,7 +118,7 @@ def test_what_failed_is_told_and_carried_out_again_on_demand(
 def after_a_result_that_was_not_good_enough(
     job: Job, folder: Path, executor: OneByOne
 ) -> BenchState:
-    """What becomes of a run that is carried out again."""
+    """Returns the state after a run is carried out again."""
     run = folder / "runs" / job.spec.name
     run.mkdir(parents=True)
     (run / RESULT).write_text("{}")

@@ -25,7 +25,7 @@ _PATIENCE = 600.0  # [s] a machine may be busy
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """With three songs of one note each."""
+    """A folder with three songs of one note each."""
     for pitch in 60, 64, 67:
         write_midi(Score((Note(0.0, 0.3, pitch),)), tmp_path / "songs" / f"{pitch}.mid")
     monkeypatch.chdir(tmp_path)

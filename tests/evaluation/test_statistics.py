@@ -22,7 +22,7 @@ RAGGED = np.array([[0.1, 0.5, NAN, 0.9], [0.3, NAN, 0.6, 1.0], [0.2, NAN, 0.7, 0
 
 
 def random_scores(seed: int, runs: int = 4, pieces: int = 7) -> np.ndarray:
-    """With some runs missing, but one of every piece there."""
+    """Returns scores with some runs missing, but one of every piece."""
     rng = np.random.default_rng(seed)
     scores = rng.random((runs, pieces))
     scores[1:][rng.random((runs - 1, pieces)) < 0.3] = NAN
@@ -79,7 +79,7 @@ def test_the_bootstrap_interval_is_that_of_a_plain_loop() -> None:
 
 
 def test_the_bootstrap_interval_is_that_of_scipy() -> None:
-    """Which draws each of several samples anew: the strata."""
+    """SciPy draws each of several samples anew: the strata."""
     scores = np.random.default_rng(1).random((5, 6))
 
     def over_all(*pieces: np.ndarray, axis: int) -> np.ndarray:

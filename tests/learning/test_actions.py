@@ -53,7 +53,7 @@ def performance(agent: Any, score: Score = SONG, **options: Any) -> EpisodeResul
     "options", [{}, {"fingering": "off"}, {"fingering": "transport"}, {"hands": "left"}]
 )
 def test_without_corrections_it_is_the_plan_of_the_planner(options: dict[str, Any]) -> None:
-    """Also where the task does not care about fingers, and the score names none."""
+    """This also holds where the task ignores fingers and the score names none."""
     ours = performance(Following(), **options)
     planner = performance(Planner(PlannerConfig(method="none")), **options)
     for name in ("action", "hand_qpos"):
@@ -63,7 +63,7 @@ def test_without_corrections_it_is_the_plan_of_the_planner(options: dict[str, An
 
 
 def test_it_begins_where_the_hands_do() -> None:
-    """Which is not where all joints are at zero, as they are before the first reset."""
+    """The start is not where all joints are at zero, as they are before the first reset."""
     task = PianoTask([SONG], TaskConfig(**BUFFER), SceneConfig(hand="allegro", hands="right"))
     expected = reference_of(task).expected
     task.reset([np.random.default_rng(0)], [0])

@@ -124,7 +124,7 @@ def test_folders_of_something_else_are_refused(folder: Path, tmp_path: Path) -> 
 
 
 def seal(folder: Path, **files: bytes) -> None:
-    """As `write_checksummed`, but with whatever content."""
+    """Writes any content as `write_checksummed` would."""
     names = {"facts": "facts.json", "arrays": "arrays.safetensors"}
     digests = {}
     for name, content in files.items():
@@ -181,7 +181,7 @@ class Killed(BaseException):
 
 @contextmanager
 def killed_at(step: int) -> Iterator[None]:
-    """At the operation of this number on the disk; the deletion of a folder is half done then."""
+    """Kills at the disk operation of this number; the deletion of a folder is half done then."""
     done = 0
 
     def dying(operation: Callable[..., Any]) -> Callable[..., Any]:
@@ -211,7 +211,7 @@ def killed_at(step: int) -> Iterator[None]:
 def test_after_a_kill_at_any_moment_the_old_or_the_new_is_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also where the one who writes next is killed, too."""
+    """This also holds where the one who writes next is killed, too."""
     monkeypatch.setattr(os, "fsync", lambda _: None)  # takes long
     seen = set()
     for first in range(1, 13):

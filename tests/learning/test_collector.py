@@ -1,4 +1,4 @@
-"""What the collector hands to learning, against what happened in the task."""
+"""Tests of what the collector hands to learning, against what happened in the task."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What learning begins with, against what the paper and the published run script say."""
+"""Tests of the presets, against what the paper and the published run script say."""
 
 from __future__ import annotations
 

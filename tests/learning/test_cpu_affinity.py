@@ -25,7 +25,7 @@ with claimed_cores(int(sys.argv[1])) as cores:
 
 @pytest.fixture(autouse=True)
 def claims(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of this test alone."""
+    """The folder of claims of this test alone."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
 

@@ -1,4 +1,4 @@
-"""Which songs a curriculum draws."""
+"""Tests of the songs that a curriculum draws."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ CONFIG = DroQConfig(
 
 @pytest.fixture(scope="module")
 def learner() -> DroQ:
-    """With dropout and layer normalisation; it is compiled once."""
+    """A learner with dropout and layer normalisation, which is compiled once."""
     return DroQ(CONFIG, ALL, ACTIONS)
 
 
@@ -176,7 +176,7 @@ class Reference:
 
 @pytest.fixture
 def noise(monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
-    """What both the learner and the reference take for random: how keys are split is free."""
+    """Gives learner and reference the same random numbers: how keys are split is free."""
     noise = np.random.default_rng(5).standard_normal((BATCH, ACTIONS)).astype(np.float32)
     monkeypatch.setattr(jax.random, "normal", lambda *_, **__: jnp.asarray(noise))
     return noise
@@ -206,7 +206,7 @@ def test_updates_are_those_of_soft_actor_critic(noise: np.ndarray) -> None:
 
 
 def test_targets_begin_as_the_critics_and_follow_them(learner: DroQ) -> None:
-    """By a share `tau` at every update; and so does the averaged actor follow the actor."""
+    """They follow by a share `tau` at every update, as the averaged actor follows the actor."""
     state, batch = learner.init(0), batches(4)
     targets, averaged = flat(state.target_critics), flat(state.actor_ema)
     assert_array_equal(targets, flat(state.critics))
@@ -222,7 +222,7 @@ def test_targets_begin_as_the_critics_and_follow_them(learner: DroQ) -> None:
 
 
 def test_learning_rates_have_fallen_when_the_run_ends() -> None:
-    """Also those of what is updated only now and then."""
+    """This also holds for what is updated only now and then."""
     config = replace(CONFIG, policy_delay=2, final_learning_rate_fraction=0.1)
     for every, updates in (1, 8), (2, 4):
         optimizer = adam(config, 1.0, ((0, 8),), every)
@@ -234,7 +234,7 @@ def test_learning_rates_have_fallen_when_the_run_ends() -> None:
 
 
 def test_the_actor_and_the_temperature_rest_in_between(learner: DroQ) -> None:
-    """At an `policy_delay` of 2."""
+    """The policy delay is 2."""
     state, changed = learner.init(0), []
     for i in range(4):
         before = numbers(state)
@@ -439,7 +439,7 @@ def test_another_end_makes_no_jump_of_the_learning_rates(
 
 
 def test_says_with_how_many_threads_jax_was_started() -> None:
-    """Also where that was not here, and the learner can no longer choose."""
+    """This also holds where JAX was started elsewhere and the learner cannot choose any more."""
     program = """
 import os, sys
 os.environ["NPROC"] = "3"

@@ -113,7 +113,7 @@ def test_too_few_songs_are_refused(tmp_path: Path) -> None:
 
 
 def test_advantages_are_those_of_td_errors() -> None:
-    """At lambda 0; and no value is carried over the end of an excerpt."""
+    """This holds at lambda 0; no value is carried over the end of an excerpt."""
     rng = np.random.default_rng(0)
     rewards, values = rng.normal(size=(3, 1, 2)), rng.normal(size=(4, 1, 2))
     ends = np.array([[False], [True], [False]])

@@ -67,7 +67,7 @@ def trained(
 
 
 def times(count: int) -> Callable[[], bool]:
-    """What is true so many times."""
+    """Returns a function that is true so many times."""
     asked = iter(range(count))
     return lambda: next(asked, None) is not None
 

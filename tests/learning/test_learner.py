@@ -238,7 +238,7 @@ def test_a_learner_need_not_be_installed(
 def test_no_policy_has_a_module_imported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What a module would do on being imported, nobody has asked for."""
+    """Nobody has asked for what a module does when it is imported."""
     facts, arrays = read_checksummed(pretrained_folder("TwinkleTwinkleLittleStar"), "policy")
     facts = {n: v for n, v in facts.items() if n not in ("activation", "log_std_range")}
     others = {"learner": "antigravity:Config", "policy": {}}

@@ -80,7 +80,7 @@ def test_dropout_of_the_same_entry_is_fair_over_keys() -> None:
 
 
 def test_first_layer_with_fewer_inputs_begins_as_the_same_layer() -> None:
-    """Where what is left out is zero, nothing changes."""
+    """Nothing changes where what is left out is zero."""
     x = np.zeros((7, 12), np.float32)
     x[:, SOME.kept] = np.random.default_rng(0).standard_normal((7, 5))
     whole, less = FirstLayer(8, ALL), FirstLayer(8, SOME)

@@ -1,4 +1,4 @@
-"""What a policy observes, against what the task itself shows."""
+"""Tests of what a policy observes, against what the task itself shows."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task: PianoTask) -> N
 
 
 def test_every_input_that_is_kept_of_the_goal_is_used() -> None:
-    """By one song: a key is kept for all steps ahead, and is asked for in all of them."""
+    """One song asks for a key in all steps ahead for which it is kept."""
     task = PianoTask([SONGS[0]])
     scores = GoalTable(task.spec)
     scores.add_all(task)

@@ -54,7 +54,7 @@ def test_the_mode_is_the_squashed_mean_of_the_actor(activation: str) -> None:
 def test_draws_come_from_the_distribution_of_the_actor(
     activation: str, limits: dict[str, float]
 ) -> None:
-    """What was squashed is normal, with the actor's mean and deviation for each observation."""
+    """Draws before tanh are normal, with the actor's mean and deviation for each observation."""
     both = Both(activation, **limits)
     observation = np.repeat(both.observations(4), 3000, axis=0)
     drawn = both.policy.sample(observation, np.random.default_rng(1))

@@ -153,7 +153,7 @@ def assert_refused(folder: Path, saying: str) -> None:
 
 @pytest.mark.parametrize("option", ["hand", "keyboard"])
 def test_no_file_has_a_module_imported(tmp_path: Path, option: str) -> None:
-    """What this module would do on being imported, nobody has asked for."""
+    """Nobody has asked for what this module does when it is imported."""
     learnt = some_policy()
     scene = replace(learnt.scene, **{option: "antigravity:HAND"})
     save_policy(tmp_path / "policy", replace(learnt, scene=scene), {})

@@ -1,4 +1,4 @@
-"""Where the forearms go for a song, against MuJoCo's kinematics."""
+"""Tests of where the forearms go for a song, against MuJoCo's kinematics."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def slides(task: PianoTask) -> list[int]:
 
 
 def above(task: PianoTask, forearm: float, finger: int, pitch: int) -> float:
-    """How far right of a key a finger of the right hand is [m], by MuJoCo."""
+    """Returns how far right of a key a finger of the right hand is [m], by MuJoCo."""
     model = task.scene.model
     data = mujoco.MjData(model)
     joint = model.joint("rh_forearm_tx")

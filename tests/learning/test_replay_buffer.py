@@ -37,7 +37,7 @@ class PlainObserver:
 
 @dataclass
 class Frame:
-    """What the twin remembers of one moment; the transition from it once it was acted on."""
+    """The twin's memory of one moment, and of the transition from it once it was acted on."""
 
     observation: tuple[float, ...]
     first: bool
@@ -105,7 +105,7 @@ class Playing:
             self.envs[env].observe(int(self.row[env]), shown, bool(self.row[env] == 0))
 
     def step(self) -> None:
-        """As a collector does: where an episode ends, its last frame, then a first one."""
+        """Adds frames as a collector does: at the end of an episode its last, then a first."""
         rng = self.rng
         action = rng.standard_normal((self.num_envs, ACTIONS)).astype(np.float32)
         reward = rng.standard_normal(self.num_envs).astype(np.float32)
@@ -125,7 +125,7 @@ class Playing:
 
 
 def as_tuples(batch: Batch) -> list[tuple[Any, ...]]:
-    """Of a batch (B, ...)."""
+    """Returns the transitions of a batch (B, ...)."""
     parts = zip(*(part.tolist() for part in batch), strict=True)
     return [(tuple(o), tuple(a), r, d, tuple(after)) for o, a, r, d, after in parts]
 
@@ -149,7 +149,7 @@ def assert_same(drawn: Batch, expected: Batch) -> None:
 def test_draws_exactly_the_transitions_that_are_held(
     num_envs: int, length: int, steps: int, ending: float, seed: int
 ) -> None:
-    """With episodes of any length, down to one step; the ring wraps up to fifteen times."""
+    """Episodes have any length, down to one step; the ring wraps up to fifteen times."""
     playing = Playing(num_envs, length, seed, ending)
     for step in range(steps):
         playing.step()
@@ -248,7 +248,7 @@ def check_chunks(playing: Playing, pauses: list[int]) -> None:
 def test_goes_on_without_chunks_that_are_lost(
     num_envs: int, length: int, pauses: list[int], lost: set[int], seed: int
 ) -> None:
-    """With transitions that were held, and no others: none that reaches over a gap."""
+    """It has the transitions that were held and no others: none reaches over a gap."""
     playing, chunks = Playing(num_envs, length, seed), []
     for steps in pauses:
         for _ in range(steps):

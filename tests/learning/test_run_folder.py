@@ -63,7 +63,7 @@ class Saving:
 
 
 def loaded_step(run: RunFolder) -> int:
-    """After a check that all parts of what is loaded go together."""
+    """Returns the step of what is loaded, after a check that all its parts go together."""
     checkpoint = run.load()
     assert checkpoint is not None
     step = checkpoint.facts.step
@@ -214,7 +214,7 @@ def test_the_newest_checkpoint_is_loaded(run: RunFolder) -> None:
 
 
 def test_a_checkpoint_at_the_same_step_loses_nothing(run: RunFolder) -> None:
-    """As when a run stops right after a checkpoint, or goes on and stops at once."""
+    """This is so when a run stops right after a checkpoint, or goes on and stops at once."""
     saving = Saving(run)
     saving.at(10)
     name = run.save_experience(10, {"frames": np.zeros(0, int), "to": np.array([10])})
@@ -268,7 +268,7 @@ def test_where_all_are_damaged_nothing_is_started_over(run: RunFolder) -> None:
 
 
 def test_what_a_damaged_checkpoint_needs_is_not_deleted(run: RunFolder) -> None:
-    """As it is not known; the one before it may be needed to go back to."""
+    """It is not known what it needs, and the one before it may have to serve."""
     saving = Saving(run, keep=1)
     saving.at(10)
     damage(saving.folder(10) / "facts.json")

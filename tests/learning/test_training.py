@@ -82,7 +82,7 @@ def runs(tmp_path: Path) -> Callable[[], RunFolder]:
 
 
 def train(config: TrainingConfig, run: RunFolder, *stops: int) -> None:
-    """To the end, closed and opened again after these numbers of rounds."""
+    """Trains to the end, closed and opened again after these numbers of rounds."""
     for rounds in (*stops, 10**9):
         left = iter(range(rounds))
         with closing(Training(config, SONG, run)) as one:
@@ -95,7 +95,7 @@ def evaluations(run: RunFolder) -> list[dict[str, Any]]:
 
 
 def figures(run: RunFolder) -> list[dict[str, Any]]:
-    """Of the rows in between."""
+    """Returns the rows between evaluations."""
     rows = [row for row in run.metrics.rows() if "eval_step" not in row]
     return [{name: v for name, v in row.items() if name != "seconds"} for row in rows]
 
@@ -162,7 +162,7 @@ def test_a_run_evaluates_and_keeps_the_best_and_the_last(
 def test_an_evaluation_that_ends_early_is_not_the_best_for_what_it_played(
     runs: Callable[[], RunFolder], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Before the first note everything is right, and a wrong key may end an episode there."""
+    """Everything is right before the first note, and a wrong key may end an episode there."""
     results = iter([(0.9, 2), (0.7, 13), (0.6, 14), (0.5, 14)])
 
     def played(*_: object) -> Any:
@@ -213,7 +213,7 @@ def test_the_policy_is_trained(undisturbed: Callable[[str], RunFolder]) -> None:
 
 
 def test_keys_can_be_learnt_to_move_by_themselves(runs: Callable[[], RunFolder]) -> None:
-    """Without hands there is no forearm whose range could be the song's."""
+    """There is no forearm whose range could be the song's."""
     run = runs()
     train(replace(CONFIG, scene=SceneConfig(hands="none"), song_range=True, num_steps=64), run)
     assert load_policy(run.path / "best").ranges is None
@@ -255,7 +255,7 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
     runs: Callable[[], RunFolder],
     undisturbed: Callable[[str], RunFolder],
 ) -> None:
-    """Before anything, among random actions, at an evaluation, twice at once."""
+    """It stops before anything, among random actions, at an evaluation, and twice at once."""
     stopped = runs()
     train(WAYS[way], stopped, *stops)
     assert_same_runs(stopped, undisturbed(way))
@@ -358,7 +358,7 @@ def test_a_run_that_goes_on_to_another_end_learns_as_if_begun_with_it(
 def test_a_run_that_is_to_end_where_it_is_has_a_best_policy(
     runs: Callable[[], RunFolder],
 ) -> None:
-    """Also if it has not been evaluated before."""
+    """This also holds if it has not been evaluated before."""
     run = runs()
     with closing(Training(CONFIG, SONG, run)) as one:
         one.run(lambda: one.step < 8)
@@ -383,7 +383,7 @@ def test_a_damaged_checkpoint_costs_only_time(
 def test_a_best_policy_that_is_lost_is_made_up_for(
     damage: str, runs: Callable[[], RunFolder], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By the best of the evaluations to come."""
+    """The best of the evaluations to come makes up for it."""
     run = runs()
     with closing(Training(CONFIG, SONG, run)) as one:
         one.run(lambda: one.step < 100)
