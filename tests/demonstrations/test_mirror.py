@@ -71,7 +71,7 @@ def test_mirrored_goals_are_those_of_the_mirrored_score(made: Path) -> None:
 
 
 def test_mirrored_actions_make_the_mirrored_episode(made: Path) -> None:
-    """They do so to rounding in the air, and where fingers touch keys, as well as keys are images."""
+    """The images are equal to rounding in the air, and nearly so where fingers touch keys."""
     scene = build_scene()
     mirror = Mirror(scene)
     episode = kept(made)[0]
