@@ -20,6 +20,7 @@ from numpy.testing import assert_array_equal
 from rl_examples import TINY, melody
 
 from cadenza.errors import CadenzaError
+from cadenza.files import TEMPORARY
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.metrics_log import read_rows
 from cadenza.learning.run_folder import Chunk, Facts, RunFolder
@@ -470,7 +471,7 @@ def test_what_a_kill_left_half_written_is_dropped(run: RunFolder) -> None:
     saving = Saving(run)
     saving.at(10)
     shutil.copytree(saving.folder(10), run.path / "checkpoints" / f".{20:012}.new")
-    (run.path / "replay" / f".{20:012}.0.npz.abcd").write_bytes(b"half")
+    (run.path / "replay" / f"{TEMPORARY}0123456789abcdef").write_bytes(b"half")
     (run.path / "replay" / f"{20:012}.0.npz").write_bytes(b"whole, and of no checkpoint")
     assert loaded_step(run) == 10
     saving.at(20)
