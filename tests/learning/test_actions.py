@@ -79,7 +79,9 @@ def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> 
     wrist = [a for a, name in enumerate(task.scene.actuator_names) if "WRJ" in name]
     assert_allclose(reference_of(task).reach[wrist], 0.1)
     plain, moved = (
-        mapping.ctrl(np.full((1, task.spec.action_size), c, np.float32), np.zeros(1, int), task.state)[0]
+        mapping.ctrl(
+            np.full((1, task.spec.action_size), c, np.float32), np.zeros(1, int), task.state
+        )[0]
         for c in (0.0, 1.0)
     )
     change = moved - plain
