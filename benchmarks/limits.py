@@ -102,15 +102,14 @@ class Holding:
     """The keys that hands would hold whose jumps take these times."""
 
     def __init__(self, scene: Scene, times: JumpTimes) -> None:
-        servos = servos_of(scene)
         self._fingers, self._is_black = scene.fingers, scene.keyboard.is_black
-        self._places = forearm_places(scene, Kinematics(scene, servos), servos)
+        self._places = forearm_places(Kinematics(scene))
         self._hand = replace(scene.hand, jump_times=times)
 
     def f1(self, track: GoalTrack) -> Array:
         """(T,) F1 of each step, if the keys that are held sound and no others."""
         goals, held = track.goals, np.zeros_like(track.goals.keys)
-        presses = presses_of(goals.keys, goals.fingers, self._fingers)
+        presses = presses_of(goals.fingers, self._fingers)
         for press in release_in_time(presses, self._places, self._is_black, DT, self._hand):
             held[press.first - 1 : press.last - 1, press.key] = True
         return step_metrics(held, goals.keys)[2]

@@ -46,7 +46,7 @@ class Hand:
     def __init__(self, name: str) -> None:
         scene = build_scene(SceneConfig(hand=name, hands="right"))
         self._servos = servos_of(scene)
-        self._kinematics = Kinematics(scene, self._servos)
+        self._kinematics = Kinematics(scene)
         self.slide = self._servos.names.index(ALONG_KEYBOARD)
         self._mount = scene.config.hand_spacing / 2
         self.low, self.high = self._servos.low, self._servos.high

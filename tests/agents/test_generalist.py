@@ -22,6 +22,7 @@ from cadenza.agents.generalist.generalist import Generalist
 from cadenza.agents.generalist.receding_plan import RecedingPlanner
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
 from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.planner import Planner
@@ -80,7 +81,7 @@ def state_on(plan: SongPlan, step: int, depths: dict[int, float]) -> State:
         depths: how far down keys are [rad], by index.
     """
     tips, keys = np.zeros((1, 10, 3)), np.zeros((1, 88))
-    tips[0, plan.scene.fingers_there] = plan.nominal.fingertips[step]
+    tips[0, plan.scene.present_fingers] = plan.nominal.fingertips[step]
     keys[0, list(depths)] = list(depths.values())
     posture = plan.nominal.tracking.expected[step, :, 0]
     return State.zeros(plan.scene, 1)._replace(
@@ -137,31 +138,31 @@ def play(score: Score, agent: Generalist | Planner, seed: int = 0) -> dict[str, 
     return play_episode(PianoTask([score], TASK), agent, seed).metrics
 
 
-# What is told
+# Inputs of the networks
 
 
 @pytest.mark.parametrize("step", [10, 25, 40])
-def test_left_hand_is_told_what_the_right_hand_would_be_in_the_mirror(
+def test_inputs_of_a_left_hand_are_those_of_the_right_hand_in_the_mirror(
     scene_of_both: SongPlan, step: int
 ) -> None:
     images = elsewhere(scene_of_both, lambda key: 82 - key, [1, 0], -1.0)
-    told, _ = CorrectedHands(scene_of_both).observe(
+    inputs, _ = CorrectedHands(scene_of_both).observe(
         step, state_on(scene_of_both, step, {39: 0.02, 41: 0.05})
     )
     mirrored, _ = CorrectedHands(images).observe(step, state_on(images, step, {43: 0.02, 41: 0.05}))
     # Black keys are up to a millimetre from where their images would be.
-    np.testing.assert_allclose(told, mirrored[::-1], atol=0.05)
+    np.testing.assert_allclose(inputs, mirrored[::-1], atol=0.05)
 
 
 def test_corrections_of_a_left_hand_are_mirrored(scene_of_both: SongPlan) -> None:
     scene = scene_of_both.scene
     corrections = Corrections.of(SIDES, hand_alone(scene, "right").scene)
     names = [name.rpartition("/")[2] for name in scene.actuator_names]
-    answer = np.full(corrections.sign.shape, 0.5, np.float32)
-    right, left = corrections.ctrl(answer)
+    output = np.full(corrections.sign.shape, 0.5, np.float32)
+    right, left = corrections.ctrl(output)
     opposite = np.flatnonzero(right == -left)
     assert [names[i] for i in opposite] == [n for n in names[: len(right)] if "forearm_tx" in n]
-    np.testing.assert_allclose(corrections.output(corrections.ctrl(answer)), answer)
+    np.testing.assert_allclose(corrections.output(corrections.ctrl(output)), output)
 
 
 @pytest.fixture(scope="module")
@@ -176,34 +177,36 @@ def test_same_wherever_on_the_keyboard(scene_of_both: SongPlan) -> None:
     np.testing.assert_allclose(here[0], there[0], atol=1e-3)
 
 
-def test_told_how_it_corrected_the_step_before(scene_of_both: SongPlan) -> None:
+def test_inputs_have_the_output_of_the_step_before(scene_of_both: SongPlan) -> None:
     hands = CorrectedHands(scene_of_both)
     ctrl = hands.observe(24, state_on(scene_of_both, 24, {}))[1]
-    hands.played(ctrl + 0.01 * np.sin(np.arange(len(ctrl))), ctrl)
-    told = hands.observe(25, state_on(scene_of_both, 25, {}))[0]
-    assert hands.answer.any(axis=1).all()
-    np.testing.assert_allclose(told[:, hands.about.previous], hands.answer, rtol=1e-6)
+    hands.record(ctrl + 0.01 * np.sin(np.arange(len(ctrl))), ctrl)
+    inputs = hands.observe(25, state_on(scene_of_both, 25, {}))[0]
+    assert hands.output.any(axis=1).all()
+    np.testing.assert_allclose(inputs[:, hands.layout.previous], hands.output, rtol=1e-6)
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_a_hand_is_told_the_same_without_the_other(scene_of_both: SongPlan, side: Side) -> None:
+def test_a_hand_has_the_same_inputs_without_the_other(scene_of_both: SongPlan, side: Side) -> None:
     plan, (alone, _, joints) = scene_of_both, hand_alone(scene_of_both.scene, side)
     hands, state = CorrectedHands(plan), state_on(scene_of_both, 25, {39: 0.02, 60: 0.01})
-    hands.answer = np.random.default_rng(0).uniform(-1, 1, hands.answer.shape)
+    hands.output = np.random.default_rng(0).uniform(-1, 1, hands.output.shape)
     number, to_posture = SIDES.index(side), servos_of(alone).of_joints
     joints_now = (values[:, joints] for values in (state.hand_qpos, state.hand_qvel))
-    told = HandInputs(plan, [side], alone, 20).at(
+    inputs = HandInputs(plan, [side], alone, 20).at(
         25,
         np.stack([values @ to_posture for values in joints_now], axis=-1),
-        hands.answer[[number]],
+        hands.output[[number]],
         state.fingertip_xpos[0, plan.scene.fingers.of_hand(number)],
         state.key_qpos[0],
     )
-    np.testing.assert_allclose(hands.observe(25, state)[0][[number]], told, atol=1e-6)
+    np.testing.assert_allclose(hands.observe(25, state)[0][[number]], inputs, atol=1e-6)
 
 
 @pytest.mark.parametrize("seen", [4, 8, 16])
-def test_told_the_same_by_a_plan_of_what_is_in_sight(scene_of_both: SongPlan, seen: int) -> None:
+def test_inputs_are_the_same_by_a_plan_of_what_is_in_sight(
+    scene_of_both: SongPlan, seen: int
+) -> None:
     """Such a plan begins now, and goes on for a few steps; presses of the past go on in it."""
     plan, now = scene_of_both, 25
     presses = [
@@ -221,8 +224,8 @@ def test_told_the_same_by_a_plan_of_what_is_in_sight(scene_of_both: SongPlan, se
         )
     )
     state = state_on(plan, now, {39: 0.02, 60: 0.01})
-    told = CorrectedHands(in_sight).observe(0, state)[0]
-    np.testing.assert_allclose(told, CorrectedHands(whole).observe(now, state)[0], atol=1e-6)
+    inputs = CorrectedHands(in_sight).observe(0, state)[0]
+    np.testing.assert_allclose(inputs, CorrectedHands(whole).observe(now, state)[0], atol=1e-6)
 
 
 # How it plays
@@ -236,20 +239,17 @@ def test_plays_better_than_its_plan(config: GeneralistConfig) -> None:
 
 
 def test_plays_as_it_has_rehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
-    off: list[float] = []
+    foreseen: list[bool] = []
     act = RehearsedHand.act
 
     def noted(self: RehearsedHand, step: int, state: State) -> Array:
-        rehearsal, here = self._rehearsal, state.hand_qpos[0, self._joints]
-        played = step - rehearsal._first
-        if 0 < played < len(rehearsal._expected):
-            off.append(np.abs(here - rehearsal._expected[played - 1]).max())
+        foreseen.append(self.rehearsal.goes_as_rehearsed(step, state.hand_qpos[0, self.joints]))
         return act(self, step, state)
 
     monkeypatch.setattr(RehearsedHand, "act", noted)
     play(load_score("FurEliseOpening").beginning(4.0), Generalist(REHEARSED))
-    assert len(off) > 100
-    assert np.quantile(off, 0.95) < 1e-4  # keys are as fast as they were when the half second began
+    print(len(foreseen), np.mean(foreseen))
+    assert np.mean(foreseen) > 0.7  # of all steps but those in which half seconds begin
 
 
 def test_keeps_no_change_that_makes_it_worse(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -267,20 +267,19 @@ def test_keeps_no_change_that_makes_it_worse(monkeypatch: pytest.MonkeyPatch) ->
 def test_half_a_second_begins_with_what_the_one_before_found_for_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    rehearse, changed = RehearsedHand._rehearse, list[bool]()
+    rehearse, found = HandRehearsal.rehearse, list[int]()
 
-    def noted(self: RehearsedHand, step: int) -> None:
-        known, plan = self._rehearsal.tail, self._tracking.ctrl.copy()
-        rehearse(self, step)
-        np.testing.assert_array_equal(self._tracking.ctrl[step : step + len(known)], known)
-        np.testing.assert_array_equal(
-            self._tracking.ctrl[step + len(known) :], plan[step + len(known) :]
-        )
-        changed.append(bool((known != plan[step : step + len(known)]).any()))
+    def noted(
+        self: HandRehearsal, goals: HandGoals, tracking: Tracking, steps: Any, *others: Any
+    ) -> int:
+        if len(known := self.tail):
+            np.testing.assert_array_equal(tracking.ctrl[steps[: len(known)]], known)
+            found.append(len(known))
+        return rehearse(self, goals, tracking, steps, *others)
 
-    monkeypatch.setattr(RehearsedHand, "_rehearse", noted)
+    monkeypatch.setattr(HandRehearsal, "rehearse", noted)
     play(load_score("MoonlightOpening").beginning(3.0), Generalist(REHEARSED))
-    assert any(changed)
+    assert found
 
 
 def test_rehearses_only_what_goes_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -397,17 +396,17 @@ def test_weights_that_do_not_fit_each_other(
 def test_weights_are_kept_as_they_were_read(tmp_path: Path) -> None:
     path, shipped = tmp_path / "again.npz", Weights.load(SHIPPED)
     shipped.save(path)
-    told = np.random.default_rng(0).standard_normal(shipped.sizes[0]).astype(np.float32)
-    np.testing.assert_array_equal(Weights.load(path)(told), shipped(told))
+    inputs = np.random.default_rng(0).standard_normal(shipped.sizes[0]).astype(np.float32)
+    np.testing.assert_array_equal(Weights.load(path)(inputs), shipped(inputs))
 
 
 def test_fingers_share_what_they_have_learnt(scene_of_both: SongPlan) -> None:
     hands, weights = CorrectedHands(scene_of_both), Weights.load(SHIPPED)
-    told = hands.observe(25, state_on(scene_of_both, 25, {}))[0][0]
-    ring = told + np.where((hands.about.finger == 3) & hands.about.private, 0.3, 0.0).astype(
+    inputs = hands.observe(25, state_on(scene_of_both, 25, {}))[0][0]
+    ring = inputs + np.where((hands.layout.finger == 3) & hands.layout.private, 0.3, 0.0).astype(
         np.float32
     )
-    changed = np.flatnonzero(weights(ring) != weights(told))
+    changed = np.flatnonzero(weights(ring) != weights(inputs))
     of_hand, of_ring = weights.networks[0].servos[0], weights.networks[2].servos[2]
     assert set(changed) == {*of_hand, *of_ring}
 

@@ -32,13 +32,13 @@ class Rehearsed(OneHand):
         self.tracking = Tracking(ctrl + off, 0.0 * gain, expected)
 
     def rehearse(self) -> int:
-        steps = np.arange(self.rehearsal.steps_seen)
+        steps = np.arange(self.rehearsal.lookahead)
         return self.rehearsal.rehearse(self.goals, self.tracking, steps, self.simulation)
 
 
 def test_a_plan_that_works_is_rolled_out_once_and_goes_as_rehearsed() -> None:
     hand = Rehearsed("TwinkleTwinkleLittleStar")
-    assert hand.rehearse() == hand.rehearsal.steps_seen
+    assert hand.rehearse() == hand.rehearsal.lookahead
     assert hand.rehearsal.end == 20
     np.testing.assert_array_equal(hand.rehearsal.ctrl(0), hand.tracking.ctrl[:20])
     for step in range(10):

@@ -7,14 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from one_hand import DT, OneHand
+from one_hand import OneHand
 
 from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.search import hand_search
 from cadenza.agents.planner.search.fingertip_correction import servo_corrections
 from cadenza.agents.planner.search.hand_search import HandSearch
-from cadenza.agents.planner.search.rollouts import Rollouts
+from cadenza.agents.planner.search.horizon_cost import HorizonCost
+from cadenza.agents.planner.search.rollouts import Rollouts, start_rollouts
 from cadenza.agents.rollout import play_episode
 from cadenza.fingers import Side
 from cadenza.keyboards.piano import PIANO
@@ -46,10 +48,9 @@ def octaves(side: Side, white: int, black: int, length: float) -> Score:
 
 
 def search_of(hand: OneHand, **options: Any) -> HandSearch:
-    config = PlannerConfig(**options)
-    search = HandSearch(hand.scene, config, DT, np.random.default_rng(0), Threads(1))
-    search.follow(hand.goals, hand.tracking)
-    return search
+    context = PlanningContext(PlannerConfig(proposals="none", **options), Threads(1))
+    (side,) = hand.plan.scene.sides
+    return HandSearch(hand.plan, side, np.random.default_rng(0), context)
 
 
 def play(hand: OneHand, search: HandSearch) -> None:
@@ -72,7 +73,7 @@ def test_caught_fingers_get_free(side: Side, white: int, black: int) -> None:
         play(hand, as_planned)
     assert not sound()
     search, heard = search_of(hand), []
-    search.reset(25, np.random.default_rng(0))
+    search.restart(hand.goals, hand.tracking, 25, np.random.default_rng(0))
     for _ in range(15):
         play(hand, search)
         heard.append(sound())
@@ -87,23 +88,24 @@ def test_jumps_from_white_octaves_to_black_ones_land(white: int, black: int) -> 
     assert play_episode(task, agent).metrics["f1"] > 0.75
 
 
-def rollouts_of(hand: OneHand, first: int) -> tuple[Rollouts, np.ndarray]:
-    """Rollouts from step `first` on, after the plan was played so far, and its controls."""
+def rollouts_of(hand: OneHand, first: int) -> tuple[Rollouts, HorizonCost, np.ndarray]:
+    """Rollouts from step `first` on, after the plan was played so far, their cost and controls."""
     as_planned = search_of(hand, method="none")
     for _ in range(first):
         play(hand, as_planned)
-    rollouts = Rollouts(hand.simulator, PIANO, Threads(1), all_costs=False)
+    rollouts = Rollouts(hand.simulator, Threads(1), all_costs=False)
     steps = np.arange(first, first + HORIZON)
-    rollouts.start(hand.simulation, hand.goals, steps)
-    return rollouts, hand.tracking.ctrl[steps]
+    horizon = start_rollouts(hand.simulator, hand.simulation, hand.goals, steps, PIANO)
+    rollouts.start(horizon)
+    return rollouts, horizon, hand.tracking.ctrl[steps]
 
 
-def test_fingertips_that_go_astray_are_corrected() -> None:
+def test_fingertips_off_their_targets_are_corrected() -> None:
     hand = OneHand(melody(60, 64, 67, length=0.4))
-    rollouts, nominal = rollouts_of(hand, 6)
+    rollouts, horizon, nominal = rollouts_of(hand, 6)
     astray = hand.servos.clip(nominal + 2 * hand.servos.noise)
     before = rollouts.simulate(astray)
-    error, weight = rollouts.horizon.fingertip_errors(np.array(before.fingertips))
+    error, weight = horizon.fingertip_errors(np.array(before.fingertips))
     jacobian = hand.simulator.fingertip_jacobian(np.array(before.hand_qpos))
     change = servo_corrections(error, weight, jacobian, hand.servos)
     later = np.minimum(np.arange(HORIZON) + 1, HORIZON - 1)
@@ -114,7 +116,7 @@ def test_fingertips_that_go_astray_are_corrected() -> None:
 
 def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
     hand = OneHand(melody(60, 72, 61, length=0.2))
-    rollouts, nominal = rollouts_of(hand, 8)
+    rollouts, _, nominal = rollouts_of(hand, 8)
     noise = np.random.default_rng(0).standard_normal((10, 1, nominal.shape[1]))
     candidates = hand.servos.clip(nominal + hand.servos.noise * noise)
     whole = [rollouts.simulate(ctrl) for ctrl in candidates]

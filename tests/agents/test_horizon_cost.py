@@ -49,7 +49,7 @@ def test_a_silent_key_is_the_fault_of_the_finger_that_should_press_it() -> None:
     fine = chord.by_finger(depth)
     depth[:, key] = 0.0
     worse = chord.by_finger(depth) > fine
-    finger = chord.goals.asked[chord.steps[0], key]
+    finger = chord.goals.finger[chord.steps[0], key]
     assert (worse == (np.arange(worse.shape[1]) == finger)).all()
 
 
@@ -99,7 +99,7 @@ class Played:
         self.goals = OneHand(load_score("TwinkleTwinkleLittleStar")).goals
         self.steps = np.arange(30)
         self.tips = self.goals.fingertips[self.steps + 1]
-        self.sounding = (self.goals.mine & self.goals.planned)[self.steps]
+        self.sounding = (self.goals.keys & self.goals.planned)[self.steps]
 
     def errors(self) -> tuple[Array, Array]:
         horizon = HorizonCost(self.goals, self.steps, PIANO, slice(None), np.zeros(88))
@@ -119,7 +119,7 @@ def test_who_plays_as_planned_makes_no_errors(played: Played) -> None:
 
 def test_a_finger_whose_key_is_silent_should_have_been_deeper(played: Played) -> None:
     step, key = np.argwhere(played.sounding)[2]
-    finger = played.goals.asked[step, key]
+    finger = played.goals.finger[step, key]
     played.sounding[step, key] = False
     error, weight = played.errors()
     assert np.argwhere(error).tolist() == [[step, finger, 2]]

@@ -169,7 +169,7 @@ def test_the_performance_repeats_the_rehearsal() -> None:
     task = PianoTask([song], config, SceneConfig(hands="right"))
     performance = play_episode(task, agent)
     assert performance.metrics["note_onset_f1"] == 1.0
-    rehearsed = agent.planners[0]._follower._tracking
+    rehearsed = agent.planners[0].tracking
     np.testing.assert_array_equal(performance.episode["action"][:, :-1], rehearsed.ctrl)
     at_first = agent.planners[0].plan.nominal.tracking
     assert (rehearsed.ctrl != at_first.ctrl).any()

@@ -26,7 +26,7 @@ from cadenza.agents.planner.plan.kinematic_terms import (
     TipsInBoxes,
 )
 from cadenza.agents.planner.plan.link_collisions import LinkCollisions
-from cadenza.agents.planner.plan.nominal_trajectory import nominal_plans
+from cadenza.agents.planner.plan.nominal_trajectory import MotionPlanner
 from cadenza.agents.planner.plan.presses import Press
 from cadenza.agents.planner.plan.rest_poses import rest_posture
 from cadenza.hands.forearm import WIDTH
@@ -46,7 +46,7 @@ def test_forearms_of_hands_that_play_close_together_do_not_touch() -> None:
             steps = slice(10 + 10 * first, 20 + 10 * first)
             keys[steps, key] = True
             fingers[steps, key] = scene.fingers.per_hand * hand + 2
-    *_, plan = nominal_plans(scene, keys, fingers, np.zeros(len(scene.hand_joint_names)), 0.05)
+    *_, plan = MotionPlanner(scene, 0.05).plans(fingers, np.zeros(len(scene.hand_joint_names)))
     right, left = (i for i, name in enumerate(servos_of(scene).names) if name == "forearm_tx")
     mounted = scene.config.hand_spacing
     apart = mounted + plan.postures[:, right] - plan.postures[:, left]
@@ -59,7 +59,7 @@ def test_links_keep_apart_by_their_radii() -> None:
     servos = servos_of(scene)
     rng = np.random.default_rng(0)
     postures = rng.uniform(servos.low, servos.high, (20, len(servos.low)))
-    kinematics = Kinematics(scene, servos)
+    kinematics = Kinematics(scene)
     links, pairs = kinematics.links(postures), LinkCollisions(scene.hand).within_hand
     overlaps = pairs.overlaps(links.points[:, 0])
     step = 1e-6 * rng.standard_normal(len(servos.low))
@@ -102,8 +102,8 @@ def close_hands(right: float, left: float) -> tuple[PostureProblem, np.ndarray]:
     guess = rest + 0.05 * rng.uniform(size=(4, len(rest))) * (servos.high - servos.low)
     guess[:, servos.along_keyboard] = right, left  # forearms are mounted 0.3 m apart
     targets = targets_of(scene, [Press("right", 1, 41, 1, 3)], 4, 0.05)
-    kinematics = Kinematics(scene, servos)
-    problem = PostureProblem(scene, kinematics, servos, targets, guess, guess[0], 0.05)
+    kinematics = Kinematics(scene)
+    problem = PostureProblem(kinematics, targets, guess, guess[0], 0.05)
     return problem, guess + 1e-3 * rng.standard_normal(guess.shape)
 
 
@@ -129,7 +129,7 @@ def test_terms_have_the_jacobian_of_their_residuals(number: int) -> None:
     )[number]
     here = rest_posture(servos) + 0.1 * rng.standard_normal((3, len(servos.low)))
     here[:, servos.along_keyboard] = -0.08, 0.1
-    kinematics = Kinematics(scene, servos)
+    kinematics = Kinematics(scene)
 
     def at(postures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         by_hand = postures.reshape(3, 2, -1)
@@ -196,8 +196,8 @@ def test_postures_are_found_where_single_precision_does_not_do(
     targets = targets_of(scene, [Press("right", 1, 41, 5, 8)], 12, 0.05)
 
     def found() -> np.ndarray:
-        kinematics = Kinematics(scene, servos)
-        return solve_postures(scene, kinematics, servos, targets, guess, guess[0], 0.05)
+        kinematics = Kinematics(scene)
+        return solve_postures(kinematics, targets, guess, guess[0], 0.05)
 
     def not_positive_definite(band: np.ndarray, own: np.ndarray, **_: Any) -> Any:
         return band, own, 1

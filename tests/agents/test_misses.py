@@ -46,7 +46,7 @@ class Concert:
             self.goal[first:last, key] = True
             fingers[first:last, key] = INDEX
         self.played = self.goal.copy()
-        self.presses = presses_of(self.goal, fingers, FIVE)
+        self.presses = presses_of(fingers, FIVE)
         self.planned = np.zeros((STEPS + 1, 10, 3))  # fingers 4 cm apart, at C4 and then at C5
         for state in range(STEPS + 1):
             key = C4 if state < 22 else C5

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from cadenza.agents.agent import Array
-from cadenza.agents.generalist.generalist import Generalist, shipped_for
+from cadenza.agents.generalist.corrected_hands import CorrectedHands
+from cadenza.agents.generalist.generalist import Generalist, GeneralistSong, shipped_for
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
-from cadenza.agents.planner.search.network_candidate import NetworkCandidate, network_candidate
+from cadenza.agents.planner.search.network_candidate import NetworkCandidate
 from cadenza.agents.rollout import play_episode
 from cadenza.music.libraries.library import load_score
 from cadenza.scene.config import SceneConfig
@@ -36,11 +37,15 @@ def test_proposes_what_the_generalist_plays() -> None:
         state = task.view().state
         action = agent.act(task.view())[0]
         played.append(action[:-1])
-        plan, hands = agent.planners[0].plan, agent.planners[0]._hands[0]  # type: ignore[union-attr]
+        song = agent.planners[0]
+        assert isinstance(song, GeneralistSong)
+        plan, (hands,) = song.plan, song.hands
+        assert isinstance(hands, CorrectedHands)
         if step % STEPS == 0:
-            ahead = network_candidate(plan, "right", shipped_for(task.scene), step)
+            weights = shipped_for(task.scene)
+            assert weights
+            ahead = NetworkCandidate(plan, "right", weights, step)
             ctrl = plan.nominal.tracking.ctrl
-            assert ahead
             trials.start_from(
                 task.simulation, *np.quantile(plan.nominal.fingertips[..., 1], (0, 1))
             )
@@ -48,7 +53,7 @@ def test_proposes_what_the_generalist_plays() -> None:
             coming = ahead.controls(trials, step, planned, before, keys)
             for _ in trials.run(proposed.append(row) or row for row in coming):  # type: ignore[func-returns-value]
                 pass
-        (before,) = hands.corrections.ctrl(hands.answer)
+        (before,) = hands.corrections.ctrl(hands.output)
         task.step(action[None])
     # Before the first step nothing has drifted; products of matrices round by their shapes.
     np.testing.assert_allclose(proposed[::STEPS], played[::STEPS], rtol=1e-12)

@@ -14,7 +14,7 @@ from cadenza.agents.planner.plan import nominal_trajectory
 from cadenza.agents.planner.plan.inverse_kinematics import (
     solve_postures,
 )
-from cadenza.agents.planner.plan.nominal_trajectory import nominal_plans
+from cadenza.agents.planner.plan.nominal_trajectory import MotionPlanner
 from cadenza.agents.planner.plan.tracking import Tracking, track
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import play_episode
@@ -129,7 +129,7 @@ def test_windows_last_as_long_at_any_control_step(dt: float) -> None:
     def ends(seconds: float) -> list[float]:
         keys = np.zeros((round(seconds / dt), 88), bool)
         fingers = np.full(keys.shape, -1, np.int8)
-        plans = nominal_plans(scene, keys, fingers, start, dt)
+        plans = MotionPlanner(scene, dt).plans(fingers, start)
         return [plan.num_steps * dt for plan in plans]
 
     assert ends(6.5) == pytest.approx([6.5])
@@ -147,7 +147,7 @@ def test_memory_of_a_long_song_is_that_of_its_plan() -> None:
         keys[10::4, 40], fingers[10::4, 40] = True, 2
         start = np.zeros(len(scene.hand_joint_names))
         tracemalloc.start()
-        for plan in nominal_plans(scene, keys, fingers, start, 0.05):
+        for plan in MotionPlanner(scene, 0.05).plans(fingers, start):
             followed[:] = [plan.tracking.of(servos)]
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
@@ -168,7 +168,7 @@ def test_hands_glide_as_fast_at_any_control_step(dt: float) -> None:
         for key, begin, end in ((45, 0.6, 0.9), (55, 1.4, 1.8)):
             keys[round(begin / dt) : round(end / dt), key] = True
         fingers = np.where(keys, np.int8(1), np.int8(-1))
-        *_, plan = nominal_plans(scene, keys, fingers, start, dt)
+        *_, plan = MotionPlanner(scene, dt).plans(fingers, start)
         (slide,) = servos_of(scene).along_keyboard
         return float(np.diff(plan.postures[:, slide]).std() / dt)
 
@@ -183,7 +183,7 @@ def test_postures_are_such_that_their_controls_reach_them() -> None:
         keys[20 + 8 * i : 24 + 8 * i, key] = True
     fingers = np.where(keys, np.int8(0), np.int8(-1))
     start = np.zeros(len(scene.hand_joint_names))
-    *_, plan = nominal_plans(scene, keys, fingers, start, 0.05)
+    *_, plan = MotionPlanner(scene, 0.05).plans(fingers, start)
     inwards = servos_of(scene).names.index("forearm_ty")
     lacking = np.abs(plan.postures - plan.tracking.expected[:, :, 0])[:, inwards]
     assert lacking[keys.any(axis=1).nonzero()[0] + 1].max() < 0.005

@@ -149,9 +149,9 @@ def test_other_fingers_are_looked_for_only_where_something_is_lost() -> None:
 
 def test_of_each_jump_the_time_to_let_go_is_kept_that_loses_less() -> None:
     loss = lost(EVERYTHING, 0.1)
-    later = SplicedTrajectory(TRACK, USUAL, played(loss)).letting_go(1)
-    assert (later.later[STRIKES, 0] == 1).all()
-    assert not later.later[:, 1].any()  # which plays nothing
+    later = SplicedTrajectory(TRACK, USUAL, played(loss)).with_release_delay(1)
+    assert (later.release_delays[STRIKES, 0] == 1).all()
+    assert not later.release_delays[:, 1].any()  # which plays nothing
     passages = passages_of(TRACK, USUAL, later)
     assert len(passages) == len(STRIKES)
     other_loss = loss.copy()
@@ -160,18 +160,18 @@ def test_of_each_jump_the_time_to_let_go_is_kept_that_loses_less() -> None:
     best = SplicedTrajectory(TRACK, USUAL, played(loss)).with_better(
         later, played(other_loss), GOALS
     )
-    assert np.flatnonzero(best.variant.later[STRIKES, 0]).tolist() == [3]
-    assert best.letting_go(2).equals(best.variant)  # nothing is lost there any more
+    assert np.flatnonzero(best.variant.release_delays[STRIKES, 0]).tolist() == [3]
+    assert best.with_release_delay(2).equals(best.variant)  # nothing is lost there any more
 
 
 def test_a_hand_lets_go_later_only_where_it_loses_something() -> None:
     third = slice(STRIKES[3] - 1, STRIKES[3] + 1)
     best = SplicedTrajectory(TRACK, USUAL, played(lost(third)))
-    assert np.flatnonzero(best.letting_go(1).later[STRIKES, 0]).tolist() == [3]
-    assert best.letting_go(2).equals(USUAL)  # one step has not been tried
+    assert np.flatnonzero(best.with_release_delay(1).release_delays[STRIKES, 0]).tolist() == [3]
+    assert best.with_release_delay(2).equals(USUAL)  # one step has not been tried
     other_hand = USUAL._replace(fingers=np.full(len(SONG.notes), LEFT_THUMB))
-    changed = best._replace(variant=other_hand).letting_go(1)
-    assert changed.later[STRIKES[3]].tolist() == [0, 1]
+    changed = best._replace(variant=other_hand).with_release_delay(1)
+    assert changed.release_delays[STRIKES[3]].tolist() == [0, 1]
 
 
 def test_a_variant_gives_the_track_its_fingers() -> None:
@@ -188,8 +188,8 @@ class Goals:
     """What a hand has to do: every other key."""
 
     def __init__(self, hand: int) -> None:
-        self.mine = np.zeros((SHORT, KEYS), bool)
-        self.mine[:, hand::2] = True
+        self.keys = np.zeros((SHORT, KEYS), bool)
+        self.keys[:, hand::2] = True
 
 
 def drawn(rng: np.random.Generator) -> Trajectory:
@@ -221,7 +221,7 @@ def test_each_hand_keeps_the_better_of_each_window(seed: int) -> None:
                 there, wanted = (getattr(each, name)[rows, servos] for each in (best, kept))
                 np.testing.assert_array_equal(there, wanted)
             np.testing.assert_array_equal(best.loss[rows, hand], kept.loss[rows, hand])
-            mine = goals[hand].mine[0]
+            mine = goals[hand].keys[0]
             np.testing.assert_array_equal(best.sounding[rows, mine], kept.sounding[rows, mine])
     for was, now in zip(before, one, strict=True):
         np.testing.assert_array_equal(was, now)  # the trajectories stay as they are

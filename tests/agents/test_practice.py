@@ -16,8 +16,8 @@ import pytest
 from numpy.typing import NDArray
 
 import cadenza
-from cadenza.agents.agent import silent
 from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.practice import practice as practice_of_hands
 from cadenza.agents.planner.practice.perturbations import Perturbations
@@ -46,7 +46,7 @@ from players import find_fingering
 
 QUICK = TaskConfig(initial_buffer_time=0.4)
 EFFORT = 0.5
-VARIANT = "fingers", "later"
+VARIANT = "fingers", "release_delays"
 BLACK_KEYS = (66, 68, 70, 73, 75, 78)  # at a tempo at which a plan without search misses some
 NO_SEARCH = PlannerConfig(method="none")
 GIVEN_FINGERS = replace(NO_SEARCH, fingering="score")  # there are no others to be tried
@@ -92,7 +92,8 @@ def practice(
 ) -> Practice:
     task = PianoTask([score], QUICK)
     task.reset([np.random.default_rng(0)], [0])
-    return Practice(task.view(), np.random.default_rng(seed), config, num_threads)
+    context = PlanningContext(config, Threads(num_threads))
+    return Practice(task.view(), np.random.default_rng(seed), context)
 
 
 def restored(begun: Practice, left: Practice, tmp_path: Path) -> Practice:
@@ -150,7 +151,7 @@ def test_the_first_take_is_what_the_planner_plays() -> None:
     del task_rng
     task = PianoTask([HARD], QUICK)
     task.reset([np.random.default_rng(0)], [0])
-    take = Practice(task.view(), rng, PlannerConfig(), 1)
+    take = Practice(task.view(), rng, PlanningContext(PlannerConfig(), Threads(1)))
     take.run(0.0)
     np.testing.assert_array_equal(take.best().practised.tracking.ctrl, played[:, :-1])
 
@@ -203,19 +204,21 @@ def test_hands_that_were_pushed_search_for_what_sounded_before() -> None:
     task = PianoTask([HARD], QUICK)
     task.reset([rng], [0])
     start = task.state.hand_qpos[0]
-    planned = PlannedVariant(one.plan.track, start, PlannerConfig(), rng, Threads(1))
+    planned = PlannedVariant(
+        one.plan.track, start, rng, PlanningContext(PlannerConfig(), Threads(1))
+    )
     played, scene, last = one.trajectory, planned.scene, one.num_steps
 
     def loss(first: int, push: float, *, search: bool) -> float:
         """From step `first` on, after a push in the two before."""
-        pushed = played.segment(0, first)
-        pushed.ctrl[-2:] += push * (-1.0) ** np.arange(pushed.ctrl.shape[1])
-        simulation = scene.at_start()
-        scene.roll_out(simulation, 0, pushed, played.key_history(0), last)
+        pushed = played.copied()
+        pushed.ctrl[first - 2 : first] += push * (-1.0) ** np.arange(pushed.ctrl.shape[1])
+        start = {0: scene.at_start()}
+        _, snapshots = scene.roll_out(pushed, start, 0, first, every=first)
         planned.follow(played, first, [np.random.default_rng(hand) for hand in range(2)])
-        rest, history = played.segment(first, last), played.key_history(first)
         act = planned.search.act if search else None
-        return float(scene.roll_out(simulation, first, rest, history, last, act)[0].loss.sum())
+        after, _ = scene.roll_out(played, snapshots, first, last, last, act)
+        return float(after.loss.sum())
 
     pushes = [(first, push) for first in (8, 12) for push in (0.05, 0.1, 0.2)]
     searched, led_back = ([loss(*p, search=search) for p in pushes] for search in (True, False))
@@ -253,7 +256,7 @@ def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
     while not left.run(effort, on_and_off(2)):  # before, within and after takes
         state = left.state()
         left = restored(practice(2, score=score, config=config), left, tmp_path)
-        if "other/later" in state:  # within one
+        if "other/release_delays" in state:  # within one
             follow.add(
                 all((state[f"other/{of}"] == state[f"spliced/{of}"]).all() for of in VARIANT)
             )
@@ -268,8 +271,8 @@ def test_hands_that_follow_play_a_second_again_unless_it_is_as_good(
     roll_out, follow = WholeScene.roll_out, PlannedVariant.follow
     made, follows = list[float](), list[bool]()
 
-    def with_cost(*arguments: Any) -> Any:
-        played, snapshots = roll_out(*arguments)
+    def with_cost(*arguments: Any, **options: Any) -> Any:
+        played, snapshots = roll_out(*arguments, **options)
         if follows:
             follows.pop()
             made.append(costs[len(made)])
@@ -304,12 +307,12 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
         fingering="score", num_candidates=4, iterations=1, horizon=0.1, proposals="none"
     )
     straight = practice(score=LONG, config=with_search, seed=1)
-    follow, followed = HandsInScene.follow, list[Any]()
+    restart, restarted = HandsInScene.restart, list[Any]()
     monkeypatch.setattr(
-        HandsInScene, "follow", lambda *args: followed.append(args) or follow(*args)
+        HandsInScene, "restart", lambda *args: restarted.append(args) or restart(*args)
     )
     straight.run(0.3)
-    assert followed
+    assert restarted
     done = False
     left = practice(2, score=LONG, config=with_search, seed=1)
     while not done:
@@ -335,7 +338,9 @@ def test_practice_with_other_options_is_refused(
 ) -> None:
     task = PianoTask([HARD], config, scene)
     task.reset([np.random.default_rng(0)], [0])
-    other = Practice(task.view(), np.random.default_rng(0), GIVEN_FINGERS, 1)
+    other = Practice(
+        task.view(), np.random.default_rng(0), PlanningContext(GIVEN_FINGERS, Threads(1))
+    )
     with pytest.raises(CadenzaError, match=r"left\.safetensors: is the practice of another song"):
         restored(other, practised, tmp_path)
 
@@ -348,7 +353,7 @@ def test_practice_with_other_options_is_refused(
         ("initial/numbers", -1),
         ("initial/numbers", 1000),
         ("initial/fingers", 10),
-        ("spliced/later", 9),
+        ("spliced/release_delays", 9),
     ],
 )
 def test_practice_that_cannot_be_is_refused(
@@ -360,7 +365,7 @@ def test_practice_that_cannot_be_is_refused(
         practice().restore(path)
 
 
-@pytest.mark.parametrize("lost", ["right/rng", "spliced/fingers", "initial/later"])
+@pytest.mark.parametrize("lost", ["right/rng", "spliced/fingers", "initial/release_delays"])
 def test_practice_with_parts_missing_is_refused(lost: str, tmp_path: Path) -> None:
     begun = practice()
     begun.run(EFFORT, on_and_off(1))
@@ -380,8 +385,8 @@ def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(
     made: list[int] = []
     roll_out = WholeScene.roll_out
 
-    def rolling_out(*args: Any) -> Any:
-        played, snapshots = roll_out(*args)
+    def rolling_out(*args: Any, **options: Any) -> Any:
+        played, snapshots = roll_out(*args, **options)
         made.extend(snapshots)
         return played, snapshots
 
@@ -404,7 +409,7 @@ def test_hands_that_do_not_slide_practise(forearm_dofs: tuple[ForearmDof, ...]) 
     config = SceneConfig(hands="right", forearm_dofs=forearm_dofs)
     task = PianoTask([HARD], QUICK, config)
     task.reset([np.random.default_rng(0)], [0])
-    done = Practice(task.view(), np.random.default_rng(0), NO_SEARCH, 1)
+    done = Practice(task.view(), np.random.default_rng(0), PlanningContext(NO_SEARCH, Threads(1)))
     assert done.run(3 * EFFORT)
     assert done.effort > EFFORT  # there was something to mend
 
@@ -435,7 +440,8 @@ def off_plan_after_a_push(practised: Practice, score: Score) -> list[float]:
     task = PianoTask([score], QUICK)
     task.reset([rng], [0])
     view, made = task.view(), best.practised
-    player = PractisedPlanner(view, made, NO_SEARCH, rng, 1, silent, practised.plan)
+    context = PlanningContext(NO_SEARCH, Threads(1))
+    player = PractisedPlanner(view, made, rng, context, practised.plan)
     expected = made.tracking.ctrl
     off = []
     for step in range(len(expected)):
@@ -537,16 +543,16 @@ def test_what_was_practised_is_scored_and_explained_alike_when_it_is_played(
 def test_practised_hands_that_are_pushed_search_as_the_planner_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def follow(self: HandsInScene, *arguments: Any) -> None:
+    def restarted(self: HandsInScene, *arguments: Any) -> None:
         searches.append(self)
-        follow_as_ever(self, *arguments)
+        restart(self, *arguments)
 
     searches: list[HandsInScene] = []
-    follow_as_ever = HandsInScene.follow
+    restart = HandsInScene.restart
     folder = folder_of(tmp_path, "--effort", "0.1")
     noise = DomainRandomization(control_noise=0.1)
     noisy = TaskConfig(initial_buffer_time=0.4, randomization=noise)
-    monkeypatch.setattr(HandsInScene, "follow", follow)
+    monkeypatch.setattr(HandsInScene, "restart", restarted)
     cadenza.play(folder)
     assert not searches
     pushed, actions = (

@@ -31,7 +31,7 @@ def test_presses_are_the_goals(seed: int) -> None:
     fingers = np.where(rng.random((30, 88)) < 0.05, rng.integers(0, 10, (30, 88)), -1)
     fingers = np.repeat(fingers, 2, axis=0).astype(np.int8)
     found = np.full_like(fingers, -1)
-    for press in presses_of(fingers >= 0, fingers, FIVE):
+    for press in presses_of(fingers, FIVE):
         assert (found[press.first - 1 : press.last - 1, press.key] == -1).all()
         found[press.first - 1 : press.last - 1, press.key] = press.finger
     np.testing.assert_array_equal(found, fingers)
@@ -64,7 +64,7 @@ def test_a_hand_can_let_go_later_before_a_jump(finger: int) -> None:
     near = [Press("right", 0, 39, 10, 20), Press("right", finger, 41, 20, 30)]
 
     def last(presses: list[Press], later: int) -> int:
-        asked = [press._replace(later=later) for press in presses]
+        asked = [press._replace(release_delay=later) for press in presses]
         return let_go(asked, places(np.zeros(10)))[0].last
 
     usual = last(far, 0)
@@ -94,10 +94,10 @@ def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord() -> None:
     )
     there = places(np.array([0.0, 0.02, 0.05, 0.07, 0.1] * 2))
     left, reached = let_go([first, key], there)
-    assert (left.flies_off, reached.flies_to) == (True, True)
+    assert (left.jumps_off, reached.jumps_to) == (True, True)
     left_sooner, *landed = let_go([first, key, chord], there)
     assert left_sooner.last < left.last < 20
-    assert not any(press.flies_to for press in landed)
+    assert not any(press.jumps_to for press in landed)
 
 
 def test_a_finger_takes_longer_from_a_white_key_to_a_black_one() -> None:
@@ -107,8 +107,8 @@ def test_a_finger_takes_longer_from_a_white_key_to_a_black_one() -> None:
         there = places(np.array([0.0, 0.02, 0.05, 0.07, 0.1] * 2))
         presses = [
             Press("right", 1, key, first, 20),
-            Press("right", 1, other, 20, 30, later=later),
-            Press("right", 3, other + 4, 20, 30, later=later),
+            Press("right", 1, other, 20, 30, release_delay=later),
+            Press("right", 3, other + 4, 20, 30, release_delay=later),
         ]
         return let_go(presses, there, hand=hand)[0].last
 
@@ -146,7 +146,7 @@ def let_go_one_by_one(presses: list[Press], there: np.ndarray, dt: float) -> lis
             )
             for p in chord
         )
-        return 0 if spanned or not states else max(states - strike.later, 1)
+        return 0 if spanned or not states else max(states - strike.release_delay, 1)
 
     cut = []
     for press in presses:
@@ -163,7 +163,7 @@ def let_go_one_by_one(presses: list[Press], there: np.ndarray, dt: float) -> lis
         after = [p for p in cut[i + 1 :] if p.finger == press.finger]
         if after and after[0].key != press.key:
             climbs = PIANO.is_black[after[0].key] and not PIANO.is_black[press.key]
-            states = max(2 - after[0].later, 1) if climbs else 1
+            states = max(2 - after[0].release_delay, 1) if climbs else 1
             states = max(min(states, after[0].first - press.first - 2), 1)
             end = max(after[0].first - states, press.first + 1)
             cut[i] = press._replace(last=min(press.last, end))
@@ -180,13 +180,13 @@ def test_letting_go_is_that_of_plain_loops(seed: int) -> None:
         fingers[first : first + rng.integers(1, 14), key] = rng.integers(10)
     later = rng.integers(3, size=(41, 2))
     presses = [
-        press._replace(later=int(later[press.first, SIDES.index(press.side)]))
-        for press in presses_of(fingers >= 0, fingers, FIVE)
+        press._replace(release_delay=int(later[press.first, SIDES.index(press.side)]))
+        for press in presses_of(fingers, FIVE)
     ]
     rest = SHADOW.reach.rest
     there = places(np.concatenate([rest, -rest]))
     found = let_go(presses, there)
-    unmarked = [press._replace(flies_off=False, flies_to=False) for press in found]
+    unmarked = [press._replace(jumps_off=False, jumps_to=False) for press in found]
     assert unmarked == let_go_one_by_one(presses, there, 0.05)
 
 
@@ -207,7 +207,7 @@ def test_hands_have_as_long_at_a_finer_control_step(far: bool, chord: bool) -> N
 
 def test_fingertips_have_as_long_at_a_finer_control_step() -> None:
     scene = build_scene(SceneConfig(hands="right"))
-    presses = [Press("right", 1, 41, 6, 9), Press("right", 1, 43, 16, 20, flies_to=True)]
+    presses = [Press("right", 1, 41, 6, 9), Press("right", 1, 43, 16, 20, jumps_to=True)]
     finer = [press._replace(first=2 * press.first, last=2 * press.last) for press in presses]
     usual, fine = targets_of(scene, presses, 25, 0.05), targets_of(scene, finer, 50, FINER)
     for one, other in zip(usual, fine, strict=True):
@@ -217,7 +217,10 @@ def test_fingertips_have_as_long_at_a_finer_control_step() -> None:
 def test_hands_in_haste_let_go_later_and_land_as_soon() -> None:
     notes = ((0.6, 1.0, 48), (1.0, 1.4, 72), (1.4, 1.8, 48))
     score = Score(tuple(Note(*times, finger=finger(1)) for times in notes))
-    usual, hasty = (whole_plan(score, haste=haste).nominal.presses for haste in (1.0, 4.0))
+    usual, hasty = (
+        whole_plan(score, jump_acceleration=jump_acceleration).nominal.presses
+        for jump_acceleration in (1.0, 4.0)
+    )
     assert [press.first for press in hasty] == [press.first for press in usual]
     assert [press.last for press in hasty[:2]] > [press.last for press in usual[:2]]
     assert hasty[2].last == usual[2].last  # no jump
@@ -226,7 +229,7 @@ def test_hands_in_haste_let_go_later_and_land_as_soon() -> None:
 def test_in_a_jump_only_heights_are_strict() -> None:
     still, jump = (
         Press("right", 1, 41, 5, 8),
-        Press("right", 1, 41, 5, 8, flies_off=True, flies_to=True),
+        Press("right", 1, 41, 5, 8, jumps_off=True, jumps_to=True),
     )
     scene = build_scene()
     strict, loose = (targets_of(scene, [press], 12, 0.05).sigma[:, 1] for press in (still, jump))

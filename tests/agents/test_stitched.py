@@ -81,7 +81,7 @@ def test_fingertips_are_on_the_keys_that_are_held(motions: Motions) -> None:
     rest = np.zeros(len(scene.actuator_names))
     postures = stitched(presses, motions, rest, 22)
     assert_array_equal(postures[0], rest)
-    tips = Kinematics(scene, servos_of(scene)).points(postures)[:, :, TIP]
+    tips = Kinematics(scene).points(postures)[:, :, TIP]
     for press in presses:
         held = tips[press.first : press.last, press.finger]
         assert_allclose(held[:, 1], scene.keyboard.centre[press.key, 1], atol=0.004)

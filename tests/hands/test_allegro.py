@@ -35,7 +35,7 @@ def test_joints_are_as_published(finger: str, ranges: tuple[tuple[float, float],
 def test_fingers_are_as_long_as_published() -> None:
     scene = build_scene(SceneConfig(hand="allegro", hands="right"))
     servos = servos_of(scene)
-    (points,) = Kinematics(scene, servos).points(np.zeros((1, len(servos.names))))
+    (points,) = Kinematics(scene).points(np.zeros((1, len(servos.names))))
     lengths = np.linalg.norm(np.diff(points, axis=1), axis=-1)
     assert_allclose(lengths[0], (0.0177, 0.0514, 0.043), atol=1e-6)
     assert_allclose(lengths[1:], [(0.054, 0.0384, 0.029)] * 3, atol=1e-6)
@@ -47,7 +47,7 @@ def test_the_left_hand_mirrors_the_right_one() -> None:
         scene = build_scene(SceneConfig(hand="allegro", hands=side, forearm_dofs=("ty",)))
         servos = servos_of(scene)
         postures = servos.low + shares * (servos.high - servos.low)
-        tips.append(Kinematics(scene, servos).points(postures))
+        tips.append(Kinematics(scene).points(postures))
     assert_allclose(tips[0], tips[1] * (1, -1, 1), atol=1e-9)
 
 

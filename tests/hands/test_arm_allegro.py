@@ -193,12 +193,12 @@ def test_the_arm_brings_its_hand_level_to_where_it_is_said_to(side: Side) -> Non
     """Links and tips of all fingers, against the posture at home moved along the keyboard."""
     scene = build_scene(SceneConfig(hand="arm-allegro", hands=side))
     servos = servos_of(scene)
-    kinematics, rest = Kinematics(scene, servos), rest_posture(servos)
+    kinematics, rest = Kinematics(scene), rest_posture(servos)
     mount = ARM_ALLEGRO.body.mount
     assert mount is not None
     places = np.linspace(mount.low - mount.home, mount.high - mount.home, 9)
     places *= 1 if side == "right" else -1
-    postures = RestPoses(scene, kinematics, servos).at({side: places}, len(places))
+    postures = RestPoses(kinematics).at({side: places}, len(places))
     points, at_home = kinematics.points(postures), kinematics.points(rest[None])
     moved = np.stack([np.zeros(9), places, np.zeros(9)], axis=1)[:, None, None]
     np.testing.assert_allclose(points, at_home + moved, atol=0.004)

@@ -49,7 +49,7 @@ def test_each_finger_has_a_tip(scene: Scene) -> None:
     tips = {
         g["finger"]: drawn["bodies"][g["body"]] for g in drawn["geoms"] if g["finger"] is not None
     }
-    assert sorted(tips) == list(range(10)[scene.fingers_there])
+    assert sorted(tips) == list(range(10)[scene.present_fingers])
     for finger, body in tips.items():
         side = "rh_" if finger < 5 else "lh_"
         assert body == f"{side}{('th', 'ff', 'mf', 'rf', 'lf')[finger % 5]}distal"
@@ -75,7 +75,7 @@ def test_poses_put_the_fingertips_where_they_were_recorded(scene: Scene) -> None
     with np.load(EPISODE) as file:
         of_side = [n[:3] in prefixes(scene) for n in file["hand_joint_names"]]
         qpos = file["hand_qpos"][::10, of_side]
-        tips = file["fingertip_xpos"][::10, scene.fingers_there]
+        tips = file["fingertip_xpos"][::10, scene.present_fingers]
     xpos, xquat = body_poses(scene, qpos)
     assert xpos.shape == (len(qpos), len(scene.hand_bodies), 3)
     assert xquat.shape == (len(qpos), len(scene.hand_bodies), 4)

@@ -20,7 +20,7 @@ def test_fingertips_and_their_jacobian_are_mujocos(config: SceneConfig) -> None:
     scene = build_scene(config)
     servos = servos_of(scene)
     postures = np.random.default_rng(0).uniform(servos.low, servos.high, (5, len(servos.low)))
-    kinematics = Kinematics(scene, servos)
+    kinematics = Kinematics(scene)
     fingertips = kinematics.fingertips(postures)
     model, data = scene.model, mujoco.MjData(scene.model)
     for posture, tips, slope in zip(postures, *fingertips, strict=True):
@@ -45,7 +45,7 @@ def test_fingertips_and_their_jacobian_are_mujocos(config: SceneConfig) -> None:
 def test_points_on_links_move_as_in_mujoco(config: SceneConfig) -> None:
     scene = build_scene(config)
     servos, rng = servos_of(scene), np.random.default_rng(2)
-    kinematics = Kinematics(scene, servos)
+    kinematics = Kinematics(scene)
     postures = rng.uniform(servos.low, servos.high, (5, len(servos.low)))
     points, links = kinematics.points(postures), kinematics.links(postures)
     np.testing.assert_array_equal(links.points.reshape(points.shape), points)
@@ -77,7 +77,7 @@ def test_links_are_where_their_bodies_are() -> None:
     scene = build_scene(SceneConfig(hands="right"))
     servos = servos_of(scene)
     posture = np.random.default_rng(1).uniform(servos.low, servos.high)
-    (points,) = Kinematics(scene, servos).points(posture[None])
+    (points,) = Kinematics(scene).points(posture[None])
     data = mujoco.MjData(scene.model)
     data.qpos[scene.hand_qpos] = posture @ servos.joints
     mujoco.mj_kinematics(scene.model, data)

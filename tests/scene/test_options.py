@@ -54,7 +54,7 @@ def test_moves_as_published(case: str) -> None:
         state = simulation.state
         touched |= bool(state.forearm_contact[0])
         if step in recorded:
-            tips = state.fingertip_xpos[0, scene.fingers_there]
+            tips = state.fingertip_xpos[0, scene.present_fingers]
             tolerance = {"rtol": 0, "atol": 0.02 if touched else 2e-6}
             assert_allclose(tips, recorded[step]["fingertip_xpos"], **tolerance)
             if not touched:
@@ -215,7 +215,7 @@ def test_one_hand_is_the_same_hand(side: Any) -> None:
     assert alone.sides == (side,)
     assert alone.actuator_names == tuple(n for n in both.actuator_names if n.startswith(prefix))
     assert alone.hand_joint_names == tuple(n for n in both.hand_joint_names if n.startswith(prefix))
-    assert alone.fingers_there == (slice(0, 5) if side == "right" else slice(5, 10))
+    assert alone.present_fingers == (slice(0, 5) if side == "right" else slice(5, 10))
     assert_array_equal(alone.action_low[:-1], both_rows(both, prefix, both.action_low))
     assert_array_equal(alone.action_high[:-1], both_rows(both, prefix, both.action_high))
 

@@ -29,7 +29,7 @@ def test_a_hand_on_the_keys_near_it_moves_as_on_all(side: Side) -> None:
     actions = load_plan(RECORDED).actions[:, :-1][:, servos]
     whole, there = PlanningSimulation(scene), PlanningSimulation(scene)
     rollouts = HandRollouts(scene, whole.control_timestep)
-    fingers = scene.fingers_there
+    fingers = scene.present_fingers
     touched = False
     for step in range(len(actions) - AHEAD):
         if step % 5 == 0:
@@ -67,7 +67,7 @@ def test_fingertips_move_with_servos_as_the_jacobian_says() -> None:
     for simulated, qpos in ((simulation, posture), (moved, posture + step)):
         simulated.set_joints(qpos, np.zeros_like(qpos), np.zeros(len(y)))
     before, after = (
-        each.state.fingertip_xpos[0, scene.fingers_there] for each in (simulation, moved)
+        each.state.fingertip_xpos[0, scene.present_fingers] for each in (simulation, moved)
     )
     np.testing.assert_allclose(jacobian @ change, after - before, atol=1e-10)
 

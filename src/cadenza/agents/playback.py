@@ -149,15 +149,16 @@ def save_plan(
 
     Arrays: action (T, A) as in an episode; fingering (N, 3), of each note of the song start [s],
     MIDI pitch and finger, -1 for none, by the numbers that fingers of these `hands` have in the
-    episode's arrays. Of a practised plan also gain and expected, see `Tracking`, and later, see
-    `Variant`. In the header: song, dt, metrics, options, and the score of a practised plan.
+    episode's arrays. Of a practised plan also gain and expected, see `Tracking`, and later, the
+    release delays of a `Variant`. In the header: song, dt, metrics, options, and the score of a
+    practised plan.
     """
     notes = [(note.start, note.pitch, hands.number(note.finger)) for note in fingered.notes]
     arrays = {"action": episode["action"], "fingering": np.array(notes, np.float64).reshape(-1, 3)}
     score = None
     if practised is not None:
-        (_, gain, expected), later = practised.tracking, practised.variant.later
-        arrays |= {"gain": gain, "expected": expected, "later": later}
+        (_, gain, expected), variant = practised
+        arrays |= {"gain": gain, "expected": expected, "later": variant.release_delays}
         score = WrittenScore.of(fingered)
     facts = _Facts(episode.song, episode.dt, dict(metrics), dict(options), score)
     write_tensors(path, arrays, asdict(facts))

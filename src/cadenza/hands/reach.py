@@ -77,9 +77,9 @@ class JumpTimes:
     climb: float = 0.1
     """Time in which a finger gets from a white key onto a black one [s]."""
 
-    def hurried(self, haste: float) -> JumpTimes:
-        """The times of the hand with `haste` times the acceleration."""
-        return replace(self, glide=haste * self.glide, glide_of_chord=haste * self.glide_of_chord)
+    def accelerated(self, factor: float) -> JumpTimes:
+        """The times of the hand with `factor` times the acceleration."""
+        return replace(self, glide=factor * self.glide, glide_of_chord=factor * self.glide_of_chord)
 
     def seconds(
         self, distance: ArrayLike, left: ArrayLike, struck: ArrayLike, holding: ArrayLike = False

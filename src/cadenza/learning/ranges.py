@@ -58,7 +58,7 @@ def ranges_of(task: PianoTask) -> Ranges:
     actions[:, :-1] = np.clip((rest - travel, rest + travel), *actions[:, :-1])
     moved = servos.joints[near].any(axis=0)
     joints[:, moved] = (actions[:, :-1][:, near] @ servos.joints[near])[:, moved]
-    fingertips = Kinematics(scene, servos).fingertips(np.where(near, rest, 0.0)[None])
+    fingertips = Kinematics(scene).fingertips(np.where(near, rest, 0.0)[None])
     tips, jacobian = (values[0, :, _ALONG_KEYBOARD] for values in fingertips)
     margin = _MARGIN * scene.keyboard.spacing / PIANO.spacing
     slides = servos.along_keyboard
@@ -76,7 +76,7 @@ def ranges_of(task: PianoTask) -> Ranges:
 
 def _keys_of_fingers(task: PianoTask) -> NDArray[np.bool_]:
     """Returns where (F, K) a score wants the key from that finger, or from any."""
-    there = task.scene.fingers_there
+    there = task.scene.present_fingers
     numbers = range(there.start, there.stop)
     keys = np.full((len(numbers), task.scene.keyboard.num_keys), draws_pitch(task.config))
     for track in task.tracks:

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from cadenza.agents.agent import Progress, silent
-from cadenza.agents.planner.plan.tracking import Follower, Tracking
+from cadenza.agents.planner.context import PlanningContext
+from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.practice.practice import Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedHands, PractisedPlan
@@ -21,6 +22,8 @@ from cadenza.performing.planning import plan_of
 from cadenza.performing.setup import Setup
 from cadenza.performing.source import PRACTICE, PRACTISED, PRACTISED_HOW, is_own_folder
 from cadenza.resumable import ResumableFolder
+from cadenza.scene.servos import servos_of
+from cadenza.sim.threads import Threads
 
 
 def practice_folder(path: Path) -> ResumableFolder:
@@ -62,8 +65,9 @@ class Practising:
         self._setup, self._agent, self._path = setup, setup.agent, folder.path / PRACTICE
         self.performance: Performance | None = None
         (rng,) = begin_episodes(setup.task, [setup.seed])
-        config, threads = replace(setup.agent.config, effort=0.0), setup.agent.threads
-        self.practice = Practice(setup.task.view(), rng, config, threads, progress)
+        config, threads = replace(setup.agent.config, effort=0.0), Threads(setup.agent.threads)
+        context = PlanningContext(config, threads, progress)
+        self.practice = Practice(setup.task.view(), rng, context)
         if self._path.exists():
             self.practice.restore(self._path)
         settings, song = setup.settings, setup.settings["song"]
@@ -109,8 +113,8 @@ class Practising:
 def _played(tracking: Tracking, performance: Performance) -> Tracking:
     """The tracking as it was performed, which differs from practice where hands play apart."""
     episode, beginning = performance.episode, tracking.expected[:1]
-    follower = Follower(performance.scene, tracking)
+    servos = servos_of(performance.scene)
     states = zip(episode["hand_qpos"], episode["hand_qvel"], strict=True)
     # One by one, as they are compared: many at once may differ in the last bit.
-    expected = np.array([*beginning, *(follower.posture(*state) for state in states)])
+    expected = np.array([*beginning, *(servos.state(*state) for state in states)])
     return Tracking(episode["action"][:, :-1], tracking.gain, expected)

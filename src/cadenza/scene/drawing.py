@@ -33,7 +33,7 @@ def drawing(scene: Scene) -> dict[str, Any]:
     """
     model = scene.model
     index = {int(body): i for i, body in enumerate(scene.hand_bodies)}
-    first = scene.fingers_there.start
+    first = scene.present_fingers.start
     tips = model.site_bodyid[scene.fingertip_sites].tolist()
     fingertip = {body: number for number, body in enumerate(tips, start=first)}
     geoms, keys = [], range(model.ngeom)[scene.key_geoms]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cadenza.hands.body import prefix
 from cadenza.scene.scene import Ids, Scene, as_ids, reduced_model
-from cadenza.scene.servos import Servos
+from cadenza.scene.servos import servos_of
 
 Array = NDArray[np.float64]
 
@@ -76,11 +76,16 @@ class Kinematics:
     """Forward kinematics of the F fingers of a scene, by MuJoCo. Joints without a servo stay at 0.
 
     The P points of a finger are the origins of its links, and its tip. One thread at a time.
+
+    Attributes:
+        scene: the scene, with one hand or two.
+        servos: the servos of its hands.
     """
 
-    def __init__(self, scene: Scene, servos: Servos) -> None:
-        model = self._model = reduced_model(scene, range(0), ())
-        self._servos, self._data = servos, mujoco.MjData(model)
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self.servos = scene, servos_of(scene)
+        servos, model = self.servos, reduced_model(scene, range(0), ())
+        self._model, self._data = model, mujoco.MjData(model)
         self._hands, self._num_servos = len(scene.sides), len(servos.low) // len(scene.sides)
         bodies = [
             model.body(prefix(side) + link).id
@@ -149,7 +154,7 @@ class Kinematics:
         data, count, size = self._data, len(postures), self._num_points
         now = data.xpos, data.site_xpos, data.xaxis, data.xanchor
         rows = [np.empty((count, *values.shape)) for values in now]
-        for row, qpos in enumerate(postures @ self._servos.joints):
+        for row, qpos in enumerate(postures @ self.servos.joints):
             data.qpos = qpos
             mujoco.mj_kinematics(self._model, data)
             for kept, values in zip(rows, now, strict=True):

@@ -65,8 +65,8 @@ class Scene:
     """Sites of the fingers that are there, each hand's from the thumb on, right hand first."""
     fingers: Fingers
     """The numbers of fingers in arrays over the F places of both hands."""
-    fingers_there: slice
-    """The numbers of the fingers that are there."""
+    present_fingers: slice
+    """The numbers of the fingers of the hands in the scene."""
     forearm_geoms: dict[Side, Ids]
     """Geoms of the links that the reward for forearms keeps apart."""
     hand_bodies: Ids
@@ -109,7 +109,7 @@ class Scene:
 
     def has_fingers(self, numbers: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Whether each of `numbers` is that of a finger that is there."""
-        return (numbers >= self.fingers_there.start) & (numbers < self.fingers_there.stop)
+        return (numbers >= self.present_fingers.start) & (numbers < self.present_fingers.stop)
 
 
 def build_scene(config: SceneConfig | None = None) -> Scene:
@@ -318,7 +318,7 @@ def _resolve(
         actuator_names=tuple(model.actuator(a).name for a in range(model.nu)),
         fingertip_sites=as_ids(model.site(name).id for name in fingertip_sites),
         fingers=fingers,
-        fingers_there=_joined([fingers.of_hand(SIDES.index(side)) for side in sides]),
+        present_fingers=_joined([fingers.of_hand(SIDES.index(side)) for side in sides]),
         forearm_geoms={
             side: _geoms_of(model, [prefix(side) + name for name in hand.kept_apart])
             for side in sides

@@ -79,6 +79,10 @@ class Servos:
         """(A,) index of the finger that each moves, 0 for the thumb, -1 for the whole hand."""
         return np.array([-1 if use.finger is None else use.finger for use in self.uses], np.intp)
 
+    def state(self, hand_qpos: Array, hand_qvel: Array) -> Array:
+        """(..., A, 2) position and speed of each servo at joints (..., J)."""
+        return np.stack([hand_qpos @ self.of_joints, hand_qvel @ self.of_joints], axis=-1)
+
     def clip(self, coordinates: Array) -> Array:
         """`coordinates` (..., A), positions or controls, clipped to their ranges."""
         return clip(coordinates, self.low, self.high)

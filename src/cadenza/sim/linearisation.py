@@ -124,8 +124,8 @@ class Lineariser:
         states.key_xpos[row] = data.geom_xpos[scene.key_geoms]
         lever = states.key_xpos[row] - data.xanchor[keys]
         states.key_jacobian[row] = np.cross(data.xaxis[keys], lever)
-        states.fingertip_xpos[row][scene.fingers_there] = data.site_xpos[scene.fingertip_sites]
-        there = states.fingertip_jacobian[row][scene.fingers_there]
+        states.fingertip_xpos[row][scene.present_fingers] = data.site_xpos[scene.fingertip_sites]
+        there = states.fingertip_jacobian[row][scene.present_fingers]
         for jacobian, site in zip(there, scene.fingertip_sites, strict=True):
             mujoco.mj_jacSite(model, data, jacobian, None, site)
 

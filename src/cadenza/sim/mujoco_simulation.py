@@ -160,14 +160,14 @@ class MujocoSimulation:
         out.key_xpos[row] = data.geom_xpos[scene.key_geoms]
         out.hand_qpos[row] = qpos[scene.hand_qpos]
         out.hand_qvel[row] = qvel[scene.hand_qvel]
-        out.fingertip_xpos[row][scene.fingers_there] = data.site_xpos[scene.fingertip_sites]
+        out.fingertip_xpos[row][scene.present_fingers] = data.site_xpos[scene.fingertip_sites]
         out.actuator_force[row] = data.actuator_force
         out.actuator_velocity[row] = data.actuator_velocity
         if self._watch_forearms:
             touched = self._is_forearm[:, data.contact.geom].any(axis=2)  # (2, contacts)
             out.forearm_contact[row] = touched.all(axis=0).any()
         if scene.config.touch:
-            out.touch[row][scene.fingers_there] = data.sensordata
+            out.touch[row][scene.present_fingers] = data.sensordata
         out.unstable[row] = data.warning.number[UNSTABLE].any()
 
     def _set_state(self, state: State) -> None:

@@ -292,7 +292,7 @@ class PianoTask:
             result[:, layout["joints"]] = self._randomization.observed_joints(hand_qpos)
         if "touch" in layout:
             result[:, layout["touch"]] = np.minimum(
-                self.state.touch[:, self.scene.fingers_there] / TOUCH_RANGE, 1.0
+                self.state.touch[:, self.scene.present_fingers] / TOUCH_RANGE, 1.0
             )
         return result
 

@@ -259,7 +259,7 @@ class Reward:
         tips, key_xpos = outcome.state.fingertip_xpos, outcome.state.key_xpos
         press, margin = self._press, self._config.fingering_margin
         if self._config.fingering == "transport":
-            there = self._scene.fingers_there
+            there = self._scene.present_fingers
             keys = keys_by_transport(tips, key_xpos, press, outcome.goal_keys, there)
             return transport_fingering(tips, key_xpos, press, keys, margin)
         return score_fingering(tips, key_xpos, press, outcome.fingers, margin)

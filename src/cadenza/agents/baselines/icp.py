@@ -17,15 +17,17 @@ from scipy.optimize import linear_sum_assignment
 
 from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, Progress
 from cadenza.agents.planner.config import ICPConfig, PlannerConfig
+from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
-from cadenza.agents.planner.plan.tracking import Follower, Tracking
-from cadenza.agents.planner.search.hands_in_scene import HandInScene
+from cadenza.agents.planner.plan.tracking import Tracking
+from cadenza.agents.planner.search.hand_search import HandSearch
 from cadenza.fingering.players import Players
 from cadenza.fingering.search import Dropped
 from cadenza.fingers import SIDES, Finger
 from cadenza.hands.reach import Reach
 from cadenza.music.score import Note, chords
 from cadenza.scene.scene import hand_alone
+from cadenza.scene.servos import servos_of
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.sim.threads import Threads
 from cadenza.tasks.goal_track import GoalTrack, players_of
@@ -86,18 +88,17 @@ def rehearsed(
     threads, steps = Threads(num_threads), len(ctrl)
     try:
         for i, side in enumerate(sides):
-            hand = HandInScene(plan, side, _REHEARSAL, rng, threads)
+            search = HandSearch(plan, side, rng, PlanningContext(_REHEARSAL, threads))
             scene, mine, joints = hand_alone(plan.scene, side)
-            follower = Follower(scene, tracking.of(mine))
-            simulation = MujocoSimulation(scene, 1, dt)
+            servos, simulation = servos_of(scene), MujocoSimulation(scene, 1, dt)
             simulation.reset([0], start[None, joints])
             for step in range(steps):
                 state = simulation.state
                 qpos, qvel, keys = state.hand_qpos[0], state.hand_qvel[0], state.key_qpos[0]
-                ctrl[step, mine] = hand.search.act(qpos, qvel, keys)
+                ctrl[step, mine] = search.act(qpos, qvel, keys)
                 simulation.step(ctrl[step : step + 1, mine])
                 state = simulation.state
-                expected[step + 1, mine] = follower.posture(state.hand_qpos, state.hand_qvel)[0]
+                expected[step + 1, mine] = servos.state(state.hand_qpos, state.hand_qvel)[0]
                 progress("rehearsing", i * steps + step + 1, len(sides) * steps)
     finally:
         threads.close()
@@ -108,18 +109,17 @@ class PlanFollower(EpisodePlanner):
     """Plays what was planned.
 
     Attributes:
-        plan: of the song.
+        plan: the plan of the whole song.
+        tracking: the controls that are played, with feedback.
     """
 
     def __init__(self, plan: SongPlan, tracking: Tracking) -> None:
-        """`tracking` are the controls for its servos."""
-        self.plan = plan
-        self._follower = Follower(plan.scene, tracking)
-        self._pedal = plan.goals.sustain.astype(np.float64)
+        self.plan, self.tracking, self._servos = plan, tracking, servos_of(plan.scene)
 
     def act(self, view: View) -> Array:
-        (step,) = view.steps
-        return np.append(self._follower.ctrl(view.steps, view.state)[0], self._pedal[step])
+        here = self._servos.state(view.state.hand_qpos, view.state.hand_qvel)
+        ctrl = self.tracking.controls(self._servos, view.steps, here)
+        return np.append(ctrl[0], self.plan.goals.sustain[view.steps])
 
 
 def with_nearest_fingers(track: GoalTrack) -> GoalTrack:

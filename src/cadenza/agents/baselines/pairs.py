@@ -45,7 +45,7 @@ def pairs_of(
         keys: (N, K) to press.
         fingers: (N, K) by the score, -1 for none.
     """
-    press, there = press_offset(task.scene.keyboard.half_size), task.scene.fingers_there
+    press, there = press_offset(task.scene.keyboard.half_size), task.scene.present_fingers
     if task.config.fingering == "transport":
         key_of_finger = keys_by_transport(fingertips, key_xpos, press, keys, there)
         row, finger = (key_of_finger >= 0).nonzero()

@@ -86,7 +86,7 @@ class PressOptimisation:
     def __init__(
         self,
         scene: Scene,
-        part: HandGoals,
+        goals: HandGoals,
         onsets: NDArray[np.intp],
         tracking: Tracking,
         config: TrackedPressesConfig,
@@ -95,14 +95,14 @@ class PressOptimisation:
     ) -> None:
         """Args:
         scene: with this hand only.
-        part: what it has to do in T steps.
+        goals: what it has to do in T steps.
         onsets: steps in which presses begin.
         tracking: the nominal plan of this hand.
         config: how to optimise.
         dt: control step [s].
         num_threads: that share the simulations.
         """
-        self._part, self._tracking, self._config = part, tracking, config
+        self._goals, self._tracking, self._config = goals, tracking, config
         self._starts = _starts(onsets, steps_in(_LEAD, dt), steps_in(_MIN_WINDOW, dt))
         self._look_ahead = steps_in(_LOOK_AHEAD, dt)
         self._servos, self._travel = servos_of(scene), scene.keyboard.travel
@@ -231,7 +231,7 @@ class PressOptimisation:
 
     def _mistakes(self, state: State, step: int) -> NDArray[np.intp]:
         sounding = reward.key_activation(state.key_qpos, self._sounds_from)
-        mine, wrong = self._part.mine[step], self._part.wrong[step]
+        mine, wrong = self._goals.keys[step], self._goals.wrong[step]
         return ((mine & ~sounding) | (wrong & sounding)).sum(axis=1)
 
     def _cost(self, state: State, step: int) -> Array:
@@ -240,15 +240,15 @@ class PressOptimisation:
 
     def _residuals(self, state: State, step: int) -> tuple[Array, Array]:
         """Weighted residuals (N, K), (N, F, 3) of the states after `step`."""
-        part, depth = self._part, reward.key_state(state.key_qpos, self._travel)
-        too_high = np.where(part.mine[step], depth - 1.0, 0.0)
-        too_deep = np.where(part.wrong[step], np.maximum(depth - HARMLESS_DEPTH, 0.0), 0.0)
-        error = state.fingertip_xpos[:, part.fingers] - part.fingertips[step + 1]
+        goals, depth = self._goals, reward.key_state(state.key_qpos, self._travel)
+        too_high = np.where(goals.keys[step], depth - 1.0, 0.0)
+        too_deep = np.where(goals.wrong[step], np.maximum(depth - HARMLESS_DEPTH, 0.0), 0.0)
+        error = state.fingertip_xpos[:, goals.fingers] - goals.fingertips[step + 1]
         return np.sqrt(_DEPTH) * (too_high + too_deep), self._tip_weight(step) * error
 
     def _tip_weight(self, step: int) -> Array:
         """(F, 3) square roots of the weights of fingertip errors."""
-        weight = np.sqrt(np.where(self._part.playing[step + 1], _PLAYING, _IDLE))
+        weight = np.sqrt(np.where(self._goals.playing[step + 1], _PLAYING, _IDLE))
         return weight[:, None] * np.array([_ALONG_KEY, 1.0, 1.0])
 
     def _residual(self, linearised: HandLinearisation, step: int, k: int) -> tuple[Array, Array]:
@@ -257,7 +257,7 @@ class PressOptimisation:
         keys, tips = self._residuals(state, step)
         there = np.flatnonzero(keys[0])
         by_keys = np.sqrt(_DEPTH) * linearised.keys[k, there] / self._travel[there, None]
-        by_tips = self._tip_weight(step)[..., None] * linearised.fingertips[k, self._part.fingers]
+        by_tips = self._tip_weight(step)[..., None] * linearised.fingertips[k, self._goals.fingers]
         residual = np.concatenate([keys[0, there], tips[0].ravel()])
         return residual, np.concatenate([by_keys, by_tips.reshape(-1, by_tips.shape[-1])])
 
@@ -266,7 +266,7 @@ class PressOptimisation:
     def _gains(self, linearised: HandLinearisation) -> Array:
         """(T, A, 2 J) gains of the regulator that keeps fingertips and joints on the trajectory."""
         transition = linearised.hands * self._unit / self._state_unit[:, None]
-        tips = linearised.fingertips[:, self._part.fingers] * self._unit
+        tips = linearised.fingertips[:, self._goals.fingers] * self._unit
         rows = tips.reshape(len(tips), -1, tips.shape[-1])
         hessian = _TRACK_TIP * rows.transpose(0, 2, 1) @ rows
         hessian += _TRACK_STATE * transition.transpose(0, 2, 1) @ transition

@@ -21,7 +21,8 @@ from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.generalist.receding_plan import RecedingPlanner
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
-from cadenza.agents.planner.plan.song_plan import SongPlan, scene_planned_with, song_plans
+from cadenza.agents.planner.plan.nominal_trajectory import MotionPlanner
+from cadenza.agents.planner.plan.song_plan import SongPlan, planning_scene, song_plans
 from cadenza.agents.planner.search.networks.inputs import sizes_of
 from cadenza.agents.planner.search.networks.weights import Weights, shipped
 from cadenza.configs import check_ranges, whole_number
@@ -31,8 +32,8 @@ from cadenza.sim.protocol import State
 from cadenza.tasks.goal_track import GoalTrack, players_of
 from cadenza.tasks.view import View
 
-HASTE = 2.0
-"""Factor of the acceleration with which hands jump where networks see to it that they land."""
+JUMP_ACCELERATION = 2.0
+"""The factor of the acceleration with which hands jump where networks correct their landings."""
 
 _LEARNT = Path(__file__).parent
 _DEFAULT_REHEARSALS, _MAX_REHEARSALS = 4, 100
@@ -41,7 +42,7 @@ _DEFAULT_REHEARSALS, _MAX_REHEARSALS = 4, 100
 class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
     """Corrects the plan of a song, or of what is in sight of it, by what it has learnt from others.
 
-    Its progress is that of "fingers" and "postures".
+    It reports the progress of "fingers" and "postures".
     """
 
     def __init__(self, config: GeneralistConfig | None = None) -> None:
@@ -66,7 +67,7 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
             it has learnt is damaged.
         """
         (track,) = view.tracks
-        config, scene = self.config, scene_planned_with(track)
+        config, scene = self.config, planning_scene(track)
         if config.look_ahead is not None:
             return SightReader(track, view.state, config.look_ahead, self._weights(scene))
         rehearsals = self._rehearsals(scene)
@@ -75,7 +76,7 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
             track.with_found_fingers(),
             view.state.hand_qpos[0],
             self.progress,
-            haste=1.0 if weights is None else HASTE,
+            jump_acceleration=1.0 if weights is None else JUMP_ACCELERATION,
         )
         plan = next(plans)
         if weights is None:
@@ -88,10 +89,8 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
         if self.config.rehearsals is not None:
             return self.config.rehearsals
         known = shipped_for(scene)
-        learnt = self.config.weights is not None or (
-            known is not None and known.sizes == sizes_of(scene)
-        )
-        return 0 if learnt else _DEFAULT_REHEARSALS
+        fits = known is not None and known.sizes == sizes_of(scene)
+        return 0 if self.config.weights is not None or fits else _DEFAULT_REHEARSALS
 
     def _weights(self, scene: Scene) -> Weights:
         own = self.config.weights
@@ -109,12 +108,12 @@ class PlanPlayer(Protocol):
     """One hand that plays a plan, or all of them."""
 
     servos: slice
-    """Its servos among all of the scene."""
-    steps_seen: int
-    """Number of steps ahead that it needs a plan of."""
+    """The hand's servos among all of the scene."""
+    lookahead: int
+    """The number of steps of the plan that are needed."""
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """Plays on from a step by a plan that goes further than the one before."""
+        """Changes the plan, from `step` on, to one that goes further."""
 
     def act(self, step: int, state: State) -> Array:
         """(A,) the next controls."""
@@ -124,7 +123,8 @@ class GeneralistSong(EpisodePlanner):
     """Plays one song.
 
     Attributes:
-        plan: as far as it goes, without corrections; all of it when the song is over.
+        plan: the plan as far as it goes, without corrections; all of it when the song is over.
+        hands: the hands that play it, one by one or all together.
     """
 
     plan: SongPlan
@@ -132,23 +132,19 @@ class GeneralistSong(EpisodePlanner):
     def __init__(
         self, plan: SongPlan, plans: Iterator[SongPlan], hands: Sequence[PlanPlayer]
     ) -> None:
-        """Args:
-        plan: of the song, as far as it goes.
-        plans: the next ones, each longer than the one before.
-        hands: that play it, one by one or all.
-        """
-        self.plan, self._plans, self._hands = plan, plans, hands
-        self._seen = max(hand.steps_seen for hand in hands)
+        """Begins with a plan as far as it goes; `plans` are the next ones, which go further."""
+        self.plan, self._plans, self.hands = plan, plans, hands
+        self._seen = max(hand.lookahead for hand in hands)
 
     def act(self, view: View) -> Array:
         step = int(view.steps[0])
         while not self.plan.complete and self.plan.nominal.num_steps < step + self._seen:
             self.plan = next(self._plans)
-            for hand in self._hands:
+            for hand in self.hands:
                 hand.follow(self.plan, step)
         action = np.zeros(view.task.action_size)
         action[-1] = self.plan.goals.sustain[step]
-        for hand in self._hands:
+        for hand in self.hands:
             action[hand.servos] = hand.act(step, view.state)
         return action
 
@@ -161,18 +157,22 @@ class SightReader(EpisodePlanner):
     """
 
     def __init__(self, track: GoalTrack, start: State, look_ahead: float, weights: Weights) -> None:
-        """Args:
-        track: what is played.
-        start: of one simulation.
-        look_ahead: how far ahead it knows the goals [s].
-        weights: what corrects its plans.
+        """Plans what is in sight at the beginning.
+
+        Args:
+            track: the song.
+            start: the state of one simulation.
+            look_ahead: how far ahead the goals are known [s].
+            weights: the networks that correct plans.
         """
         dt = track.config.control_timestep
         self._track, self._goals = track, track.goals
         self._ahead = np.arange(steps_in(look_ahead, dt) + 1)
-        self._scene = scene_planned_with(track)
+        self._scene = planning_scene(track)
+        times = self._scene.hand.jump_times.accelerated(JUMP_ACCELERATION)
+        motion = MotionPlanner(self._scene, dt, times)
         players = players_of(self._scene)
-        self._receding = RecedingPlanner(self._scene, players, start.hand_qpos[0], dt, HASTE)
+        self._receding = RecedingPlanner(self._scene, motion, players, start.hand_qpos[0], dt)
         self._hands = CorrectedHands(self._plan_from(0, start), weights)
 
     def act(self, view: View) -> Array:
@@ -196,13 +196,15 @@ def shipped_for(scene: Scene) -> Weights | None:
 
 
 def _check_sizes(weights: Weights, scene: Scene) -> None:
-    """Raises:
-    CadenzaError: the weights have been learnt with other hands than those of the scene.
+    """Checks that networks have been trained with hands like those of the scene.
+
+    Raises:
+        CadenzaError: they have been trained with other hands.
     """
-    told, servos = sizes_of(scene)
-    if weights.sizes != (told, servos):
+    inputs, servos = sizes_of(scene)
+    if weights.sizes != (inputs, servos):
         raise CadenzaError(
-            f"generalist: has learnt with hands of {weights.sizes[1]} servos, of which it is told "
-            f"{weights.sizes[0]} numbers; here they have {servos}, and it is told {told}: leave "
-            "out options that change the hands"
+            f"generalist: has learnt with hands of {weights.sizes[1]} servos "
+            f"({weights.sizes[0]} inputs of its networks); here they have {servos} ({inputs} "
+            "inputs): leave out options that change the hands"
         )

@@ -66,17 +66,18 @@ class RecedingPlanner:
     """
 
     def __init__(
-        self, scene: Scene, players: Players, hand_qpos: Array, dt: float, haste: float = 1.0
+        self, scene: Scene, motion: MotionPlanner, players: Players, hand_qpos: Array, dt: float
     ) -> None:
-        """Args:
-        scene: with one hand or two.
-        players: the hands of the scene at its keyboard.
-        hand_qpos: (J,) where the joints of the hands are in the beginning.
-        dt: control step [s].
-        haste: times the acceleration with which the hands are known to jump.
+        """Begins without any notes.
+
+        Args:
+            scene: a scene with one hand or two.
+            motion: the planner of the hands' motions.
+            players: the hands of the scene at its keyboard.
+            hand_qpos: (J,) initial positions of the joints [m, rad].
+            dt: control step [s].
         """
-        self._scene, self._dt = scene, dt
-        self._motion = MotionPlanner(scene, dt, scene.hand.jump_times.hurried(haste))
+        self._scene, self._dt, self._motion = scene, dt, motion
         self._fingers = OnlineFingering(players, _ONSETS_AT_ONCE)
         self._notes: list[_Note] = []
         self._held: dict[int, _Note] = {}  # by key, at the end of what was seen
@@ -90,8 +91,8 @@ class RecedingPlanner:
         """The plan of what is in sight at a step; its first step is this one.
 
         Args:
-            step: of the song: the first one, then always the next.
-            keys: (S, K) that should be down after this step and those after it.
+            step: the step of the song: 0, then always the next.
+            keys: (S, K) the keys that should be down after this step and those after it.
             tips: (F, 3) where the fingertips are [m].
         """
         self._update_notes(step, keys)
@@ -101,7 +102,7 @@ class RecedingPlanner:
             min(len(keys), steps_in(seconds, self._dt))
             for seconds in (_PRESSES_AHEAD, _POSTURES_AHEAD, _CONTROLS_AHEAD)
         )
-        presses = self._motion.presses(self._asked(step, past, horizon))
+        presses = self._motion.presses(self._fingering(step, past, horizon))
         if self._found is None:
             before, warm_start, options = self._plan, None, THOROUGH
         else:
@@ -110,11 +111,11 @@ class RecedingPlanner:
             options = _LIFTED if self._lifted else _USUAL
             warm_start = self._found.correction[2:]
             warm_start = np.concatenate([warm_start, warm_start[-1:]])  # as far as is planned now
-        with self._blas.limit(limits=1):  # as in `nominal_plans`
+        with self._blas.limit(limits=1):  # as in `MotionPlanner.plans`
             found = self._motion.solve(
                 before, presses, past, past + ahead, warm_start=warm_start, options=options
             )
-            presses = [press.moved(-past) for press in presses]
+            presses = [press.delayed(-past) for press in presses]
             self._plan = self._motion.track(before, presses, found.part(controlled + 1), played=1)
         self._found = found
         return self._plan
@@ -122,16 +123,16 @@ class RecedingPlanner:
     def _lift_caught(
         self, presses: list[Press], step: int, now: int, tips: Array, planned: Array
     ) -> list[Press]:
-        """The presses, of which those begin again, from above, whose fingers are caught elsewhere.
+        """The presses; those whose fingers are caught elsewhere begin again, from above.
 
         Args:
-            presses: by time.
-            step: of the song.
+            presses: presses by time.
+            step: the step of the song.
             now: the state before it, as presses count them.
             tips: (F, 3) where fingertips are [m].
-            planned: (F', 3) where those of the fingers that are there should be [m].
+            planned: (F', 3) where the fingertips of the present fingers should be [m].
         """
-        there, off = self._scene.fingers_there, np.zeros(len(tips))
+        there, off = self._scene.present_fingers, np.zeros(len(tips))
         off[there] = np.hypot(*(tips[there] - planned)[:, :2].T)
         lift, wait = steps_in(_LIFT_TIME, self._dt), steps_in(_RETRY_TIME, self._dt)
         lifted = {press: since for press, since in self._lifted.items() if step < since + wait}
@@ -171,12 +172,12 @@ class RecedingPlanner:
             if note.number in found:
                 note.finger = self._scene.fingers.number(found[note.number])
 
-    def _asked(self, step: int, past: int, ahead: int) -> NDArray[np.int8]:
+    def _fingering(self, step: int, past: int, ahead: int) -> NDArray[np.int8]:
         """(P + S, K) fingers that should press the keys before and after a step, -1 for none."""
         first = step - past
         self._notes = [note for note in self._notes if note.last is None or note.last > first]
-        asked = np.full((past + ahead, self._scene.keyboard.num_keys), NO_FINGER, np.int8)
+        fingers = np.full((past + ahead, self._scene.keyboard.num_keys), NO_FINGER, np.int8)
         for note in self._notes:
             end = None if note.last is None else note.last - first
-            asked[max(note.first - first, 0) : end, note.key] = note.finger
-        return asked
+            fingers[max(note.first - first, 0) : end, note.key] = note.finger
+        return fingers

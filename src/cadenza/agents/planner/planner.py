@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, Progress
+from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv
 from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.song_plan import SongPlan, song_plans
 from cadenza.agents.planner.practice.practice import MOST_EFFORT, Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedPlanner
@@ -45,19 +46,19 @@ class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
         """Raises:
         CadenzaError: there are no hands in the scene.
         """
-        config, threads, progress = self.config, self.threads, self.progress
-        if not config.effort:
-            return SongPlanner(view, rng, config, threads, progress)
-        practice = Practice(view, rng, replace(config, effort=0.0), threads, progress)
+        effort, progress = self.config.effort, self.progress
+        context = PlanningContext(replace(self.config, effort=0.0), Threads(self.threads), progress)
+        if not effort:
+            return SongPlanner(view, rng, context)
+        practice = Practice(view, rng, context)
 
         def goes_on() -> bool:
-            progress(*practice.progress(config.effort))
+            progress(*practice.progress(effort))
             return True
 
-        practice.run(config.effort, goes_on)
+        practice.run(effort, goes_on)
         goes_on()
-        practised = practice.best().practised
-        return PractisedPlanner(view, practised, config, rng, threads, progress, practice.plan)
+        return PractisedPlanner(view, practice.best().practised, rng, context, practice.plan)
 
 
 class SongPlanner(EpisodePlanner):
@@ -69,40 +70,22 @@ class SongPlanner(EpisodePlanner):
 
     plan: SongPlan
 
-    def __init__(
-        self,
-        view: View,
-        rng: np.random.Generator,
-        config: PlannerConfig,
-        num_threads: int,
-        progress: Progress,
-    ) -> None:
-        """Args:
-            view: the view before the first step, of one environment.
-            rng: source of randomness.
-            config: how to plan.
-            num_threads: how many threads share the search.
-            progress: is told of "fingers" and "postures".
+    def __init__(self, view: View, rng: np.random.Generator, context: PlanningContext) -> None:
+        """Plans the first window, from the view before the first step of one environment.
 
         Raises:
             CadenzaError: there are no hands in the scene.
         """
         (track,) = view.tracks
-        if config.fingering == "found":
+        if context.config.fingering == "found":
             track = track.with_found_fingers()
-        self._plans = song_plans(track, view.state.hand_qpos[0], progress)
+        self._plans = song_plans(track, view.state.hand_qpos[0], context.progress)
         self.plan = next(self._plans)
-        self._pedal = self.plan.goals.sustain.astype(np.float64)
-        self._hands = HandsInScene(self.plan, config, rng, Threads(num_threads))
+        self._hands = HandsInScene(self.plan, rng, context)
 
     def act(self, view: View) -> Array:
         step = int(view.steps[0])
-        self._plan_ahead(step)
-        return np.append(self._hands.act(view.state), self._pedal[step])
-
-    def _plan_ahead(self, step: int) -> None:
-        """Plans another window if a hand looks beyond the end of the plan from here."""
-        seen = step + self._hands.steps_seen
-        while not self.plan.complete and self.plan.nominal.num_steps < seen:
+        while self.plan.ends_before(step + self._hands.lookahead):
             self.plan = next(self._plans)
-            self._hands.follow_plan(self.plan, step)
+            self._hands.follow(self.plan, step)
+        return np.append(self._hands.act(view.state), self.plan.goals.sustain[step])

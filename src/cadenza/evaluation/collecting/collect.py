@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
-from cadenza.agents.planner.plan.tracking import Follower
 from cadenza.agents.registry import make_agent
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.demonstrations.recorded_episode import (
@@ -46,7 +45,7 @@ from cadenza.music.libraries.songs import Library
 from cadenza.music.score import Score
 from cadenza.performing.setup import Setup, select, set_up
 from cadenza.scene.config import SceneConfig
-from cadenza.sim.protocol import State
+from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.reward import key_state
 from cadenza.tasks.view import View
@@ -250,13 +249,11 @@ def _arrays(
     steps["pedal"] = [*perturbed.pedal, observed_pedal(last)]
     steps["previous_reward"][1:] = episode["reward_total"]
     steps["action"][:-1] = perturbed.chosen
-    states = State.zeros(scene, 0)._replace(
-        hand_qpos=steps["hand_qpos"][:-1], hand_qvel=steps["hand_qvel"][:-1]
-    )
-    tracking = plan.nominal.tracking
-    steps["tracked"][:-1] = Follower(scene, tracking).ctrl(np.arange(count), states)
+    tracking, servos = plan.nominal.tracking, servos_of(scene)
+    states = servos.state(steps["hand_qpos"][:-1], steps["hand_qvel"][:-1])
+    steps["tracked"][:-1] = tracking.controls(servos, np.arange(count), states)
     rows = np.zeros(count + 1, plan_type(scene))
     rows["reference"] = tracking.expected[: count + 1]
-    there = scene.fingers_there
+    there = scene.present_fingers
     rows["fingertips"][:, there] = plan.nominal.fingertips[: count + 1]
     return {STEPS: steps, PLAN: rows}

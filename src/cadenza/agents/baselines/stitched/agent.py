@@ -80,7 +80,7 @@ def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
             "add tx to --forearm-dofs, or choose another agent"
         )
     planner = MotionPlanner(scene, dt, _unhurried(scene.hand.jump_times))
-    presses = planner.presses(planner.fingers_for(goals.keys, goals.fingers))
+    presses = planner.presses(goals.fingers)
     before, states = planner.still(start, 0), goals.num_steps + 1
     postures = np.empty((states, len(servos.names)))
     for side in scene.sides:
@@ -97,6 +97,6 @@ def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
 
 
 def _unhurried(times: JumpTimes) -> JumpTimes:
-    slower = times.hurried(_ACCELERATION)
+    slower = times.accelerated(_ACCELERATION)
     # Onto black keys no sooner: that has cost more than it gained.
     return replace(slower, within_reach=_REACH * slower.within_reach, climb=RISE)

@@ -70,9 +70,9 @@ class Motions:
         self._scene, self._dt, self._keyboard = scene, dt, scene.keyboard
         self._progress = progress
         self._servos = servos_of(scene)
-        self._kinematics = Kinematics(scene, self._servos)
+        self._kinematics = Kinematics(scene)
         self._rest = rest_posture(self._servos)
-        self._places = forearm_places(scene, self._kinematics, self._servos)
+        self._places = forearm_places(self._kinematics)
         (self._side,) = scene.sides
         (self._slide,) = self._servos.along_keyboard
         self.before, self.after = steps_in(_BEFORE, dt), steps_in(_AFTER, dt)
@@ -114,11 +114,11 @@ class Motions:
         for finger, key in left:
             stays = (finger, key) in still
             last = leaves if not stays else end if (finger, key) in struck else strikes
-            presses.append(Press(self._side, finger, key, 1, last, flies_off=flies))
+            presses.append(Press(self._side, finger, key, 1, last, jumps_off=flies))
         for finger, key in struck:
             if (finger, key) not in still:
-                flies_to = flies and len(struck) == 1
-                presses.append(Press(self._side, finger, key, strikes, end, flies_to=flies_to))
+                jumps_to = flies and len(struck) == 1
+                presses.append(Press(self._side, finger, key, strikes, end, jumps_to=jumps_to))
         targets = targets_of(self._scene, presses, end, self._dt)
         guess = np.tile(self._rest, (end, 1))
         guess[:, self._slide] = np.interp(np.arange(end), [0, strikes], [here, there])
@@ -133,8 +133,7 @@ class Motions:
 
     def _postures(self, targets: Targets, guess: Array, dt: float) -> Array:
         """(S, A) postures, `dt` [s] apart, of a hand that was at rest before."""
-        scene, kinematics, servos = self._scene, self._kinematics, self._servos
-        return solve_postures(scene, kinematics, servos, targets, guess, guess[0], dt)
+        return solve_postures(self._kinematics, targets, guess, guess[0], dt)
 
     def _place(self, held: Held) -> float:
         """Mean position of the forearm at which fingers press their keys in their rest pose [m]."""

@@ -43,7 +43,7 @@ _X_ON_BLACK = 0.5  # times as far on black keys, in front of which a fingertip i
 _AT_KEY = np.array([0.003, 0.0015, 0.001])
 _ABOVE_KEY = np.array([0.006, 0.0015, 0.003])
 _IDLE = np.array([0.005, 1.0, 0.006])
-_IN_FLIGHT = np.array([16.0, 16.0, 1.0])  # times as far in a jump, where only the height matters
+_IN_JUMP = np.array([16.0, 16.0, 1.0])  # times as far in a jump, where only the height matters
 _BEFORE_LANDING_ON_BLACK = np.array([2.0, 2.0, 1.0])  # just before
 
 
@@ -55,9 +55,9 @@ class Targets(NamedTuple):
     sigma: Array
     """Distances from the box that count as one standard deviation [m]."""
     wall: Array
-    """(S, F) least x of a tip that presses a white key: there, black keys begin [m]."""
+    """(S, F) the least x of a tip that presses a white key, where black keys begin [m]."""
     force: Array
-    """(S, F) downwards [N]."""
+    """(S, F) the forces of fingertips, downwards [N]."""
 
     def part(self, first: int, last: int) -> Targets:
         """The states from `first` up to, not including, `last`, as views."""
@@ -65,7 +65,7 @@ class Targets(NamedTuple):
 
 
 def by_hand(rows: Array, hands: int) -> Array:
-    """(N, H, X, ...) of rows (N, H X, ...), in which values of a hand stand together."""
+    """Reshapes rows (N, H X, ...), in which values of a hand are adjacent, to (N, H, X, ...)."""
     return rows.reshape(len(rows), hands, -1, *rows.shape[2:])
 
 
@@ -73,8 +73,8 @@ def pressing_forces(sinking: Array, force: Array) -> Array:
     """(S, H, A) the force along each servo's coordinate that presses keys, by virtual work.
 
     Args:
-        sinking: (S, H, F, A) how the heights of a hand's fingertips change with its coordinates.
-        force: (S, H, F) of the fingertips, downwards [N].
+        sinking: (S, H, F, A) the Jacobian of the heights of a hand's fingertips.
+        force: (S, H, F) the forces of the fingertips, downwards [N].
     """
     return -np.einsum("shfa,shf->sha", sinking, force)
 
@@ -101,7 +101,7 @@ class _TargetWriter:
         self._targets = Targets(low, high, sigma, np.full(shape[:2], -np.inf), np.zeros(shape[:2]))
 
     def write(self, presses: Sequence[Press]) -> Targets:
-        """The targets."""
+        """The targets with all presses in them."""
         if presses:
             arrays = _PressArrays.of(presses, len(self._targets.low))
             over = self._at(arrays, np.zeros(len(presses)))
@@ -111,7 +111,7 @@ class _TargetWriter:
         return self._targets
 
     def _approach(self, presses: _PressArrays, over: Array) -> None:
-        """Over the key, the nearer in time the more closely, and low when it is ready."""
+        """Puts fingers over their keys, the more closely the nearer in time, and low when ready."""
         approach, ready = steps_in(_APPROACH, self._dt), steps_in(_READY, self._dt)
         risen = presses.before + steps_in(RISE, self._dt)
         which, states = self._spread(np.maximum(presses.first - approach, risen), presses.first)
@@ -124,15 +124,14 @@ class _TargetWriter:
         low = np.where(from_above, np.maximum(low, above_all), low)
         sigma = _ABOVE_KEY * np.maximum(ahead / ready, 1.0)[:, None]
         sigma[:, 2] = np.where(is_ready, _ABOVE_KEY[2], _IDLE[2])
-        flies, lands = (
-            presses.flies_to[which],
-            is_ready & self._keyboard.is_black[presses.key[which]],
-        )
-        sigma[flies & lands] *= _BEFORE_LANDING_ON_BLACK
-        sigma[flies & ~lands] *= _IN_FLIGHT
+        jumps = presses.jumps_to[which]
+        lands = is_ready & self._keyboard.is_black[presses.key[which]]
+        sigma[jumps & lands] *= _BEFORE_LANDING_ON_BLACK
+        sigma[jumps & ~lands] *= _IN_JUMP
         self._box(presses, which, states, over, (low, high), sigma)
 
     def _hold(self, presses: _PressArrays) -> None:
+        """Puts fingers just below the stops of their keys, with the force that holds those down."""
         keyboard, key = self._keyboard, presses.key
         at = self._at(presses, keyboard.travel[key])
         which, states = self._spread(presses.first, presses.last)
@@ -145,16 +144,16 @@ class _TargetWriter:
         self._targets.force[states, presses.finger[which]] = force
 
     def _let_go(self, presses: _PressArrays, over: Array) -> None:
-        """Straight up, or it would drag along the key; in a jump just up."""
+        """Lifts fingers straight up, or they would drag along the key; in a jump just up."""
         risen = presses.last + steps_in(RISE, self._dt)
         which, states = self._spread(presses.last, np.minimum(risen, presses.until))
         sigma = np.tile(_ABOVE_KEY, (len(which), 1))
-        sigma[presses.flies_off[which]] *= _IN_FLIGHT
+        sigma[presses.jumps_off[which]] *= _IN_JUMP
         height = over[which, 2] + _LIFTED, np.full(len(which), np.inf)
         self._box(presses, which, states, over, height, sigma)
 
     def _spread(self, first: Ids, last: Ids) -> tuple[Ids, Ids]:
-        """(N,) which of the presses, and (N,) all states from `first` (P,) up to `last` (P,)."""
+        """Indices (N,) of presses, and (N,) all their states from `first` (P,) to `last` (P,)."""
         counts = np.maximum(np.minimum(last, len(self._targets.low)) - first, 0)
         which = np.repeat(np.arange(len(first)), counts)
         begins = np.cumsum(counts) - counts
@@ -169,7 +168,7 @@ class _TargetWriter:
         height: tuple[Array, Array],
         sigma: Array,
     ) -> None:
-        """Writes boxes (N,) around places `at` (P, 3), of `height` from and to."""
+        """Writes boxes (N,) around places `at` (P, 3), between two heights (N,)."""
         targets, there, finger = self._targets, at[which, :2], presses.finger[which]
         low, high = (
             np.column_stack([there + room, z])
@@ -182,7 +181,7 @@ class _TargetWriter:
         targets.wall[states[~black], finger[~black]] = self._walls[finger[~black]]
 
     def _at(self, presses: _PressArrays, angle: Array) -> Array:
-        """(P, 3) where fingertips touch the keys when those are down by `angle` (P,) [rad]."""
+        """The places (P, 3) where fingertips touch keys that are down by `angle` (P,) [rad]."""
         keyboard, key = self._keyboard, presses.key
         centre, half = keyboard.centre[key], keyboard.half_size[key]
         front = keyboard.white.centre_x + keyboard.white.half_size[0]
@@ -197,13 +196,13 @@ class _FingerGeometry(NamedTuple):
     """Lengths of F fingers, (F,) each [m]."""
 
     radius: Array
-    """Radius of the tip."""
+    """The radius of the tip."""
     on_white: Array
-    """Place on white keys that the finger presses, from their middle towards the player."""
+    """The place on white keys that the finger presses, from their middle towards the player."""
     walls: Array
-    """Place on white keys up to which black keys leave room, likewise."""
+    """The place on white keys up to which black keys leave room, likewise."""
     above_all: Array
-    """Height of the tip above all keys."""
+    """The height of the tip above all keys."""
 
 
 @lru_cache(maxsize=8)  # short plans ask again and again
@@ -225,15 +224,16 @@ class _PressArrays(NamedTuple):
     first: Ids
     last: Ids
     before: Ids
-    """State up to which the finger holds the key before."""
+    """The state up to which the finger holds the key before."""
     until: Ids
-    """State from which on it holds the next one."""
-    flies_off: NDArray[np.bool_]
-    flies_to: NDArray[np.bool_]
+    """The state from which on it holds the next one."""
+    jumps_off: NDArray[np.bool_]
+    jumps_to: NDArray[np.bool_]
     from_above: NDArray[np.bool_]
 
     @classmethod
     def of(cls, presses: Sequence[Press], num_states: int) -> _PressArrays:
+        """The arrays of presses by time, in a plan of `num_states` states."""
         before, until = np.zeros(len(presses), np.intp), np.full(len(presses), num_states)
         earlier: dict[int, int] = {}
         for i, press in enumerate(presses):
@@ -245,6 +245,6 @@ class _PressArrays(NamedTuple):
             [(press.finger, press.key, press.first, press.last) for press in presses]
         ).T
         jumps = np.array(
-            [(press.flies_off, press.flies_to, press.from_above) for press in presses]
+            [(press.jumps_off, press.jumps_to, press.from_above) for press in presses]
         ).T
         return cls(finger, key, first, last, before, until, *jumps)

@@ -30,8 +30,7 @@ from cadenza.agents.planner.plan.kinematic_terms import (
 )
 from cadenza.agents.planner.plan.link_collisions import link_collisions
 from cadenza.scene.kinematics import Kinematics
-from cadenza.scene.scene import Scene
-from cadenza.scene.servos import Servos, clip
+from cadenza.scene.servos import clip
 
 Array = NDArray[Any]
 Ids = NDArray[np.intp]
@@ -53,13 +52,14 @@ _MIN_ITERATIONS = 6  # one of the first may gain little because it is damped a l
 
 
 class SolverOptions(NamedTuple):
-    """How long the solver looks for better postures."""
+    """Parameters of the solver."""
 
     max_iterations: int
-    """Steps at most."""
+    """The maximum number of steps."""
     max_trials: int
-    """Dampings at most that are tried in a step until the cost falls (Levenberg-Marquardt). With 0,
-    each step is taken, whatever it costs (Gauss-Newton without a line search)."""
+    """The maximum number of dampings that are tried in a step until the cost falls
+    (Levenberg-Marquardt). With 0, each step is taken, whatever it costs (Gauss-Newton without a
+    line search)."""
     tolerance: float
     """Relative decrease of the cost with which the solver ends."""
     damping: float
@@ -72,9 +72,7 @@ THOROUGH = SolverOptions(max_iterations=25, max_trials=8, tolerance=1e-3, dampin
 
 
 def solve_postures(
-    scene: Scene,
     kinematics: Kinematics,
-    servos: Servos,
     targets: Targets,
     guess: Array,
     before: Array,
@@ -86,18 +84,16 @@ def solve_postures(
     """Postures (S, A) that put the fingertips into their boxes, smoothly.
 
     Args:
-        scene: with one hand or two.
-        kinematics: of the scene.
-        servos: of the scene.
-        targets: of all fingers in S states.
-        guess: (S, A) what the joints like best; its first row is where the hands are and stays.
+        kinematics: the kinematics of a scene with one hand or two.
+        targets: the targets of all fingers in S states.
+        guess: (S, A) the postures to stay near; the first row is where the hands are and stays.
         before: (A,) the posture before that.
         dt: time between postures [s].
-        progress: is told of "postures", in iterations.
+        progress: receives the stage "postures", in iterations.
         begin: (S, A) the warm start, if not the guess; with the same first row.
-        options: of the solver.
+        options: parameters of the solver.
     """
-    problem = PostureProblem(scene, kinematics, servos, targets, guess, before, dt)
+    problem = PostureProblem(kinematics, targets, guess, before, dt)
     postures = (guess if begin is None else begin).copy()
     if not options.max_trials:
         return _gauss_newton(problem, postures, options)
@@ -125,7 +121,7 @@ def _levenberg_marquardt(
 ) -> Array:
     """Levenberg-Marquardt, in which each posture has a damping of its own.
 
-    One that is hard to find does not hold up the others.
+    A posture that is hard to find does not hold up the others.
     """
     damping = np.full(len(postures) - 1, options.damping, _REAL)
     now = problem.evaluation(postures, problem.linearisation(postures))
@@ -169,7 +165,7 @@ class Linearisation(NamedTuple):
     blocks: Array
     """(N, H, A, A) the products of the Jacobian of each hand with itself."""
     pressing: Array
-    """(N, H, A) how much further controls are to press keys."""
+    """(N, H, A) the changes of controls that press keys."""
     close: Ids
     """(M,) the postures in which hands are close to each other."""
     between: Array
@@ -188,7 +184,7 @@ class Linearisation(NamedTuple):
         return Linearisation(**values)
 
     def gradient_change(self, change: Array) -> Array:
-        """(N, H, A) what a change (N, H, A) of the postures adds to half the gradient."""
+        """(N, H, A) the change of half the gradient with a change (N, H, A) of the postures."""
         added = (self.blocks @ change[..., None])[..., 0]
         if len(self.close):
             right, left = np.moveaxis(change[self.close], 1, 0)
@@ -201,7 +197,7 @@ class Evaluation(NamedTuple):
     """The cost of N postures of H hands with A servos each, and its gradient."""
 
     cost: Array
-    """(N,) half the squares of all residuals, those in time at their last posture."""
+    """(N,) half the squares of all residuals; those of motion count at their last posture."""
     gradient: Array
     """(N, H, A) the gradient of the terms of single postures."""
     motion_residuals: tuple[Array, ...]
@@ -215,19 +211,17 @@ class PostureProblem:
 
     def __init__(
         self,
-        scene: Scene,
         kinematics: Kinematics,
-        servos: Servos,
         targets: Targets,
         guess: Array,
         before: Array,
         dt: float,
     ) -> None:
-        self._kinematics, there = kinematics, scene.fingers_there
+        """Sets up the problem of `solve_postures`."""
+        self._kinematics, scene, servos = kinematics, kinematics.scene, kinematics.servos
         self._hands = len(scene.sides)
         low, high, sigma, wall, self._force = (
-            self._by_hand(values[1:, there])
-            for values in (targets.low, targets.high, targets.sigma, targets.wall, targets.force)
+            self._by_hand(values[1:, scene.present_fingers]) for values in targets
         )
         collisions = link_collisions(scene.hand)
         self._hand_terms = (

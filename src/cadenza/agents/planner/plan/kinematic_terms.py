@@ -41,7 +41,7 @@ class PosedHands(NamedTuple):
     """H hands with A servos each in N postures of a trajectory."""
 
     rows: Ids
-    """(N,) which of the trajectory's postures they are."""
+    """(N,) the numbers of these postures in the trajectory."""
     postures: Array
     """(N, H, A)"""
     links: Links
@@ -61,7 +61,7 @@ Term = tuple[Array, Array]
 
 
 def stacked(terms: Iterable[Term]) -> Term:
-    """All residuals, and their Jacobian."""
+    """Concatenates the residuals of terms, and their Jacobians."""
     residuals, jacobians = zip(*terms, strict=True)
     return np.concatenate(residuals, axis=-1), np.concatenate(jacobians, axis=-2)
 
@@ -73,7 +73,7 @@ class TipsInBoxes:
     """Distances of fingertips from their boxes, three for each."""
 
     def __init__(self, low: Array, high: Array, sigma: Array) -> None:
-        """Boxes (S, H, F, 3) as in `Targets`."""
+        """Takes the boxes (S, H, F, 3) of `Targets`."""
         self._boxes = low, high, sigma
 
     def __call__(self, hands: PosedHands) -> Term:
@@ -86,10 +86,10 @@ class TipsInBoxes:
 
 
 class TipsBehindBlackKeys:
-    """Distances of fingertips into the wall that black keys are to who presses white ones."""
+    """Distances of fingertips that press white keys into the wall of black keys behind these."""
 
     def __init__(self, wall: Array) -> None:
-        """`wall` (S, H, F) as in `Targets`."""
+        """Takes `wall` (S, H, F) of `Targets`."""
         self._wall = wall
 
     def __call__(self, hands: PosedHands) -> Term:
@@ -130,7 +130,7 @@ class HandLinksApart:
         self._collisions = collisions
 
     def near(self, hands: PosedHands) -> NDArray[np.bool_]:
-        """(N,) whether there could be any."""
+        """(N,) whether hands could overlap."""
         return self._collisions.hands_near(hands.links.points)
 
     def __call__(self, hands: PosedHands) -> Term:
@@ -151,14 +151,16 @@ class ForearmsApart:
     """The overlap of the forearms, which slide along the keyboard."""
 
     def __init__(self, slide: int, mounted_apart: float) -> None:
-        """Args:
-        slide: which of a hand's servos moves its forearm.
-        mounted_apart: the distance of the forearms where those are at 0 [m].
+        """Takes the forearms' geometry.
+
+        Args:
+            slide: the index of the hand's servo that moves its forearm.
+            mounted_apart: the distance of the forearms when both servos are at 0 [m].
         """
         self._slide, self._mounted_apart = slide, mounted_apart
 
     def near(self, hands: PosedHands) -> NDArray[np.bool_]:
-        """(N,) whether there is one."""
+        """(N,) whether forearms overlap."""
         return self._overlap(hands.postures) < 0
 
     def __call__(self, hands: PosedHands) -> Term:
@@ -178,22 +180,22 @@ class ForearmsApart:
 
 
 class Stencil(NamedTuple):
-    """A linear combination of three postures in a row: coefficients (H, A), or one for all."""
+    """A linear combination of three postures in a row, with coefficients (H, A) or one for all."""
 
     first: Array | float
     second: Array | float
     third: Array | float
 
     def __call__(self, postures: Array) -> Array:
-        """(N, H, A) of postures (N + 2, H, A)."""
+        """The combinations (N, H, A) in postures (N + 2, H, A)."""
         before, now, after = postures[:-2], postures[1:-1], postures[2:]
         return self.first * before + self.second * now + self.third * after
 
     def normal_equations(self, weight: Array) -> Array:
-        """(3, N, H, A) the blocks of its weighted squares, which are diagonal.
+        """(3, N, H, A) the diagonals of the blocks of its squares with weights (N, H, A).
 
-        They are those of each of N postures with itself, with the one before, and with the one
-        before that; two postures before all are known. `weight` (N, H, A) is that of each square.
+        There is a block of each of N postures with itself, with the one before, and with the one
+        before that; two postures before all are known.
         """
         diagonals = np.zeros((3, *weight.shape), weight.dtype)
         itself, one_before, two_before = diagonals
@@ -206,7 +208,7 @@ class Stencil(NamedTuple):
         return diagonals
 
     def add_gradient(self, gradient: Array, weighted: Array) -> None:
-        """Adds the gradient of its squares to one (N, H, A); `weighted` are weighted residuals."""
+        """Adds the gradient of its squares, given weighted residuals (N, H, A), to `gradient`."""
         gradient += weighted * self.third
         gradient[:-1] += weighted[1:] * self.second
         gradient[:-2] += weighted[2:] * self.first
@@ -221,22 +223,22 @@ class MotionTerm(NamedTuple):
 
 
 class MotionTerms(NamedTuple):
-    """The terms of the motion of H hands with A servos each, and what is known of these."""
+    """The terms of the motion of H hands with A servos each, and figures of these servos."""
 
     rest: MotionTerm
-    """How far servos are from their rest."""
+    """The distances of servos from their rest."""
     smoothness: MotionTerm
-    """Second differences."""
+    """The second differences of postures."""
     control_range: MotionTerm
-    """How far the controls that lead along the motion, see `Servos.lead`, are out of range."""
+    """The violations of their ranges by the controls that lead along the motion (`Servos.lead`)."""
     stride: Array
-    """(H, A) the most that an iteration moves a servo."""
+    """(H, A) the maximum change of a servo in an iteration."""
     low: Array
     """(H, A) the range of the servos, and of their controls."""
     high: Array
     """(H, A)"""
     per_force: Array
-    """(H, A) how much further a control is for a force that stands against the servo."""
+    """(H, A) the change of a control for a unit force against the servo."""
 
     @property
     def terms(self) -> tuple[MotionTerm, MotionTerm, MotionTerm]:

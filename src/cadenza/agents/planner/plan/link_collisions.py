@@ -15,7 +15,7 @@ from cadenza.scene.servos import clip
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
-_CLEARANCE = 0.0015  # [m]
+_CLEARANCE = 0.0015  # [m] between links
 _POINT = 1e-12  # [m^2] least squared length of a link, so that nothing is divided by 0
 _TOUCHING = 1e-9  # [m] least distance, likewise
 
@@ -28,7 +28,7 @@ class Overlaps(NamedTuple):
     pair: Ids
     """(M,) the pair of links."""
     depth: Array
-    """(M,) how much nearer they are than allowed, as negative lengths [m]."""
+    """(M,) their distances less those allowed, which are negative [m]."""
     finger: Ids
     """(2, M) the fingers of the links."""
     link: Ids
@@ -40,7 +40,7 @@ class Overlaps(NamedTuple):
 
     @property
     def columns(self) -> tuple[int, Ids]:
-        """The number of different pairs, and (M,) which of these each overlap is of."""
+        """The number of different pairs, and (M,) which of these each overlap belongs to."""
         met = np.bincount(self.pair) > 0
         return int(np.count_nonzero(met)), (met.cumsum() - 1)[self.pair]
 
@@ -49,11 +49,11 @@ class LinkPairs:
     """C pairs of links, each of a finger and its number on it.
 
     Attributes:
-        min_distance: (C,) that the axes of a pair keep from each other [m].
+        min_distance: (C,) the distances that the axes of the pairs keep from each other [m].
     """
 
     def __init__(self, pairs: list[tuple[tuple[int, int], tuple[int, int]]], radii: Array) -> None:
-        """`radii` are (F, links) [m]."""
+        """Takes pairs of (finger, link), and the radii (F, links) of all links [m]."""
         table = np.array(pairs, np.intp).reshape(-1, 2, 2)  # (C, 2, 2)
         self._finger, self._link = table[:, :, 0].T, table[:, :, 1].T  # (2, C)
         begin = self._finger * (radii.shape[1] + 1) + self._link  # as points of all in a row
@@ -82,12 +82,13 @@ class LinkPairs:
 class LinkCollisions:
     """Pairs of links that could meet, of one hand or two alike.
 
-    Neighbouring fingers, the thumb and the fingers that it can meet, and thumbs and forefingers of
-    both hands; not the first links of neighbours, which are mounted far enough apart.
+    They are of neighbouring fingers, of the thumb and the fingers that it can meet, and of thumbs
+    and forefingers of both hands; not the first links of neighbours, which are mounted far enough
+    apart.
 
     Attributes:
-        within_hand: pairs of one hand; fingers are counted from its thumb.
-        between_hands: pairs of the right hand and the left, whose fingers are counted on.
+        within_hand: the pairs of one hand; fingers are counted from its thumb.
+        between_hands: the pairs of the right hand and the left, whose fingers are counted on.
     """
 
     def __init__(self, hand: Hand) -> None:
@@ -117,7 +118,7 @@ class LinkCollisions:
         self._inner, self._most = len(inner), 2 * radii[inner].max() + _CLEARANCE
 
     def hands_near(self, points: Array) -> NDArray[np.bool_]:
-        """(N,) whether pairs of both of H hands could overlap; points are (N, H, F, P, 3)."""
+        """(N,) whether links of both of H hands could overlap, given points (N, H, F, P, 3)."""
         if points.shape[1] == 1:
             return np.zeros(len(points), bool)
         along = points[:, :, : self._inner, :, 1]
@@ -132,12 +133,13 @@ link_collisions = lru_cache(maxsize=8)(LinkCollisions)  # plans that are short a
 def _closest(between: Array, along_a: Array, along_b: Array) -> Array:
     """(2, ...) the points of segments that are nearest to each other, as shares of their lengths.
 
-    Ericson, Real-Time Collision Detection (2005), 5.1.9; parallel ones anywhere.
+    Source: Ericson, Real-Time Collision Detection (2005), 5.1.9. Parallel segments may give any of
+    their nearest points.
 
     Args:
-        between: (..., 3) from where the second begins to where the first does.
-        along_a: (..., 3) the first.
-        along_b: (..., 3) the second.
+        between: (..., 3) the vector from the second segment's beginning to the first one's.
+        along_a: (..., 3) the first segment, from its beginning to its end.
+        along_b: (..., 3) the second segment.
     """
     aa, bb = np.vecdot(along_a, along_a), np.vecdot(along_b, along_b)
     ab = np.vecdot(along_a, along_b)

@@ -4,8 +4,8 @@ Presses, fingertips, postures, controls: inverse kinematics of the song, and wha
 follow. No simulation is needed for it; the search makes up for what is not modelled.
 
 A song is planned in windows, one after the other, so that the first action does not wait for the
-last note. The first is short, and each is longer than the one before, so that whoever plays has the
-more in hand the longer the next one takes. A window begins with the posture, the motion and the
+last note. The first is short, and each is longer than the one before: the longer a window takes to
+plan, the more music is left to play meanwhile. A window begins with the posture, the motion and the
 presses that the one before has come to, and looks further ahead than it is kept.
 """
 
@@ -34,13 +34,15 @@ from cadenza.agents.planner.plan.presses import Press, presses_of
 from cadenza.agents.planner.plan.release_times import release_in_time
 from cadenza.agents.planner.plan.rest_poses import RestPoses, forearm_places
 from cadenza.agents.planner.plan.tracking import Tracking, track
-from cadenza.fingers import NO_FINGER, Side
+from cadenza.fingers import Side
 from cadenza.hands.reach import JumpTimes
 from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import Scene
-from cadenza.scene.servos import Reaction, servos_of
+from cadenza.scene.servos import Reaction
 
 Array = NDArray[np.float64]
+Fingering = NDArray[np.int8]
+Delays = NDArray[np.integer] | int
 
 # The first guess of inverse kinematics.
 _ARRIVAL = 0.15  # [s] before a press in which the hand is there
@@ -70,12 +72,12 @@ class NominalTrajectory(NamedTuple):
 
     @property
     def num_steps(self) -> int:
-        """T"""
+        """T, the number of control steps."""
         return len(self.postures) - 1
 
     @property
     def arrays(self) -> tuple[Array, ...]:
-        """All of it but the presses."""
+        """All arrays of the plan."""
         return self.postures, self.fingertips, *self.tracking
 
     def part(self, first: int, last: int) -> NominalTrajectory:
@@ -86,51 +88,8 @@ class NominalTrajectory(NamedTuple):
         return NominalTrajectory([], self.postures[states], self.fingertips[states], tracking)
 
 
-def nominal_plans(
-    scene: Scene,
-    keys: NDArray[np.bool_],
-    fingers: NDArray[np.int8],
-    hand_qpos: Array,
-    dt: float,
-    progress: Progress = silent,
-    later: NDArray[np.integer] | int = 0,
-    haste: float = 1.0,
-) -> Iterator[NominalTrajectory]:
-    """Plans how to play `keys` (T, K) with `fingers` (T, K), a window more each time.
-
-    Args:
-        scene: with one hand or two.
-        keys: that should be down after each step.
-        fingers: that should press them, -1 for none.
-        hand_qpos: (J,) where the joints of the hands are.
-        dt: control step [s].
-        progress: is told of "postures".
-        later: (T, H) by how many steps later than usual a hand lets go to be in time for what it
-            presses in each step, or for all.
-        haste: times the acceleration with which the hands are known to jump.
-
-    Yields:
-        The plan so far; the last one is the whole.
-    """
-    planner = MotionPlanner(scene, dt, scene.hand.jump_times.hurried(haste))
-    asked = planner.fingers_for(keys, fingers)
-    later = np.broadcast_to(later, (len(asked), len(scene.sides)))
-    whole = planner.still(hand_qpos, len(asked))
-    plan, correction = whole.part(0, 0), None
-    while plan.num_steps < len(asked):
-        # BLAS shares small products among threads, which takes longer, and other bits come out.
-        with threadpool_limits(1):
-            window, kept, correction = planner.window(plan, asked, later, correction, progress)
-        last = plan.num_steps + kept
-        there, here = whole.part(plan.num_steps, last), window.part(0, kept)
-        for values, new in zip(there.arrays, here.arrays, strict=True):
-            values[:] = new
-        plan = whole.part(0, last)._replace(presses=_joined(plan, window, kept))
-        yield plan
-
-
 class PostureTrajectory(NamedTuple):
-    """Postures (S, A) of hands that press keys; in the first one they are."""
+    """Postures (S, A) of hands that press keys; the first one is where they are."""
 
     postures: Array
     guess: Array
@@ -140,7 +99,7 @@ class PostureTrajectory(NamedTuple):
 
     @property
     def correction(self) -> Array:
-        """(S, A) by how much they differ from the first guess: a warm start for the next ones."""
+        """(S, A) the difference from the first guess: a warm start for the next solution."""
         return self.postures - self.guess
 
     def part(self, last: int) -> PostureTrajectory:
@@ -151,25 +110,56 @@ class PostureTrajectory(NamedTuple):
 
 
 class MotionPlanner:
-    """Plans motions of the hands of a scene, in control steps of `dt` [s]."""
+    """Plans motions of the hands of a scene, in control steps of `dt` [s].
 
-    def __init__(self, scene: Scene, dt: float, jump_times: JumpTimes) -> None:
-        """Args:
-        scene: with one hand or two.
-        dt: control step [s].
-        jump_times: how long the hands take from keys to others.
+    In all methods, `fingers` (T, K) are the numbers of the fingers that should hold the keys down
+    after each step, -1 for none; `release_delays` (T, H) are the steps by which a hand delays its
+    releases, compared with the usual, before what it strikes in each step: an array, or one number
+    for all.
+    """
+
+    def __init__(self, scene: Scene, dt: float, jump_times: JumpTimes | None = None) -> None:
+        """Prepares the kinematics and dynamics of the hands.
+
+        Args:
+            scene: a scene with one hand or two.
+            dt: control step [s].
+            jump_times: times that the hands take to jump; by default those of the hand.
         """
         self._scene, self._dt = scene, dt
-        self._hand = replace(scene.hand, jump_times=jump_times)
-        self._servos = servos_of(scene)
-        self._kinematics = Kinematics(scene, self._servos)
+        self._hand = replace(scene.hand, jump_times=jump_times or scene.hand.jump_times)
+        self._kinematics = Kinematics(scene)
+        self._servos = self._kinematics.servos
         self._reaction = Reaction(scene, self._servos)
-        self._rest_poses = RestPoses(scene, self._kinematics, self._servos)
-        self._forearm_places = forearm_places(scene, self._kinematics, self._servos)
+        self._rest_poses = RestPoses(self._kinematics)
+        self._forearm_places = forearm_places(self._kinematics)
 
-    def fingers_for(self, keys: NDArray[np.bool_], fingers: NDArray[np.int8]) -> NDArray[np.int8]:
-        """(T, K) which of the fingers that are there should press `keys` (T, K), -1 for none."""
-        return np.where(keys & self._scene.has_fingers(fingers), fingers, np.int8(NO_FINGER))
+    def plans(
+        self,
+        fingers: Fingering,
+        hand_qpos: Array,
+        progress: Progress = silent,
+        release_delays: Delays = 0,
+    ) -> Iterator[NominalTrajectory]:
+        """Plans a song from joint positions (J,), and reports the progress of "postures".
+
+        Yields:
+            The plan so far, a window longer each time; the last one is of the whole song.
+        """
+        steps, correction = len(fingers), None
+        delays = np.broadcast_to(release_delays, (steps, len(self._scene.sides)))
+        whole = self.still(hand_qpos, steps)
+        plan = whole.part(0, 0)
+        while (first := plan.num_steps) < steps:
+            # BLAS shares small products among threads, which takes longer, and other bits come out.
+            with threadpool_limits(1):
+                window, kept, correction = self._window(plan, fingers, delays, correction, progress)
+            last = first + kept
+            there, here = whole.part(first, last), window.part(0, kept)
+            for values, new in zip(there.arrays, here.arrays, strict=True):
+                values[:] = new
+            plan = whole.part(0, last)._replace(presses=_joined(plan, window, kept))
+            yield plan
 
     def still(self, hand_qpos: Array, steps: int) -> NominalTrajectory:
         """Room for a plan of `steps` steps, which begins with hands that are still."""
@@ -184,22 +174,15 @@ class MotionPlanner:
         tracking.expected[0, :, 0] = postures[0]
         return NominalTrajectory([], postures, np.zeros((steps + 1, fingers, 3)), tracking)
 
-    def window(
+    def _window(
         self,
         plan: NominalTrajectory,
-        asked: NDArray[np.int8],
-        later: NDArray[np.integer],
+        fingers: Fingering,
+        delays: NDArray[np.integer],
         warm_start: Array | None,
         progress: Progress,
     ) -> tuple[NominalTrajectory, int, Array]:
         """Plans the steps after `plan`.
-
-        Args:
-            plan: of the first steps.
-            asked: (T, K) fingers that should press the keys, -1 for none.
-            later: (T, H), as in `nominal_plans`.
-            warm_start: as in `solve`.
-            progress: is told of "postures".
 
         Returns:
             The plan, how many of its steps to keep, and the warm start of the next window.
@@ -207,31 +190,26 @@ class MotionPlanner:
         first, dt = plan.num_steps, self._dt
         shortest, longest = steps_in(_FIRST_WINDOW, dt), steps_in(_LONGEST_WINDOW, dt)
         kept = min(max(round(_GROWTH * first), shortest), longest)
-        last = min(first + kept + steps_in(_OVERLAP, dt), len(asked))
-        if last == len(asked):
+        last = min(first + kept + steps_in(_OVERLAP, dt), len(fingers))
+        if last == len(fingers):
             kept = last - first
-        since = _first_that_matters(asked, first, steps_in(_SETTLED, dt))
-        presses = self.presses(asked[since:last], later[since:last])
+        since = _first_that_matters(fingers, first, steps_in(_SETTLED, dt))
+        presses = self.presses(fingers[since:last], delays[since:last])
         found = self.solve(plan, presses, first - since, last - since, progress, warm_start)
-        window = self.track(plan, [press.moved(since) for press in presses], found)
+        window = self.track(plan, [press.delayed(since) for press in presses], found)
         return window, kept, found.correction[kept + 1 :]
 
-    def presses(self, asked: NDArray[np.int8], later: NDArray[np.integer] | int = 0) -> list[Press]:
-        """The presses by time, as far as the hands can be there.
-
-        Args:
-            asked: (T, K) fingers that should press the keys, -1 for none.
-            later: (T, H), or for all, as in `nominal_plans`.
-        """
-        sides, wanted = self._scene.sides, presses_of(asked >= 0, asked, self._scene.fingers)
-        if np.any(later):
-            later = np.broadcast_to(later, (len(asked), len(sides)))
-            wanted = [
-                press._replace(later=int(later[press.first - 1, sides.index(press.side)]))
-                for press in wanted
+    def presses(self, fingers: Fingering, release_delays: Delays = 0) -> list[Press]:
+        """The presses by time, which end in time for the hands to be where they press next."""
+        sides, presses = self._scene.sides, presses_of(fingers, self._scene.fingers)
+        if np.any(release_delays):
+            delays = np.broadcast_to(release_delays, (len(fingers), len(sides)))
+            presses = [
+                press._replace(release_delay=int(delays[press.first - 1, sides.index(press.side)]))
+                for press in presses
             ]
         is_black = self._scene.keyboard.is_black
-        return release_in_time(wanted, self._forearm_places, is_black, self._dt, self._hand)
+        return release_in_time(presses, self._forearm_places, is_black, self._dt, self._hand)
 
     def solve(
         self,
@@ -246,22 +224,24 @@ class MotionPlanner:
         """Finds the postures before the steps from `first` to `last`, and after the last.
 
         Args:
-            plan: of the steps before, at least one posture.
-            presses: that concern these steps.
-            first: step, as presses count them.
-            last: step; not included.
-            progress: is told of "postures".
-            warm_start: (N, A) the `correction` that was found before for the first N of them.
-            options: of the solver.
+            plan: the plan of the steps before, with one posture or more.
+            presses: the presses that concern these steps.
+            first: the first step, as presses count them.
+            last: the step after the last one.
+            progress: receives the stage "postures".
+            warm_start: (N, A) the `correction` that was found before for the first N postures.
+            options: parameters of the solver.
         """
-        dt, model = self._dt, (self._scene, self._kinematics, self._servos)
+        dt = self._dt
         targets = targets_of(self._scene, presses, last + 1, dt).part(first, last + 1)
         guess, before = self._guess(plan, presses, first, last), plan.postures[-2:][0]
         begin = guess
         if warm_start is not None:
             begin = guess.copy()
             begin[1 : len(warm_start) + 1] += warm_start[: len(guess) - 1]
-        postures = solve_postures(*model, targets, guess, before, dt, progress, begin, options)
+        postures = solve_postures(
+            self._kinematics, targets, guess, before, dt, progress, begin, options
+        )
         return PostureTrajectory(postures, guess, targets)
 
     def track(
@@ -274,17 +254,17 @@ class MotionPlanner:
         """Finds the controls that lead the hands along postures.
 
         Args:
-            plan: of the steps before.
-            presses: of the trajectory.
+            plan: the plan of the steps before.
+            presses: the presses of the trajectory.
             found: the trajectory.
-            played: how many steps will be played by this plan, all by default. The controls of
-                later ones do without what makes up for forces.
+            played: how many steps will be played by this plan, all by default. The controls of the
+                steps after those do without what makes up for forces.
         """
         servos, postures, start = self._servos, found.postures, plan.tracking.expected[-1]
         steps = len(postures) - 1 if played is None else played
         tips, jacobian = self._kinematics.fingertips(postures, slice(1, steps + 1))
         hands = len(self._scene.sides)
-        pressed = found.targets.force[1 : steps + 1, self._scene.fingers_there]
+        pressed = found.targets.force[1 : steps + 1, self._scene.present_fingers]
         force = pressing_forces(by_hand(jacobian[:, :, 2], hands), by_hand(pressed, hands))
         earlier = plan.postures[-2:-1]
         moving = np.concatenate([earlier, postures[: steps + 2]])
@@ -297,7 +277,7 @@ class MotionPlanner:
     def _guess(self, plan: NominalTrajectory, presses: list[Press], first: int, last: int) -> Array:
         """(S, A) hands at rest over the keys that they press or will press next, from `first` on.
 
-        Its first row is where they are.
+        The first row is where they are.
         """
         states, here = last + 1, plan.postures[-1]
         lead = steps_in(_ARRIVAL, self._dt)
@@ -323,14 +303,14 @@ class MotionPlanner:
         return guess[first:]
 
 
-def _first_that_matters(asked: NDArray[np.int8], first: int, settling: int) -> int:
-    """The first row of `asked` (T, K) whose presses matter from row `first` on.
+def _first_that_matters(fingers: Fingering, first: int, settling: int) -> int:
+    """The first row of `fingers` (T, K) whose presses matter from row `first` on.
 
-    Those do not that ended `settling` rows before.
+    Presses that ended `settling` rows before do not.
     """
     settled = max(first - settling, 0)
-    held = asked[settled] >= 0
-    changes = asked[:settled, held] != asked[settled, held]
+    held = fingers[settled] >= 0
+    changes = fingers[:settled, held] != fingers[settled, held]
     begins = [int(rows[-1]) + 1 if len(rows) else 0 for rows in map(np.flatnonzero, changes.T)]
     return max(min(begins, default=settled) - 1, 0)
 
@@ -347,5 +327,5 @@ def _joined(plan: NominalTrajectory, window: NominalTrajectory, steps: int) -> l
     for press in later:
         begin = press.first, press.key
         # What comes before a press that had begun, the later window does not know.
-        known[begin] = press._replace(flies_to=known.get(begin, press).flies_to)
+        known[begin] = press._replace(jumps_to=known.get(begin, press).jumps_to)
     return plan.presses[:settled] + [known[begin] for begin in sorted(known)]

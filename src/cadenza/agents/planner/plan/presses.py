@@ -1,4 +1,4 @@
-"""Presses: a finger holds a key down for some time."""
+"""Presses: each is a finger that holds a key down for some time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from cadenza.hands.reach import JumpTimes
 Ids = NDArray[np.intp]
 Key = int | Ids
 
-RISE = 0.05  # [s] in which a finger gets off a key
+RISE = 0.05
+"""Time in which a finger gets off a key [s]."""
 
 
 class Press(NamedTuple):
@@ -28,37 +29,35 @@ class Press(NamedTuple):
     key: int
     first: int
     last: int
-    flies_off: bool = False
-    """The hand leaves it in a jump."""
-    flies_to: bool = False
-    """The hand comes to it in a jump, and to no other key."""
+    jumps_off: bool = False
+    """Whether the hand leaves the key in a jump."""
+    jumps_to: bool = False
+    """Whether the hand comes to the key in a jump, and to no other key."""
     from_above: bool = False
-    """The finger comes to it from above all keys."""
-    later: int = 0
-    """By how many states later than usual the hand lets go of what is before it, to be in time."""
+    """Whether the finger comes to the key from above all keys."""
+    release_delay: int = 0
+    """States by which the hand delays its releases before this press, compared with the usual."""
 
-    def moved(self, states: int) -> Press:
+    def delayed(self, states: int) -> Press:
         """The same press, so many states later."""
         return self._replace(first=self.first + states, last=self.last + states)
 
 
-def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8], hands: Fingers) -> list[Press]:
-    """The presses that goals ask for, by time.
+def presses_of(fingers: NDArray[np.int8], hands: Fingers) -> list[Press]:
+    """The presses that goals call for, by time.
 
     Args:
-        keys: (T, K) that should be down after each step.
-        fingers: (T, K) that should press them; keys without a finger are left alone.
-        hands: how fingers are numbered.
+        fingers: (T, K) the fingers that should hold the keys down after each step, -1 for none.
+        hands: the numbers of fingers.
     """
-    asked = np.where(keys, fingers, NO_FINGER)
-    edges = np.diff(asked, axis=0, prepend=NO_FINGER, append=NO_FINGER) != 0
+    edges = np.diff(fingers, axis=0, prepend=NO_FINGER, append=NO_FINGER) != 0
     keys_of, states = np.nonzero(edges.T)  # of a key one after the other, the last one is an end
     first, last, key = states[:-1], states[1:], keys_of[:-1]
     held = np.flatnonzero(first < last)
-    held = held[asked[first[held], key[held]] != NO_FINGER]
+    held = held[fingers[first[held], key[held]] != NO_FINGER]
     held = held[np.lexsort((key[held], first[held]))]
     first, last, key = first[held], last[held], key[held]
-    rows = np.stack([asked[first, key], key, first + 1, last + 1], axis=1).tolist()
+    rows = np.stack([fingers[first, key], key, first + 1, last + 1], axis=1).tolist()
     return [Press(SIDES[hands.hand_of(finger)], finger, *rest) for finger, *rest in rows]
 
 
@@ -68,10 +67,10 @@ def steps_between(
     """Control steps of `dt` [s] that a finger takes from one key to another.
 
     Args:
-        key: the key that it lets go, or several (N,).
+        key: the key that it releases, or several (N,).
         other: the key that it presses next, or several (N,).
-        is_black: (K,) whether the keys are.
-        times: of the hand.
+        is_black: (K,) whether keys are black.
+        times: the jump times of the hand.
         dt: control step [s].
     """
     climbs = is_black[other] & ~is_black[key]

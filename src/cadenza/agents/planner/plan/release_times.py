@@ -15,10 +15,10 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.intp]
 
-_FLIGHT = 0.1  # [s] between two presses that is spent on the way, if the hand has to jump
+_JUMP_TIME = 0.1  # [s] between two presses that is spent on the way, if the hand has to jump
 _MIN_LENGTH = 0.05  # [s] that a press lasts
-_DIGITS = 9  # to which times are rounded, so that whole steps are not rounded up to the next
 _MIN_HEARD = 0.1  # [s] that it lasts if it can, so that its key sounds before its finger leaves it
+_DIGITS = 9  # to which times are rounded, so that whole steps are not rounded up to the next
 
 
 def release_in_time(
@@ -31,11 +31,11 @@ def release_in_time(
 
     Args:
         presses: by time, those that begin together by key.
-        places: (K, F) where a forearm is when one of its fingers presses a key at ease, from where
-            it is mounted [m].
-        is_black: (K,) whether the keys are.
+        places: (K, F) where a forearm is when one of its fingers presses a key at rest, from its
+            mount [m].
+        is_black: (K,) whether keys are black.
         dt: control step [s].
-        hand: of either side.
+        hand: the kind of both hands.
     """
     if not presses:
         return []
@@ -43,9 +43,8 @@ def release_in_time(
     line.release_for_jumps()
     line.release_for_other_keys()
     result = list(presses)
-    for i, last, flies_off, flies_to in line.rows():
-        before = presses[i]
-        result[i] = Press(*before[:4], last, flies_off, flies_to, *before[7:])
+    for i, last, jumps_off, jumps_to in line.rows():
+        result[i] = result[i]._replace(last=last, jumps_off=jumps_off, jumps_to=jumps_to)
     return result
 
 
@@ -63,10 +62,10 @@ class _TimeLine:
         self._reach, self._times = hand.reach, hand.jump_times
         widest = self._times.seconds(np.ptp(places), 2, 2)
         self._ahead, self._least = self._steps(widest), steps_in(_MIN_LENGTH, dt)
-        rows = np.array([(p.finger, p.key, p.first, p.last, p.later) for p in presses])
+        rows = np.array([(p.finger, p.key, p.first, p.last, p.release_delay) for p in presses])
         left = rows[:, 0] >= len(hand.fingers)
         self._index = np.argsort(left, kind="stable")
-        self._number, self._key, first, last, later = rows[self._index].T
+        self._number, self._key, first, last, delay = rows[self._index].T
         left = left[self._index]
         self._since = left * (last.max() + self._ahead + 1)  # where the line of a hand begins
         self._first, self._last = first + self._since, last + self._since
@@ -78,7 +77,7 @@ class _TimeLine:
         self._heads = np.flatnonzero(self._strikes)
         self._chord = np.cumsum(self._strikes) - 1
         self._sizes = np.diff(self._heads, append=len(rows))
-        self._begins, self._later = self._first[self._heads], later[self._heads]
+        self._begins, self._delay = self._first[self._heads], delay[self._heads]
 
     def release_for_jumps(self) -> None:
         """Cuts presses where the hand is to strike what it does not reach from there."""
@@ -103,7 +102,7 @@ class _TimeLine:
         distance = np.abs(means[struck] - np.where(holding, self._place[press], means[here]))
         jump = self._steps(self._times.seconds(distance, sizes[here], sizes[struck], holding))
         in_time = np.maximum(
-            first - np.maximum(jump - self._later[struck], 1), begins[here] + self._least
+            first - np.maximum(jump - self._delay[struck], 1), begins[here] + self._least
         )
         too_late = (jump > 0) & ~spanned & (first <= last + self._ahead)
         np.minimum.at(self._last, press[too_late], in_time[too_late])
@@ -120,21 +119,22 @@ class _TimeLine:
         moves &= self._key[press] != self._key[following]
         press, following = press[moves], following[moves]
         first, begins = self._first[press], self._first[following]
-        rise, later = steps_in(RISE, self._dt), self._later[self._chord[following]]
+        rise, delay = steps_in(RISE, self._dt), self._delay[self._chord[following]]
         key, other = self._key[press], self._key[following]
         steps = steps_between(key, other, self._is_black, self._times, self._dt)
         spare = begins - first - steps_in(_MIN_HEARD, self._dt)
-        risen = begins - np.maximum(np.minimum(spare, steps - later), rise)
+        risen = begins - np.maximum(np.minimum(spare, steps - delay), rise)
         in_time = np.maximum(risen, first + self._least)
         self._last[press] = np.minimum(self._last[press], in_time)
 
     def rows(self) -> Iterator[tuple[int, int, bool, bool]]:
-        """Each press: its index, its end, and whether the hand flies off it, and to it.
+        """Each press: its index, its end, and whether the hand jumps off it, and to it.
 
-        A hand flies between presses at most `_FLIGHT` apart and beyond reach; to single keys only.
+        A hand jumps between presses at most `_JUMP_TIME` apart and beyond reach; to single keys
+        only.
         """
         first, last, place = self._first, self._last, self._place
-        soon = last + steps_in(_FLIGHT, self._dt)
+        soon = last + steps_in(_JUMP_TIME, self._dt)
         press, other = _pairs(*(first.searchsorted(time, "right") for time in (last, soon)))
         far = np.abs(place[other] - place[press]) > self._times.within_reach
         left, reached = (np.zeros(len(first), bool) for _ in range(2))

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from cadenza.fingers import Side
 from cadenza.scene.kinematics import Kinematics
-from cadenza.scene.scene import Scene
 from cadenza.scene.servos import Servos
 
 Array = NDArray[np.float64]
@@ -19,18 +18,18 @@ _NEAR_BEFORE = 1e-4  # [m^2/rad^2] weight of the distance from the posture besid
 
 
 def rest_posture(servos: Servos) -> Array:
-    """(A,) all fingers over neighbouring white keys, the forearms where they are mounted."""
+    """The posture (A,) with all fingers over neighbouring white keys, forearms at their mounts."""
     return servos.clip(np.array([use.rest for use in servos.uses]))
 
 
-def forearm_places(scene: Scene, kinematics: Kinematics, servos: Servos) -> Array:
+def forearm_places(kinematics: Kinematics) -> Array:
     """(K, F) where a forearm is when one of its fingers presses a key at rest, from its mount [m].
 
-    Fingers that are not in the scene count as those at 0.
+    Fingers that are not in the scene count as being at 0.
     """
-    rest_y = np.zeros(scene.fingers.count)
-    tips, _ = kinematics.fingertips(rest_posture(servos)[None])
-    rest_y[scene.fingers_there] = tips[0, :, 1]
+    scene, rest_y = kinematics.scene, np.zeros(kinematics.scene.fingers.count)
+    tips, _ = kinematics.fingertips(rest_posture(kinematics.servos)[None])
+    rest_y[scene.present_fingers] = tips[0, :, 1]
     return scene.keyboard.centre[:, 1, None] - rest_y
 
 
@@ -40,12 +39,9 @@ class RestPoses:
     Places of a hand are counted from that of its rest posture, to the player's right [m].
     """
 
-    def __init__(self, scene: Scene, kinematics: Kinematics, servos: Servos) -> None:
-        """Args:
-        scene: with one hand or two.
-        kinematics: of the scene.
-        servos: of the scene.
-        """
+    def __init__(self, kinematics: Kinematics) -> None:
+        """Finds the postures of arms along the keyboard; forearms that slide need none."""
+        scene, servos = kinematics.scene, kinematics.servos
         self._scene, self._kinematics, self._servos = scene, kinematics, servos
         self._rest = rest_posture(servos)
         self._points = kinematics.points(self._rest[None])[0]
@@ -54,7 +50,7 @@ class RestPoses:
         self._of_arms = {} if scene.hand.body.mount is None else self._arm_postures()
 
     def at(self, places: dict[Side, Array], num_states: int) -> Array:
-        """Postures (S, A) of hands at places (S,); those without any are where they are mounted."""
+        """Postures (S, A) of hands at places (S,); hands without places are at their mounts."""
         servos, postures = self._servos, np.tile(self._rest, (num_states, 1))
         for side, wanted in places.items():
             if side in self._of_arms:
@@ -67,7 +63,7 @@ class RestPoses:
         return postures
 
     def place(self, posture: Array, side: Side) -> float:
-        """About where the hand of one side is in a posture (A,)."""
+        """The approximate place of the hand on one side in a posture (A,)."""
         if side in self._slides:
             return float(posture[self._slides[side]])
         moved = self._kinematics.points(posture[None])[0] - self._points

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from functools import lru_cache, partial
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cadenza.agents.agent import Array, Progress, silent
-from cadenza.agents.planner.plan.nominal_trajectory import NominalTrajectory, nominal_plans
+from cadenza.agents.planner.plan.nominal_trajectory import (
+    Delays,
+    MotionPlanner,
+    NominalTrajectory,
+)
 from cadenza.errors import CadenzaError
 from cadenza.music.goals import Goals
 from cadenza.scene.scene import Scene, build_scene
@@ -34,16 +35,20 @@ class SongPlan(NamedTuple):
         """Whether all steps have been planned."""
         return self.nominal.num_steps == self.goals.num_steps
 
+    def ends_before(self, step: int) -> bool:
+        """Whether there are steps before `step` that have not been planned yet."""
+        return self.nominal.num_steps < min(step, self.goals.num_steps)
+
 
 def plan_song(
     track: GoalTrack,
     start: Array,
     progress: Progress = silent,
-    later: NDArray[np.integer] | int = 0,
-    haste: float = 1.0,
+    release_delays: Delays = 0,
+    jump_acceleration: float = 1.0,
 ) -> SongPlan:
     """The plan of the whole song: the last of `song_plans`."""
-    *_, whole = song_plans(track, start, progress, later, haste)
+    *_, whole = song_plans(track, start, progress, release_delays, jump_acceleration)
     return whole
 
 
@@ -51,38 +56,37 @@ def song_plans(
     track: GoalTrack,
     start: Array,
     progress: Progress = silent,
-    later: NDArray[np.integer] | int = 0,
-    haste: float = 1.0,
+    release_delays: Delays = 0,
+    jump_acceleration: float = 1.0,
 ) -> Iterator[SongPlan]:
     """Plans what the hands of a task are to play.
 
     Args:
-        track: what is to be played.
+        track: the song.
         start: (J,) joint positions of the hands where the song begins [m, rad].
-        progress: is told of "fingers" and "postures".
-        later: (T, H) by how many steps later than usual a hand lets go to be in time for what it
-            presses in each step, or for all.
-        haste: times the acceleration with which the hands are known to jump.
+        progress: receives the stages "fingers" and "postures".
+        release_delays: see `MotionPlanner`.
+        jump_acceleration: factor of the acceleration with which the hands jump.
 
     Yields:
-        The plan as far as it goes, every time a few more seconds of music; the last one is the
-        whole.
+        The plan as far as it goes, every time a few more seconds of music; the last one is of the
+        whole song.
 
     Raises:
         CadenzaError: there are no hands in the scene.
     """
-    scene = scene_planned_with(track)
+    scene = planning_scene(track)
     track = track.fingered(partial(progress, "fingers"))
-    goals, dt = track.goals, track.config.control_timestep
-    asked = goals.keys, goals.fingers
-    for nominal in nominal_plans(scene, *asked, start, dt, progress, later, haste):
+    goals, times = track.goals, scene.hand.jump_times.accelerated(jump_acceleration)
+    planner = MotionPlanner(scene, track.config.control_timestep, times)
+    for nominal in planner.plans(goals.fingers, start, progress, release_delays):
         yield SongPlan(scene, track, goals, nominal)
 
 
-def scene_planned_with(track: GoalTrack) -> Scene:
-    """The scene that a task's configuration describes: if the task's was changed, no plan knows.
+def planning_scene(track: GoalTrack) -> Scene:
+    """The scene that a task's options describe, whatever was randomised in the task's own scene.
 
-    It is the same object for the same task, and nobody changes it.
+    It is the same object for the same task, and must not be changed.
 
     Raises:
         CadenzaError: there are no hands in it.

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from cadenza.agents.planner.plan.fingertip_targets import by_hand
-from cadenza.scene.scene import Scene
-from cadenza.scene.servos import Servos, servos_of
-from cadenza.sim.protocol import State
+from cadenza.scene.servos import Servos
 
 Array = NDArray[np.float64]
+Steps = int | NDArray[np.intp]
 
 _LONGEST_CACHED = 2000  # steps of plans whose gains are kept, 2 kB each for two hands
 # Weight of a control's squared distance from what leads along the reference, where that of the
@@ -28,7 +27,7 @@ class Tracking(NamedTuple):
     ctrl: Array
     """(T, A)"""
     gain: Array
-    """(T, A, 2) the feedback of position and speed, which is subtracted from the control."""
+    """(T, A, 2) gains of the feedback of position and speed."""
     expected: Array
     """(T + 1, A, 2) position and speed of each servo."""
 
@@ -40,40 +39,17 @@ class Tracking(NamedTuple):
         """The tracking of H hands with A servos each, (T, H, A, ...), as views."""
         return Tracking._make(by_hand(values, hands) for values in self)
 
-    def feedback(self, step: int, here: Array) -> Array:
-        """(..., A) the feedback at positions and speeds (..., A, 2), which controls are less by."""
+    def feedback(self, step: Steps, here: Array) -> Array:
+        """(..., A) the feedback at positions and speeds (..., A, 2), to subtract from controls."""
         return (self.gain[step] * (here - self.expected[step])).sum(axis=-1)
 
-
-class Follower:
-    """Plays tracked controls with feedback from the states that a scene's hands are really in."""
-
-    def __init__(self, scene: Scene, tracking: Tracking) -> None:
-        """Args:
-        scene: with the hands.
-        tracking: of all their servos.
-        """
-        self._tracking, self._servos = tracking, servos_of(scene)
-
-    def posture(self, hand_qpos: Array, hand_qvel: Array) -> Array:
-        """(..., A, 2) position and speed of each servo at joints (..., J)."""
-        to_posture = self._servos.of_joints
-        return np.stack([hand_qpos @ to_posture, hand_qvel @ to_posture], axis=-1)
-
-    def ctrl(self, steps: NDArray[np.intp], state: State) -> Array:
-        """(N, A) controls of `steps` (N,): those tracked, less the feedback, within their range."""
-        ctrl, gain, expected = (values[steps] for values in self._tracking)
-        here = self.posture(state.hand_qpos, state.hand_qvel)
-        feedback = (gain * (here - expected)).sum(axis=2)
-        return self.clip(ctrl - feedback)
-
-    def clip(self, ctrl: Array) -> Array:
-        """Controls (..., A) within their range."""
-        return self._servos.clip(ctrl)
+    def controls(self, servos: Servos, step: Steps, here: Array) -> Array:
+        """(..., A) controls with feedback at positions and speeds (..., A, 2), within range."""
+        return servos.clip(self.ctrl[step] - self.feedback(step, here))
 
 
 def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: float) -> Tracking:
-    """Follows `reference` (T + 1, A), of which the first row is where the servos are.
+    """Tracks `reference` (T + 1, A), of which the first row is where the servos are.
 
     Each servo by itself is a mass on a damped spring whose other end is the control, held for
     `dt` [s]. The controls minimise the squared distance from the reference plus a little of their
@@ -82,10 +58,10 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
     solved for all servos at once by the Riccati recursion.
 
     Args:
-        servos: what has to follow.
-        reference: positions after each step.
-        start: (A, 2) their position and speed.
-        offset: (T, A) what forces from outside add to each control.
+        servos: the A servos.
+        reference: positions before the first step and after each step.
+        start: (A, 2) positions and speeds before the first step.
+        offset: (T, A) changes of the controls that make up for forces from outside.
         dt: time between steps [s].
     """
     step, push = discretised(servos, dt)
@@ -114,7 +90,7 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
 
 
 def _feedback(servos: Servos, dt: float, steps: int) -> tuple[Array, Array, Array]:
-    """The Riccati recursion, which does not depend on the reference.
+    """Solves the Riccati recursion, which does not depend on the reference.
 
     Returns:
         The gains (T, A, 2), the curvature (T, A) of the cost-to-go as a function of the control,

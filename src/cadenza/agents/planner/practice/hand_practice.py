@@ -8,7 +8,7 @@ where the other hand may be in the way.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import partial
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from cadenza.agents.control_steps import steps_in
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
-from cadenza.agents.planner.plan.tracking import Follower
-from cadenza.agents.planner.practice.losses import Losses
+from cadenza.agents.planner.practice.losses import KeyHistory, Losses
 from cadenza.agents.planner.practice.perturbations import Perturbations
 from cadenza.agents.planner.practice.trajectory import Trajectory
 from cadenza.agents.planner.search.fingertip_correction import servo_corrections
-from cadenza.agents.planner.search.rollouts import EXPECTED
+from cadenza.agents.planner.search.rollouts import Rollout, Rollouts
 from cadenza.fingers import Side
 from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
@@ -41,13 +40,14 @@ _HORIZON = 0.6  # [s] for which a change is evaluated after its end
 
 
 class Change(NamedTuple):
-    """Other controls for a hand with A servos over L steps."""
+    """Other controls for a hand with A servos over L steps, and the servos' states with them."""
 
     first: int
+    """The first of the steps."""
     ctrl: Array
     """(L, A)"""
     expected: Array
-    """(L, A, 2)"""
+    """(L, A, 2) position and speed of each servo before each step."""
 
 
 class Attempt(NamedTuple):
@@ -63,17 +63,21 @@ class Attempt(NamedTuple):
     """Control steps that were simulated."""
 
 
-class _Rollout(NamedTuple):
-    cost: float
-    """Cost of all steps, infinite if the rollout was given up."""
-    ctrl: Array
-    expected: Array
-    step_costs: list[float]
-    """Cost of each step that was simulated."""
-    fingertips: list[Array]
-    """(F, 3) after each of these steps [m]."""
-    hand_qpos: list[Array]
-    """(J,) after each of these steps [m, rad]."""
+@dataclass
+class _PracticeCost:
+    """The cost of rollouts of one hand on some of the keys, see `rollouts.Cost`."""
+
+    losses: Losses
+    first: int
+    num_steps: int
+    start: KeyHistory
+    keys: slice
+
+    def step_cost(
+        self, k: int, key_qpos: Array, fingertips: Array, before: KeyHistory
+    ) -> tuple[float, int, KeyHistory]:
+        _, cost, after = self.losses.after(self.first + k, key_qpos, fingertips, before, self.keys)
+        return cost, 0, after
 
 
 class HandPractice:
@@ -84,20 +88,15 @@ class HandPractice:
     """
 
     def __init__(self, plan: SongPlan, side: Side, goals: HandGoals, threads: Threads) -> None:
-        """Args:
-        plan: the plan of the whole song.
-        side: which hand.
-        goals: what the hand has to do.
-        threads: what shares the rollouts.
-        """
+        """Prepares practice by the plan of the whole song, with `threads` that share rollouts."""
         dt = plan.track.config.control_timestep
         alone, self.servos, _ = hand_alone(plan.scene, side)
         tracking = plan.nominal.tracking.of(self.servos)
-        self._servos = servos_of(alone)
-        self._gain, self._follower = tracking.gain, Follower(alone, tracking)
-        self._goals, self._losses, self._threads = goals, Losses(plan, goals), threads
+        self._servos, self._gain = servos_of(alone), tracking.gain
+        self._goals, self._losses = goals, Losses(plan, goals)
         self._perturbations = Perturbations(alone, tracking.expected[:, :, 0], dt)
-        self._rollouts = HandRollouts(alone, dt, plan.scene)
+        self._simulator = HandRollouts(alone, dt, plan.scene)
+        self._rollouts = Rollouts(self._simulator, threads, all_costs=False)
         self._lead, self._horizon = steps_in(_LEAD, dt), steps_in(_HORIZON, dt)
         self._keys = plan.goals.keys
 
@@ -117,7 +116,7 @@ class HandPractice:
             first: the earliest step that may change.
             weight: (L,) how likely each step from there on is to be drawn, not normalised.
             last: the step up to which changes may be evaluated.
-            scene_before: gives the whole scene before a step of the trajectory.
+            scene_before: returns the whole scene before a step of the trajectory.
             rng: source of randomness.
         """
         step = first + int(rng.choice(len(weight), p=weight / weight.sum()))
@@ -128,78 +127,77 @@ class HandPractice:
         end = min(max(changed, step + 1) + self._horizon, last)
         path, simulation = trajectory.expected[:, self.servos, 0], scene_before(begin)
         offsets = self._perturbations.draw(path, begin, changed, _CANDIDATES, rng)
-        self._begin_rollouts(simulation, offsets, begin, end)
-        best, simulated = self._best_of(offsets, trajectory, begin, end, rng)
-        change = Change(begin, best.ctrl, best.expected) if best else None
-        return Attempt(step, begin, change, simulated)
+        self._start_rollouts(trajectory, simulation, offsets, begin, end)
+        change = self._best_change(offsets, trajectory, begin, end, rng)
+        return Attempt(step, begin, change, self._rollouts.simulated)
 
     def _first_wrong(self, trajectory: Trajectory, first: int, step: int) -> int:
         """The step, from `first` on, since which a key has been wrong that is wrong at `step`."""
         rows = slice(first, step + 1)
-        may_be_wrong = self._goals.mine | ~self._keys
+        may_be_wrong = self._goals.keys | ~self._keys
         wrong = (trajectory.sounding ^ self._keys)[rows] & may_be_wrong[rows]
         fine = ~(wrong & wrong[-1]).any(axis=1)
         return min(first + int(np.append(-1, np.flatnonzero(fine))[-1]) + 1, step)
 
-    def _begin_rollouts(
-        self, simulation: PlanningSimulation, offsets: Array, first: int, end: int
+    def _start_rollouts(
+        self,
+        trajectory: Trajectory,
+        simulation: PlanningSimulation,
+        offsets: Array,
+        first: int,
+        end: int,
     ) -> None:
-        """Prepares rollouts from where the hand is, with all keys that it may come over."""
+        """Has rollouts start where the hand is, with all keys that it may come over."""
         tips = self._goals.fingertips[first : end + 1, :, 1]
         here = simulation.state.fingertip_xpos[0, self._goals.fingers, 1]
         low, high = (edge(np.append(tips, here)) for edge in (np.min, np.max))
         slides = offsets[..., self._servos.along_keyboard]  # of hands that slide
-        self._rollouts.start_from(
+        self._simulator.start_from(
             simulation, low + slides.min(initial=0.0), high + slides.max(initial=0.0)
         )
+        keys = self._simulator.keys
+        history = trajectory.key_history(first).of(keys)
+        self._rollouts.start(_PracticeCost(self._losses, first, end - first, history, keys))
+        self._rollouts.simulated = 0
 
-    def _best_of(
+    def _best_change(
         self,
         offsets: Array,
         trajectory: Trajectory,
         first: int,
         end: int,
         rng: np.random.Generator,
-    ) -> tuple[_Rollout | None, int]:
+    ) -> Change | None:
         """Rolls out `offsets` (N, L, A) and corrections from the step `first` up to `end`.
 
-        Rollouts are made in pairs, so that an idle thread can take one of each: only what is known
-        of earlier pairs decides what is given up, so any number of threads finds the same.
-
         Returns:
-            The cheapest rollout, None if the trajectory is as cheap; control steps simulated.
+            The controls of the cheapest rollout, None if the trajectory is as cheap.
         """
         steps, changed = end - first, offsets.shape[1]
-        unchanged = self._roll_out(
-            trajectory, first, np.inf, np.zeros(steps), np.zeros((steps + 1, offsets.shape[2]))
-        )
+        still = np.zeros((steps + 1, offsets.shape[2]))
+        unchanged = self._rollouts.simulate(self._candidate(trajectory, first, still, 0)[1])
         offsets = np.concatenate([self._corrections(unchanged, first, changed, rng), offsets])
         # How much each servo's target is moved before each step.
         offsets = np.pad(offsets, ((0, 0), (1, steps - changed), (0, 0)))
-        best, lowest, simulated = None, unchanged.cost, steps
-        lowest_by_step = np.array(unchanged.step_costs)
-        for i in range(0, len(offsets), NUM_SLOTS):
-            cost_to_go = EXPECTED * (lowest_by_step.sum() - np.cumsum(lowest_by_step))
-            pair = [
-                partial(self._roll_out, trajectory, first, lowest, cost_to_go, each, place)
-                for place, each in enumerate(offsets[i : i + NUM_SLOTS])
-            ]
-            for rollout in self._threads.together(pair):
-                done = len(rollout.step_costs)
-                simulated += done
-                lowest_by_step[:done] = np.minimum(lowest_by_step[:done], rollout.step_costs)
-                if rollout.cost < lowest:
-                    best, lowest = rollout, rollout.cost
-        return best, simulated
+        changes, controls = zip(
+            *(
+                self._candidate(trajectory, first, each, i % NUM_SLOTS)
+                for i, each in enumerate(offsets)
+            ),
+            strict=True,
+        )
+        costs = [each.cost for each in self._rollouts.simulate_all(controls, unchanged.cost)]
+        best = int(np.argmin(costs))
+        return changes[best] if costs[best] < unchanged.cost else None
 
     def _corrections(
-        self, unchanged: _Rollout, first: int, changed: int, rng: np.random.Generator
+        self, unchanged: Rollout, first: int, changed: int, rng: np.random.Generator
     ) -> Array:
         """Offsets (C, L, A) that take all or some fingertips nearer to where the plan has them."""
         states = slice(first + 1, first + 1 + changed)
         off = self._goals.fingertips[states] - np.array(unchanged.fingertips[:changed])
         weight = self._goals.weight[states] / self._goals.weight.max()
-        jacobian = self._rollouts.fingertip_jacobian(np.array(unchanged.hand_qpos[:changed]))
+        jacobian = self._simulator.fingertip_jacobian(np.array(unchanged.hand_qpos[:changed]))
         change = servo_corrections(off, weight, jacobian, self._servos)
         change = change[np.minimum(np.arange(1, changed + 1), changed - 1)]
         servos = [np.ones(change.shape[1], bool)] * 2
@@ -207,44 +205,26 @@ class HandPractice:
         scaled = zip(_CORRECTION_SCALES, servos, strict=True)
         return np.stack([scale * change * each for scale, each in scaled])
 
-    def _roll_out(
-        self,
-        trajectory: Trajectory,
-        first: int,
-        most: float,
-        cost_to_go: Array,
-        offsets: Array,
-        place: int = 0,
-    ) -> _Rollout:
-        """Rolls out the trajectory from `first` on, with offsets (L + 1, A) to servos' positions.
+    def _candidate(
+        self, trajectory: Trajectory, first: int, offsets: Array, slot: int
+    ) -> tuple[Change, Iterator[Array]]:
+        """The trajectory from `first` on, with offsets (L + 1, A) to servos' positions.
 
-        A rollout is given up, at infinite cost, once its cost and what `cost_to_go` (L,) says is to
-        be expected after each step come to `most`.
+        Returns:
+            The change, which a rollout in this slot fills in, and the controls for this rollout.
         """
-        rollouts, rows = self._rollouts, slice(first, first + len(offsets) - 1)
+        rows = slice(first, first + len(offsets) - 1)
         ctrl = trajectory.ctrl[rows, self.servos].copy()
         expected = trajectory.expected[rows, self.servos].copy()
 
         def controls() -> Iterator[Array]:
             for k, gain in enumerate(self._gain[rows]):
-                here = self._follower.posture(*rollouts.hand_joints(place))
+                here = self._servos.state(*self._simulator.hand_joints(slot))
                 off = here - expected[k]
                 off[:, 0] -= offsets[k]
                 expected[k] = here
                 feedback = (gain * off).sum(axis=1)
-                ctrl[k] = self._follower.clip(ctrl[k] - feedback + offsets[k + 1])
+                ctrl[k] = self._servos.clip(ctrl[k] - feedback + offsets[k + 1])
                 yield ctrl[k]
 
-        cost, history = 0.0, trajectory.key_history(first).of(rollouts.keys)
-        made = _Rollout(np.inf, ctrl, expected, [], [], [])
-        for step, (key_qpos, fingertips) in enumerate(rollouts.run(controls(), place), first):
-            _, more, history = self._losses.after(
-                step, key_qpos, fingertips, history, rollouts.keys
-            )
-            cost += more
-            made.step_costs.append(more)
-            made.fingertips.append(fingertips)
-            made.hand_qpos.append(rollouts.hand_joints(place)[0].copy())
-            if cost + cost_to_go[step - first] >= most:
-                return made
-        return made if rollouts.unstable(place) else made._replace(cost=cost)
+        return Change(first, ctrl, expected), controls()

@@ -11,30 +11,29 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from cadenza.agents.agent import Array, Progress, silent
+from cadenza.agents.agent import Array, silent
 from cadenza.agents.control_steps import steps_in
-from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.practice.plan_variants import OTHER_COSTS, SplicedTrajectory, Variant
 from cadenza.agents.planner.practice.planned_variant import PlannedVariant
 from cadenza.agents.planner.practice.practised_planner import PracticeResult
-from cadenza.agents.planner.practice.trajectory import Snapshots, Trajectory, scene_before
+from cadenza.agents.planner.practice.trajectory import Snapshots, Trajectory
 from cadenza.agents.planner.search.hand_search import SearchState
 from cadenza.fingering.transitions import Costs
 from cadenza.fingers import NO_FINGER
-from cadenza.sim.threads import Threads
 from cadenza.tasks.goal_track import GoalTrack
 
 T = TypeVar("T", Variant, Trajectory)
 
 _CHUNK = 1.0  # [s] that are played at a time
-_LATEST = 0.1  # [s] later than usual, at most, that hands let go before a jump
+_MAX_DELAY = 0.1  # [s] by which hands delay their releases before a jump
 _MOST_ROLLOUTS = 4  # of each chunk, by hands that follow a spliced trajectory
 
 Parts = dict[str, dict[str, Any]]
-"""Arrays by part and name."""
+"""The arrays of a state by part and name."""
 
 Limits = dict[str, tuple[Any, Any]]
-"""Least and most by "part/name", of which `*` stands for any."""
+"""The least and the greatest values by "part/name", of which `*` stands for any."""
 
 
 class _Chunk(NamedTuple):
@@ -50,44 +49,42 @@ class InitialTrajectories:
     """Trajectories of a song, one after the other.
 
     Attributes:
-        seed: seed of all randomness from the second trajectory on.
-        num_played: steps that have been played of the current trajectory.
+        seed: the seed of all randomness from the second trajectory on.
+        num_played: the number of steps that have been played of the current trajectory.
     """
 
     def __init__(
         self,
         track: GoalTrack,
         start: Array,
-        config: PlannerConfig,
         rng: np.random.Generator,
-        threads: Threads,
-        progress: Progress = silent,
+        context: PlanningContext,
     ) -> None:
-        """Args:
+        """Plans the first trajectory.
+
+        Args:
             track: the song.
             start: (J,) joint positions of the hands where it begins [m, rad].
-            config: how to plan.
             rng: source of randomness.
-            threads: what shares the work.
-            progress: is told of "fingers" and "postures".
+            context: options and resources of planning.
 
         Raises:
             CadenzaError: there are no hands in the scene.
         """
-        found = config.fingering == "found"
+        found = context.config.fingering == "found"
         if found:
             track = track.with_found_fingers()
-        self._start, self._config, self._threads = start, config, threads
-        self._begin(PlannedVariant(track, start, config, rng, threads, progress))
+        self._start, self._context = start, context._replace(progress=silent)
+        self._begin(PlannedVariant(track, start, rng, context))
         self.seed = int(rng.integers(2**63))
         dt = track.config.control_timestep
-        self._chunk, self._latest = steps_in(_CHUNK, dt), steps_in(_LATEST, dt)
-        # Costs that find other fingers; by how many steps to let go later; None follows the best
+        self._chunk, self._max_delay = steps_in(_CHUNK, dt), steps_in(_MAX_DELAY, dt)
+        # Costs that find other fingers; steps by which releases are delayed; None follows the best
         # of all trajectories, spliced together.
         self._schedule: list[Costs | int | None] = [*OTHER_COSTS] if found else []
         self._schedule.append(None)
-        for later in range(1, self._latest + 1):
-            self._schedule += [later, None]
+        for delay in range(1, self._max_delay + 1):
+            self._schedule += [delay, None]
         self._schedule.append(None)
         self._num_tried = 0
         self._best_before: tuple[PlannedVariant, Trajectory] | None = None
@@ -140,13 +137,12 @@ class InitialTrajectories:
 
     def _play(self, first: int, last: int) -> _Chunk:
         """Plays from one step to another as the planner does."""
-        trajectory, search = self._trajectory, self._planned.search
-        simulation, before = scene_before(first, trajectory, self._snapshots), search.simulated
-        segment, history = trajectory.segment(first, last), trajectory.key_history(first)
-        played = self._planned.scene.roll_out(
-            simulation, first, segment, history, self._chunk, search.act
+        search = self._planned.search
+        before = search.simulated
+        played, snapshots = self._planned.scene.roll_out(
+            self._trajectory, self._snapshots, first, last, self._chunk, search.act
         )
-        return _Chunk(*played, search.simulated - before + segment.loss.size)
+        return _Chunk(played, snapshots, search.simulated - before + played.loss.size)
 
     def _follow(self, first: int, last: int) -> list[_Chunk]:
         """Follows the spliced trajectory, again and again until it loses no more than that."""
@@ -195,8 +191,8 @@ class InitialTrajectories:
         match self._schedule[self._num_tried - 1]:
             case None:
                 return self._spliced.variant
-            case int(later):
-                return self._spliced.letting_go(later)
+            case int(delay):
+                return self._spliced.with_release_delay(delay)
             case costs:
                 return self._spliced.with_fingers_by(costs)
 
@@ -205,7 +201,7 @@ class InitialTrajectories:
         if variant.equals(self._planned.variant):
             return self._planned
         rng, track = np.random.default_rng((self.seed, self._num_tried)), self._planned.plan.track
-        return PlannedVariant(track, self._start, self._config, rng, self._threads, variant=variant)
+        return PlannedVariant(track, self._start, rng, self._context, variant)
 
     def result(self) -> PracticeResult:
         """The first trajectory, with what is left played as planned."""
@@ -216,7 +212,7 @@ class InitialTrajectories:
     # Saving and restoring
 
     def parts(self, *, everything: bool = False) -> Parts:
-        """All that decides how they go on, beside the best trajectory; or all that there may be."""
+        """All arrays of the state beside the best trajectory; or all that there may ever be."""
         planned, _ = self.best
         numbers = {"numbers": [self.num_played, self._num_tried]}
         parts: Parts = {"initial": numbers | planned.variant._asdict()}
@@ -237,7 +233,7 @@ class InitialTrajectories:
         return {
             "initial/numbers": ([0, 0], counts),
             "*/fingers": (NO_FINGER, last),
-            "*/later": (0, self._latest),
+            "*/release_delays": (0, self._max_delay),
         }
 
     def restore(self, parts: Mapping[str, dict[str, Any]], best: Trajectory) -> None:

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 ONSET_WEIGHT = 0.5
-"""Weight of the F1 of note onsets beside that of F1, which is 1."""
+"""The weight of the F1 of note onsets beside that of F1, which is 1."""
 _EXTRA_ONSET = 0.5  # loss of a superfluous onset, relative to a missed one, which costs recall too
 _LONG_AGO = 1_000_000  # steps
 # Both are small beside the loss of one key in one step, so that they only decide between rollouts
@@ -27,27 +27,27 @@ _FINGERTIP_WEIGHT = 0.02  # of the cost that the search gives fingertips off the
 
 
 class KeyHistory(NamedTuple):
-    """State of K keys after a step, each (K,)."""
+    """The state of K keys after a step, each (K,)."""
 
     sounding: Mask
     since: NDArray[np.intp]
-    """Steps since the last onset of each key."""
+    """The steps since the last onset of each key."""
 
     @classmethod
     def of_steps(cls, sounding: Mask) -> KeyHistory:
-        """History after steps (S, K), before which no key sounded."""
+        """The history after steps (S, K), before which no key sounded."""
         history = cls(np.zeros(sounding.shape[1], bool), np.full(sounding.shape[1], _LONG_AGO))
         for keys in sounding:
             history = history.then(keys)
         return history
 
     def then(self, sounding: Mask) -> KeyHistory:
-        """History after one more step, with the keys (K,) that sound then."""
+        """The history after one more step, with the keys (K,) that sound then."""
         begins = sounding & ~self.sounding
         return KeyHistory(sounding, np.where(begins, 0, self.since + 1))
 
     def of(self, keys: slice) -> KeyHistory:
-        """History of some of the keys."""
+        """The history of some of the keys."""
         return KeyHistory(self.sounding[keys], self.since[keys])
 
 
@@ -60,14 +60,11 @@ class Losses:
     """
 
     def __init__(self, plan: SongPlan, goals: HandGoals) -> None:
-        """Args:
-        plan: the plan of the whole song.
-        goals: what the hand has to do in it.
-        """
+        """Takes the plan of the whole song, and the goals of the hand in it."""
         keys, dt = plan.goals.keys, plan.track.config.control_timestep
         self._goals, self._keyboard = goals, plan.scene.keyboard
         self._keys, self._num_wanted = keys, keys.sum(axis=1)
-        self._in_time, self._may_begin = last_in_time(goals.mine, dt), may_begin(keys, dt)
+        self._in_time, self._may_begin = last_in_time(goals.keys, dt), may_begin(keys, dt)
         self._onset = ONSET_WEIGHT * len(keys) / max(int(first_steps(keys).sum()), 1)
 
     def after(
@@ -94,7 +91,7 @@ class Losses:
             after the step.
         """
         goals, keyboard, wanted = self._goals, self._keyboard, self._keys[step, keys]
-        mine, travel = goals.mine[step, keys], keyboard.travel[keys]
+        mine, travel = goals.keys[step, keys], keyboard.travel[keys]
         unwanted = ~wanted & near
         sounding = reward.key_activation(key_qpos, keyboard.sounds_from[keys])
         now, in_time = history.then(sounding), self._in_time[step, keys]

@@ -47,13 +47,13 @@ class Variant(NamedTuple):
 
     fingers: NDArray[np.int64]
     """(N,) the finger of each note, as hands number their fingers."""
-    later: NDArray[np.int8]
-    """(T, H) by how many steps later than usual a hand lets go to be in time for what begins."""
+    release_delays: NDArray[np.int8]
+    """(T, H) steps by which a hand delays its releases before what begins, see `MotionPlanner`."""
 
     def equals(self, other: Variant) -> bool:
         """Whether both are the same."""
         same_fingers = np.array_equal(self.fingers, other.fingers)
-        return same_fingers and np.array_equal(self.later, other.later)
+        return same_fingers and np.array_equal(self.release_delays, other.release_delays)
 
     def of(self, track: GoalTrack) -> GoalTrack:
         """The track with these fingers."""
@@ -79,16 +79,16 @@ class SplicedTrajectory(NamedTuple):
         loss = self.trajectory.loss
         return self._merged(other, lambda passage: bool(loss[passage].any()))[0]
 
-    def letting_go(self, later: int) -> Variant:
-        """The variant that lets go so many steps later than usual before jumps with a loss.
+    def with_release_delay(self, steps: int) -> Variant:
+        """The variant that delays releases by this many steps before jumps with a loss.
 
         A jump gets there one step at a time.
         """
-        changed = self.variant.later.copy()
+        changed = self.variant.release_delays.copy()
         for passage in _strikes(self.track, self.variant):
-            if self.trajectory.loss[passage].any() and (changed[passage] == later - 1).all():
-                changed[passage] = later
-        return self.variant._replace(later=changed)
+            if self.trajectory.loss[passage].any() and (changed[passage] == steps - 1).all():
+                changed[passage] = steps
+        return self.variant._replace(release_delays=changed)
 
     def with_better(
         self, other: Variant, trajectory: Trajectory, goals: Sequence[HandGoals]
@@ -119,12 +119,12 @@ class SplicedTrajectory(NamedTuple):
         """The variant with those passages of another one that are chosen, and which they are."""
         passages = list(filter(chosen, passages_of(self.track, self.variant, other)))
         first = _first_steps(self.track)
-        variant = Variant(self.variant.fingers.copy(), self.variant.later.copy())
+        variant = Variant(self.variant.fingers.copy(), self.variant.release_delays.copy())
         for passage in passages:
             steps, _ = passage
             notes = (first >= steps.start) & (first < steps.stop)
             variant.fingers[notes] = other.fingers[notes]
-            variant.later[passage] = other.later[passage]
+            variant.release_delays[passage] = other.release_delays[passage]
         return variant, passages
 
 
@@ -136,7 +136,7 @@ def passages_of(track: GoalTrack, variant: Variant, other: Variant) -> list[Pass
     """
     if (variant.fingers != other.fingers).any():
         return _refingered(track, variant, other)
-    differs = variant.later != other.later
+    differs = variant.release_delays != other.release_delays
     return [passage for passage in _strikes(track, variant) if differs[passage].any()]
 
 
@@ -158,7 +158,7 @@ def _near_other_fingers(track: GoalTrack, variant: Variant, other: Variant) -> M
     dt, sides = track.config.control_timestep, [SIDES.index(side) for side in track.scene.sides]
     before, after = steps_in(_BEFORE, dt), steps_in(_AFTER, dt)
     hands = track.scene.fingers.hand_of(np.array([variant.fingers, other.fingers]))  # (2, N)
-    near = np.zeros(variant.later.shape, bool)
+    near = np.zeros(variant.release_delays.shape, bool)
     for i, first, end in _with_other_fingers(track, variant, other):
         near[max(first - before, 0) : end + after, np.isin(sides, hands[:, i])] = True
     return near
@@ -181,7 +181,7 @@ def _strikes(track: GoalTrack, variant: Variant) -> list[Passage]:
     passages: list[Passage] = []
     for column, side in enumerate(track.scene.sides):
         strikes = np.unique(first[hand == SIDES.index(side)])
-        begins = [*np.maximum(strikes - jump, 0).tolist(), len(variant.later)]
+        begins = [*np.maximum(strikes - jump, 0).tolist(), len(variant.release_delays)]
         passages += [
             (slice(begin, end), slice(column, column + 1)) for begin, end in pairwise(begins)
         ]
@@ -214,7 +214,7 @@ def spliced(
         trajectory: T steps.
         other: another trajectory of the same song.
         where: (T, H) the steps of each hand that come from there.
-        goals: what the H hands have to do in the other trajectory.
+        goals: the goals of the H hands in the other trajectory.
         servos: the servos of each hand among those of all.
     """
     result = trajectory.copied()
@@ -223,7 +223,7 @@ def spliced(
         result.ctrl[rows, own] = other.ctrl[rows, own]
         result.expected[rows, own] = other.expected[rows, own]
         result.loss[rows, hand] = other.loss[rows, hand]
-        keys = each.mine & rows[:, None]
+        keys = each.keys & rows[:, None]
         result.sounding[keys] = other.sounding[keys]
     return result
 

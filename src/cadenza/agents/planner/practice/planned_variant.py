@@ -7,22 +7,16 @@ from functools import cached_property
 
 import numpy as np
 
-from cadenza.agents.agent import Array, Progress, silent
-from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.agent import Array
+from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import plan_song
 from cadenza.agents.planner.practice.hand_practice import HandPractice
 from cadenza.agents.planner.practice.plan_variants import Variant, fingers_in
 from cadenza.agents.planner.practice.practised_planner import PracticeResult, PractisedPlan
-from cadenza.agents.planner.practice.trajectory import (
-    Snapshots,
-    Trajectory,
-    WholeScene,
-    scene_before,
-)
+from cadenza.agents.planner.practice.trajectory import Snapshots, Trajectory, WholeScene
 from cadenza.agents.planner.search.hands_in_scene import HandsInScene
 from cadenza.music.metrics import playing_metrics
-from cadenza.sim.threads import Threads
 from cadenza.tasks.goal_track import GoalTrack
 
 
@@ -30,9 +24,9 @@ class PlannedVariant:
     """A variant of a song with its plan.
 
     Attributes:
-        variant: how the hands play the song.
+        variant: the fingers and the release times.
         plan: the plan of the whole song, before practice.
-        goals: what each hand has to do.
+        goals: the goals of each hand.
         search: the hands that play it as the planner does.
         scene: where trajectories are rolled out.
     """
@@ -41,32 +35,31 @@ class PlannedVariant:
         self,
         track: GoalTrack,
         start: Array,
-        config: PlannerConfig,
         rng: np.random.Generator,
-        threads: Threads,
-        progress: Progress = silent,
+        context: PlanningContext,
         variant: Variant | None = None,
     ) -> None:
-        """Args:
+        """Plans the whole song.
+
+        Args:
             track: the song.
             start: (J,) joint positions of the hands where it begins [m, rad].
-            config: how to plan.
             rng: source of randomness.
-            threads: what shares the work.
-            progress: is told of "fingers" and "postures".
-            variant: how to play it; by default with the fingers that it has or that are found.
+            context: options and resources of planning.
+            variant: fingers and release times; by default the fingers that the song has or that
+                are found, and the usual times.
 
         Raises:
             CadenzaError: there are no hands in the scene.
         """
-        track, later = (variant.of(track), variant.later) if variant else (track, 0)
-        plan = self.plan = plan_song(track, start, progress, later)
+        track, delays = (variant.of(track), variant.release_delays) if variant else (track, 0)
+        plan = self.plan = plan_song(track, start, context.progress, delays)
         usual = np.zeros((plan.goals.num_steps, len(plan.scene.sides)), np.int8)
         self.variant = variant or Variant(fingers_in(plan.track), usual)
         self.goals = [HandGoals(plan, side) for side in plan.scene.sides]
-        self.search = HandsInScene(plan, config, rng, threads)
+        self.search = HandsInScene(plan, rng, context)
         self.scene = WholeScene(plan, start, self.goals)
-        self._threads = threads
+        self._threads = context.threads
 
     @cached_property
     def hands(self) -> list[HandPractice]:
@@ -86,15 +79,9 @@ class PlannedVariant:
     def follow(
         self, trajectory: Trajectory, step: int, rngs: Sequence[np.random.Generator]
     ) -> None:
-        """Has its hands follow a trajectory from a step on, and search where less would sound.
-
-        Args:
-            trajectory: what to follow.
-            step: the next step.
-            rngs: source of randomness of each hand.
-        """
+        """Has its hands follow a trajectory from a step on, and search where less would sound."""
         goals = [each.holding(trajectory.sounding) for each in self.goals]
-        self.search.follow(self.scene.tracking(trajectory), goals, step, rngs)
+        self.search.restart(goals, self.scene.tracking(trajectory), step, rngs)
 
     def result(self, trajectory: Trajectory) -> PracticeResult:
         """The scores of a trajectory of the whole song, and what it takes to play it."""
@@ -110,11 +97,7 @@ class PlannedVariant:
     ) -> Trajectory:
         """The trajectory, with the steps from `first` on played anew with feedback."""
         steps, whole = len(trajectory.ctrl), trajectory.copied()
-        rest, simulation = (
-            trajectory.segment(first, steps),
-            scene_before(first, trajectory, snapshots),
-        )
-        history, no_snapshots = trajectory.key_history(first), steps + 1
-        played, _ = self.scene.roll_out(simulation, first, rest, history, no_snapshots)
+        no_snapshots = steps + 1
+        played, _ = self.scene.roll_out(trajectory, snapshots, first, steps, every=no_snapshots)
         whole.overwrite(first, played)
         return whole

@@ -26,9 +26,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import Array, Progress, silent
+from cadenza.agents.agent import Array
 from cadenza.agents.control_steps import steps_in
 from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.practice.hand_practice import Attempt, Change
 from cadenza.agents.planner.practice.initial_trajectories import InitialTrajectories, Limits, Parts
@@ -48,13 +49,13 @@ from cadenza.files import (
 from cadenza.music.metrics import step_metrics
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
-from cadenza.sim.threads import Threads
 from cadenza.tasks.config import task_identity
 from cadenza.tasks.view import View
 
 EFFORT = 100
 """Control steps that each hand simulates for each one of the song at effort 1."""
 MOST_EFFORT = 1e6
+"""The greatest effort that can be chosen."""
 _FIRST_SWEEP, _SWEEP = 0.5, 1.0  # effort: the first one finds the easy faults, and is over sooner
 _APART = 0.5  # [s] between passages
 _INTERVAL = 0.5  # [s] between snapshots, at which rollouts can begin
@@ -83,7 +84,8 @@ class Practice:
     Attributes:
         trajectory: the best so far; where it has not been played yet, it is what is planned.
         current_steps: the steps that were worked on last.
-        simulated: control steps of a hand, in all, after the first trajectory.
+        num_steps: the number of control steps of the song.
+        simulated: the control steps of a hand, in all, after the first trajectory.
         history: effort, F1 and F1 of note onsets of the first trajectory, and of the best one after
             each variant and each sweep.
     """
@@ -92,25 +94,23 @@ class Practice:
         self,
         view: View,
         rng: np.random.Generator,
-        config: PlannerConfig,
-        num_threads: int,
-        progress: Progress = silent,
+        context: PlanningContext,
     ) -> None:
-        """Args:
+        """Plans the song.
+
+        Args:
             view: the view before the first step, of one environment.
             rng: source of randomness.
-            config: how to plan.
-            num_threads: how many threads share the work.
-            progress: is told of "fingers" and "postures".
+            context: options and resources of planning.
 
         Raises:
             CadenzaError: there are no hands in the scene.
         """
         (track,), start = view.tracks, view.state.hand_qpos[0]
-        self._threads = Threads(num_threads)
-        self._initial = InitialTrajectories(track, start, config, rng, self._threads, progress)
+        self._threads = context.threads
+        self._initial = InitialTrajectories(track, start, rng, context)
         self._planned, self.trajectory = self._initial.best
-        self._identity = _digest(self.plan, start, self._initial.seed, config)
+        self._identity = _digest(self.plan, start, self._initial.seed, context.config)
         dt = track.config.control_timestep
         self._around, self._apart, interval = (
             steps_in(seconds, dt) for seconds in (_AROUND, _APART, _INTERVAL)
@@ -183,7 +183,7 @@ class Practice:
         return list(map(int, steps[apart]))
 
     def run(self, effort: float, goes_on: Callable[[], bool] = lambda: True) -> bool:
-        """Practises until `effort` has been made, as long as `goes_on`, which is often asked.
+        """Practises until `effort` has been made, as long as `goes_on` returns true.
 
         A sweep or a trajectory that has begun is finished first.
 
@@ -328,11 +328,11 @@ class Practice:
         act: Callable[[State], Array] | None = None,
     ) -> tuple[Trajectory, Snapshots]:
         """Rolls out some steps of a trajectory from the scene before the first of them."""
-        simulation, segment = self._scene_before(first), trajectory.segment(first, last)
-        self.simulated += segment.loss.size
-        history = self.trajectory.key_history(first)
-        scene = self._planned.scene
-        return scene.roll_out(simulation, first, segment, history, self._interval, act)
+        played, snapshots = self._planned.scene.roll_out(
+            trajectory, self._snapshots, first, last, self._interval, act
+        )
+        self.simulated += played.loss.size
+        return played, snapshots
 
     def _f1(self, sounding: NDArray[np.bool_], first: int) -> float:
         """The sum of F1 over the steps from `first` on in which `sounding` (L, K) sounds."""
@@ -367,7 +367,7 @@ class Practice:
     # Saving and restoring
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """All that decides how practice goes on, as arrays by name; see `restore`."""
+        """All that decides how practice goes on, as arrays by "part/name"."""
         return _named(self._parts(self._sweep) | self._initial.parts())
 
     def _parts(self, sweep: _Sweep | None) -> Parts:
@@ -450,10 +450,10 @@ class Practice:
             raise ValueError(f"no window begins at step {first}")
         self._sweep = sweep
         # Snapshots take much memory: none is kept of what comes before.
-        here = scene_before(first, self.trajectory, {0: scene.at_start()})
-        known = self.trajectory.segment(first, min(first + self._reach, self.num_steps))
-        history = self.trajectory.key_history(first)
-        _, self._snapshots = scene.roll_out(here, first, known, history, self._interval)
+        known = {0: scene.at_start()}
+        _, self._snapshots = scene.roll_out(
+            self.trajectory, known, first, first + self._reach, self._interval
+        )
 
 
 def _named(parts: Parts) -> dict[str, NDArray[Any]]:
@@ -468,7 +468,7 @@ def _named(parts: Parts) -> dict[str, NDArray[Any]]:
 def _digest(plan: SongPlan, start: Array, seed: int, config: PlannerConfig) -> str:
     """A digest of all that practice begins with."""
     options = task_identity(plan.track.config, plan.track.scene.config, seed)
-    chosen = json.dumps([seed, options, asdict(config)], sort_keys=True)
+    chosen = json.dumps({"seed": seed, "task": options, "planner": asdict(config)}, sort_keys=True)
     digest = hashlib.sha256(chosen.encode())
     for values in (*plan.nominal.tracking, plan.goals.keys, start):
         digest.update(values.tobytes())

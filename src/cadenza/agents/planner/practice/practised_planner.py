@@ -7,15 +7,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, Progress, check_planned_for
+from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, check_planned_for
 from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
-from cadenza.agents.planner.plan.tracking import Follower, Tracking
+from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.practice.losses import ONSET_WEIGHT
 from cadenza.agents.planner.practice.plan_variants import Variant
 from cadenza.agents.planner.search.hands_in_scene import HandsInScene
 from cadenza.errors import CadenzaError
+from cadenza.scene.servos import servos_of
 from cadenza.sim.threads import Threads
 from cadenza.tasks.view import View
 
@@ -28,7 +30,7 @@ class PractisedPlan(NamedTuple):
     tracking: Tracking
     """The controls, and the feedback that leads the hands back to the trajectory."""
     variant: Variant
-    """The fingers with which they play, and when they let go."""
+    """The fingers and the release times."""
 
 
 class PracticeResult(NamedTuple):
@@ -59,43 +61,37 @@ class PractisedPlanner(EpisodePlanner):
         self,
         view: View,
         practised: PractisedPlan,
-        config: PlannerConfig,
         rng: np.random.Generator,
-        num_threads: int,
-        progress: Progress,
+        context: PlanningContext,
         plan: SongPlan | None = None,
     ) -> None:
-        """Args:
+        """Plays without a search at first.
+
+        Args:
             view: the view before the first step, of one environment.
             practised: what to play.
-            config: how to search.
             rng: source of randomness of the search.
-            num_threads: how many threads share it.
-            progress: is told of "postures" when the song is planned.
+            context: options and resources of the search.
             plan: the plan of this variant, if there is one already.
 
         Raises:
             CadenzaError: another song was practised, or with other hands.
         """
-        (track,), scene = view.tracks, view.task.scene
+        (self._track,) = view.tracks
         self._tracking, self._variant = practised
         _check(practised, view)
-        self._follower = Follower(scene, self._tracking)
-        self._track, self._start = track, view.state.hand_qpos[0].copy()
-        self._pedal = track.goals.sustain
-        self._config, self._rng, self._threads = config, rng, Threads(num_threads)
-        self._progress, self._plan = progress, plan
+        self._servos = servos_of(view.task.scene)
+        self._start, self._pedal = view.state.hand_qpos[0].copy(), self._track.goals.sustain
+        self._rng, self._context, self._plan = rng, context, plan
         self._search: HandsInScene | None = None
 
     def act(self, view: View) -> Array:
-        """(A,) the next action."""
         state, step = view.state, int(view.steps[0])
         if not self._search:
-            here = self._follower.posture(state.hand_qpos[0], state.hand_qvel[0])
+            here = self._servos.state(state.hand_qpos[0], state.hand_qvel[0])
             off = np.abs(here - self._tracking.expected[step])[:, 0].max()
             if off <= _PUSHED:
-                feedback = self._tracking.feedback(step, here)
-                ctrl = self._follower.clip(self._tracking.ctrl[step] - feedback)
+                ctrl = self._tracking.controls(self._servos, step, here)
                 return np.append(ctrl, self._pedal[step])
             self._search = self._begin_search(step)
         return np.append(self._search.act(state), self._pedal[step])
@@ -106,13 +102,14 @@ class PractisedPlanner(EpisodePlanner):
         if self._plan is None:
             dropped = self._track.dropped or ()  # the others have all fingers that they get
             track = replace(self._variant.of(self._track), dropped=dropped)
-            self._plan = plan_song(track, self._start, self._progress, self._variant.later)
+            delays = self._variant.release_delays
+            self._plan = plan_song(track, self._start, self._context.progress, delays)
         return self._plan
 
     def _begin_search(self, step: int) -> HandsInScene:
-        hands = HandsInScene(self.plan, self._config, self._rng, self._threads)
+        hands = HandsInScene(self.plan, self._rng, self._context)
         goals = [HandGoals(self.plan, side) for side in self.plan.scene.sides]
-        hands.follow(self._tracking, goals, step, self._rng.spawn(len(goals)))
+        hands.restart(goals, self._tracking, step, self._rng.spawn(len(goals)))
         return hands
 
 
@@ -122,11 +119,7 @@ class PractisedHands(PlannerPerEnv[PractisedPlanner]):
     def __init__(
         self, practised: PractisedPlan, config: PlannerConfig, plan: SongPlan | None = None
     ) -> None:
-        """Args:
-        practised: what to play.
-        config: how to search where hands are pushed off it.
-        plan: the plan of this variant, if there is one already.
-        """
+        """Plays what was practised, see `PractisedPlanner`, and searches as `config` says."""
         super().__init__()
         self._practised, self._config, self._plan = practised, config, plan
 
@@ -134,16 +127,19 @@ class PractisedHands(PlannerPerEnv[PractisedPlanner]):
         """Raises:
         CadenzaError: another song was practised, or with other hands.
         """
-        return PractisedPlanner(
-            view, self._practised, self._config, rng, self.threads, self.progress, self._plan
-        )
+        context = PlanningContext(self._config, Threads(self.threads), self.progress)
+        return PractisedPlanner(view, self._practised, rng, context, self._plan)
 
 
 def _check(practised: PractisedPlan, view: View) -> None:
-    """Raises: CadenzaError: another song was practised, or with other hands."""
+    """Checks that a plan fits the task.
+
+    Raises:
+        CadenzaError: another song was practised, or with other hands.
+    """
     steps, servos = practised.tracking.ctrl.shape
     check_planned_for(view, steps, servos + 1)
-    hands, notes = practised.variant.later.shape[1], len(practised.variant.fingers)
+    hands, notes = practised.variant.release_delays.shape[1], len(practised.variant.fingers)
     (track,) = view.tracks
     if (hands, notes) != (there := (len(view.task.scene.sides), len(track.score.notes))):
         raise CadenzaError(

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
-from cadenza.agents.planner.plan.tracking import Follower, Tracking
+from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.practice.losses import KeyHistory, Losses
+from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 
@@ -31,11 +32,11 @@ class Trajectory(NamedTuple):
     expected: Array
     """(T, A, 2) position and speed of each servo before the step."""
     sounding: Mask
-    """(T, K) keys that sound after the step."""
+    """(T, K) whether each key sounds after the step."""
     loss: Array
-    """(T, H) loss of each hand after the step, see `Losses`."""
+    """(T, H) the loss of each hand after the step, see `Losses`."""
     cost: Array
-    """(T,) cost of all hands after the step."""
+    """(T,) the cost of all hands after the step."""
 
     @classmethod
     def unplayed(cls, tracking: Tracking, num_keys: int, num_hands: int) -> Trajectory:
@@ -84,14 +85,16 @@ class WholeScene:
     """The scene with all hands and keys, in which trajectories are rolled out and evaluated."""
 
     def __init__(self, plan: SongPlan, start: Array, goals: Sequence[HandGoals]) -> None:
-        """Args:
-        plan: the plan of the whole song.
-        start: (J,) joint positions of the hands where the song begins [m, rad].
-        goals: what each hand has to do.
+        """Puts the hands where the song begins.
+
+        Args:
+            plan: the plan of the whole song.
+            start: (J,) joint positions of the hands where the song begins [m, rad].
+            goals: the goals of each hand.
         """
         scene, tracking = plan.scene, plan.nominal.tracking
         self._gain, self._after = tracking.gain, tracking.expected[-1:]
-        self._follower = Follower(scene, tracking)
+        self._servos = servos_of(scene)
         self._fingers = [each.fingers for each in goals]
         self._losses = [Losses(plan, each) for each in goals]
         self._keys = scene.keyboard.centre[:, 1]
@@ -109,39 +112,40 @@ class WholeScene:
 
     def roll_out(
         self,
-        simulation: PlanningSimulation,
+        trajectory: Trajectory,
+        known: Snapshots,
         first: int,
-        segment: Trajectory,
-        history: KeyHistory,
+        last: int,
         every: int,
         act: Callable[[State], Array] | None = None,
     ) -> tuple[Trajectory, Snapshots]:
-        """Plays a segment of a trajectory, and evaluates it.
+        """Plays the steps of a trajectory from `first` up to `last`, and evaluates them.
 
         Args:
-            simulation: the scene before the step `first`; it is changed.
-            first: the step at which the segment begins.
-            segment: what to play.
-            history: the keys before it.
-            every: steps between snapshots; there is one at the end too if it falls there.
-            act: the controls (A,) of the next step in a state; by default those of the segment,
-                with feedback.
+            trajectory: the trajectory, with what was played before these steps.
+            known: the snapshots of its scene, one of them of the step `first` or before.
+            first: the first step.
+            last: the step after the last one.
+            every: steps between new snapshots; there is one at the end too if it falls there.
+            act: returns the controls (A,) of the next step in a state; by default those of the
+                trajectory, with feedback, are played.
 
         Returns:
             What was played, and the snapshots.
         """
-        played, snapshots = segment.copied(), Snapshots()
-        last = first + len(segment.ctrl)
+        simulation, history = scene_before(first, trajectory, known), trajectory.key_history(first)
+        played, snapshots = trajectory.segment(first, last), Snapshots()
+        last = first + len(played.ctrl)
         for k, step in enumerate(range(first, last)):
             if step % every == 0:
                 snapshots[step] = copy(simulation)
             state = simulation.state
-            here = self._follower.posture(state.hand_qpos[0], state.hand_qvel[0])
+            here = self._servos.state(state.hand_qpos[0], state.hand_qvel[0])
             if act:
                 ctrl = act(state)
             else:
-                feedback = (self._gain[step] * (here - segment.expected[k])).sum(axis=1)
-                ctrl = self._follower.clip(segment.ctrl[k] - feedback)
+                feedback = (self._gain[step] * (here - played.expected[k])).sum(axis=1)
+                ctrl = self._servos.clip(played.ctrl[k] - feedback)
             simulation.step(ctrl[None])
             loss, cost, history = self._evaluated(simulation.state, step, history)
             played.overwrite(
@@ -154,7 +158,7 @@ class WholeScene:
     def _evaluated(
         self, state: State, step: int, history: KeyHistory
     ) -> tuple[Array, Array, KeyHistory]:
-        """The loss (H,) and cost (1,) of the state after a step, and the keys then.
+        """The loss (H,) and the cost (1,) of the state after a step, and the keys then.
 
         A key that sounds and should not is charged to the hand that is nearer to it.
         """

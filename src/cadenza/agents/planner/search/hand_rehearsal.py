@@ -33,16 +33,16 @@ class RehearsalConfig(NamedTuple):
     """Parameters of a rehearsal; the defaults are for a hand that searches where it fails."""
 
     window: float = 1.0
-    """[s] that are played as they were rehearsed."""
+    """The time that is played as it was rehearsed [s]."""
     judged_after: float = 0.2
-    """[s] after the window that count in the cost: the hand should be able to go on."""
+    """The time after the window that counts in the cost: the hand should be able to go on [s]."""
     corrected_after: float = 0.4
-    """[s] after the window whose controls are updated, too."""
+    """The time after the window whose controls are updated, too [s]."""
     iterations: int = 5
-    """Rollouts, at most."""
+    """The maximum number of rollouts."""
     max_mistakes: float = 0.5
-    """Share of the plan's mistakes that a rollout may make to be kept: with more of them, fingers
-    are caught, and a search that begins with the plan frees them sooner."""
+    """The share of the plan's mistakes that a rollout may make to be kept. With more of them,
+    fingers are caught, and a search that begins with the plan frees them sooner."""
 
 
 _DEFAULT = RehearsalConfig()
@@ -52,8 +52,7 @@ class HandRehearsal:
     """The controls of the next steps, as they were rehearsed.
 
     Attributes:
-        steps_seen: how many steps of the plan a rehearsal needs.
-        end: the step after the last one that was rehearsed.
+        lookahead: the number of steps of the plan that a rehearsal needs.
         tail: (N, A) controls of the steps from `end` on, of the rollout that was kept.
         keys: the keys near the hand.
         keys_at_end: (2, K) their positions and speeds before the step `end`, of the rollout that
@@ -63,17 +62,19 @@ class HandRehearsal:
     def __init__(
         self, scene: Scene, simulator: HandRollouts, dt: float, config: RehearsalConfig = _DEFAULT
     ) -> None:
-        """Args:
-        scene: with this hand only.
-        simulator: of the hand.
-        dt: control step [s].
-        config: how to rehearse.
+        """Begins with nothing rehearsed.
+
+        Args:
+            scene: a scene with this hand only.
+            simulator: the simulator of the hand.
+            dt: control step [s].
+            config: parameters of rehearsals.
         """
         self._config, self._dt, self._simulator = config, dt, simulator
         self._servos, self._keyboard = servos_of(scene), scene.keyboard
         self._window = steps_in(config.window, dt)
         self._judged = self._window + steps_in(config.judged_after, dt)
-        self.steps_seen = self._window + steps_in(config.corrected_after, dt)
+        self.lookahead = self._window + steps_in(config.corrected_after, dt)
         self.reset()
 
     def reset(self) -> None:
@@ -85,10 +86,11 @@ class HandRehearsal:
 
     @property
     def end(self) -> int:
+        """The step after the last one that was rehearsed."""
         return self._first + len(self._ctrl)
 
     def ctrl(self, step: int) -> Array:
-        """(N, A) controls of `step` and those after it, as far as they have been rehearsed."""
+        """(N, A) the controls from `step` on, as far as they have been rehearsed."""
         return self._ctrl[step - self._first :]
 
     def goes_as_rehearsed(self, step: int, hand_qpos: Array) -> bool:
@@ -108,10 +110,10 @@ class HandRehearsal:
         """Rehearses the next steps and returns how many control steps were simulated.
 
         Args:
-            goals: of the hand.
-            tracking: the plan, of this hand's servos.
-            steps: (S,) of the song, from here on: `steps_seen`, or up to the end of the plan.
-            simulation: of the hand on all keys, in its present state.
+            goals: the goals of the hand.
+            tracking: the plan of this hand's servos.
+            steps: (S,) the next steps of the song: `lookahead`, or up to the end of the plan.
+            simulation: the hand on all keys, in its present state.
         """
         horizon = start_rollouts(self._simulator, simulation, goals, steps, self._keyboard)
         ctrl = kept = tracking.ctrl[steps]
@@ -150,7 +152,7 @@ class HandRehearsal:
         return roll_out(self._simulator, horizon, with_feedback(), judged=self._judged)
 
     def _update(self, rollout: Rollout, feedback: Array, horizon: HorizonCost) -> Array:
-        """(S, A) what to add to the controls of a rollout of all S steps."""
+        """(S, A) the update of the controls of a rollout of all S steps."""
         fingertips, key_qpos = np.array(rollout.fingertips), np.array(rollout.key_qpos)
         error, weight = horizon.errors_by_sound(fingertips, key_qpos)
         jacobian = self._simulator.fingertip_jacobian(np.array(rollout.hand_qpos))

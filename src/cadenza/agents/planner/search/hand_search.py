@@ -19,24 +19,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.control_steps import steps_in
-from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.hand_goals import ABOUT_TO_PRESS, HandGoals
+from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.search.candidates import EscapeMotions, crossover
 from cadenza.agents.planner.search.fingertip_correction import servo_corrections
 from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal
 from cadenza.agents.planner.search.network_candidate import NetworkCandidate
-from cadenza.agents.planner.search.rollouts import Rollout, Rollouts
+from cadenza.agents.planner.search.networks.inputs import sizes_of
+from cadenza.agents.planner.search.networks.weights import shipped
+from cadenza.agents.planner.search.rollouts import Rollout, Rollouts, start_rollouts
 from cadenza.agents.planner.search.sampling import (
     UPDATES,
     SamplingDistribution,
     predictive_sampling,
 )
-from cadenza.scene.scene import Scene
+from cadenza.fingers import Side
+from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
-from cadenza.sim.threads import Threads
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -59,33 +62,35 @@ _MAX_DRIFT = 1e-5  # [m, rad] between the model and the scene, above which the m
 
 
 class HandSearch:
-    """Controls of one hand, step by step."""
+    """Controls of one hand, step by step.
+
+    Attributes:
+        servos: the hand's servos among all of the scene.
+        joints: the hand's joints among all of the scene.
+    """
 
     def __init__(
-        self,
-        scene: Scene,
-        config: PlannerConfig,
-        dt: float,
-        rng: np.random.Generator,
-        threads: Threads,
+        self, plan: SongPlan, side: Side, rng: np.random.Generator, context: PlanningContext
     ) -> None:
-        """It has to `follow` a plan before it acts.
+        """Follows a plan from its first step on.
 
         Args:
-            scene: with this hand only.
-            config: how to sample.
-            dt: control step [s].
-            rng: what is random.
-            threads: that share the rollouts.
+            plan: the plan of the song, as far as it goes.
+            side: the side of the hand.
+            rng: source of randomness.
+            context: the options of sampling, and the threads that share rollouts.
         """
-        self._rng, self._dt, self._servos = rng, dt, servos_of(scene)
+        config, dt = context.config, plan.track.config.control_timestep
+        scene, self.servos, self.joints = hand_alone(plan.scene, side)
+        self._rng, self._dt, self._servos, self._side = rng, dt, servos_of(scene), side
         self._update = UPDATES[config.method] if config.method != "none" else None
         self._num_candidates, self._iterations = config.num_candidates, config.iterations
         self._horizon = max(1, round(config.horizon / dt))
         self._escape_horizon = max(self._horizon, steps_in(_ESCAPE_HORIZON, dt))
         self._model, self._simulator = PlanningSimulation(scene, 1, dt), HandRollouts(scene, dt)
         all_costs = self._update not in (None, predictive_sampling)
-        self._rollouts = Rollouts(self._simulator, scene.keyboard, threads, all_costs=all_costs)
+        self._rollouts = Rollouts(self._simulator, context.threads, all_costs=all_costs)
+        self._keyboard = scene.keyboard
         self._escapes = EscapeMotions(self._servos, dt)
         self._rehearsal = HandRehearsal(scene, self._simulator, dt)
         self._warm_start = np.zeros((self._horizon, len(self._servos.noise)))
@@ -96,12 +101,36 @@ class HandSearch:
         self._income, self._granted = round(BUDGET_SHARE * full_search), 0
         self._rehearsed = 0
         self._step, self._in_sync, self._rehearses = 0, True, self._update is not None
+        weights = shipped().get(plan.scene.hand.name) if config.proposals == "learnt" else None
+        fits = weights is not None and weights.sizes == sizes_of(plan.scene)
+        self._weights = weights if fits else None  # else other hands have trained them
+        self.follow(plan, 0)
 
-    def reset(self, step: int, rng: np.random.Generator) -> None:
-        """Begins with `step`, with a saved budget, no warm start and no rehearsals.
+    def follow(self, plan: SongPlan, step: int) -> None:
+        """Changes the plan, from `step` on, to one that goes further.
 
-        What it follows from then on has been played, and need not be rehearsed.
+        Where the plan ends within the horizon, the song is taken to end.
         """
+        self._goals = HandGoals(plan, self._side)
+        self._tracking = plan.nominal.tracking.of(self.servos)
+        self._network = (
+            NetworkCandidate(plan, self._side, self._weights, step) if self._weights else None
+        )
+
+    def restart(
+        self, goals: HandGoals, tracking: Tracking, step: int, rng: np.random.Generator
+    ) -> None:
+        """Follows what was played, from `step` on, with a saved budget and no warm start.
+
+        It need not be rehearsed, and has no network candidate.
+
+        Args:
+            goals: the goals of the hand, which holds the keys that sounded.
+            tracking: what was played, of this hand's servos.
+            step: the step to go on with.
+            rng: source of randomness.
+        """
+        self._goals, self._tracking, self._network = goals, tracking, None
         self._step, self._in_sync, self._rehearses = step, False, False
         self._rehearsal.reset()
         self._warm_start[:] = 0.0
@@ -110,7 +139,7 @@ class HandSearch:
 
     @property
     def simulated(self) -> int:
-        """Control steps in rollouts and rehearsals, since it began or was reset."""
+        """Control steps in rollouts and rehearsals, since it began or was restarted."""
         return self._rollouts.simulated + self._rehearsed
 
     @property
@@ -132,32 +161,13 @@ class HandSearch:
         self._rng = rng_from(state.rng)
 
     @property
-    def steps_seen(self) -> int:
-        """The number of steps of the plan that a step needs, with presses that begin soon after."""
-        rehearsed = self._rehearsal.steps_seen if self._rehearses else 0
+    def lookahead(self) -> int:
+        """The number of steps of the plan that are needed, with presses that begin soon after."""
+        rehearsed = self._rehearsal.lookahead if self._rehearses else 0
         return max(self._escape_horizon, rehearsed) + steps_in(ABOUT_TO_PRESS, self._dt)
 
-    def follow(
-        self, goals: HandGoals, tracking: Tracking, network: NetworkCandidate | None = None
-    ) -> None:
-        """Changes the plan from the next step on.
-
-        Args:
-            goals: of the hand.
-            tracking: the nominal controls, of this hand's servos. Where they end within the
-                horizon, the song is taken to end.
-            network: the first candidate of each search.
-        """
-        self._goals, self._tracking, self._network = goals, tracking, network
-
     def act(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> Array:
-        """(A,) the controls of this hand, for one step from its present state.
-
-        Args:
-            hand_qpos: (J,) of this hand [m, rad].
-            hand_qvel: (J,)
-            key_qpos: (K,) [rad]
-        """
+        """(A,) the controls of this hand for a step from its joints (J,) and all keys (K,)."""
         self._synchronise(hand_qpos, hand_qvel, key_qpos)
         self._granted += self._income
         self._rehearse()
@@ -188,7 +198,7 @@ class HandSearch:
         """Rehearses the next steps, unless that has been done."""
         if not self._rehearses or self._step < self._rehearsal.end:
             return
-        last = min(self._step + self._rehearsal.steps_seen, len(self._tracking.ctrl))
+        last = min(self._step + self._rehearsal.lookahead, len(self._tracking.ctrl))
         if (steps := np.arange(self._step, last)).size:
             self._rehearsed += self._rehearsal.rehearse(
                 self._goals, self._tracking, steps, self._model
@@ -213,7 +223,9 @@ class HandSearch:
             if caught.any():
                 best = self._escape(best, fingertips)
         # The warm start fades unless fingers still return to the plan or there was no budget.
-        needed = self._astray(fingertips, self._step).any() or (rollout.mistakes and not affordable)
+        needed = self._off_target(fingertips, self._step).any() or (
+            rollout.mistakes and not affordable
+        )
         self._warm_start[:-1] = (1.0 if needed else self._decay) * (best - nominal)[1:]
         self._warm_start[-1] = 0.0
         return best[0]
@@ -242,7 +254,10 @@ class HandSearch:
 
     def _start_rollouts(self, steps: Steps) -> None:
         inside = steps[: len(self._tracking.ctrl) - self._step]  # after those, nothing matters
-        self._rollouts.start(self._model, self._goals, inside)
+        self._cost = start_rollouts(
+            self._simulator, self._model, self._goals, inside, self._keyboard
+        )
+        self._rollouts.start(self._cost)
 
     # Sampling
 
@@ -257,8 +272,8 @@ class HandSearch:
         Args:
             nominal: (H, A)
             best: (H, A) the cheapest controls so far.
-            rollout: of these.
-            steps: (H,) of the song.
+            rollout: the rollout of these.
+            steps: (H,) the steps of the horizon.
             caught: (F,) which fingers are caught.
         """
         assert self._update is not None
@@ -342,7 +357,7 @@ class HandSearch:
         """
         if not np.isfinite(rollout.cost):
             return ctrl[None][:0]
-        error, weight = self._rollouts.horizon.fingertip_errors(np.array(rollout.fingertips))
+        error, weight = self._cost.fingertip_errors(np.array(rollout.fingertips))
         jacobian = self._simulator.fingertip_jacobian(np.array(rollout.hand_qpos))
         change = servo_corrections(error, weight, jacobian, self._servos)
         rows = np.minimum(np.arange(1, len(ctrl) + 1), len(change) - 1)
@@ -361,21 +376,21 @@ class HandSearch:
         best = min(range(len(rollouts)), key=lambda i: rollouts[i].cost)
         if not rollouts[best].mistakes:
             return candidates[:0]
-        by_finger = self._rollouts.horizon.by_finger
+        by_finger = self._cost.by_finger
         costs = [by_finger(np.array(r.key_qpos), np.array(r.fingertips)) for r in rollouts]
         return crossover(candidates, costs, best, self._servos.finger)
 
     # Fingers that are caught between keys
 
-    def _astray(self, fingertips: Array, state: int) -> Mask:
-        """(F,) which of `fingertips` (F, 3) [m] play in a state and are far beside their target."""
+    def _off_target(self, fingertips: Array, state: int) -> Mask:
+        """(F,) which of `fingertips` (F, 3) [m] play in a state and are far off their targets."""
         error = (fingertips - self._goals.fingertips[state])[:, :2]
         return self._goals.playing[state] & (np.linalg.norm(error, axis=1) > _CAUGHT)
 
     def _caught(self) -> Mask:
-        """(F,) which fingers are astray at the end of the last rollout."""
+        """(F,) which fingers are off their targets at the end of the last rollout."""
         end = min(self._step + self._horizon, len(self._tracking.ctrl))
-        return self._astray(self._simulator.fingertips(), end)
+        return self._off_target(self._simulator.fingertips(), end)
 
     def _escape(self, best: Array, fingertips: Array) -> Array:
         """(H, A) an escape motion, if fingers stay caught by `best` and it pays in the long run.
@@ -401,9 +416,9 @@ class SearchState(NamedTuple):
     """The state of a `HandSearch`, without that of the hand."""
 
     warm_start: Array
-    """(H, A) deviation from the nominal controls of the horizon."""
+    """(H, A) the deviation from the nominal controls of the horizon."""
     budget: Array
-    """() control steps that may be simulated."""
+    """() the number of control steps that may be simulated."""
     rng: NDArray[np.uint64]
     """(6,) the state of the random generator, see `rng_state`."""
 

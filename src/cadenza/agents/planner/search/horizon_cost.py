@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.planner.plan.hand_goals import ASTRAY, HandGoals
+from cadenza.agents.planner.plan.hand_goals import TIP_WEIGHT, HandGoals
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR, clipped
 from cadenza.keyboards.keyboard import Keyboard
 
@@ -31,8 +31,8 @@ class HorizonCost:
     """Cost of H steps of one hand, for the keys and the fingertips.
 
     Attributes:
-        num_steps: H.
-        sounding: (K,) the keys that sound before the first step.
+        num_steps: H, the number of steps.
+        start: (K,) the keys that sound before the first step.
     """
 
     def __init__(
@@ -43,26 +43,29 @@ class HorizonCost:
         keys: slice,
         key_qpos: Array,
     ) -> None:
-        """Args:
-        goals: of the hand.
-        steps: (H,) of the song.
-        keyboard: all of it.
-        keys: those that are simulated, K of them.
-        key_qpos: (K,) before the first step [rad].
+        """Takes the goals of the steps.
+
+        Args:
+            goals: the goals of the hand.
+            steps: (H,) steps of the song.
+            keyboard: the whole keyboard.
+            keys: the K keys that are simulated.
+            key_qpos: (K,) their angles before the first step [rad].
         """
-        mine, wrong = goals.mine[steps, keys], goals.wrong[steps, keys]
-        self._mine, self._wrong, self._counts = mine, wrong, mine | wrong
-        self._finger = goals.asked[steps, keys]
-        self._held = mine & goals.planned[steps, keys]
+        wanted, wrong = goals.keys[steps, keys], goals.wrong[steps, keys]
+        self._wanted, self._wrong, self._counts = wanted, wrong, wanted | wrong
+        self._finger = goals.finger[steps, keys]
+        self._held = wanted & goals.planned[steps, keys]
         self._mistakes = self._held | wrong
-        self._due, self._unwelcome = goals.due[steps, keys], goals.unwelcome[steps, keys]
+        self._onset_due = goals.onset_due[steps, keys]
+        self._onset_wrong = goals.onset_wrong[steps, keys]
         self._centre, self._half_size = keyboard.centre[keys], keyboard.half_size[keys]
         self._sounds_from = keyboard.sounds_from[keys]
-        self.num_steps, self.sounding = len(steps), key_qpos >= self._sounds_from
+        self.num_steps, self.start = len(steps), key_qpos >= self._sounds_from
         # A key's distance from its harmless range, in units of its travel: factor * angle + offset.
-        sign = wrong.astype(np.float64) - mine
+        sign = wrong.astype(np.float64) - wanted
         self._factor = sign / keyboard.travel[keys]
-        self._offset = np.where(mine, 1.0, np.where(wrong, -HARMLESS_DEPTH, 0.0))
+        self._offset = np.where(wanted, 1.0, np.where(wrong, -HARMLESS_DEPTH, 0.0))
         self._fingertips, self._weight = goals.fingertips[steps + 1], goals.weight[steps + 1]
         self._cost_weight = self._weight.copy()
         self._cost_weight[-1] *= _TERMINAL
@@ -70,20 +73,20 @@ class HorizonCost:
     def step_cost(
         self, k: int, key_qpos: Array, fingertips: Array, before: Mask
     ) -> tuple[float, int, Mask]:
-        """Cost and mistakes of the state after the k-th step, and the (K,) keys that sound.
+        """The cost and the mistakes of the state after the k-th step, and the (K,) keys that sound.
 
         A key that the plan lets go early is no mistake to search for, though it costs.
 
         Args:
-            k: which step.
+            k: the number of the step, from 0.
             key_qpos: (K,) [rad].
             fingertips: (F, 3) [m].
             before: (K,) keys that sounded before the step.
         """
         sounding = key_qpos >= self._sounds_from
-        wrong = (sounding ^ self._mine[k]) & self._counts[k]
+        wrong = (sounding ^ self._wanted[k]) & self._counts[k]
         num_wrong = int(np.count_nonzero(wrong))
-        wrong_onsets = np.where(sounding, self._unwelcome[k] & ~before, self._due[k])
+        wrong_onsets = np.where(sounding, self._onset_wrong[k] & ~before, self._onset_due[k])
         num_onsets = int(np.count_nonzero(wrong_onsets))
         depth = np.maximum(self._factor[k] * key_qpos + self._offset[k], 0.0)
         error = (fingertips - self._fingertips[k]) * _AXES
@@ -93,20 +96,20 @@ class HorizonCost:
         return float(cost), mistakes, sounding
 
     def by_finger(self, key_qpos: Array, fingertips: Array) -> Array:
-        """(L, F) cost of each of the first L steps, by finger.
+        """(L, F) the cost of each of the first L steps, by finger.
 
         The cost of a key goes to the finger that should press it, or to the nearest one.
 
         Args:
             key_qpos: (L, K) after each step [rad].
-            fingertips: (L, F, 3) likewise [m].
+            fingertips: (L, F, 3) after each step [m].
         """
         steps = len(key_qpos)
         sounding = key_qpos >= self._sounds_from
-        before = np.concatenate([self.sounding[None], sounding[:-1]])
-        mine, unwelcome = self._mine[:steps], self._unwelcome[:steps] & ~before
-        wrong = (sounding ^ mine) & self._counts[:steps]
-        onsets = np.where(sounding, unwelcome, self._due[:steps])
+        before = np.concatenate([self.start[None], sounding[:-1]])
+        wanted, onset_wrong = self._wanted[:steps], self._onset_wrong[:steps] & ~before
+        wrong = (sounding ^ wanted) & self._counts[:steps]
+        onsets = np.where(sounding, onset_wrong, self._onset_due[:steps])
         depth = np.maximum(self._factor[:steps] * key_qpos + self._offset[:steps], 0.0)
         cost = _WRONG_KEY * wrong + _WRONG_ONSET * onsets + _DEPTH * depth**2
         error = (fingertips - self._fingertips[:steps]) * _AXES
@@ -114,16 +117,16 @@ class HorizonCost:
         step, key = np.nonzero(cost)
         offset = fingertips[step] - self._centre[key, None]
         nearest = np.hypot(offset[..., 1], offset[..., 2]).argmin(axis=1)
-        finger = np.where(mine[step, key], self._finger[step, key], nearest)
+        finger = np.where(wanted[step, key], self._finger[step, key], nearest)
         np.add.at(costs, (step, finger), cost[step, key])
         return costs
 
     def fingertip_errors(self, fingertips: Array) -> tuple[Array, Array]:
-        """(H, F, 3) from `fingertips` (H, F, 3) to where they should be [m], and (H, F) weights.
+        """(H, F, 3) targets less `fingertips` (H, F, 3) [m], and (H, F) weights of these errors.
 
         The weight of a finger that plays is 1, and more at the end of the horizon.
         """
-        return self._fingertips - fingertips, self._cost_weight / ASTRAY
+        return self._fingertips - fingertips, self._cost_weight / TIP_WEIGHT
 
     def errors_by_sound(self, fingertips: Array, key_qpos: Array) -> tuple[Array, Array]:
         """Fingertip errors, clipped, with targets that are moved where a key sounded wrong.
@@ -133,13 +136,13 @@ class HorizonCost:
 
         Args:
             fingertips: (H, F, 3) after each step [m].
-            key_qpos: (H, K) likewise [rad].
+            key_qpos: (H, K) after each step [rad].
 
         Returns:
             (H, F, 3) errors [m] and (H, F) weights, 1 for fingers that play.
         """
         sounding = key_qpos >= self._sounds_from
-        error, weight = clipped(self._fingertips - fingertips), self._weight / ASTRAY
+        error, weight = clipped(self._fingertips - fingertips), self._weight / TIP_WEIGHT
         step, key = np.nonzero(self._held & ~sounding)
         finger = self._finger[step, key]
         over = np.hypot(*error[step, finger, :2].T) < _OVER_ITS_KEY

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planner.plan.song_plan import SongPlan
-from cadenza.agents.planner.search.networks.inputs import Corrections, HandInputs, sizes_of
+from cadenza.agents.planner.search.networks.inputs import Corrections, HandInputs
 from cadenza.agents.planner.search.networks.weights import Weights
 from cadenza.fingers import Side
 from cadenza.scene.scene import hand_alone
@@ -25,11 +25,13 @@ class NetworkCandidate:
     """
 
     def __init__(self, plan: SongPlan, side: Side, weights: Weights, first: int) -> None:
-        """Args:
-        plan: of the song, as far as it goes.
-        side: of the hand.
-        weights: of the networks.
-        first: the first step of the song that may be asked for.
+        """Prepares the inputs of the networks.
+
+        Args:
+            plan: the plan of the song, as far as it goes.
+            side: the side of the hand.
+            weights: the networks.
+            first: the first step of the song that controls may be computed for.
         """
         alone, servos, _ = hand_alone(plan.scene, side)
         self._inputs = HandInputs(plan, [side], alone, first)
@@ -39,14 +41,14 @@ class NetworkCandidate:
     def controls(
         self, simulator: HandRollouts, step: int, planned: Array, previous: Array, key_qpos: Array
     ) -> Iterator[Array]:
-        """(A,) the controls of each of H steps, for a rollout in slot 0 that is made with them.
+        """The controls (A,) of each of H steps, for a rollout in slot 0 that is made with them.
 
         Args:
-            simulator: of this hand.
+            simulator: the simulator of this hand.
             step: the first of the steps.
-            planned: (H, A) their controls by the plan, without feedback.
+            planned: (H, A) the controls of the plan, without feedback.
             previous: (A,) the correction of the controls of the step before.
-            key_qpos: (K,) of the whole keyboard before the first step [rad].
+            key_qpos: (K,) the angles of all keys before the first step [rad].
         """
         key_qpos, output = key_qpos.copy(), self._corrections.output(previous[None])
         for row, ctrl in enumerate(planned, step):
@@ -57,15 +59,3 @@ class NetworkCandidate:
             corrected = self._servos.clip(ctrl + self._corrections.ctrl(self._weights(inputs)))
             output = self._corrections.output(corrected - ctrl)
             yield corrected[0]
-
-
-def network_candidate(
-    plan: SongPlan, side: Side, weights: Weights | None, first: int
-) -> NetworkCandidate | None:
-    """A `NetworkCandidate`; None without networks, or with networks that other hands trained.
-
-    The arguments are those of `NetworkCandidate`.
-    """
-    if weights is None or weights.sizes != sizes_of(plan.scene):
-        return None
-    return NetworkCandidate(plan, side, weights, first)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 from itertools import islice
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,27 +18,41 @@ from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.threads import Threads
 
 Array = NDArray[np.float64]
+Keys = TypeVar("Keys")
 
-EXPECTED = 0.8
-"""The cost to go that a rollout is expected to have, as a share of the least that was seen."""
+_EXPECTED = 0.8  # share of the least cost-to-go that was seen, which a rollout is expected to have
 
 
 class Rollout(NamedTuple):
     """A simulated control sequence, of the L steps that were simulated."""
 
     cost: float
-    """Infinite if it was given up, or diverged."""
+    """The cost of all steps, infinite if the rollout was given up or diverged."""
     mistakes: int
-    """Number of wrong keys, summed over the steps."""
+    """The number of wrong keys, summed over the steps."""
     step_costs: list[float]
     fingertips: list[Array]
     """(F, 3) after each step [m]."""
     hand_qpos: list[Array]
-    """(J,) likewise [m, rad]."""
+    """(J,) after each step [m, rad]."""
     key_qpos: list[Array]
-    """(K,) likewise, of the keys that are simulated [rad]."""
+    """(K,) after each step, of the keys that are simulated [rad]."""
     key_qvel: list[Array]
-    """(K,) likewise [rad/s]."""
+    """(K,) after each step [rad/s]."""
+
+
+class Cost(Protocol[Keys]):
+    """The cost of rollouts of H steps."""
+
+    num_steps: int
+    """H, the number of steps."""
+    start: Keys
+    """The state of the keys before the first step, as far as it matters to the cost."""
+
+    def step_cost(
+        self, k: int, key_qpos: Array, fingertips: Array, before: Keys
+    ) -> tuple[float, int, Keys]:
+        """The cost and the mistakes of the state after the k-th step, and the keys then."""
 
 
 def start_rollouts(
@@ -51,11 +65,11 @@ def start_rollouts(
     """Has rollouts start where a hand is, on all keys on its path through `steps` (H,).
 
     Args:
-        simulator: of the hand.
-        simulation: of the hand on all keys, in its present state.
-        goals: of the hand.
-        steps: (H,) of the song.
-        keyboard: all of it.
+        simulator: the simulator of the hand.
+        simulation: the hand on all keys, in its present state.
+        goals: the goals of the hand.
+        steps: (H,) steps of the song.
+        keyboard: the whole keyboard.
 
     Returns:
         The cost of rollouts over these steps.
@@ -69,7 +83,7 @@ def start_rollouts(
 
 def roll_out(
     simulator: HandRollouts,
-    horizon: HorizonCost,
+    horizon: Cost[Keys],
     ctrl: Iterable[Array],
     slot: int = 0,
     *,
@@ -80,20 +94,20 @@ def roll_out(
     """Simulates controls (H, A), whose rows may depend on the state that was reached.
 
     Args:
-        simulator: of the hand, started.
+        simulator: the simulator of the hand, started.
         horizon: the cost.
         ctrl: (H, A)
-        slot: of the simulator.
+        slot: the slot of the simulator.
         judged: how many steps count in the cost and the mistakes; all by default.
-        cutoff: a rollout that is expected to cost as much is given up.
-        cost_to_go: (H,) what is expected after each step; without it, nothing is given up.
+        cutoff: the expected cost at which a rollout is given up.
+        cost_to_go: (H,) the cost that is expected after each step; without it, nothing is given up.
     """
     cost, mistakes, costs = 0.0, 0, list[float]()
     tips, hand_qpos, key_qpos, key_qvel = (list[Array]() for _ in range(4))
-    sounding, given_up = horizon.sounding, False
+    keys, given_up = horizon.start, False
     judged = horizon.num_steps if judged is None else judged
     for k, state in enumerate(simulator.run(islice(ctrl, horizon.num_steps), slot)):
-        more, wrong, sounding = horizon.step_cost(k, state[0], state[1], sounding)
+        more, wrong, keys = horizon.step_cost(k, state[0], state[1], keys)
         if k < judged:
             cost, mistakes = cost + more, mistakes + wrong
         costs.append(more)
@@ -114,31 +128,25 @@ class Rollouts:
     """Rollouts of candidates for the same steps, all from the same state.
 
     Attributes:
-        horizon: their cost.
         simulated: control steps in all rollouts so far.
     """
 
-    horizon: HorizonCost
+    def __init__(self, simulator: HandRollouts, threads: Threads, *, all_costs: bool) -> None:
+        """Prepares rollouts, none of which are made before `start`.
 
-    def __init__(
-        self, simulator: HandRollouts, keyboard: Keyboard, threads: Threads, *, all_costs: bool
-    ) -> None:
-        """Args:
-        simulator: of the hand.
-        keyboard: all of it.
-        threads: that share the rollouts.
-        all_costs: whether the costs of all candidates are of use. If only the cheapest is, the
-            others are given up.
+        Args:
+            simulator: the simulator of the hand.
+            threads: the threads that share the rollouts.
+            all_costs: whether the costs of all candidates are of use. If only the cheapest is, the
+                others are given up.
         """
-        self._simulator, self._keyboard, self._threads = simulator, keyboard, threads
+        self._simulator, self._threads = simulator, threads
         self._all_costs, self.simulated = all_costs, 0
 
-    def start(
-        self, simulation: PlanningSimulation, goals: HandGoals, steps: NDArray[np.intp]
-    ) -> None:
-        """Has rollouts start where the hand is in `simulation`, for `steps` (H,) of its goals."""
-        self.horizon = start_rollouts(self._simulator, simulation, goals, steps, self._keyboard)
-        self._least = np.full(self.horizon.num_steps, np.inf)
+    def start(self, horizon: Cost[Any]) -> None:
+        """Begins rollouts with this cost from the state that the simulator starts from."""
+        self._horizon = horizon
+        self._least = np.full(horizon.num_steps, np.inf)
 
     def simulate(self, ctrl: Iterable[Array], cutoff: float = np.inf) -> Rollout:
         """Simulates controls (H, A), unless they are likely to cost `cutoff` or more.
@@ -149,11 +157,14 @@ class Rollouts:
         self._record(rollout)
         return rollout
 
-    def simulate_all(self, candidates: Array, cutoff: float = np.inf) -> list[Rollout]:
+    def simulate_all(
+        self, candidates: Sequence[Iterable[Array]] | Array, cutoff: float = np.inf
+    ) -> list[Rollout]:
         """Simulates candidates (N, H, A); those that cost more than `cutoff` are of no use.
 
-        They are simulated in pairs, so that an idle thread can take one of each. What is known of
-        earlier pairs decides what is given up, so that the result does not depend on the threads.
+        They are simulated in pairs, so that an idle thread can take one of each: candidate i in
+        slot i modulo `NUM_SLOTS`. What is known of earlier pairs decides what is given up, so that
+        the result does not depend on the threads.
         """
         rollouts = list[Rollout]()
         for first in range(0, len(candidates), NUM_SLOTS):
@@ -171,13 +182,13 @@ class Rollouts:
     def _run(self, ctrl: Iterable[Array], cutoff: float, slot: int = 0) -> Rollout:
         cost_to_go = None
         if cutoff < np.inf:
-            cost_to_go = EXPECTED * (self._least.sum() - np.cumsum(self._least))
+            cost_to_go = _EXPECTED * (self._least.sum() - np.cumsum(self._least))
         return roll_out(
-            self._simulator, self.horizon, ctrl, slot, cutoff=cutoff, cost_to_go=cost_to_go
+            self._simulator, self._horizon, ctrl, slot, cutoff=cutoff, cost_to_go=cost_to_go
         )
 
     def _record(self, rollout: Rollout) -> None:
-        """Counts its steps, and lowers the least costs that were seen."""
+        """Counts the steps of a rollout, and lowers the least costs that were seen."""
         steps = len(rollout.step_costs)
         self.simulated += steps
         self._least[:steps] = np.minimum(self._least[:steps], rollout.step_costs)

@@ -296,8 +296,8 @@ def examples_of(recorded: RecordedEpisode) -> Examples:
     for step in range(recorded.facts.num_steps):
         seen, planned = hands.observe(step, _state_of(rows[step : step + 1], zeros, scene))
         inputs.append(seen)
-        corrections.append(hands.recommended(rows["action"][step, hands.servos], planned))
-        hands.played(played[step, hands.servos], planned)
+        corrections.append(hands.output_for(rows["action"][step, hands.servos], planned))
+        hands.record(played[step, hands.servos], planned)
     return Examples(*(np.concatenate(each).astype(np.float32) for each in (inputs, corrections)))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
-from cadenza.agents.generalist.generalist import HASTE
+from cadenza.agents.generalist.generalist import JUMP_ACCELERATION
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
@@ -43,8 +43,8 @@ class FingerCosts:
         hands = [HandGoals(plan, side) for side in scene.sides]
         self.num_steps, self.keyboard = goals.num_steps, scene.keyboard
         self._held = np.any([hand.planned for hand in hands], axis=0)
-        self._due = self._held & np.any([hand.due for hand in hands], axis=0)
-        self._early = np.any([hand.unwelcome for hand in hands], axis=0)
+        self._due = self._held & np.any([hand.onset_due for hand in hands], axis=0)
+        self._early = np.any([hand.onset_wrong for hand in hands], axis=0)
         self._fingers, self._wrong = goals.fingers, ~goals.keys
         self._share = 2.0 / (1 + goals.keys.sum(axis=1))
         self._fingertips = nominal.fingertips
@@ -100,7 +100,7 @@ def planned_excerpts(scores: Sequence[Score], progress: Progress = silent) -> li
         progress("plans", i, len(scores))
         with closing(PianoTask([score.without_fingers()], TaskConfig())) as task:
             start = task.state.hand_qpos[0].copy()
-            plan = plan_song(task.tracks[0], start, haste=HASTE)
+            plan = plan_song(task.tracks[0], start, jump_acceleration=JUMP_ACCELERATION)
         excerpts.append(Excerpt(FingerCosts(plan), CorrectedHands(plan), start))
     return excerpts
 
@@ -111,7 +111,7 @@ class _Player:
     def __init__(self, excerpt: Excerpt) -> None:
         self.excerpt, self._step, self._total = excerpt, 0, 0.0
         self._hands = copy(excerpt.hands)
-        self._hands.answer = np.zeros_like(self._hands.answer)
+        self._hands.output = np.zeros_like(self._hands.output)
         self._sounding = np.zeros(len(excerpt.costs.keyboard.travel), bool)
 
     @property
@@ -140,7 +140,7 @@ class _Player:
         )
         self._step += 1
         self._total += float(costs.sum())
-        return costs.reshape(len(self._hands.answer), -1)
+        return costs.reshape(len(self._hands.output), -1)
 
 
 class Rollout(NamedTuple):

@@ -158,7 +158,7 @@ class HandInputs:
         fingers = np.arange(len(self._sign))
         never = max([len(self._goal_keys) + _HELD_STEPS, *(p.last for p in presses)]) + 1
         rows = [
-            (p.finger - thumb, p.first, p.last, p.key, p.flies_to or p.flies_off) for p in presses
+            (p.finger - thumb, p.first, p.last, p.key, p.jumps_to or p.jumps_off) for p in presses
         ]
         rows += [(finger, never, never, 0, False) for finger in range(len(fingers))]  # sentinels
         finger, first, last, keys, jumps = np.array(sorted(rows)).T

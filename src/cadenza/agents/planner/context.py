@@ -1,0 +1,19 @@
+"""What is passed down to all that plan and practise a song."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from cadenza.agents.agent import Progress, silent
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.sim.threads import Threads
+
+
+class PlanningContext(NamedTuple):
+    """The options of planning, and the resources that it uses."""
+
+    config: PlannerConfig
+    threads: Threads
+    """The threads that share rollouts."""
+    progress: Progress = silent
+    """The receiver of progress: the stages "fingers" and "postures"."""
