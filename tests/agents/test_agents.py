@@ -131,9 +131,9 @@ class WatchedEpisode(SamplingPlanner):
         super().__init__(*args)
         self.compared: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
-    def _roll_out(self, candidates: np.ndarray, view: View) -> np.ndarray:
-        cost = super()._roll_out(candidates, view)
-        self.compared.append((self._nominal, candidates, cost))
+    def costs(self, candidates: np.ndarray, view: View) -> np.ndarray:
+        cost = super().costs(candidates, view)
+        self.compared.append((self.nominal, candidates, cost))
         return cost
 
 
@@ -179,7 +179,7 @@ def test_a_plan_is_held_over_each_step_goes_on_a_step_later_and_stays_at_its_end
     here, there = np.random.default_rng(1).uniform(
         task.spec.action_low, task.spec.action_high, (2, 20)
     )
-    planner.planners[0]._nominal = np.stack([here, there])[:, :-1]  # at 0 and at 0.2 s
+    planner.planners[0].nominal = np.stack([here, there])[:, :-1]  # at 0 and at 0.2 s
     tried, roll_out = [], PlanningSimulation.rollout
 
     def watched(simulation: PlanningSimulation, ctrl: np.ndarray) -> Any:
@@ -192,7 +192,7 @@ def test_a_plan_is_held_over_each_step_goes_on_a_step_later_and_stays_at_its_end
     held = [here + share * (there - here) for share in (0, 0.25, 0.5, 0.75) for _ in range(5)]
     assert_allclose(tried, np.stack([held])[..., :-1])
     moved = 0.75 * here + 0.25 * there
-    assert_allclose(planner.planners[0]._nominal, np.stack([moved, there])[:, :-1])
+    assert_allclose(planner.planners[0].nominal, np.stack([moved, there])[:, :-1])
 
 
 def test_a_plan_costs_the_same_alone_and_among_others(right_hand: Scene) -> None:
@@ -205,7 +205,7 @@ def test_a_plan_costs_the_same_alone_and_among_others(right_hand: Scene) -> None
         agent.act(task.view())
     ((_, candidates, cost),) = planner.planners[0].compared
     for candidate, expected in zip(candidates, cost, strict=True):
-        assert alone.planners[0]._roll_out(candidate[None], task.view())[0] == expected
+        assert alone.planners[0].costs(candidate[None], task.view())[0] == expected
 
 
 def test_planning_leaves_the_task_as_it_is(right_hand: Scene) -> None:

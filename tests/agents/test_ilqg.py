@@ -233,12 +233,12 @@ class WatchedEpisode(ILQGPlanner):
         self.models: list[Model] = []
         self.costs: list[np.ndarray] = []
 
-    def _approximate(self, start: np.ndarray) -> Model:
-        self.models.append(super()._approximate(start))
+    def approximate(self, start: np.ndarray) -> Model:
+        self.models.append(super().approximate(start))
         return self.models[-1]
 
-    def _line_search(self, policy: FeedbackLaw, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        controls, cost = super()._line_search(policy, start)
+    def line_search(self, policy: FeedbackLaw, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        controls, cost = super().line_search(policy, start)
         self.costs.append(cost)
         return controls, cost
 
@@ -262,16 +262,16 @@ def test_the_gradient_is_that_of_the_cost(right_hand: Scene, score: Score, finge
     planner.act(task.view())
     planner = planner.planners[0]
     start = task.simulation.physics_state(0)
-    planner._nominal = nominal = 0.9 * planner._nominal  # away from the limits
-    gradient = planner._approximate(start).gradient[0, -nominal.shape[1] :]
+    planner.nominal = nominal = 0.9 * planner.nominal  # away from the limits
+    gradient = planner.approximate(start).gradient[0, -nominal.shape[1] :]
     rng = np.random.default_rng(1)
     for _ in range(4):
         change = 1e-5 * rng.standard_normal(nominal.shape)
         costs = []
         for sign in (-1, 1):
-            planner._nominal = nominal + sign * change
+            planner.nominal = nominal + sign * change
             still = FeedbackLaw(np.zeros(nominal.shape), np.zeros((1, nominal.shape[1], 2 * 111)))
-            costs.append(planner._line_search(still, start)[1][0])
+            costs.append(planner.line_search(still, start)[1][0])
         assert_allclose((costs[1] - costs[0]) / 2, gradient @ change[0], rtol=1e-3, atol=1e-9)
 
 
@@ -286,15 +286,15 @@ def perform(agent: Agent, scene: Scene, **options: Any) -> EpisodeResult:
 def test_the_next_plan_begins_with_the_last_one_a_step_later(
     right_hand: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for part in ("_approximate", "_improve"):  # nothing is found that is better
+    for part in ("approximate", "improve"):  # nothing is found that is better
         monkeypatch.setattr(ILQGPlanner, part, lambda *_: None)
     task = begun(planner := ILQG(ILQGConfig(horizon=0.15)), right_hand)
     planner.act(task.view())
     planned = planner.planners[0]
-    planned._nominal = nominal = np.random.default_rng(0).uniform(-1, 1, (3, 19))
+    planned.nominal = nominal = np.random.default_rng(0).uniform(-1, 1, (3, 19))
     action = planner.act(task.view())
     assert_allclose(task.spec.unscale_action(action)[0, :-1], nominal[0])
-    assert_array_equal(planned._nominal, nominal[[1, 2, 2]])
+    assert_array_equal(planned.nominal, nominal[[1, 2, 2]])
 
 
 def test_planning_lowers_its_cost(right_hand: Scene) -> None:

@@ -55,7 +55,7 @@ class Rollouts:
         self.timesteps: set[float] = set()
         self.states: list[State] = []
         self.costs: list[np.ndarray] = []
-        roll_out, plan = PlanningSimulation.rollout, SamplingPlanner._roll_out
+        roll_out, plan = PlanningSimulation.rollout, SamplingPlanner.costs
 
         def rolled(simulation: PlanningSimulation, ctrl: np.ndarray) -> State:
             assert simulation.num_substeps == 1
@@ -68,7 +68,7 @@ class Rollouts:
             return self.costs[-1]
 
         monkeypatch.setattr(PlanningSimulation, "rollout", rolled)
-        monkeypatch.setattr(SamplingPlanner, "_roll_out", planned)
+        monkeypatch.setattr(SamplingPlanner, "costs", planned)
 
 
 def test_a_plan_costs_the_distance_of_keys_and_the_mean_distance_of_fingers(
@@ -105,14 +105,14 @@ def cost_of(states: State, i: int, scene: Scene, smooth: tuple[float, float] = (
 def test_ilqg_has_the_same_cost_with_smooth_norms_and_a_little_for_controls(
     right_hand: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tried, costs, search = Rollouts(monkeypatch), [], ILQGPlanner._line_search
+    tried, costs, search = Rollouts(monkeypatch), [], ILQGPlanner.line_search
 
     def searched(planner: ILQGPlanner, *args: Any) -> Any:
         controls, cost = search(planner, *args)
-        costs.append(cost - 1e-9 / 2 * ((controls - planner._rest) ** 2).sum(axis=(1, 2)))
+        costs.append(cost - 1e-9 / 2 * ((controls - planner.rest) ** 2).sum(axis=(1, 2)))
         return controls, cost
 
-    monkeypatch.setattr(ILQGPlanner, "_line_search", searched)
+    monkeypatch.setattr(ILQGPlanner, "line_search", searched)
     agent = ILQG(ILQGConfig(horizon=STEP, num_step_sizes=2, control_weight=1e-9))
     agent.act(begun(agent, right_hand).view())
     (states,) = tried.states
@@ -177,7 +177,7 @@ class Clock:
             self.iterations += 1
             return np.arange(len(candidates), dtype=float)
 
-        monkeypatch.setattr(SamplingPlanner, "_roll_out", tried)
+        monkeypatch.setattr(SamplingPlanner, "costs", tried)
         monkeypatch.setattr(predictive_sampling, "time", self)
 
     def perf_counter(self) -> float:

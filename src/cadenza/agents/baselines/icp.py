@@ -46,7 +46,7 @@ _REHEARSAL = PlannerConfig(num_candidates=16, iterations=8, horizon=0.3, proposa
 class ICP(PlannerPerEnv["PlanFollower"]):
     """Plans the whole song, and rehearses it, when an episode begins.
 
-    Its progress is that of "fingers", "postures" and "rehearsing".
+    It reports the progress of "fingers", "postures" and "rehearsing".
     """
 
     def __init__(self, config: ICPConfig | None = None) -> None:
@@ -76,11 +76,11 @@ def rehearsed(
     is left to feedback.
 
     Args:
-        plan: of the whole song.
-        start: (J,) where the joints of the hands begin [m, rad].
-        rng: what is random.
-        num_threads: that share the search.
-        progress: is told of "rehearsing".
+        plan: the plan of the whole song.
+        start: (J,) initial joint positions of the hands [m, rad].
+        rng: source of randomness of the search.
+        num_threads: the number of threads that share the search.
+        progress: receives the stage "rehearsing".
     """
     tracking = plan.nominal.tracking
     ctrl, expected = tracking.ctrl.copy(), tracking.expected.copy()
@@ -145,8 +145,8 @@ def nearest_fingers(notes: Sequence[Note], hand: int, players: Players) -> list[
     """The finger of one hand for each of its notes, None for one that none is free for.
 
     Args:
-        notes: of the right hand, 0, or of the left, 1, by time.
-        hand: which.
+        notes: the notes of one hand, by time.
+        hand: 0 for the right hand, 1 for the left.
         players: the hands at their keyboard.
     """
     forearm, lowest = players.forearm(hand), players.keyboard.lowest_pitch
@@ -174,7 +174,7 @@ class _Hand:
     position: float
     """[m]"""
     last: dict[int, tuple[float, float]] = field(default_factory=dict)
-    """Finger -> where it pressed last [m], and until when [s]."""
+    """Finger -> the place of its last press [m], and the end of this [s]."""
 
     def play(
         self, chord: Sequence[Note], keys: Array, ahead: Array, reached: NDArray[np.bool_]
@@ -182,10 +182,10 @@ class _Hand:
         """The fingers for notes that begin together.
 
         Args:
-            chord: N notes, of keys of their own.
-            keys: (N,) where their keys are [m].
-            ahead: (M,) where the next keys are, in their order [m].
-            reached: (N, F) by which fingers, wherever the hand is.
+            chord: N notes of different keys.
+            keys: (N,) the places of their keys [m].
+            ahead: (M,) the places of the next keys, in their order [m].
+            reached: (N, F) whether each finger reaches the key, wherever the hand is.
         """
         now = min(note.start for note in chord)
         # A note whose key is struck again ends there.
@@ -211,7 +211,7 @@ class _Hand:
         return chosen
 
     def _at_once(self, keys: Array, ahead: Array, most: int) -> Array:
-        """The keys of a chord, and after them those ahead that a hand at rest covers too."""
+        """The keys of a chord, followed by those ahead that a hand at rest covers too."""
         width, window = np.ptp(self.reach.rest), list(keys)
         for key in ahead:
             if key in window:
@@ -238,14 +238,13 @@ class _Hand:
     ) -> dict[int, int]:
         """Key -> finger, by matching the nearest points and moving the hand onto them in turn.
 
-        Iterative closest points (Besl & McKay, 1992) for a motion along the keyboard alone.
+        This is iterative closest point (Besl & McKay, 1992) for motions along the keyboard alone.
 
         Args:
-            keys: (N,) [m].
+            keys: (N,) the places of keys [m].
             free: the F fingers that can be matched.
-            penalty: (F, N) of a finger that is still on its way from another key, and of one that
-                does not reach from what others hold [m^2].
-            held: where the other fingers stay.
+            penalty: (F, N) the costs added to squared distances [m^2].
+            held: finger -> place, of the fingers that stay [m].
         """
         rest, fingers, matches = self.reach.rest, list(free), dict[int, int]()
         for _ in range(_MAX_ITERATIONS):

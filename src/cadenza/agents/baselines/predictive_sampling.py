@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv
-from cadenza.agents.baselines.pairs import flattened, pairs_of
+from cadenza.agents.baselines.residuals import residuals_of
 from cadenza.agents.planner.config import PLANNING_TIMESTEPS, PredictiveSamplingConfig
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.scene.scene import in_steps_of
 from cadenza.sim.planning_simulation import PlanningSimulation, as_mujoco
 from cadenza.sim.protocol import State
-from cadenza.tasks import reward
 from cadenza.tasks.view import View
 
 
@@ -46,6 +45,9 @@ class SamplingPlanner(EpisodePlanner):
     A plan is a cubic spline through knots over the horizon, sampled where the task will take its
     next actions and held in between, as the task holds them. The pedal follows the score: the cost
     says nothing about it.
+
+    Attributes:
+        nominal: (num_knots, A) the knots of the plan, in actuator units.
     """
 
     def __init__(
@@ -55,12 +57,7 @@ class SamplingPlanner(EpisodePlanner):
         config: PredictiveSamplingConfig,
         num_threads: int,
     ) -> None:
-        """Args:
-        view: of the first step, of one environment.
-        rng: what is random.
-        config: how to plan.
-        num_threads: that share the rollouts.
-        """
+        """Begins with a plan at rest, from the view of the first step of one environment."""
         task, step = view.task, config.planning_timestep
         self.config, self._task, self._rng = config, task, rng
         self._goals = view.tracks[0].goals
@@ -70,15 +67,15 @@ class SamplingPlanner(EpisodePlanner):
         )
         self._seconds_left = 0.0  # of the budget; less than 0 where the last steps took too long
         self._knot_times = np.linspace(0.0, config.horizon, config.num_knots)
-        self._nominal = np.tile(np.clip(0.0, self._low, self._high), (config.num_knots, 1))
+        self.nominal = np.tile(np.clip(0.0, self._low, self._high), (config.num_knots, 1))
 
     def act(self, view: View) -> Array:
         for _ in self._iterations():
             candidates = self._draw()
-            self._nominal = candidates[np.argmin(self._roll_out(candidates, view))]
-        best = CubicSpline(self._knot_times, self._nominal)
+            self.nominal = candidates[np.argmin(self.costs(candidates, view))]
+        best = CubicSpline(self._knot_times, self.nominal)
         shifted = self._knot_times + self._task.config.control_timestep
-        self._nominal = self._clip(best(np.minimum(shifted, self.config.horizon)))
+        self.nominal = self._clip(best(np.minimum(shifted, self.config.horizon)))
         pedal = float(self._goals.sustain[view.steps[0]])
         return np.append(self._clip(best(0.0)), pedal)
 
@@ -96,17 +93,17 @@ class SamplingPlanner(EpisodePlanner):
                 return
 
     def _draw(self) -> Array:
-        """(num_candidates, num_knots, A - 1) knots; the first candidate is the nominal itself."""
-        shape = (self.config.num_candidates, *self._nominal.shape)
+        """(N, num_knots, A) candidates, of which the first is the nominal itself."""
+        shape = (self.config.num_candidates, *self.nominal.shape)
         noise = self.config.sigma * self._rng.standard_normal(shape)
         noise[0] = 0.0
-        return self._clip(self._nominal + noise)
+        return self._clip(self.nominal + noise)
 
     def _clip(self, ctrl: Array) -> Array:
         return np.clip(ctrl, self._low, self._high)
 
-    def _roll_out(self, candidates: Array, view: View) -> Array:
-        """(num_candidates,) costs of rollouts of the candidates from the state of `view`."""
+    def costs(self, candidates: Array, view: View) -> Array:
+        """(N,) the costs of candidates (N, num_knots, A) in rollouts from the state of `view`."""
         config, hold = self.config, self._task.config.control_timestep
         steps = round(config.horizon / config.planning_timestep)
         times = np.arange(steps) * config.planning_timestep
@@ -118,25 +115,15 @@ class SamplingPlanner(EpisodePlanner):
         return np.where(states.unstable.any(axis=1), np.inf, cost)
 
     def _cost(self, states: State, rows: NDArray[np.intp]) -> Array:
-        """Distance of the keys from how they should be, and mean distance of fingers from theirs.
+        """(N, K) distance of keys from their goals, and mean distance of fingers from their keys.
 
-        Args:
-            states: with leading dimensions (num_candidates, K).
-            rows: (K,) control steps of the song whose goals count.
-
-        Returns:
-            (num_candidates, K).
+        The states (N, K) are of K planning steps, which belong to control steps `rows` (K,).
         """
-        goals, fingers = self._goals.at(rows)
         shape = states.key_qpos.shape[:2]
-        keys = np.tile(goals, (shape[0], 1))
-        depth = reward.key_state(flattened(states.key_qpos), self._task.scene.keyboard.travel)
-        cost = np.linalg.norm(depth - keys, axis=1)
-        tips, centres = flattened(states.fingertip_xpos), flattened(states.key_xpos)
-        by_score = np.tile(fingers, (shape[0], 1))
-        pairs = pairs_of(self._task, tips, centres, keys, by_score)
-        distance = pairs.share * np.linalg.norm(pairs.offset, axis=1)
-        return (cost + np.bincount(pairs.row, distance, len(cost))).reshape(shape)
+        keys, fingers = self._goals.at(np.tile(rows, shape[0]))
+        residuals = residuals_of(self._task, states, keys, fingers)
+        norms = (np.linalg.norm(each, axis=1) for each in (residuals.keys, residuals.offset))
+        return residuals.cost(*norms).reshape(shape)
 
 
 def _check(config: PredictiveSamplingConfig) -> None:

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.baselines.box_ddp import Model, backward_pass
 from cadenza.agents.control_steps import steps_in
-from cadenza.agents.planner.config import TrackedPressesConfig
 from cadenza.agents.planner.plan.hand_goals import HandGoals
-from cadenza.agents.planner.plan.tracking import Tracking
+from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
-from cadenza.scene.scene import Scene
+from cadenza.fingers import Side
+from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_linearisation import HandLinearisation, HandLineariser
 from cadenza.sim.planning_simulation import PlanningSimulation
@@ -58,7 +58,7 @@ _TRACK_CONTROL = 1.0
 
 
 class Trajectory(NamedTuple):
-    """T steps of one hand and how to keep to them: u = ctrl + gain (x - state)."""
+    """T steps of one hand, and the feedback law that tracks them: u = ctrl + gain (x - state)."""
 
     ctrl: Array
     """(T, A)"""
@@ -83,31 +83,23 @@ class _Window(NamedTuple):
 class PressOptimisation:
     """The controls of one hand for a whole song."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        goals: HandGoals,
-        onsets: NDArray[np.intp],
-        tracking: Tracking,
-        config: TrackedPressesConfig,
-        dt: float,
-        num_threads: int,
-    ) -> None:
-        """Args:
-        scene: with this hand only.
-        goals: what it has to do in T steps.
-        onsets: steps in which presses begin.
-        tracking: the nominal plan of this hand.
-        config: how to optimise.
-        dt: control step [s].
-        num_threads: that share the simulations.
+    def __init__(self, plan: SongPlan, side: Side, iterations: int, num_threads: int) -> None:
+        """Prepares the optimisation of the hand on one side.
+
+        Args:
+            plan: the nominal plan of the whole song.
+            side: the side of the hand.
+            iterations: the maximum number of iterations per press.
+            num_threads: the number of threads that share the simulations.
         """
-        self._goals, self._tracking, self._config = goals, tracking, config
+        scene, servos, _ = hand_alone(plan.scene, side)
+        dt = plan.track.config.control_timestep
+        self._goals, self._tracking = HandGoals(plan, side), plan.nominal.tracking.of(servos)
+        self._iterations, self._look_ahead = iterations, steps_in(_LOOK_AHEAD, dt)
+        onsets = [press.first - 1 for press in plan.nominal.presses if press.side == side]
         self._starts = _starts(onsets, steps_in(_LEAD, dt), steps_in(_MIN_WINDOW, dt))
-        self._look_ahead = steps_in(_LOOK_AHEAD, dt)
         self._servos, self._travel = servos_of(scene), scene.keyboard.travel
         self._sounds_from = scene.keyboard.sounds_from
-        self._to_posture = np.linalg.pinv(self._servos.joints)
         joint_unit = _units(scene.hand_joint_names)
         self._state_unit = np.concatenate([joint_unit, _PER_SECOND * joint_unit])
         self._ctrl_unit = _units(self._servos.names)
@@ -121,7 +113,7 @@ class PressOptimisation:
     def optimise(self, hand_qpos: Array, progress: Progress = silent) -> Trajectory:
         """The trajectory from joints at rest at `hand_qpos` (J,).
 
-        `progress` is told of "presses", in steps.
+        It reports the progress of "presses", in steps.
         """
         steps = len(self._tracking.ctrl)
         self._now.reset(hand_qpos=hand_qpos[None])
@@ -146,24 +138,23 @@ class PressOptimisation:
 
         def policy(step: int, state: State) -> Array:
             here = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)
-            change = self._tracking.feedback(step, self._to_posture.T @ here)
-            return (self._tracking.ctrl[step] - change)[None]
+            feedback = self._tracking.feedback(step, self._servos.of_joints.T @ here)
+            return (self._tracking.ctrl[step] - feedback)[None]
 
         return self._roll_out(self._single, first, last, policy)[0]
 
     def _improved(self, window: _Window) -> _Window:
-        regularisation = _REGULARISATION
-        model: Model | None = None
-        for _ in range(self._config.iterations):
+        """Improves a window until no key is wrong, or the iterations are used up."""
+        regularisation, model = _REGULARISATION, None
+        for _ in range(self._iterations):
             if not window.mistakes:
                 break
-            if model is None:
-                model = self._approximate(window)
-            better = self._step(window, model, regularisation)
-            if better is None:
-                regularisation *= _MORE_REGULARISATION
-            else:
+            model = model or self._approximate(window)
+            better = self._line_search(window, model, regularisation)
+            if better.cost < window.cost:
                 window, model = better, None
+            else:
+                regularisation *= _MORE_REGULARISATION
         return window
 
     def _approximate(self, window: _Window) -> Model:
@@ -188,8 +179,8 @@ class PressOptimisation:
         """Deviations of controls (..., A) from those of the nominal plan, in units."""
         return (ctrl - self._tracking.ctrl[steps]) / self._ctrl_unit
 
-    def _step(self, window: _Window, model: Model, regularisation: float) -> _Window | None:
-        """The line search: the cheapest rollout, if it is cheaper than `window`."""
+    def _line_search(self, window: _Window, model: Model, regularisation: float) -> _Window:
+        """The cheapest rollout of the feedback law, of all step sizes."""
         unit = self._ctrl_unit
         low, high = self._servos.low / unit, self._servos.high / unit
         law = backward_pass(model, window.ctrl / unit, low, high, regularisation)
@@ -202,13 +193,12 @@ class PressOptimisation:
 
         last = window.first + len(window.ctrl)
         tried = self._roll_out(self._batch, window.first, last, policy)
-        best = min(tried, key=lambda candidate: candidate.cost)
-        return best if best.cost < window.cost else None
+        return min(tried, key=lambda candidate: candidate.cost)
 
     def _roll_out(
         self, simulation: PlanningSimulation, first: int, last: int, policy: Policy
     ) -> list[_Window]:
-        """Rolls a policy out from now on, in each simulation of a batch."""
+        """Rolls a policy out from the present state, in each simulation of a batch."""
         simulation.copy_from(self._now, 0)
         ctrl, before = [], []
         cost, mistakes = np.zeros(simulation.num_envs), np.zeros(simulation.num_envs, np.intp)
@@ -288,12 +278,12 @@ def regulator(transition: Array, hessian: Array) -> Array:
     return backward_pass(model, np.zeros((steps, size - n)), -limit, limit, 0.0).gain
 
 
-def _starts(onsets: NDArray[np.intp], lead: int, shortest: int) -> list[int]:
+def _starts(onsets: list[int], lead: int, shortest: int) -> list[int]:
     """First steps of the windows, which are at least `shortest` steps long."""
     starts = [0]
-    for onset in np.unique(onsets):
+    for onset in sorted(onsets):
         if onset - lead >= starts[-1] + shortest:
-            starts.append(int(onset) - lead)
+            starts.append(onset - lead)
     return starts
 
 

@@ -13,11 +13,8 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, Progress
 from cadenza.agents.baselines.press_optimisation import PressOptimisation, Trajectory
 from cadenza.agents.planner.config import TrackedPressesConfig
-from cadenza.agents.planner.plan.hand_goals import HandGoals
-from cadenza.agents.planner.plan.song_plan import plan_song
+from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.errors import CadenzaError
-from cadenza.fingers import Side
-from cadenza.scene.scene import HandAlone, hand_alone
 from cadenza.tasks.view import View
 
 
@@ -25,7 +22,7 @@ class TrackedPresses(PlannerPerEnv["TrackingPlanner"]):
     """Plans everything when an episode begins, and then plays it with feedback.
 
     The feedback is of positions and speeds of a hand's own joints, not of the keys. Nothing is
-    random. Its progress is that of "fingers", "postures" and, a hand at a time, "presses".
+    random. It reports the progress of "fingers", "postures" and, a hand at a time, "presses".
     """
 
     def __init__(self, config: TrackedPressesConfig | None = None) -> None:
@@ -49,55 +46,36 @@ class TrackingPlanner(EpisodePlanner):
 
     Attributes:
         plan: the nominal plan.
-        trajectories: optimised, of each hand.
+        trajectories: the optimised trajectory of each hand.
     """
+
+    plan: SongPlan
 
     def __init__(
         self, view: View, config: TrackedPressesConfig, num_threads: int, progress: Progress
     ) -> None:
-        """Args:
-            view: of the first step, of one environment.
-            config: how to plan.
-            num_threads: that share the rollouts.
-            progress: is told of "fingers", "postures" and "presses".
+        """Plans and optimises, from the view of the first step of one environment.
 
         Raises:
             CadenzaError: there are no hands in the scene.
         """
-        task, start = view.task, view.state.hand_qpos[0]
-        self._config, self._num_threads = config, num_threads
-        (track,) = view.tracks
+        (track,), start = view.tracks, view.state.hand_qpos[0]
         self.plan = plan_song(track.with_found_fingers(), start, progress)
-        self._pedal = self.plan.goals.sustain.astype(np.float64)
-        self._hands: list[HandAlone] = []
+        scene = self.plan.scene
         self.trajectories: list[Trajectory] = []
-        for side in task.scene.sides:
-            hand = hand_alone(task.scene, side)
-            with threadpool_limits(1):  # small matrices, and the same bits everywhere
-                optimisation = self._optimisation(side, hand, task.config.control_timestep)
-                trajectory = optimisation.optimise(start[hand.joints], progress)
-                self.trajectories.append(trajectory)
-            self._hands.append(hand)
-
-    def _optimisation(self, side: Side, hand: HandAlone, dt: float) -> PressOptimisation:
-        nominal = self.plan.nominal
-        mine = [press.first - 1 for press in nominal.presses if press.side == side]
-        return PressOptimisation(
-            hand.scene,
-            HandGoals(self.plan, side),
-            np.array(mine, np.intp),
-            nominal.tracking.of(hand.servos),
-            self._config,
-            dt,
-            self._num_threads,
-        )
+        with threadpool_limits(1):  # small matrices, and the same bits everywhere
+            for side in scene.sides:
+                hand = PressOptimisation(self.plan, side, config.iterations, num_threads)
+                self.trajectories.append(hand.optimise(start[scene.joints_on(side)], progress))
 
     def act(self, view: View) -> Array:
         task, state, step = view.task, view.state, int(view.steps[0])
         action = np.zeros(task.action_size)
-        action[-1] = self._pedal[step]
-        for (_, servos, joints), planned in zip(self._hands, self.trajectories, strict=True):
+        action[-1] = self.plan.goals.sustain[step]
+        for side, planned in zip(task.scene.sides, self.trajectories, strict=True):
+            joints = task.scene.joints_on(side)
             here = np.concatenate([state.hand_qpos[0, joints], state.hand_qvel[0, joints]])
             deviation = here - planned.state[step]
-            action[servos] = planned.ctrl[step] + planned.gain[step] @ deviation
+            ctrl = planned.ctrl[step] + planned.gain[step] @ deviation
+            action[task.scene.servos_on(side)] = ctrl
         return np.clip(action, task.action_low, task.action_high)
