@@ -27,8 +27,8 @@ from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.search import hand_rehearsal
+from cadenza.agents.planner.search.fingertip_correction import control_update
 from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal
-from cadenza.agents.planner.search.iterative_learning_control import control_update
 from cadenza.agents.planner.search.networks.inputs import Corrections, HandInputs
 from cadenza.agents.planner.search.networks.weights import Weights
 from cadenza.agents.rollout import play_episode

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cadenza.agents.planner.plan.tracking import discretised
-from cadenza.agents.planner.search.iterative_learning_control import TOLERANCE, control_update
+from cadenza.agents.planner.search.fingertip_correction import CONTROL_TOLERANCE, control_update
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene, hand_alone
 from cadenza.scene.servos import servos_of
@@ -40,7 +40,7 @@ def test_least_squares_over_all_steps_at_once(alone: Scene) -> None:
     response = np.array(
         [led_to(unit.reshape(STEPS, count)).ravel() for unit in np.eye(STEPS * count)]
     ).T
-    root = np.repeat(np.sqrt(weight), 3, axis=1).ravel() / TOLERANCE
+    root = np.repeat(np.sqrt(weight), 3, axis=1).ravel() / CONTROL_TOLERANCE
     rows = np.concatenate([root[:, None] * response, np.diag(np.tile(1 / servos.noise, STEPS))])
     wanted = np.concatenate([root * off.ravel(), np.zeros(STEPS * count)])
     expected = np.linalg.lstsq(rows, wanted, rcond=None)[0].reshape(STEPS, count)

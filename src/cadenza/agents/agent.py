@@ -16,7 +16,7 @@ from cadenza.tasks.view import View
 Array = NDArray[np.float64]
 
 Progress = Callable[[str, int, int], None]
-"""Progress(stage, done, total) of long work, such as of "playing"."""
+"""Receives the progress of long work: stage, such as "playing", amount done, and total."""
 
 
 def silent(stage: str, done: int, total: int) -> None:
@@ -27,12 +27,12 @@ class Agent(ABC):
     """Chooses the actions of N environments at once.
 
     Attributes:
-        config: its options, a dataclass that recordings keep; None without any.
-        keeps_fingering: whether it plays with the fingers that a score gives. Demonstrations of
-            others are recorded of the score without them.
-        num_threads: how many threads it may use; None for two, one for each hand.
-        progress: is told how far its long work is, if it has any. Whoever has the agent play sets
-            this and `num_threads` before the reset.
+        config: the agent's options, a dataclass that recordings keep; None without any.
+        keeps_fingering: whether the agent plays with the fingers that a score gives. Demonstrations
+            of other agents are recorded of the score without them.
+        num_threads: the number of threads that the agent may use; None for two, one for each hand.
+        progress: the receiver of the progress of long work. Callers set this and `num_threads`
+            before the reset.
     """
 
     config: Any = None
@@ -42,17 +42,17 @@ class Agent(ABC):
 
     @property
     def threads(self) -> int:
-        """How many threads it uses."""
+        """The number of threads that the agent uses."""
         return self.num_threads or default_threads()
 
     def reset(  # noqa: B027 - not all have anything to begin
         self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]
     ) -> None:
-        """Episodes begin in some environments; the next view is of their first step.
+        """Begins episodes in some environments; the next view is of their first step.
 
         Args:
             env_ids: the environments.
-            rngs: for each of them, the generator of all that is random in its episode.
+            rngs: the generator of all that is random in the episode, for each environment.
         """
 
     @abstractmethod
@@ -65,7 +65,7 @@ class Agent(ABC):
     def song_plan(self, env_id: int) -> Any:
         """The `SongPlan` that an environment's episode follows, None for an agent without one.
 
-        It has the finger of every note. Reports show these, and say why notes were missed.
+        Reports show its fingers, and say by it why notes were missed.
         """
         return None
 
@@ -122,7 +122,11 @@ class PlannerPerEnv(Agent, Generic[P]):
 
     @abstractmethod
     def begin(self, view: View, rng: np.random.Generator) -> P:
-        """The planner of the episode that begins in the only environment of `view`."""
+        """The planner of the episode that begins in the only environment of `view`.
+
+        Raises:
+            CadenzaError: the agent cannot play this task.
+        """
 
     def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
         for env, rng in zip(env_ids, rngs, strict=True):

@@ -63,8 +63,10 @@ class Playback(Agent):
         self._plan = plan
 
     def act(self, view: View) -> Array:
-        """Raises:
-        CadenzaError: the plan is not as wide as the actions or not as long as an episode.
+        """(N, A) the actions of the plan for the steps of all environments.
+
+        Raises:
+            CadenzaError: the plan is not as wide as the actions or not as long as an episode.
         """
         steps, width = self._plan.shape
         check_planned_for(view, steps, width)
@@ -91,7 +93,7 @@ class SavedPlan:
 
     path: Path
     actions: Array
-    """(T, A) in actuator units, the pedal last."""
+    """(T, A) the actions in actuator units, the pedal last."""
     options: dict[str, Any] = field(default_factory=dict)
     """Options that it was made with, as far as it says; see `task_identity`."""
     practised: PractisedPlan | None = None

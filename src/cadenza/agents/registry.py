@@ -79,9 +79,10 @@ def make_agent(name: str, config: Any = None) -> Agent:
     """An agent that plays any task.
 
     Args:
-        name: one of `AGENTS`, or `module:Class`, a class of your own derived from
+        name: a name of `AGENTS`, or `module:Class`, a class of your own derived from
             `cadenza.Agent`.
-        config: its options, of the type that `agent_options` returns; by default, their defaults.
+        config: the agent's options, of the type that `agent_options` returns; by default, their
+            defaults.
 
     Raises:
         CadenzaError: there is no such agent, its class is not derived from `cadenza.Agent`, or an

@@ -41,8 +41,8 @@ def begin_episodes(task: PianoTask, seeds: Sequence[int]) -> list[np.random.Gene
     """Begins an episode in every environment of `task`.
 
     Args:
-        task: what to play.
-        seeds: of everything random in the task and in the agent, one for each environment.
+        task: the task to play.
+        seeds: seeds of everything random in the task and in the agent, one for each environment.
 
     Returns:
         A generator for each environment, which the agent draws from.
@@ -82,12 +82,12 @@ def play_episodes(
     """Plays an episode in every environment of `task`, all at once, from the beginning.
 
     Args:
-        task: what to play.
+        task: the task to play.
         agent: the agent that plays.
         seeds: see `begin_episodes`. What happens in an environment does not depend on the others.
-        progress: is told of "playing" after every step, with the number of steps done and in all,
-            and of long work of the agent.
-        stop: is asked after every step whether to end there; the episodes are what was played.
+        progress: receives the stage "playing" after every step, with the number of steps done and
+            in all, and the stages of long work of the agent.
+        stop: called after every step; true ends the episodes there.
 
     Raises:
         CadenzaError: the agent cannot play this task, or a seed is negative.

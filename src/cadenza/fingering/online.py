@@ -29,7 +29,8 @@ class OnlineFingering:
 
         Args:
             players: the hands that are there, and the keyboard.
-            moments: the horizon: at how many moments ahead of what is settled fingers are found.
+            moments: the horizon: the number of moments ahead of what is settled for which fingers
+                are found; by default all.
         """
         self._horizon = moments
         self._space, self._num_fingers = state_space(players), players.reach.num_fingers

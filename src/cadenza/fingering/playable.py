@@ -47,9 +47,9 @@ class Moment(NamedTuple):
     """A moment at which notes begin.
 
     Attributes:
-        time: [s].
-        strokes: what is pressed then, in the order of the keys.
-        begun: how many notes of the score have begun by then, played or not.
+        time: the time of the moment [s].
+        strokes: the keys that are pressed then, in their order.
+        begun: the number of notes of the score that have begun by then, played or not.
     """
 
     time: float
@@ -62,7 +62,7 @@ class Playable:
     """The notes of a score that can be played.
 
     Attributes:
-        moments: at which notes begin.
+        moments: the moments at which notes begin.
         reasons: index of each note that is not played -> why.
         ignored: index of each note whose given finger contradicts others, or these hands -> finger.
     """
@@ -93,7 +93,7 @@ class SoundingNotes:
     """The notes that sound, and all sets of fingers that can play them.
 
     Attributes:
-        strokes: in the order of their keys.
+        strokes: the notes in the order of their keys.
     """
 
     def __init__(self, players: Players) -> None:

@@ -49,8 +49,8 @@ class Players:
     """Hands of one kind at a keyboard. Those that are equal play alike.
 
     Attributes:
-        reach: of the F fingers of either hand.
-        keyboard: of K keys.
+        reach: the reach of the F fingers of either hand.
+        keyboard: the keyboard, of K keys.
         forearms: the right hand's and the left hand's; None where there is no hand.
     """
 
@@ -118,7 +118,7 @@ class Players:
 
         Args:
             right: the place of the right one then [m].
-            left: that of the left one, as if it were the right one [m].
+            left: the place of the left one, as if it were the right one [m].
         """
         room = sum(arm.high for arm in map(self.forearm, range(2)) if arm)
         return np.asarray(np.add(right, left) < min(self.reach.forearm_width, room))

@@ -56,10 +56,10 @@ class Solution:
     """The result of a search.
 
     Attributes:
-        score: with a finger on every note that is played.
+        score: the score with a finger on every note that is played.
         dropped: the notes that are not played.
         ignored: notes whose given fingers contradict others, or these hands; they keep them.
-        cost: of all fingers but the ignored.
+        cost: the cost of all fingers but the ignored.
     """
 
     score: Score
@@ -81,9 +81,9 @@ def find_fingering(
     that hands of this kind do not have count as not given.
 
     Args:
-        score: with fingers or without.
+        score: a score with fingers or without.
         players: the hands that are there, and the keyboard.
-        progress: is called with the numbers of notes that are done, and of all.
+        progress: receives the number of notes that are done, and of all.
         costs: weights of what a hand does from moment to moment.
 
     Returns:

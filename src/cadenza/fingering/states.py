@@ -209,11 +209,11 @@ class StateSpace:
 
 
 class _Hand:
-    """One of the hands, 0 the right, 1 the left.
+    """The right hand, 0, or the left, 1.
 
     Attributes:
-        idle_places: where it can be without notes [m].
-        home: where it is before the first note [m].
+        idle_places: the places where it can be without notes [m].
+        home: the place where it is before the first note [m].
     """
 
     def __init__(self, players: Players, hand: int) -> None:

@@ -112,10 +112,10 @@ def _costs_of_relations(
     """The costs of `finger_change_costs`.
 
     Args:
-        relations: (m' m,) of each of m notes to each of m' before.
-        gaps: (m',) from the notes before to now [s].
-        reach: of the hands.
-        costs: their weights.
+        relations: (m' m,) relations of each of m notes to each of m' before.
+        gaps: (m',) times from the ends of the notes before to now [s].
+        reach: the reach of the hands.
+        costs: the weights.
     """
     relation = np.array(relations).reshape(len(gaps), -1)
     gap = np.array(gaps)[:, None]

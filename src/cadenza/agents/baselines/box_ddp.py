@@ -28,9 +28,9 @@ class Model(NamedTuple):
     transition: Array
     """(K, n, n + m) derivatives of the next state by z."""
     gradient: Array
-    """(K, n + m) of a step's cost by z."""
+    """(K, n + m) the gradient of a step's cost by z."""
     hessian: Array
-    """(K, n + m, n + m) of a step's cost by z."""
+    """(K, n + m, n + m) the Hessian of a step's cost by z."""
 
 
 class FeedbackLaw(NamedTuple):
@@ -102,7 +102,7 @@ def backward_pass(
     """The feedback law that minimises the quadratic model within the limits (the paper, III-C).
 
     Args:
-        model: of K steps; there is no terminal cost.
+        model: the model of K steps; there is no terminal cost.
         controls: (K, m) nominal controls.
         low: (m,) limits of the controls.
         high: (m,).

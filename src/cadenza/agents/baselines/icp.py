@@ -54,9 +54,6 @@ class ICP(PlannerPerEnv["PlanFollower"]):
         self.config = config or ICPConfig()
 
     def begin(self, view: View, rng: np.random.Generator) -> PlanFollower:
-        """Raises:
-        CadenzaError: there are no hands in the scene.
-        """
         (track,) = view.tracks
         track, start = track.with_found_fingers(), view.state.hand_qpos[0]
         if self.config.fingers == "nearest" and track.scene.sides:

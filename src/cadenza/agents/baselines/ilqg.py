@@ -43,17 +43,16 @@ class ILQG(PlannerPerEnv["ILQGPlanner"]):
     """Plans anew at every control step. Nothing is random."""
 
     def __init__(self, config: ILQGConfig | None = None) -> None:
-        """Raises:
-        CadenzaError: an option makes no sense.
+        """Checks the options.
+
+        Raises:
+            CadenzaError: an option makes no sense.
         """
         super().__init__()
         self.config = config or ILQGConfig()
         _check(self.config)
 
     def begin(self, view: View, rng: np.random.Generator) -> ILQGPlanner:
-        """Raises:
-        CadenzaError: the timesteps of task and plan do not divide.
-        """
         return ILQGPlanner(view, self.config, self.threads)
 
 

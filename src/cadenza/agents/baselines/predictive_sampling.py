@@ -28,8 +28,10 @@ class PredictiveSampling(PlannerPerEnv["SamplingPlanner"]):
     """Plans anew at every control step."""
 
     def __init__(self, config: PredictiveSamplingConfig | None = None) -> None:
-        """Raises:
-        CadenzaError: an option makes no sense.
+        """Checks the options.
+
+        Raises:
+            CadenzaError: an option makes no sense.
         """
         super().__init__()
         self.config = config or PredictiveSamplingConfig()

@@ -270,7 +270,7 @@ def regulator(transition: Array, hessian: Array) -> Array:
 
     Args:
         transition: (K, n, n + m) derivatives of the next state by state and control.
-        hessian: (K, n + m, n + m) of a step's cost.
+        hessian: (K, n + m, n + m) the Hessian of a step's cost.
     """
     steps, n, size = transition.shape
     limit = np.full(size - n, np.inf)

@@ -24,11 +24,11 @@ class Residuals(NamedTuple):
     row: Ids
     """(Q,) the state to which each finger's residual belongs."""
     finger: Ids
-    """(Q,)"""
+    """(Q,) the finger."""
     key: Ids
     """(Q,) the key that the finger should press."""
     offset: Array
-    """(Q, 3) from where the finger should press its key to the fingertip [m]."""
+    """(Q, 3) the fingertip's position less that where it should press the key [m]."""
     share: Array
     """(Q,) 1 over the number of fingers in the row, which makes a sum the mean over the fingers."""
 

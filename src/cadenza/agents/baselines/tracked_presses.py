@@ -26,8 +26,10 @@ class TrackedPresses(PlannerPerEnv["TrackingPlanner"]):
     """
 
     def __init__(self, config: TrackedPressesConfig | None = None) -> None:
-        """Raises:
-        CadenzaError: an option makes no sense.
+        """Checks the options.
+
+        Raises:
+            CadenzaError: an option makes no sense.
         """
         super().__init__()
         self.config = config or TrackedPressesConfig()
@@ -35,9 +37,6 @@ class TrackedPresses(PlannerPerEnv["TrackingPlanner"]):
             raise CadenzaError(f"iterations {self.config.iterations}: choose 0 or more")
 
     def begin(self, view: View, rng: np.random.Generator) -> TrackingPlanner:
-        """Raises:
-        CadenzaError: there are no hands in the scene.
-        """
         return TrackingPlanner(view, self.config, self.threads, self.progress)
 
 

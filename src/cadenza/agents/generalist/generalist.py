@@ -46,8 +46,10 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
     """
 
     def __init__(self, config: GeneralistConfig | None = None) -> None:
-        """Raises:
-        CadenzaError: an option makes no sense.
+        """Checks the options.
+
+        Raises:
+            CadenzaError: an option makes no sense.
         """
         super().__init__()
         self.config = config or GeneralistConfig()
@@ -62,10 +64,6 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
                 )
 
     def begin(self, view: View, rng: np.random.Generator) -> GeneralistSong | SightReader:
-        """Raises:
-        CadenzaError: there are no hands in the scene, it has not learnt to play with them, or what
-            it has learnt is damaged.
-        """
         (track,) = view.tracks
         config, scene = self.config, planning_scene(track)
         if config.look_ahead is not None:
@@ -85,7 +83,7 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
         return GeneralistSong(plan, plans, [CorrectedHands(plan, weights)])
 
     def _rehearsals(self, scene: Scene) -> int:
-        """How often each half second of the plan is changed; with 0, networks correct it."""
+        """The number of changes of each half second of the plan; with 0, networks correct it."""
         if self.config.rehearsals is not None:
             return self.config.rehearsals
         known = shipped_for(scene)
@@ -105,7 +103,7 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
 
 
 class PlanPlayer(Protocol):
-    """One hand that plays a plan, or all of them."""
+    """A hand that plays a plan, or all hands."""
 
     servos: slice
     """The hand's servos among all of the scene."""
@@ -162,7 +160,7 @@ class SightReader(EpisodePlanner):
         Args:
             track: the song.
             start: the state of one simulation.
-            look_ahead: how far ahead the goals are known [s].
+            look_ahead: the time ahead for which the goals are known [s].
             weights: the networks that correct plans.
         """
         dt = track.config.control_timestep

@@ -93,7 +93,7 @@ class RecedingPlanner:
         Args:
             step: the step of the song: 0, then always the next.
             keys: (S, K) the keys that should be down after this step and those after it.
-            tips: (F, 3) where the fingertips are [m].
+            tips: (F, 3) positions of the fingertips [m].
         """
         self._update_notes(step, keys)
         self._find_fingers(step + max(1, round(_SETTLED * len(keys))))
@@ -129,8 +129,8 @@ class RecedingPlanner:
             presses: presses by time.
             step: the step of the song.
             now: the state before it, as presses count them.
-            tips: (F, 3) where fingertips are [m].
-            planned: (F', 3) where the fingertips of the present fingers should be [m].
+            tips: (F, 3) positions of the fingertips [m].
+            planned: (F', 3) planned positions of the tips of the present fingers [m].
         """
         there, off = self._scene.present_fingers, np.zeros(len(tips))
         off[there] = np.hypot(*(tips[there] - planned)[:, :2].T)

@@ -1,4 +1,4 @@
-"""One hand that rehearses its plan, half a second at a time, and plays it as it went best."""
+"""Rehearsal of a plan by one hand, half a second at a time, which is played as it went best."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _AS_FORESEEN = 1e-3  # [rad] that a key may be off where the rehearsal had it, t
 
 
 class RehearsedHand:
-    """One hand that plays a plan.
+    """A hand that plays a plan.
 
     It rehearses by itself, from the state that it is in when the half second begins. What it does
     not foresee, such as that it touches the other hand, is left to feedback until then.

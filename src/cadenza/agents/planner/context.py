@@ -1,4 +1,4 @@
-"""What is passed down to all that plan and practise a song."""
+"""Options and resources that are passed down to all that plan and practise a song."""
 
 from __future__ import annotations
 

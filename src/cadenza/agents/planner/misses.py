@@ -64,15 +64,15 @@ class Miss:
     """A note that was lost, in whole or in part."""
 
     time: float
-    """When it should have begun [s]."""
+    """The time at which it should have begun [s]."""
     note: str
-    """Its name, such as C4."""
+    """The name of the note, such as C4."""
     finger: Finger | None
     """The finger that should have played it."""
     what: str
     """The symptom, such as "never sounded"."""
     cause: str
-    """Why, in a few words, by which misses are counted."""
+    """The cause in a few words, by which misses are counted."""
     reason: str
     """The cause in more words."""
     sounded: bool

@@ -26,8 +26,10 @@ class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
     """
 
     def __init__(self, config: PlannerConfig | None = None) -> None:
-        """Raises:
-        CadenzaError: an option makes no sense.
+        """Checks the options.
+
+        Raises:
+            CadenzaError: an option makes no sense.
         """
         super().__init__()
         self.config = config or PlannerConfig()
@@ -43,9 +45,6 @@ class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
         self.keeps_fingering = self.config.fingering == "score"
 
     def begin(self, view: View, rng: np.random.Generator) -> SongPlanner | PractisedPlanner:
-        """Raises:
-        CadenzaError: there are no hands in the scene.
-        """
         effort, progress = self.config.effort, self.progress
         context = PlanningContext(replace(self.config, effort=0.0), Threads(self.threads), progress)
         if not effort:

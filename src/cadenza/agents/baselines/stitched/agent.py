@@ -32,13 +32,10 @@ _WHITE_KEY_FORCE = 1.5
 class Stitched(PlannerPerEnv["StitchedSong"]):
     """Plans everything when an episode begins, and plays it without feedback.
 
-    Nothing is random. Its progress is that of "fingers" and "motions".
+    Nothing is random. It reports the progress of "fingers" and "motions".
     """
 
     def begin(self, view: View, rng: np.random.Generator) -> StitchedSong:
-        """Raises:
-        CadenzaError: there are no hands in the scene, or they do not slide along the keyboard.
-        """
         return StitchedSong(view, self.progress)
 
 
@@ -46,13 +43,13 @@ class StitchedSong(EpisodePlanner):
     """Plays one song.
 
     Attributes:
-        plan: of the whole song.
+        plan: the plan of the whole song.
     """
 
+    plan: SongPlan
+
     def __init__(self, view: View, progress: Progress) -> None:
-        """Args:
-            view: of the first step, of one environment.
-            progress: is told of "fingers" and "motions".
+        """Plans the song, from the view of the first step of one environment.
 
         Raises:
             CadenzaError: there are no hands in the scene, or they do not slide along the keyboard.
@@ -60,11 +57,10 @@ class StitchedSong(EpisodePlanner):
         (track,) = view.tracks
         with threadpool_limits(1):  # small matrices, and the same bits everywhere
             self.plan = _plan(track, view.state.hand_qpos[0], progress)
-        self._pedal = self.plan.goals.sustain.astype(np.float64)
 
     def act(self, view: View) -> Array:
         step = int(view.steps[0])
-        return np.append(self.plan.nominal.tracking.ctrl[step], self._pedal[step])
+        return np.append(self.plan.nominal.tracking.ctrl[step], self.plan.goals.sustain[step])
 
 
 def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
@@ -73,16 +69,15 @@ def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
         raise CadenzaError("cannot plan: this scene has no hands")
     track = track.with_found_fingers().fingered(partial(progress, "fingers"))
     goals, dt, scene = track.goals, track.config.control_timestep, build_scene(track.scene.config)
-    servos = servos_of(scene)
-    if not servos.along_keyboard:
+    if not servos_of(scene).along_keyboard:
         raise CadenzaError(
             "agent stitched moves hands along the keyboard, which these cannot: "
             "add tx to --forearm-dofs, or choose another agent"
         )
-    planner = MotionPlanner(scene, dt, _unhurried(scene.hand.jump_times))
+    planner = MotionPlanner(scene, dt, _slower(scene.hand.jump_times))
     presses = planner.presses(goals.fingers)
     before, states = planner.still(start, 0), goals.num_steps + 1
-    postures = np.empty((states, len(servos.names)))
+    postures = np.empty((states, len(scene.actuator_names)))
     for side in scene.sides:
         hand = hand_alone(scene, side)
         mine = [press for press in presses if press.side == side]
@@ -96,7 +91,8 @@ def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
     return SongPlan(scene, track, goals, planner.track(before, presses, found))
 
 
-def _unhurried(times: JumpTimes) -> JumpTimes:
+def _slower(times: JumpTimes) -> JumpTimes:
+    """Jump times of hands that play open loop, given those of the planner's hands."""
     slower = times.accelerated(_ACCELERATION)
     # Onto black keys no sooner: that has cost more than it gained.
     return replace(slower, within_reach=_REACH * slower.within_reach, climb=RISE)

@@ -20,7 +20,7 @@ from cadenza.scene.servos import servos_of
 Array = NDArray[np.float64]
 
 Held = tuple[tuple[int, int], ...]
-"""(finger, key) of each finger that is down."""
+"""Pairs of finger and key, of each finger that is down."""
 
 _BEFORE = 0.2  # [s] of a motion before the keys change, in which fingers get over the next ones
 _AFTER = 0.15  # [s] after it, in which the others get off theirs
@@ -30,15 +30,16 @@ _OCTAVE = 12
 
 
 class Change(NamedTuple):
-    """A hand releases keys, and strikes others at the same time or soon after."""
+    """A change of held keys: some are released, and others struck at the same time or soon after."""
 
     left: Held
+    """All keys that are held before."""
     still: Held
-    """Keys of `left` that are not released."""
+    """The keys of `left` that are not released."""
     struck: Held
     """All keys that are held at the end."""
     gap: int
-    """States from releasing to striking."""
+    """The number of states from releasing to striking."""
 
     def lowered(self, keys: int) -> Change:
         """The same change on keys that are `keys` lower."""
@@ -56,16 +57,15 @@ class Motions:
     does not depend on what else was asked for.
 
     Attributes:
-        before: states of a motion before the one in which keys have been released.
-        after: states of a motion after the one in which others have been struck.
-        longest_gap: states between both, at most.
+        before: the number of states of a motion before the one in which keys have been released.
+        after: the number of states after the one in which others have been struck.
+        longest_gap: the maximum number of states between both.
     """
 
     def __init__(self, scene: Scene, dt: float, progress: Progress = silent) -> None:
-        """Args:
-        scene: of a hand by itself.
-        dt: control step [s].
-        progress: is told of "motions", as many as have been planned.
+        """Begins without any motions, for a scene of a hand by itself and control steps of `dt` [s].
+
+        It reports the number of "motions" that have been planned.
         """
         self._scene, self._dt, self._keyboard = scene, dt, scene.keyboard
         self._progress = progress

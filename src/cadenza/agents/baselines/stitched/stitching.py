@@ -13,7 +13,7 @@ from cadenza.agents.planner.plan.presses import Press
 
 Array = NDArray[np.float64]
 _Down = set[tuple[int, int]]
-"""(finger, key) of each finger that is down."""
+"""Pairs of finger and key, of each finger that is down."""
 
 
 def stitched(presses: Sequence[Press], motions: Motions, start: Array, num_states: int) -> Array:

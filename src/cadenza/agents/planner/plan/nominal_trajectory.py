@@ -65,7 +65,7 @@ class NominalTrajectory(NamedTuple):
     presses: list[Press]
     """Presses that begin in these steps, by time."""
     postures: Array
-    """(T + 1, A) in the servos' coordinates."""
+    """(T + 1, A) the coordinates of the servos [m, rad]."""
     fingertips: Array
     """(T + 1, F, 3) [m]"""
     tracking: Tracking
@@ -257,8 +257,8 @@ class MotionPlanner:
             plan: the plan of the steps before.
             presses: the presses of the trajectory.
             found: the trajectory.
-            played: how many steps will be played by this plan, all by default. The controls of the
-                steps after those do without what makes up for forces.
+            played: the number of steps that will be played by this plan, all by default. The
+                controls of the steps after those do without what makes up for forces.
         """
         servos, postures, start = self._servos, found.postures, plan.tracking.expected[-1]
         steps = len(postures) - 1 if played is None else played

@@ -30,9 +30,9 @@ def release_in_time(
     strikes is not cut.
 
     Args:
-        presses: by time, those that begin together by key.
-        places: (K, F) where a forearm is when one of its fingers presses a key at rest, from its
-            mount [m].
+        presses: presses by time; those that begin together are by key.
+        places: (K, F) positions of a forearm, from its mount, when one of its fingers presses a key
+            at rest [m].
         is_black: (K,) whether keys are black.
         dt: control step [s].
         hand: the kind of both hands.

@@ -23,7 +23,7 @@ def rest_posture(servos: Servos) -> Array:
 
 
 def forearm_places(kinematics: Kinematics) -> Array:
-    """(K, F) where a forearm is when one of its fingers presses a key at rest, from its mount [m].
+    """(K, F) positions of a forearm, from its mount, when a finger presses a key at rest [m].
 
     Fingers that are not in the scene count as being at 0.
     """

@@ -112,9 +112,9 @@ class HandPractice:
         """Tries to lower the loss at a step that is drawn.
 
         Args:
-            trajectory: what all hands play.
+            trajectory: the trajectory of all hands.
             first: the earliest step that may change.
-            weight: (L,) how likely each step from there on is to be drawn, not normalised.
+            weight: (L,) probabilities to draw each step from there on, not normalised.
             last: the step up to which changes may be evaluated.
             scene_before: returns the whole scene before a step of the trajectory.
             rng: source of randomness.
@@ -147,7 +147,7 @@ class HandPractice:
         first: int,
         end: int,
     ) -> None:
-        """Has rollouts start where the hand is, with all keys that it may come over."""
+        """Makes rollouts start where the hand is, with all keys that it may come over."""
         tips = self._goals.fingertips[first : end + 1, :, 1]
         here = simulation.state.fingertip_xpos[0, self._goals.fingers, 1]
         low, high = (edge(np.append(tips, here)) for edge in (np.min, np.max))

@@ -83,7 +83,7 @@ class Losses:
             key_qpos: (K,) angles of the keys [rad].
             fingertips: (F, 3) positions of the hand's fingertips [m].
             history: the keys before the step.
-            keys: which keys these are; all by default.
+            keys: the numbers of these keys; all by default.
             near: (K,) keys that the hand is charged with if they sound and should not.
 
         Returns:

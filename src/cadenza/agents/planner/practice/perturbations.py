@@ -25,10 +25,9 @@ class Perturbations:
     """Draws offsets of the positions that the servos of one hand follow."""
 
     def __init__(self, scene: Scene, planned: Array, dt: float) -> None:
-        """Args:
-        scene: the scene with this hand only.
-        planned: (T + 1, A) positions that the plan expects.
-        dt: control step [s].
+        """Prepares perturbations of the hand that is alone in a scene.
+
+        `planned` (T + 1, A) are the positions of its servos by the plan, `dt` [s] apart.
         """
         servos = servos_of(scene)
         self._sigma, self._finger, self._lift = servos.noise, servos.finger, servos.lift
@@ -51,8 +50,9 @@ class Perturbations:
 
         Args:
             path: (T, A) positions before each step.
-            first, last: which steps.
-            count: N.
+            first: the first step.
+            last: the step after the last one.
+            count: N, the number of candidates.
             rng: source of randomness.
         """
         kinds = (

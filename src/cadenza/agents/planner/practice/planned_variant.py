@@ -28,7 +28,7 @@ class PlannedVariant:
         plan: the plan of the whole song, before practice.
         goals: the goals of each hand.
         search: the hands that play it as the planner does.
-        scene: where trajectories are rolled out.
+        scene: the scene in which trajectories are rolled out.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class PlannedVariant:
     def follow(
         self, trajectory: Trajectory, step: int, rngs: Sequence[np.random.Generator]
     ) -> None:
-        """Has its hands follow a trajectory from a step on, and search where less would sound."""
+        """Makes the hands follow a trajectory from a step on, and search where less would sound."""
         goals = [each.holding(trajectory.sounding) for each in self.goals]
         self.search.restart(goals, self.scene.tracking(trajectory), step, rngs)
 

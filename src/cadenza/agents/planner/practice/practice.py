@@ -272,7 +272,7 @@ class Practice:
         self.simulated += planned.search.simulated
 
     def _improve(self, sweep: _Sweep, last: int) -> None:
-        """Has each hand that loses something in the window up to `last` try to lose less."""
+        """Lets each hand that loses something in the window up to `last` try to lose less."""
         first = sweep.first
         weight = self.trajectory.loss[first:last] / (1.0 + self._num_failed[first:last])
         end = min(first + self._reach, self.num_steps)

@@ -69,7 +69,7 @@ class PractisedPlanner(EpisodePlanner):
 
         Args:
             view: the view before the first step, of one environment.
-            practised: what to play.
+            practised: the plan to play.
             rng: source of randomness of the search.
             context: options and resources of the search.
             plan: the plan of this variant, if there is one already.
@@ -124,9 +124,6 @@ class PractisedHands(PlannerPerEnv[PractisedPlanner]):
         self._practised, self._config, self._plan = practised, config, plan
 
     def begin(self, view: View, rng: np.random.Generator) -> PractisedPlanner:
-        """Raises:
-        CadenzaError: another song was practised, or with other hands.
-        """
         context = PlanningContext(self._config, Threads(self.threads), self.progress)
         return PractisedPlanner(view, self._practised, rng, context, self._plan)
 

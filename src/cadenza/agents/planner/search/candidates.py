@@ -26,10 +26,7 @@ class EscapeMotions:
     """
 
     def __init__(self, servos: Servos, dt: float) -> None:
-        """Args:
-        servos: of the hand.
-        dt: control step [s].
-        """
+        """Prepares motions of a hand's servos, in control steps of `dt` [s]."""
         self._servos, self._dt = servos, dt
 
     def hand_lift(self, ctrl: Array, step: int) -> Array:
@@ -41,10 +38,10 @@ class EscapeMotions:
         """(3, H, A) `ctrl` with the fingers lifted that are caught; with the hand; with all.
 
         Args:
-            ctrl: (H, A)
-            caught: (F,) which fingers are caught.
-            posture: (A,) of the hand now.
-            step: the first one of the horizon.
+            ctrl: (H, A) controls.
+            caught: (F,) whether each finger is caught.
+            posture: (A,) the present posture of the hand.
+            step: the first step of the horizon.
         """
         return self._lifted(ctrl, caught, posture, 0.0)[step % len(_LIFTS) :: len(_LIFTS)]
 
@@ -64,7 +61,7 @@ class EscapeMotions:
         return self._servos.clip(np.array(motions))
 
     def _lift(self, lift: Array, seconds: float, horizon: int) -> Array:
-        """(H, A) what is added to the controls: `lift` (A,) for so long, then nothing."""
+        """(H, A) changes of the controls: `lift` (A,) for some time, then nothing."""
         return lift * (np.arange(horizon)[:, None] < steps_in(seconds, self._dt))
 
 
@@ -82,10 +79,10 @@ def crossover(
     does much better in another candidate.
 
     Args:
-        candidates: (N, H, A)
-        costs: (L, F) of each candidate, by finger, of those L of its H steps that were simulated.
+        candidates: (N, H, A) controls.
+        costs: (L, F) the costs of each candidate by finger, in the L steps that were simulated.
         best: the cheapest candidate, which was simulated to its end.
-        finger: (A,) that each servo moves, -1 for the whole hand.
+        finger: (A,) the finger that each servo moves, -1 for the whole hand.
     """
     until = np.pad(costs[best].cumsum(axis=0), ((1, 0), (0, 0)))
     gains = np.array([until[len(cost)] - cost.sum(axis=0) for cost in costs])

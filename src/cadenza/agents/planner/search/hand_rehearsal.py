@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from cadenza.agents.control_steps import steps_in
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.tracking import Tracking
+from cadenza.agents.planner.search.fingertip_correction import control_update
 from cadenza.agents.planner.search.horizon_cost import HorizonCost
-from cadenza.agents.planner.search.iterative_learning_control import control_update
 from cadenza.agents.planner.search.rollouts import Rollout, roll_out, start_rollouts
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
@@ -55,8 +55,8 @@ class HandRehearsal:
         lookahead: the number of steps of the plan that a rehearsal needs.
         tail: (N, A) controls of the steps from `end` on, of the rollout that was kept.
         keys: the keys near the hand.
-        keys_at_end: (2, K) their positions and speeds before the step `end`, of the rollout that
-            was kept [rad, rad/s].
+        keys_at_end: (2, K) positions and speeds of these keys before the step `end`, in the
+            rollout that was kept [rad, rad/s].
     """
 
     def __init__(

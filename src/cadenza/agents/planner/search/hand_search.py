@@ -126,7 +126,7 @@ class HandSearch:
 
         Args:
             goals: the goals of the hand, which holds the keys that sounded.
-            tracking: what was played, of this hand's servos.
+            tracking: the tracking of what this hand's servos played.
             step: the step to go on with.
             rng: source of randomness.
         """
@@ -274,7 +274,7 @@ class HandSearch:
             best: (H, A) the cheapest controls so far.
             rollout: the rollout of these.
             steps: (H,) the steps of the horizon.
-            caught: (F,) which fingers are caught.
+            caught: (F,) whether each finger is caught.
         """
         assert self._update is not None
         if self._network and not caught.any():
@@ -383,12 +383,12 @@ class HandSearch:
     # Fingers that are caught between keys
 
     def _off_target(self, fingertips: Array, state: int) -> Mask:
-        """(F,) which of `fingertips` (F, 3) [m] play in a state and are far off their targets."""
+        """(F,) whether `fingertips` (F, 3) [m] play in a state and are far off their targets."""
         error = (fingertips - self._goals.fingertips[state])[:, :2]
         return self._goals.playing[state] & (np.linalg.norm(error, axis=1) > _CAUGHT)
 
     def _caught(self) -> Mask:
-        """(F,) which fingers are off their targets at the end of the last rollout."""
+        """(F,) whether fingers are off their targets at the end of the last rollout."""
         end = min(self._step + self._horizon, len(self._tracking.ctrl))
         return self._off_target(self._simulator.fingertips(), end)
 

@@ -69,7 +69,7 @@ class HandsInScene:
 
         Args:
             goals: the goals of each hand, which holds the keys that sounded.
-            tracking: what was played.
+            tracking: the tracking of what was played.
             step: the step to go on with.
             rngs: source of randomness of each hand.
         """

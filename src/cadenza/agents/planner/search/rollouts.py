@@ -62,7 +62,7 @@ def start_rollouts(
     steps: NDArray[np.intp],
     keyboard: Keyboard,
 ) -> HorizonCost:
-    """Has rollouts start where a hand is, on all keys on its path through `steps` (H,).
+    """Makes rollouts start where a hand is, on all keys on its path through `steps` (H,).
 
     Args:
         simulator: the simulator of the hand.
@@ -98,7 +98,7 @@ def roll_out(
         horizon: the cost.
         ctrl: (H, A)
         slot: the slot of the simulator.
-        judged: how many steps count in the cost and the mistakes; all by default.
+        judged: the number of steps that count in the cost and the mistakes; all by default.
         cutoff: the expected cost at which a rollout is given up.
         cost_to_go: (H,) the cost that is expected after each step; without it, nothing is given up.
     """

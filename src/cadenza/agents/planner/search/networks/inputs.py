@@ -62,9 +62,9 @@ class Mirror(NamedTuple):
     """Signs, 1 or -1, that make right hands of H hands, whose forearms do not roll."""
 
     y: Array
-    """(H,) for positions along the keyboard."""
+    """(H,) signs of positions along the keyboard."""
     servos: Array
-    """(H, A) for coordinates of servos."""
+    """(H, A) signs of coordinates of servos."""
 
     @classmethod
     def of(cls, sides: Sequence[Side], alone: Scene) -> Mirror:
@@ -110,11 +110,13 @@ class HandInputs:
     """The inputs of H hands at each step of a plan, from `first` on."""
 
     def __init__(self, plan: SongPlan, sides: Sequence[Side], alone: Scene, first: int) -> None:
-        """Args:
-        plan: as far as it goes.
-        sides: of the hands, those of the scene or one of them.
-        alone: a scene with one of them only.
-        first: the first step that inputs are wanted for.
+        """Computes all inputs that depend on the plan only.
+
+        Args:
+            plan: the plan, as far as it goes.
+            sides: the sides of the hands, all of the scene or one of them.
+            alone: a scene with one of them only.
+            first: the first step that inputs are wanted for.
         """
         self._mirror, self._first, scene = Mirror.of(sides, alone), first, plan.scene
         self._hands, self._keyboard = len(sides), alone.keyboard
@@ -191,7 +193,7 @@ class HandInputs:
         """(H, D) the inputs at a step.
 
         Args:
-            step: of the song.
+            step: the step of the song.
             posture: (H, A, 2) position and velocity of the servos.
             previous: (H, A) the outputs of the step before.
             tips: (H F, 3) fingertips [m].
@@ -234,7 +236,7 @@ def _cases(presses: Array, depths: Array, error_now: Array, error_next: Array) -
         presses: (F, 15) inputs about the presses.
         depths: (F, 6) inputs about the keys.
         error_now: (F, 3) scaled errors of fingertips from the plan.
-        error_next: (F, 3) from the plan after the step.
+        error_next: (F, 3) scaled errors of fingertips from the plan after the step.
     """
     black, soon, near = presses[:, 2], presses[:, 4], presses[:, 8 + _HELD_STEPS]
     goal, lacking = depths[:, -1], clip(1 - depths[:, len(_NEIGHBOURS) // 2], 0, 1)
@@ -270,7 +272,7 @@ class Corrections(NamedTuple):
         return cls(Mirror.of(sides, alone).servos, servos_of(alone).correction)
 
     def ctrl(self, output: Floats) -> Array:
-        """(H, A) what is added to the controls with outputs (H, A) [m, rad]."""
+        """(H, A) the changes of the controls with outputs (H, A) [m, rad]."""
         return clip(output, -_MAX_OUTPUT, _MAX_OUTPUT) * self.sign * self.scale
 
     def output(self, ctrl: Array) -> Array:

@@ -48,13 +48,13 @@ class Network(NamedTuple):
     """
 
     inputs: Ids
-    """(M, I) which inputs of the hand, with `CONSTANTS`, each part has."""
+    """(M, I) the inputs of each part, among those of the hand and `CONSTANTS`."""
     servos: Ids
-    """(M, O) which servos each part has."""
+    """(M, O) the servos of each part."""
     middle: Floats
-    """(I,) of the inputs in training."""
+    """(I,) the middle of the inputs in training."""
     spread: Floats
-    """(I,) of the inputs in training, by which they are normalised."""
+    """(I,) the spread of the inputs in training, by which they are normalised."""
     kernels: tuple[Floats, ...]
     """(N, I, H), ... (N, H, O)"""
     biases: tuple[Floats, ...]
@@ -79,8 +79,10 @@ class Weights(NamedTuple):
 
     @classmethod
     def load(cls, path: Path) -> Weights:
-        """Raises:
-        CadenzaError: the file is not there, or is damaged.
+        """Reads the networks of a file.
+
+        Raises:
+            CadenzaError: the file is not there, or is damaged.
         """
         arrays = read_arrays(path, _expected())
         num_inputs, servos = arrays["sizes"].tolist()
