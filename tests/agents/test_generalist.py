@@ -23,6 +23,7 @@ from cadenza.agents.generalist.receding_plan import RecedingPlanner
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.plan.hand_goals import HandGoals
+from cadenza.agents.planner.plan.nominal_trajectory import MotionPlanner
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.planner import Planner
@@ -466,6 +467,12 @@ def test_fingers_that_a_song_gives_are_not_in_sight() -> None:
     np.testing.assert_array_equal(actions(given, half_a_second), actions(other, half_a_second))
 
 
+def receding_planner(task: PianoTask) -> RecedingPlanner:
+    scene, dt = task.scene, TASK.control_timestep
+    motion, players = MotionPlanner(scene, dt), players_of(scene)
+    return RecedingPlanner(scene, motion, players, task.state.hand_qpos[0], dt)
+
+
 def test_a_look_takes_as_much_work_late_in_a_song_as_early(monkeypatch: pytest.MonkeyPatch) -> None:
     work: list[int] = []
     links = Kinematics.links
@@ -477,9 +484,7 @@ def test_a_look_takes_as_much_work_late_in_a_song_as_early(monkeypatch: pytest.M
     notes = tuple(Note(i / 8, (i + 1) / 8, WHITE[i % 8], 80) for i in range(160))
     task = PianoTask([Score(notes)], TASK)
     (track,) = task.tracks
-    in_sight = RecedingPlanner(
-        task.scene, players_of(task.scene), task.state.hand_qpos[0], TASK.control_timestep
-    )
+    in_sight = receding_planner(task)
     tips = task.state.fingertip_xpos[0]  # astray most of the time
     in_sight.replan(0, track.goals.keys[:11], tips)
     monkeypatch.setattr(Kinematics, "links", noted)
@@ -496,8 +501,8 @@ def test_finger_that_is_caught_beside_its_key_is_lifted_over_all_keys_and_presse
     astray: float, lifted: bool
 ) -> None:
     task = PianoTask([Score((Note(0.0, 4.0, 64, 80),))], TASK)
-    (track,), dt = task.tracks, TASK.control_timestep
-    in_sight = RecedingPlanner(task.scene, players_of(task.scene), task.state.hand_qpos[0], dt)
+    (track,) = task.tracks
+    in_sight = receding_planner(task)
     plan, tips = in_sight.replan(0, track.goals.keys[:11], task.state.fingertip_xpos[0]), None
     heights = []
     for step in range(1, 36):

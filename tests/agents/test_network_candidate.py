@@ -9,9 +9,9 @@ import pytest
 
 from cadenza.agents.agent import Array
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
-from cadenza.agents.generalist.generalist import Generalist, GeneralistSong, shipped_for
+from cadenza.agents.generalist.generalist import Generalist, shipped_for
 from cadenza.agents.planner.config import PlannerConfig
-from cadenza.agents.planner.planner import Planner
+from cadenza.agents.planner.planner import Planner, SongPlanner
 from cadenza.agents.planner.search.network_candidate import NetworkCandidate
 from cadenza.agents.rollout import play_episode
 from cadenza.music.libraries.library import load_score
@@ -38,7 +38,7 @@ def test_proposes_what_the_generalist_plays() -> None:
         action = agent.act(task.view())[0]
         played.append(action[:-1])
         song = agent.planners[0]
-        assert isinstance(song, GeneralistSong)
+        assert isinstance(song, SongPlanner)
         plan, (hands,) = song.plan, song.hands
         assert isinstance(hands, CorrectedHands)
         if step % STEPS == 0:

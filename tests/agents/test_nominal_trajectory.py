@@ -57,7 +57,7 @@ def test_windows_begin_with_what_was_found_for_the_same_steps(
     begins, improved = [], []
 
     def spied(*given: Any) -> np.ndarray:
-        guess, begin = given[4], given[8]
+        guess, begin = given[2], given[6]
         found = solve_postures(*given)
         begins.append(begin - guess)
         improved.append(found - guess)
@@ -93,14 +93,14 @@ def test_a_long_song_is_planned_as_it_is_played() -> None:
 
 @pytest.fixture
 def first_guess(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plans come to it, and to hands that keep still: nothing is solved."""
+    """Makes plans of the first guess, without solving anything, and of hands that keep still."""
 
     def still(_: object, reference: NDArray[np.float64], *__: object) -> Tracking:
         steps, servos = len(reference) - 1, reference.shape[1]
         shapes = (steps, servos), (steps, servos, 2), (steps + 1, servos, 2)
         return Tracking(*map(np.zeros, shapes))
 
-    monkeypatch.setattr(nominal_trajectory, "solve_postures", lambda *given: given[4])
+    monkeypatch.setattr(nominal_trajectory, "solve_postures", lambda *given: given[2])
     monkeypatch.setattr(nominal_trajectory, "track", still)
 
 

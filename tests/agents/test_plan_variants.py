@@ -48,7 +48,7 @@ def lost(where: slice, much: float = 1.0) -> np.ndarray:
 
 
 SERVOS = [TRACK.scene.servos_on(side) for side in TRACK.scene.sides]
-GOALS: Any = [SimpleNamespace(mine=np.zeros((STEPS, 88), bool))] * 2
+GOALS: Any = [SimpleNamespace(keys=np.zeros((STEPS, 88), bool))] * 2
 
 
 def played(loss: np.ndarray, ctrl: float = 0.0) -> Trajectory:

@@ -9,7 +9,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.agents.agent import Agent
-from cadenza.agents.baselines.stitched.agent import Stitched, StitchedSong
+from cadenza.agents.baselines.plan_follower import PlanFollower
+from cadenza.agents.baselines.stitched.agent import Stitched
 from cadenza.agents.baselines.stitched.motions import Change, Motions
 from cadenza.agents.baselines.stitched.stitching import changes_of, stitched
 from cadenza.agents.planner.plan.presses import Press
@@ -47,9 +48,9 @@ def motions() -> Motions:
 class Kept(Stitched):
     """Keeps what it has planned."""
 
-    planned: StitchedSong
+    planned: PlanFollower
 
-    def begin(self, view: View, rng: np.random.Generator) -> StitchedSong:
+    def begin(self, view: View, rng: np.random.Generator) -> PlanFollower:
         self.planned = super().begin(view, rng)
         return self.planned
 

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, Progress
+from cadenza.agents.agent import Array, PlannerPerEnv, Progress
+from cadenza.agents.baselines.plan_follower import PlanFollower
 from cadenza.agents.planner.config import ICPConfig, PlannerConfig
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
@@ -100,23 +101,6 @@ def rehearsed(
     finally:
         threads.close()
     return tracking._replace(ctrl=ctrl, expected=expected)
-
-
-class PlanFollower(EpisodePlanner):
-    """Plays what was planned.
-
-    Attributes:
-        plan: the plan of the whole song.
-        tracking: the controls that are played, with feedback.
-    """
-
-    def __init__(self, plan: SongPlan, tracking: Tracking) -> None:
-        self.plan, self.tracking, self._servos = plan, tracking, servos_of(plan.scene)
-
-    def act(self, view: View) -> Array:
-        here = self._servos.state(view.state.hand_qpos, view.state.hand_qvel)
-        ctrl = self.tracking.controls(self._servos, view.steps, here)
-        return np.append(ctrl[0], self.plan.goals.sustain[view.steps])
 
 
 def with_nearest_fingers(track: GoalTrack) -> GoalTrack:

@@ -15,8 +15,8 @@ class GeneralistConfig:
     """File of networks that "cadenza generalist" has written. The default are those that come with
     Cadenza for these hands. Where there are none for them, it can only rehearse."""
     look_ahead: float | None = None
-    """Time ahead for which it knows the score [s]. By default, it plans the whole song in advance."""
+    """How far ahead it knows the score [s]. By default, it plans the whole song in advance."""
     rehearsals: int | None = None
-    """Number of times that it changes each half second of the plan by what went wrong in simulation,
-    unless nothing does. With 0, networks correct the plan instead; that is the default where there are
+    """How often it changes each half second of the plan by what went wrong in simulation, unless
+    nothing does. With 0, networks correct the plan instead; that is the default where there are
     networks for these hands, and 4 is elsewhere. At sight, it never rehearses."""

@@ -8,10 +8,9 @@ hands that they do not know, plans are rehearsed in simulation instead.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from cadenza.agents.generalist.receding_plan import RecedingPlanner
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
 from cadenza.agents.planner.plan.nominal_trajectory import MotionPlanner
 from cadenza.agents.planner.plan.song_plan import SongPlan, planning_scene, song_plans
+from cadenza.agents.planner.planner import PlanPlayer, SongPlanner
 from cadenza.agents.planner.search.networks.inputs import sizes_of
 from cadenza.agents.planner.search.networks.weights import Weights, shipped
 from cadenza.configs import check_ranges, whole_number
@@ -39,7 +39,7 @@ _LEARNT = Path(__file__).parent
 _DEFAULT_REHEARSALS, _MAX_REHEARSALS = 4, 100
 
 
-class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
+class Generalist(PlannerPerEnv["SongPlanner | SightReader"]):
     """Corrects the plan of a song, or of what is in sight of it, by what it has learnt from others.
 
     It reports the progress of "fingers" and "postures".
@@ -63,7 +63,7 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
                     f"generalist: does not rehearse with {other}: leave out one of the two"
                 )
 
-    def begin(self, view: View, rng: np.random.Generator) -> GeneralistSong | SightReader:
+    def begin(self, view: View, rng: np.random.Generator) -> SongPlanner | SightReader:
         (track,) = view.tracks
         config, scene = self.config, planning_scene(track)
         if config.look_ahead is not None:
@@ -76,11 +76,13 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
             self.progress,
             jump_acceleration=1.0 if weights is None else JUMP_ACCELERATION,
         )
-        plan = next(plans)
-        if weights is None:
-            rehearsed = [RehearsedHand(plan, side, rehearsals) for side in plan.scene.sides]
-            return GeneralistSong(plan, plans, rehearsed)
-        return GeneralistSong(plan, plans, [CorrectedHands(plan, weights)])
+
+        def hands_for(plan: SongPlan) -> Sequence[PlanPlayer]:
+            if weights is not None:
+                return [CorrectedHands(plan, weights)]
+            return [RehearsedHand(plan, side, rehearsals) for side in plan.scene.sides]
+
+        return SongPlanner(plans, hands_for)
 
     def _rehearsals(self, scene: Scene) -> int:
         """The number of changes of each half second of the plan; with 0, networks correct it."""
@@ -100,51 +102,6 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
             )
         _check_sizes(weights, scene)
         return weights
-
-
-class PlanPlayer(Protocol):
-    """A hand that plays a plan, or all hands."""
-
-    servos: slice
-    """The hand's servos among all of the scene."""
-    lookahead: int
-    """The number of steps of the plan that are needed."""
-
-    def follow(self, plan: SongPlan, step: int) -> None:
-        """Changes the plan, from `step` on, to one that goes further."""
-
-    def act(self, step: int, state: State) -> Array:
-        """(A,) the next controls."""
-
-
-class GeneralistSong(EpisodePlanner):
-    """Plays one song.
-
-    Attributes:
-        plan: the plan as far as it goes, without corrections; all of it when the song is over.
-        hands: the hands that play it, one by one or all together.
-    """
-
-    plan: SongPlan
-
-    def __init__(
-        self, plan: SongPlan, plans: Iterator[SongPlan], hands: Sequence[PlanPlayer]
-    ) -> None:
-        """Begins with a plan as far as it goes; `plans` are the next ones, which go further."""
-        self.plan, self._plans, self.hands = plan, plans, hands
-        self._seen = max(hand.lookahead for hand in hands)
-
-    def act(self, view: View) -> Array:
-        step = int(view.steps[0])
-        while not self.plan.complete and self.plan.nominal.num_steps < step + self._seen:
-            self.plan = next(self._plans)
-            for hand in self.hands:
-                hand.follow(self.plan, step)
-        action = np.zeros(view.task.action_size)
-        action[-1] = self.plan.goals.sustain[step]
-        for hand in self.hands:
-            action[hand.servos] = hand.act(step, view.state)
-        return action
 
 
 class SightReader(EpisodePlanner):

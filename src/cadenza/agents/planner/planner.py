@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from cadenza.agents.planner.practice.practice import MOST_EFFORT, Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedPlanner
 from cadenza.agents.planner.search.hands_in_scene import HandsInScene
 from cadenza.configs import check_ranges
+from cadenza.sim.protocol import State
 from cadenza.sim.threads import Threads
 from cadenza.tasks.view import View
 
@@ -48,7 +51,11 @@ class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
         effort, progress = self.config.effort, self.progress
         context = PlanningContext(replace(self.config, effort=0.0), Threads(self.threads), progress)
         if not effort:
-            return SongPlanner(view, rng, context)
+            (track,) = view.tracks
+            if self.config.fingering == "found":
+                track = track.with_found_fingers()
+            plans = song_plans(track, view.state.hand_qpos[0], progress)
+            return SongPlanner(plans, lambda plan: [HandsInScene(plan, rng, context)])
         practice = Practice(view, rng, context)
 
         def goes_on() -> bool:
@@ -60,31 +67,58 @@ class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
         return PractisedPlanner(view, practice.best().practised, rng, context, practice.plan)
 
 
+class PlanPlayer(Protocol):
+    """A hand that plays a plan, or all hands."""
+
+    servos: slice
+    """The servos of the hand among all of the scene."""
+
+    @property
+    def lookahead(self) -> int:
+        """The number of steps of the plan that are needed."""
+
+    def follow(self, plan: SongPlan, step: int) -> None:
+        """Changes the plan, from `step` on, to one that goes further."""
+
+    def act(self, step: int, state: State) -> Array:
+        """(A,) the next controls."""
+
+
 class SongPlanner(EpisodePlanner):
-    """Plans and plays one song.
+    """Plays one song, and plans it a window ahead of where it plays.
 
     Attributes:
-        plan: the plan before refinement, as far as it goes; all of it when the song is over.
+        plan: the plan before it is corrected, as far as it goes; all of it when the song is over.
+        hands: the hands that play it, one by one or all together.
     """
 
     plan: SongPlan
 
-    def __init__(self, view: View, rng: np.random.Generator, context: PlanningContext) -> None:
-        """Plans the first window, from the view before the first step of one environment.
+    def __init__(
+        self,
+        plans: Iterator[SongPlan],
+        hands_for: Callable[[SongPlan], Sequence[PlanPlayer]],
+    ) -> None:
+        """Plans the first window.
+
+        Args:
+            plans: plans of the song, of which each goes further than the one before.
+            hands_for: makes the hands that begin with a plan.
 
         Raises:
             CadenzaError: there are no hands in the scene.
         """
-        (track,) = view.tracks
-        if context.config.fingering == "found":
-            track = track.with_found_fingers()
-        self._plans = song_plans(track, view.state.hand_qpos[0], context.progress)
-        self.plan = next(self._plans)
-        self._hands = HandsInScene(self.plan, rng, context)
+        self._plans, self.plan = plans, next(plans)
+        self.hands = hands_for(self.plan)
 
     def act(self, view: View) -> Array:
         step = int(view.steps[0])
-        while self.plan.ends_before(step + self._hands.lookahead):
+        while self.plan.ends_before(step + max(hand.lookahead for hand in self.hands)):
             self.plan = next(self._plans)
-            self._hands.follow(self.plan, step)
-        return np.append(self._hands.act(view.state), self.plan.goals.sustain[step])
+            for hand in self.hands:
+                hand.follow(self.plan, step)
+        action = np.zeros(view.task.action_size)
+        action[-1] = self.plan.goals.sustain[step]
+        for hand in self.hands:
+            action[:-1][hand.servos] = hand.act(step, view.state)
+        return action

@@ -8,7 +8,8 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, Progress
+from cadenza.agents.agent import Array, PlannerPerEnv, Progress
+from cadenza.agents.baselines.plan_follower import PlanFollower
 from cadenza.agents.baselines.stitched.motions import Motions
 from cadenza.agents.baselines.stitched.stitching import stitched
 from cadenza.agents.planner.plan.fingertip_targets import targets_of
@@ -29,42 +30,26 @@ _ACCELERATION, _REACH = 0.125, 0.7
 _WHITE_KEY_FORCE = 1.5
 
 
-class Stitched(PlannerPerEnv["StitchedSong"]):
+class Stitched(PlannerPerEnv[PlanFollower]):
     """Plans everything when an episode begins, and plays it without feedback.
 
     Nothing is random. It reports the progress of "fingers" and "motions".
     """
 
-    def begin(self, view: View, rng: np.random.Generator) -> StitchedSong:
-        return StitchedSong(view, self.progress)
-
-
-class StitchedSong(EpisodePlanner):
-    """Plays one song.
-
-    Attributes:
-        plan: the plan of the whole song.
-    """
-
-    plan: SongPlan
-
-    def __init__(self, view: View, progress: Progress) -> None:
-        """Plans the song, from the view of the first step of one environment.
-
-        Raises:
-            CadenzaError: there are no hands in the scene, or they do not slide along the keyboard.
-        """
+    def begin(self, view: View, rng: np.random.Generator) -> PlanFollower:
         (track,) = view.tracks
         with threadpool_limits(1):  # small matrices, and the same bits everywhere
-            self.plan = _plan(track, view.state.hand_qpos[0], progress)
-
-    def act(self, view: View) -> Array:
-        step = int(view.steps[0])
-        return np.append(self.plan.nominal.tracking.ctrl[step], self.plan.goals.sustain[step])
+            plan = _plan(track, view.state.hand_qpos[0], self.progress)
+        tracking = plan.nominal.tracking
+        return PlanFollower(plan, tracking._replace(gain=np.zeros_like(tracking.gain)))
 
 
 def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
-    """The plan of a song for hands whose joints begin at `start` (J,) [m, rad]."""
+    """The plan of a song for hands whose joints begin at `start` (J,) [m, rad].
+
+    Raises:
+        CadenzaError: there are no hands in the scene, or they do not slide along the keyboard.
+    """
     if not track.scene.sides:
         raise CadenzaError("cannot plan: this scene has no hands")
     track = track.with_found_fingers().fingered(partial(progress, "fingers"))

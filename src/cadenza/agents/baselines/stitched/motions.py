@@ -30,7 +30,7 @@ _OCTAVE = 12
 
 
 class Change(NamedTuple):
-    """A change of held keys: some are released, and others struck at the same time or soon after."""
+    """A change of held keys: some are released, and others struck at once or soon after."""
 
     left: Held
     """All keys that are held before."""
@@ -63,7 +63,7 @@ class Motions:
     """
 
     def __init__(self, scene: Scene, dt: float, progress: Progress = silent) -> None:
-        """Begins without any motions, for a scene of a hand by itself and control steps of `dt` [s].
+        """Begins without any motions, for a hand alone in a scene and control steps of `dt` [s].
 
         It reports the number of "motions" that have been planned.
         """

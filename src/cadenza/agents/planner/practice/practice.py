@@ -325,7 +325,7 @@ class Practice:
         trajectory: Trajectory,
         first: int,
         last: int,
-        act: Callable[[State], Array] | None = None,
+        act: Callable[[int, State], Array] | None = None,
     ) -> tuple[Trajectory, Snapshots]:
         """Rolls out some steps of a trajectory from the scene before the first of them."""
         played, snapshots = self._planned.scene.roll_out(

@@ -94,7 +94,7 @@ class PractisedPlanner(EpisodePlanner):
                 ctrl = self._tracking.controls(self._servos, step, here)
                 return np.append(ctrl, self._pedal[step])
             self._search = self._begin_search(step)
-        return np.append(self._search.act(state), self._pedal[step])
+        return np.append(self._search.act(step, state), self._pedal[step])
 
     @property
     def plan(self) -> SongPlan:

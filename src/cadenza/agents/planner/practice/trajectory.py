@@ -117,7 +117,7 @@ class WholeScene:
         first: int,
         last: int,
         every: int,
-        act: Callable[[State], Array] | None = None,
+        act: Callable[[int, State], Array] | None = None,
     ) -> tuple[Trajectory, Snapshots]:
         """Plays the steps of a trajectory from `first` up to `last`, and evaluates them.
 
@@ -127,8 +127,8 @@ class WholeScene:
             first: the first step.
             last: the step after the last one.
             every: steps between new snapshots; there is one at the end too if it falls there.
-            act: returns the controls (A,) of the next step in a state; by default those of the
-                trajectory, with feedback, are played.
+            act: returns the controls (A,) of a step in a state; by default those of the trajectory,
+                with feedback, are played.
 
         Returns:
             What was played, and the snapshots.
@@ -142,7 +142,7 @@ class WholeScene:
             state = simulation.state
             here = self._servos.state(state.hand_qpos[0], state.hand_qvel[0])
             if act:
-                ctrl = act(state)
+                ctrl = act(step, state)
             else:
                 feedback = (self._gain[step] * (here - played.expected[k])).sum(axis=1)
                 ctrl = self._servos.clip(played.ctrl[k] - feedback)

@@ -21,7 +21,12 @@ class HandsInScene:
     """The searches of all hands, each with random numbers of its own.
 
     They act on the first simulation of states of the whole scene.
+
+    Attributes:
+        servos: the hands' servos among all of the scene, which are all.
     """
+
+    servos = slice(None)
 
     def __init__(self, plan: SongPlan, rng: np.random.Generator, context: PlanningContext) -> None:
         """Follows a plan from its first step on, with the options and threads of `context`."""
@@ -32,8 +37,8 @@ class HandsInScene:
             for side, hand_rng in zip(sides, rng.spawn(len(sides)), strict=True)
         ]
 
-    def act(self, state: State) -> Array:
-        """(A,) the controls of all hands."""
+    def act(self, step: int, state: State) -> Array:
+        """(A,) the controls of all hands in the next step."""
         ctrl = np.zeros(self._size)
 
         def act(i: int) -> None:

@@ -122,7 +122,7 @@ def test_a_hand_alone_moves_as_it_does_beside_the_other(monkeypatch: pytest.Monk
     assert len(placed) <= 1
 
 
-def test_notes_that_no_finger_is_there_for_are_told() -> None:
+def test_notes_without_a_finger_are_listed() -> None:
     cluster = Score(tuple(Note(0.0, 0.5, p) for p in range(40, 60)))
     task = PianoTask([cluster], BUFFER)
     agent = Planner()
@@ -159,24 +159,24 @@ def test_a_piano_without_hands_is_refused() -> None:
         play_episode(task, Planner())
 
 
-def test_planning_tells_how_far_it_has_come() -> None:
-    told: list[tuple[str, int, int]] = []
+def test_planning_reports_its_progress() -> None:
+    reported: list[tuple[str, int, int]] = []
     cadenza.play(
         melody(60, 62, 64),
         scene=SceneConfig(hands="right"),
-        progress=lambda *stage: told.append(stage),
+        progress=lambda *stage: reported.append(stage),
     )
-    assert [stage for stage, _ in groupby(told, lambda step: step[0])] == [
+    assert [stage for stage, _ in groupby(reported, lambda step: step[0])] == [
         "fingers",
         "postures",
         "playing",
     ]
-    assert [(done, of) for stage, done, of in told if stage == "fingers"] == [
+    assert [(done, of) for stage, done, of in reported if stage == "fingers"] == [
         (1, 3),
         (2, 3),
         (3, 3),
     ]
-    assert all(0 <= done <= total for _, done, total in told)
+    assert all(0 <= done <= total for _, done, total in reported)
 
 
 def test_planning_can_be_interrupted() -> None:

@@ -1,0 +1,28 @@
+"""Plays a song by a plan that was finished before."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cadenza.agents.agent import Array, EpisodePlanner
+from cadenza.agents.planner.plan.song_plan import SongPlan
+from cadenza.agents.planner.plan.tracking import Tracking
+from cadenza.scene.servos import servos_of
+from cadenza.tasks.view import View
+
+
+class PlanFollower(EpisodePlanner):
+    """Plays the controls of a plan, with feedback of the positions and speeds of servos.
+
+    Attributes:
+        plan: the plan of the whole song.
+        tracking: the controls, and the gains of the feedback.
+    """
+
+    def __init__(self, plan: SongPlan, tracking: Tracking) -> None:
+        self.plan, self.tracking, self._servos = plan, tracking, servos_of(plan.scene)
+
+    def act(self, view: View) -> Array:
+        here = self._servos.state(view.state.hand_qpos, view.state.hand_qvel)
+        ctrl = self.tracking.controls(self._servos, view.steps, here)
+        return np.append(ctrl[0], self.plan.goals.sustain[view.steps])
