@@ -23,6 +23,11 @@ def silent(stage: str, done: int, total: int) -> None:
     """Ignores progress."""
 
 
+def steps_in(seconds: float, dt: float) -> int:
+    """The number of control steps of `dt` [s] that is nearest to `seconds`, at least one."""
+    return max(1, round(seconds / dt))
+
+
 class Agent(ABC):
     """Chooses the actions of N environments at once.
 

@@ -7,7 +7,7 @@ mirrored.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
 from typing import NamedTuple
@@ -124,16 +124,9 @@ class HandStates:
 
     def subset(self, mask: NDArray[np.bool_]) -> HandStates:
         """The states for which `mask` (S,) holds."""
-        return HandStates(
-            finger_set=self.finger_set[mask],
-            fingers=self.fingers[mask],
-            count=self.count[mask],
-            playing=int(np.count_nonzero(self.count[mask])),
-            idle_slack=self.idle_slack,
-            centre=self.centre[mask],
-            outmost=self.outmost[mask],
-            cost=self.cost[mask],
-        )
+        names = "finger_set", "fingers", "count", "centre", "outmost", "cost"
+        arrays = {name: getattr(self, name)[mask] for name in names}
+        return replace(self, playing=int(np.count_nonzero(arrays["count"])), **arrays)
 
     def with_count(self, notes: int) -> slice:
         """The states in which this many notes are played."""

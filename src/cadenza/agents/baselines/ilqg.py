@@ -50,7 +50,18 @@ class ILQG(PlannerPerEnv["ILQGPlanner"]):
         """
         super().__init__()
         self.config = config or ILQGConfig()
-        _check(self.config)
+        check_ranges(
+            self.config,
+            {
+                "iterations": (1, 10_000),
+                "num_step_sizes": (1, 1000),
+                "horizon": (0, 60),
+                "planning_timestep": PLANNING_TIMESTEPS,
+            },
+        )
+        for name in ("horizon", "control_weight"):
+            if not 0 < (value := getattr(self.config, name)) < math.inf:
+                raise CadenzaError(f"{name} {value}: choose more than 0")
 
     def begin(self, view: View, rng: np.random.Generator) -> ILQGPlanner:
         return ILQGPlanner(view, self.config, self.threads)
@@ -257,21 +268,6 @@ class _Damping:
         self._change = min(1 / self._FACTOR, self._change / self._FACTOR)
         value = self.value * self._change
         self.value = value if value >= self._LEAST else 0.0
-
-
-def _check(config: ILQGConfig) -> None:
-    check_ranges(
-        config,
-        {
-            "iterations": (1, 10_000),
-            "num_step_sizes": (1, 1000),
-            "horizon": (0, 60),
-            "planning_timestep": PLANNING_TIMESTEPS,
-        },
-    )
-    for name in ("horizon", "control_weight"):
-        if not 0 < (value := getattr(config, name)) < math.inf:
-            raise CadenzaError(f"{name} {value}: choose more than 0")
 
 
 def _times(whole: float, part: float, name: str, part_name: str) -> int:

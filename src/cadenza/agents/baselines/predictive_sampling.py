@@ -35,7 +35,25 @@ class PredictiveSampling(PlannerPerEnv["SamplingPlanner"]):
         """
         super().__init__()
         self.config = config or PredictiveSamplingConfig()
-        _check(self.config)
+        config = self.config
+        check_ranges(
+            config,
+            {
+                "num_candidates": (1, 10_000),
+                "num_knots": (2, 1000),
+                "iterations": (1, 10_000),
+                "sigma": (0, 1000),
+                "horizon": (0, 60),
+                "planning_timestep": PLANNING_TIMESTEPS,
+            },
+        )
+        if config.budget is not None:
+            check_ranges(config, {"budget": (0, 10_000)})
+        if config.planning_timestep > config.horizon:
+            raise CadenzaError(
+                f"horizon {config.horizon} s and planning_timestep {config.planning_timestep} s: "
+                "the horizon must be at least one planning timestep"
+            )
 
     def begin(self, view: View, rng: np.random.Generator) -> SamplingPlanner:
         return SamplingPlanner(view, rng, self.config, self.threads)
@@ -126,24 +144,3 @@ class SamplingPlanner(EpisodePlanner):
         residuals = residuals_of(self._task, states, keys, fingers)
         norms = (np.linalg.norm(each, axis=1) for each in (residuals.keys, residuals.offset))
         return residuals.cost(*norms).reshape(shape)
-
-
-def _check(config: PredictiveSamplingConfig) -> None:
-    check_ranges(
-        config,
-        {
-            "num_candidates": (1, 10_000),
-            "num_knots": (2, 1000),
-            "iterations": (1, 10_000),
-            "sigma": (0, 1000),
-            "horizon": (0, 60),
-            "planning_timestep": PLANNING_TIMESTEPS,
-        },
-    )
-    if config.budget is not None:
-        check_ranges(config, {"budget": (0, 10_000)})
-    if config.planning_timestep > config.horizon:
-        raise CadenzaError(
-            f"horizon {config.horizon} s and planning_timestep {config.planning_timestep} s: "
-            "the horizon must be at least one planning timestep"
-        )

@@ -16,9 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import Progress, silent
+from cadenza.agents.agent import Progress, silent, steps_in
 from cadenza.agents.baselines.box_ddp import Model, backward_pass
-from cadenza.agents.control_steps import steps_in
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
@@ -84,13 +83,9 @@ class PressOptimisation:
     """The controls of one hand for a whole song."""
 
     def __init__(self, plan: SongPlan, side: Side, iterations: int, num_threads: int) -> None:
-        """Prepares the optimisation of the hand on one side.
+        """Prepares the optimisation of a hand's nominal plan of the whole song.
 
-        Args:
-            plan: the nominal plan of the whole song.
-            side: the side of the hand.
-            iterations: the maximum number of iterations per press.
-            num_threads: the number of threads that share the simulations.
+        There are at most so many iterations per press, and threads that share simulations.
         """
         scene, servos, _ = hand_alone(plan.scene, side)
         dt = plan.track.config.control_timestep

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, steps_in
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.generalist.receding_plan import RecedingPlanner
@@ -112,13 +111,9 @@ class SightReader(EpisodePlanner):
     """
 
     def __init__(self, track: GoalTrack, start: State, look_ahead: float, weights: Weights) -> None:
-        """Plans what is in sight at the beginning.
+        """Plans what is in sight at the beginning, from the state of one simulation.
 
-        Args:
-            track: the song.
-            start: the state of one simulation.
-            look_ahead: the time ahead for which the goals are known [s].
-            weights: the networks that correct plans.
+        Goals are known for the time `look_ahead` [s].
         """
         dt = track.config.control_timestep
         self._track, self._goals = track, track.goals

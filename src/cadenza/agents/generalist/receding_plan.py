@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from cadenza.agents.agent import Array
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import Array, steps_in
 from cadenza.agents.planner.plan.inverse_kinematics import THOROUGH, SolverOptions
 from cadenza.agents.planner.plan.nominal_trajectory import (
     MotionPlanner,
@@ -68,15 +67,7 @@ class RecedingPlanner:
     def __init__(
         self, scene: Scene, motion: MotionPlanner, players: Players, hand_qpos: Array, dt: float
     ) -> None:
-        """Begins without any notes.
-
-        Args:
-            scene: a scene with one hand or two.
-            motion: the planner of the hands' motions.
-            players: the hands of the scene at its keyboard.
-            hand_qpos: (J,) initial positions of the joints [m, rad].
-            dt: control step [s].
-        """
+        """Begins without any notes, at joint positions (J,) [m, rad], in steps of `dt` [s]."""
         self._scene, self._dt, self._motion = scene, dt, motion
         self._fingers = OnlineFingering(players, _ONSETS_AT_ONCE)
         self._notes: list[_Note] = []

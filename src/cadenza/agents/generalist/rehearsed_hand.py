@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cadenza.agents.agent import Array
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import Array, steps_in
 from cadenza.agents.planner.plan.hand_goals import ABOUT_TO_PRESS, HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal, RehearsalConfig

@@ -34,7 +34,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import steps_in
 from cadenza.agents.planner.plan.presses import Press, steps_between
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.episode import Episode

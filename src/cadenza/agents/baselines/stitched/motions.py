@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import Progress, silent
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import Progress, silent, steps_in
 from cadenza.agents.planner.plan.fingertip_targets import Targets, targets_of
 from cadenza.agents.planner.plan.inverse_kinematics import solve_postures
 from cadenza.agents.planner.plan.presses import Press

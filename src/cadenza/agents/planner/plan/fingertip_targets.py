@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import steps_in
 from cadenza.agents.planner.plan.presses import RISE, Press
 from cadenza.fingers import SIDES
 from cadenza.scene.scene import Scene
@@ -69,14 +69,13 @@ def by_hand(rows: Array, hands: int) -> Array:
     return rows.reshape(len(rows), hands, -1, *rows.shape[2:])
 
 
-def pressing_forces(sinking: Array, force: Array) -> Array:
-    """(S, H, A) the force along each servo's coordinate that presses keys, by virtual work.
+def pressing_forces(heights: Array, force: Array) -> Array:
+    """(S, H, A) the forces along the servos' coordinates that press keys, by virtual work.
 
-    Args:
-        sinking: (S, H, F, A) the Jacobian of the heights of a hand's fingertips.
-        force: (S, H, F) the forces of the fingertips, downwards [N].
+    `heights` (S, H, F, A) is the Jacobian of the heights of a hand's fingertips, and `force`
+    (S, H, F) are their forces, downwards [N].
     """
-    return -np.einsum("shfa,shf->sha", sinking, force)
+    return -np.einsum("shfa,shf->sha", heights, force)
 
 
 def targets_of(scene: Scene, presses: Sequence[Press], num_states: int, dt: float) -> Targets:

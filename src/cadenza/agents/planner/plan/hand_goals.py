@@ -7,7 +7,7 @@ from copy import copy
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import steps_in
 from cadenza.agents.planner.plan.presses import RISE
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.fingers import SIDES, Side

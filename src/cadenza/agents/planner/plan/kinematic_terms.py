@@ -151,12 +151,7 @@ class ForearmsApart:
     """The overlap of the forearms, which slide along the keyboard."""
 
     def __init__(self, slide: int, mounted_apart: float) -> None:
-        """Takes the forearms' geometry.
-
-        Args:
-            slide: the index of the hand's servo that moves its forearm.
-            mounted_apart: the distance of the forearms when both servos are at 0 [m].
-        """
+        """Takes the servo of a hand that moves its forearm, and the distance of the mounts [m]."""
         self._slide, self._mounted_apart = slide, mounted_apart
 
     def near(self, hands: PosedHands) -> NDArray[np.bool_]:

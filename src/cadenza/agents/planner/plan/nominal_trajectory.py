@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from threadpoolctl import threadpool_limits
 
-from cadenza.agents.agent import Progress, silent
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import Progress, silent, steps_in
 from cadenza.agents.planner.plan.fingertip_targets import (
     Targets,
     by_hand,
@@ -119,13 +118,7 @@ class MotionPlanner:
     """
 
     def __init__(self, scene: Scene, dt: float, jump_times: JumpTimes | None = None) -> None:
-        """Prepares the kinematics and dynamics of the hands.
-
-        Args:
-            scene: a scene with one hand or two.
-            dt: control step [s].
-            jump_times: times that the hands take to jump; by default those of the hand.
-        """
+        """Prepares for a scene with one hand or two; `jump_times` replace those of the hand."""
         self._scene, self._dt = scene, dt
         self._hand = replace(scene.hand, jump_times=jump_times or scene.hand.jump_times)
         self._kinematics = Kinematics(scene)

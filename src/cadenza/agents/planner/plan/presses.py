@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import steps_in
 from cadenza.fingers import NO_FINGER, SIDES, Fingers, Side
 from cadenza.hands.reach import JumpTimes
 
@@ -44,11 +44,9 @@ class Press(NamedTuple):
 
 
 def presses_of(fingers: NDArray[np.int8], hands: Fingers) -> list[Press]:
-    """The presses that goals call for, by time.
+    """The presses, by time, of the fingers (T, K) that should hold keys down after each step.
 
-    Args:
-        fingers: (T, K) the fingers that should hold the keys down after each step, -1 for none.
-        hands: the numbers of fingers.
+    They are numbered as those of `hands`, -1 for none.
     """
     edges = np.diff(fingers, axis=0, prepend=NO_FINGER, append=NO_FINGER) != 0
     keys_of, states = np.nonzero(edges.T)  # of a key one after the other, the last one is an end
@@ -64,14 +62,9 @@ def presses_of(fingers: NDArray[np.int8], hands: Fingers) -> list[Press]:
 def steps_between(
     key: Key, other: Key, is_black: NDArray[np.bool_], times: JumpTimes, dt: float
 ) -> Ids:
-    """Control steps of `dt` [s] that a finger takes from one key to another.
+    """The control steps of `dt` [s] that a finger takes from one key to another, or from N keys.
 
-    Args:
-        key: the key that it releases, or several (N,).
-        other: the key that it presses next, or several (N,).
-        is_black: (K,) whether keys are black.
-        times: the jump times of the hand.
-        dt: control step [s].
+    `is_black` (K,) says whether keys are black, and `times` how long the hand takes to climb.
     """
     climbs = is_black[other] & ~is_black[key]
     return np.where(climbs, steps_in(times.climb, dt), steps_in(RISE, dt))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import steps_in
 from cadenza.agents.planner.plan.presses import RISE, Press, steps_between
 from cadenza.hands.hand import Hand
 

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from cadenza.agents.agent import Array, silent
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import Array, silent, steps_in
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.practice.plan_variants import OTHER_COSTS, SplicedTrajectory, Variant
 from cadenza.agents.planner.practice.planned_variant import PlannedVariant
@@ -60,13 +59,7 @@ class InitialTrajectories:
         rng: np.random.Generator,
         context: PlanningContext,
     ) -> None:
-        """Plans the first trajectory.
-
-        Args:
-            track: the song.
-            start: (J,) joint positions of the hands where it begins [m, rad].
-            rng: source of randomness.
-            context: options and resources of planning.
+        """Plans the first trajectory of a song, from joint positions (J,) of the hands [m, rad].
 
         Raises:
             CadenzaError: there are no hands in the scene.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import steps_in
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 

@@ -39,15 +39,10 @@ class PlannedVariant:
         context: PlanningContext,
         variant: Variant | None = None,
     ) -> None:
-        """Plans the whole song.
+        """Plans the whole song, from joint positions (J,) of the hands [m, rad].
 
-        Args:
-            track: the song.
-            start: (J,) joint positions of the hands where it begins [m, rad].
-            rng: source of randomness.
-            context: options and resources of planning.
-            variant: fingers and release times; by default the fingers that the song has or that
-                are found, and the usual times.
+        By default, the variant has the fingers of the song, or those that are found for it, and the
+        usual release times.
 
         Raises:
             CadenzaError: there are no hands in the scene.

@@ -26,8 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import Array
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import Array, steps_in
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.song_plan import SongPlan
@@ -96,12 +95,7 @@ class Practice:
         rng: np.random.Generator,
         context: PlanningContext,
     ) -> None:
-        """Plans the song.
-
-        Args:
-            view: the view before the first step, of one environment.
-            rng: source of randomness.
-            context: options and resources of planning.
+        """Plans the song, from the view before the first step of one environment.
 
         Raises:
             CadenzaError: there are no hands in the scene.

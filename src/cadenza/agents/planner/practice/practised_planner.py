@@ -65,14 +65,9 @@ class PractisedPlanner(EpisodePlanner):
         context: PlanningContext,
         plan: SongPlan | None = None,
     ) -> None:
-        """Plays without a search at first.
+        """Begins without a search, at the view before the first step of one environment.
 
-        Args:
-            view: the view before the first step, of one environment.
-            practised: the plan to play.
-            rng: source of randomness of the search.
-            context: options and resources of the search.
-            plan: the plan of this variant, if there is one already.
+        `plan` is the plan of this variant before practice, if there is one already.
 
         Raises:
             CadenzaError: another song was practised, or with other hands.

@@ -85,13 +85,7 @@ class WholeScene:
     """The scene with all hands and keys, in which trajectories are rolled out and evaluated."""
 
     def __init__(self, plan: SongPlan, start: Array, goals: Sequence[HandGoals]) -> None:
-        """Puts the hands where the song begins.
-
-        Args:
-            plan: the plan of the whole song.
-            start: (J,) joint positions of the hands where the song begins [m, rad].
-            goals: the goals of each hand.
-        """
+        """Puts hands with these goals where the song begins, at joint positions (J,) [m, rad]."""
         scene, tracking = plan.scene, plan.nominal.tracking
         self._gain, self._after = tracking.gain, tracking.expected[-1:]
         self._servos = servos_of(scene)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import steps_in
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.search.fingertip_correction import control_update
@@ -62,14 +62,7 @@ class HandRehearsal:
     def __init__(
         self, scene: Scene, simulator: HandRollouts, dt: float, config: RehearsalConfig = _DEFAULT
     ) -> None:
-        """Begins with nothing rehearsed.
-
-        Args:
-            scene: a scene with this hand only.
-            simulator: the simulator of the hand.
-            dt: control step [s].
-            config: parameters of rehearsals.
-        """
+        """Begins with nothing rehearsed, for a hand that is alone in a scene."""
         self._config, self._dt, self._simulator = config, dt, simulator
         self._servos, self._keyboard = servos_of(scene), scene.keyboard
         self._window = steps_in(config.window, dt)
@@ -107,13 +100,10 @@ class HandRehearsal:
         steps: NDArray[np.intp],
         simulation: PlanningSimulation,
     ) -> int:
-        """Rehearses the next steps and returns how many control steps were simulated.
+        """Rehearses the next steps (S,) of a plan and returns how many were simulated.
 
-        Args:
-            goals: the goals of the hand.
-            tracking: the plan of this hand's servos.
-            steps: (S,) the next steps of the song: `lookahead`, or up to the end of the plan.
-            simulation: the hand on all keys, in its present state.
+        There are `lookahead` steps, or less at the end of the plan. The simulation is of the hand
+        on all keys, in its present state.
         """
         horizon = start_rollouts(self._simulator, simulation, goals, steps, self._keyboard)
         ctrl = kept = tracking.ctrl[steps]

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.control_steps import steps_in
+from cadenza.agents.agent import steps_in
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.hand_goals import ABOUT_TO_PRESS, HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
@@ -72,14 +72,7 @@ class HandSearch:
     def __init__(
         self, plan: SongPlan, side: Side, rng: np.random.Generator, context: PlanningContext
     ) -> None:
-        """Follows a plan from its first step on.
-
-        Args:
-            plan: the plan of the song, as far as it goes.
-            side: the side of the hand.
-            rng: source of randomness.
-            context: the options of sampling, and the threads that share rollouts.
-        """
+        """Follows a plan, as far as it goes, from its first step on."""
         config, dt = context.config, plan.track.config.control_timestep
         scene, self.servos, self.joints = hand_alone(plan.scene, side)
         self._rng, self._dt, self._servos, self._side = rng, dt, servos_of(scene), side
@@ -122,13 +115,8 @@ class HandSearch:
     ) -> None:
         """Follows what was played, from `step` on, with a saved budget and no warm start.
 
-        It need not be rehearsed, and has no network candidate.
-
-        Args:
-            goals: the goals of the hand, which holds the keys that sounded.
-            tracking: the tracking of what this hand's servos played.
-            step: the step to go on with.
-            rng: source of randomness.
+        It need not be rehearsed, and has no network candidate. The goals are to hold the keys that
+        sounded.
         """
         self._goals, self._tracking, self._network = goals, tracking, None
         self._step, self._in_sync, self._rehearses = step, False, False

@@ -72,11 +72,7 @@ class HandsInScene:
     ) -> None:
         """Follows what was played, from `step` on, and searches where less of it would sound.
 
-        Args:
-            goals: the goals of each hand, which holds the keys that sounded.
-            tracking: the tracking of what was played.
-            step: the step to go on with.
-            rngs: source of randomness of each hand.
+        The goals of each hand are to hold the keys that sounded.
         """
         for hand, part, rng in zip(self._hands, goals, rngs, strict=True):
             hand.restart(part, tracking.of(hand.servos), step, rng)

@@ -43,14 +43,9 @@ class HorizonCost:
         keys: slice,
         key_qpos: Array,
     ) -> None:
-        """Takes the goals of the steps.
+        """Takes the goals of steps (H,) of the song for the K keys that are simulated.
 
-        Args:
-            goals: the goals of the hand.
-            steps: (H,) steps of the song.
-            keyboard: the whole keyboard.
-            keys: the K keys that are simulated.
-            key_qpos: (K,) their angles before the first step [rad].
+        `key_qpos` (K,) are the angles of these before the first step [rad].
         """
         wanted, wrong = goals.keys[steps, keys], goals.wrong[steps, keys]
         self._wanted, self._wrong, self._counts = wanted, wrong, wanted | wrong

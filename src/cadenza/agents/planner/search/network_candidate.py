@@ -25,14 +25,7 @@ class NetworkCandidate:
     """
 
     def __init__(self, plan: SongPlan, side: Side, weights: Weights, first: int) -> None:
-        """Prepares the inputs of the networks.
-
-        Args:
-            plan: the plan of the song, as far as it goes.
-            side: the side of the hand.
-            weights: the networks.
-            first: the first step of the song that controls may be computed for.
-        """
+        """Prepares inputs for the steps of a plan from `first` on, as far as it goes."""
         alone, servos, _ = hand_alone(plan.scene, side)
         self._inputs = HandInputs(plan, [side], alone, first)
         self._weights, self._corrections = weights, Corrections.of([side], alone)

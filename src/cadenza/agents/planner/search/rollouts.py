@@ -64,12 +64,7 @@ def start_rollouts(
 ) -> HorizonCost:
     """Makes rollouts start where a hand is, on all keys on its path through `steps` (H,).
 
-    Args:
-        simulator: the simulator of the hand.
-        simulation: the hand on all keys, in its present state.
-        goals: the goals of the hand.
-        steps: (H,) steps of the song.
-        keyboard: the whole keyboard.
+    The simulation is of the hand on all keys, in its present state.
 
     Returns:
         The cost of rollouts over these steps.
@@ -134,11 +129,7 @@ class Rollouts:
     def __init__(self, simulator: HandRollouts, threads: Threads, *, all_costs: bool) -> None:
         """Prepares rollouts, none of which are made before `start`.
 
-        Args:
-            simulator: the simulator of the hand.
-            threads: the threads that share the rollouts.
-            all_costs: whether the costs of all candidates are of use. If only the cheapest is, the
-                others are given up.
+        Unless `all_costs` are of use, candidates that are not the cheapest are given up.
         """
         self._simulator, self._threads = simulator, threads
         self._all_costs, self.simulated = all_costs, 0

@@ -110,13 +110,9 @@ class HandInputs:
     """The inputs of H hands at each step of a plan, from `first` on."""
 
     def __init__(self, plan: SongPlan, sides: Sequence[Side], alone: Scene, first: int) -> None:
-        """Computes all inputs that depend on the plan only.
+        """Computes the inputs that depend on the plan only, for all hands of its scene or one.
 
-        Args:
-            plan: the plan, as far as it goes.
-            sides: the sides of the hands, all of the scene or one of them.
-            alone: a scene with one of them only.
-            first: the first step that inputs are wanted for.
+        `alone` is a scene with one of these hands only.
         """
         self._mirror, self._first, scene = Mirror.of(sides, alone), first, plan.scene
         self._hands, self._keyboard = len(sides), alone.keyboard
