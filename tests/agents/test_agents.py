@@ -158,13 +158,13 @@ def test_a_plan_is_measured_by_the_goals_of_the_steps_in_which_it_is_carried_out
     right_hand: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every 10 ms, of control steps of 50 ms: those of the next step first."""
-    measured, cost = [], SamplingPlanner._cost
+    measured, cost = [], SamplingPlanner.cost
 
     def watched(planner: SamplingPlanner, states: Any, rows: np.ndarray) -> np.ndarray:
         measured.append(rows.tolist())
         return cost(planner, states, rows)
 
-    monkeypatch.setattr(SamplingPlanner, "_cost", watched)
+    monkeypatch.setattr(SamplingPlanner, "cost", watched)
     perform(AGENTS["planning"](), right_hand)
     assert measured == [[step + k // 5 for k in range(20)] for step in range(STEPS)]
 

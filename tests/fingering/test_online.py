@@ -52,20 +52,26 @@ def test_what_is_settled_stays_and_what_is_not_may_change() -> None:
 @pytest.mark.parametrize("song", ["FurEliseOpening", "BachPreludeInCMajor"])
 def test_goes_on_from_what_it_has_found_as_if_it_began_anew(song: str) -> None:
     notes, dt = load_score(song).beginning(4.0).notes, 0.05
-    on, anew = OnlineFingering(shadow_hands(), 8), OnlineFingering(shadow_hands(), 8)
-    numbers: dict[int, int] = {}
-    for step in range(100):
-        for i, note in enumerate(notes):
-            if i in numbers and round(note.end / dt) == step:
-                on.end(numbers[i], (step - 0.5) * dt)
-                anew.end(numbers[i], (step - 0.5) * dt)
-        for i, note in enumerate(notes):
-            if round(note.start / dt) == step:
-                numbers[i] = on.begin(note.pitch - PIANO.lowest_pitch, step * dt)
-                anew.begin(note.pitch - PIANO.lowest_pitch, step * dt)
-        anew._come = []
-        assert on.find((step - 10) * dt) == anew.find((step - 10) * dt)
-    assert len(numbers) == len(notes)
+    begins = [(round(note.start / dt), 1, i) for i, note in enumerate(notes)]
+    ends = [(round(note.end / dt), 0, i) for i, note in enumerate(notes)]
+    events = sorted(begins + ends)
+
+    def happens(sight: OnlineFingering, step: int, begins: bool, note: int) -> None:
+        if begins:
+            sight.begin(notes[note].pitch - PIANO.lowest_pitch, step * dt)
+        else:
+            sight.end(note, (step - 0.5) * dt)
+
+    sight = OnlineFingering(shadow_hands())
+    for done, event in enumerate(events, start=1):
+        happens(sight, *event)
+        found = sight.find(0.0)
+        if done % 10 == 0:
+            anew = OnlineFingering(shadow_hands())
+            for earlier in events[:done]:
+                happens(anew, *earlier)
+            assert found == anew.find(0.0)
+    assert len(found) == len(notes) > 10
 
 
 def test_held_note_keeps_its_finger_from_others_until_it_is_seen_to_end() -> None:

@@ -131,10 +131,10 @@ class SamplingPlanner(EpisodePlanner):
         ctrl = self._clip(CubicSpline(self._knot_times, candidates, axis=1)(rows * hold))
         self._rollouts.copy_from(as_mujoco(view.simulation), int(view.env_ids[0]))
         states = self._rollouts.rollout(ctrl)
-        cost = self._cost(states, view.steps[0] + rows).sum(axis=1)
+        cost = self.cost(states, view.steps[0] + rows).sum(axis=1)
         return np.where(states.unstable.any(axis=1), np.inf, cost)
 
-    def _cost(self, states: State, rows: NDArray[np.intp]) -> Array:
+    def cost(self, states: State, rows: NDArray[np.intp]) -> Array:
         """(N, K) distance of keys from their goals, and mean distance of fingers from their keys.
 
         The states (N, K) are of K planning steps, which belong to control steps `rows` (K,).
