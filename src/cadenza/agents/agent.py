@@ -14,6 +14,8 @@ from cadenza.sim.threads import default_threads
 from cadenza.tasks.view import View
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Ids = NDArray[np.intp]
 
 Progress = Callable[[str, int, int], None]
 """Receives the progress of long work: stage, such as "playing", amount done, and total."""

@@ -15,10 +15,9 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv
+from cadenza.agents.agent import Array, EpisodePlanner, Ids, PlannerPerEnv
 from cadenza.agents.baselines.box_ddp import FeedbackLaw, Model, backward_pass
 from cadenza.agents.baselines.residuals import Residuals, flattened, residuals_of
 from cadenza.agents.planner.config import PLANNING_TIMESTEPS, ILQGConfig
@@ -29,8 +28,6 @@ from cadenza.sim.linearisation import Linearisation, Lineariser
 from cadenza.sim.planning_simulation import PlanningSimulation, as_mujoco
 from cadenza.sim.protocol import State
 from cadenza.tasks.view import View
-
-Ids = NDArray[np.intp]
 
 # Within these radii the norms of the cost are nearly squares.
 _KEY_RADIUS = 0.1

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import Progress, silent, steps_in
+from cadenza.agents.agent import Array, Progress, silent, steps_in
 from cadenza.agents.baselines.box_ddp import Model, backward_pass
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
@@ -29,7 +29,6 @@ from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 from cadenza.tasks import reward
 
-Array = NDArray[np.float64]
 Policy = Callable[[int, State], Array]  # controls (N, A) for a step and states (N, ...)
 
 _LEAD = 0.15  # [s] from the beginning of a window to its press

@@ -7,13 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import Array
+from cadenza.agents.agent import Array, Ids
 from cadenza.sim.linearisation import Linearisation
 from cadenza.sim.protocol import State
 from cadenza.tasks.reward import key_state, keys_by_transport, press_offset
 from cadenza.tasks.view import TaskSpec
-
-Ids = NDArray[np.intp]
 
 
 class Residuals(NamedTuple):

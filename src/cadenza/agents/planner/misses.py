@@ -32,9 +32,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cadenza.agents.agent import steps_in
+from cadenza.agents.agent import Array, steps_in
 from cadenza.agents.planner.plan.presses import Press, steps_between
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.episode import Episode
@@ -45,8 +44,6 @@ from cadenza.music.performance import key_runs
 from cadenza.music.score import note_name
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.reward import key_state
-
-Array = NDArray[np.float64]
 
 _IN_TIME = 0.05  # [s] that a note may begin late, or end early
 _SHORTEST = 0.1  # [s] that a key takes to go down

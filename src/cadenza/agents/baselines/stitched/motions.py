@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cadenza.agents.agent import Progress, silent, steps_in
+from cadenza.agents.agent import Array, Progress, silent, steps_in
 from cadenza.agents.planner.plan.fingertip_targets import Targets, targets_of
 from cadenza.agents.planner.plan.inverse_kinematics import solve_postures
 from cadenza.agents.planner.plan.presses import Press
@@ -15,8 +14,6 @@ from cadenza.agents.planner.plan.rest_poses import forearm_places, rest_posture
 from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
-
-Array = NDArray[np.float64]
 
 Held = tuple[tuple[int, int], ...]
 """Pairs of finger and key, of each finger that is down."""

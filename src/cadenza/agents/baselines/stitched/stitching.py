@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.agent import Array
 from cadenza.agents.baselines.stitched.motions import Change, Held, Motions
 from cadenza.agents.planner.plan.presses import Press
 
-Array = NDArray[np.float64]
 _Down = set[tuple[int, int]]
 """Pairs of finger and key, of each finger that is down."""
 

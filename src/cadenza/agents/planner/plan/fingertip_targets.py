@@ -9,13 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import steps_in
+from cadenza.agents.agent import Array, Ids, steps_in
 from cadenza.agents.planner.plan.presses import RISE, Press
 from cadenza.fingers import SIDES
 from cadenza.scene.scene import Scene
-
-Array = NDArray[np.float64]
-Ids = NDArray[np.intp]
 
 # Where fingertips press and stay, towards the player from the middle of the white keys [m].
 _ON_BLACK = 0.0  # on their ridge; on white ones as suits the finger, clear of the black

@@ -7,13 +7,11 @@ from copy import copy
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import steps_in
+from cadenza.agents.agent import Mask, steps_in
 from cadenza.agents.planner.plan.presses import RISE
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.fingers import SIDES, Side
 from cadenza.music.metrics import ONSET_TOLERANCE
-
-Mask = NDArray[np.bool_]
 
 ABOUT_TO_PRESS = 0.1
 """Time before a press in which its finger counts as playing [s]."""

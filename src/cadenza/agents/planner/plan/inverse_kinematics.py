@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, lapack
 
-from cadenza.agents.agent import Progress, silent
+from cadenza.agents.agent import Ids, Progress, silent
 from cadenza.agents.planner.plan.fingertip_targets import Targets, by_hand, pressing_forces
 from cadenza.agents.planner.plan.kinematic_terms import (
     ForearmsApart,
@@ -33,7 +33,6 @@ from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.servos import clip
 
 Array = NDArray[Any]
-Ids = NDArray[np.intp]
 
 # Less time than double precision, and the same costs within a hundredth.
 _REAL: np.dtype[Any] = np.dtype(np.float32)

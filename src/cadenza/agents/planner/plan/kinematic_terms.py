@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.agent import Ids
 from cadenza.agents.planner.plan.link_collisions import LinkCollisions, LinkPairs
 from cadenza.hands.forearm import WIDTH
 from cadenza.scene.kinematics import TIP, Links
 from cadenza.scene.servos import Servos, clip
 
 Array = NDArray[Any]
-Ids = NDArray[np.intp]
 
 # The weight of a term is the inverse square of what counts as one standard deviation. That of
 # fingertips outside their boxes comes with `Targets`.

@@ -9,11 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.agent import Array, Ids
 from cadenza.hands.hand import Hand
 from cadenza.scene.servos import clip
-
-Array = NDArray[np.float64]
-Ids = NDArray[np.intp]
 
 _CLEARANCE = 0.0015  # [m] between links
 _POINT = 1e-12  # [m^2] least squared length of a link, so that nothing is divided by 0

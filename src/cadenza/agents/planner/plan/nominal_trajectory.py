@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from threadpoolctl import threadpool_limits
 
-from cadenza.agents.agent import Progress, silent, steps_in
+from cadenza.agents.agent import Array, Progress, silent, steps_in
 from cadenza.agents.planner.plan.fingertip_targets import (
     Targets,
     by_hand,
@@ -39,7 +39,6 @@ from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import Reaction
 
-Array = NDArray[np.float64]
 Fingering = NDArray[np.int8]
 Delays = NDArray[np.integer] | int
 

@@ -7,11 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import steps_in
+from cadenza.agents.agent import Ids, steps_in
 from cadenza.fingers import NO_FINGER, SIDES, Fingers, Side
 from cadenza.hands.reach import JumpTimes
 
-Ids = NDArray[np.intp]
 Key = int | Ids
 
 RISE = 0.05

@@ -5,15 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cadenza.agents.agent import steps_in
+from cadenza.agents.agent import Array, Ids, Mask, steps_in
 from cadenza.agents.planner.plan.presses import RISE, Press, steps_between
 from cadenza.hands.hand import Hand
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Ids = NDArray[np.intp]
 
 _JUMP_TIME = 0.1  # [s] between two presses that is spent on the way, if the hand has to jump
 _MIN_LENGTH = 0.05  # [s] that a press lasts

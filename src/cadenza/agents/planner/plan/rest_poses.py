@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cadenza.agents.agent import Array
 from cadenza.fingers import Side
 from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.servos import Servos
-
-Array = NDArray[np.float64]
 
 # Inverse kinematics of arms.
 _SPACING = 0.03  # [m] between places for which a posture is computed

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.fingertip_targets import by_hand
 from cadenza.scene.servos import Servos
 
-Array = NDArray[np.float64]
 Steps = int | NDArray[np.intp]
 
 _LONGEST_CACHED = 2000  # steps of plans whose gains are kept, 2 kB each for two hands

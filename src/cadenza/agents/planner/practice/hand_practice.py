@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cadenza.agents.agent import steps_in
+from cadenza.agents.agent import Array, steps_in
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.practice.losses import KeyHistory, Losses
@@ -28,8 +27,6 @@ from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_rollouts import NUM_SLOTS, HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.threads import Threads
-
-Array = NDArray[np.float64]
 
 _CANDIDATES = 18  # perturbations that are drawn
 # Scales of the correction that takes fingertips to their targets; each is another candidate. The

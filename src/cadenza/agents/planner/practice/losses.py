@@ -7,14 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.agent import Array, Mask
 from cadenza.agents.planner.plan.hand_goals import HandGoals, first_steps, last_in_time, may_begin
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
 from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
 from cadenza.tasks import reward
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 ONSET_WEIGHT = 0.5
 """The weight of the F1 of note onsets beside that of F1, which is 1."""

@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cadenza.agents.agent import steps_in
+from cadenza.agents.agent import Array, Ids, Mask, steps_in
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Ids = NDArray[np.intp]
 
 _LENGTHS = (0.1, 0.8)  # [s] from a single stroke to a short passage
 _SHIFTS = 0.15  # [s] by which servos may be early or late

@@ -15,16 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import steps_in
+from cadenza.agents.agent import Array, Mask, steps_in
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.practice.trajectory import Trajectory
 from cadenza.fingering.search import find_fingering
 from cadenza.fingering.transitions import Costs
 from cadenza.fingers import SIDES
 from cadenza.tasks.goal_track import GoalTrack, players_of
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 OTHER_COSTS = (
     Costs(distance=32.0, same_finger=1.0, crossing=3.0),

@@ -7,8 +7,8 @@ from copy import copy
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cadenza.agents.agent import Array, Mask
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.tracking import Tracking
@@ -16,9 +16,6 @@ from cadenza.agents.planner.practice.losses import KeyHistory, Losses
 from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _RECENT = 16  # steps in which a note may begin and be in time, and more: 50 ms have 10 at most
 _UNSTABLE = 1000.0  # cost of a step that leaves the simulation unusable; no other comes near it

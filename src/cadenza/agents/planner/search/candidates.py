@@ -7,11 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import steps_in
+from cadenza.agents.agent import Array, Mask, steps_in
 from cadenza.scene.servos import Servos
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _HAND_LIFTS = (0.05, 0.1)  # [s] for which a hand is lifted from between keys
 _LIFTS = (0.1, 0.2, 0.3)  # [s] for which it or some of its fingers are lifted

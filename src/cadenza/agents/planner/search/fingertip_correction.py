@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.tracking import discretised
 from cadenza.scene.servos import Servos
-
-Array = NDArray[np.float64]
 
 MAX_ERROR = 0.03
 """The fingertip error at which errors are clipped, so that no finger outweighs the others [m]."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import steps_in
+from cadenza.agents.agent import Array, steps_in
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.search.fingertip_correction import control_update
@@ -22,8 +22,6 @@ from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
-
-Array = NDArray[np.float64]
 
 _LEARNING_RATE = 0.7  # of the update that the linear model takes for enough
 _SAME_POSTURE = 1e-3  # [m, rad] up to which a hand is where a rollout had it

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import steps_in
+from cadenza.agents.agent import Array, Mask, steps_in
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.hand_goals import ABOUT_TO_PRESS, HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
@@ -41,8 +41,6 @@ from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Steps = NDArray[np.intp]
 
 _IDLE_NOISE = 0.3  # of a servo's noise, for fingers that do not play within the horizon

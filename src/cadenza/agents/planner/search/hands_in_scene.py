@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cadenza.agents.agent import Array
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.search.hand_search import HandSearch, SearchState
 from cadenza.sim.protocol import State
-
-Array = NDArray[np.float64]
 
 
 class HandsInScene:

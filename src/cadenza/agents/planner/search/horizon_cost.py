@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.agent import Array, Mask
 from cadenza.agents.planner.plan.hand_goals import TIP_WEIGHT, HandGoals
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR, clipped
 from cadenza.keyboards.keyboard import Keyboard
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _WRONG_KEY = 3.0  # cost of a key that sounds and should not, or the other way round
 _WRONG_ONSET = 3.0  # of a note that has not begun in time, and of an onset where no note begins

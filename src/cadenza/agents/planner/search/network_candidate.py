@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-from numpy.typing import NDArray
-
+from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.search.networks.inputs import Corrections, HandInputs
 from cadenza.agents.planner.search.networks.weights import Weights
@@ -14,8 +12,6 @@ from cadenza.fingers import Side
 from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_rollouts import HandRollouts
-
-Array = NDArray[np.float64]
 
 
 class NetworkCandidate:

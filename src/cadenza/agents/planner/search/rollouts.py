@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.search.horizon_cost import HorizonCost
 from cadenza.keyboards.keyboard import Keyboard
@@ -17,7 +18,6 @@ from cadenza.sim.hand_rollouts import NUM_SLOTS, HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.threads import Threads
 
-Array = NDArray[np.float64]
 Keys = TypeVar("Keys")
 
 _EXPECTED = 0.8  # share of the least cost-to-go that was seen, which a rollout is expected to have

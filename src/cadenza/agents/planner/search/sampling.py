@@ -10,11 +10,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cadenza.agents.agent import Array
 from cadenza.agents.planner.config import SamplingMethod
-
-Array = NDArray[np.float64]
 
 
 class SamplingDistribution(NamedTuple):

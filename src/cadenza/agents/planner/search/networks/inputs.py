@@ -26,13 +26,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.presses import Press
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.fingers import SIDES, Side
 from cadenza.scene.scene import Scene, hand_alone
 from cadenza.scene.servos import clip, servos_of
 
-Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 FAR = 8

@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.agent import Ids
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, INTEGERS, ArrayOf, read_arrays, write_atomically
 from cadenza.scene.servos import clip
 
 Floats = NDArray[np.float32]
-Ids = NDArray[np.intp]
 
 NETWORKS = ("hand", "thumb", "fingers")
 """The networks: for the servos of the whole hand, for its thumb, and for all other fingers."""
