@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -83,8 +84,8 @@ def rehearsed(
     tracking = plan.nominal.tracking
     ctrl, expected = tracking.ctrl.copy(), tracking.expected.copy()
     sides, dt = plan.scene.sides, plan.track.config.control_timestep
-    threads, steps = Threads(num_threads), len(ctrl)
-    try:
+    steps = len(ctrl)
+    with closing(Threads(num_threads)) as threads:
         for i, side in enumerate(sides):
             search = HandSearch(plan, side, rng, PlanningContext(_REHEARSAL, threads))
             scene, mine, joints = hand_alone(plan.scene, side)
@@ -98,8 +99,6 @@ def rehearsed(
                 state = simulation.state
                 expected[step + 1, mine] = servos.state(state.hand_qpos, state.hand_qvel)[0]
                 progress("rehearsing", i * steps + step + 1, len(sides) * steps)
-    finally:
-        threads.close()
     return tracking._replace(ctrl=ctrl, expected=expected)
 
 

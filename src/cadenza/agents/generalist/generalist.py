@@ -92,6 +92,11 @@ class Generalist(PlannerPerEnv["SongPlanner | SightReader"]):
         return 0 if self.config.weights is not None or fits else _DEFAULT_REHEARSALS
 
     def _weights(self, scene: Scene) -> Weights:
+        """The networks for the hands of a scene.
+
+        Raises:
+            CadenzaError: there are none for them, or the file is damaged.
+        """
         own = self.config.weights
         weights = shipped_for(scene) if own is None else Weights.load(Path(own))
         if weights is None:
@@ -99,7 +104,13 @@ class Generalist(PlannerPerEnv["SongPlanner | SightReader"]):
                 f"generalist: has not learnt to play with hand {scene.hand.name}; choose from "
                 f"{', '.join(sorted(shipped(_LEARNT)))}, or another agent"
             )
-        _check_sizes(weights, scene)
+        inputs, servos = sizes_of(scene)
+        if weights.sizes != (inputs, servos):
+            raise CadenzaError(
+                f"generalist: has learnt with hands of {weights.sizes[1]} servos "
+                f"({weights.sizes[0]} inputs of its networks); here they have {servos} ({inputs} "
+                "inputs): leave out options that change the hands"
+            )
         return weights
 
 
@@ -143,18 +154,3 @@ class SightReader(EpisodePlanner):
 def shipped_for(scene: Scene) -> Weights | None:
     """The networks that come with the package for the hands of a scene, if any do."""
     return shipped(_LEARNT).get(scene.hand.name)
-
-
-def _check_sizes(weights: Weights, scene: Scene) -> None:
-    """Checks that networks have been trained with hands like those of the scene.
-
-    Raises:
-        CadenzaError: they have been trained with other hands.
-    """
-    inputs, servos = sizes_of(scene)
-    if weights.sizes != (inputs, servos):
-        raise CadenzaError(
-            f"generalist: has learnt with hands of {weights.sizes[1]} servos "
-            f"({weights.sizes[0]} inputs of its networks); here they have {servos} ({inputs} "
-            "inputs): leave out options that change the hands"
-        )
