@@ -29,23 +29,14 @@ from cadenza.cli import (
     studio,
     train,
 )
-from cadenza.cli.arguments import (
-    Chosen,
-    Shell,
-    about_in_a_line,
-    choose,
-    help_or_completion,
-    parse,
-    similar,
-)
+from cadenza.cli.arguments import Chosen, Shell, choose, parse, print_commands, similar
 from cadenza.cli.console import on_one_line, open_closed_streams, quietly, warnings_in_a_line
 from cadenza.cli.options import Options, reader, with_options_of_agents
 from cadenza.errors import CadenzaError, explained, lacks_memory
 from cadenza.learning.learner import LEARNERS
 from cadenza.registry import module_of
 
-_Command = tuple[type, Callable[..., None]]
-_COMMANDS: dict[str, _Command | dict[str, _Command]] = {
+_COMMANDS: dict[str, Any] = {
     "play": (play.PlayCommand, play.run),
     "plan": (plan.PlanCommand, plan.run),
     "studio": (studio.StudioCommand, studio.run),
@@ -61,24 +52,26 @@ _COMMANDS: dict[str, _Command | dict[str, _Command]] = {
     "import": (importing.Import, importing.run),
     "info": (info.Info, info.info),
     "etude": (etude.Etude, etude.etude),
-    "dataset": {
-        "collect": (dataset.Collect, dataset.collect),
-        "info": (dataset.DatasetInfo, dataset.info),
-        "check": (dataset.DatasetCheck, dataset.check),
-        "play": (dataset.DatasetPlay, dataset.play),
-        "export": (dataset.DatasetExport, dataset.export),
-    },
-    "generalist": {
-        "clone": (generalist.CloneGeneralist, generalist.clone),
-        "reinforce": (generalist.ReinforceGeneralist, generalist.reinforce),
-    },
+    "dataset": (
+        "Record demonstrations to learn from, and use them",
+        {
+            "collect": (dataset.Collect, dataset.collect),
+            "info": (dataset.DatasetInfo, dataset.info),
+            "check": (dataset.DatasetCheck, dataset.check),
+            "play": (dataset.DatasetPlay, dataset.play),
+            "export": (dataset.DatasetExport, dataset.export),
+        },
+    ),
+    "generalist": (
+        "Train networks of the agent generalist",
+        {
+            "clone": (generalist.CloneGeneralist, generalist.clone),
+            "reinforce": (generalist.ReinforceGeneralist, generalist.reinforce),
+        },
+    ),
 }
-"""A command, or several under one name."""
-_ABOUT = {
-    "dataset": "Record demonstrations to learn from, and use them",
-    "generalist": "Train networks of the agent generalist",
-}
-"""What several commands under one name are for."""
+"""Name -> the options of a command and what runs it; or what several are for, and those."""
+_ABOUT = "Two simulated robot hands play the piano from any MIDI file."
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -103,24 +96,26 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _exit(130, "interrupted")
 
 
-def _run(arguments: list[str]) -> None:
-    name, *words = arguments or [""]
-    if name not in _COMMANDS:
-        _run_without_command(arguments)
-        return
-    command = _COMMANDS[name]
-    if isinstance(command, dict):
-        if not words or words[0] not in command:
-            _run_without_one_of(name, command, words)
-            return
-        name, command, words = f"{name} {words[0]}", command[words[0]], words[1:]
-    _run_command(*command, f"cadenza {name}", words)
+def _run(
+    words: list[str],
+    commands: Mapping[str, Any] = _COMMANDS,
+    prog: str = "cadenza",
+    about: str = _ABOUT,
+) -> None:
+    name, *others = words or [""]
+    match commands.get(name):
+        case (str(what), several):
+            _run(others, several, f"{prog} {name}", f"{what}.")
+        case (kind, run):
+            _run_command(kind, run, f"{prog} {name}", others)
+        case None:
+            _run_without_command(words, commands, prog, about)
 
 
 def _run_command(kind: type, run: Callable[..., None], prog: str, words: list[str]) -> None:
     if any(":" in word for word in words) and "" not in sys.path:
         sys.path.append("")  # `module:Name` of an agent or a hand may lie in the working folder
-    chosen = choose(kind, prog, words)
+    chosen = choose(prog, words)
     _import_parts(chosen)
     read: list[Callable[..., Any]] = []
     if issubclass(kind, Options):
@@ -151,59 +146,38 @@ def _import_parts(chosen: Chosen) -> None:
         LEARNERS.load(chosen.learner, type)
 
 
-def _run_without_command(arguments: list[str]) -> None:
-    match arguments:
+def _run_without_command(
+    words: list[str], commands: Mapping[str, Any], prog: str, about: str
+) -> None:
+    about += f'\n\nRun "{prog} COMMAND --help" for the options of a command.'
+    match words:
         case ["--version"]:
             from importlib.metadata import version
 
             print(f"cadenza {version('cadenza')}")
         case ["-h" | "--help" | "--help-all", *_]:
-            _help_or_completion(["--help"])
-        case ["--completion", shell] if shell in get_args(Shell):
-            _help_or_completion(arguments)
+            print_commands(_kinds(commands), prog, about)
+        case ["--completion", "bash" | "zsh" | "fish" as shell]:
+            print_commands(_kinds(commands), prog, about, shell)
         case ["--completion", *_]:
             raise CadenzaError(f"--completion: choose from {', '.join(get_args(Shell))}")
         case []:
-            raise CadenzaError(f"name a command: {', '.join(_COMMANDS)}; see cadenza --help")
+            raise CadenzaError(f"name a command: {', '.join(commands)}; see {prog} --help")
         case [word, *_]:
             what = "option" if word.startswith("-") else "command"
-            known = [*_COMMANDS, "--help", "--version", "--completion"]
-            meant = similar(word, known) or "; see cadenza --help"
-            raise CadenzaError(f"there is no {what} {word}{meant}")
-
-
-def _run_without_one_of(name: str, commands: dict[str, _Command], words: list[str]) -> None:
-    if words and words[0] in ("-h", "--help", "--help-all"):
-        print(f"usage: cadenza {name} {{{','.join(commands)}}} ...\n")
-        for one, (kind, _) in commands.items():
-            print(f"cadenza {name} {one}: {about_in_a_line(kind)}")
-        print(f'\nRun "cadenza {name} COMMAND --help" for the options of a command.')
-        return
-    given = " ".join([name, *words[:1]])
-    raise CadenzaError(f"cadenza {given}: choose from {', '.join(commands)}")
-
-
-def _help_or_completion(arguments: list[str]) -> None:
-    help_or_completion(
-        _kinds(_COMMANDS),
-        _ABOUT,
-        "cadenza",
-        "Two simulated robot hands play the piano from any MIDI file.\n\n"
-        'Run "cadenza COMMAND --help" for the options of a command.',
-        arguments,
-    )
+            meant = similar(word, [*commands, "--help", "--version", "--completion"])
+            raise CadenzaError(f"there is no {what} {word}{meant or f'; see {prog} --help'}")
 
 
 def _kinds(commands: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns name -> the dataclass of a command with all its options, or such a mapping."""
-    return {
-        name: _kinds(command) if isinstance(command, dict) else _with_all_options(command[0])
-        for name, command in commands.items()
-    }
-
-
-def _with_all_options(kind: type) -> type:
-    return with_options_of_agents(kind) if issubclass(kind, Options) else kind
+    """Returns name -> the dataclass of a command with all its options, as `print_commands` asks."""
+    kinds: dict[str, Any] = {}
+    for name, (kind, command) in commands.items():
+        if isinstance(kind, str):
+            kinds[name] = kind, _kinds(command)
+        else:
+            kinds[name] = with_options_of_agents(kind) if issubclass(kind, Options) else kind
+    return kinds
 
 
 def _exit(status: int, message: str = "") -> NoReturn:

@@ -22,16 +22,7 @@ from dataclasses import dataclass, is_dataclass, make_dataclass, replace
 from itertools import groupby, takewhile
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import (
-    Annotated,
-    Any,
-    Literal,
-    TypeVar,
-    Union,
-    cast,
-    get_args,
-    get_origin,
-)
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import tyro
 from tyro.constructors import (
@@ -61,15 +52,19 @@ Advanced = Annotated[T, _ADVANCED]
 Shell = Literal["bash", "zsh", "fish"]
 
 _Flag = tyro.conf.FlagCreatePairsOff[bool]
-_COMPLETION = tyro.conf.arg(
-    help="Print a shell's completion script, see docs/command-line.md.",
-    help_behavior_hint="",
-)
+_VERSION = Annotated[_Flag, tyro.conf.arg(help="Print the version and exit.")]
+_COMPLETION = Annotated[
+    Shell,
+    tyro.conf.arg(
+        help="Print a shell's completion script, see docs/command-line.md.",
+        help_behavior_hint="",
+    ),
+]
 
 Quiet = Annotated[
     _Flag, tyro.conf.arg(aliases=["-q"], help="Print nothing but warnings and errors.")
 ]
-"""The option of all commands that show how far they are."""
+"""The option of all commands that show their progress."""
 
 COMMON: dict[type, tuple[str, ...]] = {
     Arrangement: ("tracks", "reduce"),
@@ -79,10 +74,10 @@ COMMON: dict[type, tuple[str, ...]] = {
     TrainingConfig: ("num_steps", "residual", "seed"),
     ImitationConfig: ("songs", "num_updates", "seed"),
 }
-"""The fields that --help shows of configurations whose options have no prefix."""
+"""The fields that --help shows of the configurations in a command."""
 
 _GROUPS: dict[type, str] = {DomainRandomization: "randomization"}
-"""Configurations within others whose options have a prefix nevertheless."""
+"""Configurations in others without a prefix whose options have one nevertheless."""
 
 
 @dataclass(frozen=True)
@@ -102,18 +97,17 @@ class Chosen:
     resume: Path | None = None
 
 
-def choose(kind: type, prog: str, words: Sequence[str]) -> Chosen:
+def choose(prog: str, words: Sequence[str]) -> Chosen:
     """Finds in the words of a command line what the options of the command depend on.
 
     Args:
-        kind: what the command is read as.
         prog: the program and the command, as in "cadenza play".
         words: the words after them.
 
     Raises:
-        CadenzaError: such an option has no value, or there is no option of a name in `words`.
+        CadenzaError: such an option has no value.
     """
-    with _registry(_read) as registry, _errors_in_a_line(kind, prog, words):
+    with _rules() as registry, _errors_in_a_line(prog):
         chosen, _ = tyro.cli(
             Chosen,
             prog=prog,
@@ -144,82 +138,66 @@ def parse(
     Raises:
         CadenzaError: something is missing, unknown or cannot be read.
     """
-    asked = chosen.help or chosen.help_all
-    rule = _listed([kind], not chosen.help_all, getattr(kind, "refused", ())) if asked else _read
-    with _registry(rule) as registry, _errors_in_a_line(kind, prog, words, default):
+    begun: Any = tyro.MISSING_NONPROP if default is None else default
+    if chosen.help or chosen.help_all:
+        refused = getattr(kind, "refused", ())
+        words, rules = ["--help"], _rules([kind], not chosen.help_all, refused)
+    else:
+        _check_names(prog, words, ["--help", "--help-all", *_option_names(kind, begun)])
+        rules = _rules()
+    with rules as registry, _errors_in_a_line(prog):
         command, unknown = tyro.cli(
             kind,
             prog=prog,
             description=_about(kind),
-            args=["--help"] if asked else words,
-            default=tyro.MISSING_NONPROP if default is None else default,
+            args=words,
+            default=begun,
             registry=registry,
             return_unknown_args=True,
         )
-        if unknown:
-            what = "there is no option" if unknown[0][0] == "-" else "one argument too many:"
-            raise CadenzaError(f"{what} {unknown[0]}; see {prog} --help")
+    if unknown:
+        raise CadenzaError(f"one argument too many: {unknown[0]}; see {prog} --help")
     return command
 
 
-def help_or_completion(
-    commands: Mapping[str, Any],
-    about: Mapping[str, str],
-    prog: str,
-    description: str,
-    arguments: Sequence[str],
+def print_commands(
+    commands: Mapping[str, Any], prog: str, about: str, completion: Shell | None = None
 ) -> None:
-    """Prints what there is, for --help, or what completes it, and exits.
+    """Prints what commands there are, or the script that completes them, and exits.
 
     Args:
-        commands: by name a type, or such a mapping for several commands under one name.
-        about: what these several are for, in a line.
+        commands: name -> the dataclass of a command; or, for several commands under one name, what
+            these are for and such a mapping of them.
         prog: what stands before the name of a command.
-        description: of all of them.
-        arguments: --help, or what asks for the completion of a shell.
+        about: what the help says first.
+        completion: the shell for which to print the script.
     """
-    kinds: Any = _any_of(commands, about)
-    overall = make_dataclass(
-        "Overall",
-        [
-            ("command", Annotated[kinds, tyro.conf.OmitSubcommandPrefixes]),
-            ("version", Annotated[_Flag, tyro.conf.arg(help="Print the version and exit.")], False),
-            ("completion", Annotated[Shell, _COMPLETION], "bash"),
-        ],
-    )
-    if arguments[0] == "--completion":
-        arguments = ["--tyro-write-completion", *arguments[1:], "-"]
-    with _registry(_listed([*_all(commands)])) as registry:
-        tyro.cli(overall, prog=prog, description=description, args=arguments, registry=registry)
+    kinds: Any = Annotated[_any_of(commands), tyro.conf.OmitSubcommandPrefixes]
+    options = [("version", _VERSION, False), ("completion", _COMPLETION, "bash")]
+    overall = make_dataclass("Overall", [("command", kinds), *options[: 2 * (" " not in prog)]])
+    words = ["--help"] if completion is None else ["--tyro-write-completion", completion, "-"]
+    with _rules([*_flattened(commands)]) as registry:
+        tyro.cli(overall, prog=prog, description=about, args=words, registry=registry)
 
 
-def _any_of(commands: Mapping[str, Any], about: Mapping[str, str]) -> Any:
-    kinds = (_subcommand(name, kind, about) for name, kind in commands.items())
+def _any_of(commands: Mapping[str, Any]) -> Any:
+    """Returns the union of the types of commands, each with its name and a line of help."""
+    kinds = []
+    for name, kind in commands.items():
+        if isinstance(kind, tuple):
+            line, several = kind
+            union: Any = Annotated[_any_of(several), tyro.conf.OmitSubcommandPrefixes]
+            kind = make_dataclass(name.capitalize(), [("command", union)])
+            line = f"{line}: {', '.join(several)}."
+        else:
+            line = _about(kind).split("\n")[0]
+        kinds.append(Annotated[kind, tyro.conf.subcommand(name, description=line)])
     return Union[tuple(kinds)]  # noqa: UP007
 
 
-def _all(commands: Mapping[str, Any]) -> Iterator[type]:
+def _flattened(commands: Mapping[str, Any]) -> Iterator[type]:
     for kind in commands.values():
-        if isinstance(kind, Mapping):
-            yield from _all(kind)
-        else:
-            yield kind
-
-
-def _subcommand(name: str, kind: Any, about: Mapping[str, str]) -> Any:
-    """Returns the type of a command, or of several, with a line of help."""
-    if isinstance(kind, Mapping):
-        several: Any = Annotated[_any_of(kind, {}), tyro.conf.OmitSubcommandPrefixes]
-        line = f"{about[name]}: {', '.join(kind)}."
-        kind = make_dataclass(name.capitalize(), [("command", several)])
-    else:
-        line = about_in_a_line(kind)
-    return Annotated[kind, tyro.conf.subcommand(name, description=line)]
-
-
-def about_in_a_line(kind: type) -> str:
-    """The first line of what the help of a command says."""
-    return _about(kind).split("\n")[0]
+        yield from _flattened(kind[1]) if isinstance(kind, tuple) else [kind]
 
 
 def _about(kind: type) -> str:
@@ -231,18 +209,23 @@ def _about(kind: type) -> str:
 
 _NUMBERS = {int: "whole number", float: "number"}
 _BETWEEN_NUMBERS = re.compile(r",|(?<=\d)x(?=\d)")
+_NO_PREFIX = tyro.conf.arg(name="")
 _HELP_ALL = StructFieldSpec("help_all", _Flag, False, "show all options and exit")
 
 
-StructRule = Callable[[StructTypeInfo, StructConstructorSpec], StructConstructorSpec]
-
-
 @contextmanager
-def _registry(rule: StructRule) -> Iterator[ConstructorRegistry]:
-    """Yields a registry by which tyro makes options of dataclasses, changed by a `rule`.
+def _rules(
+    commands: Collection[type] = (), short: bool = False, refused: Collection[str] = ()
+) -> Iterator[ConstructorRegistry]:
+    """Yields the rules by which tyro makes options of dataclasses, for the block only.
 
-    It does so within the block only. Under `python -O`, tyro's registries stay in force once they
-    were used, and one would change the options of the next command line, too.
+    Under `python -O`, tyro's registries stay in force once they were used, and one would change
+    the options of the next command line, too.
+
+    Args:
+        commands: those whose options are listed; empty to read a command line.
+        short: whether only common options are listed.
+        refused: names of options that are not listed.
     """
     registry = ConstructorRegistry()
     asking = False
@@ -257,7 +240,7 @@ def _registry(rule: StructRule) -> Iterator[ConstructorRegistry]:
 
     @registry.primitive_rule
     def value(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-        if asking or rule is not _read or (wanted := _wanted(info.type)) is None:
+        if asking or commands or (wanted := _wanted(info.type)) is None:
             return None
         return _read_value(by_tyro(ConstructorRegistry.get_primitive_spec, info), info.type, wanted)
 
@@ -265,7 +248,21 @@ def _registry(rule: StructRule) -> Iterator[ConstructorRegistry]:
     def options(info: StructTypeInfo) -> StructConstructorSpec | None:
         if asking or not is_dataclass(info.type):
             return None
-        return rule(info, by_tyro(ConstructorRegistry.get_struct_spec, info))
+        spec = by_tyro(ConstructorRegistry.get_struct_spec, info)
+        own, common = info.type in commands, COMMON.get(info.type, ())
+        fields = [field for field in spec.fields if field.name not in refused]
+        more = own and any(_is_more(field) for field in fields)
+        if short:
+            fields = [
+                field
+                for field in fields
+                if _is_config(field) or (field.name in common) or (own and not _is_more(field))
+            ]
+        if not commands:  # errors would repeat the help
+            fields = [replace(field, helptext="") for field in fields]
+        group = _GROUPS.get(info.type)
+        made = [_option(field, group, short) for field in [*[_HELP_ALL] * more, *fields]]
+        return replace(spec, fields=tuple(made))
 
     try:
         yield registry
@@ -273,46 +270,24 @@ def _registry(rule: StructRule) -> Iterator[ConstructorRegistry]:
         asking = True
 
 
-def _read(info: StructTypeInfo, spec: StructConstructorSpec) -> StructConstructorSpec:
-    """Rule for reading: without help texts, which take tyro time to find."""
-    group = _GROUPS.get(info.type)
-    fields = (replace(_option(field, group), helptext="") for field in spec.fields)
-    return replace(spec, fields=tuple(fields))
+def _is_config(field: StructFieldSpec) -> bool:
+    """Whether a field holds a configuration, each of whose fields is an option."""
+    return is_dataclass(_parts(field.type)[0])
 
 
-def _listed(
-    commands: Collection[type], short: bool = False, refused: Collection[str] = ()
-) -> StructRule:
-    """Returns the rule for help and completion, which lists all options but those `refused`.
+def _is_more(field: StructFieldSpec) -> bool:
+    """Whether not all options of a command's field are shown by --help."""
+    return _is_config(field) or _ADVANCED in _parts(field.type)
 
-    Of the dataclasses of whole `commands`, if `short`, it lists only the common ones.
+
+def _option(field: StructFieldSpec, group: str | None, in_one_list: bool) -> StructFieldSpec:
+    """Returns the field with our help, and with its group in its name.
+
+    If options are shown `in_one_list`, those of configurations have no prefix and no heading.
     """
-
-    def rule(info: StructTypeInfo, spec: StructConstructorSpec) -> StructConstructorSpec:
-        group = _GROUPS.get(info.type)
-        fields = [_option(field, group) for field in spec.fields if field.name not in refused]
-        if info.type not in commands:
-            return replace(spec, fields=tuple(fields))
-        leaves = list(_leaves(info.type, fields))
-        common = [field for owner, field, _ in leaves if _is_common(field, owner, info.type)]
-        if len(common) == len(leaves):
-            return replace(spec, fields=tuple(fields))
-        return replace(spec, fields=(_option(_HELP_ALL), *(common if short else fields)))
-
-    return rule
-
-
-def _is_common(field: StructFieldSpec, owner: type, command: type) -> bool:
-    """Whether --help shows the option."""
-    own = owner is command and _ADVANCED not in _parts(field.type)
-    return own or field.name in COMMON.get(owner, ())
-
-
-def _option(field: StructFieldSpec, group: str | None = None) -> StructFieldSpec:
-    """Returns the field with our help, and with its group in its name."""
     kind, *marks = _parts(field.type)
     if is_dataclass(kind):
-        return field
+        return replace(field, type=Annotated[kind, _NO_PREFIX]) if in_one_list else field
     behaviour = "" if tyro.conf.FlagCreatePairsOff in marks else _default_hint
     name = f"{group}.{field.name}" if group else None
     ours = tyro.conf.arg(name=name, metavar=_metavar(kind), help_behavior_hint=behaviour)
@@ -323,47 +298,30 @@ def _option(field: StructFieldSpec, group: str | None = None) -> StructFieldSpec
     )
 
 
-def _leaves(
-    owner: type, fields: Sequence[StructFieldSpec], prefix: str | None = ""
-) -> Iterator[tuple[type, StructFieldSpec, str]]:
-    """The options of `owner`, and then those of its configurations.
+def _option_names(kind: Any, default: Any, prefix: str = "", bare: bool = False) -> Iterator[str]:
+    """Yields the names of all options of a dataclass, as in "--randomization.mass".
 
     Args:
-        owner: a dataclass.
-        fields: its fields as tyro has them.
-        prefix: what its options begin with; None where those of its configurations have none, too.
-
-    Yields:
-        Whose each option is, its field and its name, as in "--randomization.mass".
+        kind: the dataclass.
+        default: an instance with its defaults.
+        prefix: what its options begin with.
+        bare: whether the configurations in it have no prefix.
     """
-    nested: list[tuple[Any, Any, str | None]] = []
-    for field in fields:
-        kind, *marks = _parts(field.type)
-        option = field.name.replace("_", "-")
-        if is_dataclass(kind):
-            bare = prefix is None or tyro.conf.OmitArgPrefixes in marks
-            within = None if bare else f"{prefix}{option}"
-            within = _GROUPS.get(cast(type, kind), within)
-            nested.append((kind, field.default, within and f"{within}."))
-        else:
-            yield owner, field, f"--{prefix or ''}{option}"
-    for kind, default, within in nested:
-        info = StructTypeInfo.make(kind, default, in_union_context=False)
-        spec: Any = ConstructorRegistry.get_struct_spec(info)
-        yield from _leaves(info.type, spec.fields, within)
-
-
-def _option_names(kind: type, default: Any) -> Iterator[str]:
-    """The names of all options of a command."""
-    default = tyro.MISSING_NONPROP if default is None else default
     info = StructTypeInfo.make(kind, default, in_union_context=False)
     spec: Any = ConstructorRegistry.get_struct_spec(info)
-    for _, field, name in _leaves(kind, spec.fields):
+    prefix = f"{_GROUPS[info.type]}." if info.type in _GROUPS else prefix
+    for field in spec.fields:
         value, *marks = _parts(field.type)
-        if tyro.conf.Positional not in marks:
-            yield name
-            if value is bool:
-                yield f"--no-{name[2:]}"
+        name = prefix + field.name.replace("_", "-")
+        if is_dataclass(value):
+            within = bare or tyro.conf.OmitArgPrefixes in marks
+            yield from _option_names(value, field.default, "" if within else f"{name}.", within)
+        elif tyro.conf.Positional not in marks:
+            yield f"--{name}"
+            if value is bool and tyro.conf.FlagCreatePairsOff not in marks:
+                yield f"--no-{name}"
+            for mark in marks:
+                yield from getattr(mark, "aliases", None) or ()
 
 
 def _parts(hint: Any) -> tuple[Any, ...]:
@@ -479,9 +437,7 @@ _WORDING = (
 
 
 @contextmanager
-def _errors_in_a_line(
-    kind: type, prog: str, words: Sequence[str], default: Any = None
-) -> Iterator[None]:
+def _errors_in_a_line(prog: str) -> Iterator[None]:
     """Raises what is wrong with a command line as a CadenzaError, where tyro prints a box."""
     box = io.StringIO()
     try:
@@ -490,19 +446,14 @@ def _errors_in_a_line(
     except SystemExit as end:
         if end.code in (0, None):  # it has printed help
             raise
-        _check_names(kind, prog, words, default)
         raise CadenzaError(f"{_in_a_line(box.getvalue())}; see {prog} --help") from None
-    except CadenzaError:
-        _check_names(kind, prog, words, default)
-        raise
 
 
-def _check_names(kind: type, prog: str, words: Sequence[str], default: Any) -> None:
-    """Raises: CadenzaError: there is no option of a name in `words`; it says what may be meant."""
-    known = ["--help", "--help-all", *_option_names(kind, default)]
+def _check_names(prog: str, words: Sequence[str], known: Sequence[str]) -> None:
+    """Raises: CadenzaError: no option is called like one in `words`; it says what may be meant."""
     for word in takewhile(lambda word: word != "--", words):
         name = word.split("=")[0].replace("_", "-")
-        if re.match("--?[a-z]", name) and name not in (*known, "-h", "-o", "-q"):
+        if re.match("--?[a-z]", name) and name not in known:
             hint = _meant(name, known) or similar(name, known)
             raise CadenzaError(
                 f"there is no option {name}{hint or f'; {prog} --help-all lists them'}"
