@@ -34,6 +34,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
+from cadenza.cli.runs import Execution
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.collecting.variation import Variation
 from cadenza.learning.config import ImitationConfig, TrainingConfig
@@ -61,6 +62,9 @@ _COMPLETION = Annotated[
     ),
 ]
 
+Output = Annotated[T, tyro.conf.arg(aliases=["-o"])]
+"""The option of where results go, as in `output: Output[Path]`."""
+
 Quiet = Annotated[
     _Flag, tyro.conf.arg(aliases=["-q"], help="Print nothing but warnings and errors.")
 ]
@@ -70,6 +74,7 @@ COMMON: dict[type, tuple[str, ...]] = {
     Arrangement: ("tracks", "reduce"),
     TaskConfig: ("stretch", "transpose"),
     SceneConfig: ("hands",),
+    Execution: ("retry", "jobs", "executor"),
     Variation: ("noise", "mirror", "excerpt"),
     TrainingConfig: ("num_steps", "residual", "seed"),
     ImitationConfig: ("songs", "num_updates", "seed"),
@@ -209,7 +214,6 @@ def _about(kind: type) -> str:
 
 _NUMBERS = {int: "whole number", float: "number"}
 _BETWEEN_NUMBERS = re.compile(r",|(?<=\d)x(?=\d)")
-_NO_PREFIX = tyro.conf.arg(name="")
 _HELP_ALL = StructFieldSpec("help_all", _Flag, False, "show all options and exit")
 
 
@@ -287,7 +291,8 @@ def _option(field: StructFieldSpec, group: str | None, in_one_list: bool) -> Str
     """
     kind, *marks = _parts(field.type)
     if is_dataclass(kind):
-        return replace(field, type=Annotated[kind, _NO_PREFIX]) if in_one_list else field
+        unprefixed: Any = Annotated[kind, tyro.conf.arg(name="")]
+        return replace(field, type=unprefixed) if in_one_list else field
     behaviour = "" if tyro.conf.FlagCreatePairsOff in marks else _default_hint
     name = f"{group}.{field.name}" if group else None
     ours = tyro.conf.arg(name=name, metavar=_metavar(kind), help_behavior_hint=behaviour)

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 import warnings
 from collections.abc import Callable, Sequence
-from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import tyro
 
 from cadenza.agents.registry import PLAYBACK, PRETRAINED
-from cadenza.cli.arguments import Advanced, Quiet
-from cadenza.cli.console import counted, stop_on_signal
+from cadenza.cli.arguments import Advanced, Output, Quiet
+from cadenza.cli.console import counted
 from cadenza.cli.options import TRAIN, Options, Read, check_all_play, split_agents
-from cadenza.cli.runs import check_executor, executor_of, shown, tell_what_is_left
-from cadenza.cli.saving import check_writable
+from cadenza.cli.runs import Execution, Work, check_execution, run_all
 from cadenza.configs import MOST_SEED, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.learning.config import preset
 from cadenza.learning.learner import Preset
 
 if TYPE_CHECKING:
-    from cadenza.evaluation.bench import BenchState
     from cadenza.evaluation.jobs import Contender, Job
 
 _MOST_SEEDS = 10_000
@@ -49,35 +44,26 @@ class Bench(Options):
     train:paper, train:published, train:fast-residual: a policy trained on each song."""
     seeds: tuple[str, ...] = ("0",)
     """Random seeds, such as 0-2 or 0,5. Each agent plays each song once with each seed."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("bench")
+    output: Output[Path] = Path("bench")
     """Folder of the runs, which is extended if it holds some already."""
-    retry: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Repeat the runs that failed before."""
-    jobs: int | None = None
-    """Number of runs at once. By default as many as the cores allow."""
     num_threads: Advanced[int] = 1
     """Threads of each run."""
     num_steps: int | None = None
     """Environment steps of train:PRESET. By default those of the preset."""
     pages: Advanced[Literal["first-seed", "all", "none"]] = "first-seed"
     """Which runs leave a page to watch and hear; made later too, without playing again."""
-    executor: Literal["local", "ray"] = "local"
-    """Carry out the runs on this machine or on a Ray cluster."""
-    address: Advanced[str | None] = None
-    """Of a Ray cluster, such as auto. By default one is started on this machine."""
+    execution: tyro.conf.OmitArgPrefixes[Execution] = field(default_factory=Execution)
     quiet: Quiet = False
 
 
 def run(command: Bench, read: Read[Bench]) -> None:
-    from cadenza.evaluation.bench import bench
     from cadenza.evaluation.jobs import bench_jobs
-    from cadenza.evaluation.results import write_plan
-    from cadenza.evaluation.run import carry_out
+    from cadenza.evaluation.run import carry_out, is_complete
     from cadenza.music.libraries.library import open_library
 
     agents, seeds = _agents(command), _seeds(command.seeds)
     check_all_play(command, agents)
-    check_executor(command)
+    check_execution(command)
     who = _contenders(command, read, agents)
     library = open_library(command.songs)
     if (runs := len(library.songs) * len(agents) * len(seeds)) > _MOST_RUNS:
@@ -90,23 +76,10 @@ def run(command: Bench, read: Read[Bench]) -> None:
     jobs = bench_jobs(library, who, seeds, command.arrangement, command.pages)
     if not jobs:
         raise CadenzaError("there is nothing to run: choose other songs or agents")
-    check_writable(command.output)
-    write_plan(command.output, shlex.join(["cadenza", *sys.argv[1:]]), jobs)
     trains = any(job.spec.training is not None for job in jobs)
-    what_comes = "a checkpoint of the runs that train" if trains else "ending the runs under way"
-    with (
-        closing(executor_of(command, carry_out)) as executor,
-        shown(_result) as table,
-        stop_on_signal(what_comes) as stop,
-    ):
-        stop()  # from now on
-
-        def goes_on(state: BenchState) -> bool:
-            table.show(state)
-            return not stop()
-
-        state = bench(jobs, command.output, executor, table.ended, goes_on, command.retry)
-    tell_what_is_left(state, command.output, ["cadenza", "results", str(command.output)])
+    until = "a checkpoint of the runs that train" if trains else "ending the runs under way"
+    results = ["cadenza", "results", str(command.output)]
+    run_all(command, jobs, Work(carry_out, is_complete, _result, until, results))
 
 
 def _agents(command: Bench) -> list[str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from cadenza.cli.arguments import Quiet
+from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.console import stop_on_signal
 from cadenza.cli.options import RecordedParts
 from cadenza.cli.progress import progress
@@ -31,7 +31,7 @@ class Clone(RecordedParts):
 
     demonstrations: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATASET")]
     """A folder that "cadenza dataset collect" has made."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/clone")
+    output: Output[Path] = Path("runs/clone")
     """Folder of the run."""
     quiet: Quiet = False
     imitation: tyro.conf.OmitArgPrefixes[ImitationConfig] = field(default_factory=ImitationConfig)

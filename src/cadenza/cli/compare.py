@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import tyro
+from typing import TYPE_CHECKING
 
 from cadenza.agents.registry import PLAYBACK
-from cadenza.cli.arguments import Quiet
+from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.console import in_columns
 from cadenza.cli.options import (
     Performing,
@@ -42,7 +40,7 @@ class Compare(Performing):
     """Agents to compare, named as in "cadenza play". All but playback."""
     seeds: tuple[int, ...] = (0,)
     """Random seeds. Each agent plays once with each seed."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Output[Path | None] = None
     """Folder for compare.html and compare.json; played/SONG by default."""
     quiet: Quiet = False
 

@@ -19,13 +19,19 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'s'[: number != 1]}"
 
 
-def in_columns(rows: Sequence[Sequence[str]]) -> str:
-    """Returns a table as text: the first column aligned left, and all others right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = (
-        "  ".join([name.ljust(widths[0]), *map(str.rjust, figures, widths[1:])]).rstrip()
-        for name, *figures in rows
-    )
+def in_columns(rows: Sequence[Sequence[str]], alignment: str = "<") -> str:
+    """Returns a table as text.
+
+    Args:
+        rows: the cells of each row.
+        alignment: how each column is aligned, "<" for left and ">" for right, which those have that
+            it does not reach.
+    """
+    columns = [*zip(*rows, strict=True)]
+    widths = [
+        f"{way}{max(map(len, c))}" for way, c in zip(alignment.ljust(len(columns), ">"), columns)
+    ]
+    lines = ("  ".join(map(format, row, widths)).rstrip() for row in rows)
     return "\n".join(lines)
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -12,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from cadenza.agents.registry import PLAYBACK, PRETRAINED
-from cadenza.cli.arguments import Advanced, Quiet
-from cadenza.cli.console import counted, stop_on_signal
+from cadenza.cli.arguments import Advanced, Output, Quiet
+from cadenza.cli.console import counted
 from cadenza.cli.options import Options, Read, RecordedParts, check_all_play
 from cadenza.cli.progress import progress, stages
-from cadenza.cli.runs import check_executor, executor_of, shown, tell_what_is_left
+from cadenza.cli.runs import Execution, Work, check_execution, run_all
 from cadenza.cli.saving import check_writable
 from cadenza.configs import check_ranges, whole_number
 from cadenza.errors import CadenzaError
@@ -24,7 +22,6 @@ from cadenza.evaluation.collecting.variation import Variation, varied
 from cadenza.tasks.config import TaskConfig
 
 if TYPE_CHECKING:
-    from cadenza.evaluation.bench import BenchState
     from cadenza.evaluation.collecting.collect import Demonstrator
     from cadenza.evaluation.jobs import Job
 
@@ -46,31 +43,22 @@ class Collect(Options):
     """Who plays: any agent of "cadenza play" but playback and policies."""
     episodes: int = 1
     """Episodes of each song. With more than before, the folder is extended."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demonstrations")
+    output: Output[Path] = Path("demonstrations")
     """Folder of the episodes, which is extended if it holds some already."""
     least_f1: float = 0.8
     """Minimum F1 of an episode to be kept. Others are only counted."""
     variation: tyro.conf.OmitArgPrefixes[Variation] = field(default_factory=Variation)
     task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=varied)
-    retry: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Repeat the episodes that failed before."""
-    jobs: int | None = None
-    """Number of episodes at once. By default as many as the cores allow."""
     num_threads: Advanced[int] = 1
     """Threads of each episode."""
-    executor: Literal["local", "ray"] = "local"
-    """Play the episodes on this machine or on a Ray cluster."""
-    address: Advanced[str | None] = None
-    """Of a Ray cluster, such as auto. By default one is started on this machine."""
+    execution: tyro.conf.OmitArgPrefixes[Execution] = field(default_factory=Execution)
     quiet: Quiet = False
 
     refused = ("wrong_press_termination",)
 
 
 def collect(command: Collect, _: Read[Collect]) -> None:
-    from cadenza.evaluation.bench import bench
     from cadenza.evaluation.collecting.collect import episodes, is_complete, record
-    from cadenza.evaluation.results import write_plan
     from cadenza.music.libraries.library import open_library
 
     _check(command)
@@ -78,23 +66,9 @@ def collect(command: Collect, _: Read[Collect]) -> None:
     jobs = episodes(library, _who(command), range(command.episodes), command.least_f1)
     if not jobs:
         raise CadenzaError("there is nothing to play: choose other songs")
-    check_writable(command.output)
-    write_plan(command.output, shlex.join(["cadenza", *sys.argv[1:]]), jobs)
-    with (
-        closing(executor_of(command, record)) as executor,
-        shown(_how_it_went) as table,
-        stop_on_signal("ending the episodes under way") as stop,
-    ):
-        stop()  # from now on
-
-        def goes_on(state: BenchState) -> bool:
-            table.show(state)
-            return not stop()
-
-        state = bench(
-            jobs, command.output, executor, table.ended, goes_on, command.retry, is_complete
-        )
-    tell_what_is_left(state, command.output, ["cadenza", "dataset", "info", str(command.output)])
+    until, summary = "ending the episodes under way", ["cadenza", "dataset", "info"]
+    work = Work(record, is_complete, _outcome, until, [*summary, str(command.output)])
+    run_all(command, jobs, work)
 
 
 def _check(command: Collect) -> None:
@@ -102,7 +76,7 @@ def _check(command: Collect) -> None:
     from cadenza.music.score import Note, Score
     from cadenza.tasks.piano_task import PianoTask
 
-    check_executor(command)
+    check_execution(command)
     whole_number(command.episodes, "episodes", 1, _MOST_EPISODES)
     check_ranges(command, {"least_f1": (0, 1)})
     check_ranges(command.variation, {"noise": (0, 10)})
@@ -151,7 +125,8 @@ def _who(command: Collect) -> Demonstrator:
     )
 
 
-def _how_it_went(folder: Path, _job: Job) -> str:
+def _outcome(folder: Path, _job: Job) -> str:
+    """Returns a line on an episode that was recorded."""
     from cadenza.demonstrations.recorded_episode import read_facts
 
     made = read_facts(folder)
@@ -220,7 +195,7 @@ class DatasetPlay(RecordedParts):
     number: Annotated[tyro.conf.Positional[int], tyro.conf.arg(metavar="N")]
     """Number of the episode, from 0. Those that were kept count, in the order of their folders'
     names."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Output[Path | None] = None
     """Folder for the results; played/FOLDER/N by default."""
     video: tyro.conf.FlagCreatePairsOff[bool] = False
     """Write video.mp4, if this machine can render."""
@@ -255,7 +230,7 @@ class DatasetExport(RecordedParts):
 
     folder: tyro.conf.Positional[Path]
     """Folder of the demonstrations."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Output[Path]
     """A new folder. To load the dataset with Minari, set MINARI_DATASETS_PATH to it."""
     format: Literal["minari", "lerobot"] = "minari"
     """Format of the dataset."""

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from cadenza.cli.arguments import Output
 from cadenza.cli.saving import check_name, check_writable
 from cadenza.music.etudes import DRILLS, KINDS
 
@@ -30,7 +31,7 @@ class Etude:
     """From 1 to 10; for one hand, the number of notes or chords."""
     seed: int | None = None
     """Random seed. By default one is drawn and printed."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Output[Path | None] = None
     """The file, KIND-DIFFICULTY-SEED.mid by default."""
 
 

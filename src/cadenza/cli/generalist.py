@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from cadenza.cli.arguments import Quiet
+from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.clone import train_until_stopped
 from cadenza.cli.options import RecordedParts
 from cadenza.cli.progress import stages
@@ -35,7 +35,7 @@ class CloneGeneralist(RecordedParts):
         tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DATASET...")
     ]
     """Folders that "cadenza dataset collect" has made, of at least three songs."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/generalist")
+    output: Output[Path] = Path("runs/generalist")
     """Folder of the run."""
     quiet: Quiet = False
     config: tyro.conf.OmitArgPrefixes[GeneralistCloningConfig] = field(
@@ -56,7 +56,7 @@ class ReinforceGeneralist:
     """The library, or a split of it as LIBRARY:SPLIT."""
     weights: Path | None = None
     """File of the networks to improve; by default, those that come with Cadenza."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/reinforced")
+    output: Output[Path] = Path("runs/reinforced")
     """Folder of the run."""
     quiet: Quiet = False
     config: tyro.conf.OmitArgPrefixes[GeneralistReinforcementConfig] = field(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from cadenza.agents.registry import AGENTS
-from cadenza.cli.console import counted
+from cadenza.cli.console import counted, in_columns
 from cadenza.errors import CadenzaError
 from cadenza.learning.learner import LEARNERS
 from cadenza.music.arrangement import Arrangement
@@ -96,9 +96,7 @@ def _table_of_tracks(tracks: Sequence[Track]) -> str:
         )
         for t in tracks
     ]
-    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
-    lines = ("  ".join(f"{c:{w}}" for c, w in zip(r, widths, strict=True)) for r in rows)
-    return "\n".join(line.rstrip() for line in lines)
+    return in_columns(rows, "<<<<<<")
 
 
 def _about_fingering(score: Score) -> str:

@@ -5,12 +5,10 @@ from __future__ import annotations
 import shlex
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
-
-import tyro
+from typing import Any
 
 from cadenza.agents.registry import PLANNER, PLAYBACK
-from cadenza.cli.arguments import Quiet
+from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.estimate import tell_how_long
 from cadenza.cli.options import (
     Performing,
@@ -38,7 +36,7 @@ class PlanCommand(Performing):
     Example: cadenza plan OdeToJoy -o joy.safetensors
     """
 
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Output[Path | None] = None
     """The plan, a .safetensors file; played/SONG/plan.safetensors by default. The fingering is
     written beside it as text, to a file that ends in .safetensors.fingering."""
     seed: int = 0

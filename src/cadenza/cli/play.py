@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from cadenza.agents.registry import PLANNER
-from cadenza.cli.arguments import Advanced, Quiet
+from cadenza.cli.arguments import Advanced, Output, Quiet
 from cadenza.cli.console import stop_on_signal
 from cadenza.cli.estimate import tell_how_long
 from cadenza.cli.options import (
@@ -41,7 +41,7 @@ class PlayCommand(Performing):
     """
 
     agent: Annotated[str | None, tyro.conf.arg(help=AGENTS_HELP)] = None
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Output[Path | None] = None
     """Folder for the results, which replace older ones; played/SONG/AGENT by default."""
     seed: int = 0
     """Random seed."""

@@ -8,12 +8,10 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import tyro
+from typing import TYPE_CHECKING, Any
 
 from cadenza.agents.registry import PLANNER
-from cadenza.cli.arguments import Quiet
+from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.console import stop_on_signal
 from cadenza.cli.options import Performing, Read, setting_up
 from cadenza.cli.progress import Advance, progress, stages
@@ -45,7 +43,7 @@ class PracticeCommand(Performing):
     Example: cadenza practice FurEliseOpening -o elise --minutes 5
     """
 
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Output[Path | None] = None
     """Folder of practice and its results; played/SONG/practised by default."""
     effort: float | None = None
     """Practise until the effort is this much in all, 8 by default. 1 is 100 simulated control

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import tyro
 
-from cadenza.cli.arguments import Quiet
+from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.console import in_columns
 from cadenza.cli.saving import check_name, check_writable
 
@@ -25,7 +25,7 @@ class Results:
 
     bench: tyro.conf.Positional[Path]
     """Folder of a bench."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Output[Path | None] = None
     """Folder for index.html and the tables; BENCH/results by default."""
     figure: Path | None = None
     """Draw the bar chart of all pieces, an .svg file, too."""

@@ -7,11 +7,16 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+import tyro
+
+from cadenza.cli.console import stop_on_signal
 from cadenza.cli.progress import QUIET
+from cadenza.cli.saving import check_writable
 from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
 from cadenza.sim.threads import MOST_THREADS
@@ -21,103 +26,133 @@ if TYPE_CHECKING:
     from cadenza.evaluation.jobs import Job
 
 
-class _Command(Protocol):
-    """One that carries out many runs."""
+@dataclass(frozen=True)
+class Execution:
+    """How many runs are carried out at once, and where."""
 
+    retry: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Repeat the runs that failed before."""
+    jobs: int | None = None
+    """Number of runs at once. By default as many as the cores allow."""
+    executor: Literal["local", "ray"] = "local"
+    """Carry out the runs on this machine or on a Ray cluster."""
+    address: str | None = None
+    """Address of a Ray cluster, such as auto. By default one is started on this machine."""
+
+
+class _Command(Protocol):
+    """A command that carries out many runs."""
+
+    @property
+    def output(self) -> Path: ...
+    @property
+    def execution(self) -> Execution: ...
     @property
     def num_threads(self) -> int: ...
-    @property
-    def jobs(self) -> int | None: ...
-    @property
-    def executor(self) -> Literal["local", "ray"]: ...
-    @property
-    def address(self) -> str | None: ...
 
 
-def check_executor(command: _Command) -> None:
+def check_execution(command: _Command) -> None:
     """Raises: CadenzaError: an option of where runs are carried out makes no sense."""
-    for name in "num_threads", "jobs":
-        if (number := getattr(command, name)) is not None:
+    execution = command.execution
+    for name, number in ("num_threads", command.num_threads), ("jobs", execution.jobs):
+        if number is not None:
             whole_number(number, name, 1, MOST_THREADS)
-    if command.executor == "local" and command.address is not None:
+    if execution.executor == "local" and execution.address is not None:
         raise CadenzaError("--address is that of a Ray cluster: add --executor ray")
 
 
-def executor_of(command: _Command, carry_out: CarryOut) -> Executor:
-    """Where the runs of a command are carried out."""
-    if command.executor == "ray":
+@dataclass(frozen=True)
+class Work:
+    """What many runs do."""
+
+    carry_out: CarryOut
+    """Carries out one of them."""
+    is_complete: Callable[[Any, Path], bool]
+    """Whether nothing is left to do for a run in its folder."""
+    outcome: Callable[[Path, Job], str]
+    """Returns a line on a run that has finished in its folder."""
+    until: str
+    """What still happens after Ctrl-C."""
+    next_command: Sequence[str]
+    """The command that sums the runs up."""
+
+
+def run_all(command: _Command, jobs: Sequence[Job], work: Work) -> None:
+    """Carries out the jobs that are not complete yet, until Ctrl-C, and prints what is left.
+
+    Raises:
+        KeyboardInterrupt: some runs are left.
+        CadenzaError: some have failed.
+    """
+    from cadenza.evaluation.bench import bench
+    from cadenza.evaluation.results import write_plan
+
+    check_writable(command.output)
+    write_plan(command.output, shlex.join(["cadenza", *sys.argv[1:]]), jobs)
+    table = _Table(work)
+    with (
+        closing(_executor(command, work)) as executor,
+        closing(table),
+        stop_on_signal(work.until) as stop,
+    ):
+        stop()  # from now on
+
+        def goes_on(state: BenchState) -> bool:
+            table.show(state)
+            return not stop()
+
+        retry = command.execution.retry
+        state = bench(jobs, command.output, executor, table.ended, goes_on, retry, work.is_complete)
+    _tell_what_is_left(state, command.output, work.next_command)
+
+
+def _executor(command: _Command, work: Work) -> Executor:
+    execution = command.execution
+    if execution.executor == "ray":
         from cadenza.evaluation.executors.ray import RayExecutor
 
-        return RayExecutor(command.num_threads, command.jobs, command.address, carry_out)
+        return RayExecutor(command.num_threads, execution.jobs, execution.address, work.carry_out)
     from cadenza.evaluation.executors.local import LocalExecutor
 
-    return LocalExecutor(command.num_threads, command.jobs, carry_out)
-
-
-HowItWent = Callable[[Path, "Job"], str]
-"""Says in a line how a run in its folder went that has finished."""
-
-
-class _Shown(Protocol):
-    def show(self, state: BenchState) -> None:
-        """How far it is now."""
-
-    def ended(self, state: BenchState, job: Job) -> None:
-        """A run has finished or failed, or its process has died."""
-
-
-@contextmanager
-def shown(how_it_went: HowItWent) -> Iterator[_Shown]:
-    """A table of the runs under way on a terminal; a line for each that ends anywhere else."""
-    if QUIET.get() or not sys.stderr.isatty():
-        yield _Lines(how_it_went)
-        return
-    table = _Table(how_it_went)
-    try:
-        yield table
-    finally:
-        table.clear()
-
-
-class _Lines:
-    def __init__(self, how_it_went: HowItWent) -> None:
-        self._how_it_went = how_it_went
-
-    def show(self, state: BenchState) -> None:
-        pass
-
-    def ended(self, state: BenchState, job: Job) -> None:
-        if not QUIET.get():
-            done = state.finished + len(state.failed)
-            print(
-                f"{done} of {state.total}: {_what_became_of(state, job, self._how_it_went)}",
-                file=sys.stderr,
-            )
+    return LocalExecutor(command.num_threads, execution.jobs, work.carry_out)
 
 
 class _Table:
-    """Drawn anew in its place twice a second; what has ended scrolls by above it."""
+    """The runs under way, drawn anew in place twice a second; what has ended scrolls by above.
 
-    def __init__(self, how_it_went: HowItWent) -> None:
-        self._how_it_went = how_it_went
+    Where there is no terminal, only a line for each run that ends.
+    """
+
+    def __init__(self, work: Work) -> None:
+        self._work = work
+        self._live = sys.stderr.isatty()
         self._lines = 0
         self._began: dict[str, float] = {}
 
     def show(self, state: BenchState) -> None:
+        """Shows how far the runs are now."""
+        if not self._live or QUIET.get():
+            return
         columns, rows = shutil.get_terminal_size()
         lines = [*self._rows(state, columns)][: rows - 2]
-        self.clear()
-        print(
-            *(line[: columns - 1] for line in [*lines, _in_all(state)]), sep="\n", file=sys.stderr
+        total = _in_all(
+            state, under_way=len(state.running), under_way_elsewhere=len(state.elsewhere)
         )
+        self.close()
+        print(*(line[: columns - 1] for line in [*lines, total]), sep="\n", file=sys.stderr)
         self._lines = len(lines) + 1
 
     def ended(self, state: BenchState, job: Job) -> None:
-        self.clear()
+        """Prints what became of a run that has finished or failed, or whose process has died."""
+        if QUIET.get():
+            return
+        self.close()
         self._began.pop(job.spec.name, None)
-        print(_what_became_of(state, job, self._how_it_went), file=sys.stderr)
+        done = "" if self._live else f"{state.finished + len(state.failed)} of {state.total}: "
+        print(f"{done}{_what_became_of(state, job, self._work)}", file=sys.stderr)
 
-    def clear(self) -> None:
+    def close(self) -> None:
+        """Takes away what `show` has drawn."""
         if self._lines:
             print(f"\x1b[{self._lines}F\x1b[J", end="", file=sys.stderr, flush=True)
         self._lines = 0
@@ -145,42 +180,41 @@ def _named(job: Job) -> str:
     return f"{job.spec.song}  {job.spec.agent}  seed {job.spec.seed}"
 
 
-def _what_became_of(state: BenchState, job: Job, how_it_went: HowItWent) -> str:
+def _what_became_of(state: BenchState, job: Job, work: Work) -> str:
     if job.spec.name in state.failed:
         how = f"failed: {state.failed[job.spec.name]}"
     elif job in state.todo:
         how = f"{state.died[job.spec.name][-1]}; it will be taken up again"
     else:
         try:
-            how = how_it_went(state.folder / job.spec.name, job)
+            how = work.outcome(state.folder / job.spec.name, job)
         except (CadenzaError, OSError) as error:
             how = str(error)
     return f"{_named(job)}: {how}"
 
 
-def _in_all(state: BenchState) -> str:
+def _in_all(state: BenchState, **others: int) -> str:
+    """Returns how many runs are finished, and how many failed and so on if there are any."""
+    counts = {"failed": len(state.failed), **others}
     parts = [f"{state.finished} of {state.total} runs finished"]
-    parts += [f"{len(state.failed)} failed"] * bool(state.failed)
-    parts += [f"{len(state.running)} under way"] * bool(state.running)
-    parts += [f"{len(state.elsewhere)} under way elsewhere"] * bool(state.elsewhere)
+    parts += [f"{count} {what.replace('_', ' ')}" for what, count in counts.items() if count]
     return ", ".join(parts)
 
 
-def tell_what_is_left(state: BenchState, folder: Path, to_sum_up: Sequence[str]) -> None:
-    """And the command that sums them up.
+def _tell_what_is_left(state: BenchState, folder: Path, next_command: Sequence[str]) -> None:
+    """Prints how many runs are finished, and which command sums them up.
 
-    Raises: KeyboardInterrupt or CadenzaError: not all runs are finished.
+    Raises:
+        KeyboardInterrupt: some runs are left.
+        CadenzaError: some have failed.
     """
-    parts = [f"{state.finished} of {state.total} runs finished"]
-    parts += [f"{len(state.failed)} failed"] * bool(state.failed)
-    parts += [f"{state.left} left"] * bool(state.left)
-    print(f"{', '.join(parts)}, in {folder}")
+    print(f"{_in_all(state, left=state.left)}, in {folder}")
     for name, why in state.failed.items():
         print(f"{name}: {why}", file=sys.stderr)
     if state.left:
         print("run the same command again to go on", file=sys.stderr)
         raise KeyboardInterrupt
-    print(f"To sum them up: {shlex.join(to_sum_up)}")
+    print(f"To sum them up: {shlex.join(next_command)}")
     if state.failed:
         raise CadenzaError(
             f"{len(state.failed)} of {state.total} runs failed, as told above; once the causes are "

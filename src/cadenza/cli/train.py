@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, get_args
 
 import tyro
 
-from cadenza.cli.arguments import Advanced, Chosen, Quiet
+from cadenza.cli.arguments import Advanced, Chosen, Output, Quiet
 from cadenza.cli.console import stop_on_signal
 from cadenza.cli.options import SETUP_HELP
 from cadenza.cli.progress import QUIET, progress, stages
@@ -56,7 +56,7 @@ class Train:
     resume: Path | None = None
     """Continue the run in this folder, with its own options. --num-steps changes its end. A hand,
     keyboard or learner given as module:NAME has to be given again."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Output[Path | None] = None
     """Folder of the run; runs/SONG by default."""
     num_cores: int = 2
     """CPU cores to use. Cores that other runs have claimed are left out."""
@@ -81,7 +81,7 @@ class Curves:
 
     runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
     """Folders of runs, finished or not."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("curves.html")
+    output: Output[Path] = Path("curves.html")
     """The page, a .html file."""
     learner: Advanced[str | None] = None
     """Learner of the runs, if it was given as module:NAME."""
