@@ -141,7 +141,7 @@ def test_an_agent_of_ones_own_plays() -> None:
 def test_no_agent_takes_more_than_two_cores_unasked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cadenza.sim.threads.available_cores", lambda: 16)
     for wanted, used in ((None, 2), (3, 3)):
-        with set_up(select(TUNE, "planner"), num_threads=wanted) as setup:
+        with set_up(select(TUNE, "planner").with_options(num_threads=wanted)) as setup:
             assert setup.agent.threads == used
             assert max(pool["num_threads"] for pool in threadpool_info()) <= used
 

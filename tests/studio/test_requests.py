@@ -191,7 +191,7 @@ def test_there_is_a_limit_to_what_is_played(notes: tuple[Note, ...], why: str) -
 
 def kept(songs: Storage, id: str, song: str, seed: int, transpose: int = 0) -> Path:
     folder = songs.folder / id
-    with set_up(select(SCORE, RandomAgent()), seed=seed) as setup:
+    with set_up(select(SCORE, RandomAgent()).with_options(seed=seed)) as setup:
         perform(setup).save(folder, page=False)
     about = KeptPerformance(
         song, PlayRequest(song, "sight", seed=seed, transpose=transpose), 0.9, 0.8, 8.0, 1.0

@@ -25,7 +25,7 @@ from cadenza.tasks.config import TaskConfig
 def test_the_rows_hold_the_episode(task: TaskConfig) -> None:
     score = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, 60 + i) for i in range(4)), title="Four")
     sent: list[Message] = []
-    with set_up(select(score, RandomAgent()), task, seed=3) as setup:
+    with set_up(select(score, RandomAgent()).with_options(task, seed=3)) as setup:
         states = StateStream(setup.task, sent.append)
         states.begin()
         played = perform(setup, lambda stage, *_: states.step() if stage == "playing" else None)

@@ -27,11 +27,10 @@ def in_columns(rows: Sequence[Sequence[str]], alignment: str = "<") -> str:
         alignment: how each column is aligned, "<" for left and ">" for right, which those have that
             it does not reach.
     """
-    columns = [*zip(*rows, strict=True)]
-    widths = [
-        f"{way}{max(map(len, c))}" for way, c in zip(alignment.ljust(len(columns), ">"), columns)
-    ]
-    lines = ("  ".join(map(format, row, widths)).rstrip() for row in rows)
+    ways = alignment.ljust(len(rows[0]), ">")
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    cells = [f"{way}{width}" for way, width in zip(ways, widths, strict=True)]
+    lines = ("  ".join(map(format, row, cells)).rstrip() for row in rows)
     return "\n".join(lines)
 
 

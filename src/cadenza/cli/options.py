@@ -180,6 +180,9 @@ def setting_up(selection: Selection, command: Options, seed: int = 0) -> Iterato
     with ExitStack() as kept:
         with stages("playing") as progress:
             setup = kept.enter_context(
-                set_up(selection, command.task, command.scene, seed, progress, command.num_threads)
+                set_up(
+                    selection.with_options(command.task, command.scene, seed, command.num_threads),
+                    progress,
+                )
             )
         yield setup

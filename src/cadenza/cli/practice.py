@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from cadenza.performing.practising import Practising
     from cadenza.performing.setup import Setup
 
-_BETWEEN = 20.0  # [s] at least between two times that practice is saved, or its plan
 _LATE = 0.999  # of a step, so that a bar that begins within it has begun
 
 
@@ -184,8 +183,6 @@ def _practise(
 
     practice = practising.practice
     score, told = practice.plan.track.delayed_score, len(practice.history)
-    # Apart: the whole song is played to save its plan, which takes much longer.
-    saved, plan_saved = _RateLimited(practising.save), _RateLimited(practising.save_plan)
     with _shown(practice, effort, minutes) as show:
 
         def goes_on() -> bool:
@@ -195,9 +192,9 @@ def _practise(
                 print("effort {:.2g}: F1 {:.3f}, note onsets F1 {:.3f}".format(*row))
             told = len(practice.history)
             time_left = show(_remark(practice, score))
-            saved.call_if_due(at_once=played_first)
+            practising.save_if_due(at_once=played_first)
             if practice.history:
-                plan_saved.call_if_due(at_once=played_first)
+                practising.save_plan_if_due(at_once=played_first)
             return not stop() and time_left
 
         practice.run(effort if minutes is None else MOST_EFFORT, goes_on)
@@ -206,21 +203,6 @@ def _practise(
         print("stopped within the first take; what follows is played as planned, without a search")
     elif left := practice.steps_with_loss() if score.bars else practice.passages_with_loss():
         print(f"not yet right: {_places(practice, score, left)}")
-
-
-class _RateLimited:
-    """Calls a function now and then, for at most a twentieth of the time."""
-
-    def __init__(self, do: Callable[[], None]) -> None:
-        self._do, self._done, self._took = do, time.monotonic(), 0.0
-
-    def call_if_due(self, at_once: bool) -> None:
-        """Calls the function if it is due, or at once."""
-        began = time.monotonic()
-        if at_once or began - self._done > max(_BETWEEN, 20 * self._took):
-            self._do()
-            self._done = time.monotonic()
-            self._took = self._done - began
 
 
 @contextmanager

@@ -131,7 +131,8 @@ def _play(spec: JobSpec, folder: Path, num_threads: int, progress: Progress) -> 
     agent = spec.agent if spec.training is None else str(folder / "training" / "best")
     configs = {} if spec.training is not None else {spec.agent: spec.config}
     selection = select(spec.song, agent, arrangement=spec.arrangement, configs=configs)
-    with set_up(selection, spec.task, spec.scene, spec.seed, progress, num_threads) as setup:
+    selection = selection.with_options(spec.task, spec.scene, spec.seed, num_threads)
+    with set_up(selection, progress) as setup:
         return perform(setup, progress)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -138,7 +138,6 @@ class Performance:
         folder, played = Path(folder), self.played
         if loudness == "score":
             played = with_velocities_of(played, self.goal)
-        lost = [asdict(m) | {"finger": written(m.finger)} for m in self.misses or ()]
         write_json(folder / "settings.json", self.settings)  # first: it says whose the others are
         self.episode.save(folder / "episode.npz")
         parts = hand_episodes(self.episode, self.scene)
@@ -146,6 +145,7 @@ class Performance:
             part.save(folder / f"episode-{side}.npz")
         write_json(folder / "metrics.json", self.metrics)
         if self.misses is not None:
+            lost = [asdict(miss) | {"finger": written(miss.finger)} for miss in self.misses]
             write_json(folder / "misses.json", lost)
         write_midi(played, folder / "played.mid")
         ours = {f"episode-{side}.npz": side in parts for side in SIDES}
@@ -161,8 +161,7 @@ class Performance:
         try:
             drawn = video and self._write_video(path, audio, progress, picture or VIDEO)
         finally:  # who does not wait for the video has the page all the same
-            shown = self.episode, self.metrics, self.settings, audio, lost, self.goal
-            _write_page(folder, *shown, video=path.name if drawn else "")
+            add_page(folder, self.goal, audio, video=path.name if drawn else "")
 
     def _write_video(self, path: Path, audio: Sound, progress: Progress, picture: Picture) -> bool:
         """Writes video.mp4; returns whether this machine can render."""
@@ -215,52 +214,32 @@ def _are_results(folder: Path) -> bool:
     return {"song", "agent", "task", "scene"} <= settings.keys()
 
 
-def add_page(folder: Path, goal: Score) -> None:
-    """Makes the page of a performance that was saved without one, from its files.
+def add_page(folder: Path, goal: Score, audio: Sound | None = None, video: str = "") -> None:
+    """Makes the page of a performance from its files.
 
     Args:
         folder: of the performance.
         goal: see `Performance`; what the page compares the sound with.
+        audio: the sound of the performance; None synthesizes it.
+        video: the name of the video in the folder, if there is one.
 
     Raises:
         CadenzaError: a file is not there, or cannot be read.
     """
-    episode = load_episode(folder / "episode.npz")
-    metrics = read_json(folder / "metrics.json", dict[str, Any])
-    settings = read_json(folder / "settings.json", dict[str, Any])
-    lost = folder / "misses.json"
-    misses = read_json(lost, list[dict[str, Any]]) if lost.exists() else []
-    _write_page(folder, episode, metrics, settings, synthesize(played_in(episode)), misses, goal)
-
-
-def _write_page(
-    folder: Path,
-    episode: Episode,
-    metrics: Mapping[str, Any],
-    settings: Mapping[str, Any],
-    audio: Sound,
-    misses: Sequence[Mapping[str, Any]],
-    goal: Score,
-    video: str = "",
-) -> None:
-    """Writes report.html of a performance whose other files are in `folder`."""
+    episode, lost = load_episode(folder / "episode.npz"), folder / "misses.json"
     seconds = episode.num_steps * episode.dt
-    goal_mp3 = encode_mp3(
-        synthesize(goal.until(seconds)), bit_rate=48_000, mono=True, seconds=seconds
-    )
-    midi = content_of(folder / "played.mid")
-    path = folder / "report.html"
+    sound = synthesize(goal.until(seconds))
     page = performance_page(
         episode,
-        metrics,
-        settings,
-        audio,
-        misses=misses,
-        goal_mp3=goal_mp3,
-        midi=midi,
+        read_json(folder / "metrics.json", dict[str, Any]),
+        read_json(folder / "settings.json", dict[str, Any]),
+        synthesize(played_in(episode)) if audio is None else audio,
+        misses=read_json(lost, list[dict[str, Any]]) if lost.exists() else (),
+        goal_mp3=encode_mp3(sound, bit_rate=48_000, mono=True, seconds=seconds),
+        midi=content_of(folder / "played.mid"),
         video=video,
     )
-    write_page(path, page)
+    write_page(folder / "report.html", page)
 
 
 def play(
@@ -307,8 +286,9 @@ def play(
     named = NamedSetup() if setup is None else setup_named(setup)
     if setup is not None and scene is not None:
         raise CadenzaError(f"setup {setup} has a scene of its own: give a setup or a scene")
-    selection = select(song, named.agent if agent is None else agent, plan=plan).at(named)
-    with set_up(selection, task, scene, seed, progress, num_threads) as ready:
+    selection = select(song, named.agent if agent is None else agent, plan=plan)
+    chosen = named.applied_to(selection).with_options(task, scene, seed, num_threads)
+    with set_up(chosen, progress) as ready:
         return perform(ready, progress)
 
 

@@ -116,7 +116,7 @@ def plan(
             to the end.
     """
     selection = select(song, PLANNER, configs={PLANNER: config})
-    with set_up(selection, task, scene, seed, progress, num_threads) as setup:
+    with set_up(selection.with_options(task, scene, seed, num_threads), progress) as setup:
         return make_plan(setup, progress)
 
 

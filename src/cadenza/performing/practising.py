@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,6 +33,9 @@ def practice_folder(path: Path) -> ResumableFolder:
     locked_out = "somebody practises there; choose another folder with --output"
     return ResumableFolder(path, "cadenza practice", locked_out, PRACTISED_HOW)
 
+_SAVE_INTERVAL = 20.0  # [s] at least between two times that practice is saved, or its plan
+_MAX_SAVING = 0.05  # share of the time that is spent on saving
+
 
 def check_is_practice(folder: Path) -> None:
     """Checks that practice may go on in a folder.
@@ -44,12 +49,29 @@ def check_is_practice(folder: Path) -> None:
         )
 
 
+class RateLimited:
+    """A function that is called again and again, and works only now and then."""
+
+    def __init__(self, work: Callable[[], None]) -> None:
+        self._work, self._last_time, self._duration = work, time.monotonic(), 0.0
+
+    def __call__(self, at_once: bool = False) -> None:
+        """Does the work if it is due, or `at_once`."""
+        began = time.monotonic()
+        if at_once or began - self._last_time > max(_SAVE_INTERVAL, self._duration / _MAX_SAVING):
+            self._work()
+            self._last_time = time.monotonic()
+            self._duration = self._last_time - began
+
+
 class Practising:
     """Practice of what was set up, from where the folder says that it was left.
 
     Attributes:
         practice: the practice itself.
         performance: the performance of the last plan that was saved, or ended early.
+        save_if_due: saves as `save` does, for at most a small share of the time.
+        save_plan_if_due: the same for `save_plan`, which takes much longer: it plays the song.
     """
 
     def __init__(self, setup: Setup, folder: ResumableFolder, progress: Progress = silent) -> None:
@@ -64,6 +86,8 @@ class Practising:
         assert isinstance(setup.agent, Planner)
         self._setup, self._agent, self._path = setup, setup.agent, folder.path / PRACTICE
         self.performance: Performance | None = None
+        self.save_if_due = RateLimited(self.save)
+        self.save_plan_if_due = RateLimited(self.save_plan)
         (rng,) = begin_episodes(setup.task, [setup.seed])
         config, threads = replace(setup.agent.config, effort=0.0), Threads(setup.agent.threads)
         context = PlanningContext(config, threads, progress)

@@ -40,7 +40,6 @@ from cadenza.sim.threads import MOST_THREADS
 from cadenza.tasks.config import TaskConfig, task_identity, with_time_to_begin
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
-from cadenza.tasks.setups import NamedSetup
 
 SomeAgent = str | Path | Agent
 
@@ -61,6 +60,11 @@ class Selection:
     """The same; for a plan, with the physics that it was made in."""
     learnt: LearntPolicy | None = None
     plan: SavedPlan | None = None
+    seed: int = 0
+    """Seed of everything random."""
+    num_threads: int | None = None
+    """How many threads an agent may use that can use several; by default as many as it was told, or
+    two, one for each hand."""
 
     @property
     def score(self) -> Score:
@@ -68,12 +72,30 @@ class Selection:
         return self.source.score
 
     def with_score(self, score: Score) -> Selection:
-        """The same with another score of the song."""
+        """Returns the same with another score of the song."""
         return replace(self, source=replace(self.source, score=score))
 
-    def at(self, named: NamedSetup) -> Selection:
-        """The same with the task and the scene of a named setup."""
-        return named.applied_to(self)
+    def with_options(
+        self,
+        task: TaskConfig | None = None,
+        scene: SceneConfig | None = None,
+        seed: int = 0,
+        num_threads: int | None = None,
+    ) -> Selection:
+        """Returns the same with the options that are given.
+
+        Raises:
+            CadenzaError: an option makes no sense.
+        """
+        if num_threads is not None:
+            num_threads = whole_number(num_threads, "num_threads", 1, MOST_THREADS)
+        return replace(
+            self,
+            task=as_config(self.task if task is None else task, TaskConfig),
+            scene=as_config(self.scene if scene is None else scene, SceneConfig),
+            seed=whole_number(seed, "seed", 0, MOST_SEED),
+            num_threads=num_threads,
+        )
 
 
 @dataclass(frozen=True)
@@ -201,40 +223,25 @@ def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:
 
 
 @contextmanager
-def set_up(
-    selection: Selection,
-    task: TaskConfig | None = None,
-    scene: SceneConfig | None = None,
-    seed: int = 0,
-    progress: Progress = silent,
-    num_threads: int | None = None,
-) -> Iterator[Setup]:
-    """Yields what to play, in the task and scene of the selection unless others are chosen.
+def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]:
+    """Yields what to play, in the task and the scene of the selection.
 
     Args:
-        selection: what is played and who plays.
-        task, scene: what holds instead of the selection's own.
-        seed: of everything random.
+        selection: what is played, who plays, and how.
         progress: is told of "fingers", which are looked for before anyone plays.
-        num_threads: how many threads an agent may use that can use several; by default as many as
-            it was told, or two, one for each hand.
 
     Raises:
-        CadenzaError: an option makes no sense, or the agent cannot play with it.
+        CadenzaError: the agent cannot play with these options.
     """
-    task = as_config(selection.task if task is None else task, TaskConfig)
-    scene = as_config(selection.scene if scene is None else scene, SceneConfig)
-    seed = whole_number(seed, "seed", 0, MOST_SEED)
-    if num_threads is not None:
-        num_threads = whole_number(num_threads, "num_threads", 1, MOST_THREADS)
+    task, scene, seed = selection.task, selection.scene, selection.seed
     options = task_identity(task, scene, seed, **asdict(selection.source.arrangement))
     if selection.plan is not None:
-        _check_plan(selection.plan, options, made_in=selection.scene, played_in=scene)
-    settings = _settings(selection, task, scene, seed)
+        _check_plan(selection.plan, options, scene)
+    settings = _settings(selection)
     looking = partial(progress, "fingers")
     with (
         closing(PianoTask([selection.score], task, scene, progress=looking)) as piano_task,
-        _with_threads(selection.agent, num_threads),
+        _with_threads(selection.agent, selection.num_threads),
     ):
         lost = list(_lost_between_steps(piano_task.tracks[0]))
         for loss in lost:
@@ -263,29 +270,26 @@ def _lost_between_steps(track: GoalTrack) -> Iterator[str]:
         )
 
 
-def _check_plan(
-    plan: SavedPlan, options: dict[str, Any], made_in: SceneConfig, played_in: SceneConfig
-) -> None:
+def _check_plan(plan: SavedPlan, options: dict[str, Any], scene: SceneConfig) -> None:
     """Raises: CadenzaError: with these options it would not play the same."""
     plan.check(options)
-    if played_in.physics != made_in.physics:
-        made = f"{plan.path}: made in the {made_in.physics} physics"
-        played = f"{made}, played in the {played_in.physics} physics"
+    made_in = replace(SceneConfig(), **plan.physics).physics
+    if scene.physics != made_in:
+        made = f"{plan.path}: made in the {made_in} physics"
+        played = f"{made}, played in the {scene.physics} physics"
         warnings.warn(played, CadenzaWarning, stacklevel=4)
 
 
-def _settings(
-    selection: Selection, task: TaskConfig, scene: SceneConfig, seed: int
-) -> dict[str, Any]:
-    """See `Setup.settings`."""
+def _settings(selection: Selection) -> dict[str, Any]:
+    """Returns what was chosen, see `Setup.settings`."""
     settings: dict[str, Any] = {
         "song": selection.source.name,
         "agent": selection.name,
-        "seed": seed,
+        "seed": selection.seed,
         "plan": None if selection.plan is None else str(selection.plan.path),
         "arrangement": asdict(selection.source.arrangement),
-        "task": asdict(task),
-        "scene": asdict(scene),
+        "task": asdict(selection.task),
+        "scene": asdict(selection.scene),
     }
     if is_dataclass(selection.config) and not isinstance(selection.config, type):
         settings[options_name(selection.name)] = asdict(selection.config)

@@ -157,7 +157,7 @@ def set_up_order(order: Order, progress: Progress) -> AbstractContextManager[Set
         scene = replace(scene, hand=request.hand)
     transpose, stretch = task.transpose + request.transpose, task.stretch / request.tempo
     task = replace(task, transpose=transpose, stretch=stretch)
-    return set_up(selection, task, scene, request.seed, progress)
+    return set_up(selection.with_options(task, scene, request.seed), progress)
 
 
 def _practised_setup(order: Order) -> AbstractContextManager[Setup] | None:
@@ -172,7 +172,7 @@ def _practised_setup(order: Order) -> AbstractContextManager[Setup] | None:
     except CadenzaError:  # damaged: practice makes another
         (folder / PLAN).replace(folder / f"{PLAN}.old")
         return None
-    return set_up(selection, seed=order.request.seed)
+    return set_up(selection.with_options(seed=order.request.seed))
 
 
 def practice_folder_of(order: Order) -> Path:

@@ -12,7 +12,6 @@ import os
 import signal
 import sys
 import time
-from pathlib import Path
 
 from cadenza.agents.planner.config import ENOUGH
 from cadenza.errors import CadenzaError
@@ -26,8 +25,6 @@ from cadenza.studio.request import Order
 
 _NICENESS = 10  # nobody waits for practice
 _REPORT_INTERVAL = 1.0  # [s] between two reports
-_SAVE_INTERVAL = 20.0  # [s] at least between two times that practice is saved
-_MAX_SAVING = 0.05  # share of the time that is spent on saving
 
 
 def main() -> None:
@@ -65,52 +62,40 @@ def practise(order: Order, send: Send) -> None:
                 raise
             (folder / PRACTICE).replace(folder / f"{PRACTICE}.old")
             practising = Practising(setup, kept, report)
-        _Session(practising, folder, send).run()
-
-
-class _Session:
-    """Practises from where it was left until all practice has been made."""
-
-    def __init__(self, practising: Practising, folder: Path, send: Send) -> None:
-        self._practising, self._send = practising, send
-        self._last_report, self._last_save, self._saving_time = 0.0, time.monotonic(), 0.0
         known = practising.practice.history if (folder / PRACTISED).exists() else ()
-        self._num_saved = len(known)  # attempts
+        _practise_until_done(practising, len(known), send)
 
-    def run(self) -> None:
-        finished = False
-        while not finished:
-            finished = self._practising.practice.run(ENOUGH, self._continues)
-            if self._has_more:
-                self._save_attempt()
-        self._report("done")
 
-    @property
-    def _has_more(self) -> bool:
-        return len(self._practising.practice.history) > self._num_saved
+def _practise_until_done(practising: Practising, num_saved: int, send: Send) -> None:
+    """Practises until all practice has been made; reports and saves now and then.
 
-    def _save_attempt(self) -> None:
-        self._num_saved = len(self._practising.practice.history)
-        self._practising.save()
-        self._practising.save_plan()
+    Args:
+        practising: practice, from where it was left.
+        num_saved: the number of attempts before the plan was saved.
+        send: is told how far it has got.
+    """
+    practice, last_report, finished = practising.practice, 0.0, False
 
-    def _continues(self) -> bool:
-        """Reports and saves now and then; returns whether there is no attempt to save."""
-        now = time.monotonic()
-        if now - self._last_report > _REPORT_INTERVAL:
-            self._report("practising")
-            self._last_report = now
-        if now - self._last_save > max(_SAVE_INTERVAL, self._saving_time / _MAX_SAVING):
-            self._practising.save()
-            self._last_save = time.monotonic()
-            self._saving_time = self._last_save - now
-        return not self._has_more
-
-    def _report(self, state: str) -> None:
-        practice = self._practising.practice
+    def report(state: str) -> None:
         f1, onsets = ([row[i] for row in practice.history] for i in (1, 2))
         share = practice.share_made(ENOUGH)
-        self._send(json_message(state=state, f1=f1, note_onset_f1=onsets, share=share))
+        send(json_message(state=state, f1=f1, note_onset_f1=onsets, share=share))
+
+    def goes_on() -> bool:
+        nonlocal last_report
+        if time.monotonic() - last_report > _REPORT_INTERVAL:
+            report("practising")
+            last_report = time.monotonic()
+        practising.save_if_due()
+        return len(practice.history) == num_saved
+
+    while not finished:
+        finished = practice.run(ENOUGH, goes_on)
+        if len(practice.history) > num_saved:
+            num_saved = len(practice.history)
+            practising.save()
+            practising.save_plan()
+    report("done")
 
 
 if __name__ == "__main__":

@@ -147,8 +147,9 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
         song = song.without_fingers()
     score, drawn = spec.variation.draw(song, spec.pitches, rng)
     selection = selection.with_score(score)
+    selection = selection.with_options(spec.task, spec.scene, seed, num_threads)
     with (
-        set_up(selection, spec.task, spec.scene, seed, progress, num_threads) as setup,
+        set_up(selection, progress) as setup,
         closing(_perturbed_agent(setup, drawn["noise"], spec)) as perturbed,
     ):
         result = play_episode(setup.task, perturbed, seed, progress)
