@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from cadenza.agents.registry import PLANNER
 from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.console import stop_on_signal
 from cadenza.cli.options import Performing, Read, setting_up
-from cadenza.cli.progress import Advance, progress, stages
+from cadenza.cli.progress import one_after_other, stages
 from cadenza.cli.saving import check_writable, default_folder, save
 from cadenza.errors import CadenzaError
 from cadenza.files import checked, read_json
@@ -183,7 +183,8 @@ def _practise(
 
     practice = practising.practice
     score, told = practice.plan.track.delayed_score, len(practice.history)
-    with _shown(practice, effort, minutes) as show:
+    began = time.monotonic()
+    with one_after_other() as show:
 
         def goes_on() -> bool:
             nonlocal told
@@ -191,11 +192,13 @@ def _practise(
             for row in practice.history[told:]:
                 print("effort {:.2g}: F1 {:.3f}, note onsets F1 {:.3f}".format(*row))
             told = len(practice.history)
-            time_left = show(_remark(practice, score))
+            seconds = time.monotonic() - began
+            stage, unit, done, total = _progress(practice, effort, minutes, seconds)
+            show(stage, unit, int(min(done, total)), int(total), _remark(practice, score))
             practising.save_if_due(at_once=played_first)
             if practice.history:
                 practising.save_plan_if_due(at_once=played_first)
-            return not stop() and time_left
+            return not stop() and (minutes is None or done < total)
 
         practice.run(effort if minutes is None else MOST_EFFORT, goes_on)
         goes_on()
@@ -205,35 +208,14 @@ def _practise(
         print(f"not yet right: {_places(practice, score, left)}")
 
 
-@contextmanager
-def _shown(
-    practice: Practice, effort: float, minutes: float | None
-) -> Iterator[Callable[[str], bool]]:
-    """Yields a function that shows the progress with a remark, and returns whether time is left.
-
-    The first take, which counts for no effort, and what is finished after the effort are shown by
-    themselves: what they take says nothing of how long the rest will take.
-    """
-    began, stage = time.monotonic(), ""
-    advance: Advance
-    with ExitStack() as shown:
-
-        def show(remark: str) -> bool:
-            nonlocal stage, advance
-            now, unit, done, total = _progress(practice, effort, minutes, time.monotonic() - began)
-            if now != stage:
-                shown.close()
-                stage, advance = now, shown.enter_context(progress(now, unit))
-            advance(int(min(done, total)), int(total), remark)
-            return minutes is None or done < total
-
-        yield show
-
-
 def _progress(
     practice: Practice, effort: float, minutes: float | None, seconds: float
 ) -> tuple[str, str, float, float]:
-    """Returns the stage, its unit, how much of it is done, and how much it is, after `seconds`."""
+    """Returns the stage, its unit, how much of it is done, and how much it is, after `seconds`.
+
+    The first take, which counts for no effort, and what is finished after the effort are stages of
+    their own: what they take says nothing of how long the rest will take.
+    """
     if minutes is not None:
         return "practising", "s", seconds, 60 * minutes
     stage, done, total = practice.progress(effort)

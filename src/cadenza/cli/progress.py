@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Protocol
@@ -21,7 +21,6 @@ _UNITS = {  # of stages that do not count steps
     "fingers": "notes",
     "motions": "motions",
     "postures": "iterations",
-    "practising": "%",
     "making the sound": "files",
     "drawing": "frames",
 }
@@ -54,26 +53,41 @@ def progress(doing: str, unit: str, seconds_between_lines: float = 10.0) -> Iter
 
 
 @contextmanager
+def one_after_other() -> Iterator[Callable[..., None]]:
+    """Yields a function that shows stages of work, which begin and end as their names change.
+
+    It takes the name of the stage, its unit, units done, units in all, and perhaps a remark.
+    """
+    stage = ""
+    advance: Advance = _mute
+    with ExitStack() as shown:
+
+        def show(now: str, unit: str, done: int, total: int, remark: str = "") -> None:
+            nonlocal stage, advance
+            if now != stage:
+                shown.close()
+                stage, advance = now, shown.enter_context(progress(now, unit))
+            advance(done, total, remark)
+
+        yield show
+
+
+@contextmanager
 def stages(playing: str) -> Iterator[Progress]:
     """Shows one stage of a performance after the other; `playing` is what that stage is called.
 
     What an agent does between its actions stands as a remark there.
     """
     stage, last = "", (0, 0)
-    advance: Advance = _mute
-    with ExitStack() as shown:
+    with one_after_other() as show:
 
         def tell(now: str, done: int, total: int) -> None:
-            nonlocal stage, last, advance
+            nonlocal stage, last
             if stage == "playing" != now:
-                advance(*last, remark=now)
+                show(playing, "steps", *last, now)
                 return
-            if now != stage:
-                shown.close()
-                stage, label = now, playing if now == "playing" else now
-                advance = shown.enter_context(progress(label, _UNITS.get(now, "steps")))
-            last = done, total
-            advance(*last)
+            stage, last = now, (done, total)
+            show(playing if now == "playing" else now, _UNITS.get(now, "steps"), done, total)
 
         yield tell
 

@@ -109,18 +109,18 @@ def train(command: Train) -> None:
 
     if (command.song is None) == (command.resume is None):
         raise CadenzaError("give a song to learn, or the folder of a run with --resume")
-    kept = command.learner in (Train.learner, name_of(command.training.learner))
-    if command.resume is not None and not (kept and command.preset == Train.preset):
-        raise CadenzaError(
-            f"{command.resume}: a resumed run keeps its own options; leave out --preset and "
-            "--learner"
-        )
-    if command.resume is not None and command.arrangement.chosen:
-        raise CadenzaError(
-            f"{command.resume}: a resumed run keeps its own song; leave out --tracks and --reduce"
-        )
-    if command.resume is not None and command.output is not None:
-        raise CadenzaError(f"{command.resume}: a run is resumed in its folder; leave out --output")
+    if command.resume is not None:
+        learners = Train.learner, name_of(command.training.learner)
+        other = command.learner not in learners or command.preset != Train.preset
+        for is_given, what, options in (
+            (other, "options", "--preset and --learner"),
+            (command.arrangement.chosen, "song", "--tracks and --reduce"),
+            (command.output is not None, "folder", "--output"),
+        ):
+            if is_given:
+                raise CadenzaError(
+                    f"{command.resume}: a resumed run keeps its own {what}; leave out {options}"
+                )
     if command.num_cores < 1:
         raise CadenzaError(f"num_cores {command.num_cores}: choose 1 or more")
     name = name_without_ending(str(command.song))
