@@ -125,16 +125,16 @@ def test_no_sound_depends_on_the_blocks_that_it_is_made_in(monkeypatch):
         (Note(0, 0.2, 30), Note(0.9, 7.5, 60, 127), Note(1.95, 2.5, 64, 127), Note(2, 2.3, 67, 50)),
         (PedalEvent(0, 127), PedalEvent(6, 0)),
     )
-    monkeypatch.setattr(sound, "_CEILING", 0.2)  # so that there is something to turn down
+    monkeypatch.setattr(sound, "CEILING", 0.2)  # so that there is something to turn down
     whole = synthesize(score)[:].astype(int)
     assert np.abs(whole).max() > 0.15 * 32768
     for seconds in (1, 3):
-        monkeypatch.setattr(sound, "_BLOCK", seconds)
+        monkeypatch.setattr(sound, "BLOCK", seconds)
         assert np.abs(synthesize(score)[:] - whole).max() <= 1
 
 
 def test_memory_does_not_grow_with_the_sound(monkeypatch):
-    monkeypatch.setattr(sound, "_IN_MEMORY", 1 << 20)
+    monkeypatch.setattr(sound, "IN_MEMORY", 1 << 20)
 
     def peak(minutes):
         score = Score(tuple(Note(t, t + 2, 60) for t in range(0, 60 * minutes, 10)))
@@ -151,7 +151,7 @@ def test_memory_does_not_grow_with_the_sound(monkeypatch):
 def test_a_long_sound_is_what_it_is_in_memory(monkeypatch):
     score = Score((Note(0, 0.2, 30), Note(0.9, 7.5, 60, 127), Note(11.95, 12.5, 64, 127)))
     in_memory = synthesize(score)
-    monkeypatch.setattr(sound, "_IN_MEMORY", 1000)
+    monkeypatch.setattr(sound, "IN_MEMORY", 1000)
     in_a_file = synthesize(score)
     assert len(in_a_file) > 12 * SAMPLE_RATE
     np.testing.assert_array_equal(in_a_file[:], in_memory[:])

@@ -89,7 +89,7 @@ def test_a_song_that_is_not_there_is_refused(songs: Storage, song: str) -> None:
 
 
 def test_no_upload_is_lost_for_another(songs: Storage, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(storage, "_MAX_UPLOADS", 2)
+    monkeypatch.setattr(storage, "MAX_UPLOADS", 2)
     first, second = (add(songs, b"MThd%d" % i, f"{i}.mid") for i in range(2))
     with pytest.raises(CadenzaError, match="2 files of yours already; delete some"):
         songs.write_upload(b"MThd2", "2.mid")

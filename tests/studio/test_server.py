@@ -690,7 +690,7 @@ def test_a_song_that_nobody_watches_waits_for_one_that_is_watched(
         await queue.close()
 
     monkeypatch.setattr(jobs, "start_process", player)
-    monkeypatch.setattr(jobs, "_RETURN_TIME", 0.05)
+    monkeypatch.setattr(jobs, "RETURN_TIME", 0.05)
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
@@ -789,7 +789,7 @@ def test_a_file_that_does_not_come_is_given_up(
         await asyncio.sleep(60)
 
     monkeypatch.setattr(Request, "stream", never)
-    monkeypatch.setattr(server, "_RECEIVE_TIME", 0.05)
+    monkeypatch.setattr(server, "RECEIVE_TIME", 0.05)
     answer = client.post("/TOKEN/api/songs?name=a.mid", content=b"MThd", headers=SAME)
     assert answer.json()["error"] == "the file takes too long to come"
 

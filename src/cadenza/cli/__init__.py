@@ -1,4 +1,4 @@
-"""The command line: a module a command, or two that belong together.
+"""The command line: a module for each command, or for two that belong together.
 
 What is heavy to import is imported by the function that needs it, so that --help is quick.
 """

@@ -1,4 +1,4 @@
-"""How tyro reads the command line: options from the fields of dataclasses, help, plain errors.
+"""Reads the command line with tyro: options are fields of dataclasses, errors are one line.
 
 Every field is an option, and always accepted. --help shows what most need, --help-all the rest:
 of a command's own dataclass all fields but those marked `Advanced[...]`; of the configurations in
@@ -275,12 +275,12 @@ def _rules(
 
 
 def _is_config(field: StructFieldSpec) -> bool:
-    """Whether a field holds a configuration, each of whose fields is an option."""
+    """Returns whether a field holds a configuration, each of whose fields is an option."""
     return is_dataclass(_parts(field.type)[0])
 
 
 def _is_more(field: StructFieldSpec) -> bool:
-    """Whether not all options of a command's field are shown by --help."""
+    """Returns whether --help leaves out an option of this field of a command."""
     return _is_config(field) or _ADVANCED in _parts(field.type)
 
 
@@ -347,7 +347,7 @@ def _default_hint(default: str) -> str:
 
 
 def _single(kind: Any) -> Any:
-    """The type of a value, or of each of several: int for int | None and tuple[int, ...]."""
+    """Returns the type of a value or of each of several: int for int | None, tuple[int, ...]."""
     kinds = [k for k in get_args(kind) if k not in (NoneType, ...)]
     match get_origin(kind):
         case origin if origin in (Union, UnionType) and len(kinds) == 1:
@@ -358,7 +358,7 @@ def _single(kind: Any) -> Any:
 
 
 def _metavar(kind: Any) -> str | None:
-    """PATH for Path | None, {a,b} ... for any number of choices; None for what tyro says."""
+    """Returns PATH for Path | None, {a,b} ... for several choices; None for tyro's own text."""
     single = _single(kind)
     several = " ..." * (... in get_args(kind))
     if get_origin(single) is Literal:
@@ -429,7 +429,7 @@ _MEANT = (
     ("gpu cuda device cpu", "", "it runs on the CPU, without a choice"),
     ("force overwrite yes y", "", "it replaces its own results without asking"),
 )
-"""Names that people try, the option that does what they want, and what it takes."""
+"""Names that people try, the option that does what they want, and what it takes or does."""
 
 _WORDING = (
     (r"Missing from .*?: (.*) \(required\)", r"\1 is missing"),
@@ -438,7 +438,7 @@ _WORDING = (
     (r"Missing value for argument '(.*?)'.*", r"\1 needs a value"),
     (r"Error parsing (\S+): ", r"\1 "),
 )
-"""What tyro says, and how it is said in a line; what it says otherwise is said in its words."""
+"""Patterns of errors of tyro, and how they are said in a line; others keep its words."""
 
 
 @contextmanager

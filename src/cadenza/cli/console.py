@@ -1,4 +1,4 @@
-"""What commands share at a terminal: tables, warnings, streams that are closed, and Ctrl-C."""
+"""Tables, warnings, closed streams and Ctrl-C, as all commands handle them."""
 
 from __future__ import annotations
 
@@ -112,5 +112,5 @@ def open_closed_streams() -> None:
 
 
 def on_one_line(message: str) -> str:
-    """The message with whatever cannot be printed, as in the name of a file, escaped."""
+    """Returns the message; what cannot be printed, as in the name of a file, is escaped."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)

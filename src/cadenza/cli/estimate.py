@@ -1,4 +1,4 @@
-"""How long planning and playing will take, told before it begins."""
+"""Estimates how long planning and playing will take, before it begins."""
 
 from __future__ import annotations
 

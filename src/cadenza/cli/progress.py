@@ -1,4 +1,4 @@
-"""How far a command has got: a bar on a terminal, plain lines now and then anywhere else."""
+"""Shows the progress of a command: a bar on a terminal, a line now and then anywhere else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many runs: where they are carried out, and how far they are, in a table or line by line."""
+"""Carries out many runs, and shows their progress in a table or line by line."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Execution:
-    """How many runs are carried out at once, and where."""
+    """Options of where runs are carried out, and how many at once."""
 
     retry: tyro.conf.FlagCreatePairsOff[bool] = False
     """Repeat the runs that failed before."""
@@ -63,16 +63,16 @@ def check_execution(command: _Command) -> None:
 
 @dataclass(frozen=True)
 class Work:
-    """What many runs do."""
+    """The work that many runs share."""
 
     carry_out: CarryOut
     """Carries out one of them."""
     is_complete: Callable[[Any, Path], bool]
-    """Whether nothing is left to do for a run in its folder."""
+    """Returns whether nothing is left to do for a run in its folder."""
     outcome: Callable[[Path, Job], str]
     """Returns a line on a run that has finished in its folder."""
     until: str
-    """What still happens after Ctrl-C."""
+    """The last thing that happens after Ctrl-C, such as "a checkpoint"."""
     next_command: Sequence[str]
     """The command that sums the runs up."""
 
@@ -171,7 +171,7 @@ class _Table:
 
 
 def _named_in(job: Job, columns: int) -> str:
-    """Where there is not enough room, the beginning of the song's name is left out."""
+    """Returns the name of a run; without enough room, its beginning is left out."""
     name = _named(job)
     return f"…{name[1 - columns :]}" if len(name) > columns else name.ljust(columns)
 

@@ -1,4 +1,4 @@
-"""Where results are written, and what is printed of how well a song was played."""
+"""Writes results, and prints how well a song was played."""
 
 from __future__ import annotations
 

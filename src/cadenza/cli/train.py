@@ -34,8 +34,9 @@ if TYPE_CHECKING:
     from cadenza.learning.training import Training
     from cadenza.report.training_page import Curve
 
-_PLAYS_WELL = {False: 50_000, True: 30_000}
-"""Whether it corrects a plan -> steps to an F1 of 0.9, as in docs/curves: Twinkle's, Au Clair's."""
+PLAYS_WELL = {False: 50_000, True: 30_000}
+"""Steps to an F1 of 0.9 of a policy that corrects a plan or does not, by docs/curves: those of
+Au Clair and Twinkle."""
 
 
 @dataclass(frozen=True)
@@ -178,9 +179,9 @@ def _print_when_it_plays_well(command: Train) -> None:
 
 
 def _steps_to_play_well(command: Train) -> int | None:
-    """The steps after which a short tune plays well, None where that was not measured."""
+    """Returns the steps after which a short tune plays well; None where that was not measured."""
     usual = (command.preset, command.setup, command.learner) == ("fast", None, Train.learner)
-    steps = _PLAYS_WELL[command.training.residual]
+    steps = PLAYS_WELL[command.training.residual]
     return steps if usual and steps < command.training.num_steps else None
 
 

@@ -1,1 +1,1 @@
-"""From a song and an agent to a performance or a plan, and the files that they leave."""
+"""Has an agent play a song, and writes the files of a performance or a plan."""

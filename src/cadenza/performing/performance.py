@@ -54,7 +54,7 @@ RESULTS = (
 _IN_A_NOTEBOOK = 240.0  # [s] of music: the page, which the notebook keeps, is of up to 10 MB
 
 Loudness = Literal["struck", "score"]
-"""Of a note that was played: as its key was struck, or as the score writes it."""
+"""The loudness of notes: as the keys were struck, or as the score writes them."""
 
 
 @dataclass(frozen=True)
@@ -62,17 +62,17 @@ class Performance:
     """A song as an agent has played it."""
 
     score: Score
-    """What was to be played, as the song has it."""
+    """The song that was to be played, in its own time and pitch."""
     goal: Score
-    """The same on the clock of the episode: trimmed, stretched, transposed, after its silence."""
+    """The score on the clock of the episode: trimmed, stretched, transposed, after its silence."""
     episode: Episode
-    """All that happened, step by step."""
+    """The recording of all steps."""
     metrics: dict[str, Any]
-    """How well: see `cadenza.agents.rollout.EpisodeResult`."""
+    """The metrics, see `cadenza.agents.rollout.EpisodeResult`."""
     settings: dict[str, Any]
-    """Who played, in which task and scene."""
+    """The options by name: agent, seed, task and scene."""
     scene: Scene
-    """The hands and the keys."""
+    """The scene of hands and keyboard."""
     track: GoalTrack | None
     """The song with the fingers that play it, if the agent plans the whole of it."""
     misses: list[Miss] | None
@@ -83,7 +83,7 @@ class Performance:
         return f"Performance({self.score.title!r} by {agent}, {self.seconds:.1f} s, F1 {f1:.3f})"
 
     def _repr_html_(self) -> str:
-        """The page of `save`, as notebooks show it; of long music only how to see the page."""
+        """Returns the page of `save` for a notebook; for long music, only how to see the page."""
         if self.seconds > _IN_A_NOTEBOOK:
             what, how = html.escape(repr(self)), "<code>.save(folder)</code> writes report.html"
             return f"<p>{what} is long; {how}, the page to watch and hear it.</p>"
@@ -94,7 +94,7 @@ class Performance:
 
     @property
     def played(self) -> Score:
-        """The notes and the pedal that sounded."""
+        """The score of the notes and the pedal that sounded."""
         return played_in(self.episode)
 
     @property
@@ -206,7 +206,7 @@ def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
 
 
 def _are_results(folder: Path) -> bool:
-    """Whether a performance was saved in the folder."""
+    """Returns whether a performance was saved in the folder."""
     try:
         settings = read_json(folder / "settings.json", dict[str, Any])
     except CadenzaError:
@@ -254,7 +254,7 @@ def play(
     progress: Progress = silent,
     num_threads: int | None = None,
 ) -> Performance:
-    """Has an agent play a song, as `cadenza play` does::
+    """Plays a song with an agent, as `cadenza play` does::
 
         performance = cadenza.play("OdeToJoy")
         print(performance.metrics["f1"])

@@ -1,4 +1,4 @@
-"""Who plays a song in which task: from a source, a name and options to a task and an agent."""
+"""Makes the task and the agent that play a song, from names and options."""
 
 from __future__ import annotations
 
@@ -50,21 +50,21 @@ class Selection:
 
     source: Source
     name: str
-    """The agent's."""
+    """The name of the agent."""
     agent: Agent
     config: Any = None
-    """Its options, if it has any."""
+    """The options of the agent, if it has any."""
     task: TaskConfig = field(default_factory=with_time_to_begin)
-    """What holds unless other options are chosen: for a policy, what it was trained with."""
+    """The task; for a policy, the one that it was trained with."""
     scene: SceneConfig = field(default_factory=SceneConfig)
-    """The same; for a plan, with the physics that it was made in."""
+    """The scene; for a plan, with the physics that it was made in."""
     learnt: LearntPolicy | None = None
     plan: SavedPlan | None = None
     seed: int = 0
     """Seed of everything random."""
     num_threads: int | None = None
-    """How many threads an agent may use that can use several; by default as many as it was told, or
-    two, one for each hand."""
+    """Number of threads of an agent that can use several; by default its own, or one for each
+    hand."""
 
     @property
     def score(self) -> Score:
@@ -103,14 +103,14 @@ class Setup:
     """A task and an agent that play once, and the options that were chosen."""
 
     score: Score
-    """As the song has it; the task may stretch and transpose it."""
+    """The song in its own time and pitch; the task may stretch and transpose it."""
     agent: Agent
     task: PianoTask
     seed: int
     settings: dict[str, Any]
-    """What was chosen, by name, as JSON has it; and `remarks`, what of the song is not played."""
+    """The options by name, as JSON has them; and `remarks` on what of the song is not played."""
     options: dict[str, Any]
-    """What of it has to be the same for a plan to play the same."""
+    """The options that have to be the same for a plan to play the same."""
 
     @property
     def num_steps(self) -> int:
@@ -202,7 +202,7 @@ def _policy(agent: str, source: Source) -> LearntPolicy | None:
 
 
 def is_policy_folder(agent: str) -> bool:
-    """Whether an agent is named by the folder of a policy."""
+    """Returns whether an agent is named by the folder of a policy."""
     return agent not in AGENTS.own and os.path.isdir(agent)
 
 

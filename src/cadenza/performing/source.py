@@ -1,4 +1,4 @@
-"""What a word stands for that names a song: a piece, a file, a policy or practice of a song."""
+"""Finds the song that a word names: a piece, a file, or the folder of a policy or of practice."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class Source:
     """The word, or the title of a score."""
     score: Score
     arrangement: Arrangement = field(default_factory=Arrangement)
-    """Which notes of the song the score has."""
+    """The part of the song that the score has."""
     policy: LearntPolicy | None = None
-    """What has learnt the song, if the word is the folder of a policy."""
+    """The policy that has learnt the song, if the word is its folder."""
     practised: SavedPlan | None = None
     """The plan that practice made, if the word is the folder of a practised song."""
 
@@ -86,7 +86,7 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
 
 
 def is_own_folder(song: str | Path) -> bool:
-    """Whether a song is named by the folder of a policy or of a practised song, which has it."""
+    """Returns whether a song is named by the folder of a policy or of practice, which has it."""
     text = str(song)
     bundled = text.lower() in {piece.name.lower() for piece in songs()}
     return os.path.isdir(song) and not (bundled and isinstance(song, str))

@@ -1,4 +1,4 @@
-"""Has a policy learn a song."""
+"""Trains a policy on a song."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ class Piece:
     composer: str
     library: str
     difficulty: float
-    """1 to 10; NaN where it is not known."""
+    """The grade from 1 to 10; NaN where it is not known."""
     seconds: float
     """Length of the music that was played."""
     notes: int
@@ -90,7 +90,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Run:
-    """One agent with one seed at one piece."""
+    """The run of an agent with a seed at a piece."""
 
     piece: int
     """Index of the piece."""

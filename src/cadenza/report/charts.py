@@ -60,7 +60,7 @@ class LineChart(NamedTuple):
     description: str
     """A sentence that stands for the picture."""
     data: dict[str, Any]
-    """Input of `curves.js`."""
+    """The input of `curves.js`."""
 
 
 def line_chart(

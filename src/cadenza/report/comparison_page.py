@@ -43,7 +43,7 @@ _NOTE_GAP = 0.15  # control steps between two notes of a key, so that they are t
 
 @dataclass(frozen=True)
 class Run:
-    """One episode of one agent."""
+    """An episode of an agent."""
 
     agent: str
     seed: int

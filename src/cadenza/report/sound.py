@@ -32,15 +32,15 @@ SAMPLE_RATE = 44100  # [Hz]
 _LOUDNESS = -18.0
 # No sample is larger: 2 dBFS below full scale, so that the wave between samples, also of the
 # compressed sound, stays 1 dB below it.
-_CEILING = 10 ** (-2 / 20)
+CEILING = 10 ** (-2 / 20)
 _LOUDEST = 0.2  # amplitude of the loudest note before the whole is levelled
-_BLOCK = 10  # [s] of sound that is made at a time
+BLOCK = 10  # [s] of sound that is made at a time
 _LONGEST = 30.0  # [s] a note sounds, whoever holds it
 _VELOCITY_BAND = 8  # velocities that share one timbre
 _TONES_KEPT = 64e6  # bytes of tones that are kept for the notes to come
 _TAIL = 0.7  # [s] of room after the last note
 _ROOM = 0.05  # level of the room against the piano
-_IN_MEMORY = 32 << 20  # bytes of sound that need no file: three minutes
+IN_MEMORY = 32 << 20  # bytes of sound that need no file: three minutes
 
 
 class Sound:
@@ -53,7 +53,7 @@ class Sound:
 
     def __init__(self, length: int) -> None:
         self.shape = (length, 2)
-        self._file: IO[bytes] = tempfile.SpooledTemporaryFile(_IN_MEMORY)  # noqa: SIM115
+        self._file: IO[bytes] = tempfile.SpooledTemporaryFile(IN_MEMORY)  # noqa: SIM115
 
     def __del__(self) -> None:
         self._file.close()
@@ -142,7 +142,7 @@ def audio_frames(audio: Samples, sample_rate: int, length: int) -> Iterator[av.A
 
 
 class _LoudnessMeter:
-    """Integrated loudness by ITU-R BS.1770-4, as FFmpeg's filter ebur128 measures it."""
+    """Measures the integrated loudness by ITU-R BS.1770-4, with FFmpeg's filter ebur128."""
 
     def __init__(self, sample_rate: int) -> None:
         self.integrated = -70.0
@@ -180,7 +180,7 @@ def _blocks(
 ) -> Iterator[NDArray[np.float32]]:
     """Yields the sound of notes, sorted by start, with their releases [s], in blocks (2, n)."""
     loudest = max(note.velocity for note, _ in notes)
-    size = _BLOCK * rate
+    size = BLOCK * rate
     mix = np.zeros((2, size), np.float32)  # from the block's beginning on
     tones: dict[tuple[int, int, int], NDArray[np.float32]] = {}
     done = 0
@@ -300,14 +300,14 @@ def _level(sound: Sound, gain: float, rate: int) -> None:
     bent.
     """
     window = int(0.01 * rate) | 1
-    size = _BLOCK * rate
+    size = BLOCK * rate
     before = np.zeros((2, 0), np.float32)  # what the block just written was like
     for first in range(0, len(sound), size):
         mix = sound[first : first + size + window].view(np.float16)
         here = mix.T.astype(np.float32) * np.float32(gain)
         audio = np.hstack([before, here])
         peak = ndimage.maximum_filter1d(np.abs(audio).max(axis=0), window)
-        down = ndimage.uniform_filter1d(np.minimum(1, _CEILING / np.maximum(peak, 1e-9)), window)
+        down = ndimage.uniform_filter1d(np.minimum(1, CEILING / np.maximum(peak, 1e-9)), window)
         block = (audio * down)[:, before.shape[1] :][:, :size]
         sound.write(first, np.rint(block * 32767).T.astype(np.int16))
         before = here[:, :size][:, -window:]

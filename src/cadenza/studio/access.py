@@ -115,7 +115,7 @@ class AccessControl:
         return ""
 
     def _is_ours(self, host: str) -> bool:
-        """Whether nobody can point this host elsewhere: a number, localhost, or the chosen name."""
+        """Returns whether nobody can point this host elsewhere, as with a number or localhost."""
         try:
             name = urlsplit(f"//{host}").hostname or ""
         except ValueError:

@@ -64,7 +64,7 @@ def read_address(path: Path) -> Address | None:
 
 
 def _is_open_to_others(path: Path, permissions: int) -> bool:
-    """Whether others own a file, or have one of these permissions (bits of a mode)."""
+    """Returns whether others own a file or have one of these permissions (bits of a mode)."""
     about = path.lstat()
     if stat.S_ISLNK(about.st_mode):
         return True  # it may lead to a file of theirs

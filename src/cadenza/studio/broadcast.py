@@ -55,11 +55,11 @@ class Broadcast:
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing more happens."""
+        """Returns whether nothing more happens."""
         return self.status["state"] in _OVER
 
     def notify(self) -> None:
-        """Has all pages be sent what is new."""
+        """Sends what is new to all pages."""
         event, self.changed = self.changed, asyncio.Event()
         event.set()
 

@@ -26,7 +26,7 @@ _WRITING = ("played", "writing")  # states
 _PLAYING = ("preparing", "playing")
 _MAX_WRITING = 2  # jobs that write their files while others play
 _MAX_HELD = 2  # jobs that pause in the middle of a song, with the memory that they take
-_RETURN_TIME = 3.0  # [s] within which a page that has gone may be back; it loads again sooner
+RETURN_TIME = 3.0  # [s] within which a page that has gone may be back; it loads again sooner
 _MAX_FAILED = 8  # jobs of which it is known that they failed or were cancelled
 _CANCEL_TIME = 2.0  # [s] that a process has to drop a song that is cancelled
 
@@ -55,22 +55,22 @@ class Job(Broadcast):
 
     @property
     def id(self) -> str:
-        """Names the job, and the performance."""
+        """The name of the job, and of the performance."""
         return self.order.id
 
     @property
     def is_unwatched(self) -> bool:
-        """Whether nobody watches it any more."""
+        """Returns whether nobody watches it any more."""
         absence = asyncio.get_running_loop().time() - self.unwatched_since
-        return not self.num_watchers and absence >= _RETURN_TIME
+        return not self.num_watchers and absence >= RETURN_TIME
 
     @property
     def is_held(self) -> bool:
-        """Whether it pauses in the middle of its song."""
+        """Returns whether it pauses in the middle of its song."""
         return self.held_status is not None
 
     def receive(self, kind: bytes, content: bytes) -> None:
-        """See `Broadcast`; a process that is held may have sent something before it paused."""
+        """Takes in a message; a process that is held may have sent some before it paused."""
         if self.held_status is None:
             super().receive(kind, content)
             return
@@ -110,7 +110,7 @@ class JobQueue:
         self._starting, self._closed = asyncio.Lock(), False
 
     async def start_player(self) -> None:
-        """Has a player ready, so that the next song begins soon."""
+        """Starts a player, so that the next song begins soon."""
         async with self._starting:  # two would each start one, and lose one
             if self._idle_player is None and not self._closed:
                 with suppress(OSError):  # there is no room for it now; a song starts its own
@@ -135,7 +135,7 @@ class JobQueue:
 
     @contextmanager
     def watching(self, job: Job) -> Iterator[None]:
-        """Has a job be watched until the block ends."""
+        """Counts a page among those that watch a job, until the block ends."""
         job.num_watchers += 1
         self._schedule()
         try:
@@ -178,7 +178,7 @@ class JobQueue:
     def _schedule_now_and_later(self) -> None:
         """Schedules also when pages that have just left are not expected back."""
         self._schedule()
-        asyncio.get_running_loop().call_later(_RETURN_TIME, self._schedule)
+        asyncio.get_running_loop().call_later(RETURN_TIME, self._schedule)
 
     def _schedule(self) -> None:
         """Starts the jobs that can play now, and tells the others their places in the queue."""
@@ -282,7 +282,7 @@ class JobQueue:
         return False
 
     async def _reuse_or_kill(self, process: Process, is_idle: bool) -> None:
-        """Has an idle process play the next song, unless another is ready already."""
+        """Keeps an idle process for the next song, unless another is ready already."""
         if is_idle and self._idle_player is None and not self._closed:
             self._idle_player = process
         else:

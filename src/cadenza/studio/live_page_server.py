@@ -34,11 +34,11 @@ class LivePageServer(PageServer):
         self._broadcast = Broadcast(order.title, asdict(order.request), {"state": "preparing"})
 
     async def broadcast(self, id: str) -> Broadcast | None:
-        """See `PageServer`."""
+        """Returns the performance if this is its id."""
         return self._broadcast if id == self._id else None
 
     def routes(self) -> list[BaseRoute]:
-        """See `PageServer`."""
+        """Returns all that the server answers."""
         return [
             *super().routes(),
             Route("/api/songs", self.songs),
@@ -55,7 +55,7 @@ class LivePageServer(PageServer):
 
     @asynccontextmanager
     async def lifespan(self, app: Starlette) -> AsyncIterator[None]:
-        """See `PageServer`."""
+        """Receives the performance from the start of the server to its end."""
         async with super().lifespan(app):
             receiving = asyncio.create_task(self._receive())
             try:

@@ -67,7 +67,7 @@ class PageServer:
         raise NotImplementedError
 
     def watching(self, broadcast: Broadcast) -> AbstractContextManager[None]:
-        """Has a performance be watched until the block ends."""
+        """Counts a page among those that watch a performance, until the block ends."""
         return nullcontext()
 
     def routes(self) -> list[BaseRoute]:

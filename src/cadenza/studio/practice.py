@@ -14,7 +14,7 @@ from cadenza.studio.request import Order
 
 
 class BackgroundPractice:
-    """Has a process practise a song, and suspends it while others play.
+    """Practises a song in a process, which is suspended while others play.
 
     Attributes:
         order: what is practised, or was last.
@@ -55,7 +55,7 @@ class BackgroundPractice:
         return self.status["state"] in ("preparing", "practising")
 
     def _practises(self, order: Order) -> bool:
-        """Whether this is what is practised, and no other order has taken its place."""
+        """Returns whether this is practised, and no other order has taken its place."""
         return self.order is order and self._is_active
 
     def pause(self, paused: bool) -> None:

@@ -62,7 +62,7 @@ async def send_order(process: Process, order: Order) -> None:
 
 
 def send_line(process: Process, line: bytes) -> None:
-    """Has a process that plays pause, resume, or drop its song; see `cadenza.studio.messages`."""
+    """Tells a player to pause, resume, or drop its song; see `cadenza.studio.messages`."""
     assert process.stdin is not None
     process.stdin.write(line)
 

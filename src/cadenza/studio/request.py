@@ -54,15 +54,15 @@ class PlayRequest:
     song: str
     """The name of a bundled piece, or the id of an upload."""
     agent: str = "planner"
-    """One that the studio offers; any on the command line."""
+    """The name of an agent that the studio offers; on the command line, of any."""
     tempo: float = 1.0
-    """2 is twice as fast as written."""
+    """The speed, as a multiple of the written one."""
     transpose: int = 0
-    """[semitones]"""
+    """The number of semitones."""
     tracks: tuple[int, ...] = ()
     """Numbers of the tracks to be played; all where none is given."""
     hand: str = "shadow"
-    """One that the studio offers; any on the command line."""
+    """The name of a hand that the studio offers; on the command line, of any."""
     seed: int = 0
 
 
@@ -76,7 +76,7 @@ class Order:
     """The name of a bundled piece, or the path of an upload."""
     uploaded: bool
     id: str
-    """Names the performance."""
+    """The name of the performance."""
     folder: str
     """The folder of the studio, where the performance is kept."""
     video: bool = True

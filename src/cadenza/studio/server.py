@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AbstractContextManager, asynccontextmanager, nullcontext, suppress
+from inspect import isawaitable
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ _LEARNT = "A policy that has learnt on this machine."
 _MAX_NAME = 255  # letters of the name of a file, as most file systems have it
 _MAX_JSON = 1 << 14  # bytes of a request
 _MAX_RECEIVING, _MAX_READING = 4, 2  # files at once
-_RECEIVE_TIME = 60.0  # [s] for all of a request to arrive
+RECEIVE_TIME = 60.0  # [s] for all of a request to arrive
 # Reports bring their own policy; here they may not reach the studio either. A comparison looks into
 # the pages within it, which a sandbox would prevent.
 _REPORT = {"content-security-policy": "sandbox allow-scripts allow-downloads; connect-src 'none'"}
@@ -89,7 +90,7 @@ class Studio(PageServer):
         self._reading = asyncio.Semaphore(_MAX_READING)
 
     async def broadcast(self, id: str) -> Broadcast | None:
-        """See `PageServer`."""
+        """Returns a job or a performance that is kept; None if there is none of this id."""
         if id in self.jobs.jobs:
             return self.jobs.jobs[id]
         try:
@@ -98,32 +99,34 @@ class Studio(PageServer):
             return None
 
     def watching(self, broadcast: Broadcast) -> AbstractContextManager[None]:
-        """See `PageServer`; jobs that are watched play first."""
+        """Counts a page among those that watch a job: watched jobs play first."""
         return self.jobs.watching(broadcast) if isinstance(broadcast, Job) else nullcontext()
 
     def routes(self) -> list[BaseRoute]:
-        """See `PageServer`."""
+        """Returns all that the server answers."""
+        storage, jobs, trainings = self.storage, self.jobs, self.jobs.trainings
+        remove = storage.remove_performance
         return [
             *super().routes(),
             Route("/api/songs", self.songs),
             Route("/api/songs", self.upload, methods=["POST"]),
-            Route("/api/songs/{id}", self.delete_song, methods=["DELETE"]),
+            Route("/api/songs/{id}", _in_thread(storage.remove_upload), methods=["DELETE"]),
             Route("/api/jobs", self.play, methods=["POST"]),
-            Route("/api/jobs/{id}", self.cancel, methods=["DELETE"]),
+            Route("/api/jobs/{id}", _action(jobs.cancel), methods=["DELETE"]),
             Route("/api/background", self.background),
-            Route("/api/practice", self.stop_practice, methods=["DELETE"]),
+            Route("/api/practice", _action(jobs.practice.stop), methods=["DELETE"]),
             Route("/api/trainings", self.train, methods=["POST"]),
-            Route("/api/trainings/{name}/resume", self.resume, methods=["POST"]),
-            Route("/api/trainings/{name}/stop", self.stop_training, methods=["POST"]),
+            Route("/api/trainings/{name}/resume", _action(trainings.resume), methods=["POST"]),
+            Route("/api/trainings/{name}/stop", _action(trainings.stop), methods=["POST"]),
             Route("/api/performances", self.performances),
-            Route("/api/performances/{id}", self.delete_performance, methods=["DELETE"]),
+            Route("/api/performances/{id}", _in_thread(remove), methods=["DELETE"]),
             Route("/performances/{id}/{name}", self.file),
             Route("/comparisons/{first}/{second}", self.compare),
         ]
 
     @asynccontextmanager
     async def lifespan(self, app: Starlette) -> AsyncIterator[None]:
-        """See `PageServer`."""
+        """Keeps a player ready from the start of the server to its end."""
         async with super().lifespan(app):
             await self.jobs.start_player()
             try:
@@ -131,10 +134,9 @@ class Studio(PageServer):
             finally:
                 await self.jobs.close()
 
-    async def songs(self, _: Request) -> Response:
+    def songs(self, _: Request) -> Response:
         """Lists songs, agents and hands."""
-        found = await run_in_threadpool(self.storage.songs)
-        agents = await run_in_threadpool(self._agents)
+        found, agents = self.storage.songs(), self._agents()
         return JSONResponse({"songs": found, "agents": agents, "hands": self._hands})
 
     def _agents(self) -> dict[str, tuple[str, str]]:
@@ -163,11 +165,6 @@ class Studio(PageServer):
         await run_in_threadpool(self.storage.list_upload, upload)
         return JSONResponse({"id": id, "title": title, **contents}, 201)
 
-    async def delete_song(self, request: Request) -> Response:
-        """Deletes an upload."""
-        await run_in_threadpool(self.storage.remove_upload, request.path_params["id"])
-        return Response(status_code=204)
-
     async def play(self, request: Request) -> Response:
         """Adds a job that plays a song."""
         content = await _body(request, _MAX_JSON, "the request")
@@ -182,22 +179,12 @@ class Studio(PageServer):
     def _play_request(self, content: dict[str, Any]) -> PlayRequest:
         return read_request(content, self._agents(), self._hands)
 
-    async def cancel(self, request: Request) -> Response:
-        """Ends a job."""
-        self.jobs.cancel(request.path_params["id"])
-        return Response(status_code=204)
-
     async def background(self, _: Request) -> Response:
         """Lists practice, training runs, and jobs that play or wait."""
         runs = await run_in_threadpool(self.jobs.trainings.runs)
         jobs = [job.summary for job in self.jobs.jobs.values() if not job.is_over]
         practice = self.jobs.practice.summary
         return JSONResponse({"practice": practice, "trainings": runs, "jobs": jobs})
-
-    async def stop_practice(self, _: Request) -> Response:
-        """Ends practice."""
-        self.jobs.practice.stop()
-        return Response(status_code=204)
 
     async def train(self, request: Request) -> Response:
         """Trains a policy on a song, for so many `steps`."""
@@ -209,29 +196,14 @@ class Studio(PageServer):
         name = await self.jobs.trainings.begin(wanted, title, source, steps)
         return JSONResponse({"name": name}, 201)
 
-    async def resume(self, request: Request) -> Response:
-        """Resumes a training run."""
-        await self.jobs.trainings.resume(request.path_params["name"])
-        return Response(status_code=204)
-
-    async def stop_training(self, request: Request) -> Response:
-        """Stops a training run after a checkpoint."""
-        self.jobs.trainings.stop(request.path_params["name"])
-        return Response(status_code=204)
-
-    async def performances(self, _: Request) -> Response:
+    def performances(self, _: Request) -> Response:
         """Lists the performances that are kept."""
-        return JSONResponse(await run_in_threadpool(self.storage.performances))
+        return JSONResponse(self.storage.performances())
 
-    async def delete_performance(self, request: Request) -> Response:
-        """Deletes a performance."""
-        await run_in_threadpool(self.storage.remove_performance, request.path_params["id"])
-        return Response(status_code=204)
-
-    async def file(self, request: Request) -> Response:
+    def file(self, request: Request) -> Response:
         """Answers a file of a performance."""
         name = request.path_params["name"]
-        path = await run_in_threadpool(self.storage.file, request.path_params["id"], name)
+        path = self.storage.file(request.path_params["id"], name)
         headers = _REPORT if name == "report.html" else None
         return StoredFile(path, media_type=FILES[name], headers=headers)
 
@@ -243,6 +215,23 @@ class Studio(PageServer):
             async with self._reading:
                 await write_comparison(folders, page)
         return StoredFile(page, media_type="text/html; charset=utf-8", headers=_COMPARISON)
+
+
+def _action(work: Callable[..., Any]) -> Callable[[Request], Awaitable[Response]]:
+    """Returns an endpoint that calls `work` with the parameters of the path."""
+
+    async def endpoint(request: Request) -> Response:
+        result = work(**request.path_params)
+        if isawaitable(result):
+            await result
+        return Response(status_code=204)
+
+    return endpoint
+
+
+def _in_thread(work: Callable[..., Any]) -> Callable[[Request], Awaitable[Response]]:
+    """Returns an endpoint as `_action` does; the work is on files, and done in a thread."""
+    return _action(lambda **names: run_in_threadpool(work, **names))
 
 
 async def _body(
@@ -266,7 +255,7 @@ async def _body(
         raise too_large
     content, receiving = bytearray(), [] if receiving is None else receiving
     try:
-        async with asyncio.timeout(_RECEIVE_TIME) as patience:
+        async with asyncio.timeout(RECEIVE_TIME) as patience:
             receiving.append(patience)
             if len(receiving) > _MAX_RECEIVING and not (first := receiving.pop(0)).expired():
                 first.reschedule(0)

@@ -43,7 +43,7 @@ ABOUT = "studio.json"
 """File of a performance, with what the list shows."""
 _COMPARISONS = "compared"
 _MUSIC = ("song", "tracks", "tempo", "transpose")  # fields of a request that say what is heard
-_MAX_UPLOADS = 200
+MAX_UPLOADS = 200
 _MAX_TITLE = 100
 _ABANDONED = 3600.0  # [s] after which a file that nobody has finished is deleted
 FILES = {
@@ -78,7 +78,7 @@ class KeptPerformance:
     note_onset_f1: float
     seconds: float
     finished: float
-    """[s] since 1970."""
+    """The time [s] since 1970."""
     remarks: list[str] = field(default_factory=list)
     """Parts of the song that are not played."""
 
@@ -161,16 +161,16 @@ class Storage:
         """
         ending, id = _file_ending(content), hashlib.sha256(content).hexdigest()[:_ID_DIGITS]
         path = self.uploads / f"{id}{ending}"
-        if not self.is_listed(id) and len(self._uploads()) >= _MAX_UPLOADS:
+        if not self.is_listed(id) and len(self._uploads()) >= MAX_UPLOADS:
             raise CadenzaError(
-                f"there are {_MAX_UPLOADS} files of yours already; delete some by the × beside them"
+                f"there are {MAX_UPLOADS} files of yours already; delete some by the × beside them"
             )
         with write_atomically(path) as file:
             file.write(content)
         return path, id, _title(name), ending
 
     def list_upload(self, upload: Upload) -> None:
-        """Has an upload be listed."""
+        """Lists an upload."""
         write_json(self.uploads / f"{upload.id}.json", asdict(upload))
 
     def is_listed(self, id: str) -> bool:
@@ -263,17 +263,17 @@ class Storage:
 
 
 def _is_own(path: Path) -> bool:
-    """Whether a file lies here, and is no link to one that lies elsewhere."""
+    """Returns whether a file lies here, and is no link to one that lies elsewhere."""
     return path.is_file() and not path.is_symlink()
 
 
 def _is_temporary(path: Path) -> bool:
-    """Whether a file or folder was being written."""
+    """Returns whether a file or folder was being written."""
     return path.name.startswith(TEMPORARY)
 
 
 def _has_states(folder: Path) -> bool:
-    """Whether the states of a performance are there, so that it can be watched again."""
+    """Returns whether the states of a performance are there, so that it can be watched again."""
     return _is_own(folder / HEADER_FILE) and _is_own(folder / ROWS_FILE)
 
 

@@ -97,7 +97,7 @@ class TrainingRuns:
         return name
 
     async def resume(self, name: str) -> None:
-        """Has a run go on from its last checkpoint.
+        """Continues a run from its last checkpoint.
 
         Raises:
             CadenzaError: another run is learning, or there is no such run.
@@ -107,7 +107,7 @@ class TrainingRuns:
             await self._start(name, "--resume", str(self._path(name)))
 
     def stop(self, name: str) -> None:
-        """Has a run end after a checkpoint.
+        """Ends a run after a checkpoint.
 
         Raises:
             CadenzaError: it is not learning.
