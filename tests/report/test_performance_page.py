@@ -151,7 +151,7 @@ def test_there_are_at_most_four_headlines_and_the_rest_is_folded(write, episode)
     page = write(episode, metrics | {"timing_error": 0.0125, "unstable": False})
     assert sum(a.get("class") == "score" for _, a in page.elements) == 4
     assert page.words.count("0.900") == 3
-    folded = page.words.index("All other figures")
+    folded = page.words.index("All other metrics")
     assert {"Return", "12.5", "Timing error", "0.013 s", "Unstable", "no"} < set(
         page.words[folded:]
     )

@@ -213,14 +213,14 @@ def test_choices_change_charts_and_table(browser: Browser, index: Path) -> None:
     choose(browser, "group", 2)
     assert len(column(browser, 1)) == 12
     assert set(column(browser, 2)) == {"library-2"}
-    choose(browser, "figure", 5)
+    choose(browser, "metric", 5)
     assert browser.evaluate(charts) == 0  # times have no profile
     assert set(column(browser, 6)) == {"0.40"}
     choose(browser, "group", 0)
-    choose(browser, "figure", 0)
+    choose(browser, "metric", 0)
     choose(browser, "agent", 0)
     assert column(browser, 6) == planner
-    browser.evaluate("document.querySelector('[data-columns=figures]').click()")
+    browser.evaluate("document.querySelector('[data-columns=metrics]').click()")
     titles = "[...document.querySelectorAll('#pieces thead th')].map((th) => th.textContent)"
     assert "Note onset F1" in browser.evaluate(titles)
     assert browser.problems() == []

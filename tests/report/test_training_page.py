@@ -139,7 +139,7 @@ def test_runs_of_several_songs_are_left_apart(written) -> None:
     shown = words(page)
     assert "mean of joy 0.400" in shown
     assert "mean of elise" not in shown
-    assert "How well it plays joy elise F1" in shown  # the legend
+    assert "Evaluation joy elise F1" in shown  # the legend
 
 
 def test_a_run_that_goes_on_says_how_long_and_loads_itself_anew(written) -> None:
@@ -169,9 +169,9 @@ def test_huge_values_neither_hang_nor_hide_the_others(written) -> None:
 def test_the_figures_of_a_run(written) -> None:
     shown = words(written(RUN))
     assert "Best F1 0.850 at step 3,000, after 5 min" in shown
-    assert "Note onsets then 0.680" in shown
-    assert "Last F1 0.700 Last note onsets 0.560" in shown
-    assert "Control steps 5,000 Wall time 8 min Updates 1,000 Steps a second 10" in shown
+    assert "Note onset F1 then 0.680" in shown
+    assert "Last F1 0.700 Last note onset F1 0.560" in shown
+    assert "Control steps 5,000 Wall time 8 min Updates 1,000 Steps per second 10" in shown
 
 
 def test_the_figures_of_several_runs_and_their_means(written) -> None:

@@ -178,11 +178,13 @@ def print_commands(
         completion: the shell for which to print the script.
     """
     kinds: Any = Annotated[_any_of(commands), tyro.conf.OmitSubcommandPrefixes]
-    options = [("version", _VERSION, False), ("completion", _COMPLETION, "bash")]
-    overall = make_dataclass("Overall", [("command", kinds), *options[: 2 * (" " not in prog)]])
+    overall: list[Any] = [("command", kinds)]
+    if " " not in prog:
+        overall += [("version", _VERSION, False), ("completion", _COMPLETION, "bash")]
     words = ["--help"] if completion is None else ["--tyro-write-completion", completion, "-"]
     with _rules([*_flattened(commands)]) as registry:
-        tyro.cli(overall, prog=prog, description=about, args=words, registry=registry)
+        kind = make_dataclass("Overall", overall)
+        tyro.cli(kind, prog=prog, description=about, args=words, registry=registry)
 
 
 def _any_of(commands: Mapping[str, Any]) -> Any:

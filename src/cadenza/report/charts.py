@@ -120,6 +120,12 @@ def compact_number(value: float) -> str:
     return f"{value / unit:,.4g}{name}".replace("-", "−")
 
 
+def mean_of_known(values: Sequence[float]) -> float:
+    """Returns the mean of the values that are not NaN; NaN if all are."""
+    known = [value for value in values if not math.isnan(value)]
+    return math.fsum(known) / len(known) if known else math.nan
+
+
 def fixed_number(value: float, decimals: int) -> str:
     """Returns `value` with so many decimals, a dash if it is NaN."""
     return "–" if math.isnan(value) else f"{value:z.{decimals}f}".replace("-", "−")

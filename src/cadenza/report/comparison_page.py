@@ -14,7 +14,7 @@ from cadenza.episode import Episode
 from cadenza.music.performance import key_runs, played_in
 from cadenza.music.score import is_black, note_name
 from cadenza.report import performance_page as performance
-from cadenza.report.charts import Bar
+from cadenza.report.charts import Bar, mean_of_known
 from cadenza.report.html_pages import asset, render
 from cadenza.report.recording import VERDICTS, verdict
 from cadenza.report.sound import synthesize
@@ -61,15 +61,11 @@ def means(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
     agents = dict.fromkeys(run.agent for run in runs)
     return {
         agent: {
-            name: _mean([r.metrics[name] for r in runs if r.agent == agent]) for name in COLUMNS
+            name: mean_of_known([r.metrics[name] for r in runs if r.agent == agent])
+            for name in COLUMNS
         }
         for agent in agents
     }
-
-
-def _mean(values: Sequence[float]) -> float:
-    defined = [value for value in values if not math.isnan(value)]
-    return math.fsum(defined) / len(defined) if defined else math.nan
 
 
 def metric_text(name: str, value: float) -> str:

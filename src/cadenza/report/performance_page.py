@@ -70,7 +70,7 @@ def performance_page(
         facts=_facts(episode, dict(flat(settings))),
         remarks=remarks,
         headlines=[_headline(name, metrics[name]) for name in _HEADLINES if name in metrics],
-        figures=_other_figures(metrics),
+        metrics=_other_metrics(metrics),
         misses=[_miss(miss) for miss in misses],
         settings=settings_table(settings),
         midi=base64.b64encode(midi).decode(),
@@ -114,7 +114,7 @@ def _headline(name: str, value: Any) -> tuple[str, str, str, float | None]:
     return *_HEADLINES[name], "–" if number is None else f"{number:z.3f}", number or None
 
 
-def _other_figures(metrics: Mapping[str, Any]) -> dict[str, str]:
+def _other_metrics(metrics: Mapping[str, Any]) -> dict[str, str]:
     return {
         _spoken(name.removesuffix("_seconds")): _with_unit(name, value)
         for name, value in metrics.items()

@@ -91,8 +91,8 @@ def _page_names(pieces: Sequence[Piece]) -> list[str]:
 def _render(template: str, **context: Any) -> Iterator[str]:
     return render(
         template,
-        figures=METRICS,
-        figure_text=metric_text,
+        metrics=METRICS,
+        metric_text=metric_text,
         interval_text=interval_text,
         styles=_STYLES,
         **context,
@@ -188,7 +188,7 @@ def _choices(summary: BenchSummary) -> dict[str, tuple[str, Sequence[str]]]:
     groups = [f"{group.name} ({len(group.pieces)})" for group in summary.groups]
     return {
         "group": ("Pieces", groups),
-        "figure": ("Figure", _metric_titles()),
+        "metric": ("Metric", _metric_titles()),
         "agent": ("Agent", summary.agents),
     }
 
@@ -219,7 +219,7 @@ def _data(
 ) -> dict[str, Any]:
     """Returns what results.js draws."""
     return {
-        "figures": [
+        "metrics": [
             {"title": metric.title, "decimals": metric.decimals, "share": name in SHARES}
             for name, metric in METRICS.items()
         ],

@@ -23,6 +23,7 @@ from cadenza.report.charts import (
     fixed_number,
     line_chart,
     line_style,
+    mean_of_known,
 )
 from cadenza.report.html_pages import render
 from cadenza.report.performance_page import settings_table
@@ -204,15 +205,15 @@ def _share(title: str) -> _Column:
 
 _COLUMNS = {
     "best_f1": _share("Best F1"),
-    "best_onsets": _share("Note onsets then"),
+    "best_onsets": _share("Note onset F1 then"),
     "best_step": _Column("at step", compact_number),
     "best_seconds": _Column("after", duration_text),
     "last_f1": _share("Last F1"),
-    "last_onsets": _share("Last note onsets"),
+    "last_onsets": _share("Last note onset F1"),
     "step": _Column("Control steps", compact_number),
     "seconds": _Column("Wall time", duration_text),
     "updates": _Column("Updates", compact_number),
-    "rate": _Column("Steps a second", compact_number),
+    "rate": _Column("Steps per second", compact_number),
 }
 """Numbers that sum up a run."""
 
@@ -281,8 +282,7 @@ def _table(runs: Sequence[Curve]) -> list[tuple[str, str, list[str]]]:
             for run, summary in zip(task_runs, summaries, strict=True)
         ]
         if len(task_runs) > 1:
-            known = {n: [s[n] for s in summaries if not math.isnan(s[n])] for n in _COLUMNS}
-            means = {n: math.fsum(v) / len(v) if v else math.nan for n, v in known.items()}
+            means = {n: mean_of_known([summary[n] for summary in summaries]) for n in _COLUMNS}
             name = f"mean of {task}" if len(tasks) > 1 else "mean"
             rows.append(("mean", name, [_text(name, means) for name in _COLUMNS]))
     return rows

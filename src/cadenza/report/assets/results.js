@@ -1,28 +1,28 @@
-// The charts and the table of all pieces, for the pieces, the figure and the agent that are chosen.
+// The charts and the table of all pieces, for the pieces, the metric and the agent that are chosen.
 
 const $ = (id) => document.getElementById(id);
-const { figures, agents, groups, pieces, values } = JSON.parse($("data").textContent);
+const { metrics, agents, groups, pieces, values } = JSON.parse($("data").textContent);
 const NAMED = 13; // [px] a column has to be this wide for its name
 const LONGEST = 30; // characters of a name
-const chosen = { group: 0, figure: 0, agent: 0 };
+const chosen = { group: 0, metric: 0, agent: 0 };
 const order = { by: null, falling: true };
-let columnsOf = agents.length > 1 ? "agents" : "figures";
+let columnsOf = agents.length > 1 ? "agents" : "metrics";
 
 const LIKE_TEXT = new Intl.Collator("en", { numeric: true, sensitivity: "base" });
-const figure = () => figures[chosen.figure];
+const metric = () => metrics[chosen.metric];
 const members = () => groups[chosen.group].pieces;
-const value = (piece, agent = chosen.agent, of = chosen.figure) => values[of][0][agent][piece];
-const interval = (piece, agent = chosen.agent, of = chosen.figure) => [1, 2].map((end) => values[of][end][agent][piece]);
-const fixed = (number, { decimals } = figure()) => (number === null ? "–" : minus(number.toFixed(decimals)));
+const value = (piece, agent = chosen.agent, of = chosen.metric) => values[of][0][agent][piece];
+const interval = (piece, agent = chosen.agent, of = chosen.metric) => [1, 2].map((end) => values[of][end][agent][piece]);
+const fixed = (number, { decimals } = metric()) => (number === null ? "–" : minus(number.toFixed(decimals)));
 const colour = (agent) => css(`--run${agent % 8}`);
 
-function withInterval(piece, agent, of = chosen.figure) {
-  const [low, high] = interval(piece, agent, of), known = fixed(value(piece, agent, of), figures[of]);
-  return low === null ? known : `${known} (${fixed(low, figures[of])} to ${fixed(high, figures[of])})`;
+function withInterval(piece, agent, of = chosen.metric) {
+  const [low, high] = interval(piece, agent, of), known = fixed(value(piece, agent, of), metrics[of]);
+  return low === null ? known : `${known} (${fixed(low, metrics[of])} to ${fixed(high, metrics[of])})`;
 }
 
 /** From 0 to 1, or to a little above all that is drawn. */
-const upwards = (chart, low, high) => [0, figure().share ? 1 : high * 1.05 || 1];
+const upwards = (chart, low, high) => [0, metric().share ? 1 : high * 1.05 || 1];
 const open = (piece) => { location.href = pieces[piece].about; };
 const leading = { size: (chart, labels) => 4 + 8 * Math.max(4, ...(labels ?? []).map(({ length }) => length)), space: 22 };
 
@@ -93,8 +93,8 @@ columns.over.addEventListener("keydown", ({ key }) => { if (key === "Enter" && c
 
 function showColumns() {
   ranked = members().filter((piece) => value(piece) !== null).sort((a, b) => value(b) - value(a));
-  $("columns-title").textContent = `Every piece: ${figure().title}${agents.length > 1 ? `, ${agents[chosen.agent]}` : ""}`;
-  columns.over.setAttribute("aria-label", ranked.length ? `${figure().title} of ${ranked.length} pieces by ${agents[chosen.agent]}, from ${fixed(value(ranked[0]))} for ${pieces[ranked[0]].title} to ${fixed(value(ranked.at(-1)))} for ${pieces[ranked.at(-1)].title}` : "No piece");
+  $("columns-title").textContent = `Every piece: ${metric().title}${agents.length > 1 ? `, ${agents[chosen.agent]}` : ""}`;
+  columns.over.setAttribute("aria-label", ranked.length ? `${metric().title} of ${ranked.length} pieces by ${agents[chosen.agent]}, from ${fixed(value(ranked[0]))} for ${pieces[ranked[0]].title} to ${fixed(value(ranked.at(-1)))} for ${pieces[ranked.at(-1)].title}` : "No piece");
   columns.setData([ranked.map((_, i) => i), ranked.map((piece) => value(piece))]);
 }
 
@@ -123,10 +123,10 @@ const scatter = createChart($("scatter"), {
 function showScatter() {
   const difficulty = (piece) => pieces[piece].difficulty;
   graded = members().filter((piece) => difficulty(piece) !== null && agents.some((_, agent) => value(piece, agent) !== null)).sort((a, b) => difficulty(a) - difficulty(b));
-  $("scatter-title").textContent = `${figure().title} by difficulty`;
+  $("scatter-title").textContent = `${metric().title} by difficulty`;
   $("scatter").hidden = !graded.length;
   $("scatter-words").textContent = graded.length ? "A dot is a piece. Difficulty is a grade from 1 to 10 of what makes a score hard for two hands." : "The difficulty of these pieces is not known.";
-  scatter.over.setAttribute("aria-label", `${figure().title} of ${graded.length} pieces by difficulty`);
+  scatter.over.setAttribute("aria-label", `${metric().title} of ${graded.length} pieces by difficulty`);
   let last = -Infinity; // no two may be at the same place
   const x = graded.map((piece) => (last = Math.max(difficulty(piece), last + 1e-4)));
   scatter.setData([x, ...agents.map((_, agent) => graded.map((piece) => value(piece, agent)))]);
@@ -134,11 +134,11 @@ function showScatter() {
 
 function showProfile() {
   for (const profile of document.querySelectorAll(".profile")) {
-    profile.hidden = profile.dataset.group !== String(chosen.group) || profile.dataset.figure !== String(chosen.figure);
+    profile.hidden = profile.dataset.group !== String(chosen.group) || profile.dataset.metric !== String(chosen.metric);
   }
-  $("profile-words").textContent = figure().share
+  $("profile-words").textContent = metric().share
     ? "The share of runs that are better than a value, every piece counting the same. The higher a line, the better."
-    : "A profile is drawn of figures from 0 to 1 only.";
+    : "A profile is drawn of metrics from 0 to 1 only.";
 }
 
 // The table of pieces.
@@ -156,15 +156,15 @@ function tableColumns() {
     { title: "Notes", key: "notes", of: (piece) => pieces[piece].notes, show: (number) => number.toLocaleString("en") },
   ];
   const measured = columnsOf === "agents"
-    ? agents.map((name, agent) => [name, agent, chosen.figure])
-    : figures.map(({ title }, of) => [title, chosen.agent, of]);
+    ? agents.map((name, agent) => [name, agent, chosen.metric])
+    : metrics.map(({ title }, of) => [title, chosen.agent, of]);
   return [...told, ...measured.map(([title, agent, of]) => ({
     title,
     key: `${agent} ${of}`,
     of: (piece) => value(piece, agent, of),
-    show: (number) => fixed(number, figures[of]),
-    small: (piece) => { const [low, high] = interval(piece, agent, of); return low === null ? "" : `${fixed(low, figures[of])}–${fixed(high, figures[of])}`; },
-    best: columnsOf === "agents" && figures[of].share && agents.length > 1,
+    show: (number) => fixed(number, metrics[of]),
+    small: (piece) => { const [low, high] = interval(piece, agent, of); return low === null ? "" : `${fixed(low, metrics[of])}–${fixed(high, metrics[of])}`; },
+    best: columnsOf === "agents" && metrics[of].share && agents.length > 1,
   }))];
 }
 
@@ -197,7 +197,7 @@ function sorted(rows, { of, text }) {
 
 function showTable() {
   const shownColumns = tableColumns(), table = $("pieces");
-  const by = shownColumns.find(({ key }) => key === order.by) ?? shownColumns.find(({ key }) => key === `${chosen.agent} ${chosen.figure}`) ?? shownColumns[0];
+  const by = shownColumns.find(({ key }) => key === order.by) ?? shownColumns.find(({ key }) => key === `${chosen.agent} ${chosen.metric}`) ?? shownColumns[0];
   const rows = sorted(found(), by);
   $("found").textContent = rows.length === members().length ? `${rows.length} pieces` : `${rows.length} of ${members().length} pieces`;
   const head = make("tr");
