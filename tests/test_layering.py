@@ -62,7 +62,7 @@ LIBRARIES: dict[str, set[str]] = {
         "wandb",
     },
     "evaluation": {"numpy", "scipy", "ray"},
-    "studio": {"numpy", "starlette", "uvicorn"},
+    "studio": {"anyio", "numpy", "starlette", "uvicorn"},
 }
 
 

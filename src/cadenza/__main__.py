@@ -2,4 +2,5 @@
 
 from cadenza_command import main
 
-main()
+if __name__ == "__main__":  # and not where a process of the studio looks into it
+    main()

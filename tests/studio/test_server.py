@@ -30,6 +30,7 @@ pytest.importorskip("starlette", reason="needs cadenza[studio]")
 pytest.importorskip("uvicorn", reason="needs cadenza[studio]")
 pytest.importorskip("httpx2", reason="needs the development group")
 
+from anyio import to_process
 from starlette.requests import ClientDisconnect, Request
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
@@ -40,7 +41,6 @@ from cadenza.music.formats.midi import write_midi
 from cadenza.music.formats.reading import read_score
 from cadenza.music.score import Note, Score
 from cadenza.studio import jobs, server
-from cadenza.studio import synthesizer as synthesizer_module
 from cadenza.studio.access import MAX_PENDING
 from cadenza.studio.page_server import serve
 from cadenza.studio.request import HEADER_FILE, ROWS_FILE, PlayRequest
@@ -837,25 +837,16 @@ def test_a_page_that_closes_while_it_sends_is_no_fault_of_the_server(
     assert answer.json()["error"] == "the file has not come to its end"
 
 
-def test_a_synthesizer_that_ends_is_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    start, processes = synthesizer_module.start_process, []
-
-    async def starting(*arguments: str) -> Any:
-        processes.append(await start(*arguments))
-        return processes[-1]
-
+def test_a_synthesizer_that_ends_is_started_again() -> None:
     async def run() -> None:
         synthesizer = Synthesizer()
-        await synthesizer.start()
         low = asyncio.create_task(synthesizer.tone(30, 0))
         await asyncio.sleep(0.01)
         low.cancel()  # its answer must not be that to the next question
         assert len(await synthesizer.tone(100, 0)) == 4 + 2 * (2 * 32_000 + 1)
-        processes[-1].kill()
+        os.kill(await to_process.run_sync(os.getpid), signal.SIGKILL)
         with suppress(CadenzaError):
             await synthesizer.tone(100, 0)
         assert await synthesizer.tone(60, 3)
-        await synthesizer.close()
 
-    monkeypatch.setattr(synthesizer_module, "start_process", starting)
     asyncio.run(asyncio.wait_for(run(), 60))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import re
 import secrets
 import signal
@@ -52,6 +53,7 @@ _KEEP_ALIVE = 5  # [s] that a connection without requests stays open
 _SHUTDOWN_TIME = 2  # [s] that requests have to end when the server does
 _MAX_RECEIVED = 1 << 12  # bytes of a message of the page, which has nothing to send
 _KILLED = 128  # what shells add to the number of a signal that ends a process
+_FIRST_TONE = 60, 2  # middle C, made at the start: the process that makes tones is ready then
 _CACHED = {"cache-control": "private, max-age=31536000, immutable"}
 
 
@@ -88,11 +90,12 @@ class PageServer:
     @asynccontextmanager
     async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
         """Runs from the start of the server to its end."""
-        await self._synthesizer.start()
+        first = asyncio.create_task(self._synthesizer.tone(*_FIRST_TONE))
         try:
             yield
         finally:
-            await self._synthesizer.close()
+            first.cancel()
+            await asyncio.wait({first})
 
     async def page(self, _: Request) -> Response:
         """Answers the page; its address must end in a slash, as its links are relative."""
@@ -229,6 +232,7 @@ def serve(
         CadenzaError: somebody else listens there, there is no such address, or others may have
             written the file.
     """
+    os.environ["PYTHONSAFEPATH"] = "1"  # no process of ours imports from the working folder
     known = None if address_file is None else read_address(address_file)
     token, last_port = astuple(known or Address(secrets.token_urlsafe(16), 0))
     with _bound_socket(host, [port] if port else [last_port, 0]) as listening:
