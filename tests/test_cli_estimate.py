@@ -29,23 +29,23 @@ def setup(seconds: int, agent: Agent | None = None) -> Setup:
 
 
 def test_a_long_song_is_announced(capsys: pytest.CaptureFixture[str]) -> None:
-    estimate.tell_how_long(setup(192))
+    estimate.print_estimate(setup(192))
     told = capsys.readouterr().err
     assert told == "planning and playing 3:12 of music takes about 1 to 4 min\n"
-    estimate.tell_how_long(setup(60))
+    estimate.print_estimate(setup(60))
     assert "1:00 of music takes about 20 to 70 s" in capsys.readouterr().err
 
 
 def test_practice_is_part_of_it(capsys: pytest.CaptureFixture[str]) -> None:
-    estimate.tell_how_long(setup(20, Planner(PlannerConfig(effort=8.0))))
+    estimate.print_estimate(setup(20, Planner(PlannerConfig(effort=8.0))))
     assert "0:20 of music takes about 5 to 15 min" in capsys.readouterr().err
 
 
 def test_short_work_is_not_announced(capsys: pytest.CaptureFixture[str]) -> None:
-    estimate.tell_how_long(setup(20))
-    estimate.tell_how_long(setup(192, ZeroAgent()))
+    estimate.print_estimate(setup(20))
+    estimate.print_estimate(setup(192, ZeroAgent()))
     token = QUIET.set(True)
-    estimate.tell_how_long(setup(192))
+    estimate.print_estimate(setup(192))
     QUIET.reset(token)
     assert capsys.readouterr() == ("", "")
 

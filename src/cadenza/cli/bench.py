@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cadenza.evaluation.jobs import Contender, Job
 
 _MOST_SEEDS = 10_000
-_MOST_RUNS = 20_000  # which take a minute to be told apart, and then days
+_MOST_RUNS = 20_000  # which take days
 _RESIDUAL = "-residual"
 
 
@@ -64,7 +64,7 @@ def run(command: Bench, read: Read[Bench]) -> None:
     agents, seeds = _agents(command), _seeds(command.seeds)
     check_all_play(command, agents)
     check_execution(command)
-    who = _contenders(command, read, agents)
+    contenders = _contenders(command, read, agents)
     library = open_library(command.songs)
     if (runs := len(library.songs) * len(agents) * len(seeds)) > _MOST_RUNS:
         parts = (library.songs, "song"), (agents, "agent"), (seeds, "seed")
@@ -73,7 +73,7 @@ def run(command: Bench, read: Read[Bench]) -> None:
             f"{what}: {runs} runs, but a bench holds up to {_MOST_RUNS}; choose fewer, such as a "
             "split or a smaller folder of songs"
         )
-    jobs = bench_jobs(library, who, seeds, command.arrangement, command.pages)
+    jobs = bench_jobs(library, contenders, seeds, command.arrangement, command.pages)
     if not jobs:
         raise CadenzaError("there is nothing to run: choose other songs or agents")
     trains = any(job.spec.training is not None for job in jobs)
@@ -120,11 +120,11 @@ def _contenders(
     """Returns song -> who plays it, each with the command's options over those it was made with."""
     fixed = {name: _contender(command, read, name) for name in agents if name != PRETRAINED}
 
-    def who(song: str) -> list[Contender]:
+    def contenders(song: str) -> list[Contender]:
         found = (fixed[name] if name in fixed else _pretrained(read, song) for name in agents)
         return [contender for contender in found if contender is not None]
 
-    return who
+    return contenders
 
 
 def _contender(command: Bench, read: Read[Bench], agent: str) -> Contender:
@@ -138,7 +138,7 @@ def _contender(command: Bench, read: Read[Bench], agent: str) -> Contender:
         folder = Path(agent)
         return _with_policy(read, str(folder), folder)
     config = command.configs.get(agent)
-    make_agent(agent, config)  # who is not there is told before anyone plays
+    make_agent(agent, config)  # an unknown agent is an error before any plays
     return Contender(agent, command.task, command.scene, config, digest_of_files(config))
 
 

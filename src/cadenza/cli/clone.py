@@ -58,14 +58,14 @@ def train_until_stopped(run: CheckpointedRun, stage: str, unit: str, metric: str
     with progress(stage, unit, 30.0) as advance, stop_on_signal("a checkpoint") as stop:
         stop()  # from now on
 
-        def goes_on() -> bool:
+        def should_continue() -> bool:
             remark = f"{(run.update - first) / (time.perf_counter() - began):.3g} a second"
             if run.rows and (value := run.rows[-1].get(metric)) is not None:
                 remark += f", {metric.rpartition('/')[2].replace('_', ' ')} {value:.5f}"
             advance(run.update, run.num_updates, remark)
             return not stop()
 
-        run.run(goes_on)
-        goes_on()
+        run.run(should_continue)
+        should_continue()
     if not run.finished:
         raise KeyboardInterrupt

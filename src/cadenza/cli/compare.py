@@ -62,7 +62,7 @@ def compare(command: Compare, read: Read[Compare]) -> None:
     }
     for name, selection in selections.items():
         with setting_up(selection, commands[name]):
-            pass  # who cannot play is told before anyone has played
+            pass  # what cannot be played is an error before any plays
     folder = command.output or default_folder(selections[command.agents[0]])
     check_writable(folder)
     remarks = [

@@ -63,7 +63,7 @@ def collect(command: Collect, _: Read[Collect]) -> None:
 
     _check(command)
     library = open_library(command.songs)
-    jobs = episodes(library, _who(command), range(command.episodes), command.least_f1)
+    jobs = episodes(library, _demonstrator(command), range(command.episodes), command.least_f1)
     if not jobs:
         raise CadenzaError("there is nothing to play: choose other songs")
     until, summary = "ending the episodes under way", ["cadenza", "dataset", "info"]
@@ -90,11 +90,11 @@ def _check(command: Collect) -> None:
         raise CadenzaError(
             "--wrong-press-termination: demonstrations last as long as their songs; leave it out"
         )
-    # Options of task and scene that do not go together are told once, not by each episode.
+    # Options of task and scene that do not go together are an error once, not of each episode.
     PianoTask([Score((Note(0.0, 0.1, 60),))], command.task, command.scene).close()
 
 
-def _who(command: Collect) -> Demonstrator:
+def _demonstrator(command: Collect) -> Demonstrator:
     from cadenza.agents.registry import make_agent
     from cadenza.evaluation.collecting.collect import Demonstrator
     from cadenza.performing.setup import is_policy_folder
@@ -111,7 +111,7 @@ def _who(command: Collect) -> Demonstrator:
         )
     check_all_play(command, [agent, *([] if student is None else [student])])
     student_config = None if student is None else command.configs.get(student)
-    make_agent(agent, config)  # who is not there is told before anyone plays
+    make_agent(agent, config)  # an unknown agent is an error before any plays
     if student is not None:
         make_agent(student, student_config)
     return Demonstrator(
@@ -215,8 +215,8 @@ def play(command: DatasetPlay) -> None:
     folder = command.output or Path("played") / command.folder.resolve().name / str(number)
     check_writable(folder)
     check_replaceable(folder)
-    with stages("playing") as told:
-        performance = replay_episode(episodes[number], told)
+    with stages("playing") as reporter:
+        performance = replay_episode(episodes[number], reporter)
     print(f"{episodes[number].facts.song}, {episodes[number].folder.name}")
     save(performance, folder, command.video)
 

@@ -20,7 +20,7 @@ _STEPS_OF_PRACTICE = 1.5  # as many for one of a hand that practises, by docs/pr
 _LEAST, _MOST = 0.6, 1.8
 
 
-def tell_how_long(setup: Setup) -> None:
+def print_estimate(setup: Setup) -> None:
     """Prints on stderr about how long the planner will take, if that is long."""
     from cadenza.agents.planner.planner import Planner
     from cadenza.agents.planner.practice.practice import EFFORT
@@ -36,8 +36,8 @@ def tell_how_long(setup: Setup) -> None:
     about = steps * plain_steps * seconds_of_a_step(setup.task.scene, config.control_timestep)
     if about > _WORTH_TELLING:
         music = f"{seconds // 60:.0f}:{seconds % 60:02.0f} of music"
-        how_long = _in_words(_LEAST * about, _MOST * about)
-        print(f"planning and playing {music} takes about {how_long}", file=sys.stderr)
+        duration = _range_text(_LEAST * about, _MOST * about)
+        print(f"planning and playing {music} takes about {duration}", file=sys.stderr)
 
 
 def seconds_of_a_step(scene: Scene, control_timestep: float) -> float:
@@ -55,7 +55,7 @@ def seconds_of_a_step(scene: Scene, control_timestep: float) -> float:
     return (time.perf_counter() - began) / steps
 
 
-def _in_words(least: float, most: float) -> str:
+def _range_text(least: float, most: float) -> str:
     """Returns a range of seconds as text, such as "40 to 120 s" or "6 to 18 min"."""
     if most < 180:
         return f"{round(least, -1):.0f} to {round(most, -1):.0f} s"

@@ -70,8 +70,10 @@ def clone(command: CloneGeneralist) -> None:
 
     check_writable(command.output)
     with GeneralistCloning.folder_at(command.output).locked():
-        with stages("reading") as tell:
-            run = GeneralistCloning(command.config, command.demonstrations, command.output, tell)
+        with stages("reading") as progress:
+            run = GeneralistCloning(
+                command.config, command.demonstrations, command.output, progress
+            )
         train_until_stopped(run, "fitting", "perceptrons", "train/explained_variance")
     _print_how_to_play(command.output)
 
@@ -88,9 +90,9 @@ def reinforce(command: ReinforceGeneralist) -> None:
     drawn = rng.permutation(len(songs))[: config.num_songs].tolist()
     scores = [excerpt(load_score(songs[i].name), config.seconds, rng.random())[0] for i in drawn]
     with GeneralistReinforcement.folder_at(command.output).locked():
-        with stages("planning") as tell:
+        with stages("planning") as progress:
             run = GeneralistReinforcement(
-                config, command.songs, scores, command.output, command.weights, tell
+                config, command.songs, scores, command.output, command.weights, progress
             )
         train_until_stopped(run, "learning", "rounds", "train/cost")
     _print_how_to_play(command.output)

@@ -9,7 +9,7 @@ from typing import Any
 
 from cadenza.agents.registry import PLANNER, PLAYBACK
 from cadenza.cli.arguments import Output, Quiet
-from cadenza.cli.estimate import tell_how_long
+from cadenza.cli.estimate import print_estimate
 from cadenza.cli.options import (
     Performing,
     Read,
@@ -58,7 +58,7 @@ def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
     path = command.output or default_folder(selection) / f"plan{TENSORS}"
     with setting_up(selection, command, command.seed) as setup:
         check_writable(path.parent)
-        tell_how_long(setup)
+        print_estimate(setup)
         with stages("planning") as progress:
             planned = make_plan(setup, progress)
     planned.save(path)

@@ -14,7 +14,7 @@ import tyro
 from cadenza.agents.registry import PLANNER
 from cadenza.cli.arguments import Advanced, Output, Quiet
 from cadenza.cli.console import stop_on_signal
-from cadenza.cli.estimate import tell_how_long
+from cadenza.cli.estimate import print_estimate
 from cadenza.cli.options import (
     AGENTS_HELP,
     Performing,
@@ -70,7 +70,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
     picture = Picture(*command.video_size, command.video_camera)
     source = resolve(command.song, command.arrangement)
     selection = select(source, command.agent, configs=command.configs, plan=command.plan)
-    check_all_play(command, _who_plays(selection))
+    check_all_play(command, _playing_agents(selection))
     command = read(task=selection.task, scene=selection.scene)
     folder = command.output or default_folder(selection) / _name_of(selection.name)
     if command.watch:
@@ -80,7 +80,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
             with setting_up(selection, command, command.seed) as setup:
                 check_writable(folder)
                 check_replaceable(folder, command.song)
-                tell_how_long(setup)
+                print_estimate(setup)
                 setup, cut_short = kept.enter_context(_practised(setup, folder))
                 page = kept.enter_context(_page(setup)) if command.watch else None
                 with stages("playing") as progress:
@@ -103,7 +103,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
         raise KeyboardInterrupt
 
 
-def _who_plays(selection: Selection) -> set[str]:
+def _playing_agents(selection: Selection) -> set[str]:
     """Returns the agents whose options count; the planner's do for a song that was practised."""
     from cadenza.agents.planner.practice.practised_planner import PractisedHands
 

@@ -167,8 +167,8 @@ def practised(
     check_is_practice(folder)
     kept = practice_folder(folder)
     with kept.locked():
-        with stages("planning") as tell:
-            practising = Practising(setup, kept, tell)
+        with stages("planning") as progress:
+            practising = Practising(setup, kept, progress)
         _practise(practising, effort, minutes, stop)
         practising.save()
         practising.save_plan()
@@ -182,16 +182,16 @@ def _practise(
     from cadenza.agents.planner.practice.practice import MOST_EFFORT
 
     practice = practising.practice
-    score, told = practice.plan.track.delayed_score, len(practice.history)
+    score, num_printed = practice.plan.track.delayed_score, len(practice.history)
     began = time.monotonic()
     with one_after_other() as show:
 
-        def goes_on() -> bool:
-            nonlocal told
-            played_first = not told and bool(practice.history)
-            for row in practice.history[told:]:
+        def should_continue() -> bool:
+            nonlocal num_printed
+            played_first = not num_printed and bool(practice.history)
+            for row in practice.history[num_printed:]:
                 print("effort {:.2g}: F1 {:.3f}, note onsets F1 {:.3f}".format(*row))
-            told = len(practice.history)
+            num_printed = len(practice.history)
             seconds = time.monotonic() - began
             stage, unit, done, total = _progress(practice, effort, minutes, seconds)
             show(stage, unit, int(min(done, total)), int(total), _remark(practice, score))
@@ -200,8 +200,8 @@ def _practise(
                 practising.save_plan_if_due(at_once=played_first)
             return not stop() and (minutes is None or done < total)
 
-        practice.run(effort if minutes is None else MOST_EFFORT, goes_on)
-        goes_on()
+        practice.run(effort if minutes is None else MOST_EFFORT, should_continue)
+        should_continue()
     if not practice.history:
         print("stopped within the first take; what follows is played as planned, without a search")
     elif left := practice.steps_with_loss() if score.bars else practice.passages_with_loss():

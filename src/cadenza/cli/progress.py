@@ -81,7 +81,7 @@ def stages(playing: str) -> Iterator[Progress]:
     stage, last = "", (0, 0)
     with one_after_other() as show:
 
-        def tell(now: str, done: int, total: int) -> None:
+        def report(now: str, done: int, total: int) -> None:
             nonlocal stage, last
             if stage == "playing" != now:
                 show(playing, "steps", *last, now)
@@ -89,7 +89,7 @@ def stages(playing: str) -> Iterator[Progress]:
             stage, last = now, (done, total)
             show(playing if now == "playing" else now, _UNITS.get(now, "steps"), done, total)
 
-        yield tell
+        yield report
 
 
 def _mute(done: int, total: int, remark: str = "") -> None:

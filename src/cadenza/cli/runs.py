@@ -97,13 +97,15 @@ def run_all(command: _Command, jobs: Sequence[Job], work: Work) -> None:
     ):
         stop()  # from now on
 
-        def goes_on(state: BenchState) -> bool:
+        def should_continue(state: BenchState) -> bool:
             table.show(state)
             return not stop()
 
         retry = command.execution.retry
-        state = bench(jobs, command.output, executor, table.ended, goes_on, retry, work.is_complete)
-    _tell_what_is_left(state, command.output, work.next_command)
+        state = bench(
+            jobs, command.output, executor, table.ended, should_continue, retry, work.is_complete
+        )
+    _print_summary(state, command.output, work.next_command)
 
 
 def _executor(command: _Command, work: Work) -> Executor:
@@ -135,7 +137,7 @@ class _Table:
             return
         columns, rows = shutil.get_terminal_size()
         lines = [*self._rows(state, columns)][: rows - 2]
-        total = _in_all(
+        total = _counts(
             state, under_way=len(state.running), under_way_elsewhere=len(state.elsewhere)
         )
         self.close()
@@ -149,7 +151,7 @@ class _Table:
         self.close()
         self._began.pop(job.spec.name, None)
         done = "" if self._live else f"{state.finished + len(state.failed)} of {state.total}: "
-        print(f"{done}{_what_became_of(state, job, self._work)}", file=sys.stderr)
+        print(f"{done}{_outcome_line(state, job, self._work)}", file=sys.stderr)
 
     def close(self) -> None:
         """Takes away what `show` has drawn."""
@@ -167,20 +169,20 @@ class _Table:
             how_far = "beginning" if at is None else at.stage
             if at is not None and at.total:
                 how_far += f" {100 * at.done // at.total} %"
-            yield f"{_named_in(job, columns - 31)} {how_far:<20} {seconds:5.0f} s"
+            yield f"{_fitted_label(job, columns - 31)} {how_far:<20} {seconds:5.0f} s"
 
 
-def _named_in(job: Job, columns: int) -> str:
+def _fitted_label(job: Job, columns: int) -> str:
     """Returns the name of a run; without enough room, its beginning is left out."""
-    name = _named(job)
+    name = _label(job)
     return f"…{name[1 - columns :]}" if len(name) > columns else name.ljust(columns)
 
 
-def _named(job: Job) -> str:
+def _label(job: Job) -> str:
     return f"{job.spec.song}  {job.spec.agent}  seed {job.spec.seed}"
 
 
-def _what_became_of(state: BenchState, job: Job, work: Work) -> str:
+def _outcome_line(state: BenchState, job: Job, work: Work) -> str:
     if job.spec.name in state.failed:
         how = f"failed: {state.failed[job.spec.name]}"
     elif job in state.todo:
@@ -190,10 +192,10 @@ def _what_became_of(state: BenchState, job: Job, work: Work) -> str:
             how = work.outcome(state.folder / job.spec.name, job)
         except (CadenzaError, OSError) as error:
             how = str(error)
-    return f"{_named(job)}: {how}"
+    return f"{_label(job)}: {how}"
 
 
-def _in_all(state: BenchState, **others: int) -> str:
+def _counts(state: BenchState, **others: int) -> str:
     """Returns how many runs are finished, and how many failed and so on if there are any."""
     counts = {"failed": len(state.failed), **others}
     parts = [f"{state.finished} of {state.total} runs finished"]
@@ -201,14 +203,14 @@ def _in_all(state: BenchState, **others: int) -> str:
     return ", ".join(parts)
 
 
-def _tell_what_is_left(state: BenchState, folder: Path, next_command: Sequence[str]) -> None:
+def _print_summary(state: BenchState, folder: Path, next_command: Sequence[str]) -> None:
     """Prints how many runs are finished, and which command sums them up.
 
     Raises:
         KeyboardInterrupt: some runs are left.
         CadenzaError: some have failed.
     """
-    print(f"{_in_all(state, left=state.left)}, in {folder}")
+    print(f"{_counts(state, left=state.left)}, in {folder}")
     for name, why in state.failed.items():
         print(f"{name}: {why}", file=sys.stderr)
     if state.left:

@@ -102,9 +102,9 @@ def _return_summary(metrics: Mapping[str, Any]) -> str:
         for name, value in metrics.items()
         if name.startswith("reward/")
     }
-    told = ", ".join(f"{name} {value:.1f}" for name, value in terms.items())
+    text = ", ".join(f"{name} {value:.1f}" for name, value in terms.items())
     fingers = _REWARDED.get(metrics["rewarded_fingers"], "")
-    return f"return {metrics['return']:.1f}: {told}{fingers}"
+    return f"return {metrics['return']:.1f}: {text}{fingers}"
 
 
 def print_losses(performance: Performance) -> None:

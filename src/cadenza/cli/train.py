@@ -155,8 +155,8 @@ def _train(command: Train, folder: Path) -> None:
         with closing(training):
             finished = _train_until_stopped(training, command, run, score.title)
         if finished:
-            with stages("playing") as tell:
-                performance = play(folder / "best", progress=tell)
+            with stages("playing") as reporter:
+                performance = play(folder / "best", progress=reporter)
             save(performance, folder / "best_played", command.video)
         if run.metrics.rows():
             _write_curves(folder, score.title, config)
@@ -215,7 +215,7 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
     with progress("learning", "steps", 30.0) as advance, stop_on_signal("a checkpoint") as stop:
         stop()  # from now on
 
-        def goes_on() -> bool:
+        def should_continue() -> bool:
             nonlocal scores
             while training.rows:
                 row = training.rows.popleft()
@@ -227,14 +227,14 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
                     onsets = row["eval/note_onset_f1"]
                     scores = f"F1 {row['eval/f1']:.3f}, note onsets F1 {onsets:.3f}"
                     scores += f", best F1 {best:.3f}"
-            if training.step < enough:  # how long that takes is told first
+            if training.step < enough:  # how long that takes is shown first
                 advance(training.step, enough, ", ".join(filter(None, ("to play well", scores))))
             else:
                 advance(training.step, training.config.num_steps, scores)
             return not stop()
 
-        training.run(goes_on)
-        goes_on()
+        training.run(should_continue)
+        should_continue()
     for scalars in shown:
         scalars.close()
     return training.step >= training.config.num_steps
@@ -276,11 +276,11 @@ def curves(command: Curves) -> None:
     check_name(command.output, ".html", "curves are a .html page")
     check_writable(command.output.parent)
     drawn = [_curve(folder) for folder in command.runs]
-    told = [_title_and_settings(folder) for folder in command.runs]
-    shared = set.intersection(*map(set, told))
-    tasks = [", ".join(part for part in parts if part not in shared) for parts in told]
+    descriptions = [_title_and_settings(folder) for folder in command.runs]
+    shared = set.intersection(*map(set, descriptions))
+    tasks = [", ".join(part for part in parts if part not in shared) for parts in descriptions]
     apart = [replace(curve, task=task) for curve, task in zip(drawn, tasks, strict=True)]
-    songs = dict.fromkeys(song for song, *_ in told)
+    songs = dict.fromkeys(song for song, *_ in descriptions)
     write_page(command.output, training_page(" · ".join(songs), apart, {}))
     print(f"Open {command.output}")
 

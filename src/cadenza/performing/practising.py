@@ -27,14 +27,14 @@ from cadenza.resumable import ResumableFolder
 from cadenza.scene.servos import servos_of
 from cadenza.sim.threads import Threads
 
+_SAVE_INTERVAL = 20.0  # [s] at least between two times that practice is saved, or its plan
+_MAX_SAVING = 0.05  # share of the time that is spent on saving
+
 
 def practice_folder(path: Path) -> ResumableFolder:
     """Returns the folder of practice, whose manifest says of what song, in what task and scene."""
     locked_out = "somebody practises there; choose another folder with --output"
     return ResumableFolder(path, "cadenza practice", locked_out, PRACTISED_HOW)
-
-_SAVE_INTERVAL = 20.0  # [s] at least between two times that practice is saved, or its plan
-_MAX_SAVING = 0.05  # share of the time that is spent on saving
 
 
 def check_is_practice(folder: Path) -> None:

@@ -48,11 +48,11 @@ def train(
     run = RunFolder(Path(folder))
     with run.locked(), closing(begin(config, score, run)) as training:
 
-        def goes_on() -> bool:
+        def should_continue() -> bool:
             training.rows.clear()  # they are in the run's folder
             progress("learning", training.step, config.num_steps)
             return True
 
-        training.run(goes_on)
-        goes_on()
+        training.run(should_continue)
+        should_continue()
     return run.path / "best"

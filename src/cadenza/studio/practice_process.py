@@ -81,7 +81,7 @@ def _practise_until_done(practising: Practising, num_saved: int, send: Send) -> 
         share = practice.share_made(ENOUGH)
         send(json_message(state=state, f1=f1, note_onset_f1=onsets, share=share))
 
-    def goes_on() -> bool:
+    def should_continue() -> bool:
         nonlocal last_report
         if time.monotonic() - last_report > _REPORT_INTERVAL:
             report("practising")
@@ -90,7 +90,7 @@ def _practise_until_done(practising: Practising, num_saved: int, send: Send) -> 
         return len(practice.history) == num_saved
 
     while not finished:
-        finished = practice.run(ENOUGH, goes_on)
+        finished = practice.run(ENOUGH, should_continue)
         if len(practice.history) > num_saved:
             num_saved = len(practice.history)
             practising.save()
