@@ -87,6 +87,9 @@ _ARRAYS = {
     "goal_sustain": ArrayOf(FLAGS, ("T",)),
     "key_qpos": ArrayOf(NUMBERS, ("T", "K")),
     "key_activation": ArrayOf(FLAGS, ("T", "K")),
+    "key_onset": ArrayOf(NUMBERS, ("T", "K")),
+    "key_offset": ArrayOf(NUMBERS, ("T", "K")),
+    "key_speed": ArrayOf(NUMBERS, ("T", "K")),
     "right_key_qpos": ArrayOf(NUMBERS, ("T", "K")),
     "left_key_qpos": ArrayOf(NUMBERS, ("T", "K")),
     "sustain_activation": ArrayOf(FLAGS, ("T",)),
@@ -119,6 +122,9 @@ class Episode:
     - `goal_sustain` (T,) bool, whether the pedal should be down
     - `key_qpos` (T, K) [rad]
     - `key_activation` (T, K) bool, the keys that sound
+    - `key_onset`, `key_offset` (T, K), when keys began or ceased to sound in the step, from its
+      beginning on [s], NaN where they did not; float32
+    - `key_speed` (T, K), the speed of keys at their onsets [rad/s], else NaN; float32
     - `right_key_qpos`, `left_key_qpos` (T, K) [rad], of hands that play apart: what each does with
       the keys, of which `key_qpos` is the larger
     - `sustain_activation` (T,) bool, whether the pedal is down

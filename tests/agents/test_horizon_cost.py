@@ -36,7 +36,7 @@ def test_costs_of_fingers_are_those_of_the_steps() -> None:
         depth = np.random.default_rng(seed).uniform(0.0, 1.2, chord.wanted.shape)
         sounding, costs = np.zeros(88, bool), []
         for k, (keys, tips) in enumerate(zip(depth * PIANO.travel, chord.tips, strict=True)):
-            cost, _, sounding = chord.horizon.step_cost(k, keys, tips, sounding)
+            cost, _, sounding = chord.horizon.step_cost(k, keys[None], tips, sounding)
             costs.append(cost)
         by_finger = chord.by_finger(depth)
         assert by_finger.shape == chord.tips.shape[:2]
@@ -77,7 +77,7 @@ def test_notes_that_do_not_begin_in_time_and_keys_struck_again_cost_more() -> No
             key_qpos = np.zeros(88)
             key_qpos[key] = PIANO.travel[key] * (down == "x")
             tips = hand.goals.fingertips[steps[k] + 1]
-            more, _, before = horizon.step_cost(k, key_qpos, tips, before)
+            more, _, before = horizon.step_cost(k, key_qpos[None], tips, before)
             total += more
         return total
 

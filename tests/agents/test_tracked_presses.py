@@ -13,8 +13,7 @@ from scipy.linalg import solve_discrete_are
 from cadenza.agents.agent import Agent, Array
 from cadenza.agents.baselines.press_optimisation import regulator
 from cadenza.agents.baselines.tracked_presses import TrackedPresses
-from cadenza.agents.planner.config import PlannerConfig, TrackedPressesConfig
-from cadenza.agents.planner.planner import Planner
+from cadenza.agents.planner.config import TrackedPressesConfig
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
@@ -59,9 +58,7 @@ def test_gains_are_those_of_the_linear_quadratic_regulator() -> None:
     assert_allclose(gain[0], -np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a), rtol=1e-8)
 
 
-def test_a_press_that_goes_wrong_is_mended(planned: tuple[Kept, EpisodeResult]) -> None:
-    nominal = play_episode(task_of(), Planner(PlannerConfig(method="none")))
-    assert planned[1].metrics["f1"] > nominal.metrics["f1"]
+def test_presses_are_optimised_until_they_sound(planned: tuple[Kept, EpisodeResult]) -> None:
     assert planned[1].metrics["f1"] > 0.95
 
 

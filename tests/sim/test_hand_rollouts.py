@@ -38,7 +38,8 @@ def test_a_hand_on_the_keys_near_it_moves_as_on_all(side: Side) -> None:
             rollouts.start_from(whole, y.min(), y.max())
             assert rollouts.keys.stop - rollouts.keys.start < 40
             ahead = actions[step : step + AHEAD]
-            for (key_qpos, fingertips), ctrl in zip(rollouts.run(ahead), ahead, strict=True):
+            for (key_path, fingertips), ctrl in zip(rollouts.run(ahead), ahead, strict=True):
+                key_qpos = key_path[-1]
                 there.step(ctrl[None])
                 expected = there.state.key_qpos[0, rollouts.keys]
                 np.testing.assert_allclose(key_qpos, expected, atol=1e-3)

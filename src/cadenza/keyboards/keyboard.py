@@ -7,15 +7,16 @@ Sizes in [m], masses in [kg], angles in [rad].
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from numbers import Integral
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cadenza.errors import CadenzaError
+from cadenza.keyboards.loudness import Action
 
 Array = NDArray[np.float64]
 Colour = tuple[float, float, float, float]
@@ -104,6 +105,8 @@ class Keyboard:
     """The distance from its stop at which a key sounds [rad]."""
     contact_solref: tuple[float, float]
     """MuJoCo's time constant and damping ratio of contacts with keys."""
+    action: Action = field(default_factory=Action)
+    """How loud a key sounds."""
 
     def __post_init__(self) -> None:
         """Checks the figures.
@@ -195,6 +198,19 @@ class Keyboard:
     def holding_torque(self) -> Array:
         """(K,) torque that holds each key at its stop against its spring [N m]."""
         return self.spring.stiffness * (self.travel - self.spring.reference)
+
+    # How loud they sound
+
+    def velocity(self, speed: ArrayLike) -> Array:
+        """The MIDI velocities of keys that begin to sound at these angular speeds [rad/s].
+
+        White and black keys lift the same hammers by the same lever: that of a white key.
+        """
+        return self.action.velocity(2 * self.white.half_size[0] * np.asarray(speed))
+
+    def speed(self, velocity: ArrayLike) -> Array:
+        """The angular speeds [rad/s] at which keys sound with these MIDI velocities."""
+        return self.action.key_speed(velocity) / (2 * self.white.half_size[0])
 
     # The scene
 

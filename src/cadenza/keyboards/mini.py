@@ -17,7 +17,10 @@ from dataclasses import replace
 import numpy as np
 
 from cadenza.keyboards.keyboard import Keyboard, KeyServo, KeyShape, KeySpring
+from cadenza.keyboards.loudness import Action
 from cadenza.keyboards.piano import PIANO
+
+_LENGTH_RATIO = 1.5  # of a piano's keys to these
 
 MINI = Keyboard(
     name="mini",
@@ -47,4 +50,6 @@ MINI = Keyboard(
     base=replace(PIANO.base, pos=(-0.067, 0.0, 0.02), half_depth=0.03),
     sound_tolerance=PIANO.sound_tolerance,
     contact_solref=PIANO.contact_solref,
+    # It measures how fast keys turn: as fast as a piano's for the same loudness.
+    action=Action(hammer_ratio=PIANO.action.hammer_ratio * _LENGTH_RATIO),
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,26 @@ SUSTAIN_ON = 64  # pedal values from which on the strings are held
 NO_HANDS = Fingers(per_hand=0)
 
 
+class Onsets(NamedTuple):
+    """The beginnings of N notes, by control step and then by key, (N,) each."""
+
+    step: NDArray[np.intp]
+    """The first step after which the key should be down."""
+    key: NDArray[np.intp]
+    time: NDArray[np.float64]
+    """When the note begins, from the beginning of the step on [s]."""
+    velocity: NDArray[np.intp]
+    """The MIDI velocity of the note."""
+
+    def delayed(self, steps: int) -> Onsets:
+        """The same onsets, so many steps later."""
+        return self._replace(step=self.step + steps)
+
+
+_NONE = np.zeros(0, np.intp)
+NO_ONSETS = Onsets(step=_NONE, key=_NONE, time=np.zeros(0), velocity=_NONE)
+
+
 @dataclass(frozen=True)
 class Goals:
     """The keys and pedal that should be down after each of T control steps, on K keys.
@@ -27,12 +48,14 @@ class Goals:
     fingers (T, K) int8     the number of the finger that should press the key, -1 none or unknown
     sustain (T,) bool       whether the pedal should be down
     num_fingers             F, how many numbers of fingers there are
+    onsets                  when the notes begin within their steps, and how loud they are
     """
 
     keys: NDArray[np.bool_]
     fingers: NDArray[np.int8]
     sustain: NDArray[np.bool_]
     num_fingers: int
+    onsets: Onsets = NO_ONSETS
 
     @property
     def num_steps(self) -> int:
@@ -119,7 +142,28 @@ def score_to_goals(
     sustain = down[np.searchsorted(moves, np.arange(num_steps), side="right")]
     if shorten:
         sustain &= ~_hidden_lifts(score, dt, sustain)
-    return Goals(keys, fingers, sustain, hands.count)
+    return Goals(keys, fingers, sustain, hands.count, _onsets(score, keys, fps, pitches))
+
+
+def _onsets(score: Score, keys: NDArray[np.bool_], fps: float, pitches: range) -> Onsets:
+    """The onsets of the notes that begin in `keys` (T, K).
+
+    A note that begins a step late, because its key is struck again, begins with that step.
+    """
+    begins = keys & ~np.pad(keys, ((1, 0), (0, 0)))[:-1]
+    found = dict[tuple[int, int], tuple[float, int]]()
+    for note in score.notes:
+        step, key = int(note.start * fps), note.pitch - pitches.start
+        if begins[step, key]:
+            found[step, key] = note.start - step / fps, note.velocity
+        elif step + 1 < len(keys) and begins[step + 1, key]:
+            found.setdefault((step + 1, key), (0.0, note.velocity))
+    if not found:
+        return NO_ONSETS
+    places = np.array(sorted(found), np.intp)
+    times, velocities = zip(*(found[step, key] for step, key in places.tolist()), strict=True)
+    step, key = places.T
+    return Onsets(step, key, np.array(times), np.array(velocities, np.intp))
 
 
 def _hidden_lifts(score: Score, dt: float, sustain: NDArray[np.bool_]) -> NDArray[np.bool_]:

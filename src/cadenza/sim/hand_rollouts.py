@@ -74,16 +74,21 @@ class HandRollouts:
         Rows may depend on the state that was reached.
 
         Yields:
-            (K,) angles of `keys` [rad] and (F, 3) fingertips [m].
+            (S + 1, K) angles of `keys` before the step and after each of its S physics steps [rad],
+            and (F, 3) fingertips after it [m].
         """
         hand = self._model
         model, data = hand.model, hand.data[slot]
         mujoco.mj_copyData(data, model, hand.start)
         for row in ctrl:
             data.ctrl = row
-            mujoco.mj_step(model, data, self._substeps)
+            key_path = np.empty((self._substeps + 1, hand.keys.stop))
+            key_path[0] = data.qpos[hand.keys]
+            for after in key_path[1:]:
+                mujoco.mj_step(model, data)
+                after[:] = data.qpos[hand.keys]
             mujoco.mj_kinematics(model, data)
-            yield data.qpos[hand.keys], data.site_xpos[hand.fingertips]
+            yield key_path, data.site_xpos[hand.fingertips]
 
     def hand_joints(self, slot: int = 0) -> tuple[Array, Array]:
         """(J,) positions [m, rad] and velocities [m/s, rad/s] of the hand's joints."""

@@ -63,6 +63,7 @@ class HandsApart:
     def _combine(self) -> None:
         right, left = (part.state for part in self._parts)
         deeper = right.key_qpos >= left.key_qpos
+        onset = np.fmin(right.key_onset, left.key_onset)
         self.state = State(
             key_qpos=np.where(deeper, right.key_qpos, left.key_qpos),
             key_xpos=np.where(deeper[..., None], right.key_xpos, left.key_xpos),
@@ -70,6 +71,9 @@ class HandsApart:
                 name: np.concatenate([getattr(right, name), getattr(left, name)], axis=1)
                 for name in ("hand_qpos", "hand_qvel", "actuator_force", "actuator_velocity")
             },
+            key_onset=onset,
+            key_offset=np.fmax(right.key_offset, left.key_offset),
+            key_speed=np.where(onset == right.key_onset, right.key_speed, left.key_speed),
             fingertip_xpos=right.fingertip_xpos + left.fingertip_xpos,
             forearm_contact=np.zeros_like(right.forearm_contact),
             touch=right.touch + left.touch,

@@ -48,13 +48,16 @@ class PlanningSimulation(MujocoSimulation):
             A state whose arrays have leading dimensions (N, K) instead of (N,).
         """
         states = State.zeros(self.scene, *ctrl.shape[:2])
+        keys = self.scene.keyboard.num_keys
+        paths = np.empty((*ctrl.shape[:2], self.num_substeps + 1, keys))
 
         def advance(i: int) -> None:
             for k in range(ctrl.shape[1]):
-                self._advance(i, ctrl[i, k])
+                self._advance(i, ctrl[i, k], None, paths[i, k])
                 self._read(i, states, (i, k))
 
         self._threads.for_each(range(self.num_envs), advance)
+        self._set_crossings(states, slice(None), paths)
         self._set_state(State._make(values[:, -1] for values in states))
         return states
 

@@ -26,6 +26,14 @@ class State(NamedTuple):
     """(N, K) joint angles of the keys [rad], softly limited to 0..travel."""
     key_xpos: Array
     """(N, K, 3) centres of the keys' boxes in the world [m]."""
+    key_onset: Array
+    """(N, K) when each key began to sound in the step, from its beginning on [s]; NaN if it did
+    not. Between physics steps, keys move linearly."""
+    key_offset: Array
+    """(N, K) when each key ceased to sound in the step, from its beginning on [s]; NaN if it did
+    not. Of several onsets or offsets of a key in a step, the last one counts."""
+    key_speed: Array
+    """(N, K) the speed of each key at its onset in the step [rad/s]; NaN if there was none."""
     hand_qpos: Array
     """(N, J) joint positions of the hands [m, rad]."""
     hand_qvel: Array
@@ -52,6 +60,9 @@ class State(NamedTuple):
         return cls(
             key_qpos=np.zeros((*rows, keys)),
             key_xpos=np.zeros((*rows, keys, 3)),
+            key_onset=np.full((*rows, keys), np.nan),
+            key_offset=np.full((*rows, keys), np.nan),
+            key_speed=np.full((*rows, keys), np.nan),
             hand_qpos=np.zeros((*rows, joints)),
             hand_qvel=np.zeros((*rows, joints)),
             fingertip_xpos=np.zeros((*rows, scene.fingers.count, 3)),
@@ -61,6 +72,11 @@ class State(NamedTuple):
             touch=np.zeros((*rows, scene.fingers.count)),
             unstable=np.zeros(rows, bool),
         )
+
+    @property
+    def key_events(self) -> tuple[Array, Array, Array]:
+        """What happened to the keys in the step: `key_onset`, `key_offset`, `key_speed`."""
+        return self.key_onset, self.key_offset, self.key_speed
 
     def copy(self) -> State:
         """A copy with arrays of its own."""

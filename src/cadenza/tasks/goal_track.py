@@ -93,6 +93,7 @@ class GoalTrack:
             keys=np.pad(goals.keys, ((silent, 0), (0, 0))),
             fingers=np.pad(fingers, ((silent, 0), (0, 0)), constant_values=NO_FINGER),
             sustain=np.pad(goals.sustain, (silent, 0)),
+            onsets=goals.onsets.delayed(silent),
         )
 
     def __getstate__(self) -> dict[str, object]:

@@ -54,7 +54,7 @@ class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
             (track,) = view.tracks
             if self.config.fingering == "found":
                 track = track.with_found_fingers()
-            plans = song_plans(track, view.state.hand_qpos[0], progress)
+            plans = song_plans(track, view.state.hand_qpos[0], progress, strikes=True)
             return SongPlanner(plans, lambda plan: [HandsInScene(plan, rng, context)])
         practice = Practice(view, rng, context)
 

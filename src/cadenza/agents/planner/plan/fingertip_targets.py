@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array, Ids, steps_in
-from cadenza.agents.planner.plan.presses import RISE, Press
+from cadenza.agents.planner.plan.presses import RISE, Press, Strike
+from cadenza.agents.planner.plan.strike_model import strike_model, striking_torque
 from cadenza.fingers import SIDES
 from cadenza.scene.scene import Scene
 
@@ -33,6 +34,10 @@ _FORCE_MARGIN = 1.6
 # a fingertip would slip off.
 _STRIKE = 1.5
 _STRIKING = 0.05  # [s]
+# Before a strike that is to be in time.
+_DEEPEST_BEFORE = 0.75  # share of the way to where the key sounds
+_HIGHEST_BEFORE = 0.012  # [m]
+_READY_ROOM, _READY_SIGMA = 0.0005, 0.0015  # [m]
 
 # The weight of a box: the distance from it [m] that counts as one standard deviation.
 _X_ON_BLACK = 0.5  # times as far on black keys, in front of which a fingertip is caught
@@ -87,6 +92,7 @@ class _TargetWriter:
     """Writes presses into targets that begin with all fingers idle."""
 
     def __init__(self, scene: Scene, num_states: int, dt: float) -> None:
+        self._model = strike_model(scene, dt)
         self._dt, self._keyboard, geometry = dt, scene.keyboard, _finger_geometry(scene)
         self._radius, self._on_white, self._walls, self._above_all = geometry
         shape = (num_states, len(self._radius), 3)
@@ -104,6 +110,7 @@ class _TargetWriter:
             self._hold(arrays)
             self._let_go(arrays, over)
             self._approach(arrays, over)
+            self._strike(arrays, over)
         return self._targets
 
     def _approach(self, presses: _PressArrays, over: Array) -> None:
@@ -138,6 +145,29 @@ class _TargetWriter:
         struck = states < presses.first[which] + steps_in(_STRIKING, self._dt)
         force[struck & ~keyboard.is_black[key[which]]] *= _STRIKE
         self._targets.force[states, presses.finger[which]] = force
+
+    def _strike(self, presses: _PressArrays, over: Array) -> None:
+        """So high before a strike, so deep after it, and with so much force that it is in time."""
+        inside = (presses.first > 0) & (presses.first < len(self._targets.low))
+        struck = np.flatnonzero(inside & np.isfinite(presses.time))
+        if not len(struck):
+            return
+        keyboard, key, first = self._keyboard, presses.key[struck], presses.first[struck]
+        finger, speed, rest = presses.finger[struck], presses.speed[struck], over[struck]
+        lever = rest[:, 0] - keyboard.centre[key, 0] + keyboard.half_size[key, 0]
+        sounds_at = np.tan(keyboard.sounds_from[key]) * lever
+        before, after = self._model.heights(presses.time[struck], speed * lever, sounds_at)
+        targets = self._targets
+        before = np.clip(before, -_DEEPEST_BEFORE * sounds_at, _HIGHEST_BEFORE)
+        free = (presses.before[struck] < first - 1) & ~presses.jumps_to[struck]
+        ready = first[free] - 1, finger[free]
+        height = rest[free, 2] + before[free]
+        targets.low[*ready, 2], targets.high[*ready, 2] = height - _READY_ROOM, height + _READY_ROOM
+        targets.sigma[*ready, 2] = _READY_SIGMA
+        deepest = np.tan(keyboard.travel[key]) * lever
+        depth = rest[:, 2] + np.minimum(after, -deepest)
+        targets.low[first, finger, 2] = targets.high[first, finger, 2] = depth
+        targets.force[first, finger] = striking_torque(keyboard, key, speed) / lever
 
     def _let_go(self, presses: _PressArrays, over: Array) -> None:
         """Lifts fingers straight up, or they would drag along the key; in a jump just up."""
@@ -212,6 +242,9 @@ def _finger_geometry(scene: Scene) -> _FingerGeometry:
     return _FingerGeometry(radius, on_white, walls, black.top + _LIFTED + radius)
 
 
+_ANY_STRIKE = Strike(np.nan, np.nan)
+
+
 class _PressArrays(NamedTuple):
     """P presses as arrays (P,)."""
 
@@ -226,6 +259,10 @@ class _PressArrays(NamedTuple):
     jumps_off: NDArray[np.bool_]
     jumps_to: NDArray[np.bool_]
     from_above: NDArray[np.bool_]
+    time: Array
+    """The time of the strike within its step [s], NaN if it does not matter."""
+    speed: Array
+    """The speed of the key then [rad/s]."""
 
     @classmethod
     def of(cls, presses: Sequence[Press], num_states: int) -> _PressArrays:
@@ -243,4 +280,5 @@ class _PressArrays(NamedTuple):
         jumps = np.array(
             [(press.jumps_off, press.jumps_to, press.from_above) for press in presses]
         ).T
-        return cls(finger, key, first, last, before, until, *jumps)
+        strikes = np.array([press.strike or _ANY_STRIKE for press in presses]).T
+        return cls(finger, key, first, last, before, until, *jumps, *strikes)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Mask, steps_in
 from cadenza.agents.planner.plan.presses import RISE
 from cadenza.agents.planner.plan.song_plan import SongPlan
+from cadenza.agents.planner.plan.strike_model import PlannedStrikes
 from cadenza.fingers import SIDES, Side
 from cadenza.music.metrics import ONSET_TOLERANCE
 
@@ -34,6 +35,7 @@ class HandGoals:
         onset_wrong: (T, K) whether the key, its own or a wrong one, should not begin to sound.
         fingertips: (P + 1, F, 3) planned places of the hand's F fingertips [m].
         fingers: the numbers of its fingers in the scene.
+        strikes: how its keys are to begin to sound.
         playing: (T + 1, F) whether a finger is about to press, presses, or lets go by the plan.
         weight: (T + 1, F) weights of the squared distances of fingertips from the plan [1 / m^2].
     """
@@ -53,6 +55,9 @@ class HandGoals:
         self.wrong = ~keys & ~others_or_before
         self.onset_due = self.keys & (last_in_time(keys, dt) >= 0)
         self.onset_wrong = (self.keys | self.wrong) & ~may_begin(keys, dt)
+        own = self.keys[plan.strikes.step, plan.strikes.key]
+        self.strikes = PlannedStrikes._make(values[own] for values in plan.strikes)
+        self.dt = dt
         row = count * plan.scene.sides.index(side)
         self.fingertips = nominal.fingertips[:, row : row + count]
         self.planned = np.zeros_like(self.keys)

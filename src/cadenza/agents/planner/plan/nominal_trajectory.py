@@ -32,6 +32,7 @@ from cadenza.agents.planner.plan.inverse_kinematics import THOROUGH, SolverOptio
 from cadenza.agents.planner.plan.presses import Press, presses_of
 from cadenza.agents.planner.plan.release_times import release_in_time
 from cadenza.agents.planner.plan.rest_poses import RestPoses, forearm_places
+from cadenza.agents.planner.plan.strike_model import NO_STRIKES, PlannedStrikes
 from cadenza.agents.planner.plan.tracking import Tracking, track
 from cadenza.fingers import Side
 from cadenza.hands.reach import JumpTimes
@@ -132,8 +133,11 @@ class MotionPlanner:
         hand_qpos: Array,
         progress: Progress = silent,
         release_delays: Delays = 0,
+        strikes: PlannedStrikes = NO_STRIKES,
     ) -> Iterator[NominalTrajectory]:
         """Plans a song from joint positions (J,), and reports the progress of "postures".
+
+        `strikes` says how keys are to begin to sound, where it matters.
 
         Yields:
             The plan so far, a window longer each time; the last one is of the whole song.
@@ -145,7 +149,9 @@ class MotionPlanner:
         while (first := plan.num_steps) < steps:
             # BLAS shares small products among threads, which takes longer, and other bits come out.
             with threadpool_limits(1):
-                window, kept, correction = self._window(plan, fingers, delays, correction, progress)
+                window, kept, correction = self._window(
+                    plan, fingers, delays, strikes, correction, progress
+                )
             last = first + kept
             there, here = whole.part(first, last), window.part(0, kept)
             for values, new in zip(there.arrays, here.arrays, strict=True):
@@ -171,6 +177,7 @@ class MotionPlanner:
         plan: NominalTrajectory,
         fingers: Fingering,
         delays: NDArray[np.integer],
+        strikes: PlannedStrikes,
         warm_start: Array | None,
         progress: Progress,
     ) -> tuple[NominalTrajectory, int, Array]:
@@ -186,7 +193,11 @@ class MotionPlanner:
         if last == len(fingers):
             kept = last - first
         since = _first_that_matters(fingers, first, steps_in(_SETTLED, dt))
-        presses = self.presses(fingers[since:last], delays[since:last])
+        wanted = strikes.by_place(since, last)
+        presses = [
+            press._replace(strike=wanted.get((since + press.first - 1, press.key)))
+            for press in self.presses(fingers[since:last], delays[since:last])
+        ]
         found = self.solve(plan, presses, first - since, last - since, progress, warm_start)
         window = self.track(plan, [press.delayed(since) for press in presses], found)
         return window, kept, found.correction[kept + 1 :]

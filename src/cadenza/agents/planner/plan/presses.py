@@ -17,6 +17,15 @@ RISE = 0.05
 """Time in which a finger gets off a key [s]."""
 
 
+class Strike(NamedTuple):
+    """How a key is to begin to sound."""
+
+    time: float
+    """When, from the beginning of the control step on [s]."""
+    speed: float
+    """The angular speed of the key then [rad/s]."""
+
+
 class Press(NamedTuple):
     """A finger, by its number, holds `key` down in the states `first` up to, not including, `last`.
 
@@ -36,6 +45,8 @@ class Press(NamedTuple):
     """Whether the finger comes to the key from above all keys."""
     release_delay: int = 0
     """States by which the hand delays its releases before this press, compared with the usual."""
+    strike: Strike | None = None
+    """How the key is to begin to sound, if it matters."""
 
     def delayed(self, states: int) -> Press:
         """The same press, so many states later."""

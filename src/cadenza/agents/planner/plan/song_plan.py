@@ -12,6 +12,7 @@ from cadenza.agents.planner.plan.nominal_trajectory import (
     MotionPlanner,
     NominalTrajectory,
 )
+from cadenza.agents.planner.plan.strike_model import NO_STRIKES, PlannedStrikes, planned_strikes
 from cadenza.errors import CadenzaError
 from cadenza.music.goals import Goals
 from cadenza.scene.scene import Scene, build_scene
@@ -29,6 +30,8 @@ class SongPlan(NamedTuple):
     """Goals of the whole track."""
     nominal: NominalTrajectory
     """The trajectory of the first steps."""
+    strikes: PlannedStrikes = NO_STRIKES
+    """How keys are to begin to sound, as far as it matters."""
 
     @property
     def complete(self) -> bool:
@@ -46,9 +49,10 @@ def plan_song(
     progress: Progress = silent,
     release_delays: Delays = 0,
     jump_acceleration: float = 1.0,
+    strikes: bool = False,
 ) -> SongPlan:
     """The plan of the whole song: the last of `song_plans`."""
-    *_, whole = song_plans(track, start, progress, release_delays, jump_acceleration)
+    *_, whole = song_plans(track, start, progress, release_delays, jump_acceleration, strikes)
     return whole
 
 
@@ -58,6 +62,7 @@ def song_plans(
     progress: Progress = silent,
     release_delays: Delays = 0,
     jump_acceleration: float = 1.0,
+    strikes: bool = False,
 ) -> Iterator[SongPlan]:
     """Plans what the hands of a task are to play.
 
@@ -67,6 +72,8 @@ def song_plans(
         progress: receives the stages "fingers" and "postures".
         release_delays: see `MotionPlanner`.
         jump_acceleration: factor of the acceleration with which the hands jump.
+        strikes: whether keys are to sound at the times within control steps, and as loud, as the
+            song has it; otherwise only in the right control steps.
 
     Yields:
         The plan as far as it goes, every time a few more seconds of music; the last one is of the
@@ -78,9 +85,11 @@ def song_plans(
     scene = planning_scene(track)
     track = track.fingered(partial(progress, "fingers"))
     goals, times = track.goals, scene.hand.jump_times.accelerated(jump_acceleration)
-    planner = MotionPlanner(scene, track.config.control_timestep, times)
-    for nominal in planner.plans(goals.fingers, start, progress, release_delays):
-        yield SongPlan(scene, track, goals, nominal)
+    dt = track.config.control_timestep
+    wanted = planned_strikes(goals.onsets, scene.keyboard, dt) if strikes else NO_STRIKES
+    planner = MotionPlanner(scene, dt, times)
+    for nominal in planner.plans(goals.fingers, start, progress, release_delays, wanted):
+        yield SongPlan(scene, track, goals, nominal, wanted)
 
 
 def planning_scene(track: GoalTrack) -> Scene:

@@ -71,9 +71,11 @@ class _PracticeCost:
     keys: slice
 
     def step_cost(
-        self, k: int, key_qpos: Array, fingertips: Array, before: KeyHistory
+        self, k: int, key_path: Array, fingertips: Array, before: KeyHistory
     ) -> tuple[float, int, KeyHistory]:
-        _, cost, after = self.losses.after(self.first + k, key_qpos, fingertips, before, self.keys)
+        _, cost, after = self.losses.after(
+            self.first + k, key_path[-1], fingertips, before, self.keys
+        )
         return cost, 0, after
 
 

@@ -48,7 +48,7 @@ class PlannedVariant:
             CadenzaError: there are no hands in the scene.
         """
         track, delays = (variant.of(track), variant.release_delays) if variant else (track, 0)
-        plan = self.plan = plan_song(track, start, context.progress, delays)
+        plan = self.plan = plan_song(track, start, context.progress, delays, strikes=True)
         usual = np.zeros((plan.goals.num_steps, len(plan.scene.sides)), np.int8)
         self.variant = variant or Variant(fingers_in(plan.track), usual)
         self.goals = [HandGoals(plan, side) for side in plan.scene.sides]
@@ -80,7 +80,7 @@ class PlannedVariant:
 
     def result(self, trajectory: Trajectory) -> PracticeResult:
         """The scores of a trajectory of the whole song, and what it takes to play it."""
-        scene, track, goals, _ = self.plan
+        scene, track, goals = self.plan[:3]
         pedal, lowest = goals.sustain, scene.keyboard.lowest_pitch
         dt, score = track.config.control_timestep, track.delayed_score
         scores = playing_metrics(trajectory.sounding, pedal, goals.keys, pedal, dt, score, lowest)

@@ -98,7 +98,7 @@ class PractisedPlanner(EpisodePlanner):
             dropped = self._track.dropped or ()  # the others have all fingers that they get
             track = replace(self._variant.of(self._track), dropped=dropped)
             delays = self._variant.release_delays
-            self._plan = plan_song(track, self._start, self._context.progress, delays)
+            self._plan = plan_song(track, self._start, self._context.progress, delays, strikes=True)
         return self._plan
 
     def _begin_search(self, step: int) -> HandsInScene:

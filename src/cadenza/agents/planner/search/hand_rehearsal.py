@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array, steps_in
 from cadenza.agents.planner.plan.hand_goals import HandGoals
+from cadenza.agents.planner.plan.strike_model import strike_model
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.search.fingertip_correction import control_update
 from cadenza.agents.planner.search.horizon_cost import HorizonCost
 from cadenza.agents.planner.search.rollouts import Rollout, roll_out, start_rollouts
+from cadenza.agents.planner.search.strike_refinement import StrikeRefinement
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_rollouts import HandRollouts
@@ -38,6 +40,8 @@ class RehearsalConfig(NamedTuple):
     """The time after the window whose controls are updated, too [s]."""
     iterations: int = 5
     """The maximum number of rollouts."""
+    refinements: int = 8
+    """The maximum number of rollouts in which strikes are refined."""
     max_mistakes: float = 0.5
     """The share of the plan's mistakes that a rollout may make to be kept. With more of them,
     fingers are caught, and a search that begins with the plan frees them sooner."""
@@ -64,6 +68,7 @@ class HandRehearsal:
         self._config, self._dt, self._simulator = config, dt, simulator
         self._servos, self._keyboard = servos_of(scene), scene.keyboard
         self._window = steps_in(config.window, dt)
+        self._refinement = StrikeRefinement(self._servos, strike_model(scene, dt))
         self._judged = self._window + steps_in(config.judged_after, dt)
         self.lookahead = self._window + steps_in(config.corrected_after, dt)
         self.reset()
@@ -116,7 +121,17 @@ class HandRehearsal:
             simulated += len(steps)
             if rollout.cost < best.cost and rollout.mistakes <= max_mistakes:
                 kept, best = ctrl, rollout
-        self._keep(int(steps[0]), kept, best)
+        strikes = horizon.strikes.before(self._judged)
+        refined = self._refinement.refine(
+            kept,
+            best,
+            strikes,
+            self._simulator.fingertip_jacobian,
+            lambda ctrl: self._roll_out(ctrl, tracking, steps, horizon),
+            self._config.refinements,
+        )
+        simulated += refined.rollouts * len(steps)
+        self._keep(int(steps[0]), refined.ctrl, refined.rollout)
         return simulated
 
     def _keep(self, first: int, ctrl: Array, rollout: Rollout) -> None:

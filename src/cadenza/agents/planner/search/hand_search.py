@@ -22,6 +22,7 @@ from cadenza.agents.agent import Array, Mask, steps_in
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.hand_goals import ABOUT_TO_PRESS, HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
+from cadenza.agents.planner.plan.strike_model import strike_model
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.search.candidates import EscapeMotions, crossover
 from cadenza.agents.planner.search.fingertip_correction import servo_corrections
@@ -29,12 +30,14 @@ from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal
 from cadenza.agents.planner.search.network_candidate import NetworkCandidate
 from cadenza.agents.planner.search.networks.inputs import sizes_of
 from cadenza.agents.planner.search.networks.weights import shipped
-from cadenza.agents.planner.search.rollouts import Rollout, Rollouts, start_rollouts
+from cadenza.agents.planner.search.rollouts import Rollout, Rollouts, roll_out, start_rollouts
 from cadenza.agents.planner.search.sampling import (
     UPDATES,
     SamplingDistribution,
     predictive_sampling,
 )
+from cadenza.agents.planner.search.strike_refinement import StrikeRefinement
+from cadenza.agents.planner.search.strikes import HorizonStrikes
 from cadenza.fingers import Side
 from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
@@ -56,6 +59,10 @@ _HALF_LIFE = 1.0  # [s] of a warm start after which it is no longer needed
 # come on top.
 BUDGET_SHARE = 0.4
 _INITIAL_BUDGET = 1.0  # [s] for which it has been saved where a hand follows another trajectory
+REFINED_HORIZON = 4
+"""Steps that are simulated to refine what is struck in the first two."""
+REFINEMENTS = 6
+"""Rollouts at most for it, beside one of what was found by search."""
 _MAX_DRIFT = 1e-5  # [m, rad] between the model and the scene, above which the model is reset
 
 
@@ -84,6 +91,7 @@ class HandSearch:
         self._keyboard = scene.keyboard
         self._escapes = EscapeMotions(self._servos, dt)
         self._rehearsal = HandRehearsal(scene, self._simulator, dt)
+        self._refinement = StrikeRefinement(self._servos, strike_model(scene, dt))
         self._warm_start = np.zeros((self._horizon, len(self._servos.noise)))
         self._previous = np.zeros(len(self._servos.noise))  # correction of the step before
         self._decay = 0.5 ** (dt / _HALF_LIFE)
@@ -208,6 +216,7 @@ class HandSearch:
             best = self._search(nominal, best, rollout, steps, caught)
             if caught.any():
                 best = self._escape(best, fingertips)
+        best = self._refine(best, steps)
         # The warm start fades unless fingers still return to the plan or there was no budget.
         needed = self._off_target(fingertips, self._step).any() or (
             rollout.mistakes and not affordable
@@ -215,6 +224,28 @@ class HandSearch:
         self._warm_start[:-1] = (1.0 if needed else self._decay) * (best - nominal)[1:]
         self._warm_start[-1] = 0.0
         return best[0]
+
+    def _refine(self, ctrl: Array, steps: Steps) -> Array:
+        """(H, A) controls whose strikes are refined that begin in this step or the next."""
+        inside = steps[: len(self._tracking.ctrl) - self._step][:REFINED_HORIZON]
+        every = slice(0, self._keyboard.num_keys)
+        if not len(HorizonStrikes(self._goals, inside, self._keyboard, every).before(2)):
+            return ctrl
+        horizon = start_rollouts(self._simulator, self._model, self._goals, inside, self._keyboard)
+
+        def simulate(ctrl: Array) -> Rollout:
+            self._rehearsed += len(inside)
+            return roll_out(self._simulator, horizon, ctrl)
+
+        refined = self._refinement.refine(
+            ctrl[: len(inside)],
+            simulate(ctrl[: len(inside)]),
+            horizon.strikes.before(2),
+            self._simulator.fingertip_jacobian,
+            simulate,
+            REFINEMENTS,
+        )
+        return np.concatenate([refined.ctrl, ctrl[len(inside) :]])
 
     # The nominal trajectory
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Array, Mask
 from cadenza.agents.planner.plan.hand_goals import TIP_WEIGHT, HandGoals
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR, clipped
+from cadenza.agents.planner.search.strikes import HorizonStrikes
 from cadenza.keyboards.keyboard import Keyboard
 
 _WRONG_KEY = 3.0  # cost of a key that sounds and should not, or the other way round
@@ -31,6 +32,7 @@ class HorizonCost:
     Attributes:
         num_steps: H, the number of steps.
         start: (K,) the keys that sound before the first step.
+        strikes: how its keys should begin to sound.
     """
 
     def __init__(
@@ -62,9 +64,10 @@ class HorizonCost:
         self._fingertips, self._weight = goals.fingertips[steps + 1], goals.weight[steps + 1]
         self._cost_weight = self._weight.copy()
         self._cost_weight[-1] *= _TERMINAL
+        self.strikes = HorizonStrikes(goals, steps, keyboard, keys)
 
     def step_cost(
-        self, k: int, key_qpos: Array, fingertips: Array, before: Mask
+        self, k: int, key_path: Array, fingertips: Array, before: Mask
     ) -> tuple[float, int, Mask]:
         """The cost and the mistakes of the state after the k-th step, and the (K,) keys that sound.
 
@@ -72,10 +75,11 @@ class HorizonCost:
 
         Args:
             k: the number of the step, from 0.
-            key_qpos: (K,) [rad].
-            fingertips: (F, 3) [m].
+            key_path: (S + 1, K) before the step and after each of its physics steps [rad].
+            fingertips: (F, 3) after the step [m].
             before: (K,) keys that sounded before the step.
         """
+        key_qpos = key_path[-1]
         sounding = key_qpos >= self._sounds_from
         wrong = (sounding ^ self._wanted[k]) & self._counts[k]
         num_wrong = int(np.count_nonzero(wrong))
@@ -86,7 +90,7 @@ class HorizonCost:
         tips = np.minimum((error * error) @ _ONES, MAX_ERROR**2) @ self._cost_weight[k]
         mistakes = int(np.count_nonzero(wrong & self._mistakes[k])) if num_wrong else 0
         cost = _WRONG_KEY * num_wrong + _WRONG_ONSET * num_onsets + _DEPTH * (depth @ depth) + tips
-        return float(cost), mistakes, sounding
+        return float(cost) + self.strikes.cost(k, key_path), mistakes, sounding
 
     def by_finger(self, key_qpos: Array, fingertips: Array) -> Array:
         """(L, F) the cost of each of the first L steps, by finger.

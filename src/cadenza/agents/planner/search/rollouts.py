@@ -35,10 +35,15 @@ class Rollout(NamedTuple):
     """(F, 3) after each step [m]."""
     hand_qpos: list[Array]
     """(J,) after each step [m, rad]."""
-    key_qpos: list[Array]
-    """(K,) after each step, of the keys that are simulated [rad]."""
     key_qvel: list[Array]
     """(K,) after each step [rad/s]."""
+    key_paths: list[Array]
+    """(S + 1, K) before each step and after each of its physics steps [rad]."""
+
+    @property
+    def key_qpos(self) -> list[Array]:
+        """(K,) after each step, of the keys that are simulated [rad]."""
+        return [path[-1] for path in self.key_paths]
 
 
 class Cost(Protocol[Keys]):
@@ -50,9 +55,12 @@ class Cost(Protocol[Keys]):
     """The state of the keys before the first step, as far as it matters to the cost."""
 
     def step_cost(
-        self, k: int, key_qpos: Array, fingertips: Array, before: Keys
+        self, k: int, key_path: Array, fingertips: Array, before: Keys
     ) -> tuple[float, int, Keys]:
-        """The cost and the mistakes of the state after the k-th step, and the keys then."""
+        """The cost and the mistakes of the k-th step, and the keys after it.
+
+        Keys are at `key_path` (S + 1, K) before the step and after each of its physics steps.
+        """
 
 
 def start_rollouts(
@@ -98,7 +106,7 @@ def roll_out(
         cost_to_go: (H,) the cost that is expected after each step; without it, nothing is given up.
     """
     cost, mistakes, costs = 0.0, 0, list[float]()
-    tips, hand_qpos, key_qpos, key_qvel = (list[Array]() for _ in range(4))
+    tips, hand_qpos, key_qvel, key_paths = (list[Array]() for _ in range(4))
     keys, given_up = horizon.start, False
     judged = horizon.num_steps if judged is None else judged
     for k, state in enumerate(simulator.run(islice(ctrl, horizon.num_steps), slot)):
@@ -108,15 +116,14 @@ def roll_out(
         costs.append(more)
         tips.append(state[1])
         hand_qpos.append(simulator.hand_joints(slot)[0].copy())
-        key_qpos.append(state[0].copy())
+        key_paths.append(state[0])
         key_qvel.append(simulator.key_qvel(slot).copy())
         if cost_to_go is not None and cost + cost_to_go[k] >= cutoff:
             given_up = True
             break
     useless = given_up or simulator.unstable(slot)
-    return Rollout(
-        np.inf if useless else cost, mistakes, costs, tips, hand_qpos, key_qpos, key_qvel
-    )
+    total = np.inf if useless else cost
+    return Rollout(total, mistakes, costs, tips, hand_qpos, key_qvel, key_paths)
 
 
 class Rollouts:

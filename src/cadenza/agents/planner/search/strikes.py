@@ -1,0 +1,106 @@
+"""Strikes within the look-ahead horizon of a hand: when, and how fast, its keys begin to sound."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.planner.plan.hand_goals import HandGoals
+from cadenza.keyboards.keyboard import Keyboard
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.intp]
+
+UNIT = np.array([0.01, 0.4])
+"""The errors that count as 1: of the time of an onset [s], and of the speed of its key [octaves].
+
+Speed counts by its logarithm, as it is heard."""
+WEIGHT = np.array([1.0, 0.5])
+"""The cost of these errors, squared."""
+_MOST = 4.0  # squared error that counts: beyond it an onset is wrong, which costs anyway
+_NOT_STRUCK = np.array([_MOST, 0.0])
+_LEAST_SPEED = 0.05  # [rad/s] with which a key that hardly moves counts, for the logarithm
+
+
+class HorizonStrikes:
+    """The N strikes of a hand in H steps, as far as the plan holds their keys.
+
+    Attributes:
+        step: (N,) the steps of the horizon in which they begin.
+        finger: (N,) the fingers of the hand that strike.
+        wanted: (N, 2) the times in their steps [s], and log2 of the angular speeds [rad/s].
+        lever: (N,) from the hinges of the keys to where the fingers strike them [m].
+        sounds_at: (N,) how deep the keys sound there [m].
+    """
+
+    def __init__(
+        self, goals: HandGoals, steps: NDArray[np.intp], keyboard: Keyboard, keys: slice
+    ) -> None:
+        """Takes the strikes of `goals` in consecutive steps (H,), of the keys simulated."""
+        every, self._dt = goals.strikes, goals.dt
+        rows = np.arange(*np.searchsorted(every.step, [steps[0], steps[-1] + 1]))
+        rows = rows[goals.planned[every.step[rows], every.key[rows]]]
+        rows = rows[(every.key[rows] >= keys.start) & (every.key[rows] < keys.stop)]
+        step, key = every.step[rows], every.key[rows]
+        self.step, self._key = step - steps[0], key - keys.start
+        self.finger = goals.finger[step, key].astype(np.intp)
+        self.wanted = np.column_stack([every.time[rows], np.log2(every.speed[rows])])
+        self._sounds_from = keyboard.sounds_from[key]
+        hinge = keyboard.centre[key, 0] - keyboard.half_size[key, 0]
+        self.lever = goals.fingertips[step + 1, self.finger, 0] - hinge
+        self.sounds_at = np.tan(self._sounds_from) * self.lever
+        self._in_step = {int(k): np.flatnonzero(self.step == k) for k in np.unique(self.step)}
+
+    def __len__(self) -> int:
+        return len(self.step)
+
+    def cost(self, k: int, key_path: Array) -> float:
+        """The cost of the strikes of the k-th step, in which keys move along (S + 1, K) [rad]."""
+        cost = 0.0
+        for i in self._in_step.get(k, ()):
+            substep = self._dt / (len(key_path) - 1)
+            onsets = _onsets(key_path[:, self._key[i]], self._sounds_from[i], substep)
+            # A key that does not begin to sound in this step is as late as can be.
+            squared = ((onsets[0] - self.wanted[i]) / UNIT) ** 2 if len(onsets) else _NOT_STRUCK
+            cost += float(np.minimum(squared, _MOST) @ WEIGHT)
+        return cost
+
+    def outcome(self, key_paths: Sequence[Array]) -> Array:
+        """(N, 2) times and log2 of the speeds of all strikes, as `wanted`.
+
+        Of the onsets from the step before to the step after, the nearest in time counts. The values
+        are NaN where there is none.
+        """
+        outcome = np.full((len(self), 2), np.nan)
+        for i, (step, key) in enumerate(zip(self.step, self._key, strict=True)):
+            begin, end = max(step - 1, 0), min(step + 2, len(key_paths))
+            if begin >= end:
+                continue
+            substep = self._dt / (len(key_paths[begin]) - 1)
+            parts = [key_paths[begin][:1, key], *(path[1:, key] for path in key_paths[begin:end])]
+            onsets = _onsets(np.concatenate(parts), self._sounds_from[i], substep)
+            if len(onsets):
+                onsets[:, 0] -= (step - begin) * self._dt
+                outcome[i] = onsets[np.abs(onsets[:, 0] - self.wanted[i, 0]).argmin()]
+        return outcome
+
+    def before(self, step: int) -> HorizonStrikes:
+        """The strikes of the first steps only."""
+        part, kept = copy(self), self.step < step
+        for name in ("step", "finger", "wanted", "lever", "sounds_at", "_key", "_sounds_from"):
+            setattr(part, name, getattr(self, name)[kept])
+        return part
+
+
+def _onsets(key_path: Array, sounds_from: float, substep: float) -> Array:
+    """(C, 2) the times [s] and log2 of the speeds [rad/s] with which a key begins to sound.
+
+    The key moves along (S + 1,) [rad], sampled every `substep` [s], and linearly in between.
+    """
+    at = np.flatnonzero((key_path[1:] >= sounds_from) & (key_path[:-1] < sounds_from))
+    moved = key_path[at + 1] - key_path[at]
+    time = (at + (sounds_from - key_path[at]) / moved) * substep
+    return np.column_stack([time, np.log2(np.maximum(moved / substep, _LEAST_SPEED))])
