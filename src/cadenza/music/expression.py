@@ -1,0 +1,352 @@
+"""Expressive performance of a score by rules of the KTH rule system.
+
+The rules, their formulas and their quantities k are those of Friberg, Bresin and Sundberg,
+"Overview of the KTH rule system for musical performance" (Advances in Cognitive Psychology 2,
+2006, 145-161), as Director Musices, the program of its authors, computes them.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from heapq import heappop, heappush
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.configs import as_config, check_ranges
+from cadenza.music.score import RELEASE_TIME, Bar, Note, Score, check_length, chords
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Slope at medium loudness of the Disklavier of Goebl and Bresin (J. Acoust. Soc. Am. 114, 2003,
+# 2273-2283), from which Director Musices computes velocities.
+VELOCITY_PER_DECIBEL = 2.8
+
+_MOST_QUANTITY = 10.0  # of a rule; at 5 it is a caricature already
+_SAME_LENGTH = 1e-3  # [s] to which Director Musices rounds durations that it compares
+_LEAST_INTERVAL = 0.2  # of a written interval, which no rules together make shorter
+
+# A gap in the melody counts as a rest, and not as staccato, if it is this long.
+_REST = 0.2  # [s]
+_REST_SHARE = 0.5  # of the interval between the onsets
+
+_SEMITONES_PER_DECIBEL = 4.0  # high loud: 3 dB an octave
+
+# Duration contrast: how much notes of these durations [s] are shortened before scaling [ms]
+_CONTRAST_DURATIONS = (0.03, 0.2, 0.4, 0.6)
+_CONTRAST = (0.0, -11.0, -7.0, 0.0)
+_CONTRAST_SECONDS = 1.5e-3  # [s] for each
+_CONTRAST_DECIBELS = 0.075  # [dB] for each
+
+_DOUBLE_SHARE = 0.12  # of the shorter note, which the longer one gives it
+_DOUBLE_LONGEST = 1.0  # [s]
+_UPHILL = 0.002  # [s]
+_INEGALITY = 0.22  # of a note, which the one off the beat gives to the one before
+_INEGAL_LONGEST = 0.5  # [s] of notes, which are taken for beats if they are longer
+_INEGAL_SHORTEST = 0.05  # [s] of what is left of a note
+
+# Phrase arch: lengthening and softening at both ends of a phrase, and where it is fastest
+_ARCH_START, _ARCH_END = 0.1, 0.2  # of the interval
+_ARCH_START_DECIBELS, _ARCH_END_DECIBELS = 0.5, 1.0  # [dB], before the factor
+_ARCH_LOUDNESS = 2.0  # this factor, and the turn, are those of the default rule palette
+_ARCH_TURN = 0.3  # of the time from the first onset of the phrase to the last
+_PHRASE_LONG = 2.0  # medians of all intervals, at which a note may end a phrase
+_PHRASE_TIME = 3.0  # [s] that a phrase lasts at least: Fraisse's psychological present
+
+# Punctuation: the micropause [s] after notes of these durations [s]
+_PAUSED_DURATIONS = (0.16, 0.64)
+_PAUSES = (0.02, 0.06)
+_PAUSE_LENGTHENS = 0.45  # of the pause, by which the interval gets longer
+_PUNCTUATED_SHARE = 0.6  # of the mean interval, below which notes are not set apart
+_LEAP = 5  # semitones, a fourth, of leaps between groups; smaller ones hardly weigh
+_LARGEST_LEAP = 1.5  # of both neighbouring intervals, which a leap between groups exceeds
+
+# Final ritard: Friberg and Sundberg (J. Acoust. Soc. Am. 105, 1999, 1469-1484)
+_RITARD_CURVATURE = 3.0  # q, of runners who stop
+_RITARD_TIME = 1.3  # [s] before the last onset at which it begins
+_RITARD_TEMPO = 3.0  # the last tempo is 1 / (1 + 3 k) of the written one
+_RITARD_LAST_NOTE = 1.25  # of the interval before it, which the last note lasts at least
+
+# Melody lead: 20 to 30 ms in Goebl (J. Acoust. Soc. Am. 110, 2001, 563-572). The loudness is a
+# choice; Goebl explains the lead by the melody's larger velocity.
+_LEAD = 0.025  # [s]
+_LEAD_DECIBELS = 3.0  # [dB]
+_LEAD_SHARE = 0.5  # of a note, by which it begins later at most
+
+
+@dataclass(frozen=True, slots=True)
+class ExpressionConfig:
+    """How much each rule of the KTH rule system does: its quantity k, times the `dose` of all.
+
+    The defaults are those of the default rule palette of Director Musices, or 1 for a rule that it
+    does not have. A rule of quantity 0 is off.
+    """
+
+    dose: float = 1.0  # of all rules; 0 plays as written
+    high_loud: float = 1.0  # the higher, the louder: 3 dB an octave
+    duration_contrast: float = 1.0  # notes shorter than 0.6 s become shorter and softer
+    double_duration: float = 1.0  # of two notes of 2:1, the shorter becomes longer
+    faster_uphill: float = 1.0  # ascending notes follow each other sooner
+    phrase_arch: float = 1.5  # phrases begin and end slower and softer
+    punctuation: float = 1.1  # small groups of notes are set apart by micropauses
+    final_ritard: float = 1.0  # the last 1.3 s slow down to a quarter of the tempo
+    melody_lead: float = 1.0  # chords follow their melody note by 25 ms; it is 3 dB louder
+    inegales: float = 0.0  # of pairs of short notes in a bar, the first becomes longer
+
+
+class _Melody(NamedTuple):
+    """The M notes of the melody, and when they begin and how long they take; see `_melody`."""
+
+    notes: list[Note]
+    onset: Floats  # (M,) [s]
+    interval: Floats  # (M,) [s] to the next onset; the duration of the last note
+    duration: Floats  # (M,) [s] the interval, without a rest in it
+    pitch: Floats  # (M,)
+    rest: Mask  # (M,) whether a rest follows
+
+    @property
+    def inner(self) -> Mask:
+        """(M,) whether a note has notes before and after it, without rests between them."""
+        inner = ~self.rest
+        inner[1:] &= ~self.rest[:-1]
+        inner[:1] = inner[-1:] = False
+        return inner
+
+
+def performed(score: Score, config: ExpressionConfig | None = None) -> Score:
+    """Returns `score` as the rules perform it: other onsets, durations and velocities.
+
+    Pitches, fingers and the order of notes on a key stay as they are, and notes overlap on a key
+    only where they did. Pedal and bars move by the same map of time as the notes. The tempo is not
+    normalised: the rules make most music slower, and a little softer.
+
+    The rules of timing apply to the melody, and everything else follows it. A note is of the melody
+    if it is the highest of its chord and no higher note sounds on (the skyline). Its duration is
+    the time to the next note of the melody. The interval between the two is stretched evenly,
+    whatever is played within it. What else begins within it is played as much louder or softer as
+    its melody note, except that pitch counts for each note by itself. Harmonic and melodic charge
+    are left out: they need harmonies, which a score does not have.
+
+    A phrase ends before a rest of the melody, or with a note whose interval is at least twice the
+    median, but only once it has lasted 3 s. Punctuation uses the two of its published subrules that
+    weigh most: the end of the longest of five notes, and leaps against the direction of both
+    neighbours. Notes that are short for the piece are not set apart. Inegales needs bars.
+
+    Args:
+        score: what is written.
+        config: how much each rule does; None is the default.
+
+    Raises:
+        CadenzaError: `config` is not an `ExpressionConfig` of numbers from 0 to 10, or the music
+            would last over an hour.
+    """
+    config = as_config(config, ExpressionConfig)
+    check_ranges(config, {field.name: (0, _MOST_QUANTITY) for field in fields(config)})
+    if not score.notes:
+        return score
+    groups = [sorted(chord, key=lambda note: note.pitch) for chord in chords(score.notes)]
+    melody = _melody(groups)
+    pauses = config.dose * config.punctuation * _micropauses(melody)
+    added = _added_time(melody, pauses, config, score.bars)
+    shifts = np.concatenate([[0.0], np.cumsum(added)])
+    knots = np.append(melody.onset, melody.onset[-1] + melody.interval[-1])
+
+    def moved(time: float) -> float:
+        return time + float(np.interp(time, knots, shifts))
+
+    level = _level(melody, config)
+    high = config.dose * config.high_loud / _SEMITONES_PER_DECIBEL
+    lead = config.dose * config.melody_lead
+    mean_pitch = float(np.mean([note.pitch for note in score.notes]))
+    sung = {id(note): index for index, note in enumerate(melody.notes)}
+    accompanied = len(sung) < len(score.notes)
+    led = {id(note) for group in groups if id(group[-1]) in sung for note in group[:-1]}
+
+    def performed_note(note: Note) -> Note:
+        start, end = moved(note.start), moved(note.end)
+        index = max(bisect_right(knots, note.start, hi=len(melody.notes)) - 1, 0)
+        decibels = float(level[index]) + high * (note.pitch - mean_pitch)
+        if id(note) in sung:
+            decibels += lead * _LEAD_DECIBELS * accompanied
+            index = sung[id(note)]
+            if pauses[index]:
+                latest = float(knots[index + 1] + shifts[index + 1] - pauses[index])
+                end = min(end, max(latest, (start + end) / 2))
+        elif id(note) in led:
+            start += min(lead * _LEAD, _LEAD_SHARE * (end - start))
+        velocity = round(note.velocity + VELOCITY_PER_DECIBEL * decibels)
+        return replace(note, start=start, end=end, velocity=min(max(velocity, 1), 127))
+
+    check_length(moved(score.total_time), "performed with expression, the song")
+    return replace(
+        score,
+        notes=tuple(performed_note(note) for note in score.notes),
+        pedal=tuple(replace(event, time=moved(event.time)) for event in score.pedal),
+        bars=tuple(replace(bar, time=moved(bar.time)) for bar in score.bars),
+    )
+
+
+def _melody(groups: Sequence[Sequence[Note]]) -> _Melody:
+    """The melody of chords by time, each with its notes by pitch; see `performed`."""
+    sounding: list[tuple[int, float]] = []  # (-pitch, end [s]), the highest first
+    notes: list[Note] = []
+    starts: list[float] = []
+    for group in groups:
+        start, highest = min(note.start for note in group), group[-1]
+        while sounding and sounding[0][1] <= start + RELEASE_TIME:
+            heappop(sounding)
+        if not sounding or -sounding[0][0] <= highest.pitch:
+            notes.append(highest)
+            starts.append(start)
+        for note in group:
+            heappush(sounding, (-note.pitch, note.end))
+    onset = np.array(starts)
+    held = np.array([note.end for note in notes]) - onset
+    interval = np.append(np.diff(onset), held[-1])
+    rest = interval - held >= np.maximum(_REST, _REST_SHARE * interval)
+    pitch = np.array([note.pitch for note in notes], np.float64)
+    return _Melody(notes, onset, interval, np.where(rest, held, interval), pitch, rest)
+
+
+def _added_time(
+    melody: _Melody, pauses: Floats, config: ExpressionConfig, bars: Sequence[Bar]
+) -> Floats:
+    """(M,) by how much the rules make each interval of the melody longer [s]."""
+    interval, dose = melody.interval, config.dose
+    double = np.where(_doubles(melody), _DOUBLE_SHARE * interval, 0.0)
+    inequality = _inequality(melody, bars, dose * config.inegales)
+    added = (
+        dose * config.duration_contrast * _CONTRAST_SECONDS * _contrast(melody)
+        + dose * config.double_duration * (double - _of_next(double))
+        - dose * config.faster_uphill * _UPHILL * _uphill(melody)
+        + dose * config.phrase_arch * _arch(melody, _ARCH_START, _ARCH_END) * interval
+        + _PAUSE_LENGTHENS * pauses
+        + _of_next(inequality)
+        - inequality
+    )
+    added = np.maximum(added, (_LEAST_INTERVAL - 1) * interval)
+    quantity = dose * config.final_ritard
+    if quantity and len(interval) > 1:
+        slowed = (interval + added) * _ritard(melody.onset, quantity)
+        slowed[-1] = max(slowed[-1], _RITARD_LAST_NOTE * slowed[-2])
+        added = slowed - interval
+    return added
+
+
+def _level(melody: _Melody, config: ExpressionConfig) -> Floats:
+    """(M,) by how much each note of the melody, and what is below it, is louder [dB]."""
+    arch = _arch(melody, _ARCH_START_DECIBELS, _ARCH_END_DECIBELS)
+    return config.dose * (
+        config.duration_contrast * _CONTRAST_DECIBELS * _contrast(melody)
+        - config.phrase_arch * _ARCH_LOUDNESS * arch
+    )
+
+
+def _of_next(values: NDArray[np.generic]) -> Floats:
+    """(M,) for each note the value of the next one, and 0 for the last."""
+    return np.append(values[1:], 0.0)
+
+
+def _contrast(melody: _Melody) -> Floats:
+    """(M,) the duration contrast of notes [ms], without those of the double duration rule."""
+    contrast = np.interp(melody.duration, _CONTRAST_DURATIONS, _CONTRAST)
+    double = _doubles(melody)
+    return np.where(double | (_of_next(double) > 0), 0.0, contrast)
+
+
+def _doubles(melody: _Melody) -> Mask:
+    """(M,) whether a note is half as long as the one before it and shorter than the next."""
+    double, length = melody.inner, melody.duration
+    here = length[1:-1]
+    double[1:-1] &= np.abs(2 * here - length[:-2]) < _SAME_LENGTH
+    double[1:-1] &= (length[2:] > here + _SAME_LENGTH) & (here < _DOUBLE_LONGEST)
+    return double
+
+
+def _uphill(melody: _Melody) -> Floats:
+    """(M,) 1 for notes that ascend to the next within an ascent of three or more, else 0."""
+    rising = melody.inner
+    steps = np.diff(melody.pitch)
+    rising[1:-1] &= (steps[:-1] > 0) & (steps[1:] > 0)
+    return np.maximum(rising, _of_next(rising))
+
+
+def _inequality(melody: _Melody, bars: Sequence[Bar], quantity: float) -> Floats:
+    """(M,) what notes off the beat give to the equally long notes before them [s]."""
+    interval = melody.interval
+    if not bars or not quantity:
+        return np.zeros(len(interval))
+    begins = np.array([bar.time for bar in bars])
+    bar = np.searchsorted(begins, melody.onset + _SAME_LENGTH, side="right") - 1
+    count = (melody.onset - begins[np.maximum(bar, 0)]) / interval
+    off_beat = np.rint(count) % 2 == 1
+    off_beat &= np.abs(count - np.rint(count)) * interval < _SAME_LENGTH
+    off_beat[1:] &= (np.abs(np.diff(interval)) < _SAME_LENGTH) & ~melody.rest[:-1]
+    off_beat[0] = False
+    given = quantity * _INEGALITY * interval
+    off_beat &= (interval < _INEGAL_LONGEST) & (interval - given > _INEGAL_SHORTEST)
+    return np.where(off_beat, given, 0.0)
+
+
+def _arch(melody: _Melody, start: float, end: float) -> Floats:
+    """(M,) parabolas from `start` down to 0 at the turn of each phrase, and up to `end`."""
+    arch = np.zeros(len(melody.onset))
+    for first, last in _phrases(melody):
+        onset = melody.onset[first : last + 1]
+        place = (onset - onset[0]) / (onset[-1] - onset[0]) - _ARCH_TURN
+        before, after = -place / _ARCH_TURN, place / (1 - _ARCH_TURN)
+        arch[first : last + 1] = start * before.clip(0) ** 2 + end * after.clip(0) ** 2
+    return arch
+
+
+def _phrases(melody: _Melody) -> Iterator[tuple[int, int]]:
+    """Yields the first and the last note of each phrase of two notes or more; see `performed`."""
+    offset = melody.onset + melody.interval
+    ends = melody.rest | (melody.interval >= _PHRASE_LONG * np.median(melody.interval))
+    ends[-1] = True
+    first, count = 0, len(ends)
+    for index in np.flatnonzero(ends).tolist():
+        if index == count - 1 or offset[index] - melody.onset[first] >= _PHRASE_TIME:
+            if index > first:
+                yield first, index
+            first = index + 1
+
+
+def _micropauses(melody: _Melody) -> Floats:
+    """(M,) the pauses [s] after notes that end a small group, 0 after others."""
+    length, steps = melody.duration, np.diff(melody.pitch)
+    ends = np.zeros(len(length), bool)
+    here = length[2:-2]
+    ends[2:-2] = (here >= length[:-4]) & (here >= length[1:-3])
+    ends[2:-2] &= (here > length[3:-1]) & (here > length[4:])
+
+    before, leap, after = steps[:-2], steps[1:-1], steps[2:]
+    size = np.abs(leap)
+    ends[1:-2] |= (
+        (size >= _LEAP)
+        & (before * leap < 0)
+        & (leap * after < 0)
+        & (size > _LARGEST_LEAP * np.maximum(np.abs(before), np.abs(after)))
+    )
+    ends &= melody.inner & (length >= _PUNCTUATED_SHARE * length.mean())
+    return np.where(ends, np.interp(length, _PAUSED_DURATIONS, _PAUSES), 0.0)
+
+
+def _ritard(onset: Floats, quantity: float) -> Floats:
+    """(M,) how much longer intervals become by the final ritard; the last note's is 1.
+
+    The tempo at the share x of the written time of the ritard is `(1 + (w^q - 1) x)^(1/q)`, where w
+    is the last tempo. The time that passes until x is its reciprocal's integral.
+    """
+    begin = max(int(np.searchsorted(onset, onset[-1] - _RITARD_TIME * quantity, "right")) - 1, 0)
+    share = (onset[begin:] - onset[begin]) / (onset[-1] - onset[begin])
+    q = _RITARD_CURVATURE
+    drop = np.expm1(-q * np.log1p(_RITARD_TEMPO * quantity))  # exact for small quantities, too
+    passed = q / ((q - 1) * drop) * np.expm1((q - 1) / q * np.log1p(drop * share))
+    factor = np.ones(len(onset))
+    factor[begin:-1] = np.diff(passed) / np.diff(share)
+    return factor
