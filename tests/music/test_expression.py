@@ -57,6 +57,12 @@ def test_dose_0_is_the_score_bit_for_bit(score):
         assert result.bars == score.bars
 
 
+def test_a_tiny_dose_changes_hardly_anything():
+    result = performed(CHORALE, ExpressionConfig(dose=1e-15))
+    assert velocities(result).tolist() == velocities(CHORALE).tolist()
+    assert result.notes[-1].start == pytest.approx(CHORALE.notes[-1].start)
+
+
 def test_no_notes():
     assert performed(Score(())) == Score(())
 
@@ -175,6 +181,15 @@ def test_the_last_tempo_of_a_final_ritard_depends_on_its_quantity(quantity):
     end = 1 / (1 + 3 * quantity)
     assert end < last < before_last
     assert last**3 - (before_last**3 - last**3) / 2 == pytest.approx(end**3, abs=0.01)
+
+
+def test_a_final_ritard_slows_down_what_is_below_a_held_note():
+    held = Note(1, 5, 84)
+    below = line([60, 62] * 20, [0.1] * 40)
+    result = performed(replace(below, notes=(held, *below.notes)), only("final_ritard"))
+    onsets = np.array([note.start for note in result.notes if note.pitch != 84])
+    assert (np.diff(np.diff(onsets))[-10:] > 0).all()
+    assert max(result.notes, key=lambda note: note.pitch).end == pytest.approx(result.total_time)
 
 
 def test_other_notes_of_a_chord_follow_a_louder_melody():

@@ -1,14 +1,13 @@
 """Expressive performance of a score by rules of the KTH rule system.
 
-The rules, their formulas and their quantities k are those of Friberg, Bresin and Sundberg,
-"Overview of the KTH rule system for musical performance" (Advances in Cognitive Psychology 2,
-2006, 145-161), as Director Musices, the program of its authors, computes them.
+The rules are described by Friberg, Bresin and Sundberg, "Overview of the KTH rule system for
+musical performance" (Advances in Cognitive Psychology 2, 2006, 145-161). Formulas and quantities
+are those of Director Musices, the program of its authors (github.com/docfry/Director-Musices).
 """
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from heapq import heappop, heappush
 from typing import NamedTuple
@@ -54,8 +53,8 @@ _ARCH_START, _ARCH_END = 0.1, 0.2  # of the interval
 _ARCH_START_DECIBELS, _ARCH_END_DECIBELS = 0.5, 1.0  # [dB], before the factor
 _ARCH_LOUDNESS = 2.0  # this factor, and the turn, are those of the default rule palette
 _ARCH_TURN = 0.3  # of the time from the first onset of the phrase to the last
-_PHRASE_LONG = 2.0  # medians of all intervals, at which a note may end a phrase
-_PHRASE_TIME = 3.0  # [s] that a phrase lasts at least: Fraisse's psychological present
+_PHRASE_LONG = 2.0  # medians of all intervals, at which a note may end a phrase; a choice
+_PHRASE_TIME = 3.0  # [s] that a phrase lasts at least; a choice, about two bars
 
 # Punctuation: the micropause [s] after notes of these durations [s]
 _PAUSED_DURATIONS = (0.16, 0.64)
@@ -82,8 +81,8 @@ _LEAD_SHARE = 0.5  # of a note, by which it begins later at most
 class ExpressionConfig:
     """How much each rule of the KTH rule system does: its quantity k, times the `dose` of all.
 
-    The defaults are those of the default rule palette of Director Musices, or 1 for a rule that it
-    does not have. A rule of quantity 0 is off.
+    The defaults are those of the default rule palette of Director Musices. Of the rules that it
+    lacks, faster uphill and melody lead are 1 and inegales is off. All lie in 0 to 10.
     """
 
     dose: float = 1.0  # of all rules; 0 plays as written
@@ -124,12 +123,13 @@ def performed(score: Score, config: ExpressionConfig | None = None) -> Score:
     only where they did. Pedal and bars move by the same map of time as the notes. The tempo is not
     normalised: the rules make most music slower, and a little softer.
 
-    The rules of timing apply to the melody, and everything else follows it. A note is of the melody
-    if it is the highest of its chord and no higher note sounds on (the skyline). Its duration is
-    the time to the next note of the melody. The interval between the two is stretched evenly,
-    whatever is played within it. What else begins within it is played as much louder or softer as
-    its melody note, except that pitch counts for each note by itself. Harmonic and melodic charge
-    are left out: they need harmonies, which a score does not have.
+    The rules of timing apply to the melody, and everything else follows it; only the final ritard
+    applies to all chords. A note is of the melody if it is the highest of its chord and no higher
+    note sounds on (the skyline). Its duration is the time to the next note of the melody. The
+    interval between the two is stretched evenly, whatever is played within it. What else begins
+    within it is played as much louder or softer as its melody note. Only high loud counts for each
+    note by itself, by its distance from the mean pitch. Harmonic and melodic charge are left out:
+    they need harmonies, which a score does not have.
 
     A phrase ends before a rest of the melody, or with a note whose interval is at least twice the
     median, but only once it has lasted 3 s. Punctuation uses the two of its published subrules that
@@ -151,40 +151,37 @@ def performed(score: Score, config: ExpressionConfig | None = None) -> Score:
     groups = [sorted(chord, key=lambda note: note.pitch) for chord in chords(score.notes)]
     melody = _melody(groups)
     pauses = config.dose * config.punctuation * _micropauses(melody)
-    added = _added_time(melody, pauses, config, score.bars)
-    shifts = np.concatenate([[0.0], np.cumsum(added)])
-    knots = np.append(melody.onset, melody.onset[-1] + melody.interval[-1])
+    moved = _time_map(
+        melody,
+        _added_time(melody, pauses, config, score.bars),
+        np.array([*(min(note.start for note in group) for group in groups), score.total_time]),
+        config.dose * config.final_ritard,
+    )
+    check_length(moved(score.total_time), "performed with expression, the song")
 
-    def moved(time: float) -> float:
-        return time + float(np.interp(time, knots, shifts))
-
-    level = _level(melody, config)
-    high = config.dose * config.high_loud / _SEMITONES_PER_DECIBEL
-    lead = config.dose * config.melody_lead
-    mean_pitch = float(np.mean([note.pitch for note in score.notes]))
+    lead = config.dose * config.melody_lead * _LEAD
     sung = {id(note): index for index, note in enumerate(melody.notes)}
-    accompanied = len(sung) < len(score.notes)
     led = {id(note) for group in groups if id(group[-1]) in sung for note in group[:-1]}
 
-    def performed_note(note: Note) -> Note:
+    def times(note: Note) -> tuple[float, float]:
         start, end = moved(note.start), moved(note.end)
-        index = max(bisect_right(knots, note.start, hi=len(melody.notes)) - 1, 0)
-        decibels = float(level[index]) + high * (note.pitch - mean_pitch)
-        if id(note) in sung:
-            decibels += lead * _LEAD_DECIBELS * accompanied
-            index = sung[id(note)]
-            if pauses[index]:
-                latest = float(knots[index + 1] + shifts[index + 1] - pauses[index])
-                end = min(end, max(latest, (start + end) / 2))
-        elif id(note) in led:
-            start += min(lead * _LEAD, _LEAD_SHARE * (end - start))
-        velocity = round(note.velocity + VELOCITY_PER_DECIBEL * decibels)
-        return replace(note, start=start, end=end, velocity=min(max(velocity, 1), 127))
+        if id(note) in led:
+            start += min(lead, _LEAD_SHARE * (end - start))
+        elif pause := float(pauses[sung[id(note)]]) if id(note) in sung else 0.0:
+            latest = moved(float(melody.onset[sung[id(note)] + 1])) - pause
+            end = min(end, max(latest, (start + end) / 2))
+        return start, end
 
-    check_length(moved(score.total_time), "performed with expression, the song")
+    velocities = _velocities(score, melody, config).tolist()
+    notes = (
+        replace(note, start=start, end=end, velocity=velocity)
+        for note, (start, end), velocity in zip(
+            score.notes, map(times, score.notes), velocities, strict=True
+        )
+    )
     return replace(
         score,
-        notes=tuple(performed_note(note) for note in score.notes),
+        notes=tuple(notes),
         pedal=tuple(replace(event, time=moved(event.time)) for event in score.pedal),
         bars=tuple(replace(bar, time=moved(bar.time)) for bar in score.bars),
     )
@@ -228,22 +225,50 @@ def _added_time(
         + _of_next(inequality)
         - inequality
     )
-    added = np.maximum(added, (_LEAST_INTERVAL - 1) * interval)
-    quantity = dose * config.final_ritard
-    if quantity and len(interval) > 1:
-        slowed = (interval + added) * _ritard(melody.onset, quantity)
+    return np.maximum(added, (_LEAST_INTERVAL - 1) * interval)
+
+
+def _time_map(
+    melody: _Melody, added: Floats, knots: Floats, ritard: float
+) -> Callable[[float], float]:
+    """Returns the map from written to played time [s], which is linear between `knots`.
+
+    Args:
+        melody: the melody.
+        added: (M,) by how much each of its intervals gets longer [s].
+        knots: (N + 1,) the onsets of all chords and the end of the music [s].
+        ritard: the quantity of the final ritard, which slows down all chords and not only those of
+            the melody.
+    """
+    melody_knots = np.append(melody.onset, melody.onset[-1] + melody.interval[-1])
+    shifts = np.interp(knots, melody_knots, np.append(0.0, np.cumsum(added)))
+    if ritard and len(knots) > 2:
+        interval = np.diff(knots + shifts)
+        slowed = interval * _ritard(knots[:-1], ritard)
         slowed[-1] = max(slowed[-1], _RITARD_LAST_NOTE * slowed[-2])
-        added = slowed - interval
-    return added
+        shifts[1:] += np.cumsum(slowed - interval)
+    # A shift of 0 leaves a time as it is to the bit.
+    return lambda time: time + float(np.interp(time, knots, shifts))
 
 
-def _level(melody: _Melody, config: ExpressionConfig) -> Floats:
-    """(M,) by how much each note of the melody, and what is below it, is louder [dB]."""
+def _velocities(score: Score, melody: _Melody, config: ExpressionConfig) -> NDArray[np.intp]:
+    """(N,) the MIDI velocities at which the notes of `score` are played."""
     arch = _arch(melody, _ARCH_START_DECIBELS, _ARCH_END_DECIBELS)
-    return config.dose * (
+    level = (
         config.duration_contrast * _CONTRAST_DECIBELS * _contrast(melody)
         - config.phrase_arch * _ARCH_LOUDNESS * arch
     )
+    starts = np.array([note.start for note in score.notes])
+    above = np.searchsorted(melody.onset, starts, side="right") - 1
+    pitch = np.array([note.pitch for note in score.notes], np.float64)
+    decibels = level[above] + config.high_loud / _SEMITONES_PER_DECIBEL * (pitch - pitch.mean())
+    sung = {id(note) for note in melody.notes}
+    if len(sung) < len(score.notes):
+        leads = np.array([id(note) in sung for note in score.notes])
+        decibels += config.melody_lead * _LEAD_DECIBELS * leads
+    written = np.array([note.velocity for note in score.notes])
+    played = written + VELOCITY_PER_DECIBEL * config.dose * decibels
+    return np.rint(played).astype(np.intp).clip(1, 127)
 
 
 def _of_next(values: NDArray[np.generic]) -> Floats:
@@ -337,12 +362,13 @@ def _micropauses(melody: _Melody) -> Floats:
 
 
 def _ritard(onset: Floats, quantity: float) -> Floats:
-    """(M,) how much longer intervals become by the final ritard; the last note's is 1.
+    """(N,) how much longer the intervals after `onset` (N,) get by the ritard; 1 for the last.
 
     The tempo at the share x of the written time of the ritard is `(1 + (w^q - 1) x)^(1/q)`, where w
     is the last tempo. The time that passes until x is its reciprocal's integral.
     """
-    begin = max(int(np.searchsorted(onset, onset[-1] - _RITARD_TIME * quantity, "right")) - 1, 0)
+    begin = int(np.searchsorted(onset, onset[-1] - _RITARD_TIME * quantity, "right")) - 1
+    begin = min(max(begin, 0), len(onset) - 2)  # at least the last interval, at most all
     share = (onset[begin:] - onset[begin]) / (onset[-1] - onset[begin])
     q = _RITARD_CURVATURE
     drop = np.expm1(-q * np.log1p(_RITARD_TEMPO * quantity))  # exact for small quantities, too
