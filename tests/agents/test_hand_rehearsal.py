@@ -39,8 +39,8 @@ class Rehearsed(OneHand):
 def test_a_plan_that_works_is_rolled_out_once_and_goes_as_rehearsed() -> None:
     hand = Rehearsed("TwinkleTwinkleLittleStar")
     assert hand.rehearse() == hand.rehearsal.lookahead
-    assert hand.rehearsal.end == 20
-    np.testing.assert_array_equal(hand.rehearsal.ctrl(0), hand.tracking.ctrl[:20])
+    assert hand.rehearsal.end == 10
+    np.testing.assert_array_equal(hand.rehearsal.ctrl(0), hand.tracking.ctrl[:10])
     for step in range(10):
         qpos, qvel, _ = hand.joint_state
         assert hand.rehearsal.goes_as_rehearsed(step, qpos) == (step > 0)
@@ -48,7 +48,7 @@ def test_a_plan_that_works_is_rolled_out_once_and_goes_as_rehearsed() -> None:
         posture = hand.servos.of_joints.T @ np.stack([qpos, qvel], axis=1)
         ctrl = hand.rehearsal.ctrl(step)[0] - hand.tracking.feedback(step, posture)
         hand.simulation.step(hand.servos.clip(ctrl)[None])
-    assert hand.rehearsal.ctrl(10).shape == (10, hand.tracking.ctrl.shape[1])
+    assert hand.rehearsal.ctrl(4).shape == (6, hand.tracking.ctrl.shape[1])
 
 
 def test_a_finger_that_is_off_its_key_is_put_right(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -64,7 +64,7 @@ def test_a_finger_that_is_off_its_key_is_put_right(monkeypatch: pytest.MonkeyPat
     hand.rehearse()
     assert rollouts[0].mistakes > 0
     assert min(rollout.mistakes for rollout in rollouts) < rollouts[0].mistakes / 2
-    assert not np.array_equal(hand.rehearsal.ctrl(0), hand.tracking.ctrl[:20])
+    assert not np.array_equal(hand.rehearsal.ctrl(0), hand.tracking.ctrl[:10])
 
 
 def test_rehearsing_leaves_the_plan_as_it_is() -> None:

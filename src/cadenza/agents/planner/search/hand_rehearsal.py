@@ -1,4 +1,4 @@
-"""Rehearsal of one hand: iterative learning control of a second of its plan before it is played.
+"""Rehearsal of one hand: iterative learning control of half a second of its plan beforehand.
 
 Each iteration rolls the plan out in simulation, with feedback, and updates the controls by the
 fingertip errors of this rollout. The cheapest rollout is kept. Nothing is random.
@@ -32,7 +32,7 @@ _SAME_POSTURE = 1e-3  # [m, rad] up to which a hand is where a rollout had it
 class RehearsalConfig(NamedTuple):
     """Parameters of a rehearsal; the defaults are for a hand that searches where it fails."""
 
-    window: float = 1.0
+    window: float = 0.5
     """The time that is played as it was rehearsed [s]."""
     judged_after: float = 0.2
     """The time after the window that counts in the cost: the hand should be able to go on [s]."""

@@ -61,7 +61,7 @@ BUDGET_SHARE = 0.4
 _INITIAL_BUDGET = 1.0  # [s] for which it has been saved where a hand follows another trajectory
 REFINED_HORIZON = 4
 """Steps that are simulated to refine what is struck in the first two."""
-REFINEMENTS = 6
+REFINEMENTS = 8
 """Rollouts at most for it, beside one of what was found by search."""
 _MAX_DRIFT = 1e-5  # [m, rad] between the model and the scene, above which the model is reset
 
@@ -93,6 +93,8 @@ class HandSearch:
         self._rehearsal = HandRehearsal(scene, self._simulator, dt)
         self._refinement = StrikeRefinement(self._servos, strike_model(scene, dt))
         self._warm_start = np.zeros((self._horizon, len(self._servos.noise)))
+        # Controls of the next step, if its strikes are refined: feedback would undo it.
+        self._refined, self._is_refined = np.zeros(len(self._servos.noise)), False
         self._previous = np.zeros(len(self._servos.noise))  # correction of the step before
         self._decay = 0.5 ** (dt / _HALF_LIFE)
         full_search = self._iterations * self._num_candidates * self._horizon
@@ -127,7 +129,7 @@ class HandSearch:
         self._goals, self._tracking, self._network = goals, tracking, None
         self._step, self._in_sync, self._rehearses = step, False, False
         self._rehearsal.reset()
-        self._warm_start[:] = 0.0
+        self._warm_start[:], self._is_refined = 0.0, False
         self._granted = self._income * steps_in(_INITIAL_BUDGET, self._dt)
         self._rng, self._rehearsed, self._rollouts.simulated = rng, 0, 0
 
@@ -145,12 +147,17 @@ class HandSearch:
     def state(self) -> SearchState:
         """The state of the search, without that of the model, which `replay` restores."""
         return SearchState(
-            self._warm_start.copy(), np.array(float(self._budget)), rng_state(self._rng)
+            self._warm_start.copy(),
+            self._refined.copy(),
+            np.array(float(self._is_refined)),
+            np.array(float(self._budget)),
+            rng_state(self._rng),
         )
 
     def restore(self, state: SearchState) -> None:
         """Goes on as the search that had this `state`."""
-        self._warm_start = state.warm_start.copy()
+        self._warm_start, self._refined = state.warm_start.copy(), state.refined.copy()
+        self._is_refined = bool(state.is_refined)
         self._granted = self._rollouts.simulated + int(state.budget)
         self._rng = rng_from(state.rng)
 
@@ -204,9 +211,11 @@ class HandSearch:
         if self._update is None:
             return self._servos.clip(nominal[0])
         if self._rehearsal.goes_as_rehearsed(self._step, self._model.state.hand_qpos[0]):
-            self._warm_start[:] = 0.0
+            self._warm_start[:], self._is_refined = 0.0, False
             return self._servos.clip(nominal[0])
         best = self._servos.clip(nominal + self._warm_start)
+        if self._is_refined:
+            best[0], self._is_refined = self._refined, False
         self._start_rollouts(steps)
         rollout = self._rollouts.simulate(best)
         fingertips = self._model.state.fingertip_xpos[0, self._goals.fingers]
@@ -237,14 +246,17 @@ class HandSearch:
             self._rehearsed += len(inside)
             return roll_out(self._simulator, horizon, ctrl)
 
+        strikes = horizon.strikes.before(2)
         refined = self._refinement.refine(
             ctrl[: len(inside)],
             simulate(ctrl[: len(inside)]),
-            horizon.strikes.before(2),
+            strikes,
             self._simulator.fingertip_jacobian,
             simulate,
             REFINEMENTS,
         )
+        if (strikes.step == 1).any():
+            self._refined, self._is_refined = refined.ctrl[1], True
         return np.concatenate([refined.ctrl, ctrl[len(inside) :]])
 
     # The nominal trajectory
@@ -434,6 +446,10 @@ class SearchState(NamedTuple):
 
     warm_start: Array
     """(H, A) the deviation from the nominal controls of the horizon."""
+    refined: Array
+    """(A,) the controls of the next step, if its strikes are refined."""
+    is_refined: Array
+    """() 1 if they are, else 0."""
     budget: Array
     """() the number of control steps that may be simulated."""
     rng: NDArray[np.uint64]

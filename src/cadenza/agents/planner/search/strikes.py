@@ -14,11 +14,11 @@ from cadenza.keyboards.keyboard import Keyboard
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
-UNIT = np.array([0.01, 0.4])
+UNIT = np.array([0.008, 0.4])
 """The errors that count as 1: of the time of an onset [s], and of the speed of its key [octaves].
 
 Speed counts by its logarithm, as it is heard."""
-WEIGHT = np.array([1.0, 0.5])
+WEIGHT = np.array([1.0, 1.5])
 """The cost of these errors, squared."""
 _MOST = 4.0  # squared error that counts: beyond it an onset is wrong, which costs anyway
 _NOT_STRUCK = np.array([_MOST, 0.0])
