@@ -420,7 +420,14 @@ def test_play_leaves_what_it_promises(
     said = capsys.readouterr()
     assert "F1 1.000  precision 1.000  recall 1.000  note onsets F1 1.000" in said.out
     assert f"Open {folder / 'report.html'}" in said.out
-    files = {"episode.npz", "metrics.json", "played.mid", "report.html", "settings.json"}
+    files = {
+        "episode.npz",
+        "metrics.json",
+        "played.mid",
+        "report.html",
+        "settings.json",
+        "wanted.mid",
+    }
     names = {path.name for path in folder.iterdir()}
     assert names == files | {"video.mp4"} or (names == files and "no video: " in said.err)
     assert all(path.stat().st_size for path in folder.iterdir())
@@ -454,7 +461,14 @@ def test_nothing_of_another_performance_stays(tune: Path, tmp_path: Path) -> Non
     for name in ("misses.json", "video.mp4", "episode-left.npz", "of-the-user.txt"):
         write_json(folder / name, "of before")
     main(["play", str(tune), "--agent", "zero", "--no-video", "-o", str(folder)])
-    files = {"episode.npz", "metrics.json", "played.mid", "report.html", "settings.json"}
+    files = {
+        "episode.npz",
+        "metrics.json",
+        "played.mid",
+        "report.html",
+        "settings.json",
+        "wanted.mid",
+    }
     assert {path.name for path in folder.iterdir()} == files | {"of-the-user.txt"}
 
 
@@ -534,7 +548,7 @@ def test_results_go_below_the_working_folder_by_default(
     folder = tmp_path / "played" / "tune" / "zero"
     assert (folder / "report.html").exists()
     main(["play", str(tune), *QUICK])  # takes the place of the first
-    assert len(list(folder.iterdir())) == 5
+    assert len(list(folder.iterdir())) == 6
 
 
 def test_task_and_scene_options_arrive(tune: Path, tmp_path: Path) -> None:

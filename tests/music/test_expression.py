@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 
 from cadenza.errors import CadenzaError
+from cadenza.music.arrangement import Arrangement
 from cadenza.music.etudes import make_etude
 from cadenza.music.expression import VELOCITY_PER_DECIBEL, ExpressionConfig, performed
 from cadenza.music.score import Bar, Note, PedalEvent, Score
@@ -256,3 +257,15 @@ def test_time_grows_with_the_music():
 def test_quantities_are_checked(value):
     with pytest.raises(CadenzaError, match="dose"):
         performed(SCALE, ExpressionConfig(dose=value))
+
+
+def test_an_arrangement_with_expression_is_the_performed_score() -> None:
+    written = Arrangement().score("OdeToJoy")
+    dose = 0.5
+    expected = performed(written, ExpressionConfig(dose=dose))
+    assert Arrangement(expression=dose).score("OdeToJoy") == expected != written
+
+
+def test_expression_out_of_range_is_refused() -> None:
+    with pytest.raises(CadenzaError, match="expression -1: choose 0 to 10"):
+        Arrangement(expression=-1)

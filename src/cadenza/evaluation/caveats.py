@@ -15,6 +15,7 @@ _AS_WRITTEN: dict[str, Any] = {
     "arrangement.first_seconds": None,
     "arrangement.tracks": [],
     "arrangement.reduce": "off",
+    "arrangement.expression": 0.0,
     "task.stretch": 1.0,
     "task.transpose": 0,
 }

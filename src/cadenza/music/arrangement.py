@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from cadenza.configs import check_ranges
 from cadenza.music.score import (
     RELEASE_TIME,
     Note,
@@ -15,13 +16,15 @@ from cadenza.music.score import (
     chords,
 )
 
+MOST_EXPRESSION = 10.0
+"""The largest dose of expression; twice as published is a caricature."""
 _VOICE_SHARE = 0.9  # of a track's onsets are single notes, if it is a voice
 _MIN_SHARE = 0.25  # of the notes of the busiest voice; tracks with fewer only fill in
 
 
 @dataclass(frozen=True)
 class Arrangement:
-    """A choice of the notes of a song that are played."""
+    """Which notes of a song are played, and with how much expression."""
 
     tracks: tuple[int, ...] = ()
     """Play only these tracks, numbered as in "cadenza info SONG"."""
@@ -29,13 +32,16 @@ class Arrangement:
     """Reduce the song to its melody and its bass: the highest and the lowest voice."""
     first_seconds: float | None = None
     """Play only what begins within this time from the first note on [s]."""
+    expression: float = 0.0
+    """Perform the song by the KTH rules: 1 as published, more to exaggerate, 0 as written."""
 
     def __post_init__(self) -> None:
         """Checks the options.
 
         Raises:
-            CadenzaError: `first_seconds` is not a positive number.
+            CadenzaError: `first_seconds` is not a positive number, or `expression` is out of range.
         """
+        check_ranges(self, {"expression": (0, MOST_EXPRESSION)})
         if self.first_seconds is not None:
             check_beginning(self.first_seconds)
 
@@ -50,7 +56,14 @@ class Arrangement:
             score = score.beginning(self.first_seconds)
         music = score.total_time - min((note.start for note in score.notes), default=0.0)
         check_length(music, f"{song}: the song", "; play its beginning with --first-seconds")
-        return score
+        return self._performed(score)
+
+    def _performed(self, score: Score) -> Score:
+        if not self.expression:
+            return score
+        from cadenza.music.expression import ExpressionConfig, performed
+
+        return performed(score, ExpressionConfig(dose=self.expression))
 
     def _reduced(self, song: str) -> Score:
         from cadenza.music.libraries.library import load_score
@@ -66,7 +79,7 @@ class Arrangement:
 
     @property
     def chosen(self) -> bool:
-        """Whether any notes of a song are left out."""
+        """Whether anything of a song is left out or changed."""
         return self != Arrangement()
 
 

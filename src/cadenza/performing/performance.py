@@ -46,6 +46,7 @@ RESULTS = (
     *(f"episode-{side}.npz" for side in SIDES),
     "misses.json",
     "played.mid",
+    "wanted.mid",
     "report.html",
     "video.mp4",
 )
@@ -148,6 +149,7 @@ class Performance:
             lost = [asdict(miss) | {"finger": written(miss.finger)} for miss in self.misses]
             write_json(folder / "misses.json", lost)
         write_midi(played, folder / "played.mid")
+        write_midi(self.goal, folder / "wanted.mid")
         ours = {f"episode-{side}.npz": side in parts for side in SIDES}
         ours |= {"misses.json": self.misses is not None, "report.html": page, "video.mp4": False}
         for name in ours:

@@ -97,7 +97,7 @@ def _own_song(folder: Path, name: str, arrangement: Arrangement) -> Source:
     if arrangement.chosen:
         raise CadenzaError(
             f"{name}: plays its song as it was trained or practised; leave out --tracks, "
-            "--reduce and --first-seconds"
+            "--reduce, --first-seconds and --expression"
         )
     if (path := folder / PRACTISED).is_file():
         plan = load_plan(path)
@@ -124,7 +124,8 @@ def _warn_of_repairs(source: Source) -> None:
     score = source.score
     for remark in score.remarks:
         warnings.warn(f"{source.name}: {remark}", CadenzaWarning, stacklevel=4)
-    if len(score.tracks) > 2 and not source.arrangement.chosen:
+    chosen = source.arrangement.tracks or source.arrangement.reduce != "off"
+    if len(score.tracks) > 2 and not chosen:
         warnings.warn(
             f"{source.name}: all {len(score.tracks)} tracks are played at once; if that is too "
             "much for two hands, use --reduce melody-bass, or --tracks with some that "
