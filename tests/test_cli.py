@@ -442,15 +442,16 @@ def test_play_leaves_what_it_promises(
     assert f"return {total:.1f}: key press {total:.1f}\n" in said.out  # there are no fingers
     assert metrics.keys() == scores | other | {"unstable", "timing_error"}
     assert {metrics[name] for name in scores} == {1.0}
-    assert (metrics["steps"], metrics["unstable"], metrics["timing_error"]) == (13, 0, 0)
+    assert (metrics["steps"], metrics["unstable"]) == (13, 0)
+    assert 0 < metrics["timing_error"] < 0.05  # keys sound within their steps
 
     settings = json.loads((folder / "settings.json").read_text())
     assert (settings["seed"], settings["agent"], settings["plan"]) == (0, "playback", str(plan))
     assert settings["scene"]["hands"] == "none"
 
     played = read_midi(folder / "played.mid")
-    notes = [(round(n.start, 3), round(n.end, 3), n.pitch) for n in played.notes]
-    assert notes == [(0.0, 0.25, 60), (0.25, 0.5, 64), (0.25, 0.6, 67)]
+    notes = [time for n in sorted(played.notes, key=lambda n: n.pitch) for time in (n.start, n.end)]
+    assert notes == pytest.approx([0.0, 0.25, 0.25, 0.5, 0.25, 0.6], abs=0.05)  # a step
     assert [(round(e.time, 3), e.value) for e in played.pedal] == [(0.3, 127)]
     assert "<html" in (folder / "report.html").read_text()
 

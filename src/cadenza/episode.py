@@ -29,6 +29,7 @@ from cadenza.files import (
     read_arrays,
     write_atomically,
 )
+from cadenza.fingers import SIDES
 
 _LOWEST_PITCH = 21  # A0, for recordings that do not say, which are all of pianos
 _NUM_PITCHES = 128  # of MIDI
@@ -89,9 +90,12 @@ _ARRAYS = {
     "key_activation": ArrayOf(FLAGS, ("T", "K")),
     "key_onset": ArrayOf(NUMBERS, ("T", "K")),
     "key_offset": ArrayOf(NUMBERS, ("T", "K")),
-    "key_speed": ArrayOf(NUMBERS, ("T", "K")),
-    "right_key_qpos": ArrayOf(NUMBERS, ("T", "K")),
-    "left_key_qpos": ArrayOf(NUMBERS, ("T", "K")),
+    "key_velocity": ArrayOf(NUMBERS, ("T", "K")),
+    **{
+        f"{side}_{name}": ArrayOf(NUMBERS, ("T", "K"))
+        for side in SIDES
+        for name in ("key_qpos", "key_onset", "key_offset", "key_velocity")
+    },
     "sustain_activation": ArrayOf(FLAGS, ("T",)),
     "hand_qpos": ArrayOf(NUMBERS, ("T", "J")),
     "hand_qvel": ArrayOf(NUMBERS, ("T", "J")),
@@ -124,9 +128,9 @@ class Episode:
     - `key_activation` (T, K) bool, the keys that sound
     - `key_onset`, `key_offset` (T, K), when keys began or ceased to sound in the step, from its
       beginning on [s], NaN where they did not; float32
-    - `key_speed` (T, K), the speed of keys at their onsets [rad/s], else NaN; float32
+    - `key_velocity` (T, K), the MIDI velocity of keys at their onsets, else NaN; float32
     - `right_key_qpos`, `left_key_qpos` (T, K) [rad], of hands that play apart: what each does with
-      the keys, of which `key_qpos` is the larger
+      the keys, of which `key_qpos` is the larger; so are ``right_key_onset`` and the others
     - `sustain_activation` (T,) bool, whether the pedal is down
     - `hand_qpos`, `hand_qvel` (T, J) [m, rad] and [m/s, rad/s]
     - `fingertip_xpos` (T, F, 3) [m]

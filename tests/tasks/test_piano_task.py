@@ -630,3 +630,40 @@ def test_says_which_song_cannot_be_played(
 ) -> None:
     with pytest.raises(CadenzaError, match=message):
         PianoTask(scores, scene=scenes["none"])
+
+
+# What sounds
+
+
+def press_keys(scene: Scene, rows: np.ndarray, dt: float) -> tuple[Note, ...]:
+    """The notes that sound where the keys' own servos are given `rows` (T, 89) of 0.05 s."""
+    task = Player(scene, control_timestep=dt).task
+    for row in np.repeat(rows, round(DT / dt), axis=0):
+        task.step(row[None])
+    return task.played(0).notes
+
+
+def test_notes_sound_at_the_times_of_the_physics(scenes: dict[str, Scene]) -> None:
+    """As if every physics step were a control step."""
+    scene, rng = scenes["none"], np.random.default_rng(0)
+    rows = rng.uniform(0, scene.action_high, (9, ROW)) * (rng.random((9, ROW)) < 0.5)
+    notes, exactly = press_keys(scene, rows, DT), press_keys(scene, rows, 0.005)
+    assert len(notes) > 30
+    for note, other in zip(notes, exactly, strict=True):
+        assert (note.pitch, note.velocity) == (other.pitch, other.velocity)
+        assert_allclose((note.start, note.end), (other.start, other.end), atol=1e-9)
+    on_steps = [abs(note.start / DT - round(note.start / DT)) < 1e-6 for note in notes]
+    assert not any(on_steps)
+
+
+def test_keys_struck_harder_are_louder_and_earlier(scenes: dict[str, Scene]) -> None:
+    scene = scenes["none"]
+    keys = [20, 22, 24]  # all white
+    rows = np.zeros((9, ROW))
+    for key, seconds in zip(keys, (0.05, 0.2, 0.4), strict=True):
+        way = np.minimum(np.arange(1, 10) * DT / seconds, 1)
+        rows[:, key] = way * scene.action_high[key]
+    notes = press_keys(scene, rows, DT)
+    assert [note.pitch - 21 for note in notes] == keys
+    loudness = [note.velocity for note in notes]
+    assert loudness == sorted(set(loudness), reverse=True)

@@ -19,7 +19,9 @@ from cadenza.episode import Episode
 from cadenza.errors import CadenzaError, by_others
 from cadenza.scene.drawing import body_poses, drawing
 from cadenza.sim.hands_apart import HandsApart
+from cadenza.sim.protocol import State
 from cadenza.tasks.piano_task import PianoTask, Transition
+from cadenza.tasks.reward import midi_velocity
 from cadenza.tasks.view import View
 
 
@@ -142,6 +144,14 @@ def _check_action(action: NDArray[np.float64], view: View, agent: str) -> None:
         raise CadenzaError(f"agent {agent}: act() returned an action that is not finite")
 
 
+def _key_events(state: State, task: PianoTask, env: int) -> dict[str, NDArray[np.float32]]:
+    """When keys began and ceased to sound in the last step, and how loud, see `Episode`."""
+    onset, offset, speed = (values[env] for values in state.key_events)
+    values = onset, offset, midi_velocity(speed, task.scene.keyboard)
+    names = ("key_onset", "key_offset", "key_velocity")
+    return {name: v.astype(np.float32) for name, v in zip(names, values, strict=True)}
+
+
 class _Recorder:
     """Records the arrays of an episode row by row, see `cadenza.episode`."""
 
@@ -175,19 +185,19 @@ class _Recorder:
             "hand_qvel": state.hand_qvel[env],
             "key_qpos": state.key_qpos[env],
             "key_activation": task.sounding[env],
-            "key_onset": state.key_onset[env].astype(np.float32),
-            "key_offset": state.key_offset[env].astype(np.float32),
-            "key_speed": state.key_speed[env].astype(np.float32),
             "sustain_activation": task.pedal_down[env],
             "fingertip_xpos": state.fingertip_xpos[env],
             "reward_total": transition.reward[env],
         }
+        row |= _key_events(state, task, env)
         if task.scene.config.touch:
             row["touch"] = state.touch[env]
         row |= {f"reward_{name}": values[env] for name, values in transition.terms.items()}
         if isinstance(task.simulation, HandsApart):
             parts = {side: task.simulation.part(side) for side in task.scene.sides}
-            row |= {f"{side}_key_qpos": part.key_qpos[env] for side, part in parts.items()}
+            for side, part in parts.items():
+                alone = {"key_qpos": part.key_qpos[env], **_key_events(part, task, env)}
+                row |= {f"{side}_{name}": values for name, values in alone.items()}
         self._unstable = bool(transition.unstable[env])
         for name, value in {**row, **self._goals(observation)}.items():
             if name not in self._rows:

@@ -422,7 +422,7 @@ _MEANT = (
     ("key pitch semitones octave", "--transpose", "in semitones"),
     ("left right one-hand left-hand right-hand", "--hands", "left, right or both"),
     ("resolution width height", "--video-size", "such as 1280 720"),
-    ("volume velocity dynamics", "--loudness", "struck or score"),
+    ("volume velocity dynamics loudness", "", "keys are as loud as they are struck"),
     ("cores cpus jobs workers parallel", "--num-threads", "of a planner"),
     ("steps epochs timesteps total-timesteps", "--num-steps", "how long to train"),
     ("song file input midi mid i f", "", "name the song alone, as in cadenza play song.mid"),

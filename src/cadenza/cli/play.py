@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -47,9 +47,6 @@ class PlayCommand(Performing):
     """Random seed."""
     plan: Path | None = None
     """For --agent playback: a plan, or any .npz file with an array "action" (T, A)."""
-    loudness: Advanced[Literal["struck", "score"]] = "struck"
-    """Loudness of the notes in sound and MIDI: as the keys were struck, or as written in the
-    score."""
     video: bool = True
     """Write video.mp4, if this machine can render."""
     video_size: Advanced[tuple[int, int]] = (1280, 720)
@@ -88,7 +85,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
                     performance = perform(setup, reporting, stop)
             if page:
                 page.finish(performance)
-            save(performance, folder, command.video, picture, command.loudness)
+            save(performance, folder, command.video, picture)
             stopped = stop()
         if page and not stopped:
             print("Ctrl-C ends the page")

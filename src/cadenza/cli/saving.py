@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from cadenza.cli.console import counted
 from cadenza.cli.progress import stages
@@ -68,11 +68,10 @@ def save(
     folder: Path,
     video: bool,
     picture: Picture | None = None,
-    loudness: Literal["struck", "score"] = "struck",
 ) -> None:
     """Writes the results of a performance, and prints how well it was played."""
     with stages("playing") as progress:
-        performance.save(folder, video, progress, picture, loudness)
+        performance.save(folder, video, progress, picture)
     print_scores(performance)
     print_losses(performance)
     print(f"\nOpen {folder / 'report.html'}")

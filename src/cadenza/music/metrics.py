@@ -44,6 +44,7 @@ def playing_metrics(
     dt: float,
     score: Score,
     lowest_pitch: int = LOWEST_PITCH,
+    played: Score | None = None,
 ) -> dict[str, float]:
     """Metrics of T control steps of `dt` [s], 0..1 but for the last.
 
@@ -55,17 +56,13 @@ def playing_metrics(
 
     `note_onset_f1`, `note_onset_offset_f1`: whole notes compared as mir_eval's transcription
     metrics do (Raffel et al., ISMIR 2014) at their defaults, but in a time and a memory that grow
-    with the music and not with its square. A run of steps over which a key is on is a note that
-    was played, from the beginning of its first step to the end of its last. A note of the score is
+    with the music and not with its square. A note of the score is
     found if one of the same key starts within 0.05 s, and for the second also ends within 0.05 s
-    or a fifth of the wanted note's length, whichever is more (times are compared to 0.1 ms). At
-    steps of 0.05 s a key on the step in which its note begins counts, and so does one on the step
-    after it, two steps late does not.
+    or a fifth of the wanted note's length, whichever is more (times are compared to 0.1 ms).
 
     `timing_error` [s]: how far, on average, the beginnings of notes are from where the score has
     them, of as many pairs of notes of the same key as can be made that begin within 0.2 s of each
-    other, the first with the first; NaN where there is none. Played notes begin on steps: where
-    notes of the score do not, an error of up to `dt` remains.
+    other, the first with the first; NaN where there is none.
 
     Args:
         key_activation, goal_keys: (T, K), which keys sound and should sound after each step.
@@ -75,6 +72,9 @@ def playing_metrics(
             end are left out. The goals cannot tell when a note that is struck again begins, because
             they leave out its first step.
         lowest_pitch: MIDI number of the first key.
+        played: the notes that sounded, where it is known when. Otherwise a run of steps over which
+            a key is on is a note, from the beginning of its first step to the end of its last: at
+            steps of 0.05 s, one that begins a step late is then found, and two steps late is not.
     """
     precision, recall, f1 = step_metrics(key_activation, goal_keys)
     pedal = step_metrics(sustain_activation[:, None], goal_sustain[:, None])
@@ -86,16 +86,17 @@ def playing_metrics(
         "sustain_precision": float(pedal[0].mean()),
         "sustain_recall": float(pedal[1].mean()),
         "sustain_f1": float(pedal[2].mean()),
-        **_note_metrics(key_activation, score, dt, lowest_pitch),
+        **_note_metrics(
+            _Notes.of_score(score, seconds := len(key_activation) * dt, lowest_pitch),
+            _Notes.of_roll(key_activation, dt)
+            if played is None
+            else _Notes.of_score(played, seconds, lowest_pitch),
+        ),
     }
 
 
-def _note_metrics(
-    played: NDArray[Any], score: Score, dt: float, lowest_pitch: int
-) -> dict[str, float]:
+def _note_metrics(reference: _Notes, estimated: _Notes) -> dict[str, float]:
     """Metrics of whole notes: those of the score are the reference, those played the estimate."""
-    reference = _Notes.of_score(score, len(played) * dt, lowest_pitch)
-    estimated = _Notes.of_roll(played, dt)
     if not len(reference.key) or not len(estimated.key):
         # Silence where nothing was to sound is right, though mir_eval gives it a score of 0.
         f1 = float(len(reference.key) == len(estimated.key))

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from bisect import bisect
-from collections import defaultdict
-from dataclasses import replace
-from typing import Any
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +12,85 @@ from numpy.typing import NDArray
 from cadenza.episode import Episode
 from cadenza.music.score import LOWEST_PITCH, Note, PedalEvent, Score
 
-SOFTEST, LOUDEST = 30, 120  # MIDI velocities of keys let down slowly, and within `STRIKE_TIME`
 SAME_NOTE = 0.2  # [s] within which a note played and one written on the same key are the same
-STRIKE_TIME = 0.1  # [s] two steps of 0.05 s, the least that tell loud from soft
-_USUAL = 80  # MIDI velocity of keys whose depth is not known
-_DECIMALS, _TIME_DECIMALS = 4, 9  # of differences, and of times [s]
+BOUNCE = 0.02
+"""A key that sounds again sooner than this [s] after it ceased has bounced, and its note goes on:
+the action of a grand piano repeats up to about 15 times a second, once in 67 ms."""
+_TIME_DECIMALS = 9  # of times [s]
+
+
+class KeyEvent(NamedTuple):
+    """What happened to a key in a control step; NaN stands for what did not happen."""
+
+    step: int
+    key: int
+    onset: float
+    """The time in the step at which the key began to sound [s]."""
+    offset: float
+    """The time in the step at which the key ceased to sound [s]."""
+    velocity: float
+    """The MIDI velocity at the onset."""
+
+
+def key_events(
+    onset: NDArray[np.floating[Any]],
+    offset: NDArray[np.floating[Any]],
+    velocity: NDArray[np.floating[Any]],
+) -> Iterator[KeyEvent]:
+    """Yields the events of T control steps in their order; arrays are (T, K), NaN without event."""
+    rows = np.nonzero(~(np.isnan(onset) & np.isnan(offset)))
+    columns = (*rows, onset[rows], offset[rows], velocity[rows])
+    return map(KeyEvent._make, zip(*(column.tolist() for column in columns), strict=True))
+
+
+@dataclass
+class _Sounded:
+    start: float
+    key: int
+    velocity: float
+    end: float | None = None
+    """None as long as the key sounds."""
+
+
+class SoundedNotes:
+    """The notes of keys, made of the events of one control step of `dt` [s] after the other.
+
+    A key that already sounds does not begin again, and one that sounds again within `BOUNCE` goes
+    on as one note, with the velocity of its first onset.
+    """
+
+    def __init__(self, dt: float) -> None:
+        self._dt = dt
+        self._notes: list[_Sounded] = []
+        self._last: dict[int, _Sounded] = {}  # of each key
+
+    def add(self, event: KeyEvent) -> bool:
+        """Adds what happened to a key; returns whether a note has begun."""
+        begun = len(self._notes)
+        times = [(event.onset, True), (event.offset, False)]
+        for time, sounds in sorted(each for each in times if each[0] == each[0]):
+            self._cross(event, event.step * self._dt + time, sounds)
+        return len(self._notes) > begun
+
+    def _cross(self, event: KeyEvent, time: float, sounds: bool) -> None:
+        last = self._last.get(event.key)
+        if sounds == (last is not None and last.end is None):
+            return
+        if last is not None and not sounds:
+            last.end = time
+        elif last is not None and last.end is not None and time - last.end < BOUNCE:
+            last.end = None
+        else:
+            self._last[event.key] = note = _Sounded(time, event.key, event.velocity)
+            self._notes.append(note)
+
+    def notes(self, seconds: float, lowest_pitch: int = LOWEST_PITCH) -> Iterator[Note]:
+        """Yields the notes of the first `seconds`, at the end of which all keys cease to sound."""
+        for note in self._notes:
+            start = round(note.start, _TIME_DECIMALS)
+            end = round(seconds if note.end is None else note.end, _TIME_DECIMALS)
+            if start < end:  # not what only touched the threshold
+                yield Note(start, end, note.key + lowest_pitch, round(note.velocity))
 
 
 def key_runs(roll: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
@@ -36,34 +109,38 @@ def performed_score(
     key_activation: NDArray[Any],
     sustain: NDArray[Any],
     dt: float,
-    depth: NDArray[Any] | None = None,
+    events: Iterable[KeyEvent] | None = None,
     lowest_pitch: int = LOWEST_PITCH,
 ) -> Score:
-    """The notes that sounded over T control steps of `dt` [s].
+    """The notes and the pedal that sounded over T control steps of `dt` [s].
 
-    A key that sounds from step i up to, not including, step j is a note from `i * dt` to `j * dt`,
-    just as `score_to_goals` places it at the default of 0.05 s. Its velocity is 80, or where
-    `depth` is known `30 + 90 * travel`: how far the key went down within 0.1 s to where it is on
-    the step on which it begins to sound, from the highest that it stood in that time. A key pushed
-    down within 0.1 s gives 120, one let down slowly 30, one that comes up halfway before it is
-    struck again 75.
+    The pedal moves at the beginnings of steps. So do the notes where only steps are known: a key
+    that sounds from step i up to, not including, step j is a note from `i * dt` to `j * dt` of
+    velocity 80, just as `score_to_goals` places it at the default of 0.05 s.
 
     Args:
         key_activation: (T, K), whether each key sounds after the step.
         sustain: (T,), whether the pedal is down after the step.
-        depth: (T, K), how far each key is down after the step, from 0, at rest as before the first
-            step, to 1, at its stop.
+        dt: [s].
+        events: of the keys, in the order of steps, if they are known: notes then begin and end at
+            the times at which the keys did so, with the velocities of their onsets.
         lowest_pitch: MIDI number of the first key.
     """
-    first, last, key = key_runs(key_activation)
-    velocity = np.full(len(first), _USUAL) if depth is None else _velocity(depth, first, key, dt)
-    notes = (
-        Note(_time(i, dt), _time(j, dt), int(k) + lowest_pitch, int(v))
-        for i, j, k, v in zip(first, last, key, velocity, strict=True)
-    )
+    if events is None:
+        notes = _notes_on_steps(key_activation, dt, lowest_pitch)
+    else:
+        sounded = SoundedNotes(dt)
+        for event in events:
+            sounded.add(event)
+        notes = sounded.notes(len(key_activation) * dt, lowest_pitch)
     moved = np.flatnonzero(np.diff(sustain.astype(np.int8), prepend=0))
     pedal = (PedalEvent(_time(i, dt), 127 if sustain[i] else 0) for i in moved)
     return Score(tuple(notes), tuple(pedal))
+
+
+def _notes_on_steps(key_activation: NDArray[Any], dt: float, lowest_pitch: int) -> Iterator[Note]:
+    for i, j, key in zip(*key_runs(key_activation), strict=True):
+        yield Note(_time(i, dt), _time(j, dt), int(key) + lowest_pitch)
 
 
 def _time(step: np.intp, dt: float) -> float:
@@ -72,53 +149,17 @@ def _time(step: np.intp, dt: float) -> float:
 
 
 def played_in(episode: Episode) -> Score:
-    """The notes and the pedal that sounded in an episode."""
+    """The notes and the pedal that sounded in an episode.
+
+    Recordings that do not hold `key_onset`, `key_offset` and `key_velocity`, such as those of the
+    published system, have notes that begin on steps, see `performed_score`.
+    """
+    names = ("key_onset", "key_offset", "key_velocity")
+    known = all(name in episode.arrays for name in names)
     return performed_score(
         episode["key_activation"],
         episode["sustain_activation"],
         episode.dt,
-        episode.key_depth,
+        key_events(*(episode[name] for name in names)) if known else None,
         episode.lowest_pitch,
     )
-
-
-def with_velocities_of(played: Score, score: Score) -> Score:
-    """`played` with the velocities that `score` writes, on the same clock.
-
-    A note has that of the nearest note of its key that begins within 0.2 s of it, and where there
-    is none, because it is wrong, that of a key let down slowly.
-    """
-    written: dict[int, list[Note]] = defaultdict(list)
-    for note in score.notes:
-        written[note.pitch].append(note)
-    starts = {pitch: [note.start for note in notes] for pitch, notes in written.items()}
-
-    def velocity(note: Note) -> int:
-        after = bisect(starts.get(note.pitch, ()), note.start)
-        near = written[note.pitch][max(0, after - 1) : after + 1]
-        nearest = min(near, key=lambda other: abs(other.start - note.start), default=None)
-        if nearest is None or round(abs(nearest.start - note.start), _DECIMALS) > SAME_NOTE:
-            return SOFTEST
-        return nearest.velocity
-
-    return replace(
-        played, notes=tuple(replace(note, velocity=velocity(note)) for note in played.notes)
-    )
-
-
-def _velocity(
-    depth: NDArray[Any], first: NDArray[np.intp], key: NDArray[np.intp], dt: float
-) -> NDArray[np.intp]:
-    """MIDI velocities of keys (N,) that begin to sound on steps `first` (N,)."""
-    steps = max(1, round(STRIKE_TIME / dt))
-    depth = np.vstack([np.zeros((steps, depth.shape[1])), depth])  # at rest before the first step
-    return strike_velocity(depth[first[:, None] + np.arange(steps + 1), key[:, None]])
-
-
-def strike_velocity(depth: NDArray[Any]) -> NDArray[np.intp]:
-    """MIDI velocities (N,) of keys that begin to sound at the end of `depth` (N, n).
-
-    It holds how far each was down over the last `STRIKE_TIME`; see `performed_score`.
-    """
-    travel = depth[:, -1] - depth.min(axis=1)
-    return np.rint(SOFTEST + (LOUDEST - SOFTEST) * travel).astype(np.intp)

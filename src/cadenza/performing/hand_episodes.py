@@ -48,4 +48,8 @@ def _hand_episode(episode: Episode, scene: Scene, side: Side) -> Episode:
         "body_xpos": xpos,
         "body_xquat": xquat,
     }
+    events = ("key_onset", "key_offset", "key_velocity")
+    arrays |= {  # not in older recordings
+        name: episode[f"{side}_{name}"] for name in events if f"{side}_{name}" in episode.arrays
+    }
     return Episode(f"{episode.song} ({side} hand)", episode.dt, arrays, drawing(alone))

@@ -9,7 +9,7 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from cadenza.files import content_of, read_json, write_json
 from cadenza.fingers import SIDES
 from cadenza.music.formats.finger_numbers import written
 from cadenza.music.formats.midi import write_midi
-from cadenza.music.performance import played_in, with_velocities_of
+from cadenza.music.performance import played_in
 from cadenza.music.score import Score
 from cadenza.performing.hand_episodes import hand_episodes
 from cadenza.performing.setup import Setup, SomeAgent, select, set_up
@@ -53,9 +53,6 @@ RESULTS = (
 """Files that a performance leaves."""
 
 _IN_A_NOTEBOOK = 240.0  # [s] of music: the page, which the notebook keeps, is of up to 10 MB
-
-Loudness = Literal["struck", "score"]
-"""The loudness of notes: as the keys were struck, or as the score writes them."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +92,7 @@ class Performance:
 
     @property
     def played(self) -> Score:
-        """The score of the notes and the pedal that sounded."""
+        """The score of the notes and the pedal that sounded, see `played_in`."""
         return played_in(self.episode)
 
     @property
@@ -123,7 +120,6 @@ class Performance:
         video: bool = False,
         progress: Progress = silent,
         picture: Picture | None = None,
-        loudness: Loudness = "struck",
         page: bool = True,
     ) -> None:
         """Writes what `cadenza play` leaves: report.html, metrics.json, episode.npz and so on.
@@ -133,12 +129,9 @@ class Performance:
             video: video.mp4 too, with a warning instead where this machine cannot draw.
             progress: is told how far each stage is.
             picture: how the video looks; 1280 x 720 from the player's side by default.
-            loudness: of the notes that are heard, see `Loudness`.
             page: report.html too; without it there is no sound and no video either.
         """
         folder, played = Path(folder), self.played
-        if loudness == "score":
-            played = with_velocities_of(played, self.goal)
         write_json(folder / "settings.json", self.settings)  # first: it says whose the others are
         self.episode.save(folder / "episode.npz")
         parts = hand_episodes(self.episode, self.scene)

@@ -36,6 +36,7 @@ class HandsApart:
         self._alone = [hand_alone(scene, side) for side in SIDES]
         self._parts = [MujocoSimulation(alone.scene, **options) for alone in self._alone]
         self._rows = [_indices_of(scene, alone) for alone in self._alone]
+        self._sounded = [self._sounding(part) for part in self._parts]  # before the last step
         self._combine()
 
     def part(self, side: Side) -> State:
@@ -55,7 +56,9 @@ class HandsApart:
     def step(
         self, ctrl: Array, env_ids: Sequence[int] | None = None, held: Held | None = None
     ) -> None:
-        for alone, part in zip(self._alone, self._parts, strict=True):
+        stepped = slice(None) if env_ids is None else list(env_ids)
+        for alone, part, sounded in zip(self._alone, self._parts, self._sounded, strict=True):
+            sounded[stepped] = self._sounding(part)[stepped]
             before = held and held._replace(ctrl=held.ctrl[:, alone.servos])
             part.step(ctrl[:, alone.servos], env_ids, before)
         self._combine()
@@ -63,7 +66,10 @@ class HandsApart:
     def _combine(self) -> None:
         right, left = (part.state for part in self._parts)
         deeper = right.key_qpos >= left.key_qpos
-        onset = np.fmin(right.key_onset, left.key_onset)
+        by_right, by_left = self._sounded
+        events = zip(_heard(right, left, by_left), _heard(left, right, by_right), strict=True)
+        (onset, other_onset), (offset, other_offset), (speed, other_speed) = events
+        later = (onset >= other_onset) | np.isnan(other_onset)
         self.state = State(
             key_qpos=np.where(deeper, right.key_qpos, left.key_qpos),
             key_xpos=np.where(deeper[..., None], right.key_xpos, left.key_xpos),
@@ -71,19 +77,42 @@ class HandsApart:
                 name: np.concatenate([getattr(right, name), getattr(left, name)], axis=1)
                 for name in ("hand_qpos", "hand_qvel", "actuator_force", "actuator_velocity")
             },
-            key_onset=onset,
-            key_offset=np.fmax(right.key_offset, left.key_offset),
-            key_speed=np.where(onset == right.key_onset, right.key_speed, left.key_speed),
+            key_onset=np.where(later, onset, other_onset),
+            key_offset=np.fmax(offset, other_offset),
+            key_speed=np.where(later, speed, other_speed),
             fingertip_xpos=right.fingertip_xpos + left.fingertip_xpos,
             forearm_contact=np.zeros_like(right.forearm_contact),
             touch=right.touch + left.touch,
             unstable=right.unstable | left.unstable,
         )
 
+    def _sounding(self, part: MujocoSimulation) -> NDArray[np.bool_]:
+        return np.asarray(part.state.key_qpos >= self.scene.keyboard.sounds_from)
+
     def close(self) -> None:
         """Stops the threads."""
         for part in self._parts:
             part.close()
+
+
+def _heard(mine: State, other: State, other_sounded: NDArray[np.bool_]) -> tuple[Array, ...]:
+    """Onsets, offsets and speeds of one hand, NaN while the other makes the key sound as well.
+
+    `other_sounded` (N, K) says whether it did so before the step.
+    """
+
+    def alone(time: Array) -> NDArray[np.bool_]:
+        begun = np.where(other.key_onset < time, other.key_onset, -1.0)
+        ended = np.where(other.key_offset <= time, other.key_offset, -1.0)
+        unchanged = (begun < 0) & (ended < 0)
+        return ~np.where(unchanged, other_sounded, begun > ended)
+
+    starts = alone(mine.key_onset)
+    return (
+        np.where(starts, mine.key_onset, np.nan),
+        np.where(alone(mine.key_offset), mine.key_offset, np.nan),
+        np.where(starts, mine.key_speed, np.nan),
+    )
 
 
 def _indices_of(scene: Scene, alone: HandAlone) -> dict[str, Any]:

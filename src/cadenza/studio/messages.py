@@ -5,8 +5,9 @@ a WebSocket, JSON as text and rows as binary frames. All numbers are little-endi
 of the kind `IDLE` tells the server that the process has dropped its song and waits for another.
 
 Rows: each (J,) float32 joints of the hands [m, rad]; (K,) uint8 how far keys are down, 255 all the
-way; (K,) uint8 what sounds: 0 nothing, 1 what sounded before, else a key struck now, and its MIDI
-velocity; uint8 whether the pedal is down; zeros up to a multiple of four bytes.
+way; (K,) uint8 what sounds: 128 if the key sounds after the step, plus the MIDI velocity if it was
+struck in the step; (K,) uint8 when it was struck, or else ceased to sound, in 255ths of the step;
+uint8 whether the pedal is down; zeros up to a multiple of four bytes.
 
 The process reads an order (see `cadenza.studio.request.Order`) as a line of JSON, and while it
 plays that, `PAUSE` and `RESUME`; any other line has it drop the song.
@@ -23,6 +24,8 @@ JSON, ROWS, IDLE = b"J", b"R", b"W"
 PAUSE, RESUME = b"pause\n", b"resume\n"
 HEADER = struct.Struct("<cI")
 MAX_BYTES = 1 << 26  # of a message
+SOUNDS = 128  # in a row, of a key that sounds; what is less is the velocity of a strike
+STEP_PARTS = 255  # of a step, in which a row says when keys are struck and cease to sound
 
 
 class Message(NamedTuple):
@@ -47,5 +50,5 @@ def json_message(**content: Any) -> Message:
 
 def row_bytes(num_joints: int, num_keys: int) -> int:
     """Returns the size of a row [bytes]."""
-    size = 4 * num_joints + 2 * num_keys + 1
+    size = 4 * num_joints + 3 * num_keys + 1
     return size + -size % 4

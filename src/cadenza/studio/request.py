@@ -27,7 +27,8 @@ _RANGES: dict[str, tuple[float, float]] = {
     "seed": (0, MOST_COUNT),
 }
 _ID_DIGITS = 16  # of the name of a practice folder
-HEADER_FILE, ROWS_FILE = "live.json", "live.rows"
+# Files of a performance; earlier ones, live.json and live.rows, had other rows
+HEADER_FILE, ROWS_FILE = "states.json", "states.rows"
 """Files of a performance, with the messages that were sent while it was played."""
 PRACTISED, UNREFINED = "practised", "sight"
 PLANNER_VARIANTS = PRACTISED, UNREFINED

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
+from numpy.typing import NDArray
 
-from cadenza.music.performance import STRIKE_TIME, strike_velocity
+from cadenza.music.performance import SoundedNotes, key_events
 from cadenza.report.recording import packed
 from cadenza.scene.drawing import drawing
-from cadenza.studio.messages import ROWS, Message, Send, json_message, row_bytes
+from cadenza.studio.messages import (
+    ROWS,
+    SOUNDS,
+    STEP_PARTS,
+    Message,
+    Send,
+    json_message,
+    row_bytes,
+)
 from cadenza.studio.synthesizer import INSTRUMENT
 from cadenza.tasks import reward
 from cadenza.tasks.augmentation import draws_variation
@@ -31,10 +38,7 @@ class StateStream:
         self._task, self._send = task, send
         self._dt, keyboard = task.config.control_timestep, task.scene.keyboard
         self._lowest, self._travel = keyboard.lowest_pitch, keyboard.travel
-        before = max(1, round(STRIKE_TIME / self._dt)) + 1
-        still = np.zeros(keyboard.num_keys)
-        self._depths = deque([still] * before, before)
-        self._sounded = still.astype(bool)
+        self._notes = SoundedNotes(self._dt)
         self.header, self.rows = b"", bytearray()
 
     def begin(self) -> None:
@@ -68,20 +72,32 @@ class StateStream:
         if not self.header:
             self._send_header(task.goals.tracks[0])
         depth = reward.key_state(state.key_qpos[0], self._travel)
-        self._depths.append(depth)
-        sounding = task.sounding[0]
-        sounds = sounding.astype(np.uint8)
-        struck = np.flatnonzero(sounding & ~self._sounded)
-        sounds[struck] = strike_velocity(np.array(self._depths)[:, struck].T)
-        self._sounded = sounding.copy()
+        sounds, times = self._sounds()
         row = b"".join(
             (
                 state.hand_qpos[0].astype("<f4").tobytes(),
                 (depth * _ALL_THE_WAY).astype(np.uint8).tobytes(),
                 sounds.tobytes(),
+                times.tobytes(),
                 bytes([bool(task.pedal_down[0])]),
             )
         )
         row = row.ljust(row_bytes(state.hand_qpos.shape[1], len(depth)), b"\0")
         self.rows += row
         self._send(Message(ROWS, row))
+
+    def _sounds(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """What sounds and the times in the step at which that changed, as rows have them."""
+        task, step = self._task, int(self._task.goals.steps_done[0]) - 1
+        onset, offset, speed = (values[:1] for values in task.state.key_events)
+        velocity = reward.midi_velocity(speed, task.scene.keyboard)
+        sounds = np.where(task.sounding[0], SOUNDS, 0).astype(np.uint8)
+        times = np.zeros_like(sounds)
+        for event in key_events(onset, offset, velocity):
+            is_struck = self._notes.add(event._replace(step=step))
+            time = event.onset if is_struck else event.offset
+            if time == time:
+                times[event.key] = round(time / self._dt * STEP_PARTS)
+            if is_struck:
+                sounds[event.key] |= int(event.velocity)
+        return sounds, times

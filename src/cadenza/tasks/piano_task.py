@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cadenza.configs import as_config, whole_number
 from cadenza.errors import CadenzaError
 from cadenza.music.metrics import playing_metrics
+from cadenza.music.performance import KeyEvent, performed_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
@@ -25,7 +26,14 @@ from cadenza.tasks import augmentation
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import EpisodeGoals, GoalTrack
 from cadenza.tasks.randomization import Randomization
-from cadenza.tasks.reward import Outcome, Reward, RewardTerm, key_activation, key_state
+from cadenza.tasks.reward import (
+    Outcome,
+    Reward,
+    RewardTerm,
+    key_activation,
+    key_state,
+    midi_velocity,
+)
 from cadenza.tasks.view import View, task_spec
 
 Array = NDArray[np.float64]
@@ -130,6 +138,7 @@ class PianoTask:
         self.spec = task_spec(self.config, self.scene)
         num_keys = self.scene.keyboard.num_keys
         self._played = np.zeros((num_envs, 0, num_keys + 1), bool)
+        self._key_events: list[list[KeyEvent]] = [[] for _ in range(num_envs)]
         self.wanted = np.zeros((num_envs, num_keys), bool)
         self._reward = Reward(self.config, self.scene, reward_terms)
         self._pedal, self._lost = np.zeros(num_envs), np.zeros(num_envs, bool)
@@ -188,6 +197,7 @@ class PianoTask:
         hand_qpos = np.tile(self.scene.hand_start, (len(env_ids), 1))
         for row, (env, rng, start) in enumerate(zip(env_ids, rngs, starts, strict=True)):
             self.goals.begin(env, self._track(start.song, rng))
+            self._key_events[env].clear()
             if start.hand_qpos is not None:
                 hand_qpos[row] = start.hand_qpos
             elif most := self.config.random_hand_position:
@@ -237,6 +247,7 @@ class PianoTask:
         here = within, row[within]
         self._played[*here, :-1] = self.sounding[within]
         self._played[*here, -1] = self.pedal_down[within]
+        self._keep_key_events(*here)
         goals.advance(moving)
 
         outcome = Outcome(
@@ -262,6 +273,15 @@ class PianoTask:
             truncated=(goals.steps_done >= goals.num_steps) > terminated,
             unstable=unstable,
         )
+
+    def _keep_key_events(self, env_ids: NDArray[np.intp], steps: NDArray[np.intp]) -> None:
+        """Keeps what happened to keys in the `steps` (n,) that environments (n,) have taken."""
+        onset, offset, speed = (values[env_ids] for values in self.state.key_events)
+        here = np.nonzero(~(np.isnan(onset) & np.isnan(offset)))
+        velocity = midi_velocity(speed[here], self.scene.keyboard)
+        events = np.stack([onset[here], offset[here], velocity], axis=1).tolist()
+        for row, key, event in zip(*(ids.tolist() for ids in here), events, strict=True):
+            self._key_events[env_ids[row]].append(KeyEvent(int(steps[row]), key, *event))
 
     # Observations
 
@@ -320,9 +340,23 @@ class PianoTask:
         """The score of environment `env`, after the initial silence of its episode."""
         return self.goals.tracks[env].delayed_score
 
+    def played(self, env: int) -> Score:
+        """The notes and the pedal that have sounded in the episode of environment `env` so far."""
+        played = self._played[env, : self._num_played(env)]
+        return performed_score(
+            played[:, :-1],
+            played[:, -1],
+            self.config.control_timestep,
+            self._key_events[env],
+            self.scene.keyboard.lowest_pitch,
+        )
+
+    def _num_played(self, env: int) -> int:
+        return int(min(self.goals.steps_done[env], self.goals.num_steps[env]))
+
     def episode_metrics(self, env: int) -> dict[str, float]:
         """The metrics of the episode of environment `env` so far (see `music.metrics`)."""
-        done = int(min(self.goals.steps_done[env], self.goals.num_steps[env]))
+        done = self._num_played(env)
         played, (goal, _) = self._played[env, :done], self.goals.between(env, 0, done)
         return playing_metrics(
             played[:, :-1],
@@ -332,6 +366,7 @@ class PianoTask:
             self.config.control_timestep,
             self.score(env),
             self.scene.keyboard.lowest_pitch,
+            self.played(env),
         )
 
     def close(self) -> None:

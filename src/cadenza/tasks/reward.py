@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
+from cadenza.keyboards.keyboard import Keyboard
 from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import State
 from cadenza.tasks.config import WEIGHTS, TaskConfig
@@ -82,6 +83,14 @@ def key_state(key_qpos: Array, travel: Array) -> Array:
 def key_activation(key_qpos: Array, sounds_from: Array) -> Mask:
     """(..., K) which keys sound: those at an angle (K,), near their stop, or beyond it [rad]."""
     return key_qpos >= sounds_from
+
+
+def midi_velocity(key_speed: Array, keyboard: Keyboard) -> Array:
+    """(...) the MIDI velocities, as whole numbers, of keys of these speeds at their onsets [rad/s].
+
+    NaN stays NaN.
+    """
+    return np.rint(keyboard.velocity(key_speed))
 
 
 def key_press(state: Array, activation: Mask, goal: Mask) -> Array:

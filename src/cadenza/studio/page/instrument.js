@@ -4,12 +4,13 @@ const VOLUME = 0.25; // of a note struck as hard as can be, at full volume of th
 const PAN = 0.45; // of the outermost keys; 1 is one side only
 const UNDAMPED = 0.3; // [s] in which a key without a damper fades by 1/e, when it is lifted
 const FADED = 8; // times 1/e, which cannot be heard any more
+const LONGEST = 10; // [s]: no tone is longer
 const LOUDEST_SAMPLE = 32767, LOUDEST_VELOCITY = 127;
 
 function createInstrument() {
   let context = null, master = null, strings = null, volume = 0.8, muted = false, settings = null, recording = null, loadedRows = 0;
   const tones = new Map(); // by name: { due, buffer, peak }; without a buffer until it has come
-  const ringing = new Map(); // of a key: { source, gain }
+  const ringing = new Map(); // of a key: { source, gain, damped }, the last the time of the damper, or null
 
   const level = () => { if (master) master.gain.value = muted ? 0 : volume; };
   const nameOf = (key, velocity) => `${key + recording.lowest}/${Math.floor(velocity / settings.band)}`;
@@ -30,11 +31,19 @@ function createInstrument() {
   }
   function damp(key, at) {
     const note = ringing.get(key);
-    if (!note) return;
-    ringing.delete(key);
+    if (!note || note.damped !== null) return;
+    note.damped = at;
     const fade = key + recording.lowest > settings.last_damper ? UNDAMPED : settings.damping;
     note.gain.gain.setTargetAtTime(0, at, fade);
     note.source.stop(at + FADED * fade);
+  }
+  /** A key that bounces goes on: its damper has not fallen. */
+  function undamp(key) {
+    const note = ringing.get(key);
+    if (!note || note.damped === null) return;
+    note.gain.gain.cancelScheduledValues(note.damped);
+    note.source.stop(note.damped + LONGEST);
+    note.damped = null;
   }
   function strike(key, velocity, at) {
     const name = nameOf(key, velocity), tone = tones.get(name);
@@ -46,7 +55,7 @@ function createInstrument() {
     const pan = new StereoPannerNode(context, { pan: PAN * ((2 * key + 1) / recording.keys - 1) });
     source.connect(gain).connect(pan).connect(strings);
     source.start(at);
-    ringing.set(key, { source, gain });
+    ringing.set(key, { source, gain, damped: null });
   }
 
   return {
@@ -75,8 +84,8 @@ function createInstrument() {
     loadTones() {
       for (; recording && loadedRows < recording.rows; loadedRows++) {
         for (let key = 0; key < recording.keys; key++) {
-          const velocity = recording.sounds(loadedRows, key);
-          if (velocity <= 1) continue;
+          const velocity = recording.velocity(loadedRows, key);
+          if (!velocity) continue;
           const name = nameOf(key, velocity), tone = tones.get(name), due = loadedRows * recording.dt;
           if (tone) tone.due = Math.min(tone.due, due);
           else fetchTone(name, due);
@@ -88,13 +97,15 @@ function createInstrument() {
       for (const { due, buffer } of tones.values()) if (!buffer && due < time) return true;
       return false;
     },
-    /** Strikes and damps the keys of a row, at a time of the audio clock [s]. */
-    playRow(number, at) {
-      const down = recording.pedalDown(number);
+    /** Strikes and damps the keys of a row; `timeOf` gives the audio clock's time of one of the music [s]. */
+    playRow(number, timeOf) {
+      const down = recording.pedalDown(number), end = timeOf((number + 1) * recording.dt);
       for (let key = 0; key < recording.keys; key++) {
-        const sounds = recording.sounds(number, key);
-        if (sounds > 1) strike(key, sounds, at);
-        else if (!sounds && !down) damp(key, at);
+        const sounds = recording.sounds(number, key), velocity = recording.velocity(number, key);
+        const at = timeOf(recording.changedAt(number, key));
+        if (velocity) strike(key, velocity, at);
+        if (sounds && !velocity) undamp(key);
+        if (!sounds && !down) damp(key, velocity ? end : at);
       }
     },
     /** Ends all sound, also what has been scheduled. */

@@ -301,9 +301,12 @@ function scheduleSound() {
   }
   const audio = instrument.time;
   for (; nextRow < recording.rows && nextRow * recording.dt < time + SOUND_AHEAD; nextRow++) {
-    const at = Math.max(audio + nextRow * recording.dt - time, audio);
-    instrument.playRow(nextRow, at);
-    for (let key = 0; key < recording.keys; key++) if (recording.sounds(nextRow, key) > 1) cadenza.strikes.push([nextRow * recording.dt, key, at - audio + time]);
+    const timeOf = (moment) => Math.max(audio + moment - time, audio);
+    instrument.playRow(nextRow, timeOf);
+    for (let key = 0; key < recording.keys; key++) {
+      const moment = recording.changedAt(nextRow, key);
+      if (recording.velocity(nextRow, key)) cadenza.strikes.push([moment, key, timeOf(moment) - audio + time]);
+    }
   }
 }
 

@@ -62,6 +62,8 @@ function createPerformance(id, changed) {
   return performance;
 }
 
+const SOUNDS = 128, STEP_PARTS = 255; // as in cadenza.studio.messages
+
 /**
  * Returns a recording (see recording.js) whose rows come one after the other, and whose states hold
  * only what has been shown. `about` is the header that the server sends, see `cadenza.studio.state_stream`.
@@ -71,7 +73,7 @@ async function createStreamedRecording(about) {
   const goal = await unpacked(about.goal, steps, Uint8Array), goalPedal = await unpacked(about.pedal, steps, Uint8Array);
   const bytes = new Uint8Array(steps * size), numbers = new Float32Array(bytes.buffer), posture = Float32Array.from(start);
   const angles = new Uint8Array(steps * keys), states = new Uint8Array(steps * keys), pedal = new Uint8Array(steps);
-  const depths = 4 * width, sounding = depths + keys, pedalAt = sounding + keys;
+  const depths = 4 * width, sounding = depths + keys, timesAt = sounding + keys, pedalAt = timesAt + keys;
   const onsets = createOnsets(about.notes);
   let filled = 0, received = 0, shown = 0, sums = [0, 0, 0];
   const clear = () => {
@@ -84,7 +86,10 @@ async function createStreamedRecording(about) {
   const verdict = (wants, sounds) => (wants ? (sounds ? HIT : MISSED) : sounds ? WRONG : 0);
   const ratio = (a, b) => (b ? a / b : 1);
   const rows = () => Math.floor(filled / size);
-  const sounds = (row, key) => bytes[row * size + sounding + key], pedalDown = (row) => bytes[row * size + pedalAt] > 0;
+  const sounds = (row, key) => bytes[row * size + sounding + key] >= SOUNDS;
+  const velocity = (row, key) => bytes[row * size + sounding + key] % SOUNDS;
+  const changedAt = (row, key) => (row + bytes[row * size + timesAt + key] / STEP_PARTS) * dt;
+  const pedalDown = (row) => bytes[row * size + pedalAt] > 0;
   return {
     dt, steps, keys, lowest, scene, sound, angles, states, pedal,
     /** Rows that have come. */
@@ -92,6 +97,10 @@ async function createStreamedRecording(about) {
     /** Up to when it can be played [s]. */
     get available() { return Math.max(rows() - 1, 0) * dt; },
     sounds, pedalDown,
+    /** MIDI velocity of a key that is struck in a row, else 0. */
+    velocity,
+    /** When a key was struck in a row, or else ceased to sound in it [s]. */
+    changedAt,
     add(part) {
       const first = rows();
       bytes.set(part.subarray(0, bytes.length - received), received);
@@ -124,7 +133,7 @@ async function createStreamedRecording(about) {
           hits += goal[at] && heard ? 1 : 0;
           played += heard ? 1 : 0;
           want += goal[at];
-          if (heard && !(shown && sounds(shown - 1, key))) onsets.strike(key, shown * dt);
+          if (velocity(shown, key)) onsets.strike(key, changedAt(shown, key));
           states[at] = verdict(goal[at], heard);
         }
         pedal[shown] = verdict(goalPedal[shown], pedalDown(shown));
