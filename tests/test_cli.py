@@ -24,6 +24,7 @@ from cadenza.episode import load_episode
 from cadenza.evaluation.run_status import failure_recorded
 from cadenza.files import ANY, read_tensors, write_json, write_tensors
 from cadenza.keyboards.piano import PIANO
+from cadenza.music.expressive_metrics import expressive_metrics
 from cadenza.music.formats.fingering_file import read_fingering
 from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.goals import score_to_goals
@@ -440,7 +441,10 @@ def test_play_leaves_what_it_promises(
     other |= {"rewarded_fingers"}
     total = metrics["return"]
     assert f"return {total:.1f}: key press {total:.1f}\n" in said.out  # there are no fingers
-    assert metrics.keys() == scores | other | {"unstable", "timing_error"}
+    assert "\nonsets " in said.out
+    assert "; velocities " in said.out
+    expression = expressive_metrics(Score(()), Score(())).keys() - scores
+    assert metrics.keys() == scores | other | expression | {"unstable", "timing_error"}
     assert {metrics[name] for name in scores} == {1.0}
     assert (metrics["steps"], metrics["unstable"]) == (13, 0)
     assert 0 < metrics["timing_error"] < 0.05  # keys sound within their steps

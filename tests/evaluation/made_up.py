@@ -90,6 +90,8 @@ def _metrics(f1: float, seconds: float) -> dict[str, Any]:
         "note_onset_f1": f1**2,
         "note_onset_offset_f1": f1**3,
         "timing_error": 0.01,
+        "onset_error_median": 0.004,
+        "velocity_error": 8 * (1 - f1),
         "energy": 20 * seconds * f1,
         "steps": int(seconds / 0.05),
         "unstable": False,

@@ -97,6 +97,14 @@ def test_rewards_for_different_fingers_stand_apart(tmp_path: Path) -> None:
     assert planner["reward/energy"] == learnt["reward/energy"] == "-1.0"
 
 
+def test_onset_errors_are_told_in_milliseconds(tmp_path: Path) -> None:
+    metrics = {"f1": 0.5, "onset_error_median": 0.0125, "velocity_error": 3.5}
+    write_result(tmp_path, "a", result("a", "planner", 0, metrics))
+    (run,) = summary_of(tmp_path).runs
+    assert run.metrics["onset_error"] == 12.5
+    assert run.metrics["velocity_error"] == 3.5
+
+
 def test_times_and_energy_are_told_for_a_second_of_music(tmp_path: Path) -> None:
     content = result("a", "planner", 0, {"f1": 0.5, "energy": 300.0})
     content["timing"] = {"wall_seconds": 15.0, "music_seconds": 20.0, "threads": 1}

@@ -17,6 +17,7 @@ from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.configs import MOST_SEED, whole_number
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError, by_others
+from cadenza.music.expressive_metrics import expressive_metrics
 from cadenza.scene.drawing import body_poses, drawing
 from cadenza.sim.hands_apart import HandsApart
 from cadenza.sim.protocol import State
@@ -31,7 +32,8 @@ class EpisodeResult:
 
     episode: Episode
     metrics: dict[str, Any]
-    """The metrics of `cadenza.music.metrics.playing_metrics`, None if not defined; `return` and
+    """The metrics of `cadenza.music.metrics.playing_metrics` and those of
+    `cadenza.music.expressive_metrics.expressive_metrics`, None if not defined; `return` and
     ``reward/<term>`` summed over the episode; `rewarded_fingers`, see `GoalTrack`; `steps`,
     `planning_seconds` spent by the agent, from its reset on, `playing_seconds` by the simulation,
     and whether the simulation became `unstable`; `combined`, if each hand played alone."""
@@ -211,7 +213,7 @@ class _Recorder:
         metrics: dict[str, Any] = {  # JSON has no NaN
             name: None if math.isnan(value) else value for name, value in scores.items()
         }
-        metrics |= self._sums()
+        metrics = self._expressive_metrics() | metrics | self._sums()
         metrics |= {
             "rewarded_fingers": self._task.goals.tracks[self._env].rewarded_fingers,
             "steps": self._done,
@@ -222,6 +224,11 @@ class _Recorder:
         if isinstance(self._task.simulation, HandsApart):
             metrics["combined"] = True
         return EpisodeResult(self._episode(metrics), metrics, plan)
+
+    def _expressive_metrics(self) -> dict[str, float | None]:
+        seconds = self._done * self._task.config.control_timestep
+        written = self._task.score(self._env).until(seconds)
+        return expressive_metrics(self._task.played(self._env), written)
 
     def _sums(self) -> dict[str, float]:
         rewards = {n: rows for n, rows in self._rows.items() if n.startswith("reward_")}

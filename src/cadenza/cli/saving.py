@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from cadenza.performing.setup import Selection
     from cadenza.sim.render import Picture
 
+_MS_PER_SECOND = 1000
 _REWARDED = {
     "score": "; the score's fingers are rewarded",
     "found": "; fingers that a search found are rewarded",
@@ -84,6 +85,8 @@ def print_scores(performance: Performance) -> None:
         f"F1 {metrics['f1']:.3f}  precision {metrics['precision']:.3f}  "
         f"recall {metrics['recall']:.3f}  note onsets F1 {metrics['note_onset_f1']:.3f}"
     )
+    if expression := _expression_summary(metrics):
+        print(expression)
     print(
         f"{performance.seconds:.1f} s of music in {counted(metrics['steps'], 'step')}; "
         f"planning took {metrics['planning_seconds']:.1f} s, "
@@ -92,6 +95,20 @@ def print_scores(performance: Performance) -> None:
     print(_return_summary(metrics))
     if metrics["unstable"]:
         print("the simulation became unstable and the episode ended early", file=sys.stderr)
+
+
+def _expression_summary(metrics: Mapping[str, Any]) -> str:
+    """Returns how far onsets and velocities are off as text; nothing if no note was found."""
+    delay, error = metrics["onset_delay"], metrics["onset_error_median"]
+    if delay is None or error is None:
+        return ""
+    late = f"{abs(delay) * _MS_PER_SECOND:.0f} ms {'late' if delay >= 0 else 'early'}"
+    correlation = metrics["velocity_correlation"]
+    similar = "" if correlation is None else f" (correlation {correlation:.2f})"
+    return (
+        f"onsets {late}, apart from that {error * _MS_PER_SECOND:.0f} ms off (medians); "
+        f"velocities {metrics['velocity_error']:.1f} off{similar}"
+    )
 
 
 def _return_summary(metrics: Mapping[str, Any]) -> str:

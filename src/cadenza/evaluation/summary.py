@@ -33,6 +33,7 @@ from cadenza.report.bench_summary import (
     Run,
 )
 
+_MS_PER_SECOND = 1000
 _SEED = 0  # of the bootstrap: the same runs have the same intervals
 
 
@@ -103,6 +104,8 @@ def run_metrics(result: Result) -> dict[str, float]:
     music = result.timing.music_seconds or math.nan
     shares = {name: _number(result.metrics.get(name)) for name in SHARES}
     return shares | {
+        "onset_error": _MS_PER_SECOND * _number(result.metrics.get("onset_error_median")),
+        "velocity_error": _number(result.metrics.get("velocity_error")),
         "wall_per_music": result.timing.wall_seconds / music,
         "cpu_per_music": _number(result.timing.cpu_seconds) / music,
         "power": _number(result.metrics.get("energy")) / music,

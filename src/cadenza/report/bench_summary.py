@@ -34,6 +34,14 @@ SHARES = {
 }
 """Metrics from 0 to 1, where 1 is perfect."""
 METRICS = SHARES | {
+    "onset_error": Metric(
+        "Onset error [ms]",
+        1,
+        "Notes: the median of how far their onsets are off, apart from the delay of all of them.",
+    ),
+    "velocity_error": Metric(
+        "Velocity error", 1, "Notes: how far their MIDI velocities are off, the mean."
+    ),
     "wall_per_music": Metric(
         "Wall time / music",
         2,

@@ -32,6 +32,8 @@ _HEADLINES = {
     "note_onset_f1": ("Note onset F1", "Notes that begin within 50 ms of their time, 0 to 1."),
 }
 """Title and meaning of the metrics at the top of the page; the others are folded."""
+_IN_SECONDS = "timing_error", "onset_delay", "onset_error_", "ioi_", "chord_spread_", "duration_"
+"""Beginnings of the names of metrics that are times."""
 
 
 def performance_page(
@@ -128,7 +130,7 @@ def _with_unit(name: str, value: Any) -> str:
     number = _number(value)
     if number is None or isinstance(value, bool):
         return "–" if number is None else "yes" if value else "no"
-    unit = " s" if name.endswith(("seconds", "timing_error")) else ""
+    unit = " s" if name.endswith("seconds") or name.startswith(_IN_SECONDS) else ""
     return f"{round(number, 3):z.6g}{unit}"
 
 
