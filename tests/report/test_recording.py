@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from made_up_episode import DT, make_episode
 
+from cadenza.music.performance import played_in
+from cadenza.music.score import Note, Score
 from cadenza.report.html_pages import asset, write_page
 from cadenza.report.performance_page import performance_page
 from cadenza.scene.config import SceneConfig
@@ -34,7 +36,8 @@ def test_the_page_reads_what_was_recorded(browser, tmp_path):
         hand_qpos=rng.normal(0, 1, (episode.num_steps, 2)),
         reward_key_press=key_press,
     )
-    page = performance_page(episode, {}, {}, np.zeros((0, 2), np.int16))
+    score = Score((Note(0.0, 10.0, 60, 50), Note(0.5, 10.0, 61, 90)))
+    page = performance_page(episode, {}, {}, np.zeros((0, 2), np.int16), written=score)
     write_page(tmp_path / "page.html", page)
     browser.open(tmp_path / "page.html")
     browser.evaluate(f"(() => {{ {asset('recording.js')}; window.read = readRecording; }})()")
@@ -48,6 +51,10 @@ def test_the_page_reads_what_was_recorded(browser, tmp_path):
             joints: [0, 1.25, 1.27, 99].map(found.jointsAt),
         }))""")
     )
+    notes = [(n["key"] + 21, n["from"], n["to"], n["velocity"]) for n in read["notes"]]
+    assert notes == [(n.pitch, n.start, n.end, n.velocity) for n in played_in(episode).notes]
+    assert read["written"] == [[0, 50], [0.5, 90]]
+    assert all(abs(error) <= 200 for _, error in read["onsetErrors"])
     states = np.reshape(read["states"], shape)
     assert np.array_equal(states == 1, goal & played)
     assert np.array_equal(states == 2, ~goal & played)

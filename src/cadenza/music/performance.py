@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.episode import Episode
+from cadenza.errors import CadenzaError
 from cadenza.music.score import LOWEST_PITCH, Note, PedalEvent, Score
 
 SAME_NOTE = 0.2  # [s] within which a note played and one written on the same key are the same
@@ -153,13 +154,21 @@ def played_in(episode: Episode) -> Score:
 
     Recordings that do not hold `key_onset`, `key_offset` and `key_velocity`, such as those of the
     published system, have notes that begin on steps, see `performed_score`.
+
+    Raises:
+        CadenzaError: an onset has no velocity, or a time or a velocity is out of range.
     """
     names = ("key_onset", "key_offset", "key_velocity")
-    known = all(name in episode.arrays for name in names)
+    events = None
+    if all(name in episode.arrays for name in names):
+        onset, offset, velocity = (episode[name] for name in names)
+        if not np.isfinite(velocity[~np.isnan(onset)]).all():
+            raise CadenzaError(f"the episode of {episode.song!r} has onsets without velocities")
+        events = key_events(onset, offset, velocity)
     return performed_score(
         episode["key_activation"],
         episode["sustain_activation"],
         episode.dt,
-        key_events(*(episode[name] for name in names)) if known else None,
+        events,
         episode.lowest_pitch,
     )

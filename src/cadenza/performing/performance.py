@@ -233,6 +233,7 @@ def add_page(folder: Path, goal: Score, audio: Sound | None = None, video: str =
         goal_mp3=encode_mp3(sound, bit_rate=48_000, mono=True, seconds=seconds),
         midi=content_of(folder / "played.mid"),
         video=video,
+        written=goal,
     )
     write_page(folder / "report.html", page)
 

@@ -14,6 +14,7 @@ import numpy as np
 from cadenza.configs import flat
 from cadenza.episode import Episode
 from cadenza.music.formats.finger_numbers import finger_from
+from cadenza.music.score import Score
 from cadenza.report.html_pages import render
 from cadenza.report.recording import recording_of
 from cadenza.report.sound import SAMPLE_RATE, Samples, encode_mp3
@@ -21,7 +22,7 @@ from cadenza.report.sound import SAMPLE_RATE, Samples, encode_mp3
 STYLES = ("uplot.min.css", "page.css", "chart.css")
 SCRIPTS = (
     *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js"),
-    *("chart.js", "roll.js", "rewards.js", "controls.js", "page.js"),
+    *("chart.js", "roll.js", "rewards.js", "expression.js", "controls.js", "page.js"),
 )
 LIBRARIES = ("three.min.js", "uplot.min.js")
 """Libraries of the page. Its assets are the same for every performance."""
@@ -46,6 +47,7 @@ def performance_page(
     goal_mp3: bytes = b"",
     midi: bytes = b"",
     video: str = "",
+    written: Score | None = None,
 ) -> Iterator[str]:
     """Yields the page of an episode piece by piece, see `html_pages.render`.
 
@@ -61,6 +63,8 @@ def performance_page(
         goal_mp3: what should have been played, of the same length; without, it cannot be heard.
         midi: a MIDI file to download.
         video: name of a file beside the page to download.
+        written: what was to be played, on the clock of the episode; with it, the page shows how
+            loudness and timing differ.
     """
     metrics, remarks = _shown_metrics(episode, metrics), settings.get("remarks") or ()
     settings = {name: value for name, value in settings.items() if name != "remarks"}
@@ -78,7 +82,8 @@ def performance_page(
         midi=base64.b64encode(midi).decode(),
         video=video,
         roll_description=_roll_description(episode),
-        recording=recording_of(episode),
+        recording=recording_of(episode, written),
+        has_expression=written is not None,
         sounds={"sound": sound} | ({"goal": goal_mp3} if goal_mp3 else {}),
         styles=STYLES,
         scripts=SCRIPTS,

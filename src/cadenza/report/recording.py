@@ -14,12 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.episode import Episode
+from cadenza.music.expressive_metrics import matched_notes
+from cadenza.music.performance import SAME_NOTE, played_in
+from cadenza.music.score import Score
 
+_MS_PER_SECOND = 1000
 _UNIT = 5e-5  # [m, rad] of a joint's position; a fingertip is then less than 0.1 mm off
 
 
-def recording_of(episode: Episode) -> dict[str, Any]:
-    """Returns what `recording.js` reads, as JSON has it."""
+def recording_of(episode: Episode, written: Score | None = None) -> dict[str, Any]:
+    """Returns what `recording.js` reads, as JSON has it.
+
+    `written` is what was to be played, on the clock of the episode; without, the page cannot show
+    how the loudness and the timing of what was played differ from it.
+    """
     scene = episode.scene
     joints = episode["hand_qpos"] if scene.get("skeleton") else np.empty((episode.num_steps, 0))
     depth = episode.key_depth
@@ -29,6 +37,8 @@ def recording_of(episode: Episode) -> dict[str, Any]:
         for name, values in episode.arrays.items()
         if name.startswith("reward_")
     }
+    played = played_in(episode)
+    wanted = written.until(episode.num_steps * episode.dt).notes if written else ()
     return {
         "dt": episode.dt,
         "steps": episode.num_steps,
@@ -38,6 +48,15 @@ def recording_of(episode: Episode) -> dict[str, Any]:
         "unit": _UNIT,
         "joints": packed(np.round(joints / _UNIT).astype(np.int32)),
         "angles": packed((depth * 255).astype(np.uint8)),
+        "notes": [
+            [note.pitch - episode.lowest_pitch, note.start, note.end, note.velocity]
+            for note in played.notes
+        ],
+        "written": [[note.start, note.velocity] for note in wanted],
+        "onsetErrors": [
+            [note.start, round(_MS_PER_SECOND * (mine.start - note.start), 2)]
+            for note, mine in matched_notes(wanted, played.notes, SAME_NOTE)
+        ],
         "states": packed(verdict(episode["goal_keys"], episode["key_activation"])),
         "pedal": packed(verdict(episode["goal_sustain"], episode["sustain_activation"])),
         "rewards": dict(sorted(rewards.items(), key=lambda item: item[0] != "total")),

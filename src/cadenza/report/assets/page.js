@@ -35,6 +35,7 @@ const looks = createLooks();
 if (stage) looks.show(stage);
 else $("picture").hidden = true;
 const roll = createRoll($("roll"), data, seek), rewards = createRewards($("rewards"), data, seek);
+const expression = $("expression") && createExpression($("expression"), data, seek);
 
 function seek(time) {
   audio.currentTime = heard = Math.min(Math.max(Number(time) || 0, 0), duration);
@@ -54,6 +55,7 @@ function show(time) {
   stage?.move(time);
   roll.move(time);
   rewards.move(time);
+  expression?.move(time);
   $("scrub").value = time;
   if ($("clock").textContent !== minutes(time)) { // to change the page costs, even to the same
     $("clock").textContent = minutes(time);

@@ -6,6 +6,7 @@ function rowAt(time, dt, steps) {
   return { row, next: Math.min(row + 1, steps - 1), blend: at - row };
 }
 
+const LOUDEST_NOTE = 127; // MIDI velocity
 const fromBase64 = Uint8Array.fromBase64?.bind(Uint8Array) ?? ((text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)));
 
 /** What `packed` was given: numbers of the type `Numbers`, row by row. */
@@ -28,21 +29,30 @@ async function unpacked(text, steps, Numbers) {
  * The performance that stands at `index` in the page: `dt` [s], `steps`, and of each step
  *   states (`keys` a row) and pedal: 0 rightly silent, 1 hit, 2 wrong, 3 missed;
  *   angles (`keys` a row) of keys, 255 all the way down;
+ *   notes that sounded: key, from and to [s], MIDI velocity;
+ *   written: [beginning in s, MIDI velocity] of notes that should; onsetErrors: [beginning in s, error in ms];
  *   rewards, by name, NaN where there is none;
  *   jointsAt(time): where the hands' joints are [m, rad].
  * `scene` is what `cadenza.model.drawing` says; `sound` is the address of an MP3 file, and `goal`
  * that of another with what should have been played, or null.
  */
 async function readRecording(index = 0) {
-  const { unit, joints, angles, states, pedal, rewards, ...plain } =
+  const { unit, joints, angles, states, pedal, rewards, notes: sounded, ...plain } =
     JSON.parse(document.querySelectorAll(".recording")[index].textContent);
   const { dt, steps } = plain, read = (text, Numbers) => unpacked(text, steps, Numbers);
   const positions = await read(joints, Int32Array), width = positions.length / steps;
   const terms = {};
   for (const [name, text] of Object.entries(rewards)) terms[name] = await read(text, Float32Array);
   const mp3 = (element) => element && URL.createObjectURL(new Blob([fromBase64(element.textContent)], { type: "audio/mpeg" }));
+  const played = sounded.map(([key, from, to, velocity]) => ({ key, from, to, velocity })), byKey = new Map();
+  for (const note of played) byKey.set(note.key, [...(byKey.get(note.key) ?? []), note]);
   return {
     ...plain,
+    notes: played,
+    /** MIDI velocity of the note of a key that sounds between two times [s]; the loudest where none does. */
+    velocityOf({ key, from, to }) {
+      return byKey.get(key)?.find((note) => note.to > from && note.from < to)?.velocity ?? LOUDEST_NOTE;
+    },
     angles: await read(angles, Uint8Array),
     states: await read(states, Uint8Array),
     pedal: await read(pedal, Uint8Array),

@@ -14,8 +14,13 @@ function prepare(canvas, height) {
   return { context, width, height };
 }
 
-/** Hit is filled, missed and coming an outline, wrong hatched: to be told apart without colours. */
-function drawNote(context, state, colours, x, y, width, height) {
+const FAINTEST = 0.3; // opacity of the softest notes
+
+/**
+ * Hit is filled, missed and coming an outline, wrong hatched: to be told apart without colours. The
+ * louder a hit, from 0 to 1, the fuller is its colour.
+ */
+function drawNote(context, state, colours, x, y, width, height, loudness = 1) {
   const inset = Math.min(1, height / 8);
   [x, y, width, height] = [x + 0.5, y + inset, Math.max(width - 1, 1.5), height - 2 * inset];
   context.beginPath();
@@ -23,8 +28,13 @@ function drawNote(context, state, colours, x, y, width, height) {
   const colour = colours[state - 1];
   context.fillStyle = context.strokeStyle = colour;
   context.lineWidth = 1.5;
-  if (state === 1) { context.fill(); return; }
   context.save();
+  if (state === 1) {
+    context.globalAlpha = FAINTEST + (1 - FAINTEST) * loudness;
+    context.fill();
+    context.restore();
+    return;
+  }
   context.globalAlpha = state === 2 ? 0.35 : 0.12;
   context.fill();
   context.globalAlpha = 1;
@@ -142,9 +152,9 @@ function createRoll(element, data, seek) {
     context.beginPath();
     context.rect(GUTTER, 0, width - GUTTER, foot);
     context.clip();
-    const put = ({ from, to, state }, up, height) => drawNote(context, state, colours, x(from), up, x(to) - x(from), height);
+    const put = ({ from, to, state }, up, height, loudness) => drawNote(context, state, colours, x(from), up, x(to) - x(from), height, loudness);
     const [from, to] = [start - BEYOND, start + length + BEYOND];
-    notesBetween(data, from, to, (note) => put(note, y(note.key), row));
+    notesBetween(data, from, to, (note) => put(note, y(note.key), row, (data.velocityOf?.(note) ?? LOUDEST_NOTE) / LOUDEST_NOTE));
     notesBetween({ states: pedal, dt, steps, keys: 1 }, from, to, (press) => put(press, bottom + 8, 16));
     context.restore();
   }
