@@ -15,7 +15,7 @@ from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
 from cadenza.scene.randomization import Factors, scale
 from cadenza.scene.scene import Scene
-from cadenza.sim.lock import Lock, one_at_a_time
+from cadenza.sim.lock import Lock, synchronised
 from cadenza.sim.protocol import Held, State
 from cadenza.sim.threads import Threads
 
@@ -79,7 +79,7 @@ class MujocoSimulation:
         self.state = State.zeros(scene, num_envs)
         self.reset()
 
-    @one_at_a_time
+    @synchronised
     def reset(self, env_ids: Sequence[int] | None = None, hand_qpos: Array | None = None) -> None:
         """Puts simulations back to the start.
 
@@ -95,7 +95,7 @@ class MujocoSimulation:
 
         self._change(change, env_ids)
 
-    @one_at_a_time
+    @synchronised
     def randomize(self, env_id: int, factors: Factors) -> None:
         """See `protocol.RandomizableSimulation`. The model of `scene` stays as it is."""
         if self._models[env_id] is self.scene.model:
@@ -116,7 +116,7 @@ class MujocoSimulation:
                 values[i] = np.nan
         self.state = state
 
-    @one_at_a_time
+    @synchronised
     def step(
         self, ctrl: Array, env_ids: Sequence[int] | None = None, held: Held | None = None
     ) -> None:
@@ -196,7 +196,7 @@ class MujocoSimulation:
             _LOG.warning("simulation %d became unstable", i)
         self.state = state
 
-    @one_at_a_time
+    @synchronised
     def copy_to(self, data: Sequence[mujoco.MjData], env_id: int) -> None:
         """Puts all of `data`, of the nominal model, into the physical state of `env_id`."""
         for each in data:
@@ -204,7 +204,7 @@ class MujocoSimulation:
             if self._models[env_id] is not self.scene.model:
                 mujoco.mj_step1(self.scene.model, each)  # derived quantities by the nominal model
 
-    @one_at_a_time
+    @synchronised
     def physics_state(self, env_id: int) -> Array:
         """(S,) the full state of simulation `env_id`, except for which keys sleep."""
         model = self.scene.model
@@ -212,12 +212,12 @@ class MujocoSimulation:
         mujoco.mj_getState(model, self._data[env_id], state, PHYSICS_STATE)
         return state
 
-    @one_at_a_time
+    @synchronised
     def close(self) -> None:
         """Stops the threads."""
         self._threads.close()
 
-    @one_at_a_time
+    @synchronised
     def __getstate__(self) -> dict[str, Any]:
         # Nobody else may step what is copied, once this has returned. Models are scaled anew.
         awake = [[getattr(data, name) for name in _AWAKE] for data in self._data]

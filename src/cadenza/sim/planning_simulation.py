@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.sim.hands_apart import HandsApart
-from cadenza.sim.lock import one_at_a_time
+from cadenza.sim.lock import synchronised
 from cadenza.sim.mujoco_simulation import PHYSICS_STATE, MujocoSimulation
 from cadenza.sim.protocol import Simulation, State
 
@@ -35,7 +35,7 @@ def as_mujoco(simulation: Simulation) -> MujocoSimulation:
 class PlanningSimulation(MujocoSimulation):
     """N simulations that can be put into any state, and rolled out for several steps."""
 
-    @one_at_a_time
+    @synchronised
     def rollout(self, ctrl: Array) -> State:
         """Takes K control steps in every simulation and returns all states on the way.
 
@@ -61,7 +61,7 @@ class PlanningSimulation(MujocoSimulation):
         self._set_state(State._make(values[:, -1] for values in states))
         return states
 
-    @one_at_a_time
+    @synchronised
     def copy_from(self, other: MujocoSimulation, env_id: int) -> None:
         """Puts every simulation of this batch into the physical state of `other`'s `env_id`.
 
@@ -77,7 +77,7 @@ class PlanningSimulation(MujocoSimulation):
             self._read(i, state, i)
         self.state = state
 
-    @one_at_a_time
+    @synchronised
     def set_joints(
         self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array, key_qvel: Array | float = 0.0
     ) -> None:
@@ -99,7 +99,7 @@ class PlanningSimulation(MujocoSimulation):
 
         self._change(change)
 
-    @one_at_a_time
+    @synchronised
     def displace_hands(self, hand_qpos: Array, hand_qvel: Array) -> None:
         """Moves the hands of each simulation and leaves the keys as they are.
 
@@ -114,7 +114,7 @@ class PlanningSimulation(MujocoSimulation):
 
         self._change(change)
 
-    @one_at_a_time
+    @synchronised
     def set_physics_state(self, state: Array) -> None:
         """Puts every simulation of this batch into a state (S,) that `physics_state` returned.
 
@@ -127,7 +127,7 @@ class PlanningSimulation(MujocoSimulation):
 
         self._change(change)
 
-    @one_at_a_time
+    @synchronised
     def coordinates(self) -> Array:
         """(N, 2 V) positions and velocities of all V joints, keys and hands, in MuJoCo's order."""
         return np.array([np.concatenate([data.qpos, data.qvel]) for data in self._data])

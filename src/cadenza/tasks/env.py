@@ -22,7 +22,7 @@ from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
-from cadenza.sim.lock import Lock, one_at_a_time
+from cadenza.sim.lock import Lock, synchronised
 from cadenza.sim.render import Drawing, Picture
 from cadenza.tasks.augmentation import find_song, unchanged_track
 from cadenza.tasks.config import TaskConfig
@@ -174,7 +174,7 @@ class PianoVectorEnv(VectorEnv):
         shape = (self._picture.height, self._picture.width, 3)
         return spaces.Dict({"state": state, "pixels": spaces.Box(0, 255, shape, np.uint8)})
 
-    @one_at_a_time
+    @synchronised
     def reset(
         self,
         *,
@@ -290,7 +290,7 @@ class PianoVectorEnv(VectorEnv):
             rngs, fixed = [self._rngs[i] for i in env_ids], starts and [starts[i] for i in env_ids]
             self.task.reset(rngs, env_ids.tolist(), fixed)
 
-    @one_at_a_time
+    @synchronised
     def step(
         self, actions: NDArray[Any]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
@@ -344,12 +344,12 @@ class PianoVectorEnv(VectorEnv):
             ]
         )
 
-    @one_at_a_time
+    @synchronised
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture (height, width, 3) of each environment, if `render_mode` asks for it."""
         return tuple(self._draw()) if self.render_mode == "rgb_array" else None
 
-    @one_at_a_time
+    @synchronised
     def close_extras(self, **kwargs: Any) -> None:
         """Frees threads and graphics."""
         self.task.close()
@@ -388,7 +388,7 @@ class PianoEnv(gymnasium.Env):
         """Name -> slice of an observation (see `PianoTask.observation`)."""
         return self.task.spec.observation_layout
 
-    @one_at_a_time
+    @synchronised
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
