@@ -165,7 +165,7 @@ def test_a_folder_of_something_else_is_no_song(
         main([command, str(tmp_path)])
     assert stop.value.code == 2
     assert capsys.readouterr().err == (
-        f"cadenza: {tmp_path}: is a folder, but not of a policy or of practice; give a file\n"
+        f"cadenza: {tmp_path}: is a folder, but not of a policy or of practice; give a music file\n"
     )
 
 

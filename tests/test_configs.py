@@ -191,5 +191,5 @@ def test_a_name_of_two_lines_is_shown_in_one(
     with pytest.raises(SystemExit):
         main(["play", "two\nlines", "--agent", "zero"])
     assert capsys.readouterr().err.splitlines() == [
-        r"cadenza: two\nlines: is a folder, but not of a policy or of practice; give a file"
+        r"cadenza: two\nlines: is a folder, but not of a policy or of practice; give a music file"
     ]

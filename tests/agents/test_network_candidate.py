@@ -12,7 +12,7 @@ from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.generalist.generalist import Generalist, shipped_for
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner, SongPlanner
-from cadenza.agents.planner.search.network_candidate import NetworkCandidate
+from cadenza.agents.planner.search.candidates import NetworkCandidate
 from cadenza.agents.rollout import play_episode
 from cadenza.music.libraries.library import load_score
 from cadenza.scene.config import SceneConfig

@@ -8,7 +8,7 @@ from typing import Any
 
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.evaluation.collecting.collect import Demonstrator, EpisodeJob, episodes, record
-from cadenza.evaluation.collecting.variation import Variation, varied
+from cadenza.evaluation.collecting.variation import Variation, collecting_task
 from cadenza.evaluation.results import RUNS
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.midi import write_midi
@@ -42,7 +42,7 @@ def demonstrator(
     return Demonstrator(
         agent="planner",
         config=PlannerConfig(method="none"),
-        task=replace(varied(), **task),
+        task=replace(collecting_task(), **task),
         scene=scene or SceneConfig(),
         arrangement=Arrangement(),
         variation=variation,

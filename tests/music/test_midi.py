@@ -15,7 +15,7 @@ from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.formats.source import MAX_BYTES
 from cadenza.music.libraries.library import load_score
-from cadenza.music.repair import RawNote, playable
+from cadenza.music.repair import RawNote, repaired_notes
 from cadenza.music.score import Note, PedalEvent, Score
 from music_strategies import monophonic_per_key, scores, seconds
 
@@ -518,7 +518,7 @@ def test_of_two_notes_at_the_same_moment_the_finger_that_is_known_is_kept() -> N
     known = Finger(0, 2)
     for fingers in ((None, known), (known, None), (known, Finger(1, 0))):
         doubled = [RawNote(0, 480, 60, 80, True, finger) for finger in fingers]
-        (note,), _ = playable(doubled, Counter(), (), "a.mid")
+        (note,), _ = repaired_notes(doubled, Counter(), (), "a.mid")
         assert note.finger == known
 
 
@@ -526,6 +526,6 @@ def test_of_two_notes_at_the_same_moment_the_finger_that_is_known_is_kept() -> N
 def test_of_two_notes_at_the_same_moment_an_end_that_is_known_is_kept(known_first: bool) -> None:
     doubled = [RawNote(0, 480, 60, 80, True), RawNote(0, 9600, 60, 90, False)]
     found = doubled if known_first else doubled[::-1]
-    (note,), remarks = playable(found, Counter(), (), "a.mid")
+    (note,), remarks = repaired_notes(found, Counter(), (), "a.mid")
     assert (note.end, note.velocity) == (480, 90)
     assert remarks == ("1 note doubled at the same moment merged",)

@@ -142,8 +142,12 @@ def _check_action(action: NDArray[np.float64], view: View, agent: str) -> None:
             f"agent {agent}: act() returned actions of shape {action.shape}, "
             f"but the task needs {wanted}"
         )
-    if not np.isfinite(action[view.playing]).all():
-        raise CadenzaError(f"agent {agent}: act() returned an action that is not finite")
+    if bad := np.argwhere(~np.isfinite(action) & view.playing[:, None]).tolist():
+        env, servo = bad[0]
+        raise CadenzaError(
+            f"agent {agent}: act() returned {action[env, servo]} as action {servo} in control "
+            f"step {view.steps[env]}; give finite numbers"
+        )
 
 
 def _key_events(state: State, task: PianoTask, env: int) -> dict[str, NDArray[np.float32]]:

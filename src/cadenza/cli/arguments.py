@@ -255,25 +255,35 @@ def _rules(
         if asking or not is_dataclass(info.type):
             return None
         spec = by_tyro(ConstructorRegistry.get_struct_spec, info)
-        own, common = info.type in commands, COMMON.get(info.type, ())
         fields = [field for field in spec.fields if field.name not in refused]
-        more = own and any(_is_more(field) for field in fields)
-        if short:
-            fields = [
-                field
-                for field in fields
-                if _is_config(field) or (field.name in common) or (own and not _is_more(field))
-            ]
-        if not commands:  # errors would repeat the help
+        if commands:
+            fields = _listed(fields, info.type, info.type in commands, short)
+        else:  # errors would repeat the help
             fields = [replace(field, helptext="") for field in fields]
         group = _GROUPS.get(info.type)
-        made = [_option(field, group, short) for field in [*[_HELP_ALL] * more, *fields]]
-        return replace(spec, fields=tuple(made))
+        return replace(spec, fields=tuple(_option(field, group, short) for field in fields))
 
     try:
         yield registry
     finally:
         asking = True
+
+
+def _listed(
+    fields: list[StructFieldSpec], kind: type, is_command: bool, short: bool
+) -> list[StructFieldSpec]:
+    """Returns the fields of the dataclass `kind` that help lists, --help-all first if needed."""
+    common = COMMON.get(kind, ())
+    listed = [
+        field
+        for field in fields
+        if not short
+        or _is_config(field)
+        or field.name in common
+        or (is_command and not _is_more(field))
+    ]
+    has_more = is_command and any(_is_more(field) for field in fields)
+    return [_HELP_ALL, *listed] if has_more else listed
 
 
 def _is_config(field: StructFieldSpec) -> bool:
@@ -362,7 +372,7 @@ def _single(kind: Any) -> Any:
 def _metavar(kind: Any) -> str | None:
     """Returns PATH for Path | None, {a,b} ... for several choices; None for tyro's own text."""
     single = _single(kind)
-    several = " ..." * (... in get_args(kind))
+    several = " ..." if ... in get_args(kind) else ""
     if get_origin(single) is Literal:
         return "{" + ",".join(map(str, get_args(single))) + "}" + several
     if single is kind or (get_origin(kind) is tuple and not several):
@@ -445,7 +455,7 @@ _WORDING = (
 
 @contextmanager
 def _errors_in_a_line(prog: str) -> Iterator[None]:
-    """Raises what is wrong with a command line as a CadenzaError, where tyro prints a box."""
+    """Raises errors of tyro, which it prints in a box, as a CadenzaError of one line."""
     box = io.StringIO()
     try:
         with redirect_stderr(box):
@@ -457,7 +467,7 @@ def _errors_in_a_line(prog: str) -> Iterator[None]:
 
 
 def _check_names(prog: str, words: Sequence[str], known: Sequence[str]) -> None:
-    """Raises: CadenzaError: no option is called like one in `words`; it says what may be meant."""
+    """Raises a CadenzaError if `words` have an unknown option; it says which may be meant."""
     for word in takewhile(lambda word: word != "--", words):
         name = word.split("=")[0].replace("_", "-")
         if re.match("--?[a-z]", name) and name not in known:

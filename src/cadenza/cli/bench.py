@@ -23,7 +23,7 @@ from cadenza.learning.learner import Preset
 if TYPE_CHECKING:
     from cadenza.evaluation.jobs import Contender, Job
 
-_MOST_SEEDS = 10_000
+_MOST_SEEDS = 10_000  # of one range, so that a typo ends at once
 _MOST_RUNS = 20_000  # which take days
 _RESIDUAL = "-residual"
 
@@ -117,7 +117,10 @@ def _seeds(parts: Sequence[str]) -> list[int]:
 def _contenders(
     command: Bench, read: Read[Bench], agents: Sequence[str]
 ) -> Callable[[str], list[Contender]]:
-    """Returns song -> who plays it, each with the command's options over those it was made with."""
+    """Returns a function from a song to who plays it, with the options of the command.
+
+    These go over the options that a policy was trained with.
+    """
     fixed = {name: _contender(command, read, name) for name in agents if name != PRETRAINED}
 
     def contenders(song: str) -> list[Contender]:
@@ -172,8 +175,8 @@ def _trained(command: Bench, read: Read[Bench], agent: str) -> Contender:
     from cadenza.learning.config import check
 
     presets = {
-        f"{TRAIN}{name}{_RESIDUAL * residual}": (name, residual)
-        for residual in (False, True)
+        f"{TRAIN}{name}{suffix}": (name, residual)
+        for suffix, residual in (("", False), (_RESIDUAL, True))
         for name in get_args(Preset)
     }
     if agent not in presets:
@@ -191,6 +194,7 @@ def _result(folder: Path, job: Job) -> str:
     from cadenza.evaluation.results import PAGE, read_result
 
     result = read_result(folder)
-    no_page = "; no page, see log.txt" * (job.page and not (result.folder / PAGE).exists())
+    lacks_page = job.page and not (result.folder / PAGE).exists()
+    no_page = "; no page, see log.txt" if lacks_page else ""
     f1, onsets = (result.metrics.get(name) for name in ("f1", "note_onset_f1"))
     return f"F1 {f1:.3f}, note onsets F1 {onsets:.3f}, {result.timing.wall_seconds:.0f} s{no_page}"

@@ -12,7 +12,7 @@ import tyro
 from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.console import stop_on_signal
 from cadenza.cli.options import RecordedParts
-from cadenza.cli.progress import progress
+from cadenza.cli.progress import SECONDS_BETWEEN_LINES_OF_TRAINING, progress
 from cadenza.cli.saving import check_writable
 from cadenza.learning.config import ImitationConfig
 
@@ -49,14 +49,21 @@ def clone(command: Clone) -> None:
 
 
 def train_until_stopped(run: CheckpointedRun, stage: str, unit: str, metric: str) -> None:
-    """Trains until all updates are done.
+    """Trains until all updates are done, or until a signal, which saves a checkpoint first.
+
+    Args:
+        run: the run, new or resumed.
+        stage: what the progress calls the training.
+        unit: the plural of what is counted.
+        metric: the metric of the run that stands beside the progress.
 
     Raises:
-        KeyboardInterrupt: there was a signal; there is a checkpoint then.
+        KeyboardInterrupt: there was a signal.
     """
     first, began = run.update, time.perf_counter()
-    with progress(stage, unit, 30.0) as advance, stop_on_signal("a checkpoint") as stop:
-        stop()  # from now on
+    shown = progress(stage, unit, SECONDS_BETWEEN_LINES_OF_TRAINING)
+    with shown as advance, stop_on_signal("a checkpoint") as stop:
+        stop()  # signals are caught from its first call on
 
         def should_continue() -> bool:
             remark = f"{(run.update - first) / (time.perf_counter() - began):.3g} a second"

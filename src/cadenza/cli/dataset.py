@@ -18,7 +18,7 @@ from cadenza.cli.runs import Execution, Work, check_execution, run_all
 from cadenza.cli.saving import check_writable
 from cadenza.configs import check_ranges, whole_number
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.collecting.variation import Variation, varied
+from cadenza.evaluation.collecting.variation import Variation, collecting_task
 from cadenza.tasks.config import TaskConfig
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Collect(Options):
     least_f1: float = 0.8
     """Minimum F1 of an episode to be kept. Others are only counted."""
     variation: tyro.conf.OmitArgPrefixes[Variation] = field(default_factory=Variation)
-    task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=varied)
+    task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=collecting_task)
     num_threads: Advanced[int] = 1
     """Threads of each episode."""
     execution: tyro.conf.OmitArgPrefixes[Execution] = field(default_factory=Execution)
@@ -72,7 +72,7 @@ def collect(command: Collect, _: Read[Collect]) -> None:
 
 
 def _check(command: Collect) -> None:
-    """Raises: CadenzaError: an option makes no sense."""
+    """Raises a CadenzaError if an option makes no sense."""
     from cadenza.music.score import Note, Score
     from cadenza.tasks.piano_task import PianoTask
 
@@ -167,7 +167,7 @@ class DatasetCheck(RecordedParts):
 
 
 def check(command: DatasetCheck) -> None:
-    """Raises: CadenzaError: something is wrong."""
+    """Prints what is wrong with a dataset, and raises a CadenzaError if anything is."""
     from tqdm import tqdm
 
     from cadenza.demonstrations.checking import problems

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 QUIET: ContextVar[bool] = ContextVar("QUIET", default=False)
 """Whether the command shows no progress."""
 
+SECONDS_BETWEEN_LINES_OF_TRAINING = 30.0
+"""Least time between lines of progress in a log of training, which takes minutes to hours [s]."""
+_SECONDS_BETWEEN_LINES = 10.0  # of other work
+
 _UNITS = {  # of stages that do not count steps
     "fingers": "notes",
     "motions": "motions",
@@ -34,7 +38,9 @@ class Advance(Protocol):
 
 
 @contextmanager
-def progress(doing: str, unit: str, seconds_between_lines: float = 10.0) -> Iterator[Advance]:
+def progress(
+    doing: str, unit: str, seconds_between_lines: float = _SECONDS_BETWEEN_LINES
+) -> Iterator[Advance]:
     """Shows a stage of work on stderr, and yields what to call with units done and in all.
 
     A bar appears on a terminal after a second, and goes at the end. A file or a pipe gets a line

@@ -52,7 +52,7 @@ class _Command(Protocol):
 
 
 def check_execution(command: _Command) -> None:
-    """Raises: CadenzaError: an option of where runs are carried out makes no sense."""
+    """Raises a CadenzaError if an option of where runs are carried out makes no sense."""
     execution = command.execution
     for name, number in ("num_threads", command.num_threads), ("jobs", execution.jobs):
         if number is not None:

@@ -57,6 +57,6 @@ def run(command: StudioCommand) -> None:
 
 
 def need_server() -> None:
-    """Raises: CadenzaError: what serves pages is not installed."""
+    """Raises a CadenzaError if the packages that serve pages are not installed."""
     if any(find_spec(name) is None for name in ("starlette", "uvicorn", "websockets")):
         raise CadenzaError("pages need a web server: pip install 'cadenza[studio]'")

@@ -17,7 +17,7 @@ import tyro
 from cadenza.cli.arguments import Advanced, Chosen, Output, Quiet
 from cadenza.cli.console import stop_on_signal
 from cadenza.cli.options import SETUP_HELP
-from cadenza.cli.progress import QUIET, progress, stages
+from cadenza.cli.progress import QUIET, SECONDS_BETWEEN_LINES_OF_TRAINING, progress, stages
 from cadenza.cli.saving import check_name, check_writable, save
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name, plain
@@ -212,8 +212,9 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
         lambda: _write_curves(run.path, song, training.config, going_on=True)
     )
     scores, enough = "", _steps_to_play_well(command) or 0
-    with progress("learning", "steps", 30.0) as advance, stop_on_signal("a checkpoint") as stop:
-        stop()  # from now on
+    shown_steps = progress("learning", "steps", SECONDS_BETWEEN_LINES_OF_TRAINING)
+    with shown_steps as advance, stop_on_signal("a checkpoint") as stop:
+        stop()  # signals are caught from its first call on
 
         def should_continue() -> bool:
             nonlocal scores

@@ -1,4 +1,4 @@
-"""Looks for damage in a folder of demonstrations; every problem is a line that says what to do."""
+"""Looks for damage in a folder of demonstrations, and says what to do about it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from cadenza.scene.scene import Scene
 def problems(
     folder: Path, replays: int, progress: Callable[[int, int], None] = lambda *_: None
 ) -> Iterator[str]:
-    """Yields everything that is wrong with the episodes, a line each.
+    """Yields every problem of the episodes in a folder, as a line of text.
 
     Args:
         folder: The folder of the demonstrations.
@@ -39,7 +39,7 @@ def problems(
         raise CadenzaError(f"{folder}: holds no demonstrations")
     yield from _unfinished(folder / EPISODES)
     paths = results_in(folder / EPISODES)
-    scenes, sound = dict[SceneConfig, Scene](), list[tuple[RecordedEpisode, Scene]]()
+    scenes, intact = dict[SceneConfig, Scene](), list[tuple[RecordedEpisode, Scene]]()
     for done, path in enumerate(paths, start=1):
         at = path.parent
         with _reported(at, found := list[str]()):
@@ -50,11 +50,11 @@ def problems(
                 scene = scenes[config]
                 found += list(recorded.wrong_files()) or _content_problems(recorded, scene)
                 if not found:  # anew, as what is mapped holds an open file
-                    sound.append((RecordedEpisode(at, recorded.facts), scene))
+                    intact.append((RecordedEpisode(at, recorded.facts), scene))
         yield from found
         progress(done, len(paths))
-    chosen = np.unique(np.linspace(0, len(sound) - 1, min(replays, len(sound))).astype(int))
-    for recorded, scene in (sound[i] for i in chosen.tolist()):
+    chosen = np.unique(np.linspace(0, len(intact) - 1, min(replays, len(intact))).astype(int))
+    for recorded, scene in (intact[i] for i in chosen.tolist()):
         with _reported(recorded.folder, found := list[str]()):
             found += _replay_problems(recorded, scene)
         yield from found
@@ -89,6 +89,7 @@ def _content_problems(recorded: RecordedEpisode, scene: Scene) -> Iterator[str]:
 
 
 def _replay_problems(recorded: RecordedEpisode, scene: Scene) -> Iterator[str]:
+    """Yields by how much states and rewards differ when the episode is played again."""
     found = differences(recorded, scene)
     if found:
         what = ", ".join(f"{name} by {most:.1g}" for name, most in found.items())

@@ -1,6 +1,6 @@
 """The notes of a score that hands can play, and the reasons why not the others.
 
-The limits:
+Hands and keyboard limit what can be played:
 
 - as many notes a hand as it has fingers, their distances within what the fingers reach;
 - keys within what a finger reaches from where its forearm is, if that cannot slide anywhere;
@@ -209,7 +209,8 @@ class _Limits:
         return sets
 
 
-_limits = lru_cache(maxsize=8)(_Limits)
+_MOST_PLAYERS = 8  # of which limits are kept; a process rarely has more than one or two
+_limits = lru_cache(_MOST_PLAYERS)(_Limits)
 
 
 def _nth(count: int) -> list[list[int]]:

@@ -166,7 +166,7 @@ class RunFolder(ResumableFolder):
 
     def _read(self) -> _Manifest:
         if not self.begun:
-            raise CadenzaError(f"{self.path}: holds no run to resume")
+            raise CadenzaError(f"{self.path}: holds no run to resume; give the folder of a run")
         content = self.read_manifest()
         config = content.get("config")
         options = config.pop("learner", {}) if isinstance(config, dict) else {}

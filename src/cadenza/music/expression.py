@@ -159,19 +159,7 @@ def performed(score: Score, config: ExpressionConfig | None = None) -> Score:
     )
     check_length(moved(score.total_time), "performed with expression, the song")
 
-    lead = config.dose * config.melody_lead * _LEAD
-    sung = {id(note): index for index, note in enumerate(melody.notes)}
-    led = {id(note) for group in groups if id(group[-1]) in sung for note in group[:-1]}
-
-    def times(note: Note) -> tuple[float, float]:
-        start, end = moved(note.start), moved(note.end)
-        if id(note) in led:
-            start += min(lead, _LEAD_SHARE * (end - start))
-        elif pause := float(pauses[sung[id(note)]]) if id(note) in sung else 0.0:
-            latest = moved(float(melody.onset[sung[id(note)] + 1])) - pause
-            end = min(end, max(latest, (start + end) / 2))
-        return start, end
-
+    times = _note_times(groups, melody, pauses, moved, config.dose * config.melody_lead * _LEAD)
     velocities = _velocities(score, melody, config).tolist()
     notes = (
         replace(note, start=start, end=end, velocity=velocity)
@@ -249,6 +237,37 @@ def _time_map(
         shifts[1:] += np.cumsum(slowed - interval)
     # A shift of 0 leaves a time as it is to the bit.
     return lambda time: time + float(np.interp(time, knots, shifts))
+
+
+def _note_times(
+    groups: Sequence[Sequence[Note]],
+    melody: _Melody,
+    pauses: Floats,
+    moved: Callable[[float], float],
+    lead: float,
+) -> Callable[[Note], tuple[float, float]]:
+    """Returns the function from a note to when it is played, from its start to its end [s].
+
+    Args:
+        groups: the chords, each with its notes by pitch.
+        melody: the melody.
+        pauses: (M,) the micropauses after its notes [s].
+        moved: the map from written to played time [s].
+        lead: how much later than their melody note the other notes of a chord begin [s].
+    """
+    sung = {id(note): index for index, note in enumerate(melody.notes)}
+    led = {id(note) for group in groups if id(group[-1]) in sung for note in group[:-1]}
+
+    def times(note: Note) -> tuple[float, float]:
+        start, end = moved(note.start), moved(note.end)
+        if id(note) in led:
+            start += min(lead, _LEAD_SHARE * (end - start))
+        elif pause := float(pauses[sung[id(note)]]) if id(note) in sung else 0.0:
+            latest = moved(float(melody.onset[sung[id(note)] + 1])) - pause
+            end = min(end, max(latest, (start + end) / 2))
+        return start, end
+
+    return times
 
 
 def _velocities(score: Score, melody: _Melody, config: ExpressionConfig) -> NDArray[np.intp]:

@@ -32,7 +32,7 @@ class Onsets(NamedTuple):
     """The MIDI velocity of the note."""
 
     def delayed(self, steps: int) -> Onsets:
-        """The same onsets, so many steps later."""
+        """These onsets, moved later by a number of steps."""
         return self._replace(step=self.step + steps)
 
 

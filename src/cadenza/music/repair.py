@@ -13,7 +13,7 @@ from cadenza.music.score import Note
 
 @dataclass(slots=True)
 class RawNote:
-    """A note as found in a file; equal times are exactly equal, in whatever unit."""
+    """A note as found in a file, with times in the unit of the file."""
 
     start: float
     end: float
@@ -27,7 +27,7 @@ class RawNote:
         self.end, self.released = time, True
 
 
-def playable(
+def repaired_notes(
     found: list[RawNote],
     counts: Counter[str],
     remarks: Iterable[str],
@@ -38,7 +38,7 @@ def playable(
 
     Args:
         found: all notes of the file, in its unit of time.
-        counts: the numbers of notes that were repaired before, see `_remarks`.
+        counts: the numbers of notes that were repaired before, by the names in `_remarks`.
         remarks: remarks that were made before.
         where: the file, for errors.
         seconds: converts times of the file to seconds [s].
@@ -48,7 +48,7 @@ def playable(
     """
     notes = tuple(
         Note(seconds(note.start), seconds(note.end), note.pitch, note.velocity, note.finger)
-        for note in _repaired(found, counts)
+        for note in _without_overlaps(found, counts)
     )
     remarks = (*remarks, *_remarks(counts))
     if not notes:
@@ -57,10 +57,10 @@ def playable(
     return notes, remarks
 
 
-def _repaired(found: list[RawNote], counts: Counter[str]) -> list[RawNote]:
-    """The notes without those of length zero, at most one of a pitch at a time.
+def _without_overlaps(found: list[RawNote], counts: Counter[str]) -> list[RawNote]:
+    """The notes that last, at most one of each pitch at a time.
 
-    `counts` gets the number of each kind of repair.
+    The number of each kind of repair is added to `counts`.
     """
     lasting = [note for note in found if note.end > note.start]
     counts["zero"] = len(found) - len(lasting)
@@ -93,7 +93,11 @@ def _merge(note: RawNote, other: RawNote) -> None:
 
 def counted_remarks(cases: Iterable[tuple[int, str, str]]) -> list[str]:
     """Remarks such as "2 notes left out" from counts, nouns and what was done; none for 0."""
-    return [f"{count} {what}{'s'[: count != 1]} {done}" for count, what, done in cases if count]
+    return [
+        f"{count} {what if count == 1 else what + 's'} {done}"
+        for count, what, done in cases
+        if count
+    ]
 
 
 def _remarks(counts: Counter[str]) -> list[str]:

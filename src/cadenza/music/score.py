@@ -173,8 +173,8 @@ class Score:
         pitches = [note.pitch + semitones for note in self.notes]
         if outside := [pitch for pitch in pitches if pitch not in MIDI_PITCHES]:
             raise CadenzaError(
-                f"cannot transpose by {semitones} semitones: MIDI has pitches 0.."
-                f"{MIDI_PITCHES[-1]}, not {outside[0]}"
+                f"cannot transpose by {semitones} semitones: a note would have pitch {outside[0]}, "
+                f"but MIDI has 0 to {MIDI_PITCHES[-1]}; choose less"
             )
         notes = (replace(n, pitch=p) for n, p in zip(self.notes, pitches, strict=True))
         return replace(self, notes=tuple(notes))

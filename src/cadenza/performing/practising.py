@@ -75,7 +75,9 @@ class Practising:
     """
 
     def __init__(self, setup: Setup, folder: ResumableFolder, progress: Progress = silent) -> None:
-        """Args:
+        """Restores what was practised in the folder, and writes what it is practice of.
+
+        Args:
             setup: the song, with the planner as its agent.
             folder: the folder in which practice is kept, locked by whoever practises.
             progress: is told of "fingers" and "postures".

@@ -72,7 +72,7 @@ class Selection:
         return self.source.score
 
     def with_score(self, score: Score) -> Selection:
-        """Returns the same with another score of the song."""
+        """Returns this selection with another score of the song."""
         return replace(self, source=replace(self.source, score=score))
 
     def with_options(
@@ -271,7 +271,7 @@ def _lost_between_steps(track: GoalTrack) -> Iterator[str]:
 
 
 def _check_plan(plan: SavedPlan, options: dict[str, Any], scene: SceneConfig) -> None:
-    """Raises: CadenzaError: with these options it would not play the same."""
+    """Raises a CadenzaError if a plan would not play the same with these options."""
     plan.check(options)
     made_in = replace(SceneConfig(), **plan.physics).physics
     if scene.physics != made_in:

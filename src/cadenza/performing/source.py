@@ -112,7 +112,9 @@ def _own_song(folder: Path, name: str, arrangement: Arrangement) -> Source:
         )
     if not (folder / MANIFEST).is_file():
         check_is_no_run(folder)
-        raise CadenzaError(f"{name}: is a folder, but not of a policy or of practice; give a file")
+        raise CadenzaError(
+            f"{name}: is a folder, but not of a policy or of practice; give a music file"
+        )
     policy = load_policy(folder)
     if policy.score is None:
         raise CadenzaError(f"{name}: plays any song; name one: cadenza play SONG --agent {name}")

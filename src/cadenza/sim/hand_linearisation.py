@@ -41,11 +41,13 @@ class HandLineariser:
     def __init__(
         self, scene: Scene, difference: Array, control_timestep: float, num_threads: int = 1
     ) -> None:
-        """Args:
-        scene: a scene with hands, whose keys may sleep.
-        difference: (2 J + A,) size of the difference of each element of z.
-        control_timestep: time of a control step [s].
-        num_threads: number of threads that share the work.
+        """Allocates a simulation for the nominal step, and one for each difference.
+
+        Args:
+            scene: a scene with hands, whose keys may sleep.
+            difference: (2 J + A,) size of the difference of each element of z.
+            control_timestep: time of a control step [s].
+            num_threads: number of threads that share the work.
         """
         self._difference = difference
         self._joints = len(scene.hand_joint_names)

@@ -38,10 +38,12 @@ class HandRollouts:
     keys: slice
 
     def __init__(self, scene: Scene, control_timestep: float, whole: Scene | None = None) -> None:
-        """Args:
-        scene: a scene with one hand.
-        control_timestep: time of a control step [s].
-        whole: the scene of the simulations in whose states rollouts start; `scene` by default.
+        """Prepares rollouts of a hand, which begin after a call of `start_from`.
+
+        Args:
+            scene: a scene with one hand.
+            control_timestep: time of a control step [s].
+            whole: the scene of the simulations in whose states rollouts start; `scene` by default.
         """
         self._scene, self._whole = scene, whole or scene
         self._servos = servos_of(scene)

@@ -59,7 +59,9 @@ class Lineariser:
         num_threads: int = 1,
         centred: bool = False,
     ) -> None:
-        """Args:
+        """Allocates the derivatives of one trajectory, and data for each thread.
+
+        Args:
             scene: the scene to linearise, whose keys must not sleep.
             num_steps: T, control steps.
             num_substeps: P, physics steps in each.

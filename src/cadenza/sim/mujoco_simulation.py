@@ -53,7 +53,9 @@ class MujocoSimulation:
         num_threads: int = 1,
         watch_forearms: bool = False,
     ) -> None:
-        """Args:
+        """Allocates N simulations of a scene, and resets them.
+
+        Args:
             scene: the scene to simulate.
             num_envs: N.
             control_timestep: time of a control step [s], a multiple of the physics step.
@@ -97,7 +99,10 @@ class MujocoSimulation:
 
     @synchronised
     def randomize(self, env_id: int, factors: Factors) -> None:
-        """See `protocol.RandomizableSimulation`. The model of `scene` stays as it is."""
+        """Scales a copy of the nominal model for one simulation, which is to be reset next.
+
+        The arguments are those of `protocol.RandomizableSimulation.randomize`.
+        """
         if self._models[env_id] is self.scene.model:
             self._models[env_id] = copy(self.scene.model)
         scale(self._models[env_id], self.scene, factors, self._data[env_id])

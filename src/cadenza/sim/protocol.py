@@ -133,7 +133,10 @@ class RandomizableSimulation(Simulation, Protocol):
         """
 
     def step(self, ctrl: Array, env_ids: Sequence[int] | None, held: Held | None = None) -> None:
-        """See `Simulation.step`; `held` are the controls until `ctrl` arrives, if it is late."""
+        """Takes one control step, as `Simulation.step`, with controls that may arrive late.
+
+        Until `ctrl` arrives, the controls of `held` are applied.
+        """
 
 
 MakeSimulation = Callable[..., Simulation]

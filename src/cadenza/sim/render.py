@@ -62,7 +62,9 @@ class Renderer:
         picture: Picture | None = None,
         keys: tuple[int, int] | None = None,
     ) -> None:
-        """Args:
+        """Opens a graphics context to draw a scene.
+
+        Args:
             scene: the scene to draw.
             picture: size and camera.
             keys: the lowest and the highest key that the player's camera frames; all by default.

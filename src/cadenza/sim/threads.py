@@ -28,8 +28,10 @@ class Threads:
     """A pool that starts when it is first needed. A copy, and a forked child, starts its own."""
 
     def __init__(self, num_threads: int) -> None:
-        """Raises:
-        CadenzaError: the number is not positive.
+        """Prepares a pool of `num_threads` threads.
+
+        Raises:
+            CadenzaError: the number is not positive.
         """
         self._num_threads = whole_number(num_threads, "num_threads", 1, MOST_THREADS)
         self._pool: ThreadPoolExecutor | None = None

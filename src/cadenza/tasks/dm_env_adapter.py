@@ -24,7 +24,9 @@ class DmEnvAdapter(dm_env.Environment):
     """
 
     def __init__(self, env: gymnasium.Env, seed: int | None = None) -> None:
-        """Args:
+        """Adapts an environment of Gymnasium, which must observe no pixels.
+
+        Args:
             env: the environment, without pixels and without wrappers that change observations.
             seed: the seed of the first episode; the following ones continue its random numbers.
 

@@ -104,7 +104,9 @@ class PianoVectorEnv(VectorEnv):
         reward_terms: Mapping[str, RewardTerm] | None = None,
         **options: Any,
     ) -> None:
-        """Args:
+        """Makes N environments of a song, or of songs that episodes are drawn from.
+
+        Args:
             song: a bundled song's name, the path of a MIDI or MusicXML file, a `Score`, what JSON
                 makes of a `WrittenScore`, or several of them, of which one is drawn per episode.
             num_envs: N.

@@ -97,7 +97,9 @@ class PianoTask:
         progress: Callable[[int, int], None] | None = None,
         make_simulation: MakeSimulation | None = None,
     ) -> None:
-        """Args:
+        """Makes a task of songs, with N simulations to play them in.
+
+        Args:
             scores: the songs to draw from, one per episode.
             config: the task's options.
             scene: the scene or its options.

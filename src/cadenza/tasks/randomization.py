@@ -54,7 +54,9 @@ class Randomization:
         num_envs: int,
         simulation: Simulation,
     ) -> None:
-        """Args:
+        """Prepares draws for N environments, the first of which are made at a reset.
+
+        Args:
             config: the ranges and standard deviations.
             scene: the nominal scene.
             control_timestep: time between two actions [s].

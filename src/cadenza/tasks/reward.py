@@ -227,7 +227,9 @@ class Reward:
     def __init__(
         self, config: TaskConfig, scene: Scene, more_terms: Mapping[str, RewardTerm] | None
     ) -> None:
-        """Args:
+        """Chooses the terms by the options of a task, and adds those of the user.
+
+        Args:
             config: which terms there are, and their options.
             scene: the hands and the keys.
             more_terms: terms that are added, or take the place of the task's of the same name.

@@ -24,7 +24,7 @@ class Variation:
     mirror: bool = True
     """Mirror half of the episodes about D4: each hand plays what the other would."""
     excerpt: float | None = None
-    """Play so many seconds [s] from somewhere in the song, instead of all of it."""
+    """Length of an excerpt [s], which begins at a random note; the whole song if not given."""
     student: str | None = None
     """Another agent, which plays half of the time, in stretches of about a second. What is recorded
     is what the first agent would have played in its place."""
@@ -32,7 +32,7 @@ class Variation:
     def draw(
         self, score: Score, pitches: range, rng: np.random.Generator
     ) -> tuple[Score, dict[str, Any]]:
-        """Draws what of a song is played, and how: `since`, `mirrored` and `noise`.
+        """Draws the part of a song to play, and the values `since`, `mirrored` and `noise`.
 
         Args:
             score: the song.
@@ -51,7 +51,13 @@ class Variation:
 
 
 def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
-    """Returns so many seconds from a note on, and when that begins; `where` is 0 to 1."""
+    """Returns an excerpt of a score, and when it begins in the score [s].
+
+    Args:
+        score: the whole song.
+        seconds: length of the excerpt [s].
+        where: the note at which it begins, from 0 for the first to 1 for the last possible one.
+    """
     starts, last = sorted({note.start for note in score.notes}), score.total_time - seconds
     possible = [start for start in starts if start <= last] or starts[:1]
     since = possible[int(where * len(possible))]
@@ -59,11 +65,11 @@ def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
     return replace(score, notes=notes).beginning(seconds).with_silence_trimmed(), since
 
 
-def varied() -> TaskConfig:
-    """Returns the task of collecting, unless something else is chosen."""
+def collecting_task() -> TaskConfig:
+    """Returns the task in which demonstrations are collected, unless another one is chosen."""
     return TaskConfig(
-        initial_buffer_time=0.5,
-        random_stretch=0.2,
-        random_pitch_shift=3,
-        random_hand_position=0.05,
+        initial_buffer_time=0.5,  # [s] in which the hands get to their first keys
+        random_stretch=0.2,  # times are scaled by 0.8 to 1.2
+        random_pitch_shift=3,  # [semitones] up or down
+        random_hand_position=0.05,  # [m] either way, about two white keys
     )

@@ -19,7 +19,7 @@ from cadenza.music.formats.general_midi import INSTRUMENTS
 from cadenza.music.formats.midi_chunks import MidiFile, parsed
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
-from cadenza.music.repair import RawNote, playable
+from cadenza.music.repair import RawNote, repaired_notes
 from cadenza.music.score import (
     HIGHEST_PITCH,
     LOWEST_PITCH,
@@ -105,7 +105,7 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
     if any(part.sostenuto for part in melodic):
         remarks.append("the sostenuto pedal is left out")
     found = [note for part in melodic for note in part.notes]
-    notes, said = playable(found, counts, remarks, path, clock.seconds)
+    notes, said = repaired_notes(found, counts, remarks, path, clock.seconds)
     bars = _bars(file.division, chunks, clock, until=notes[-1].start)
     return Score(notes, pedal, _title(chunks, path), said, listed, bars)
 

@@ -24,7 +24,7 @@ from cadenza.music.formats.musicxml_marks import Marks, marks_of
 from cadenza.music.formats.musicxml_mending import mend
 from cadenza.music.formats.musicxml_tree import tree_of
 from cadenza.music.formats.titles import printable, title_of
-from cadenza.music.repair import RawNote, counted_remarks, playable
+from cadenza.music.repair import RawNote, counted_remarks, repaired_notes
 from cadenza.music.score import (
     HIGHEST_PITCH,
     LOWEST_PITCH,
@@ -71,7 +71,7 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
     counts = Counter[str]()
     found, pedal, timed = _played(parts, sheet, counts, path)
     begin = min([0.0, *(note.start for note in found)])  # grace notes before the first beat
-    notes, remarks = playable(found, counts, sheet.remarks, path, lambda time: time - begin)
+    notes, remarks = repaired_notes(found, counts, sheet.remarks, path, lambda time: time - begin)
     moves = tuple(PedalEvent(time - begin, value) for time, value in pedal)
     bars = tuple(Bar(time - begin, number) for time, number in timed)
     return Score(notes, moves, sheet.title or title_of(path), remarks, listed, bars)

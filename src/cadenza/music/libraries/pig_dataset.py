@@ -34,7 +34,7 @@ from cadenza.music.libraries.folder import files_in, short, unique
 from cadenza.music.libraries.imported import Grade, NewLibrary, Progress, new_library, silent
 from cadenza.music.libraries.index import read_table
 from cadenza.music.libraries.pig import ALL, WEBSITE, published_name
-from cadenza.music.repair import RawNote, playable
+from cadenza.music.repair import RawNote, repaired_notes
 from cadenza.music.score import MAX_SECONDS, PITCHES, Score
 
 _LIST, _FINGERINGS = "list.csv", "FingeringFiles"
@@ -257,7 +257,7 @@ def read_fingered(content: bytes, where: str) -> Score:
             f"{where}:{first}: channel and finger are of different hands, the finger is taken"
             f"{_and_lines(others)}"
         ]
-    playing, repairs = playable(notes, Counter(), (), where)
+    playing, repairs = repaired_notes(notes, Counter(), (), where)
     return Score(playing, remarks=(*doubts, *(f"{where}: {repair}" for repair in repairs)))
 
 

@@ -28,21 +28,21 @@ _OCTAVE = 12
 class Change(NamedTuple):
     """A change of held keys: some are released, and others struck at once or soon after."""
 
-    left: Held
+    held_before: Held
     """All keys that are held before."""
-    still: Held
-    """The keys of `left` that are not released."""
-    struck: Held
+    kept: Held
+    """Those of them that are not released."""
+    held_after: Held
     """All keys that are held at the end."""
     gap: int
     """The number of states from releasing to striking."""
 
     def lowered(self, keys: int) -> Change:
-        """The same change on keys that are `keys` lower."""
-        left, still, struck = (
+        """This change, moved `keys` down the keyboard."""
+        before, kept, after = (
             tuple((finger, key - keys) for finger, key in held) for held in self[:3]
         )
-        return Change(left, still, struck, self.gap)
+        return Change(before, kept, after, self.gap)
 
 
 class Motions:
@@ -80,12 +80,13 @@ class Motions:
 
     def of(self, change: Change) -> Array:
         """(N, A) postures of a change: row 0 holds its first keys, which row `before` releases."""
-        up = self._octaves([key for _, key in change.left + change.struck])
+        pressed = [key for _, key in change.held_before + change.held_after]
+        up = self._octaves(pressed)
         lowered = change.lowered(up)
         if lowered not in self._known:
             self._known[lowered] = self._planned(lowered)
             self._progress("motions", len(self), len(self))
-        key, centre = (change.left + change.struck)[0][1], self._keyboard.centre[:, 1]
+        key, centre = pressed[0], self._keyboard.centre[:, 1]
         motion = self._known[lowered].copy()
         motion[:, self._slide] += centre[key] - centre[key - up]
         return motion
@@ -101,24 +102,25 @@ class Motions:
         return lowest - first - max((room // 2 - first) // _OCTAVE, 0) * _OCTAVE
 
     def _planned(self, change: Change) -> Array:
-        left, still, struck, gap = change
-        leaves, strikes = self.before, self.before + gap
-        end = strikes + self.after + 1
-        here, there = self._place(left or struck), self._place(struck or left)
-        flies = gap > 0 and abs(there - here) > self._scene.hand.jump_times.within_reach
+        """(N, A) postures of a change, by inverse kinematics of its presses."""
+        before, kept, after, gap = change
+        release, strike = self.before, self.before + gap
+        end = strike + self.after + 1
+        here, there = self._place(before or after), self._place(after or before)
+        jumps = gap > 0 and abs(there - here) > self._scene.hand.jump_times.within_reach
         presses = []
-        for finger, key in left:
-            stays = (finger, key) in still
-            last = leaves if not stays else end if (finger, key) in struck else strikes
-            presses.append(Press(self._side, finger, key, 1, last, jumps_off=flies))
-        for finger, key in struck:
-            if (finger, key) not in still:
-                jumps_to = flies and len(struck) == 1
-                presses.append(Press(self._side, finger, key, strikes, end, jumps_to=jumps_to))
+        for finger, key in before:
+            stays = (finger, key) in kept
+            last = release if not stays else end if (finger, key) in after else strike
+            presses.append(Press(self._side, finger, key, 1, last, jumps_off=jumps))
+        for finger, key in after:
+            if (finger, key) not in kept:
+                jumps_to = jumps and len(after) == 1
+                presses.append(Press(self._side, finger, key, strike, end, jumps_to=jumps_to))
         targets = targets_of(self._scene, presses, end, self._dt)
         guess = np.tile(self._rest, (end, 1))
-        guess[:, self._slide] = np.interp(np.arange(end), [0, strikes], [here, there])
-        guess[0] = self._holding(left, guess[0])
+        guess[:, self._slide] = np.interp(np.arange(end), [0, strike], [here, there])
+        guess[0] = self._holding(before, guess[0])
         return self._postures(targets, guess, self._dt)
 
     def _holding(self, held: Held, guess: Array) -> Array:

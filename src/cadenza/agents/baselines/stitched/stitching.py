@@ -50,15 +50,15 @@ def changes_of(
     Releasing, and striking at most `longest_gap` states later, are one change.
     """
     held = list(_held(presses, num_states))
-    left: Held = ()
+    before: Held = ()
     while held:
-        state, still = held.pop(0)
-        later, struck = state, still
-        if set(still) < set(left) and held and held[0][0] - state <= longest_gap:
-            later, struck = held.pop(0)
-        still = tuple(one for one in left if one in still)
-        yield state, Change(left, still, struck, later - state)
-        left = struck
+        state, then = held.pop(0)
+        later, after = state, then
+        if set(then) < set(before) and held and held[0][0] - state <= longest_gap:
+            later, after = held.pop(0)
+        kept = tuple(one for one in before if one in then)
+        yield state, Change(before, kept, after, later - state)
+        before = after
 
 
 def _held(presses: Sequence[Press], num_states: int) -> Iterator[tuple[int, Held]]:

@@ -71,7 +71,7 @@ class HandGoals:
         self.weight = np.where(self.playing, TIP_WEIGHT, _IDLE_TIP_WEIGHT)
 
     def holding(self, sounding: Mask) -> HandGoals:
-        """The same goals, but planned are those of this hand's keys that are `sounding` (T, K)."""
+        """Goals of which those keys of the hand are planned that are `sounding` (T, K)."""
         part = copy(self)
         part.planned = self.keys & sounding
         return part

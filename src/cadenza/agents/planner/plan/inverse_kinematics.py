@@ -171,7 +171,7 @@ class Linearisation(NamedTuple):
     """(M, A, A) the products of the Jacobians of the right hand and the left in these."""
 
     def with_new(self, rows: Ids, new: Linearisation) -> Linearisation:
-        """The same with new postures in some rows (R,)."""
+        """This linearisation with those of `new` postures in the rows (R,)."""
         kept = ~np.isin(self.close, rows)
         values = {
             "close": np.concatenate([self.close[kept], new.close]),

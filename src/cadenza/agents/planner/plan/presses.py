@@ -49,7 +49,7 @@ class Press(NamedTuple):
     """How the key is to begin to sound, if it matters."""
 
     def delayed(self, states: int) -> Press:
-        """The same press, so many states later."""
+        """This press, moved later by a number of states."""
         return self._replace(first=self.first + states, last=self.last + states)
 
 

@@ -24,10 +24,9 @@ from cadenza.agents.planner.plan.hand_goals import ABOUT_TO_PRESS, HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.strike_model import strike_model
 from cadenza.agents.planner.plan.tracking import Tracking
-from cadenza.agents.planner.search.candidates import EscapeMotions, crossover
+from cadenza.agents.planner.search.candidates import EscapeMotions, NetworkCandidate, crossover
 from cadenza.agents.planner.search.fingertip_correction import servo_corrections
 from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal
-from cadenza.agents.planner.search.network_candidate import NetworkCandidate
 from cadenza.agents.planner.search.networks.inputs import sizes_of
 from cadenza.agents.planner.search.networks.weights import shipped
 from cadenza.agents.planner.search.rollouts import Rollout, Rollouts, roll_out, start_rollouts
