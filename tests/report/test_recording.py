@@ -48,7 +48,7 @@ def test_the_page_reads_what_was_recorded(browser, tmp_path):
             pedal: [...found.pedal],
             angles: [...found.angles],
             rewards: Object.entries(found.rewards).map(([name, values]) => [name, [...values]]),
-            joints: [0, 1.25, 1.27, 99].map(found.jointsAt),
+            joints: [0, 1.25, 1.27, 99].map((time) => found.jointsAt(time + found.dt)),
         }))""")
     )
     notes = [(n["key"] + 21, n["from"], n["to"], n["velocity"]) for n in read["notes"]]

@@ -154,11 +154,12 @@ class TaskConfig:
 
 
 def with_time_to_begin() -> TaskConfig:
-    """The default task for playing, which begins with half a second of silence.
+    """The default task for playing, in which all notes can begin in time.
 
-    The hands start above the keys and cannot sound a note at time 0.
+    It begins with half a second of silence, because the hands start above the keys and cannot sound
+    a note at time 0, and notes that repeat a key shorten the note before.
     """
-    return TaskConfig(initial_buffer_time=0.5)
+    return TaskConfig(initial_buffer_time=0.5, repeats="shortened")
 
 
 # Options that do not change how the same actions move keys and hands.

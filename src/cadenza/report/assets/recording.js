@@ -6,6 +6,11 @@ function rowAt(time, dt, steps) {
   return { row, next: Math.min(row + 1, steps - 1), blend: at - row };
 }
 
+/** The same for states, which a row holds as they are at the end of its step: as sound and notes go. */
+function stateAt(time, dt, steps) {
+  return rowAt(time - dt, dt, steps);
+}
+
 const LOUDEST_NOTE = 127; // MIDI velocity
 const fromBase64 = Uint8Array.fromBase64?.bind(Uint8Array) ?? ((text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)));
 
@@ -60,7 +65,7 @@ async function readRecording(index = 0) {
     sound: mp3(document.querySelectorAll("script.sound")[index]),
     goal: mp3(document.querySelectorAll("script.goal")[index] ?? null),
     jointsAt(time) {
-      const { row, next, blend } = rowAt(time, dt, steps);
+      const { row, next, blend } = stateAt(time, dt, steps);
       return Array.from({ length: width }, (_, i) => {
         const [from, to] = [positions[row * width + i], positions[next * width + i]];
         return (from + blend * (to - from)) * unit;

@@ -130,10 +130,10 @@ function createStage(canvas, data, colours) {
     if (time === shown) return;
     shown = time;
     stale = true;
-    const { row, next, blend } = rowAt(time, dt, steps);
+    const { row } = rowAt(time, dt, steps), { row: from, next, blend } = stateAt(time, dt, steps);
     hands.pose(jointsAt(time));
     for (let k = 0; k < keys.length; k++) {
-      const key = keys[k], a = angles[row * keys.length + k], b = angles[next * keys.length + k];
+      const key = keys[k], a = angles[from * keys.length + k], b = angles[next * keys.length + k];
       key.hinge.quaternion.setFromAxisAngle(key.axis, ((a + blend * (b - a)) / 255) * key.travel);
       const state = states[row * keys.length + k];
       if (state === key.state) continue;

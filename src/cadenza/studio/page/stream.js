@@ -114,7 +114,7 @@ async function createStreamedRecording(about) {
     restart() { received = 0; },
     jointsAt(time) {
       if (!rows()) return posture;
-      const { row, next, blend } = rowAt(time, dt, rows()), stride = size / 4;
+      const { row, next, blend } = stateAt(time, dt, rows()), stride = size / 4;
       for (let i = 0; i < width; i++) {
         const from = numbers[row * stride + i];
         posture[i] = from + blend * (numbers[next * stride + i] - from);
