@@ -32,7 +32,7 @@ from cadenza.music.libraries.library import songs
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
-from cadenza.tasks.config import DomainRandomization, TaskConfig, task_identity
+from cadenza.tasks.config import DomainRandomization, TaskConfig, task_identity, with_time_to_begin
 from numbered import numbers
 
 DATA = Path(__file__).parent / "data"
@@ -668,7 +668,7 @@ def test_a_plan_made_with_other_options(
     tune: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    path, task = tmp_path / "plan.safetensors", TaskConfig(initial_buffer_time=0.5)
+    path, task = tmp_path / "plan.safetensors", with_time_to_begin()
     made = {"action": np.zeros((23, 39)), "fingering": np.zeros((3, 3))}
     facts = {
         "song": "",

@@ -189,7 +189,7 @@ def test_a_plan_is_played_in_its_physics_unless_told_otherwise(
 def test_each_agent_is_compared_in_its_own_task(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    policy(here / "run", task={"stretch": 2.0}, scene={"physics": "fast"})
+    policy(here / "run", task={"stretch": 2.0, "repeats": "shortened"}, scene={"physics": "fast"})
     agents = ["--agents", "zero", "run"]
     main(["compare", "tune.mid", *agents, "-o", "own"])
     remark = "run plays with stretch 2.0 instead of 1.0, physics fast instead of published"

@@ -551,7 +551,7 @@ def test_practised_hands_that_are_pushed_search_as_the_planner_does(
     restart = HandsInScene.restart
     folder = folder_of(tmp_path, "--effort", "0.1")
     noise = DomainRandomization(control_noise=0.1)
-    noisy = TaskConfig(initial_buffer_time=0.4, randomization=noise)
+    noisy = TaskConfig(initial_buffer_time=0.4, repeats="shortened", randomization=noise)
     monkeypatch.setattr(HandsInScene, "restart", restarted)
     cadenza.play(folder)
     assert not searches

@@ -37,7 +37,8 @@ RIGHT = SceneConfig(hands="right")
 
 
 def played(agent: Agent, scene: SceneConfig = RIGHT) -> EpisodeResult:
-    return play_episode(PianoTask([LINE], TaskConfig(initial_buffer_time=0.5), scene), agent)
+    task = TaskConfig(initial_buffer_time=0.5, repeats="shortened")
+    return play_episode(PianoTask([LINE], task, scene), agent)
 
 
 @pytest.fixture(scope="module")

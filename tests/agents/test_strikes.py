@@ -46,7 +46,7 @@ def onsets_and_speeds(episode: Episode, score: Score) -> tuple[np.ndarray, np.nd
         times = steps * DT + episode["key_onset"][steps, key] - SILENCE - note.start
         nearest = np.abs(times).argmin()
         late.append(times[nearest])
-        velocity.append(PIANO.velocity(episode["key_speed"][steps[nearest], key]))
+        velocity.append(episode["key_velocity"][steps[nearest], key])
     return np.array(late), np.array(velocity)
 
 

@@ -61,7 +61,9 @@ _PAUSED_DURATIONS = (0.16, 0.64)
 _PAUSES = (0.02, 0.06)
 _PAUSE_LENGTHENS = 0.45  # of the pause, by which the interval gets longer
 _PUNCTUATED_SHARE = 0.6  # of the mean interval, below which notes are not set apart
-_LEAP = 5  # semitones, a fourth, of leaps between groups; smaller ones hardly weigh
+_LEAP = (
+    12 - 7
+)  # semitones, an octave less a fifth, of leaps between groups; smaller ones hardly weigh
 _LARGEST_LEAP = 1.5  # of both neighbouring intervals, which a leap between groups exceeds
 
 # Final ritard: Friberg and Sundberg (J. Acoust. Soc. Am. 105, 1999, 1469-1484)

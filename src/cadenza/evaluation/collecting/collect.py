@@ -198,11 +198,16 @@ def _randomness(spec: EpisodeSpec) -> tuple[int, np.random.Generator]:
 
 
 def _plan(setup: Setup, result: EpisodeResult, perturbed: PerturbedAgent) -> SongPlan:
-    """Returns the plan of the agent, or one for the same song and start where it has none."""
-    if result.plan is not None and result.plan.complete:
-        return result.plan
-    assert perturbed.start is not None
+    """Returns the plan of the agent, or one for the same song and start.
+
+    What learns from episodes corrects plans without strikes, and the planner plans strikes.
+    """
     (track,) = setup.task.goals.tracks
+    if result.plan is not None and result.plan.complete:
+        if not len(result.plan.strikes.step):
+            return result.plan
+        track = result.plan.track
+    assert perturbed.start is not None
     return plan_song(track, perturbed.start.hand_qpos[0])
 
 
