@@ -113,13 +113,18 @@ def test_experience_that_is_lost_is_done_without(
     assert capsys.readouterr().err == ""  # what is lost is forgotten
 
 
-def test_another_end_and_since_when_it_holds_is_kept(copy: Path) -> None:
-    """Learning rates that fall know where they are."""
+def test_another_end_and_since_when_it_holds_is_kept(
+    copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Learning rates that fall know where they are: the learner is told all ends of the run."""
     longer = replace(CONFIG, num_steps=128)
     with closing(Training(longer, SONG, RunFolder(copy))) as run:
         run.run(lambda: run.step < 80)
-    with closing(Training(longer, SONG, RunFolder(copy))) as run:
-        assert run._ends == ((0, 64), (40, 128))
+    told, make = list[object](), DroQConfig.make
+    monkeypatch.setattr(DroQConfig, "make", lambda *given: told.append(given[-1]) or make(*given))
+    with closing(Training(longer, SONG, RunFolder(copy))):
+        pass
+    assert told == [tuple(tuple(map(longer.updates_by, end)) for end in ((0, 64), (40, 128)))]
 
 
 def test_a_run_whose_learner_has_other_threads_says_so(

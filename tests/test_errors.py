@@ -16,12 +16,12 @@ LOADER = ImportError("libjax_common.so: failed to map segment from shared object
 def test_a_command_without_memory_says_so(
     error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail() -> None:
+    def fail(_: str) -> None:
         raise error
 
-    monkeypatch.setattr("cadenza.cli._run", lambda _: fail())
+    monkeypatch.setattr("cadenza.music.libraries.library.open_library", fail)
     with pytest.raises(SystemExit) as stop:
-        main(["songs"])
+        main(["songs", "bundled"])
     assert stop.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("cadenza: there is not enough memory (")
@@ -49,13 +49,13 @@ def test_a_package_without_memory_need_not_be_installed() -> None:
 def test_what_is_blamed_on_a_file_may_be_a_lack_of_memory(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def read(_: list[str]) -> None:
+    def read(_: str) -> None:
         try:
             raise MemoryError
         except MemoryError as error:
             raise CadenzaError("song.mxl: cannot be read as MusicXML") from error
 
-    monkeypatch.setattr("cadenza.cli._run", read)
+    monkeypatch.setattr("cadenza.music.libraries.library.open_library", read)
     with pytest.raises(SystemExit):
-        main(["songs"])
+        main(["songs", "bundled"])
     assert "there is not enough memory (MemoryError)" in capsys.readouterr().err
