@@ -15,6 +15,7 @@ from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
 from cadenza.scene.randomization import Factors, scale
 from cadenza.scene.scene import Scene
+from cadenza.sim.key_crossings import key_crossings
 from cadenza.sim.lock import Lock, synchronised
 from cadenza.sim.protocol import Held, State
 from cadenza.sim.threads import Threads
@@ -132,23 +133,22 @@ class MujocoSimulation:
             env_ids: the simulations to step; all by default.
             held: the controls until these arrive, if they are late.
         """
-        out, stepped = self.state.copy(), np.asarray(self._ids(env_ids), np.intp)
-        paths = np.empty((self.num_envs, self.num_substeps + 1, self.scene.keyboard.num_keys))
+        out, stepped = self.state.copy(), self._ids(env_ids)
+        paths = np.empty((len(stepped), self.num_substeps + 1, self.scene.keyboard.num_keys))
 
-        def advance(i: int) -> None:
-            self._advance(i, ctrl[i], held, paths[i])
+        def advance(row: int) -> None:
+            i = stepped[row]
+            self._advance(i, ctrl[i], held, paths[row])
             self._read(i, out, i)
 
-        self._threads.for_each(stepped.tolist(), advance)
-        self._set_crossings(out, stepped, paths[stepped])
+        self._threads.for_each(range(len(stepped)), advance)
+        self._read_key_events(out, stepped, paths)
         self._set_state(out)
 
     def _ids(self, env_ids: Sequence[int] | None) -> Sequence[int]:
         return range(self.num_envs) if env_ids is None else env_ids
 
-    def _advance(
-        self, i: int, ctrl: Array, held: Held | None = None, key_path: Array | None = None
-    ) -> None:
+    def _advance(self, i: int, ctrl: Array, held: Held | None, key_path: Array) -> None:
         """Takes a step of simulation `i`, and writes where its keys are on the way.
 
         `key_path` (S + 1, K) are their angles before the step and after each physics step [rad].
@@ -158,16 +158,14 @@ class MujocoSimulation:
         model, data, keys = self._models[i], self._data[i], self.scene.key_qpos
         qpos = data.qpos
         late = 0 if held is None else int(held.substeps[i])
-        if key_path is not None:
-            key_path[0] = qpos[keys]
+        key_path[0] = qpos[keys]
         for substep in range(self.num_substeps):
             data.ctrl = held.ctrl[i] if held and substep < late else ctrl
             if substep:
                 mujoco.mj_step(model, data)
             else:
                 mujoco.mj_step2(model, data)
-            if key_path is not None:
-                key_path[substep + 1] = qpos[keys]
+            key_path[substep + 1] = qpos[keys]
         mujoco.mj_step1(model, data)
 
     def _read(self, i: int, out: State, row: int | tuple[int, int]) -> None:
@@ -188,12 +186,16 @@ class MujocoSimulation:
             out.touch[row][scene.present_fingers] = data.sensordata
         out.unstable[row] = data.warning.number[UNSTABLE].any()
 
-    def _set_crossings(self, out: State, rows: Any, key_paths: Array) -> None:
-        """Writes onsets, offsets and speeds of keys into rows of `out`, see `key_crossings`."""
-        sounds_from = self.scene.keyboard.sounds_from
-        crossings = key_crossings(key_paths, sounds_from, self.control_timestep)
-        for values, crossed in zip(out.key_events, crossings, strict=True):
-            values[rows] = crossed
+    def _read_key_events(self, out: State, rows: Any, key_paths: Array) -> None:
+        """Writes what happened to the keys on their paths (..., S + 1, K) into rows of `out`."""
+        substep = self.control_timestep / self.num_substeps
+        crossings = key_crossings(key_paths, self.scene.keyboard.sounds_from, substep)
+        onsets, offsets = crossings.onsets, crossings.offsets
+        onset, offset, speed = (np.full_like(key_paths[..., 0, :], np.nan) for _ in range(3))
+        onset[onsets.place], speed[onsets.place] = onsets.time, onsets.speed  # the last one stays
+        offset[offsets.place] = offsets.time
+        for values, new in zip(out.key_events, (onset, offset, speed), strict=True):
+            values[rows] = new
 
     def _set_state(self, state: State) -> None:
         """Takes the state after a step, and logs which simulations have become unstable."""
@@ -238,33 +240,6 @@ class MujocoSimulation:
         for env_id, factors in self._factors.items():
             self._models[env_id] = copy(self.scene.model)
             scale(self._models[env_id], self.scene, factors, mujoco.MjData(self.scene.model))
-
-
-def key_crossings(
-    key_paths: Array, sounds_from: Array, control_timestep: float
-) -> tuple[Array, Array, Array]:
-    """Onsets, offsets and speeds of keys in steps, as `State` has them, (..., K) each.
-
-    Args:
-        key_paths: (..., S + 1, K) before each step and after each of its S physics steps [rad].
-        sounds_from: (K,) angles from which keys sound [rad].
-        control_timestep: time that a step takes [s].
-    """
-    *leading, points, num_keys = key_paths.shape
-    substep = control_timestep / (points - 1)
-    onset, offset, speed = (np.full((*leading, num_keys), np.nan) for _ in range(3))
-    sounding = key_paths >= sounds_from
-    *row, at, key = np.nonzero(sounding[..., 1:, :] != sounding[..., :-1, :])
-    before, after = key_paths[*row, at, key], key_paths[*row, at + 1, key]
-    time = (at + (sounds_from[key] - before) / (after - before)) * substep
-    moved, begins = (after - before) / substep, after > before
-    for values, new, which in (
-        (onset, time, begins),
-        (speed, moved, begins),
-        (offset, time, ~begins),
-    ):
-        values[*(i[which] for i in row), key[which]] = new[which]  # by time: the last one stays
-    return onset, offset, speed
 
 
 def _divide(control_timestep: float, physics_timestep: float) -> int:

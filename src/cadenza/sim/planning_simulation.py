@@ -57,7 +57,7 @@ class PlanningSimulation(MujocoSimulation):
                 self._read(i, states, (i, k))
 
         self._threads.for_each(range(self.num_envs), advance)
-        self._set_crossings(states, slice(None), paths)
+        self._read_key_events(states, slice(None), paths)
         self._set_state(State._make(values[:, -1] for values in states))
         return states
 

@@ -8,13 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.presses import Strike
 from cadenza.keyboards.keyboard import Keyboard
 from cadenza.music.goals import NO_ONSETS, Onsets
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
-
-Array = NDArray[np.float64]
 
 _DELAY = 0.003  # [s] of all onsets: least in sum for those near the beginning and near the end
 _AFTER_BEGINNING, _BEFORE_END = 0.008, 0.003  # [s] of a control step

@@ -20,6 +20,7 @@ from cadenza.agents.planner.search.fingertip_correction import control_update
 from cadenza.agents.planner.search.horizon_cost import HorizonCost
 from cadenza.agents.planner.search.rollouts import Rollout, roll_out, start_rollouts
 from cadenza.agents.planner.search.strike_refinement import StrikeRefinement
+from cadenza.agents.planner.search.strikes import HorizonStrikes
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_rollouts import HandRollouts
@@ -121,7 +122,8 @@ class HandRehearsal:
             simulated += len(steps)
             if rollout.cost < best.cost and rollout.mistakes <= max_mistakes:
                 kept, best = ctrl, rollout
-        strikes = horizon.strikes.before(self._judged)
+        judged, keys = steps[: self._judged], self._simulator.keys
+        strikes = HorizonStrikes(goals, judged, self._keyboard, keys)
         refined = self._refinement.refine(
             kept,
             best,

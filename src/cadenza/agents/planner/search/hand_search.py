@@ -237,7 +237,7 @@ class HandSearch:
         """(H, A) controls whose strikes are refined that begin in this step or the next."""
         inside = steps[: len(self._tracking.ctrl) - self._step][:REFINED_HORIZON]
         every = slice(0, self._keyboard.num_keys)
-        if not len(HorizonStrikes(self._goals, inside, self._keyboard, every).before(2)):
+        if not len(HorizonStrikes(self._goals, inside[:2], self._keyboard, every)):
             return ctrl
         horizon = start_rollouts(self._simulator, self._model, self._goals, inside, self._keyboard)
 
@@ -245,7 +245,8 @@ class HandSearch:
             self._rehearsed += len(inside)
             return roll_out(self._simulator, horizon, ctrl)
 
-        strikes = horizon.strikes.before(2)
+        keys = self._simulator.keys
+        strikes = HorizonStrikes(self._goals, inside[:2], self._keyboard, keys)
         refined = self._refinement.refine(
             ctrl[: len(inside)],
             simulate(ctrl[: len(inside)]),

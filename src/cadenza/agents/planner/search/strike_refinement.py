@@ -14,12 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.strike_model import StrikeModel
 from cadenza.agents.planner.search.rollouts import Rollout
 from cadenza.agents.planner.search.strikes import UNIT, WEIGHT, HorizonStrikes
 from cadenza.scene.servos import Servos
-
-Array = NDArray[np.float64]
 
 _TOLERANCE = np.array([0.003, 0.15])  # [s, octaves] of error that is good enough, hardly audible
 _MOST = 30.0  # squared error that counts, in units

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.keyboards.keyboard import Keyboard
-
-Array = NDArray[np.float64]
-Ids = NDArray[np.intp]
+from cadenza.sim.key_crossings import key_crossings
 
 UNIT = np.array([0.008, 0.4])
 """The errors that count as 1: of the time of an onset [s], and of the speed of its key [octaves].
@@ -87,20 +85,12 @@ class HorizonStrikes:
                 outcome[i] = onsets[np.abs(onsets[:, 0] - self.wanted[i, 0]).argmin()]
         return outcome
 
-    def before(self, step: int) -> HorizonStrikes:
-        """The strikes of the first steps only."""
-        part, kept = copy(self), self.step < step
-        for name in ("step", "finger", "wanted", "lever", "sounds_at", "_key", "_sounds_from"):
-            setattr(part, name, getattr(self, name)[kept])
-        return part
-
 
 def _onsets(key_path: Array, sounds_from: float, substep: float) -> Array:
     """(C, 2) the times [s] and log2 of the speeds [rad/s] with which a key begins to sound.
 
     The key moves along (S + 1,) [rad], sampled every `substep` [s], and linearly in between.
     """
-    at = np.flatnonzero((key_path[1:] >= sounds_from) & (key_path[:-1] < sounds_from))
-    moved = key_path[at + 1] - key_path[at]
-    time = (at + (sounds_from - key_path[at]) / moved) * substep
-    return np.column_stack([time, np.log2(np.maximum(moved / substep, _LEAST_SPEED))])
+    crossings = key_crossings(key_path[:, None], np.array([sounds_from]), substep)
+    onsets = crossings.onsets
+    return np.column_stack([onsets.time, np.log2(np.maximum(onsets.speed, _LEAST_SPEED))])

@@ -1,0 +1,52 @@
+"""Crossings of the depth at which keys sound, between physics steps."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Crossings(NamedTuple):
+    """Crossings of keys in steps, (C,) each, by step, then by time, then by key."""
+
+    place: tuple[NDArray[np.intp], ...]
+    """The indices of the steps, if there are several, and of the keys last."""
+    time: Array
+    """The times from the beginnings of the steps on [s]."""
+    speed: Array
+    """The speeds of the keys [rad/s], positive where they begin to sound, else negative."""
+
+    def where(self, chosen: NDArray[np.bool_]) -> Crossings:
+        """Those of the crossings that are chosen (C,)."""
+        place = tuple(indices[chosen] for indices in self.place)
+        return Crossings(place, self.time[chosen], self.speed[chosen])
+
+    @property
+    def onsets(self) -> Crossings:
+        """The crossings at which keys begin to sound."""
+        return self.where(self.speed > 0)
+
+    @property
+    def offsets(self) -> Crossings:
+        """The crossings at which keys cease to sound."""
+        return self.where(self.speed < 0)
+
+
+def key_crossings(key_paths: Array, sounds_from: Array, substep: float) -> Crossings:
+    """All crossings on the paths of K keys, which move linearly between physics steps.
+
+    Args:
+        key_paths: (..., S + 1, K) angles before each step and after each of its S physics steps
+            [rad].
+        sounds_from: (K,) angles from which keys sound [rad].
+        substep: time of a physics step [s].
+    """
+    sounding = key_paths >= sounds_from
+    *step, at, key = np.nonzero(sounding[..., 1:, :] != sounding[..., :-1, :])
+    before, after = key_paths[*step, at, key], key_paths[*step, at + 1, key]
+    time = (at + (sounds_from[key] - before) / (after - before)) * substep
+    return Crossings((*step, key), time, (after - before) / substep)
