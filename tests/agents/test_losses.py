@@ -9,7 +9,12 @@ import pytest
 
 from cadenza.agents.planner.plan.hand_goals import HandGoals, last_in_time, may_begin
 from cadenza.agents.planner.plan.song_plan import plan_song
-from cadenza.agents.planner.practice.losses import KeyHistory, Losses
+from cadenza.agents.planner.practice.losses import (
+    Evaluation,
+    KeyEvents,
+    KeyHistory,
+    Losses,
+)
 from cadenza.music.metrics import playing_metrics
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
@@ -17,6 +22,7 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 KEY, PITCH = 39, 60
+NO_EVENTS = KeyEvents(np.full(88, np.nan), np.full(88, np.nan))
 STEPS = [0.01, 0.02, 0.025, 0.05, 0.1]
 
 
@@ -82,8 +88,10 @@ def test_practice_loses_what_the_metric_does(dt: float) -> None:
         for row in range(count):
             angles = np.zeros(88)
             angles[KEY] = (goal[row, KEY] and row >= first + late) * keyboard.travel[KEY]
-            loss, _, history = losses.after(row, angles, goals.fingertips[row + 1], history)
-            total += loss - (goal[row, KEY] and not angles[KEY])
+            tips = goals.fingertips[row + 1]
+            after = losses.after(row, angles, NO_EVENTS, tips, history)
+            total += after.loss - (goal[row, KEY] and not angles[KEY])
+            history = after.history
         return total
 
     for late in range(5):
@@ -91,3 +99,41 @@ def test_practice_loses_what_the_metric_does(dt: float) -> None:
         played[: first + late] = False
         sounds_in_time = in_time(task.score(0), played, dt)
         assert (lost(late) == pytest.approx(0.0, abs=1e-9)) == sounds_in_time, late
+
+
+def test_a_strike_loses_by_its_time_and_speed_but_less_than_a_key_or_an_onset() -> None:
+    score = Score((Note(0.52, 1.0, PITCH, 60), Note(0.52, 1.0, PITCH + 4, 60)))
+    task = PianoTask([score], TaskConfig(), SceneConfig(hands="right"))
+    task.reset([np.random.default_rng(0)], [0])
+    plan = plan_song(task.goals.tracks[0], task.state.hand_qpos[0], strikes=True)
+    goals, keyboard = HandGoals(plan, "right"), plan.scene.keyboard
+    losses, strikes = Losses(plan, goals), goals.strikes
+    step, before = int(strikes.step[0]), KeyHistory.of_steps(np.zeros((0, 88), bool))
+    angles = plan.goals.keys[step] * keyboard.travel
+
+    def evaluated(late: float = 0.0, louder: float = 1.0, keys: slice = slice(None)) -> Evaluation:
+        onset, speed = NO_EVENTS.onset.copy(), NO_EVENTS.speed.copy()
+        onset[strikes.key], speed[strikes.key] = strikes.time, strikes.speed
+        onset[KEY] += late
+        speed[KEY] *= louder
+        events = KeyEvents(onset[keys], speed[keys])
+        tips, history = goals.fingertips[step + 1], before.of(keys)
+        return losses.after(step, angles[keys], events, tips, history, keys)
+
+    perfect = evaluated()
+    assert perfect.loss == perfect.strike_loss == 0.0
+    assert evaluated(late=0.002).strike_loss == 0.0
+    for errors in ((0.005, 0.01), (-0.005, -0.01)):
+        small, large = (evaluated(late=late) for late in errors)
+        assert 0.0 < small.strike_loss < large.strike_loss
+        assert perfect.cost < small.cost < large.cost
+    for factors in ((1.2, 1.4), (0.8, 0.6)):
+        small, large = (evaluated(louder=factor) for factor in factors)
+        assert 0.0 < small.strike_loss < large.strike_loss
+    near = slice(KEY - 3, KEY + 5)
+    assert evaluated(0.01, 1.3, near).strike_loss == evaluated(0.01, 1.3).strike_loss
+    assert evaluated(0.01, 1.3, slice(KEY + 1, 88)).strike_loss == 0.0
+    worst = evaluated(late=0.02, louder=4.0)
+    assert worst.loss == 0.0
+    angles[KEY] = 0.0
+    assert evaluated().loss > worst.strike_loss

@@ -59,6 +59,7 @@ def played(loss: np.ndarray, ctrl: float = 0.0) -> Trajectory:
         np.zeros((STEPS, servos, 2)),
         np.zeros((STEPS, 88), bool),
         loss,
+        np.zeros_like(loss),
         np.zeros(STEPS),
     )
 
@@ -198,6 +199,7 @@ def drawn(rng: np.random.Generator) -> Trajectory:
         rng.random((SHORT, 6, 2)),
         rng.random((SHORT, KEYS)) < 0.5,
         rng.choice([0.0, 0.5, 1.0], (SHORT, 2)),
+        rng.random((SHORT, 2)),
         rng.random(SHORT),
     )
 
@@ -220,7 +222,9 @@ def test_each_hand_keeps_the_better_of_each_window(seed: int) -> None:
             for name in ("ctrl", "expected"):
                 there, wanted = (getattr(each, name)[rows, servos] for each in (best, kept))
                 np.testing.assert_array_equal(there, wanted)
-            np.testing.assert_array_equal(best.loss[rows, hand], kept.loss[rows, hand])
+            for name in ("loss", "strike_loss"):
+                there, wanted = (getattr(each, name)[rows, hand] for each in (best, kept))
+                np.testing.assert_array_equal(there, wanted)
             mine = goals[hand].keys[0]
             np.testing.assert_array_equal(best.sounding[rows, mine], kept.sounding[rows, mine])
     for was, now in zip(before, one, strict=True):

@@ -181,6 +181,23 @@ def assert_plays_as_it_says(practised: Practice, score: Score) -> None:
     assert metrics["f1"] == best.f1
 
 
+def test_it_plays_more_in_time_and_as_loud_as_written() -> None:
+    """Of a song of which no key is missed."""
+    times = zip((0.0, 0.42, 0.83), (40, 90, 60), EASY.notes, strict=True)
+    score = Score(tuple(replace(n, start=t, end=t + 0.3, velocity=v) for t, v, n in times))
+    one, heard = practice(score=score), []
+    for effort in 0.0, 1.0:
+        one.run(effort)
+        best = one.best()
+        assert (best.f1, best.note_onset_f1) == (1.0, 1.0)
+        ctrl = best.practised.tracking.ctrl
+        actions = np.append(ctrl, one.plan.goals.sustain[:, None], axis=1)
+        heard.append(play_episode(PianoTask([score], QUICK), Playback(actions)).metrics)
+    before, after = heard
+    assert after["onset_error_median"] < before["onset_error_median"]
+    assert after["velocity_error"] < before["velocity_error"]
+
+
 def test_any_number_of_threads_comes_to_the_same(practised: Practice) -> None:
     shared = practice(num_threads=2)
     shared.run(EFFORT)

@@ -50,3 +50,22 @@ def key_crossings(key_paths: Array, sounds_from: Array, substep: float) -> Cross
     before, after = key_paths[*step, at, key], key_paths[*step, at + 1, key]
     time = (at + (sounds_from[key] - before) / (after - before)) * substep
     return Crossings((*step, key), time, (after - before) / substep)
+
+
+def last_key_events(
+    key_paths: Array, sounds_from: Array, substep: float
+) -> tuple[Array, Array, Array]:
+    """What happened last to each key in each step, as `State.key_events`, (..., K) each.
+
+    The arguments are those of `key_crossings`.
+
+    Returns:
+        The times of the onsets and of the offsets [s], and the speeds of the onsets [rad/s]. They
+        are NaN for keys that did not begin or cease to sound.
+    """
+    crossings = key_crossings(key_paths, sounds_from, substep)
+    onsets, offsets = crossings.onsets, crossings.offsets
+    onset, offset, speed = (np.full_like(key_paths[..., 0, :], np.nan) for _ in range(3))
+    onset[onsets.place], speed[onsets.place] = onsets.time, onsets.speed  # the last one stays
+    offset[offsets.place] = offsets.time
+    return onset, offset, speed

@@ -15,7 +15,7 @@ from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
 from cadenza.scene.randomization import Factors, scale
 from cadenza.scene.scene import Scene
-from cadenza.sim.key_crossings import key_crossings
+from cadenza.sim.key_crossings import last_key_events
 from cadenza.sim.lock import Lock, synchronised
 from cadenza.sim.protocol import Held, State
 from cadenza.sim.threads import Threads
@@ -189,12 +189,8 @@ class MujocoSimulation:
     def _read_key_events(self, out: State, rows: Any, key_paths: Array) -> None:
         """Writes what happened to the keys on their paths (..., S + 1, K) into rows of `out`."""
         substep = self.control_timestep / self.num_substeps
-        crossings = key_crossings(key_paths, self.scene.keyboard.sounds_from, substep)
-        onsets, offsets = crossings.onsets, crossings.offsets
-        onset, offset, speed = (np.full_like(key_paths[..., 0, :], np.nan) for _ in range(3))
-        onset[onsets.place], speed[onsets.place] = onsets.time, onsets.speed  # the last one stays
-        offset[offsets.place] = offsets.time
-        for values, new in zip(out.key_events, (onset, offset, speed), strict=True):
+        events = last_key_events(key_paths, self.scene.keyboard.sounds_from, substep)
+        for values, new in zip(out.key_events, events, strict=True):
             values[rows] = new
 
     def _set_state(self, state: State) -> None:

@@ -16,15 +16,19 @@ import numpy as np
 from cadenza.agents.agent import Array, steps_in
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
-from cadenza.agents.planner.practice.losses import KeyHistory, Losses
+from cadenza.agents.planner.plan.strike_model import strike_model
+from cadenza.agents.planner.practice.losses import KeyEvents, KeyHistory, Losses
 from cadenza.agents.planner.practice.perturbations import Perturbations
 from cadenza.agents.planner.practice.trajectory import Trajectory
 from cadenza.agents.planner.search.fingertip_correction import servo_corrections
 from cadenza.agents.planner.search.rollouts import Rollout, Rollouts
+from cadenza.agents.planner.search.strike_refinement import StrikeRefinement
+from cadenza.agents.planner.search.strikes import HorizonStrikes
 from cadenza.fingers import Side
 from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_rollouts import NUM_SLOTS, HandRollouts
+from cadenza.sim.key_crossings import last_key_events
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.threads import Threads
 
@@ -34,6 +38,7 @@ _CANDIDATES = 18  # perturbations that are drawn
 _CORRECTION_SCALES = (1.0, 2.0, 1.0, 2.0, 0.5, 1.5)
 _LEAD = 0.6  # [s] at most from the beginning of a change to the fault
 _HORIZON = 0.6  # [s] for which a change is evaluated after its end
+_REFINEMENTS = 6  # rollouts at most in which the strikes of a change are refined
 
 
 class Change(NamedTuple):
@@ -69,14 +74,18 @@ class _PracticeCost:
     num_steps: int
     start: KeyHistory
     keys: slice
+    sounds_from: Array
+    dt: float
 
     def step_cost(
         self, k: int, key_path: Array, fingertips: Array, before: KeyHistory
     ) -> tuple[float, int, KeyHistory]:
-        _, cost, after = self.losses.after(
-            self.first + k, key_path[-1], fingertips, before, self.keys
+        substep = self.dt / (len(key_path) - 1)
+        onset, _, speed = last_key_events(key_path, self.sounds_from, substep)
+        evaluation = self.losses.after(
+            self.first + k, key_path[-1], KeyEvents(onset, speed), fingertips, before, self.keys
         )
-        return cost, 0, after
+        return evaluation.cost, 0, evaluation.history
 
 
 class HandPractice:
@@ -96,6 +105,8 @@ class HandPractice:
         self._perturbations = Perturbations(alone, tracking.expected[:, :, 0], dt)
         self._simulator = HandRollouts(alone, dt, plan.scene)
         self._rollouts = Rollouts(self._simulator, threads, all_costs=False)
+        self._refinement = StrikeRefinement(self._servos, strike_model(alone, dt))
+        self._keyboard, self._dt = plan.scene.keyboard, dt
         self._lead, self._horizon = steps_in(_LEAD, dt), steps_in(_HORIZON, dt)
         self._keys = plan.goals.keys
 
@@ -156,7 +167,10 @@ class HandPractice:
         )
         keys = self._simulator.keys
         history = trajectory.key_history(first).of(keys)
-        self._rollouts.start(_PracticeCost(self._losses, first, end - first, history, keys))
+        sounds_from = self._keyboard.sounds_from[keys]
+        self._rollouts.start(
+            _PracticeCost(self._losses, first, end - first, history, keys, sounds_from, self._dt)
+        )
         self._rollouts.simulated = 0
 
     def _best_change(
@@ -169,25 +183,43 @@ class HandPractice:
     ) -> Change | None:
         """Rolls out `offsets` (N, L, A) and corrections from the step `first` up to `end`.
 
+        The strikes of the cheapest are refined.
+
         Returns:
             The controls of the cheapest rollout, None if the trajectory is as cheap.
         """
-        steps, changed = end - first, offsets.shape[1]
+        steps, changed, rows = end - first, offsets.shape[1], slice(first, end)
+        as_it_is = Change(
+            first, trajectory.ctrl[rows, self.servos], trajectory.expected[rows, self.servos]
+        )
         still = np.zeros((steps + 1, offsets.shape[2]))
-        unchanged = self._rollouts.simulate(self._candidate(trajectory, first, still, 0)[1])
+        unchanged = self._rollouts.simulate(self._candidate(as_it_is, still)[1])
         offsets = np.concatenate([self._corrections(unchanged, first, changed, rng), offsets])
         # How much each servo's target is moved before each step.
         offsets = np.pad(offsets, ((0, 0), (1, steps - changed), (0, 0)))
         changes, controls = zip(
-            *(
-                self._candidate(trajectory, first, each, i % NUM_SLOTS)
-                for i, each in enumerate(offsets)
-            ),
+            *(self._candidate(as_it_is, each, i % NUM_SLOTS) for i, each in enumerate(offsets)),
             strict=True,
         )
-        costs = [each.cost for each in self._rollouts.simulate_all(controls, unchanged.cost)]
-        best = int(np.argmin(costs))
-        return changes[best] if costs[best] < unchanged.cost else None
+        rollouts = self._rollouts.simulate_all(controls, unchanged.cost)
+        made = zip((as_it_is, *changes), (unchanged, *rollouts), strict=True)
+        change, rollout = self._refined(*min(made, key=_cost))
+        return change if rollout.cost < unchanged.cost else None
+
+    def _refined(self, change: Change, rollout: Rollout) -> tuple[Change, Rollout]:
+        """The change with its strikes refined, where that is cheaper, and the rollout of it."""
+        made, still = [(change, rollout)], np.zeros((len(change.ctrl) + 1, change.ctrl.shape[1]))
+
+        def simulate(ctrl: Array) -> Rollout:
+            refined, controls = self._candidate(change._replace(ctrl=ctrl), still)
+            made.append((refined, self._rollouts.simulate(controls)))
+            return made[-1][1]
+
+        steps = np.arange(change.first, change.first + len(change.ctrl))
+        strikes = HorizonStrikes(self._goals, steps, self._keyboard, self._simulator.keys)
+        jacobian = self._simulator.fingertip_jacobian
+        self._refinement.refine(change.ctrl, rollout, strikes, jacobian, simulate, _REFINEMENTS)
+        return min(made, key=_cost)
 
     def _corrections(
         self, unchanged: Rollout, first: int, changed: int, rng: np.random.Generator
@@ -205,16 +237,15 @@ class HandPractice:
         return np.stack([scale * change * each for scale, each in scaled])
 
     def _candidate(
-        self, trajectory: Trajectory, first: int, offsets: Array, slot: int
+        self, base: Change, offsets: Array, slot: int = 0
     ) -> tuple[Change, Iterator[Array]]:
-        """The trajectory from `first` on, with offsets (L + 1, A) to servos' positions.
+        """Other controls, with offsets (L + 1, A) to the positions of servos.
 
         Returns:
             The change, which a rollout in this slot fills in, and the controls for this rollout.
         """
-        rows = slice(first, first + len(offsets) - 1)
-        ctrl = trajectory.ctrl[rows, self.servos].copy()
-        expected = trajectory.expected[rows, self.servos].copy()
+        first, ctrl, expected = base.first, base.ctrl.copy(), base.expected.copy()
+        rows = slice(first, first + len(ctrl))
 
         def controls() -> Iterator[Array]:
             for k, gain in enumerate(self._gain[rows]):
@@ -227,3 +258,7 @@ class HandPractice:
                 yield ctrl[k]
 
         return Change(first, ctrl, expected), controls()
+
+
+def _cost(made: tuple[Change, Rollout]) -> float:
+    return made[1].cost

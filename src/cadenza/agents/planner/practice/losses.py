@@ -1,4 +1,4 @@
-"""Loss and cost of every control step of a hand: F1, note onsets, and what is nearly lost."""
+"""Loss and cost of every control step of a hand: F1, note onsets, strikes, what is nearly lost."""
 
 from __future__ import annotations
 
@@ -12,16 +12,18 @@ from cadenza.agents.planner.plan.hand_goals import HandGoals, first_steps, last_
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
 from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
+from cadenza.agents.planner.search.strikes import TOLERANCE, as_heard, strike_costs
 from cadenza.tasks import reward
 
 ONSET_WEIGHT = 0.5
 """The weight of the F1 of note onsets beside that of F1, which is 1."""
 _EXTRA_ONSET = 0.5  # loss of a superfluous onset, relative to a missed one, which costs recall too
 _LONG_AGO = 1_000_000  # steps
-# Both are small beside the loss of one key in one step, so that they only decide between rollouts
+# All are small beside the loss of one key in one step, so that they only decide between rollouts
 # that lose the same.
 _DEPTH_WEIGHT = 0.06  # of the squared share of a key's travel that is missing or too much
 _FINGERTIP_WEIGHT = 0.02  # of the cost that the search gives fingertips off their targets
+_STRIKE_WEIGHT = 0.01  # of the cost that the search gives strikes
 
 
 class KeyHistory(NamedTuple):
@@ -49,12 +51,35 @@ class KeyHistory(NamedTuple):
         return KeyHistory(self.sounding[keys], self.since[keys])
 
 
+class KeyEvents(NamedTuple):
+    """How K keys began to sound in a step, each (K,); NaN for those that did not."""
+
+    onset: Array
+    """When, from the beginning of the step on [s]."""
+    speed: Array
+    """How fast they moved then [rad/s]."""
+
+
+class Evaluation(NamedTuple):
+    """The evaluation of a step."""
+
+    loss: float
+    """The loss of F1 and of note onsets."""
+    strike_loss: float
+    """The loss by strikes that are out of time, or too loud or too soft."""
+    cost: float
+    """Both, and a little for what is nearly lost."""
+    history: KeyHistory
+    """The keys after the step."""
+
+
 class Losses:
     """Evaluates one hand after each step of a song.
 
     The loss of a step is 1 - F1, as if the other hand played all its keys. A note loses more if its
     key does not begin to sound on its first step or soon enough after it, as
-    `cadenza.music.metrics` counts onsets. An onset at any other time loses half as much.
+    `cadenza.music.metrics` counts onsets. An onset at any other time loses half as much. Strikes
+    lose little, and nothing within `TOLERANCE`.
     """
 
     def __init__(self, plan: SongPlan, goals: HandGoals) -> None:
@@ -69,24 +94,22 @@ class Losses:
         self,
         step: int,
         key_qpos: Array,
+        events: KeyEvents,
         fingertips: Array,
         history: KeyHistory,
         keys: slice = slice(None),
         near: Mask | bool = True,
-    ) -> tuple[float, float, KeyHistory]:
+    ) -> Evaluation:
         """Evaluates the state after a step.
 
         Args:
             step: the control step of the song.
             key_qpos: (K,) angles of the keys [rad].
+            events: how they began to sound in the step.
             fingertips: (F, 3) positions of the hand's fingertips [m].
             history: the keys before the step.
             keys: the numbers of these keys; all by default.
             near: (K,) keys that the hand is charged with if they sound and should not.
-
-        Returns:
-            The loss; the cost, which is the loss and a little for what is nearly lost; the history
-            after the step.
         """
         goals, keyboard, wanted = self._goals, self._keyboard, self._keys[step, keys]
         mine, travel = goals.keys[step, keys], keyboard.travel[keys]
@@ -109,4 +132,20 @@ class Losses:
         astray = squared @ goals.weight[step + 1]
         nearly = _DEPTH_WEIGHT * (too_high @ too_high + too_deep @ too_deep)
         nearly += _FINGERTIP_WEIGHT * astray
-        return float(loss), float(loss + nearly), now
+        strike_loss, more = self._strikes(step, events, keys)
+        return Evaluation(float(loss), strike_loss, float(loss + nearly) + more, now)
+
+    def _strikes(self, step: int, events: KeyEvents, keys: slice) -> tuple[float, float]:
+        """The loss and the cost of the strikes of a step, of these keys."""
+        strikes = self._goals.strikes
+        first, last, _ = keys.indices(self._keyboard.num_keys)
+        rows = np.arange(*np.searchsorted(strikes.step, [step, step + 1]))
+        rows = rows[(strikes.key[rows] >= first) & (strikes.key[rows] < last)]
+        if not len(rows):
+            return 0.0, 0.0
+        key = strikes.key[rows] - first
+        outcome = np.column_stack([events.onset[key], as_heard(events.speed[key])])
+        wanted = np.column_stack([strikes.time[rows], as_heard(strikes.speed[rows])])
+        costs = _STRIKE_WEIGHT * strike_costs(outcome, wanted)
+        good = (np.abs(outcome - wanted) < TOLERANCE).all(axis=1)
+        return float(costs[~good].sum()), float(costs.sum())

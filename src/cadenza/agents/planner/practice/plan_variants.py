@@ -220,6 +220,7 @@ def spliced(
         result.ctrl[rows, own] = other.ctrl[rows, own]
         result.expected[rows, own] = other.expected[rows, own]
         result.loss[rows, hand] = other.loss[rows, hand]
+        result.strike_loss[rows, hand] = other.strike_loss[rows, hand]
         keys = each.keys & rows[:, None]
         result.sounding[keys] = other.sounding[keys]
     return result

@@ -164,7 +164,7 @@ class Practice:
     def _has_work(self, effort: float) -> bool:
         if self._initial.is_playing or self._sweep:
             return True
-        return self.effort < effort and bool(self.trajectory.loss.any())
+        return self.effort < effort and bool(self.trajectory.all_loss.any())
 
     def steps_with_loss(self) -> list[int]:
         """The steps with a loss."""
@@ -217,7 +217,7 @@ class Practice:
     # Sweeps
 
     def _begin_sweep(self) -> None:
-        weight = np.cumsum((self.trajectory.loss / (1.0 + self._num_failed)).sum(axis=1))
+        weight = np.cumsum((self.trajectory.all_loss / (1.0 + self._num_failed)).sum(axis=1))
         share = _SWEEP if self._num_failed.any() else _FIRST_SWEEP
         until = self.simulated + self._steps_of(share) * weight / weight[-1]
         self._sweep = _Sweep(0, until, self.trajectory.copied())
@@ -227,7 +227,7 @@ class Practice:
     def _advance_sweep(self, sweep: _Sweep) -> None:
         """Works on the window, or goes on to the next; after the last, the sweep is over."""
         last = min(sweep.first + self._window, self.num_steps)
-        lossy = self.trajectory.loss[sweep.first : last].any()
+        lossy = self.trajectory.all_loss[sweep.first : last].any()
         if lossy and self.simulated < sweep.until[last - 1]:
             self._improve(sweep, last)
         elif last < self.num_steps:
@@ -268,7 +268,7 @@ class Practice:
     def _improve(self, sweep: _Sweep, last: int) -> None:
         """Lets each hand that loses something in the window up to `last` try to lose less."""
         first = sweep.first
-        weight = self.trajectory.loss[first:last] / (1.0 + self._num_failed[first:last])
+        weight = self.trajectory.all_loss[first:last] / (1.0 + self._num_failed[first:last])
         end = min(first + self._reach, self.num_steps)
         losing = np.flatnonzero(weight.any(axis=0)).tolist()
         attempts: dict[int, Attempt] = {}
@@ -283,20 +283,21 @@ class Practice:
         self.current_steps = [attempts[i].step for i in losing]
         self.simulated += sum(attempts[i].simulated for i in losing)
         found = {i: change for i in losing if (change := attempts[i].change)}
-        loss = {i: self.trajectory.loss[attempts[i].first : end, i].sum() for i in losing}
+        loss = {i: self.trajectory.all_loss[attempts[i].first : end, i].sum() for i in losing}
         # Together, or else one of them.
         for changes in [found, *({i: found[i]} for i in found if len(found) > 1)]:
             if changes and self._accept(changes, end, sweep.before):
                 break
         for i, (step, begin, *_) in attempts.items():
-            if self.trajectory.loss[begin:end, i].sum() >= loss[i]:
+            if self.trajectory.all_loss[begin:end, i].sum() >= loss[i]:
                 around = slice(max(step - self._around, 0), step + self._around + 1)
                 self._num_failed[around, i] += 1
 
     def _accept(self, changes: Mapping[int, Change], last: int, before: Trajectory) -> bool:
         """Makes changes by hands, if the cost from there to `last` falls in the whole scene.
 
-        For note onsets they may give up what F1 has risen by up to there, compared with `before`.
+        For note onsets they may give up what F1 has risen by up to there, compared with `before`;
+        for strikes they may give up neither.
         """
         first = min(change.first for change in changes.values())
         first -= first % self._interval
@@ -306,6 +307,8 @@ class Practice:
             candidate.ctrl[rows, servos], candidate.expected[rows, servos] = ctrl, expected
         played, snapshots = self._roll_out(candidate, first, last)
         if not played.cost.sum() < self.trajectory.cost[first:last].sum():
+            return False
+        if played.loss.sum() > self.trajectory.loss[first:last].sum():  # strikes are not worth it
             return False
         gained_before = self._f1(kept[:first], 0) - self._f1(before.sounding[:last], 0)
         now, then = self._f1(played.sounding, first), self._f1(kept[first:last], first)

@@ -12,7 +12,7 @@ from cadenza.agents.agent import Array, Mask
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.tracking import Tracking
-from cadenza.agents.planner.practice.losses import KeyHistory, Losses
+from cadenza.agents.planner.practice.losses import KeyEvents, KeyHistory, Losses
 from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
@@ -32,6 +32,8 @@ class Trajectory(NamedTuple):
     """(T, K) whether each key sounds after the step."""
     loss: Array
     """(T, H) the loss of each hand after the step, see `Losses`."""
+    strike_loss: Array
+    """(T, H) the loss of each hand by its strikes in the step, see `Losses`."""
     cost: Array
     """(T,) the cost of all hands after the step."""
 
@@ -44,8 +46,14 @@ class Trajectory(NamedTuple):
             tracking.expected[:-1].copy(),
             np.zeros((steps, num_keys), bool),
             np.zeros((steps, num_hands)),
+            np.zeros((steps, num_hands)),
             np.zeros(steps),
         )
+
+    @property
+    def all_loss(self) -> Array:
+        """(T, H) the loss of each hand, with that by its strikes."""
+        return self.loss + self.strike_loss
 
     def segment(self, first: int, last: int) -> Trajectory:
         """A copy of the steps from `first` up to, not including, `last`."""
@@ -138,10 +146,9 @@ class WholeScene:
                 feedback = (self._gain[step] * (here - played.expected[k])).sum(axis=1)
                 ctrl = self._servos.clip(played.ctrl[k] - feedback)
             simulation.step(ctrl[None])
-            loss, cost, history = self._evaluated(simulation.state, step, history)
-            played.overwrite(
-                k, Trajectory(ctrl[None], here[None], history.sounding[None], loss[None], cost)
-            )
+            (loss, strikes), cost, history = self._evaluated(simulation.state, step, history)
+            sounding = history.sounding[None]
+            played.overwrite(k, Trajectory(ctrl[None], here[None], sounding, loss, strikes, cost))
         if last % every == 0:
             snapshots[last] = simulation
         return played, snapshots
@@ -149,17 +156,17 @@ class WholeScene:
     def _evaluated(
         self, state: State, step: int, history: KeyHistory
     ) -> tuple[Array, Array, KeyHistory]:
-        """The loss (H,) and the cost (1,) of the state after a step, and the keys then.
+        """Both losses (2, 1, H) and the cost (1,) of the state after a step, and the keys then.
 
         A key that sounds and should not is charged to the hand that is nearer to it.
         """
         tips = [state.fingertip_xpos[0, fingers] for fingers in self._fingers]
         distance = [np.abs(self._keys - hand[:, 1].mean()) for hand in tips]
-        nearest, loss, cost = np.argmin(distance, axis=0), [], _UNSTABLE * bool(state.unstable[0])
-        now = history
+        nearest, cost = np.argmin(distance, axis=0), _UNSTABLE * bool(state.unstable[0])
+        events, now = KeyEvents(state.key_onset[0], state.key_speed[0]), history
+        lost = np.zeros((2, 1, len(tips)))
         for i, (losses, hand) in enumerate(zip(self._losses, tips, strict=True)):
-            near = nearest == i
-            lost, more, now = losses.after(step, state.key_qpos[0], hand, history, near=near)
-            loss.append(lost)
+            near, keys = nearest == i, state.key_qpos[0]
+            *lost[:, 0, i], more, now = losses.after(step, keys, events, hand, history, near=near)
             cost += more
-        return np.array(loss), np.array([cost]), now
+        return lost, np.array([cost]), now

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.strike_model import StrikeModel
 from cadenza.agents.planner.search.rollouts import Rollout
-from cadenza.agents.planner.search.strikes import UNIT, WEIGHT, HorizonStrikes
+from cadenza.agents.planner.search.strikes import TOLERANCE, UNIT, WEIGHT, HorizonStrikes
 from cadenza.scene.servos import Servos
 
-_TOLERANCE = np.array([0.003, 0.15])  # [s, octaves] of error that is good enough, hardly audible
 _MOST = 30.0  # squared error that counts, in units
 _MISSED = 50.0  # cost of a key that does not sound
 _LOWER = np.array([0.001, 0.003])  # [m] where a key did not sound, more with each iteration
@@ -151,7 +150,7 @@ class _Search:
 
     @property
     def _good(self) -> NDArray[np.bool_]:
-        return (np.abs(self._outcome - self._wanted) < _TOLERANCE).all(axis=1)
+        return (np.abs(self._outcome - self._wanted) < TOLERANCE).all(axis=1)
 
     def next(self) -> Array:
         """(N, 2) the parameters to try next."""

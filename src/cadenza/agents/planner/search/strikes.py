@@ -18,9 +18,26 @@ UNIT = np.array([0.008, 0.4])
 Speed counts by its logarithm, as it is heard."""
 WEIGHT = np.array([1.0, 1.5])
 """The cost of these errors, squared."""
+TOLERANCE = np.array([0.003, 0.15])
+"""The errors that are good enough, hardly audible [s, octaves]."""
 _MOST = 4.0  # squared error that counts: beyond it an onset is wrong, which costs anyway
 _NOT_STRUCK = np.array([_MOST, 0.0])
 _LEAST_SPEED = 0.05  # [rad/s] with which a key that hardly moves counts, for the logarithm
+
+
+def strike_costs(outcome: Array, wanted: Array) -> Array:
+    """(N,) the costs of strikes with outcomes (N, 2) that were wanted otherwise (N, 2).
+
+    Both are times [s] and log2 of angular speeds [rad/s]. NaN is a key that did not begin to sound,
+    which is as late as can be.
+    """
+    squared = np.minimum(((outcome - wanted) / UNIT) ** 2, _MOST)
+    return np.where(np.isnan(squared), _NOT_STRUCK, squared) @ WEIGHT
+
+
+def as_heard(speed: Array) -> Array:
+    """log2 of angular speeds of keys [rad/s]."""
+    return np.log2(np.maximum(speed, _LEAST_SPEED))
 
 
 class HorizonStrikes:
@@ -57,14 +74,14 @@ class HorizonStrikes:
 
     def cost(self, k: int, key_path: Array) -> float:
         """The cost of the strikes of the k-th step, in which keys move along (S + 1, K) [rad]."""
-        cost = 0.0
-        for i in self._in_step.get(k, ()):
-            substep = self._dt / (len(key_path) - 1)
-            onsets = _onsets(key_path[:, self._key[i]], self._sounds_from[i], substep)
-            # A key that does not begin to sound in this step is as late as can be.
-            squared = ((onsets[0] - self.wanted[i]) / UNIT) ** 2 if len(onsets) else _NOT_STRUCK
-            cost += float(np.minimum(squared, _MOST) @ WEIGHT)
-        return cost
+        if k not in self._in_step:
+            return 0.0
+        rows, substep = self._in_step[k], self._dt / (len(key_path) - 1)
+        outcome = np.full((len(rows), 2), np.nan)
+        for i, row in enumerate(rows):
+            onsets = _onsets(key_path[:, self._key[row]], self._sounds_from[row], substep)
+            outcome[i] = onsets[0] if len(onsets) else np.nan
+        return float(strike_costs(outcome, self.wanted[rows]).sum())
 
     def outcome(self, key_paths: Sequence[Array]) -> Array:
         """(N, 2) times and log2 of the speeds of all strikes, as `wanted`.
@@ -93,4 +110,4 @@ def _onsets(key_path: Array, sounds_from: float, substep: float) -> Array:
     """
     crossings = key_crossings(key_path[:, None], np.array([sounds_from]), substep)
     onsets = crossings.onsets
-    return np.column_stack([onsets.time, np.log2(np.maximum(onsets.speed, _LEAST_SPEED))])
+    return np.column_stack([onsets.time, as_heard(onsets.speed)])
