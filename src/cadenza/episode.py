@@ -77,6 +77,9 @@ _SCENE: dict[str, Any] = {  # types of what `cadenza.scene.drawing` makes
     "keys": list[_Key],
 }
 
+KEY_EVENTS = ("key_onset", "key_offset", "key_velocity")
+"""The arrays that say when in a step keys began and ceased to sound [s], and how loud."""
+
 _ARRAYS = {
     "song": ArrayOf(TEXT, needed=True),
     "dt": ArrayOf(NUMBERS, needed=True, finite=True),
@@ -88,13 +91,11 @@ _ARRAYS = {
     "goal_sustain": ArrayOf(FLAGS, ("T",)),
     "key_qpos": ArrayOf(NUMBERS, ("T", "K")),
     "key_activation": ArrayOf(FLAGS, ("T", "K")),
-    "key_onset": ArrayOf(NUMBERS, ("T", "K")),
-    "key_offset": ArrayOf(NUMBERS, ("T", "K")),
-    "key_velocity": ArrayOf(NUMBERS, ("T", "K")),
+    **{name: ArrayOf(NUMBERS, ("T", "K")) for name in KEY_EVENTS},
     **{
         f"{side}_{name}": ArrayOf(NUMBERS, ("T", "K"))
         for side in SIDES
-        for name in ("key_qpos", "key_onset", "key_offset", "key_velocity")
+        for name in ("key_qpos", *KEY_EVENTS)
     },
     "sustain_activation": ArrayOf(FLAGS, ("T",)),
     "hand_qpos": ArrayOf(NUMBERS, ("T", "J")),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Agent, Progress, silent
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.configs import MOST_SEED, whole_number
-from cadenza.episode import Episode
+from cadenza.episode import KEY_EVENTS, Episode
 from cadenza.errors import CadenzaError, by_others
 from cadenza.music.expressive_metrics import expressive_metrics
 from cadenza.scene.drawing import body_poses, drawing
@@ -154,8 +154,7 @@ def _key_events(state: State, task: PianoTask, env: int) -> dict[str, NDArray[np
     """When keys began and ceased to sound in the last step, and how loud, see `Episode`."""
     onset, offset, speed = (values[env] for values in state.key_events)
     values = onset, offset, midi_velocity(speed, task.scene.keyboard)
-    names = ("key_onset", "key_offset", "key_velocity")
-    return {name: v.astype(np.float32) for name, v in zip(names, values, strict=True)}
+    return {name: v.astype(np.float32) for name, v in zip(KEY_EVENTS, values, strict=True)}
 
 
 class _Recorder:

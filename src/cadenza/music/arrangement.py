@@ -24,7 +24,7 @@ _MIN_SHARE = 0.25  # of the notes of the busiest voice; tracks with fewer only f
 
 @dataclass(frozen=True)
 class Arrangement:
-    """Which notes of a song are played, and with how much expression."""
+    """An arrangement says which notes of a song are played, and with how much expression."""
 
     tracks: tuple[int, ...] = ()
     """Play only these tracks, numbered as in "cadenza info SONG"."""

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.episode import Episode
+from cadenza.episode import KEY_EVENTS, Episode
 from cadenza.errors import CadenzaError
 from cadenza.music.score import LOWEST_PITCH, Note, PedalEvent, Score
 
@@ -158,10 +158,9 @@ def played_in(episode: Episode) -> Score:
     Raises:
         CadenzaError: an onset has no velocity, or a time or a velocity is out of range.
     """
-    names = ("key_onset", "key_offset", "key_velocity")
     events = None
-    if all(name in episode.arrays for name in names):
-        onset, offset, velocity = (episode[name] for name in names)
+    if all(name in episode.arrays for name in KEY_EVENTS):
+        onset, offset, velocity = (episode[name] for name in KEY_EVENTS)
         if not np.isfinite(velocity[~np.isnan(onset)]).all():
             raise CadenzaError(f"the episode of {episode.song!r} has onsets without velocities")
         events = key_events(onset, offset, velocity)

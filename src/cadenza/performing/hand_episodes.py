@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cadenza.episode import Episode
+from cadenza.episode import KEY_EVENTS, Episode
 from cadenza.fingers import NO_FINGER, SIDES, Side
 from cadenza.scene.drawing import body_poses, drawing
 from cadenza.scene.scene import Scene, hand_alone
@@ -48,8 +48,7 @@ def _hand_episode(episode: Episode, scene: Scene, side: Side) -> Episode:
         "body_xpos": xpos,
         "body_xquat": xquat,
     }
-    events = ("key_onset", "key_offset", "key_velocity")
     arrays |= {  # not in older recordings
-        name: episode[f"{side}_{name}"] for name in events if f"{side}_{name}" in episode.arrays
+        name: episode[f"{side}_{name}"] for name in KEY_EVENTS if f"{side}_{name}" in episode.arrays
     }
     return Episode(f"{episode.song} ({side} hand)", episode.dt, arrays, drawing(alone))

@@ -31,7 +31,7 @@ class Change(NamedTuple):
     held_before: Held
     """All keys that are held before."""
     kept: Held
-    """Those of them that are not released."""
+    """The keys that were held before and are not released."""
     held_after: Held
     """All keys that are held at the end."""
     gap: int
