@@ -1,6 +1,16 @@
 """Etudes: practice pieces that are generated from a seed."""
 
+from cadenza.music.etudes.band import Band, make_band, write_band
 from cadenza.music.etudes.drills import DRILLS
 from cadenza.music.etudes.library import KINDS, etude, etude_names, make_etude
 
-__all__ = ["DRILLS", "KINDS", "etude", "etude_names", "make_etude"]
+__all__ = [
+    "DRILLS",
+    "KINDS",
+    "Band",
+    "etude",
+    "etude_names",
+    "make_band",
+    "make_etude",
+    "write_band",
+]

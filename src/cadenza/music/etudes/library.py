@@ -1,6 +1,7 @@
 """Etudes by kind, difficulty and seed, and the library of them.
 
-The names of libraries are `etudes:N`, `etudes:N:SEED`, and `etudes:KIND-DIFFICULTY:N`.
+The names of libraries are `etudes:N`, `etudes:N:SEED`, `etudes:KIND-DIFFICULTY:N`, and
+`etudes:band:N`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 
 from cadenza.configs import MOST_SEED, whole_number
 from cadenza.errors import CadenzaError
+from cadenza.music.etudes.band import band_score, make_band
 from cadenza.music.etudes.chorale import chorale
 from cadenza.music.etudes.counterpoint import counterpoint
 from cadenza.music.etudes.drills import DRILLS, drill
@@ -69,6 +71,10 @@ _KINDS = {
 }
 KINDS = tuple(_KINDS)
 """Kinds of etudes for two hands; those for one are `DRILLS`."""
+BAND = "band"
+"""The kind of songs for several instruments, which have a seed but no difficulty."""
+_BAND_NAME = re.compile(rf"{LIBRARY}/{BAND}-(\d{{1,39}})", re.ASCII)
+_BANDS = re.compile(rf"{BAND}:([1-9]\d{{0,5}})", re.ASCII)
 _ETUDE_NAME = re.compile(rf"{LIBRARY}/([a-z-]+)-(\d{{1,9}})-(\d{{1,39}})", re.ASCII)
 _COUNT_AND_SEED = re.compile(r"\d{1,9}(:\d{1,9})?", re.ASCII)
 _OF_ONE_KIND = re.compile(r"([a-z-]+-\d{1,9}):([1-9]\d{0,5})", re.ASCII)
@@ -125,12 +131,21 @@ def etude_name(kind: str, difficulty: int, seed: int) -> str:
     return f"{LIBRARY}/{kind}-{difficulty}-{seed}"
 
 
+def band_name(seed: int) -> str:
+    """A name such as "etudes/band-7", which can be given wherever a song can."""
+    return f"{LIBRARY}/{BAND}-{seed}"
+
+
 def etude(name: str) -> Score:
     """The etude with a name such as "etudes/scales-3-7", of difficulty 3 with seed 7.
+
+    "etudes/band-7" is the song for a band with seed 7, all tracks but the drums.
 
     Raises:
         CadenzaError: no etude is called so.
     """
+    if band := _BAND_NAME.fullmatch(name.lower()):
+        return band_score(make_band(int(band[1])))
     return make_etude(*_parsed(name))
 
 
@@ -176,19 +191,21 @@ def etude_library(which: str = str(_DEFAULT_COUNT)) -> Library:
 
     Args:
         which: the number of etudes, such as "300", or with a seed "300:1"; or a kind, a difficulty
-            and the number, with the seeds 0, 1 and so on: "notes-6:20".
+            and the number, with the seeds 0, 1 and so on: "notes-6:20"; or "band:20" for songs.
 
     Raises:
         CadenzaError: `which` has another form.
     """
-    if of_one_kind := _OF_ONE_KIND.fullmatch(which.lower()):
+    if bands := _BANDS.fullmatch(which.lower()):
+        names = [band_name(seed) for seed in range(int(bands[1]))]
+    elif of_one_kind := _OF_ONE_KIND.fullmatch(which.lower()):
         names = [f"{LIBRARY}/{of_one_kind[1]}-{seed}" for seed in range(int(of_one_kind[2]))]
     elif _COUNT_AND_SEED.fullmatch(which):
         names = etude_names(*map(int, which.split(":")))
     else:
         raise CadenzaError(
             f"{LIBRARY}:{which}: give how many, such as {LIBRARY}:300, {LIBRARY}:300:1 with a "
-            f"seed, or {LIBRARY}:scales-3:20 of one kind and difficulty"
+            f"seed, {LIBRARY}:scales-3:20 of one kind and difficulty, or {LIBRARY}:{BAND}:20"
         )
     return Library(f"{LIBRARY}:{which}", tuple(map(etude_song, names)))
 
@@ -199,10 +216,17 @@ def etude_song(name: str) -> Song:
     Raises:
         CadenzaError: no etude is called so.
     """
+    if band := _BAND_NAME.fullmatch(name.lower()):
+        seed = whole_number(int(band[1]), "seed", 0, MOST_SEED)
+        return Song(band_name(seed), partial(_read_band, seed), source="practice piece")
     kind, difficulty, seed = _parsed(name)
     name = etude_name(kind, difficulty, seed)
     read = partial(_read, name)
     return Song(name, read, source="practice piece", difficulty=float(difficulty))
+
+
+def _read_band(seed: int, tracks: Collection[int]) -> Score:
+    return band_score(make_band(seed), tracks)
 
 
 def _read(name: str, tracks: Collection[int]) -> Score:

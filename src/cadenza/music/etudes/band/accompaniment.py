@@ -1,0 +1,166 @@
+"""Chords of accompaniments: strummed, picked, comped, held, broken, stabbed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import count
+
+from cadenza.music.etudes.band.chords import SongChord
+from cadenza.music.etudes.band.passage import Passage, pick
+from cadenza.music.etudes.band.rhythm_section import MEDIUM, Player
+from cadenza.music.etudes.band.voicings import (
+    Slots,
+    Voicing,
+    guitar,
+    led_voicings,
+    nearest,
+    power_chord,
+)
+from cadenza.music.etudes.keys import OCTAVE
+from cadenza.music.etudes.sheet import Tone
+
+Rhythm = Sequence[tuple[float, float]]
+"""Onset and length of notes, in quarters from the beginning of a bar."""
+_LIGHT = 64  # velocity off the beat
+
+# Voices of instruments: the lowest and highest pitch of each.
+CLOSE: Slots = ((55, 64), (59, 68), (63, 72))
+"""Three voices of a right hand around middle C."""
+HIGH_CLOSE: Slots = ((60, 69), (64, 73), (68, 77))
+ORGAN: Slots = ((53, 62), (58, 66), (62, 71), (67, 76))
+ROOTLESS: Slots = ((51, 58), (55, 62), (60, 67), (64, 71))
+"""Four voices of jazz pianists and guitarists, who leave the root to the bass."""
+STRINGS: Slots = ((36, 47), (48, 56), (55, 63), (64, 73), (74, 83))
+"""Five voices over three octaves."""
+FOUR_STRINGS: Slots = ((43, 54), (55, 63), (64, 72), (74, 84))
+HIGH_STRINGS: Slots = ((67, 76), (74, 84))
+BRASS: Slots = ((58, 67), (63, 71), (67, 77))
+_LEFT_HAND = (36, 50)  # [MIDI pitch] roots of pianists' left hands
+_PICKED = (0, 2, 3, 4, 3, 2)  # strings of a broken chord on a guitar, from the root's
+
+
+def voiced(slots: Slots) -> Callable[[Passage], list[Voicing]]:
+    """Voicings for the harmonies of a section with the voices of `slots`."""
+    return lambda passage: list(led_voicings(passage.chords, slots))
+
+
+def with_guitar(shape: Callable[[SongChord], Voicing]) -> Callable[[Passage], list[Voicing]]:
+    """Voicings for the harmonies of a section with the hand shapes of a guitar."""
+    return lambda passage: [shape(chord) for chord in passage.chords]
+
+
+open_chords = with_guitar(guitar)
+power_chords = with_guitar(power_chord)
+
+
+def chords(voicings: Callable[[Passage], list[Voicing]], *rhythms: Rhythm) -> Player:
+    """Chords in one of these rhythms."""
+
+    def play(passage: Passage) -> Iterator[Tone]:
+        pitches = voicings(passage)
+        for at, length in passage.in_bars(pick(passage.rng, rhythms)):
+            velocity = MEDIUM if at % 1 == 0 else _LIGHT
+            for pitch in pitches[passage.harmony(at)]:
+                yield Tone(at, length, pitch, velocity)
+
+    return play
+
+
+def held(voicings: Callable[[Passage], list[Voicing]]) -> Player:
+    """Chords that are held as long as the harmony; a voice that stays is held on, up to 2 bars."""
+
+    def play(passage: Passage) -> Iterator[Tone]:
+        sounding: dict[int, Tone] = {}
+        for harmony, pitches in zip(passage.harmonies, voicings(passage), strict=True):
+            for pitch in [p for p in sounding if p not in pitches]:
+                yield sounding.pop(pitch)
+            for pitch in pitches:
+                before = sounding.get(pitch)
+                if before and before.length + harmony.length <= 2 * passage.beats:
+                    at, length = before.at, before.length + harmony.length
+                else:
+                    at, length = harmony.at, harmony.length
+                    if before:
+                        yield before
+                sounding[pitch] = Tone(at, length, pitch)
+        yield from sounding.values()
+
+    return play
+
+
+def piano(slots: Slots, left: Rhythm, *right: Rhythm) -> Player:
+    """Chords of the right hand, and roots, fifths and octaves or tenths of the left."""
+    above = chords(voiced(slots), *right)
+
+    def play(passage: Passage) -> Iterator[Tone]:
+        yield from above(passage)
+        starts = {harmony.at for harmony in passage.harmonies}
+        wide = pick(passage.rng, ("octaves", "fifths", "broken"))
+        for i, (at, length) in enumerate(passage.in_bars(left)):
+            chord = passage.chord(at)
+            root = _left_root(chord)
+            fifth = root + (chord.fifth - root) % OCTAVE
+            tenth = root + OCTAVE + (chord.third - root) % OCTAVE
+            if wide == "octaves":
+                pitches = [root - OCTAVE, root] if at in starts else [root]
+            elif wide == "fifths":
+                pitches = [root, fifth] if at in starts else [fifth]
+            else:
+                broken = (root, fifth, root + OCTAVE, tenth)
+                pitches = [root if at in starts else broken[i % len(broken)]]
+            for pitch in pitches:
+                yield Tone(at, length, pitch, _LIGHT)
+
+    return play
+
+
+def _left_root(chord: SongChord) -> int:
+    low, high = _LEFT_HAND
+    return nearest([chord.bass], (low + high) // 2)
+
+
+def picked(passage: Passage) -> Iterator[Tone]:
+    """Yields broken chords of a guitar in eighths, which ring on until the chord changes."""
+    for harmony in passage.harmonies:
+        strings = guitar(harmony.chord)
+        if passage.final:
+            yield from (Tone(0, harmony.length, pitch) for pitch in strings)
+            continue
+        for i in range(int(2 * harmony.length)):
+            place = min(_PICKED[i % len(_PICKED)], len(strings) - 1)
+            at = i / 2
+            yield Tone(harmony.at + at, min(2, harmony.length - at), strings[place], _LIGHT)
+
+
+def boom_chick(passage: Passage) -> Iterator[Tone]:
+    """Yields a root on the beat and the upper strings after it, as a country guitar does."""
+    for harmony in passage.harmonies:
+        strings = guitar(harmony.chord)
+        if passage.final:
+            yield from (Tone(0, harmony.length, pitch) for pitch in strings)
+            continue
+        for beat in range(int(harmony.length)):
+            if (harmony.at + beat) % passage.beats % 2 == 0 and (passage.beats == 4 or beat == 0):
+                yield Tone(harmony.at + beat, 1, strings[0])
+            else:
+                yield from (Tone(harmony.at + beat, 0.5, p, _LIGHT) for p in strings[2:])
+
+
+def broken(lowest: int, step: float, *orders: Sequence[int]) -> Player:
+    """Arpeggios of a synthesizer: tones of the chord from `lowest` on in one of these orders."""
+
+    def play(passage: Passage) -> Iterator[Tone]:
+        order = pick(passage.rng, orders)
+        for harmony in passage.harmonies:
+            ladder = [p for p in range(lowest, lowest + 3 * OCTAVE) if harmony.chord.has(p)]
+            if passage.final:
+                yield from (Tone(0, harmony.length, pitch) for pitch in ladder[:4])
+                continue
+            for i in count():
+                at = harmony.at + i * step
+                if i * step >= harmony.length:
+                    break
+                place = int(at / step) % len(order)
+                yield Tone(at, step, ladder[order[place]], MEDIUM if at % 1 == 0 else _LIGHT)
+
+    return play

@@ -1,0 +1,281 @@
+"""Melodies that can be sung: phrases with rests, mostly steps, chord tones on strong beats."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from cadenza.music.etudes.band.chords import melody_scale
+from cadenza.music.etudes.band.passage import Passage, happens, one_at_a_time, pick
+from cadenza.music.etudes.keys import OCTAVE
+from cadenza.music.etudes.sheet import Tone
+from cadenza.music.etudes.voice_leading import FORBIDDEN, Costs, cheapest_sequence, random_costs
+
+Rhythm = tuple[float, ...]
+"""Onsets in quarters from the beginning of a bar, or of a phrase."""
+
+# Rhythms of bars within a phrase. Each is (the calm, the lively).
+CELLS: dict[str, tuple[Rhythm, ...]] = {
+    "straight": (
+        (0, 1, 2, 3),
+        (0, 2, 3),
+        (0, 1.5, 2, 3),
+        (0, 0.5, 1, 2, 3),
+        (1, 1.5, 2, 3),
+        (0, 1, 1.5, 2, 3),
+        (0.5, 1, 1.5, 2, 3),
+        (0, 0.5, 1, 1.5, 2, 3),
+    ),
+    "syncopated": (
+        (0, 1, 1.5, 2.5, 3),
+        (0, 1.5, 2.5, 3.5),
+        (0.5, 1, 1.5, 2.5, 3),
+        (0, 0.5, 1.5, 2, 3.5),
+        (0.5, 1, 1.5, 2, 2.5, 3.5),
+        (0, 0.5, 1, 1.5, 2.5, 3),
+        (1, 1.5, 2.5, 3, 3.5),
+    ),
+    "sixteenths": (
+        (0, 0.5, 0.75, 1.5, 2, 3),
+        (0.5, 0.75, 1, 1.5, 2.5, 2.75, 3),
+        (0, 0.75, 1.5, 2, 2.75, 3.5),
+        (0, 1.5, 2, 2.5, 3, 3.5),
+        (0.5, 1, 1.25, 1.5, 2, 3),
+        (0, 2, 2.5, 2.75, 3),
+    ),
+    "swing": (
+        (0, 1.5, 2, 3.5),
+        (0.5, 1, 1.5, 2, 3),
+        (0, 1, 1.5, 2.5),
+        (1, 1.5, 2, 2.5, 3.5),
+        (0, 0.5, 1, 1.5, 2, 3.5),
+        (0, 2, 2.5, 3, 3.5),
+        (0, 1.5, 3),
+    ),
+    "solo": (
+        (0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5),
+        (0.5, 1, 1.5, 2, 2.5, 3),
+        (0, 0.5, 1, 1.5, 2.5, 3, 3.5),
+        (0, 1, 1.5, 2, 2.5, 3),
+        (1, 1.5, 2, 2.5, 3, 3.5),
+    ),
+    "waltz": ((0, 1, 2), (0, 2), (0, 1.5, 2), (0, 0.5, 1, 2), (0, 1, 1.5, 2), (0, 2, 2.5)),
+    "waltz solo": ((0, 0.5, 1, 1.5, 2, 2.5), (0.5, 1, 1.5, 2), (0, 1, 1.5, 2, 2.5)),
+}
+_ENDS: tuple[Rhythm, ...] = ((0,), (0, 1), (0, 0.5, 1), (0, 1.5), (0, 0.5), (0, 0.5, 1, 1.5))
+"""Rhythms of the last bars of phrases, after whose last notes the singer breathes."""
+_PICKUPS: tuple[Rhythm, ...] = ((), (), (-0.5,), (-1, -0.5), (-1,), (-1.5, -1, -0.5))
+_PHRASE = 4  # bars
+_FORMS = {1: ("a",), 2: ("a", "b"), 3: ("a", "a", "b"), 4: ("a", "b", "a", "c")}
+"""Phrases of a section: the same letters have the same rhythm, and the same pitches if they can."""
+_SAME_PHRASES = 40  # [%] of sections of two phrases in which the second is like the first
+_BREATH = 1  # least rest at the end of a phrase, in quarters
+_LONGEST = 4  # quarters of a note within a phrase
+_DETACHED = 12  # [%] of notes of a quarter or more that end after half of their time
+
+# Costs of a pitch.
+_RANDOM = 45
+_STRONG_DISSONANCE, _WEAK_DISSONANCE = 400, 15  # a note that is no chord tone
+_BLUE_NOTE = 40  # a note of the blues that is no chord tone on a strong beat
+_OFF_TARGET = 4  # a semitone away from the line that the phrase follows
+_OFF_MODEL, _FAR_OFF_MODEL = 30, 150  # a semitone away from an earlier phrase, and the most
+_NO_TONIC = 200  # the last note of a section over the tonic is another tone
+_NOT_BY_STEP = 120  # a leap to or from a note that is no chord tone
+_NEW_PHRASE = 3  # by which leaps are cheaper between phrases
+_SONG_STEP = 2  # [semitones]
+_INTERVALS = np.array([14, 0, 0, 22, 32, 45, 300, 62, 150, 140, 320, 400, 120])
+"""Costs by semitones: steps are cheapest, then repeated notes; tritones and sevenths are rare."""
+
+
+@dataclass(frozen=True)
+class Singing:
+    """How a melody is sung or played: its range, the rhythms of its bars, and its scale."""
+
+    low: int
+    high: int
+    cells: str
+    colour: str
+
+
+@dataclass(frozen=True)
+class _Slot:
+    """A note of a phrase that has no pitch yet, in quarters from the section."""
+
+    at: float
+    length: float
+    strong: bool
+
+
+def melody(passage: Passage, singing: Singing, pickups: bool) -> list[Tone]:
+    """The melody of a section, one note at a time.
+
+    Args:
+        passage: the section.
+        singing: range, rhythm and scale.
+        pickups: whether phrases may begin before their first bars; the first of the section, too.
+    """
+    rng = passage.rng
+    count = max(passage.bars // _PHRASE, 1)
+    form = _FORMS[count]
+    if count == 2 and happens(rng, _SAME_PHRASES):
+        form = ("a", "a")
+    bars = passage.bars // count
+    known: dict[str, tuple[Rhythm, list[int]]] = {}
+    tones: list[Tone] = []
+    for i, letter in enumerate(form):
+        rhythm, model = known.get(letter) or (_phrase_rhythm(passage, singing, bars, pickups), [])
+        slots = _slots(rhythm, i * bars * passage.beats, bars, passage.beats)
+        before = tones[-1].pitch if tones else None
+        pitches = _pitches(passage, singing, slots, model, before, last=i == count - 1)
+        known.setdefault(letter, (rhythm, pitches))
+        tones += [
+            Tone(slot.at, slot.length, pitch) for slot, pitch in zip(slots, pitches, strict=True)
+        ]
+    return one_at_a_time(tones)
+
+
+def _phrase_rhythm(passage: Passage, singing: Singing, bars: int, pickups: bool) -> Rhythm:
+    """Onsets of a phrase, whose second half often has the rhythm of the first."""
+    rng = passage.rng
+    first, second = pick(rng, CELLS[singing.cells]), pick(rng, CELLS[singing.cells])
+    inner = [first, second, first, second][: bars - 1]
+    ends = [end for end in _ENDS if end[-1] <= passage.beats - _BREATH - 1]
+    onsets = list(pick(rng, _PICKUPS)) if pickups else []
+    if bars >= _PHRASE and happens(rng, 50):  # the phrase breathes in the middle, too
+        inner[1] = pick(rng, ends)
+    for bar, cell in enumerate([*inner, pick(rng, ends)]):
+        onsets += [bar * passage.beats + at for at in cell]
+    return tuple(onsets)
+
+
+def _slots(rhythm: Rhythm, start: float, bars: int, beats: int) -> list[_Slot]:
+    """The notes of a phrase that begins at `start`; the last leaves time to breathe."""
+    end = bars * beats - _BREATH
+    slots = []
+    for at, after in zip(rhythm, (*rhythm[1:], end), strict=True):
+        length = min(after - at, _LONGEST)
+        strong = at % beats in (0, 2 if beats == 4 else 0) or length >= 1.5
+        slots.append(_Slot(start + at, length, strong))
+    return slots
+
+
+def _pitches(
+    passage: Passage,
+    singing: Singing,
+    slots: Sequence[_Slot],
+    model: Sequence[int],
+    before: int | None,
+    last: bool,
+) -> list[int]:
+    """Pitches of a phrase.
+
+    Args:
+        passage: the section.
+        singing: range and scale.
+        slots: the notes.
+        model: the pitches of an earlier phrase that this one resembles, or none.
+        before: the last pitch of the phrase before, or None.
+        last: whether it is the last phrase of the section.
+    """
+    targets = _line(passage.rng, singing, len(slots))
+    candidates, costs = [], []
+    for i, slot in enumerate(slots):
+        pitches = _candidates(passage, singing, slot)
+        cost = random_costs(passage.rng, len(pitches), _RANDOM)
+        cost += _dissonance(passage, singing, slot, pitches)
+        cost += _OFF_TARGET * np.abs(pitches - targets[i])
+        if i < len(model) - (not last):
+            cost += np.minimum(_OFF_MODEL * np.abs(pitches - model[i]), _FAR_OFF_MODEL)
+        if last and i == len(slots) - 1:
+            tonic = passage.key.pitch(0)
+            cost += _NO_TONIC * ((pitches - tonic) % OCTAVE != 0)
+        candidates.append(pitches)
+        costs.append(cost)
+    if before is not None:
+        costs[0] = costs[0] + _INTERVALS[np.minimum(np.abs(candidates[0] - before), OCTAVE)] // (
+            _NEW_PHRASE
+        )
+    belongs = [
+        np.array([passage.chord(slot.at).has(int(pitch)) for pitch in pitches])
+        for slot, pitches in zip(slots, candidates, strict=True)
+    ]
+    steps = [
+        _moves(candidates[i], candidates[i + 1], belongs[i], belongs[i + 1])
+        for i in range(len(slots) - 1)
+    ]
+    chosen = cheapest_sequence(costs, steps)
+    return [int(pitches[i]) for pitches, i in zip(candidates, chosen, strict=True)]
+
+
+def _candidates(passage: Passage, singing: Singing, slot: _Slot) -> np.ndarray:
+    scale = melody_scale(passage.key, passage.chord(slot.at), singing.colour)
+    every = range(singing.low, singing.high + 1)
+    return np.array([pitch for pitch in every if pitch % OCTAVE in scale])
+
+
+def _dissonance(passage: Passage, singing: Singing, slot: _Slot, pitches: np.ndarray) -> Costs:
+    """Costs of pitches that are no chord tones, at the note or at a chord within its time."""
+    until = slot.at + min(slot.length, 2.0)
+    sounding = {passage.chord(slot.at), passage.chord(until - 0.25)}
+    strong = _BLUE_NOTE if singing.colour == "blues" else _STRONG_DISSONANCE
+    cost = strong if slot.strong else _WEAK_DISSONANCE
+    total = np.zeros(len(pitches), np.int64)
+    for chord in sounding:
+        total += np.array([0 if chord.has(int(pitch)) else cost for pitch in pitches])
+    return total
+
+
+def _line(rng: np.random.Generator, singing: Singing, count: int) -> list[int]:
+    """The line that a phrase follows: an arch, a rise, or a fall, within the range."""
+    span = singing.high - singing.low
+    low = singing.low + span // 4
+    rise = int(rng.integers(span // 4, span // 2, endpoint=True))
+    shape = int(rng.integers(4))
+    heights = []
+    for i in range(count):
+        up, down = rise * i // count, rise * (count - i) // count
+        heights.append(low + (2 * min(up, down), up, down, 2 * min(up, down))[shape])
+    return heights
+
+
+def _moves(
+    before: np.ndarray, after: np.ndarray, belonged: np.ndarray, belongs: np.ndarray
+) -> Costs:
+    """(n, n') costs of the intervals from each pitch to each next."""
+    interval = np.abs(after - before[:, None])
+    costs = np.where(interval <= OCTAVE, _INTERVALS[np.minimum(interval, OCTAVE)], FORBIDDEN)
+    by_leap = interval > _SONG_STEP
+    return costs + _NOT_BY_STEP * by_leap * (~belongs + 0 + ~belonged[:, None])
+
+
+def second_voice(passage: Passage, tones: Sequence[Tone], above: bool, low: int) -> list[Tone]:
+    """A voice a third or so above or below a melody, moved by octaves to stay over `low`."""
+    found = []
+    for tone in tones:
+        chord = passage.chord(tone.at)
+        scale = melody_scale(passage.key, chord, "scale")
+        wanted = chord.classes if tone.length >= 1 else scale
+        sign = 1 if above else -1
+        pitches = [tone.pitch + sign * by for by in (4, 3, 5, 2, 6, 7)]
+        pitch = next((p for p in pitches if p % OCTAVE in wanted), tone.pitch + sign * OCTAVE)
+        if pitch >= low:
+            found.append(Tone(tone.at, tone.length, pitch))
+    return found
+
+
+def answers(passage: Passage, tones: Sequence[Tone], singing: Singing) -> Iterator[Tone]:
+    """Yields short runs of another instrument in the rests of a melody."""
+    ends = [(a.at + a.length, b.at) for a, b in pairwise(tones)]
+    for rest, until in [*ends, (tones[-1].at + tones[-1].length, float(passage.length))]:
+        if until - rest < 2 * _BREATH:
+            continue
+        at = np.ceil(2 * rest) / 2 + 0.5
+        slots = [
+            _Slot(float(t), 0.5, strong=i == 0) for i, t in enumerate(np.arange(at, until, 0.5))
+        ]
+        if slots:
+            pitches = _pitches(passage, singing, slots, [], None, last=False)
+            yield from (Tone(s.at, s.length, p) for s, p in zip(slots, pitches, strict=True))

@@ -1,0 +1,82 @@
+"""A song for a band: its parts, its sections, and the role of every note."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from cadenza.music.score import Note, PedalEvent
+
+Role = Literal["melody", "bass", "harmony", "doubling", "drums"]
+"""What a note is in the song; `doubling` are notes that play along with the melody in unison or in
+octaves, `harmony` is all that accompanies: chords, second voices, fills between phrases."""
+ROLES: tuple[Role, ...] = get_args(Role)
+DRUM_CHANNEL = 10
+"""The MIDI channel of drums, counted from 1."""
+TICKS_PER_BEAT = 480
+"""Ticks of the MIDI file in a quarter; all notes begin and end on one."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What one instrument plays: notes by (start, pitch), and the role of each.
+
+    `program` is that of General MIDI, counted from 0, `channel` that of MIDI, counted from 1.
+    """
+
+    name: str
+    program: int
+    channel: int
+    notes: tuple[Note, ...]
+    roles: tuple[Role, ...]
+    pedal: tuple[PedalEvent, ...] = ()
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section such as a verse, from `start` to `end` [s].
+
+    `melody` is the index of the part that has the melody, None if none has.
+    """
+
+    name: str
+    start: float
+    end: float
+    melody: int | None
+
+
+@dataclass(frozen=True)
+class Band:
+    """A song for a band, with quarters a minute as `tempo`, and so many quarters in each bar."""
+
+    title: str
+    style: str
+    tempo: int
+    beats: int
+    parts: tuple[Part, ...]
+    sections: tuple[Section, ...]
+
+    def notes(self, role: Role) -> tuple[Note, ...]:
+        """The notes of all parts that have this role, by (start, pitch)."""
+        found = (note for note, its_role in self._notes_with_roles() if its_role == role)
+        return tuple(sorted(found, key=lambda note: (note.start, note.pitch)))
+
+    def _notes_with_roles(self) -> Iterator[tuple[Note, Role]]:
+        for part in self.parts:
+            yield from zip(part.notes, part.roles, strict=True)
+
+
+def microseconds_per_beat(tempo: int) -> int:
+    """The length of a quarter [us], a whole number as in a MIDI file."""
+    return round(60_000_000 / tempo)
+
+
+def seconds(ticks: int, tempo: int) -> float:
+    """The time [s] of a number of ticks, to the bit as it is read from the MIDI file."""
+    return ticks * microseconds_per_beat(tempo) / (TICKS_PER_BEAT * 1_000_000)
+
+
+def ticks(seconds: float, tempo: int) -> int:
+    """The number of ticks that is nearest to a time [s]."""
+    return round(seconds * TICKS_PER_BEAT * 1_000_000 / microseconds_per_beat(tempo))

@@ -1,0 +1,155 @@
+"""Bass lines and drum patterns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
+
+from cadenza.music.etudes.band.chords import SongChord
+from cadenza.music.etudes.band.passage import Passage, happens, pick
+from cadenza.music.etudes.band.voicings import nearest
+from cadenza.music.etudes.keys import OCTAVE
+from cadenza.music.etudes.sheet import Tone
+
+Player = Callable[[Passage], Iterator[Tone]]
+"""What an instrument plays in a section; the velocity 72 is neither accented nor light."""
+MEDIUM = 72
+_ACCENT, _LIGHT, _GHOST = 84, 62, 44  # velocities
+
+# Basses
+
+_LOWEST, _HIGHEST = 28, 52  # E1 to E3
+_ROOTS = 36  # [MIDI pitch] near which roots are
+
+
+def _root(chord: SongChord) -> int:
+    return max(nearest([chord.bass], _ROOTS), _LOWEST)
+
+
+def _fifth(chord: SongChord) -> int:
+    """The fifth below the root, where the bass has it, or above."""
+    root = _root(chord)
+    above = root + (chord.fifth - root) % OCTAVE
+    return above - OCTAVE if above - OCTAVE >= _LOWEST else above
+
+
+def patterned_bass(rhythm: Sequence[tuple[float, float, str]]) -> Player:
+    """A bass with a rhythm (onset, length, tone) of one or more bars.
+
+    Tones are "r" for the root, "f" for the fifth below or above it, "o" for the octave.
+    """
+
+    def play(passage: Passage) -> Iterator[Tone]:
+        tones = {at: tone for at, _, tone in rhythm}
+        bars = 1 + int(max(tones)) // passage.beats
+        starts = {harmony.at for harmony in passage.harmonies}
+        for at, length in passage.in_bars([(at, length) for at, length, _ in rhythm]):
+            chord = passage.chord(at)
+            tone = "r" if at in starts else tones.get(at % (bars * passage.beats), "r")
+            pitch = {"r": _root(chord), "f": _fifth(chord), "o": _root(chord) + OCTAVE}[tone]
+            yield Tone(at, length, pitch, MEDIUM if at % 1 == 0 else _LIGHT)
+
+    return play
+
+
+def approached(play: Player, percent: int) -> Player:
+    """A bass that often comes to new roots by a step in the last half of a beat."""
+
+    def play_approached(passage: Passage) -> Iterator[Tone]:
+        tones = list(play(passage))
+        starts = {harmony.at for harmony in passage.harmonies}
+        for tone, after in pairwise(tones):
+            distance = after.pitch - tone.pitch
+            lasts = after.at - 0.5 - tone.at
+            walks = after.at in starts and abs(distance) > 1 and lasts >= 0.5
+            if walks and happens(passage.rng, percent):
+                yield Tone(tone.at, min(tone.length, lasts), tone.pitch, tone.velocity)
+                step = 2 if distance > 0 else -2
+                yield Tone(after.at - 0.5, 0.5, max(after.pitch - step, _LOWEST), _LIGHT)
+            else:
+                yield tone
+        yield tones[-1]
+
+    return play_approached
+
+
+def walking_bass(passage: Passage) -> Iterator[Tone]:
+    """Yields quarters: roots, tones of the chord, and a step to the next root."""
+    if passage.final:
+        yield Tone(0, passage.length, _root(passage.chord(0)))
+        return
+    pitch = _root(passage.chord(0))
+    roots = [_root(chord) for chord in passage.chords]
+    for harmony, after in zip(passage.harmonies, [*roots[1:], roots[0]], strict=True):
+        beats = int(harmony.length)
+        goal = nearest([after % OCTAVE], pitch)
+        goal += OCTAVE * (goal < _LOWEST) - OCTAVE * (goal > _HIGHEST)
+        start = nearest([harmony.chord.bass], pitch)
+        start += OCTAVE * (start < _LOWEST) - OCTAVE * (start > _HIGHEST)
+        for beat in range(beats):
+            if beat == 0:
+                pitch = start
+            elif beat == beats - 1:
+                pitch = goal + pick(passage.rng, (-1, 1, -2, 2))
+                pitch += OCTAVE * (pitch < _LOWEST)
+            else:
+                pitch = _between(passage, harmony.chord, pitch, start, goal)
+            yield Tone(harmony.at + beat, 1, pitch, pick(passage.rng, (MEDIUM, _LIGHT)))
+
+
+def _between(passage: Passage, chord: SongChord, pitch: int, start: int, goal: int) -> int:
+    """Another tone of the chord near the one before, rather towards the goal."""
+    towards = 3 if goal >= start else -3
+    classes = [c for c in chord.classes[:3] if c != pitch % OCTAVE]
+    choice = nearest(classes, pitch + pick(passage.rng, (towards, towards, -towards)))
+    return choice if _LOWEST <= choice <= _HIGHEST else nearest(classes, _ROOTS + 4)
+
+
+# Drums, by the numbers of General MIDI
+
+KICK, STICK, SNARE, CLAP, CLOSED_HAT, PEDAL_HAT, OPEN_HAT = 36, 37, 38, 39, 42, 44, 46
+CRASH, RIDE, TAMBOURINE, SHAKER, LOW_CONGA, HIGH_CONGA, CLAVES = 49, 51, 54, 70, 64, 63, 75
+_TOMS = (50, 47, 45, 43)  # from the highest
+_STROKE = 0.2  # quarters that a note of a drum lasts
+_HITS = {"X": _ACCENT, "x": MEDIUM, "o": _LIGHT, ".": _GHOST}
+_FILLS = ("xxxx", "x.xx", "xx..", "--xx")
+_FILL_EVERY = 4  # bars; fills come at the end of a section and, at times, after so many
+
+
+def drums(*patterns: Mapping[int, str]) -> Player:
+    """Drums with one of these patterns: for each drum, the steps of a bar or of several.
+
+    Steps of a bar are as many as there are signs, if `|` does not divide them into bars: `X` is an
+    accent, `x` a stroke, `o` a light one, `.` a ghost note, `-` nothing.
+    """
+
+    def play(passage: Passage) -> Iterator[Tone]:
+        if passage.final:
+            yield from (Tone(0, _STROKE, drum, _ACCENT) for drum in (KICK, CRASH))
+            return
+        pattern = pick(passage.rng, patterns)
+        yield Tone(0, _STROKE, CRASH, MEDIUM)
+        for bar in range(passage.bars):
+            last = bar == passage.bars - 1
+            turn = (bar + 1) % _FILL_EVERY == 0 and happens(passage.rng, 30)
+            until = passage.beats - 1 if last or turn else passage.beats
+            start = bar * passage.beats
+            for drum, steps in pattern.items():
+                bars = steps.split("|")
+                signs = bars[bar % len(bars)]
+                for i, sign in enumerate(signs):
+                    at = i * passage.beats / len(signs)
+                    if sign in _HITS and at < until and (bar, i, drum) != (0, 0, CRASH):
+                        yield Tone(start + at, _STROKE, drum, _HITS[sign])
+            if until < passage.beats:
+                yield from _fill(passage, start + until)
+
+    return play
+
+
+def _fill(passage: Passage, start: float) -> Iterator[Tone]:
+    """Yields a beat of strokes on snare and toms."""
+    drums_of_it = pick(passage.rng, ((SNARE,) * 4, (SNARE, SNARE, *_TOMS[1:3]), _TOMS))
+    for i, (drum, sign) in enumerate(zip(drums_of_it, pick(passage.rng, _FILLS), strict=True)):
+        if sign in _HITS:
+            yield Tone(start + i / 4, _STROKE, drum, _HITS[sign])
