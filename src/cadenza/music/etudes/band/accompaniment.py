@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 
+import numpy as np
+
 from cadenza.music.etudes.band.chords import SongChord
 from cadenza.music.etudes.band.passage import Passage, pick
 from cadenza.music.etudes.band.rhythm_section import MEDIUM, Player
@@ -35,7 +37,9 @@ STRINGS: Slots = ((36, 47), (48, 56), (55, 63), (64, 73), (74, 83))
 FOUR_STRINGS: Slots = ((43, 54), (55, 63), (64, 72), (74, 84))
 HIGH_STRINGS: Slots = ((67, 76), (74, 84))
 BRASS: Slots = ((58, 67), (63, 71), (67, 77))
-_LEFT_HAND = (36, 50)  # [MIDI pitch] roots of pianists' left hands
+_LEFT_ROOTS = 46  # [MIDI pitch] near which roots of pianists' left hands are
+_RIFF_TONES = 5  # tones of the chord that a riff is made of
+_STACCATO = 0.8  # sounding share of the notes of riffs
 _PICKED = (0, 2, 3, 4, 3, 2)  # strings of a broken chord on a guitar, from the root's
 
 
@@ -98,7 +102,7 @@ def piano(slots: Slots, left: Rhythm, *right: Rhythm) -> Player:
         wide = pick(passage.rng, ("octaves", "fifths", "broken"))
         for i, (at, length) in enumerate(passage.in_bars(left)):
             chord = passage.chord(at)
-            root = _left_root(chord)
+            root = nearest([chord.bass], _LEFT_ROOTS)
             fifth = root + (chord.fifth - root) % OCTAVE
             tenth = root + OCTAVE + (chord.third - root) % OCTAVE
             if wide == "octaves":
@@ -112,11 +116,6 @@ def piano(slots: Slots, left: Rhythm, *right: Rhythm) -> Player:
                 yield Tone(at, length, pitch, _LIGHT)
 
     return play
-
-
-def _left_root(chord: SongChord) -> int:
-    low, high = _LEFT_HAND
-    return nearest([chord.bass], (low + high) // 2)
 
 
 def picked(passage: Passage) -> Iterator[Tone]:
@@ -144,6 +143,23 @@ def boom_chick(passage: Passage) -> Iterator[Tone]:
                 yield Tone(harmony.at + beat, 1, strings[0])
             else:
                 yield from (Tone(harmony.at + beat, 0.5, p, _LIGHT) for p in strings[2:])
+
+
+def riff(lowest: int, *rhythms: Sequence[float]) -> Player:
+    """A figure of single notes that comes again in every bar, on the tones of its chord."""
+
+    def play(passage: Passage) -> Iterator[Tone]:
+        onsets = pick(passage.rng, rhythms)
+        places = passage.rng.integers(0, _RIFF_TONES, len(onsets))
+        lengths = np.diff([*onsets, passage.beats])
+        rhythm = [(at, float(length)) for at, length in zip(onsets, lengths, strict=True)]
+        for i, (at, length) in enumerate(passage.in_bars(rhythm)):
+            chord = passage.chord(at)
+            ladder = [p for p in range(lowest, lowest + 2 * OCTAVE) if chord.has(p)]
+            pitch = ladder[int(places[i % len(places)])]
+            yield Tone(at, _STACCATO * length, pitch, MEDIUM if at % 1 == 0 else _LIGHT)
+
+    return play
 
 
 def broken(lowest: int, step: float, *orders: Sequence[int]) -> Player:

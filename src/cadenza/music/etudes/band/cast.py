@@ -35,24 +35,29 @@ _FIRST_VELOCITIES: dict[str, tuple[int, int]] = {
     "drums": (78, 104),
 }
 """The softest and the loudest that each kind of player is, before sections and accents."""
+_LEGATO = (1.0, 1.0, 0.95, 0.9, 0.8)
+"""Shares of the time of a note for which singers and soloists hold it."""
 # In percent of songs.
 _INFORMATIVE, _INSTRUMENTS_ONLY = 66, 17  # names of tracks; in the rest there are none
 _LEAD_FIRST = 40  # the tracks begin with the lead, then bass, drums and chords
 _CHANNELS_IN_ORDER = 60
 _SECOND_VOICE, _DOUBLE = 45, 40
 _SECOND_ABOVE = 45
+_PEDAL = 75
 
 
 @dataclass(eq=False)
 class Player:
     """A player of the song: the part that becomes of it, and what it has been given to play.
 
-    `loud` is the velocity before sections and accents, `tones` are in quarters from the beginning.
+    `loud` is the velocity before sections and accents, `legato` the share of the time of a note for
+    which it sounds; `tones` are in quarters from the beginning.
     """
 
     name: str
     program: int
     loud: int
+    legato: float
     tones: list[tuple[Tone, Role]] = field(default_factory=list)
     pedal: bool = False
     channel: int = DRUM_CHANNEL
@@ -102,14 +107,14 @@ def cast(rng: np.random.Generator, style: Style) -> Cast:
         if naming >= _INFORMATIVE:
             general = "Drums" if kind == "drums" else INSTRUMENTS[program].title()
             name = general if naming < _INFORMATIVE + _INSTRUMENTS_ONLY else ""
-        return Player(name, program, loud)
+        return Player(name, program, loud, pick(rng, _LEGATO) if kind == "melody" else 1.0)
 
     lead = player(_LEAD_NAMES, pick(rng, style.leads), "melody")
     chairs: list[Player] = []
     for i, chair in enumerate(style.chairs):
         if happens(rng, chair.share) or (i == len(style.chairs) - 1 and not chairs):
             chairs.append(player(chair.names, pick(rng, chair.programs), "chords"))
-            chairs[-1].chair, chairs[-1].pedal = chair, chair.pedal and happens(rng, 60)
+            chairs[-1].chair, chairs[-1].pedal = chair, chair.pedal and happens(rng, _PEDAL)
     other = [program for program in style.solos if program != lead.program]
     solo = player(_SOLO_NAMES, pick(rng, other), "melody")
     second = player(_SECOND_NAMES, pick(rng, (lead.program, 52, 53)), "second")

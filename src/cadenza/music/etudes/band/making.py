@@ -24,11 +24,11 @@ from cadenza.music.etudes.band.parts import (
 )
 from cadenza.music.etudes.band.passage import Passage, happens, pick
 from cadenza.music.etudes.band.rhythm_section import MEDIUM
-from cadenza.music.etudes.band.styles import SECTIONS, STYLES, Style
+from cadenza.music.etudes.band.styles import RANGES, SECTIONS, STYLES, Style
 from cadenza.music.etudes.band.voicings import nearest
 from cadenza.music.etudes.keys import OCTAVE, Key
 from cadenza.music.etudes.sheet import Tone
-from cadenza.music.score import Note, PedalEvent
+from cadenza.music.score import MIDI_PITCHES, Note, PedalEvent
 
 SHORTEST, LONGEST = 60.0, 180.0  # [s] of a song
 _ACCIDENTALS = 4  # at most
@@ -36,7 +36,10 @@ _ENERGY = {"intro": -8, "verse": -4, "chorus": 6, "bridge": 1, "solo": 2, "outro
 """Velocities by which sections are louder than others."""
 _INSTEAD = {"intro": "verse", "outro": "chorus", "solo": "verse", "chorus": "verse"}
 """Sections whose chords are those of another, where the style has none of their own."""
+_RAISED = {1: -5, 2: 2}
+"""Semitones by which the last chorus may be higher -> how many sharps its key has more."""
 # In percent of songs.
+_RAISES = 15  # the last chorus is higher
 _HUMAN = 60  # notes are not quite in time
 _FLAT = 12  # all notes of a player are equally loud
 _BRIDGE_BY_SOLO = 30  # the solo instrument has the melody of the bridge
@@ -113,11 +116,16 @@ def _plan(rng: np.random.Generator, style: Style) -> _Plan:
     tempo = pick(rng, style.tempi)
     kinds = pick(rng, _fitting_forms(style, tempo))
     written = {kind: _numerals(rng, style, minor, kind) for kind in dict.fromkeys(kinds)}
+    raised = pick(rng, list(_RAISED)) if happens(rng, _RAISES) and "chorus" in kinds else 0
+    higher = len(kinds) - 1 - kinds[::-1].index("chorus") if raised else len(kinds)
     passages = []
-    for kind in kinds:
+    for i, kind in enumerate(kinds):
+        by = raised if i >= higher else 0
+        here = Key(key.sharps + _RAISED[raised], minor) if by else key
         bars = style.bars[kind]
-        chords = harmonies(written[kind], key, style.beats, bars)
-        passages.append(Passage(kind, key, style.beats, bars, chords, rng, kind == "ending"))
+        chords = harmonies(written[kind], here, style.beats, bars)
+        final = kind == "ending"
+        passages.append(Passage(kind, here, style.beats, bars, chords, rng, final, by))
     return _Plan(style, key, tempo, tuple(passages), rng)
 
 
@@ -153,7 +161,8 @@ def _lead(plan: _Plan, players: Cast) -> list[Player | None]:
     replies = happens(rng, _ANSWERS)
     doubled = {passage.kind for passage in plan.passages} if happens(rng, _DOUBLES_ALL) else set()
     doubled |= {"chorus", "bridge"}
-    known: dict[tuple[str, bool], list[Tone]] = {}
+    known: dict[tuple[str, bool], tuple[Passage, list[Tone]]] = {}
+    last: dict[bool, int] = {}
     for passage, start, player in zip(plan.passages, plan.starts, who, strict=True):
         if player is None:
             continue
@@ -161,10 +170,12 @@ def _lead(plan: _Plan, players: Cast) -> list[Player | None]:
         singing = players.singing if sung else players.soloing
         place = passage.kind, sung
         if place in known and sung:
-            tones = _with_other_words(rng, known[place])
+            earlier, tones = known[place]
+            tones = _with_other_words(rng, tones, passage.raised - earlier.raised)
         else:
-            tones = _section_melody(passage, singing, pickups)
-            known[place] = tones
+            tones = _section_melody(passage, singing, pickups, last.get(sung))
+            known[place] = passage, tones
+        last[sung] = tones[-1].pitch
         tones = [tone for tone in tones if tone.at + start >= 0]
         player.play(tones, start, "melody")
         if not sung or passage.final:
@@ -187,6 +198,8 @@ def _who_leads(plan: _Plan, players: Cast) -> list[Player | None]:
     lead, solo = players.lead, players.solo
     if players.chairs and happens(rng, _SOLO_BY_CHAIR):
         solo = players.solo = players.chairs[0]
+        low, high = RANGES.get(solo.program, (players.soloing.low, players.soloing.high))
+        players.soloing = replace(players.soloing, low=low, high=high)
     by_solo = {"solo": solo}
     if happens(rng, _BRIDGE_BY_SOLO):
         by_solo["bridge"] = solo
@@ -208,7 +221,9 @@ def _who_leads(plan: _Plan, players: Cast) -> list[Player | None]:
     return who
 
 
-def _section_melody(passage: Passage, singing: Singing, pickups: bool) -> list[Tone]:
+def _section_melody(
+    passage: Passage, singing: Singing, pickups: bool, before: int | None
+) -> list[Tone]:
     if passage.final:
         middle = (singing.low + singing.high) // 2
         return [Tone(0, passage.length, nearest([passage.key.pitch(0) % OCTAVE], middle))]
@@ -219,13 +234,13 @@ def _section_melody(passage: Passage, singing: Singing, pickups: bool) -> list[T
         high -= third
     elif passage.kind == "chorus":
         low += third
-    return melody(passage, replace(singing, low=low, high=high), pickups)
+    return melody(passage, replace(singing, low=low, high=high), pickups, before)
 
 
-def _with_other_words(rng: np.random.Generator, tones: Sequence[Tone]) -> list[Tone]:
-    """The melody with some long notes divided in two, as other words need."""
+def _with_other_words(rng: np.random.Generator, tones: Sequence[Tone], raised: int) -> list[Tone]:
+    """The melody, higher by `raised`, with some long notes divided in two for other words."""
     found = []
-    for tone in tones:
+    for tone in [replace(tone, pitch=tone.pitch + raised) for tone in tones]:
         if tone.length >= 1 and happens(rng, _SPLIT):
             half = tone.length / 2
             found += [replace(tone, length=half), replace(tone, at=tone.at + half, length=half)]
@@ -253,17 +268,15 @@ def _accompany(plan: _Plan, players: Cast) -> None:
             assert player.chair
             if player.chair.sections and passage.kind not in player.chair.sections:
                 continue
-            player.play(_beside_solo(player, list(plays(passage)), start), start, "harmony")
+            tones = _below_solo(player, list(plays(passage)), start, start + passage.length)
+            player.play(tones, start, "harmony")
 
 
-def _beside_solo(player: Player, tones: list[Tone], start: float) -> list[Tone]:
-    """The tones that leave room for a melody that the same player has at that time."""
-    solo = [tone for tone, role in player.tones if role == "melody" and tone.at >= start]
-    if not solo:
-        return tones
-    end = max(tone.at + tone.length for tone in solo)
-    lowest = min(tone.pitch for tone in solo)
-    return [tone for tone in tones if tone.at + start >= end or tone.pitch < lowest]
+def _below_solo(player: Player, tones: list[Tone], start: float, end: float) -> list[Tone]:
+    """The tones of a section that lie below the melody that the same player has there, if any."""
+    melody = [tone for tone, role in player.tones if role == "melody" and start <= tone.at < end]
+    lowest = min((tone.pitch for tone in melody), default=MIDI_PITCHES[-1])
+    return [tone for tone in tones if tone.pitch < lowest]
 
 
 # From tones to notes
@@ -304,7 +317,8 @@ def _event(
 ) -> tuple[int, int, int, int, Role]:
     """Start and end [ticks], pitch, velocity and role of a note."""
     rng = plan.rng
-    start, end = (_ticks(plan.style, at) for at in (tone.at, tone.at + tone.length))
+    until = tone.at + player.legato * tone.length
+    start, end = (_ticks(plan.style, at) for at in (tone.at, until))
     end -= min(_RELEASE, (end - start) // _RELEASE_SHARE)
     velocity = player.loud
     if not flat:

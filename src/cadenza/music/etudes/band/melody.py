@@ -8,14 +8,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from cadenza.music.etudes.band.chords import melody_scale
+from cadenza.music.etudes.band.chords import SongChord, melody_scale
 from cadenza.music.etudes.band.passage import Passage, happens, one_at_a_time, pick
 from cadenza.music.etudes.keys import OCTAVE
 from cadenza.music.etudes.sheet import Tone
 from cadenza.music.etudes.voice_leading import FORBIDDEN, Costs, cheapest_sequence, random_costs
 
 Rhythm = tuple[float, ...]
-"""Onsets in quarters from the beginning of a bar, or of a phrase."""
+"""Onsets in quarters from the beginning of a bar."""
+Phrase = tuple[tuple[float, float], ...]
+"""Onset and length of the notes of a phrase, in quarters from its beginning."""
 
 # Rhythms of bars within a phrase. Each is (the calm, the lively).
 CELLS: dict[str, tuple[Rhythm, ...]] = {
@@ -73,20 +75,24 @@ _FORMS = {1: ("a",), 2: ("a", "b"), 3: ("a", "a", "b"), 4: ("a", "b", "a", "c")}
 """Phrases of a section: the same letters have the same rhythm, and the same pitches if they can."""
 _SAME_PHRASES = 40  # [%] of sections of two phrases in which the second is like the first
 _BREATH = 1  # least rest at the end of a phrase, in quarters
+_LAST_LENGTHS = (1, 1.5, 2, 2, 3)  # quarters of notes before a breath, at most
 _LONGEST = 4  # quarters of a note within a phrase
-_DETACHED = 12  # [%] of notes of a quarter or more that end after half of their time
+_BREATHS_IN_MIDDLE = 60  # [%] of phrases of four bars
 
 # Costs of a pitch.
-_RANDOM = 45
+_RANDOM = 70
 _STRONG_DISSONANCE, _WEAK_DISSONANCE = 400, 15  # a note that is no chord tone
 _BLUE_NOTE = 40  # a note of the blues that is no chord tone on a strong beat
-_OFF_TARGET = 4  # a semitone away from the line that the phrase follows
+_OFF_TARGET = 6  # a semitone away from the line that the phrase follows
+_ROUGH = 3  # semitones by which that line goes up and down at random, at most
 _OFF_MODEL, _FAR_OFF_MODEL = 30, 150  # a semitone away from an earlier phrase, and the most
 _NO_TONIC = 200  # the last note of a section over the tonic is another tone
 _NOT_BY_STEP = 120  # a leap to or from a note that is no chord tone
 _NEW_PHRASE = 3  # by which leaps are cheaper between phrases
+_LONG = 1.5  # quarters from which a note is as important as one on a strong beat
 _SONG_STEP = 2  # [semitones]
-_INTERVALS = np.array([14, 0, 0, 22, 32, 45, 300, 62, 150, 140, 320, 400, 120])
+_SAME_TIME = 0.5  # quarters by which a note on a weak beat may anticipate a chord
+_INTERVALS = np.array([8, 6, 2, 12, 20, 30, 250, 48, 120, 110, 250, 350, 100])
 """Costs by semitones: steps are cheapest, then repeated notes; tritones and sevenths are rare."""
 
 
@@ -108,14 +114,22 @@ class _Slot:
     length: float
     strong: bool
 
+    def chord(self, passage: Passage) -> SongChord:
+        """The chord to which it belongs: that which it anticipates, if it is held into it."""
+        held = self.length > _SAME_TIME and self.at % 1 == _SAME_TIME
+        return passage.chord(self.at + _SAME_TIME if held else self.at)
 
-def melody(passage: Passage, singing: Singing, pickups: bool) -> list[Tone]:
+
+def melody(
+    passage: Passage, singing: Singing, pickups: bool, before: int | None = None
+) -> list[Tone]:
     """The melody of a section, one note at a time.
 
     Args:
         passage: the section.
         singing: range, rhythm and scale.
         pickups: whether phrases may begin before their first bars; the first of the section, too.
+        before: the pitch that the same player had last, or None.
     """
     rng = passage.rng
     count = max(passage.bars // _PHRASE, 1)
@@ -123,43 +137,50 @@ def melody(passage: Passage, singing: Singing, pickups: bool) -> list[Tone]:
     if count == 2 and happens(rng, _SAME_PHRASES):
         form = ("a", "a")
     bars = passage.bars // count
-    known: dict[str, tuple[Rhythm, list[int]]] = {}
+    pickup = pick(rng, [p for p in _PICKUPS if passage.beats + min(p, default=0) > 2 * _BREATH])
+    pickup = pickup if pickups else ()
+    known: dict[str, tuple[Phrase, list[int]]] = {}
     tones: list[Tone] = []
     for i, letter in enumerate(form):
-        rhythm, model = known.get(letter) or (_phrase_rhythm(passage, singing, bars, pickups), [])
-        slots = _slots(rhythm, i * bars * passage.beats, bars, passage.beats)
-        before = tones[-1].pitch if tones else None
+        rhythm, model = known.get(letter) or (_phrase_rhythm(passage, singing, bars, pickup), [])
+        slots = _slots(rhythm, i * bars * passage.beats, passage.beats)
         pitches = _pitches(passage, singing, slots, model, before, last=i == count - 1)
         known.setdefault(letter, (rhythm, pitches))
+        before = pitches[-1]
         tones += [
             Tone(slot.at, slot.length, pitch) for slot, pitch in zip(slots, pitches, strict=True)
         ]
     return one_at_a_time(tones)
 
 
-def _phrase_rhythm(passage: Passage, singing: Singing, bars: int, pickups: bool) -> Rhythm:
-    """Onsets of a phrase, whose second half often has the rhythm of the first."""
-    rng = passage.rng
+def _phrase_rhythm(passage: Passage, singing: Singing, bars: int, pickup: Rhythm) -> Phrase:
+    """The rhythm of a phrase, whose second half often is like the first, after a breath."""
+    rng, beats = passage.rng, passage.beats
+    until = beats - _BREATH + min(pickup, default=0)  # so that there is time before the next one
+    ends = [end for end in _ENDS if end[-1] < until]
     first, second = pick(rng, CELLS[singing.cells]), pick(rng, CELLS[singing.cells])
-    inner = [first, second, first, second][: bars - 1]
-    ends = [end for end in _ENDS if end[-1] <= passage.beats - _BREATH - 1]
-    onsets = list(pick(rng, _PICKUPS)) if pickups else []
-    if bars >= _PHRASE and happens(rng, 50):  # the phrase breathes in the middle, too
-        inner[1] = pick(rng, ends)
-    for bar, cell in enumerate([*inner, pick(rng, ends)]):
-        onsets += [bar * passage.beats + at for at in cell]
-    return tuple(onsets)
-
-
-def _slots(rhythm: Rhythm, start: float, bars: int, beats: int) -> list[_Slot]:
-    """The notes of a phrase that begins at `start`; the last leaves time to breathe."""
-    end = bars * beats - _BREATH
-    slots = []
-    for at, after in zip(rhythm, (*rhythm[1:], end), strict=True):
+    cells = [first, second, first, second][: bars - 1]
+    breathes = bars >= _PHRASE and happens(rng, _BREATHS_IN_MIDDLE)
+    if breathes:
+        cells[1] = pick(rng, ends)
+    cells.append(pick(rng, ends))
+    onsets = [*pickup, *(bar * beats + at for bar, cell in enumerate(cells) for at in cell)]
+    lasts = {(bar * beats + cells[bar][-1]): bar for bar in ([1] if breathes else []) + [bars - 1]}
+    phrase = []
+    for at, after in zip(onsets, [*onsets[1:], bars * beats], strict=True):
         length = min(after - at, _LONGEST)
-        strong = at % beats in (0, 2 if beats == 4 else 0) or length >= 1.5
-        slots.append(_Slot(start + at, length, strong))
-    return slots
+        if at in lasts:
+            length = min(pick(rng, _LAST_LENGTHS), lasts[at] * beats + until - at)
+        phrase.append((at, length))
+    return tuple(phrase)
+
+
+def _slots(phrase: Phrase, start: float, beats: int) -> list[_Slot]:
+    """The notes of a phrase that begins at `start`."""
+    strong = (0, 2) if beats == 4 else (0,)
+    return [
+        _Slot(start + at, length, at % beats in strong or length >= _LONG) for at, length in phrase
+    ]
 
 
 def _pitches(
@@ -199,7 +220,7 @@ def _pitches(
             _NEW_PHRASE
         )
     belongs = [
-        np.array([passage.chord(slot.at).has(int(pitch)) for pitch in pitches])
+        np.array([slot.chord(passage).has(int(pitch)) for pitch in pitches])
         for slot, pitches in zip(slots, candidates, strict=True)
     ]
     steps = [
@@ -211,15 +232,14 @@ def _pitches(
 
 
 def _candidates(passage: Passage, singing: Singing, slot: _Slot) -> np.ndarray:
-    scale = melody_scale(passage.key, passage.chord(slot.at), singing.colour)
+    scale = melody_scale(passage.key, slot.chord(passage), singing.colour)
     every = range(singing.low, singing.high + 1)
     return np.array([pitch for pitch in every if pitch % OCTAVE in scale])
 
 
 def _dissonance(passage: Passage, singing: Singing, slot: _Slot, pitches: np.ndarray) -> Costs:
     """Costs of pitches that are no chord tones, at the note or at a chord within its time."""
-    until = slot.at + min(slot.length, 2.0)
-    sounding = {passage.chord(slot.at), passage.chord(until - 0.25)}
+    sounding = {slot.chord(passage), passage.chord(slot.at + slot.length - _SAME_TIME)}
     strong = _BLUE_NOTE if singing.colour == "blues" else _STRONG_DISSONANCE
     cost = strong if slot.strong else _WEAK_DISSONANCE
     total = np.zeros(len(pitches), np.int64)
@@ -237,7 +257,8 @@ def _line(rng: np.random.Generator, singing: Singing, count: int) -> list[int]:
     heights = []
     for i in range(count):
         up, down = rise * i // count, rise * (count - i) // count
-        heights.append(low + (2 * min(up, down), up, down, 2 * min(up, down))[shape])
+        height = (2 * min(up, down), up, down, 2 * min(up, down))[shape]
+        heights.append(low + height + int(rng.integers(-_ROUGH, _ROUGH, endpoint=True)))
     return heights
 
 

@@ -34,6 +34,8 @@ class Passage:
     rng: np.random.Generator
     final: bool = False
     """Whether it is the last chord of the song, which all hold."""
+    raised: int = 0
+    """Semitones by which it is higher than the beginning of the song."""
 
     @property
     def length(self) -> int:

@@ -22,6 +22,7 @@ from cadenza.music.etudes.band.accompaniment import (
     piano,
     picked,
     power_chords,
+    riff,
     voiced,
 )
 from cadenza.music.etudes.band.rhythm_section import (
@@ -131,6 +132,13 @@ _STABS_LATE = ((2.5, 0.4), (3.5, 0.5), (7.0, 0.4))
 _WALTZ_WHOLE = ((0.0, 3.0),)
 _WALTZ_CHORDS = ((1.0, 0.9), (2.0, 0.9))
 _WALTZ_STRUM = ((0.0, 1.0), (1.0, 0.5), (1.5, 0.5), (2.0, 1.0))
+
+_RIFFS = (
+    (0.0, 1.0, 1.5, 2.5, 3.0),
+    (0.0, 0.5, 1.5, 2.0, 3.0, 3.5),
+    (0.5, 1.0, 1.5, 2.5, 3.5),
+    (0.0, 0.75, 1.5, 2.0, 2.5, 3.0, 3.5),
+)
 
 _ROOT_FIFTH = patterned_bass([(0, 1.8, "r"), (2, 1.8, "f")])
 _EIGHTH_BASS = patterned_bass([(i / 2, 0.45, "r") for i in range(8)])
@@ -384,7 +392,7 @@ STYLES: dict[str, Style] = {
                 90,
             ),
             Chair(
-                (chords(open_chords, _STRUM), chords(open_chords, _EIGHTHS)),
+                (chords(open_chords, _STRUM), chords(open_chords, _STRUM_CALM)),
                 (_CLEAN, _STEEL),
                 _GUITAR_NAMES,
                 75,
@@ -397,9 +405,11 @@ STYLES: dict[str, Style] = {
                 _PIANOS,
                 _PIANO_NAMES,
                 40,
+                pedal=True,
             ),
             Chair((held(voiced(ORGAN)),), _ORGANS, _ORGAN_NAMES, 45),
             Chair((held(voiced(FOUR_STRINGS)),), (*_ENSEMBLES, 50), _STRING_NAMES, 25, _LOUD),
+            Chair((riff(52, *_RIFFS),), (_MUTED, _CLEAN, _OVERDRIVEN), ("Riff", "Gtr 3"), 30),
             Chair((chords(voiced(BRASS), _STABS, _STABS_LATE),), (61, 62), _BRASS_NAMES, 15, _LOUD),
         ),
     ),
@@ -521,7 +531,12 @@ STYLES: dict[str, Style] = {
             ),
             Chair((picked,), (105, 24, 27), ("Banjo", "Picking", "Gtr 2"), 45),
             Chair(
-                (piano(CLOSE, _HALVES, _BACKBEAT, _SYNCOPATED),), (0, 3), _PIANO_NAMES, 45, _FULL
+                (piano(CLOSE, _HALVES, _BACKBEAT, _SYNCOPATED),),
+                (0, 3),
+                _PIANO_NAMES,
+                45,
+                _FULL,
+                pedal=True,
             ),
             Chair(
                 (held(voiced(FOUR_STRINGS)), held(voiced(HIGH_STRINGS))),
@@ -617,6 +632,7 @@ STYLES: dict[str, Style] = {
                 _FULL,
             ),
             Chair((chords(power_chords, _EIGHTHS),), (_MUTED, _CLEAN), ("Muted Gtr", "Gtr"), 30),
+            Chair((riff(60, *_RIFFS), riff(72, *_RIFFS)), (81, 5, 87, 98), ("Synth 3", "Hook"), 35),
             Chair((held(voiced(HIGH_STRINGS)),), (50, 51, 48), _STRING_NAMES, 40, _LOUD),
         ),
     ),
@@ -656,6 +672,7 @@ STYLES: dict[str, Style] = {
             ),
             Chair((held(voiced(ORGAN)),), _ORGANS, _ORGAN_NAMES, 50),
             Chair((chords(voiced(BRASS), _STABS, _STABS_LATE),), (61, 66), _BRASS_NAMES, 40),
+            Chair((riff(55, *_RIFFS),), (66, 57, 27), ("Sax Riff", "Riff"), 25, ("verse",)),
         ),
     ),
 }
@@ -690,6 +707,6 @@ RANGES: dict[int, tuple[int, int]] = {
     105: (55, 79),
 }
 """Program of an instrument -> the lowest and highest pitch of its melodies."""
-VOICE_RANGES = ((57, 76), (55, 74), (48, 67), (52, 71), (60, 79), (45, 64))
+VOICE_RANGES = ((57, 76), (55, 74), (48, 67), (52, 71), (60, 79))
 """Those of voices: women, men, and men written an octave higher."""
 VOICE_PROGRAMS = frozenset(_VOICES)
