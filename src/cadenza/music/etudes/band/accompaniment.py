@@ -9,7 +9,7 @@ import numpy as np
 
 from cadenza.music.etudes.band.chords import SongChord
 from cadenza.music.etudes.band.passage import Passage, pick
-from cadenza.music.etudes.band.rhythm_section import MEDIUM, Player
+from cadenza.music.etudes.band.rhythm_section import MEDIUM, Pattern
 from cadenza.music.etudes.band.voicings import (
     Slots,
     Voicing,
@@ -57,7 +57,7 @@ open_chords = with_guitar(guitar)
 power_chords = with_guitar(power_chord)
 
 
-def chords(voicings: Callable[[Passage], list[Voicing]], *rhythms: Rhythm) -> Player:
+def chords(voicings: Callable[[Passage], list[Voicing]], *rhythms: Rhythm) -> Pattern:
     """Chords in one of these rhythms."""
 
     def play(passage: Passage) -> Iterator[Tone]:
@@ -70,7 +70,7 @@ def chords(voicings: Callable[[Passage], list[Voicing]], *rhythms: Rhythm) -> Pl
     return play
 
 
-def held(voicings: Callable[[Passage], list[Voicing]]) -> Player:
+def held(voicings: Callable[[Passage], list[Voicing]]) -> Pattern:
     """Chords that are held as long as the harmony; a voice that stays is held on, up to 2 bars."""
 
     def play(passage: Passage) -> Iterator[Tone]:
@@ -92,7 +92,7 @@ def held(voicings: Callable[[Passage], list[Voicing]]) -> Player:
     return play
 
 
-def piano(slots: Slots, left: Rhythm, *right: Rhythm) -> Player:
+def piano(slots: Slots, left: Rhythm, *right: Rhythm) -> Pattern:
     """Chords of the right hand, and roots, fifths and octaves or tenths of the left."""
     above = chords(voiced(slots), *right)
 
@@ -145,7 +145,7 @@ def boom_chick(passage: Passage) -> Iterator[Tone]:
                 yield from (Tone(harmony.at + beat, 0.5, p, _LIGHT) for p in strings[2:])
 
 
-def riff(lowest: int, *rhythms: Sequence[float]) -> Player:
+def riff(lowest: int, *rhythms: Sequence[float]) -> Pattern:
     """A figure of single notes that comes again in every bar, on the tones of its chord."""
 
     def play(passage: Passage) -> Iterator[Tone]:
@@ -162,7 +162,7 @@ def riff(lowest: int, *rhythms: Sequence[float]) -> Player:
     return play
 
 
-def broken(lowest: int, step: float, *orders: Sequence[int]) -> Player:
+def broken(lowest: int, step: float, *orders: Sequence[int]) -> Pattern:
     """Arpeggios of a synthesizer: tones of the chord from `lowest` on in one of these orders."""
 
     def play(passage: Passage) -> Iterator[Tone]:

@@ -10,12 +10,20 @@ import numpy as np
 from cadenza.music.etudes.band.melody import Singing
 from cadenza.music.etudes.band.parts import DRUM_CHANNEL, Role
 from cadenza.music.etudes.band.passage import happens, pick
-from cadenza.music.etudes.band.styles import RANGES, VOICE_PROGRAMS, VOICE_RANGES, Chair, Style
+from cadenza.music.etudes.band.styles import (
+    RANGES,
+    USUAL_RANGE,
+    VOICE_PROGRAMS,
+    VOICE_RANGES,
+    Chair,
+    Style,
+)
 from cadenza.music.etudes.keys import OCTAVE
 from cadenza.music.etudes.sheet import Tone
 from cadenza.music.formats.general_midi import INSTRUMENTS
 
 _CHANNELS = 16
+_FEWEST_CHAIRS = 2
 _LEAD_NAMES = (
     *("Vocal", "Vocals", "Lead Vocal", "VOCAL", "Voice", "Lead Vox", "Singer"),
     *("Melody", "MELODY", "Melodie", "Main Melody", "Lead", "Lead Line", "LEAD"),
@@ -44,6 +52,7 @@ _CHANNELS_IN_ORDER = 60
 _SECOND_VOICE, _DOUBLE = 45, 40
 _SECOND_ABOVE = 45
 _PEDAL = 75
+_SOLO_BY_CHAIR = 30  # an accompanying instrument takes the solo
 
 
 @dataclass(eq=False)
@@ -97,7 +106,7 @@ class Cast:
         return players
 
 
-def cast(rng: np.random.Generator, style: Style) -> Cast:
+def random_cast(rng: np.random.Generator, style: Style) -> Cast:
     """Players for a song of a style, with their names."""
     naming = int(rng.integers(100))
 
@@ -110,13 +119,15 @@ def cast(rng: np.random.Generator, style: Style) -> Cast:
         return Player(name, program, loud, pick(rng, _LEGATO) if kind == "melody" else 1.0)
 
     lead = player(_LEAD_NAMES, pick(rng, style.leads), "melody")
+    chosen = [chair for chair in style.chairs if happens(rng, chair.share)]
     chairs: list[Player] = []
-    for i, chair in enumerate(style.chairs):
-        if happens(rng, chair.share) or (i == len(style.chairs) - 1 and not chairs):
-            chairs.append(player(chair.names, pick(rng, chair.programs), "chords"))
-            chairs[-1].chair, chairs[-1].pedal = chair, chair.pedal and happens(rng, _PEDAL)
+    for chair in chosen if len(chosen) >= _FEWEST_CHAIRS else style.chairs[:_FEWEST_CHAIRS]:
+        chairs.append(player(chair.names, pick(rng, chair.programs), "chords"))
+        chairs[-1].chair, chairs[-1].pedal = chair, chair.pedal and happens(rng, _PEDAL)
     other = [program for program in style.solos if program != lead.program]
     solo = player(_SOLO_NAMES, pick(rng, other), "melody")
+    if happens(rng, _SOLO_BY_CHAIR):
+        solo = chairs[0]
     second = player(_SECOND_NAMES, pick(rng, (lead.program, 52, 53)), "second")
     double = player(_DOUBLE_NAMES, pick(rng, pick(rng, _DOUBLES)), "second")
     bass = player(_BASS_NAMES, pick(rng, style.basses), "bass")
@@ -141,7 +152,7 @@ def cast(rng: np.random.Generator, style: Style) -> Cast:
 
 def _singing(rng: np.random.Generator, program: int, cells: str, colour: str) -> Singing:
     sung = program in VOICE_PROGRAMS
-    low, high = pick(rng, VOICE_RANGES) if sung else RANGES[program]
+    low, high = pick(rng, VOICE_RANGES) if sung else RANGES.get(program, USUAL_RANGE)
     return Singing(low, high, cells, colour)
 
 
@@ -149,5 +160,5 @@ def _number_channels(rng: np.random.Generator, players: Sequence[Player]) -> Non
     channels = [c for c in range(1, _CHANNELS + 1) if c != DRUM_CHANNEL]
     if not happens(rng, _CHANNELS_IN_ORDER):
         channels = [channels[i] for i in rng.permutation(len(channels))]
-    for player, channel in zip(players, channels, strict=False):
+    for player, channel in zip(dict.fromkeys(players), channels, strict=False):
         player.channel = channel

@@ -11,7 +11,7 @@ from cadenza.music.etudes.band.voicings import nearest
 from cadenza.music.etudes.keys import OCTAVE
 from cadenza.music.etudes.sheet import Tone
 
-Player = Callable[[Passage], Iterator[Tone]]
+Pattern = Callable[[Passage], Iterator[Tone]]
 """What an instrument plays in a section; the velocity 72 is neither accented nor light."""
 MEDIUM = 72
 _ACCENT, _LIGHT, _GHOST = 84, 62, 44  # velocities
@@ -33,7 +33,7 @@ def _fifth(chord: SongChord) -> int:
     return above - OCTAVE if above - OCTAVE >= _LOWEST else above
 
 
-def patterned_bass(rhythm: Sequence[tuple[float, float, str]]) -> Player:
+def patterned_bass(rhythm: Sequence[tuple[float, float, str]]) -> Pattern:
     """A bass with a rhythm (onset, length, tone) of one or more bars.
 
     Tones are "r" for the root, "f" for the fifth below or above it, "o" for the octave.
@@ -52,7 +52,7 @@ def patterned_bass(rhythm: Sequence[tuple[float, float, str]]) -> Player:
     return play
 
 
-def approached(play: Player, percent: int) -> Player:
+def approached(play: Pattern, percent: int) -> Pattern:
     """A bass that often comes to new roots by a step in the last half of a beat."""
 
     def play_approached(passage: Passage) -> Iterator[Tone]:
@@ -116,7 +116,7 @@ _FILLS = ("xxxx", "x.xx", "xx..", "--xx")
 _FILL_EVERY = 4  # bars; fills come at the end of a section and, at times, after so many
 
 
-def drums(*patterns: Mapping[int, str]) -> Player:
+def drums(*patterns: Mapping[int, str]) -> Pattern:
     """Drums with one of these patterns: for each drum, the steps of a bar or of several.
 
     Steps of a bar are as many as there are signs, if `|` does not divide them into bars: `X` is an

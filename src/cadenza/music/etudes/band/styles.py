@@ -39,7 +39,7 @@ from cadenza.music.etudes.band.rhythm_section import (
     SNARE,
     STICK,
     TAMBOURINE,
-    Player,
+    Pattern,
     approached,
     drums,
     patterned_bass,
@@ -55,7 +55,7 @@ class Chair:
     of songs that have it, `sections` the kinds of sections in which it plays, all if empty.
     """
 
-    plays: tuple[Player, ...]
+    plays: tuple[Pattern, ...]
     programs: tuple[int, ...]
     names: tuple[str, ...]
     share: int = 100
@@ -85,9 +85,9 @@ class Style:
     colours: tuple[str, ...]
     leads: tuple[int, ...]
     solos: tuple[int, ...]
-    bass: tuple[Player, ...]
+    bass: tuple[Pattern, ...]
     basses: tuple[int, ...]
-    drums: Player
+    drums: Pattern
     chairs: tuple[Chair, ...]
 
 
@@ -677,11 +677,8 @@ STYLES: dict[str, Style] = {
     ),
 }
 
+USUAL_RANGE = (60, 84)
 RANGES: dict[int, tuple[int, int]] = {
-    0: (60, 84),
-    4: (60, 84),
-    11: (60, 84),
-    21: (60, 84),
     22: (60, 81),
     24: (55, 79),
     25: (55, 79),
@@ -689,7 +686,6 @@ RANGES: dict[int, tuple[int, int]] = {
     27: (55, 81),
     29: (55, 84),
     30: (55, 84),
-    18: (60, 84),
     40: (60, 88),
     110: (60, 86),
     56: (58, 79),
@@ -701,12 +697,10 @@ RANGES: dict[int, tuple[int, int]] = {
     68: (60, 81),
     71: (55, 79),
     73: (65, 89),
-    80: (60, 84),
-    81: (60, 84),
     87: (57, 81),
     105: (55, 79),
 }
-"""Program of an instrument -> the lowest and highest pitch of its melodies."""
+"""Program of an instrument -> the lowest and highest pitch of its melodies, if not as usual."""
 VOICE_RANGES = ((57, 76), (55, 74), (48, 67), (52, 71), (60, 79))
 """Those of voices: women, men, and men written an octave higher."""
 VOICE_PROGRAMS = frozenset(_VOICES)
