@@ -56,10 +56,10 @@ def test_the_same_seed_gives_the_same_file(tmp_path: Path) -> None:
 def test_songs_are_the_same_on_every_machine(tmp_path: Path) -> None:
     """What is measured with them names them by their seeds only."""
     digest = hashlib.sha256()
-    for band in bands()[:16]:
+    for band in bands()[:8]:
         write_band(band, tmp_path / "song.mid")
         digest.update((tmp_path / "song.mid").read_bytes())
-    assert digest.hexdigest()[:16] == "DIGEST"
+    assert digest.hexdigest()[:16] == "4c38d309c095e02e"
 
 
 @few

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cached_property
 
 from cadenza.music.etudes.keys import OCTAVE, Key
 
@@ -40,7 +41,7 @@ class SongChord:
     intervals: tuple[int, ...]
     bass: int
 
-    @property
+    @cached_property
     def classes(self) -> tuple[int, ...]:
         """The pitch classes of its tones, from the root."""
         return tuple((self.root + interval) % OCTAVE for interval in self.intervals)

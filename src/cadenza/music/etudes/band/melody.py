@@ -7,12 +7,19 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cadenza.music.etudes.band.chords import SongChord, melody_scale
 from cadenza.music.etudes.band.passage import Passage, happens, one_at_a_time, pick
 from cadenza.music.etudes.keys import OCTAVE
 from cadenza.music.etudes.sheet import Tone
-from cadenza.music.etudes.voice_leading import FORBIDDEN, Costs, cheapest_sequence, random_costs
+from cadenza.music.etudes.voice_leading import (
+    FORBIDDEN,
+    Costs,
+    Pitches,
+    cheapest_sequence,
+    random_costs,
+)
 
 Rhythm = tuple[float, ...]
 """Onsets in quarters from the beginning of a bar."""
@@ -82,6 +89,7 @@ _BREATHS_IN_MIDDLE = 60  # [%] of phrases of four bars
 # Costs of a pitch.
 _RANDOM = 70
 _STRONG_DISSONANCE, _WEAK_DISSONANCE = 400, 15  # a note that is no chord tone
+_CLASH = 80  # an important note a semitone above a chord tone, such as the root of a major seventh
 _BLUE_NOTE = 40  # a note of the blues that is no chord tone on a strong beat
 _OFF_TARGET = 6  # a semitone away from the line that the phrase follows
 _ROUGH = 3  # semitones by which that line goes up and down at random, at most
@@ -91,6 +99,9 @@ _NOT_BY_STEP = 120  # a leap to or from a note that is no chord tone
 _NEW_PHRASE = 3  # by which leaps are cheaper between phrases
 _LONG = 1.5  # quarters from which a note is as important as one on a strong beat
 _SONG_STEP = 2  # [semitones]
+_SECOND_VOICE = (4, 3, 5, 2, 6, 7)  # semitones from the melody, the first that fits is taken
+_RUN = 0.5  # quarters of the notes of an answer
+_SHORTEST_ANSWERED = 2  # quarters of a rest
 _SAME_TIME = 0.5  # quarters by which a note on a weak beat may anticipate a chord
 _INTERVALS = np.array([8, 6, 2, 12, 20, 30, 250, 48, 120, 110, 250, 350, 100])
 """Costs by semitones: steps are cheapest, then repeated notes; tritones and sevenths are rare."""
@@ -159,20 +170,17 @@ def _phrase_rhythm(passage: Passage, singing: Singing, bars: int, pickup: Rhythm
     until = beats - _BREATH + min(pickup, default=0)  # so that there is time before the next one
     ends = [end for end in _ENDS if end[-1] < until]
     first, second = pick(rng, CELLS[singing.cells]), pick(rng, CELLS[singing.cells])
-    cells = [first, second, first, second][: bars - 1]
-    breathes = bars >= _PHRASE and happens(rng, _BREATHS_IN_MIDDLE)
-    if breathes:
+    cells = [*(first, second, first, second)[: bars - 1], pick(rng, ends)]
+    ending_bars = [bars - 1]
+    if bars >= _PHRASE and happens(rng, _BREATHS_IN_MIDDLE):
         cells[1] = pick(rng, ends)
-    cells.append(pick(rng, ends))
+        ending_bars.append(1)
     onsets = [*pickup, *(bar * beats + at for bar, cell in enumerate(cells) for at in cell)]
-    lasts = {(bar * beats + cells[bar][-1]): bar for bar in ([1] if breathes else []) + [bars - 1]}
-    phrase = []
-    for at, after in zip(onsets, [*onsets[1:], bars * beats], strict=True):
-        length = min(after - at, _LONGEST)
-        if at in lasts:
-            length = min(pick(rng, _LAST_LENGTHS), lasts[at] * beats + until - at)
-        phrase.append((at, length))
-    return tuple(phrase)
+    lengths = {at: min(after - at, _LONGEST) for at, after in pairwise([*onsets, bars * beats])}
+    for bar in ending_bars:
+        at = cells[bar][-1]
+        lengths[bar * beats + at] = min(pick(rng, _LAST_LENGTHS), until - at)
+    return tuple(lengths.items())
 
 
 def _slots(phrase: Phrase, start: float, beats: int) -> list[_Slot]:
@@ -199,30 +207,22 @@ def _pitches(
         slots: the notes.
         model: the pitches of an earlier phrase that this one resembles, or none.
         before: the last pitch of the phrase before, or None.
-        last: whether it is the last phrase of the section.
+        last: whether it is the last phrase of the section, which may end unlike its model.
     """
+    candidates = [_candidates(passage, singing, slot) for slot in slots]
     targets = _line(passage.rng, singing, len(slots))
-    candidates, costs = [], []
-    for i, slot in enumerate(slots):
-        pitches = _candidates(passage, singing, slot)
+    costs = []
+    for slot, pitches, target in zip(slots, candidates, targets, strict=True):
         cost = random_costs(passage.rng, len(pitches), _RANDOM)
-        cost += _dissonance(passage, singing, slot, pitches)
-        cost += _OFF_TARGET * np.abs(pitches - targets[i])
-        if i < len(model) - (not last):
-            cost += np.minimum(_OFF_MODEL * np.abs(pitches - model[i]), _FAR_OFF_MODEL)
-        if last and i == len(slots) - 1:
-            tonic = passage.key.pitch(0)
-            cost += _NO_TONIC * ((pitches - tonic) % OCTAVE != 0)
-        candidates.append(pitches)
-        costs.append(cost)
+        cost += _OFF_TARGET * np.abs(pitches - target)
+        costs.append(cost + _dissonance(passage, singing, slot, pitches))
+    for i, pitch in enumerate(model[:-1] if last else model):
+        costs[i] += np.minimum(_OFF_MODEL * np.abs(candidates[i] - pitch), _FAR_OFF_MODEL)
+    if last:
+        costs[-1] += _NO_TONIC * ((candidates[-1] - passage.key.pitch(0)) % OCTAVE != 0)
     if before is not None:
-        costs[0] = costs[0] + _INTERVALS[np.minimum(np.abs(candidates[0] - before), OCTAVE)] // (
-            _NEW_PHRASE
-        )
-    belongs = [
-        np.array([slot.chord(passage).has(int(pitch)) for pitch in pitches])
-        for slot, pitches in zip(slots, candidates, strict=True)
-    ]
+        costs[0] += _interval_costs(candidates[0] - before) // _NEW_PHRASE
+    belongs = [_in_chord(slot.chord(passage), p) for slot, p in zip(slots, candidates, strict=True)]
     steps = [
         _moves(candidates[i], candidates[i + 1], belongs[i], belongs[i + 1])
         for i in range(len(slots) - 1)
@@ -231,20 +231,23 @@ def _pitches(
     return [int(pitches[i]) for pitches, i in zip(candidates, chosen, strict=True)]
 
 
-def _candidates(passage: Passage, singing: Singing, slot: _Slot) -> np.ndarray:
+def _candidates(passage: Passage, singing: Singing, slot: _Slot) -> Pitches:
     scale = melody_scale(passage.key, slot.chord(passage), singing.colour)
-    every = range(singing.low, singing.high + 1)
-    return np.array([pitch for pitch in every if pitch % OCTAVE in scale])
+    pitches = np.arange(singing.low, singing.high + 1)
+    return pitches[np.isin(pitches % OCTAVE, list(scale))]
 
 
-def _dissonance(passage: Passage, singing: Singing, slot: _Slot, pitches: np.ndarray) -> Costs:
+def _in_chord(chord: SongChord, pitches: Pitches) -> NDArray[np.bool_]:
+    return np.isin(pitches % OCTAVE, chord.classes)
+
+
+def _dissonance(passage: Passage, singing: Singing, slot: _Slot, pitches: Pitches) -> Costs:
     """Costs of pitches that are no chord tones, at the note or at a chord within its time."""
-    sounding = {slot.chord(passage), passage.chord(slot.at + slot.length - _SAME_TIME)}
-    strong = _BLUE_NOTE if singing.colour == "blues" else _STRONG_DISSONANCE
-    cost = strong if slot.strong else _WEAK_DISSONANCE
+    important = _BLUE_NOTE if singing.colour == "blues" else _STRONG_DISSONANCE
     total = np.zeros(len(pitches), np.int64)
-    for chord in sounding:
-        total += np.array([0 if chord.has(int(pitch)) else cost for pitch in pitches])
+    for chord in {slot.chord(passage), passage.chord(slot.at + slot.length - _SAME_TIME)}:
+        total += (important if slot.strong else _WEAK_DISSONANCE) * ~_in_chord(chord, pitches)
+        total += _CLASH * slot.strong * _in_chord(chord, pitches - 1)
     return total
 
 
@@ -262,26 +265,33 @@ def _line(rng: np.random.Generator, singing: Singing, count: int) -> list[int]:
     return heights
 
 
+def _interval_costs(semitones: Pitches) -> Costs:
+    size = np.abs(semitones)
+    return np.where(size <= OCTAVE, _INTERVALS[np.minimum(size, OCTAVE)], FORBIDDEN)
+
+
 def _moves(
-    before: np.ndarray, after: np.ndarray, belonged: np.ndarray, belongs: np.ndarray
+    before: Pitches, after: Pitches, belonged: NDArray[np.bool_], belongs: NDArray[np.bool_]
 ) -> Costs:
-    """(n, n') costs of the intervals from each pitch to each next."""
-    interval = np.abs(after - before[:, None])
-    costs = np.where(interval <= OCTAVE, _INTERVALS[np.minimum(interval, OCTAVE)], FORBIDDEN)
-    by_leap = interval > _SONG_STEP
-    return costs + _NOT_BY_STEP * by_leap * (~belongs + 0 + ~belonged[:, None])
+    """(n, n') costs of the intervals from each pitch to each next; whether they are chord tones."""
+    semitones = after - before[:, None]
+    dissonant = (~belonged).astype(int)[:, None] + ~belongs
+    return _interval_costs(semitones) + _NOT_BY_STEP * (np.abs(semitones) > _SONG_STEP) * dissonant
 
 
 def second_voice(passage: Passage, tones: Sequence[Tone], above: bool, low: int) -> list[Tone]:
-    """A voice a third or so above or below a melody, moved by octaves to stay over `low`."""
+    """A voice a third or so above or below a melody, which is silent where it would be below `low`.
+
+    Its long notes are tones of the chord.
+    """
+    side = 1 if above else -1
     found = []
     for tone in tones:
         chord = passage.chord(tone.at)
         scale = melody_scale(passage.key, chord, "scale")
         wanted = chord.classes if tone.length >= 1 else scale
-        sign = 1 if above else -1
-        pitches = [tone.pitch + sign * by for by in (4, 3, 5, 2, 6, 7)]
-        pitch = next((p for p in pitches if p % OCTAVE in wanted), tone.pitch + sign * OCTAVE)
+        near = (tone.pitch + side * interval for interval in (*_SECOND_VOICE, OCTAVE))
+        pitch = next((p for p in near if p % OCTAVE in wanted), tone.pitch + side * OCTAVE)
         if pitch >= low:
             found.append(Tone(tone.at, tone.length, pitch))
     return found
@@ -289,14 +299,11 @@ def second_voice(passage: Passage, tones: Sequence[Tone], above: bool, low: int)
 
 def answers(passage: Passage, tones: Sequence[Tone], singing: Singing) -> Iterator[Tone]:
     """Yields short runs of another instrument in the rests of a melody."""
-    ends = [(a.at + a.length, b.at) for a, b in pairwise(tones)]
-    for rest, until in [*ends, (tones[-1].at + tones[-1].length, float(passage.length))]:
-        if until - rest < 2 * _BREATH:
-            continue
-        at = np.ceil(2 * rest) / 2 + 0.5
-        slots = [
-            _Slot(float(t), 0.5, strong=i == 0) for i, t in enumerate(np.arange(at, until, 0.5))
-        ]
-        if slots:
+    rests = [(a.at + a.length, b.at) for a, b in pairwise(tones)]
+    rests.append((tones[-1].at + tones[-1].length, passage.length))
+    for begin, end in rests:
+        onsets = np.arange(np.ceil(begin / _RUN) * _RUN + _RUN, end, _RUN).tolist()
+        if onsets and end - begin >= _SHORTEST_ANSWERED:
+            slots = [_Slot(at, _RUN, strong=at == onsets[0]) for at in onsets]
             pitches = _pitches(passage, singing, slots, [], None, last=False)
             yield from (Tone(s.at, s.length, p) for s, p in zip(slots, pitches, strict=True))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 
@@ -31,16 +34,19 @@ class Plan:
     tempo: int
     passages: tuple[Passage, ...]
 
-    @property
+    @cached_property
     def starts(self) -> list[int]:
         """The quarters at which sections begin."""
-        lengths = [passage.length for passage in self.passages]
-        return [sum(lengths[:i]) for i in range(len(lengths))]
+        return [0, *accumulate(passage.length for passage in self.passages[:-1])]
 
     @property
     def placed(self) -> Iterator[tuple[Passage, int]]:
         """The sections and the quarters at which they begin."""
         return zip(self.passages, self.starts, strict=True)
+
+    def passage(self, at: float) -> Passage:
+        """The section in which a time [quarters] lies; the first before the song."""
+        return self.passages[max(bisect_right(self.starts, at) - 1, 0)]
 
     def ticks(self, at: float) -> int:
         """The ticks of a time [quarters]; in swing, the first half of each beat is the longer."""

@@ -72,8 +72,7 @@ def _event(
     length = max(end - start - min(_RELEASE, (end - start) // _RELEASE_SHARE), 1)
     velocity = player.loud
     if not hand.flat:
-        kind = next(p.kind for p, at in reversed(list(plan.placed)) if at <= max(tone.at, 0))
-        velocity += tone.velocity - MEDIUM + _ENERGY[kind]
+        velocity += tone.velocity - MEDIUM + _ENERGY[plan.passage(tone.at).kind]
         velocity += int(rng.integers(-_SPREAD, _SPREAD, endpoint=True))
     start = max(start + int(rng.integers(-hand.late, hand.late, endpoint=True)), 0)
     return _Event(start, start + length, tone.pitch, min(velocity, _LOUDEST), role)
