@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
+from operator import itemgetter
 from pathlib import Path
-
-import mido
 
 from cadenza.files import write_atomically
 from cadenza.music.etudes.band.parts import (
@@ -16,7 +15,6 @@ from cadenza.music.etudes.band.parts import (
     microseconds_per_beat,
     ticks,
 )
-from cadenza.music.formats.midi import read_midi
 from cadenza.music.score import Score
 
 _SUSTAIN = 64  # controller number of the sustain pedal
@@ -28,19 +26,37 @@ def write_band(band: Band, path: str | Path) -> None:
     Read back by `cadenza.music.formats.midi.read_midi`, notes and bars have the same times to the
     bit. Notes of equal pitch that parts play at once are merged there, as on one piano.
     """
+    import mido  # here, so that the names of etudes can be had without it
+
     file = mido.MidiFile(type=1, ticks_per_beat=TICKS_PER_BEAT, charset="utf-8")
-    file.tracks.append(
-        mido.MidiTrack(
-            [
-                mido.MetaMessage("track_name", name=band.title),
-                mido.MetaMessage("set_tempo", tempo=microseconds_per_beat(band.tempo)),
-                mido.MetaMessage("time_signature", numerator=band.beats, denominator=4),
-            ]
-        )
-    )
-    file.tracks += [_track(part, band.tempo) for part in band.parts]
+    heading = file.add_track(band.title)
+    heading.append(mido.MetaMessage("set_tempo", tempo=microseconds_per_beat(band.tempo)))
+    heading.append(mido.MetaMessage("time_signature", numerator=band.beats, denominator=4))
+    for part in band.parts:
+        track = file.add_track(part.name or None)
+        now = 0
+        for tick, kind, values in _messages(part, band.tempo):
+            track.append(mido.Message(kind, channel=part.channel - 1, time=tick - now, **values))
+            now = tick
     with write_atomically(Path(path)) as out:
         file.save(file=out)
+
+
+def _messages(part: Part, tempo: int) -> list[tuple[int, str, dict[str, int]]]:
+    """Ticks, kinds and values of the messages of a part.
+
+    At one tick, notes end, then the pedal moves, then notes begin.
+    """
+    ends, moves, begins = [], [], []
+    for note in part.notes:
+        on = {"note": note.pitch, "velocity": note.velocity}
+        begins.append((ticks(note.start, tempo), "note_on", on))
+        ends.append((ticks(note.end, tempo), "note_off", {"note": note.pitch}))
+    for event in part.pedal:
+        value = {"control": _SUSTAIN, "value": event.value}
+        moves.append((ticks(event.time, tempo), "control_change", value))
+    timed = sorted([*ends, *moves, *begins], key=itemgetter(0))  # which keeps their order at a tick
+    return [(0, "program_change", {"program": part.program}), *timed]
 
 
 def band_score(band: Band, tracks: Collection[int] = ()) -> Score:
@@ -49,30 +65,9 @@ def band_score(band: Band, tracks: Collection[int] = ()) -> Score:
     Raises:
         CadenzaError: there is no such track.
     """
+    from cadenza.music.formats.midi import read_midi  # which needs mido, too
+
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, f"{band.title}.mid")
         write_band(band, path)
         return read_midi(path, tracks)
-
-
-def _track(part: Part, tempo: int) -> mido.MidiTrack:
-    track = mido.MidiTrack([mido.MetaMessage("track_name", name=part.name)] if part.name else [])
-    channel = part.channel - 1
-    track.append(mido.Message("program_change", channel=channel, program=part.program))
-    now = 0
-    for tick, _, message in sorted(_timed(part, channel, tempo), key=lambda item: item[:2]):
-        track.append(message.copy(time=tick - now))
-        now = tick
-    return track
-
-
-def _timed(part: Part, channel: int, tempo: int) -> Iterator[tuple[int, int, mido.Message]]:
-    """Yields messages with their ticks; at one tick, notes end, the pedal moves, notes begin."""
-    for note in part.notes:
-        on = mido.Message("note_on", channel=channel, note=note.pitch, velocity=note.velocity)
-        yield ticks(note.start, tempo), 2, on
-        off = mido.Message("note_off", channel=channel, note=note.pitch)
-        yield ticks(note.end, tempo), 0, off
-    for event in part.pedal:
-        move = mido.Message("control_change", channel=channel, control=_SUSTAIN, value=event.value)
-        yield ticks(event.time, tempo), 1, move
