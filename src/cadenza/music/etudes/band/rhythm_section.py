@@ -114,13 +114,14 @@ _STROKE = 0.2  # quarters that a note of a drum lasts
 _HITS = {"X": _ACCENT, "x": MEDIUM, "o": _LIGHT, ".": _GHOST}
 _FILLS = ("xxxx", "x.xx", "xx..", "--xx")
 _FILL_EVERY = 4  # bars; fills come at the end of a section and, at times, after so many
+_FILLS_SHARE = 30  # [%] of those times
 
 
 def drums(*patterns: Mapping[int, str]) -> Pattern:
-    """Drums with one of these patterns: for each drum, the steps of a bar or of several.
+    """Drums with one of these patterns, a crash where a section begins, and fills.
 
-    Steps of a bar are as many as there are signs, if `|` does not divide them into bars: `X` is an
-    accent, `x` a stroke, `o` a light one, `.` a ghost note, `-` nothing.
+    A pattern has the steps of a bar for each drum, or of several bars with `|` between them: `X` is
+    an accent, `x` a stroke, `o` a light one, `.` a ghost note, `-` nothing.
     """
 
     def play(passage: Passage) -> Iterator[Tone]:
@@ -131,7 +132,7 @@ def drums(*patterns: Mapping[int, str]) -> Pattern:
         yield Tone(0, _STROKE, CRASH, MEDIUM)
         for bar in range(passage.bars):
             last = bar == passage.bars - 1
-            turn = (bar + 1) % _FILL_EVERY == 0 and happens(passage.rng, 30)
+            turn = (bar + 1) % _FILL_EVERY == 0 and happens(passage.rng, _FILLS_SHARE)
             until = passage.beats - 1 if last or turn else passage.beats
             start = bar * passage.beats
             for drum, steps in pattern.items():
@@ -139,7 +140,7 @@ def drums(*patterns: Mapping[int, str]) -> Pattern:
                 signs = bars[bar % len(bars)]
                 for i, sign in enumerate(signs):
                     at = i * passage.beats / len(signs)
-                    if sign in _HITS and at < until and (bar, i, drum) != (0, 0, CRASH):
+                    if sign in _HITS and at < until:
                         yield Tone(start + at, _STROKE, drum, _HITS[sign])
             if until < passage.beats:
                 yield from _fill(passage, start + until)
@@ -149,7 +150,7 @@ def drums(*patterns: Mapping[int, str]) -> Pattern:
 
 def _fill(passage: Passage, start: float) -> Iterator[Tone]:
     """Yields a beat of strokes on snare and toms."""
-    drums_of_it = pick(passage.rng, ((SNARE,) * 4, (SNARE, SNARE, *_TOMS[1:3]), _TOMS))
-    for i, (drum, sign) in enumerate(zip(drums_of_it, pick(passage.rng, _FILLS), strict=True)):
+    struck = pick(passage.rng, ((SNARE,) * 4, (SNARE, SNARE, *_TOMS[1:3]), _TOMS))
+    for i, (drum, sign) in enumerate(zip(struck, pick(passage.rng, _FILLS), strict=True)):
         if sign in _HITS:
             yield Tone(start + i / 4, _STROKE, drum, _HITS[sign])
