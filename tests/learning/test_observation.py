@@ -24,6 +24,8 @@ TASKS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "touch": ({}, {"hands": "right", "touch": True}),
     "without fingers": ({"fingering": "off", "n_seconds_lookahead": 0.22}, {}),
     "no lookahead": ({"n_steps_lookahead": 0}, {"reduced_action_space": False}),
+    "onsets": ({"onset_goals": True, "random_stretch": 0.3}, {"hands": "right", "touch": True}),
+    "onsets, no lookahead": ({"onset_goals": True, "n_steps_lookahead": 0}, {"hands": "none"}),
     "random": ({"random_stretch": 0.3, "random_hand_position": 0.1}, {}),
 }
 

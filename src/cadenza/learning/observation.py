@@ -18,11 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.files import INTEGERS, ArrayOf, check_arrays
+from cadenza.files import FLOATS, INTEGERS, ArrayOf, check_arrays
+from cadenza.keyboards.loudness import VELOCITIES
 from cadenza.learning.ranges import Ranges
+from cadenza.music.goals import NO_ONSETS, Onsets
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
-from cadenza.tasks.view import TaskSpec
+from cadenza.tasks.view import TaskSpec, observed_onsets
 
 Floats = NDArray[np.float32]
 
@@ -34,11 +36,19 @@ class ObservationSpec:
     goal: int
     """Keys and pedal of the next step and of those ahead of it."""
     fingering: int
+    goal_onset: int = 0
+    """When notes begin, in the last step, in the next one and in those after it."""
+    goal_velocity: int = 0
+    """How loud these notes are."""
     key_state: int
     pedal: int
     joints: int
     touch: int = 0
     """Forces on the fingertips, where there are sensors."""
+    key_onset: int = 0
+    """When keys began to sound in the last step."""
+    key_velocity: int = 0
+    """How loud they did."""
     previous_action: int
     previous_reward: int
     reference: int
@@ -80,7 +90,18 @@ class ObservationSpec:
         return Inputs(tuple(range(self.size)), self.size)
 
 
-_OF_THE_TASK = ("goal", "fingering", "key_state", "pedal", "joints", "touch")
+_OF_THE_TASK = (
+    "goal",
+    "fingering",
+    "goal_onset",
+    "goal_velocity",
+    "key_state",
+    "pedal",
+    "joints",
+    "touch",
+    "key_onset",
+    "key_velocity",
+)
 
 
 @dataclass(frozen=True)
@@ -108,23 +129,35 @@ class GoalTable:
         """Begins with an empty table; `task` says how far ahead the score is observed."""
         spec = ObservationSpec.of(task)
         self._num_goals = spec.goals_of_a_step
+        self._num_keys, self._control_timestep = spec.key_state, task.config.control_timestep
         self._num_bits = self._num_goals + task.scene.fingers.count
         self._ahead = np.arange(spec.goal // self._num_goals)
+        self._onsets_seen = np.arange(-1, spec.goal_onset // spec.key_state - 1)
+        # Of each score, so that no step of the next one is ahead of it, nor its last one before.
+        self._silent_rows = max(len(self._ahead) - 1, int(spec.goal_onset > 0))
         # Keys, pedal, fingers wanted, in bits.
         self._rows = np.zeros((0, -(-self._num_bits // 8)), np.uint8)
+        self._onsets = NO_ONSETS  # by row
         self._first: dict[bytes, int] = {}
 
     def add(self, track: GoalTrack) -> int:
         """Adds what is played, unless it is there; returns the row of its first step."""
         goals = track.goals
-        silence = np.zeros((len(self._ahead) - 1, self._num_bits), bool)
+        onsets = goals.onsets if self._shows_onsets else NO_ONSETS
+        silence = np.zeros((self._silent_rows, self._num_bits), bool)
         steps = np.column_stack([goals.keys, goals.sustain, goals.fingers_wanted])
         bits = np.packbits(np.concatenate([steps, silence]), axis=1)
-        key = bits.tobytes()
+        key = _bytes_of(bits, onsets)
         if key not in self._first:
-            self._first[key] = len(self._rows)
+            self._first[key] = first = len(self._rows)
             self._rows = np.concatenate([self._rows, bits])
+            both = zip(self._onsets, onsets.delayed(first), strict=True)
+            self._onsets = Onsets._make(np.concatenate(parts) for parts in both)
         return self._first[key]
+
+    @property
+    def _shows_onsets(self) -> bool:
+        return len(self._onsets_seen) > 0
 
     def add_all(self, task: PianoTask) -> None:
         """Adds what `task` draws from."""
@@ -141,6 +174,29 @@ class GoalTable:
         """Returns the fingers (..., len(kept)) that have a key to press in these rows (...)."""
         return self._unpacked(rows)[..., self._num_goals + kept].astype(np.float32)
 
+    def onsets(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
+        """Returns what the task observes of the onsets around these rows (...), (..., len(kept)).
+
+        Those are the times, and then the velocities.
+        """
+        seen, size = self._onsets_seen, len(self._onsets_seen) * self._num_keys
+        steps = (rows[..., None] + seen).ravel()
+        since = np.searchsorted(self._onsets.step, steps)
+        count = np.searchsorted(self._onsets.step, steps, "right") - since
+        at = np.repeat(np.arange(len(steps)), count)
+        found = np.arange(len(at)) + np.repeat(since - (np.cumsum(count) - count), count)
+        values = observed_onsets(
+            self._onsets.time[found], self._onsets.velocity[found], self._control_timestep
+        )
+        column = np.full(2 * size, -1)
+        column[kept] = np.arange(len(kept))
+        result = np.zeros((rows.size, len(kept)), np.float32)
+        entry = (at % len(seen)) * self._num_keys + self._onsets.key[found]
+        for part, first in zip(values, (0, size), strict=True):
+            to = column[first + entry]
+            result[at[to >= 0] // len(seen), to[to >= 0]] = part[to >= 0]
+        return result.reshape(*rows.shape, len(kept))
+
     def _unpacked(self, rows: NDArray[np.integer]) -> NDArray[np.uint8]:
         return np.unpackbits(self._rows[rows], axis=-1, count=self._num_bits)
 
@@ -151,12 +207,16 @@ class GoalTable:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Returns the table as arrays, for `restore`."""
-        return {"rows": self._rows, "first": np.array(sorted(self._first.values()), np.int64)}
+        first = np.array(sorted(self._first.values()), np.int64)
+        arrays: dict[str, NDArray[Any]] = {"rows": self._rows, "first": first}
+        if self._shows_onsets:
+            arrays |= {f"onset_{name}": part for name, part in self._onsets._asdict().items()}
+        return arrays
 
     @property
     def num_rows(self) -> int:
         """The number of rows in which an observation may begin."""
-        return len(self._rows) - len(self._ahead) + 1
+        return len(self._rows) - self._silent_rows
 
     def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Restores what `arrays` returned; raises a CadenzaError if it is something else."""
@@ -164,10 +224,27 @@ class GoalTable:
             "rows": ArrayOf("u", ("rows", self._rows.shape[1]), needed=True),
             "first": ArrayOf(INTEGERS, ("scores",), needed=True),
         }
+        if self._shows_onsets:
+            keys, velocities = (0, self._num_keys - 1), VELOCITIES
+            expected |= {
+                "onset_step": ArrayOf(INTEGERS, ("onsets",), needed=True),
+                "onset_key": ArrayOf(INTEGERS, ("onsets",), needed=True, within=keys),
+                "onset_time": ArrayOf(FLOATS, ("onsets",), needed=True, finite=True),
+                "onset_velocity": ArrayOf(INTEGERS, ("onsets",), needed=True, within=velocities),
+            }
         check_arrays(arrays, expected, "scores")
         self._rows = arrays["rows"]
+        if self._shows_onsets:
+            self._onsets = Onsets(**{name: arrays[f"onset_{name}"] for name in Onsets._fields})
         ends = [*arrays["first"].tolist(), len(self._rows)]
-        self._first = {self._rows[first:last].tobytes(): first for first, last in pairwise(ends)}
+        self._first = {
+            _bytes_of(self._rows[first:last], self._onsets.between(first, last)): first
+            for first, last in pairwise(ends)
+        }
+
+
+def _bytes_of(bits: NDArray[np.uint8], onsets: Onsets) -> bytes:
+    return b"".join(part.tobytes() for part in (bits, *onsets))
 
 
 def pruned(spec: ObservationSpec, goals: GoalTable) -> Inputs:
@@ -179,9 +256,11 @@ def pruned(spec: ObservationSpec, goals: GoalTable) -> Inputs:
     layout = spec.layout
     keys_wanted, fingers_wanted = goals.ever_wanted()
     goal, fingers = np.arange(spec.goal), np.arange(spec.fingering)
+    onsets = np.arange(spec.goal_onset + spec.goal_velocity)
     kept = (
         goal[keys_wanted[goal % spec.goals_of_a_step]],
         layout["fingering"].start + fingers[fingers_wanted[fingers]],
+        layout["goal_onset"].start + onsets[keys_wanted[onsets % spec.key_state]],
         np.arange(layout["key_state"].start, spec.size),
     )
     return Inputs(tuple(np.concatenate(kept).tolist()), spec.size)
@@ -224,11 +303,12 @@ class Observer:
         self._ranges, self._joints = ranges, task.observation_layout.get("joints", slice(0, 0))
         if ranges is not None:
             self._centre, self._scale = np.zeros_like(self._centre), np.ones_like(self._scale)
-        size, shown = spec.goal, task.observation_layout["key_state"].start
+        ends = [spec.layout[name].start for name in ("fingering", "goal_onset", "key_state")]
         kept = np.array(self.inputs.kept)
-        self._goal = kept[kept < size]
-        self._fingers = kept[(kept >= size) & (kept < shown)] - size
-        others = kept[kept >= shown]
+        parts = np.split(kept, np.searchsorted(kept, ends))
+        self._goal, self._fingers, self._onsets, others = parts
+        self._fingers, self._onsets = self._fingers - ends[0], self._onsets - ends[1]
+        shown = ends[-1]
         self._others = None if len(others) == spec.size - shown else others - shown
         self._proprioception = slice(shown, task.observation_size)
 
@@ -268,5 +348,7 @@ class Observer:
             others.append(self._reference[np.minimum(rows, len(self._reference) - 1)])
         if self._others is not None:
             others = [np.concatenate(others, axis=-1)[..., self._others]]
-        goals = self._goals.goals(rows, self._goal), self._goals.fingers(rows, self._fingers)
+        goals = [self._goals.goals(rows, self._goal), self._goals.fingers(rows, self._fingers)]
+        if len(self._onsets):
+            goals.append(self._goals.onsets(rows, self._onsets))
         return np.concatenate([*goals, *others], axis=-1)

@@ -50,6 +50,7 @@ _CHANGE_WHAT_IS_OBSERVED = (
     "n_seconds_lookahead",
     "control_timestep",
     "fingering",
+    "onset_goals",
     "keyboard",
     "hand",
     "hands",

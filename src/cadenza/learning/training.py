@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
-from cadenza.files import FLOATS, INTEGERS, NUMBERS, ArrayOf
+from cadenza.files import FLOATS, NUMBERS, ArrayOf
 from cadenza.learning.actions import ActionMapping, reference_of
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig, check
@@ -40,7 +40,7 @@ _EPISODES_AVERAGED = 100  # in a row of metrics
 _EXPECTED = {  # arrays of a checkpoint; whoever restores them checks their sizes
     "learner:*": ArrayOf(NUMBERS, None),
     "collector:*": ArrayOf(FLOATS, None),
-    "scores:*": ArrayOf(INTEGERS, None),
+    "scores:*": ArrayOf(NUMBERS, None),
     "metrics:*": ArrayOf(FLOATS, ("updates",)),
 }
 

@@ -35,6 +35,11 @@ class Onsets(NamedTuple):
         """These onsets, moved later by a number of steps."""
         return self._replace(step=self.step + steps)
 
+    def between(self, first: int, last: int) -> Onsets:
+        """The onsets in the steps from `first` to before `last`, which are counted from `first`."""
+        since, until = np.searchsorted(self.step, (first, last))
+        return Onsets._make(values[since:until] for values in self).delayed(-first)
+
 
 _NONE = np.zeros(0, np.intp)
 NO_ONSETS = Onsets(step=_NONE, key=_NONE, time=np.zeros(0), velocity=_NONE)

@@ -24,6 +24,8 @@ _MAXIMUM = {  # of options from 0 on, which no user needs to exceed
     "initial_buffer_time": 3600,
     "fingering_margin": 1,
     "energy_coefficient": 1000,
+    "onset_timing_coefficient": 1000,
+    "loudness_coefficient": 1000,
     "random_hand_position": 1,
     "random_stretch": 0.99,
     "random_pitch_shift": NUM_KEYS,
@@ -100,6 +102,9 @@ def _check_options(config: TaskConfig) -> None:
             raise CadenzaError(f"{name} {value}: choose more than 0")
     given = {name: most for name, most in _MAXIMUM.items() if getattr(config, name) is not None}
     check_ranges(config, {name: (0, most) for name, most in given.items()})
+    for name in ("onset_timing_coefficient", "loudness_coefficient"):
+        if (value := getattr(config, name)) and not config.onset_goals:
+            raise CadenzaError(f"{name} {value}: rewards what onset_goals shows; turn that on, too")
 
 
 def _check_duration(seconds: float, config: TaskConfig) -> None:

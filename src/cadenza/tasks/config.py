@@ -119,6 +119,13 @@ class TaskConfig:
     fingering_margin: float = 0.1
     """Distance over which the fingering reward falls to a tenth, beyond a first centimetre that
     costs nothing [m]."""
+    onset_goals: bool = False
+    """Observe when within control steps notes begin and how loud they are, and when and how loud
+    keys began to sound."""
+    onset_timing_coefficient: float = 0.0
+    """Weight of the reward for each note that begins in time, with --onset-goals."""
+    loudness_coefficient: float = 0.0
+    """Weight of the reward for each note that is as loud as written, with --onset-goals."""
     key_press: KeyPress = "published"
     """Reward for the keys to press. published: hardly any for a key before it is nearly down, and
     as much for no wrong key; graded: for every touch, less for every wrong key."""
@@ -168,6 +175,9 @@ _PLAYED_ALIKE = {
     "n_seconds_lookahead",
     "fingering",
     "fingering_margin",
+    "onset_goals",
+    "onset_timing_coefficient",
+    "loudness_coefficient",
     "key_press",
     "energy_coefficient",
     "sustain_term",

@@ -137,6 +137,19 @@ class UpcomingGoals(NamedTuple):
     """(N, F) which fingers have a key to press in the next step."""
 
 
+class UpcomingOnsets(NamedTuple):
+    """The notes that begin in W control steps of N environments; 0 where a key has no onset.
+
+    The steps are the one before the next, the next one and those after it: at least one, as far as
+    the lookahead.
+    """
+
+    time: NDArray[np.float64]
+    """(N, W, K) when notes begin, from the beginnings of their steps on [s]."""
+    velocity: NDArray[np.intp]
+    """(N, W, K) the MIDI velocities of the notes, which are at least 1."""
+
+
 class EpisodeGoals:
     """The goals of N environments, of which each is at its own step of its own track.
 
@@ -163,19 +176,20 @@ class EpisodeGoals:
         self._num_keys, self._num_fingers = scene.keyboard.num_keys, scene.fingers.count
         self._goals = [silence(1, self._num_keys, self._num_fingers)] * num_envs
         self._cached: UpcomingGoals | None = None
+        self._cached_onsets: UpcomingOnsets | None = None
 
     def begin(self, env: int, track: GoalTrack) -> None:
         """Begins an episode of environment `env`, in which it plays `track`."""
         self.tracks[env], self._goals[env] = track, track.goals
         self.num_steps[env] = track.goals.num_steps
         self.steps_done[env] = self.row[env] = 0
-        self._cached = None
+        self._cached = self._cached_onsets = None
 
     def advance(self, env_ids: NDArray[np.intp] | slice) -> None:
         """Counts a step of these environments."""
         self.steps_done[env_ids] += 1
         self.row = np.minimum(self.steps_done, self.num_steps - 1)
-        self._cached = None
+        self._cached = self._cached_onsets = None
 
     @property
     def scores(self) -> tuple[Score, ...]:
@@ -198,6 +212,19 @@ class EpisodeGoals:
                 wanted[env] = goals.fingers_wanted[row]
             self._cached = UpcomingGoals(goal, fingers, wanted)
         return self._cached
+
+    @property
+    def upcoming_onsets(self) -> UpcomingOnsets:
+        """The notes that begin in the next steps, which are gathered once a step."""
+        if self._cached_onsets is None:
+            shape = len(self.row), max(self._steps_seen, 2) + 1, self._num_keys
+            time, velocity = np.zeros(shape), np.zeros(shape, np.intp)
+            for env, (goals, row) in enumerate(zip(self._goals, self.row.tolist(), strict=True)):
+                onsets = goals.onsets.between(row - 1, row - 1 + shape[1])
+                time[env, onsets.step, onsets.key] = onsets.time
+                velocity[env, onsets.step, onsets.key] = onsets.velocity
+            self._cached_onsets = UpcomingOnsets(time, velocity)
+        return self._cached_onsets
 
     def between(
         self, env: int, first: int, last: int

@@ -25,6 +25,7 @@ from cadenza.sim.protocol import MakeSimulation
 from cadenza.tasks import augmentation
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import EpisodeGoals, GoalTrack
+from cadenza.tasks.onset_matching import OnsetMatching
 from cadenza.tasks.randomization import Randomization
 from cadenza.tasks.reward import (
     Outcome,
@@ -34,7 +35,7 @@ from cadenza.tasks.reward import (
     key_state,
     midi_velocity,
 )
-from cadenza.tasks.view import View, task_spec
+from cadenza.tasks.view import View, observed_onsets, task_spec
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -142,6 +143,11 @@ class PianoTask:
         self._played = np.zeros((num_envs, 0, num_keys + 1), bool)
         self._key_events: list[list[KeyEvent]] = [[] for _ in range(num_envs)]
         self.wanted = np.zeros((num_envs, num_keys), bool)
+        self._onset_matching = (
+            OnsetMatching(num_envs, self.scene.keyboard, self.config.control_timestep)
+            if self.config.onset_goals
+            else None
+        )
         self._reward = Reward(self.config, self.scene, reward_terms)
         self._pedal, self._lost = np.zeros(num_envs), np.zeros(num_envs, bool)
         self._env_ids = np.arange(num_envs)
@@ -200,6 +206,8 @@ class PianoTask:
         for row, (env, rng, start) in enumerate(zip(env_ids, rngs, starts, strict=True)):
             self.goals.begin(env, self._track(start.song, rng))
             self._key_events[env].clear()
+            if self._onset_matching is not None:
+                self._onset_matching.begin(env)
             if start.hand_qpos is not None:
                 hand_qpos[row] = start.hand_qpos
             elif most := self.config.random_hand_position:
@@ -240,7 +248,12 @@ class PianoTask:
         goal, fingers, row = goals.upcoming.goal[:, 0], goals.upcoming.fingers, goals.row
         moving = slice(None) if env_ids is None else np.asarray(env_ids, np.intp)
         arrived = self._randomization.step(ctrl, moving)
+        sounded = self.sounding
         self._read_state()
+        onset_errors = None
+        if self._onset_matching is not None:
+            due = goals.upcoming_onsets
+            onset_errors = self._onset_matching.match(due, self.state, sounded, moving)
         pedal = arrived[moving, -1]
         self._lost[moving] |= ~np.isfinite(pedal)
         self._pedal[moving] = np.fmin(np.fmax(pedal, 0.0), 1.0)  # up where it is not a number
@@ -261,6 +274,7 @@ class PianoTask:
             goal_sustain=goal[:, -1],
             fingers=fingers,
             ctrl=ctrl,
+            onset_errors=onset_errors,
         )
         terms = self._reward.terms(outcome)
         terminated = unstable = self.state.unstable | self._lost
@@ -300,6 +314,12 @@ class PianoTask:
         positions [m, rad]; touch: normal forces on the fingertips that are there, from 0 to 1
         where the sensors saturate, at `TOUCH_RANGE`. Joints and key states have the noise of
         `DomainRandomization`.
+
+        With `TaskConfig.onset_goals`, goal_onset and goal_velocity (L + 2, K): when notes begin and
+        how loud they are, in the last step, in the next one and in those after it, see
+        `observed_onsets`; key_onset and key_velocity (K,): when keys began to sound in the last
+        step, and how loud. What was due and what was played then tell which notes may still be
+        played (`OnsetMatching`), and so what the next step can earn.
         """
         layout = self.spec.observation_layout
         result = np.empty((self.num_envs, self.spec.observation_size), np.float32)
@@ -316,7 +336,20 @@ class PianoTask:
             result[:, layout["touch"]] = np.minimum(
                 self.state.touch[:, self.scene.present_fingers] / TOUCH_RANGE, 1.0
             )
+        if self.config.onset_goals:
+            self._observe_onsets(result)
         return result
+
+    def _observe_onsets(self, result: NDArray[np.float32]) -> None:
+        """Writes the onsets of notes and of keys to observations (N, D)."""
+        layout, dt = self.spec.observation_layout, self.config.control_timestep
+        due, shown = self.goals.upcoming_onsets, self.config.lookahead_steps + 2
+        time, velocity = observed_onsets(due.time[:, :shown], due.velocity[:, :shown], dt)
+        result[:, layout["goal_onset"]] = time.reshape(self.num_envs, -1)
+        result[:, layout["goal_velocity"]] = velocity.reshape(self.num_envs, -1)
+        loudness = np.nan_to_num(self.scene.keyboard.velocity(self.state.key_speed))
+        time, velocity = observed_onsets(np.nan_to_num(self.state.key_onset), loudness, dt)
+        result[:, layout["key_onset"]], result[:, layout["key_velocity"]] = time, velocity
 
     def view(self, playing: Mask | None = None) -> View:
         """The view of an agent before the next step of the environments `playing` (N,) bool.

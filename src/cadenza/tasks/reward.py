@@ -22,6 +22,7 @@ from cadenza.keyboards.keyboard import Keyboard
 from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import State
 from cadenza.tasks.config import WEIGHTS, TaskConfig
+from cadenza.tasks.onset_matching import OnsetErrors
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,6 +33,13 @@ Ids = NDArray[np.integer]
 _LOG_VALUE_AT_MARGIN = math.log(0.1)
 _KEY_BOUND, _KEY_MARGIN = 0.05, 0.5  # as fractions of the way down
 _FINGER_BOUND = 0.01  # [m]
+# A listener notices that a note is displaced by 6 ms (Friberg and Sundberg, "Time discrimination in
+# a monotonic, isochronous sequence", JASA 98, 1995), and one that is off by 50 ms does not count as
+# played any more (the usual tolerance of note onset F1).
+_ONSET_BOUND, _ONSET_MARGIN = 0.006, 0.044  # [s]
+# Two people who play the same piece differ by 10.8 on average; 25 more are half or twice the speed
+# of the hammer (Goebl 2001, see `Action.per_doubling`).
+_VELOCITY_BOUND, _VELOCITY_MARGIN = 10.8, 25.0  # in MIDI velocity
 _PRESS_AT = np.array((0.35, 0.0, 0.5))  # of half a key's size, from the centre of its box
 _TOTAL = "total"
 
@@ -55,6 +63,9 @@ class Outcome(NamedTuple):
     """(N, K) which fingers should press the keys, -1 for none."""
     ctrl: Array
     """(N, A) the action in actuator units, the pedal last."""
+    onset_errors: OnsetErrors | None = None
+    """How far onsets are from those of the notes that they play, (N, K) each; None without
+    `TaskConfig.onset_goals`."""
 
     def __repr__(self) -> str:
         return f"Outcome({len(self.ctrl)} environments)"
@@ -199,6 +210,40 @@ def forearm(contact: Mask) -> Array:
     return contact.__array_namespace__().where(contact, 0.0, WEIGHTS.forearm)
 
 
+def onset_timing(error: Array, coefficient: float) -> Array:
+    """(N,) reward for notes that begin in time.
+
+    Each note that is played counts in full up to an error of 6 ms, which a listener hardly notices,
+    and a tenth at 50 ms. Each counts alike: in a chord, they add up.
+
+    Args:
+        error: (N, K) times between notes and the onsets that play them [s], NaN for other keys.
+        coefficient: the reward for a note.
+    """
+    return coefficient * _sum_of_played(error, _ONSET_BOUND, _ONSET_MARGIN)
+
+
+def loudness(error: Array, coefficient: float) -> Array:
+    """(N,) reward for notes that are as loud as written.
+
+    Each note that is played counts in full up to an error of 10.8 in MIDI velocity, by which two
+    people who play the same piece differ, and a tenth where its hammer is half or twice as fast
+    beyond that.
+
+    Args:
+        error: (N, K) differences of MIDI velocities, NaN for keys that play no note.
+        coefficient: the reward for a note.
+    """
+    return coefficient * _sum_of_played(error, _VELOCITY_BOUND, _VELOCITY_MARGIN)
+
+
+def _sum_of_played(error: Array, bound: float, margin: float) -> Array:
+    """(N,) sums of how near the errors (N, K) are to 0, without those that are NaN."""
+    xp = error.__array_namespace__()
+    near = _tolerance(xp, abs(error) - bound, margin)
+    return xp.where(xp.isnan(error), 0.0, near).sum(-1)
+
+
 def _tolerance(xp: Any, beyond: Array, margin: float) -> Array:
     """1 up to the bound, then a Gaussian that falls to 0.1 at `margin` beyond it."""
     distance = xp.maximum(beyond, 0.0)
@@ -259,6 +304,12 @@ class Reward:
             terms["sustain"] = sustain(outcome.pedal_down, outcome.goal_sustain)
         if config.forearm_term:
             terms["forearm"] = forearm(state.forearm_contact)
+        if (errors := outcome.onset_errors) is not None:
+            if config.onset_timing_coefficient:
+                coefficient = config.onset_timing_coefficient
+                terms["onset_timing"] = onset_timing(errors.time, coefficient)
+            if config.loudness_coefficient:
+                terms["loudness"] = loudness(errors.velocity, config.loudness_coefficient)
         num_envs = len(outcome.ctrl)
         wanted = f"give a finite number for each environment, ({num_envs},)"
         for name, term in self._more_terms.items():

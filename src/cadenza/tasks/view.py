@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.keyboards.loudness import VELOCITIES
 from cadenza.music.score import Score
 from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import Simulation, State
@@ -29,6 +30,20 @@ def from_range(ctrl: NDArray[Any], low: Array, high: Array) -> Array:
     """Maps [low, high] to [-1, 1], `(..., A)`: the inverse of `to_range`."""
     action = (np.asarray(ctrl, np.float64) - (low + high) / 2) / ((high - low) / 2)
     return np.minimum(np.maximum(action, -1.0), 1.0)
+
+
+def observed_onsets(
+    time: NDArray[Any], velocity: NDArray[Any], control_timestep: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """What is observed of onsets: times as fractions of a step, velocities as fractions of 127.
+
+    Args:
+        time: (...) from the beginnings of the steps on [s].
+        velocity: (...) MIDI velocities, 0 for no onset.
+        control_timestep: time of a control step [s].
+    """
+    share = np.clip(time / control_timestep, 0.0, 1.0)  # which rounding may leave
+    return share.astype(np.float32), (velocity / VELOCITIES[1]).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +89,16 @@ def task_spec(config: TaskConfig, scene: Scene) -> TaskSpec:
     sizes = {"goal": (config.lookahead_steps + 1) * (keys + 1)}
     if config.fingering != "off" and scene.sides:
         sizes["fingering"] = scene.fingers.count
+    if config.onset_goals:
+        steps = config.lookahead_steps + 2
+        sizes |= {"goal_onset": steps * keys, "goal_velocity": steps * keys}
     sizes |= {"key_state": keys, "pedal": 1}
     if scene.sides:
         sizes["joints"] = len(scene.hand_joint_names)
     if scene.sides and scene.config.touch:
         sizes["touch"] = len(scene.fingertip_sites)
+    if config.onset_goals:
+        sizes |= {"key_onset": keys, "key_velocity": keys}
     ends = np.cumsum(list(sizes.values())).tolist()
     layout = {
         name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)
