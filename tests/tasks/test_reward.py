@@ -246,9 +246,17 @@ def test_jax_compiles_the_terms() -> None:
         (reward.energy, *rng.normal(size=(2, n, 38)), np.array(0.005)),
         (reward.sustain, down, ~down),
         (reward.forearm, down),
+        (reward.onset_timing, some(rng, n, 0.02), np.array(0.5)),
+        (reward.loudness, some(rng, n, 20.0), np.array(0.5)),
     ):
         compiled = jax.jit(term)(*map(jnp.asarray, arguments))
         assert_allclose(compiled, term(*arguments), rtol=1e-4, atol=1e-6, err_msg=term.__name__)
+
+
+def some(rng: np.random.Generator, n: int, scale: float) -> np.ndarray:
+    """Errors of the onsets of few keys."""
+    errors = rng.normal(scale=scale, size=(n, NUM_KEYS))
+    return np.where(rng.random((n, NUM_KEYS)) < 0.1, errors, np.nan)
 
 
 def around_keys(rng: np.random.Generator, n: int) -> tuple[np.ndarray, ...]:
@@ -275,3 +283,18 @@ def test_sustain(down: bool, goal: bool) -> None:
 
 def test_forearm() -> None:
     assert_array_equal(reward.forearm(np.array([True, False])), [0.0, 0.5])
+
+
+@few
+@given(st.data(), sizes, st.floats(0, 2))
+def test_onset_timing_and_loudness(data: st.DataObject, n: int, coefficient: float) -> None:
+    for term, most, bound, margin in (
+        (reward.onset_timing, 0.1, 0.006, 0.044),
+        (reward.loudness, 126.0, 10.8, 25.0),
+    ):
+        errors = data.draw(arrays((n, NUM_KEYS), -most, most))
+        errors = np.where(data.draw(masks(n, NUM_KEYS)), errors, np.nan)
+        ours = term(errors, coefficient)
+        for env in range(n):
+            near = [gaussian(abs(e), 0, bound, margin) for e in errors[env] if not math.isnan(e)]
+            assert_allclose(ours[env], coefficient * sum(near), **CLOSE)
