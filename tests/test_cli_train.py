@@ -92,6 +92,29 @@ def test_the_policy_plays_as_it_was_evaluated(
     assert json.loads((tmp_path / "metrics.json").read_text())["f1"] == best
 
 
+def test_a_policy_learns_when_notes_begin_and_how_loud_and_plays(
+    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is stopped, goes on, and is evaluated and played with the terms that it learnt by."""
+    folder = tmp_path / "run"
+    options = ["--onset-goals", "--onset-timing-coefficient", "0.5", "--loudness-coefficient", "1"]
+    main(["train", str(tune), "-o", str(folder), *SMALL, *SHORT, *options])
+    main(["train", "--resume", str(folder), "--num-steps", "300"])
+    terms = {name for row in rows(folder) for name in row if name.startswith("eval/reward/")}
+    assert {"eval/reward/onset_timing", "eval/reward/loudness"} <= terms
+    task = json.loads((folder / "best" / "facts.json").read_text())["task"]
+    assert (task["onset_goals"], task["onset_timing_coefficient"]) == (True, 0.5)
+    capsys.readouterr()
+    best = str(folder / "best")
+    main(["play", str(tune), "--agent", best, "-o", str(tmp_path / "played"), "--no-video"])
+    metrics = json.loads((tmp_path / "played" / "metrics.json").read_text())
+    assert metrics["reward/loudness"] >= 0
+    without = "--no-onset-goals", "--onset-timing-coefficient", 0, "--loudness-coefficient", 0
+    assert "was trained with onset_goals True, but here it is False" in refused(
+        capsys, "play", tune, "--agent", best, *without
+    )
+
+
 def test_compare_takes_policies(run: Path, tmp_path: Path) -> None:
     folder = str(run / "best")
     main(["compare", folder, "--agents", "zero", folder, "-o", str(tmp_path)])

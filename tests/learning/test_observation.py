@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import melody, reset
 
 from cadenza.learning.observation import GoalTable, ObservationSpec, Observer, pruned
-from cadenza.music.score import NUM_KEYS
+from cadenza.music.score import NUM_KEYS, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -159,8 +160,20 @@ def test_a_score_that_comes_again_takes_no_room() -> None:
     assert scores.arrays()["rows"].nbytes == room
 
 
-def test_scores_are_restored_with_their_rows() -> None:
-    config = TaskConfig(random_stretch=0.5, random_pitch_shift=3)
+def test_scores_that_differ_in_their_onsets_alone_have_rows_of_their_own() -> None:
+    """If these are shown."""
+    louder = Score(tuple(replace(note, velocity=100) for note in SONGS[0].notes), SONGS[0].pedal)
+    for shown in (True, False):
+        scores = GoalTable(
+            (task := PianoTask([SONGS[0], louder], TaskConfig(onset_goals=shown))).spec
+        )
+        first, other = (scores.add(track) for track in task.tracks)
+        assert (first != other) == shown
+
+
+@pytest.mark.parametrize("onset_goals", [False, True])
+def test_scores_are_restored_with_their_rows(onset_goals: bool) -> None:
+    config = TaskConfig(random_stretch=0.5, random_pitch_shift=3, onset_goals=onset_goals)
     task = PianoTask(SONGS, config, num_envs=4)
     scores = GoalTable(task.spec)
     for seed in range(3):

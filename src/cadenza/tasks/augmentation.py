@@ -104,7 +104,10 @@ def _check_options(config: TaskConfig) -> None:
     check_ranges(config, {name: (0, most) for name, most in given.items()})
     for name in ("onset_timing_coefficient", "loudness_coefficient"):
         if (value := getattr(config, name)) and not config.onset_goals:
-            raise CadenzaError(f"{name} {value}: rewards what onset_goals shows; turn that on, too")
+            raise CadenzaError(
+                f"{name} {value}: needs onset_goals, so that what is rewarded is also observed; "
+                "turn that on"
+            )
 
 
 def _check_duration(seconds: float, config: TaskConfig) -> None:

@@ -14,7 +14,7 @@ from cadenza.tasks.goal_track import UpcomingOnsets
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_BEFORE, _NOW, _AFTER = range(3)  # the step before the one that is taken, that one, the one after
+_STEPS = np.array([-1, 0, 1])  # in which a note may be due: the last step, the one taken, the next
 
 
 class OnsetErrors(NamedTuple):
@@ -47,7 +47,7 @@ class OnsetMatching:
             control_timestep: time of a control step [s].
         """
         self._keyboard, self._control_timestep = keyboard, control_timestep
-        self._played = np.zeros((num_envs, 3, keyboard.num_keys), bool)
+        self._played = np.zeros((num_envs, len(_STEPS), keyboard.num_keys), bool)
 
     def begin(self, env: int) -> None:
         """Begins an episode of environment `env`, in which no note has been played."""
@@ -72,15 +72,14 @@ class OnsetMatching:
         took_it[moving] = True
         env, key = np.nonzero(took_it & ~np.isnan(state.key_onset))  # M onsets
         onset = state.key_onset[env, key]
-        starts = np.array([-1, 0, 1]) * self._control_timestep  # of the steps, (3,)
-        late = onset[:, None] - (due.time[env, :3, key] + starts)
-        velocity = due.velocity[env, :3, key]
+        near = due.time[env, : len(_STEPS), key] + _STEPS * self._control_timestep
+        late, velocity = onset[:, None] - near, due.velocity[env, : len(_STEPS), key]
         open_notes = (velocity > 0) & ~self._played[env, :, key]
         nearest = np.where(open_notes, abs(late), np.inf).argmin(axis=1)
         plays = open_notes.any(axis=1)
         self._played[env[plays], nearest[plays], key[plays]] = True
-        self._played[moving, :_AFTER] = self._played[moving, _NOW:]
-        self._played[moving, _AFTER] = False
+        self._played[moving, :-1] = self._played[moving, 1:]  # the next step is the one taken next
+        self._played[moving, -1] = False
 
         # A key that was silent before the step and fell silent in it before its last onset.
         twice = ~sounded[env, key] & (state.key_offset[env, key] < onset)

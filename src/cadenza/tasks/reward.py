@@ -33,9 +33,9 @@ Ids = NDArray[np.integer]
 _LOG_VALUE_AT_MARGIN = math.log(0.1)
 _KEY_BOUND, _KEY_MARGIN = 0.05, 0.5  # as fractions of the way down
 _FINGER_BOUND = 0.01  # [m]
-# A listener notices that a note is displaced by 6 ms (Friberg and Sundberg, "Time discrimination in
-# a monotonic, isochronous sequence", JASA 98, 1995), and one that is off by 50 ms does not count as
-# played any more (the usual tolerance of note onset F1).
+# From 6 ms on, listeners notice that a note is displaced in a fast sequence (Friberg and Sundberg,
+# "Time discrimination in a monotonic, isochronous sequence", JASA 98, 1995), and 50 ms is the usual
+# tolerance of note onset F1.
 _ONSET_BOUND, _ONSET_MARGIN = 0.006, 0.044  # [s]
 # Two people who play the same piece differ by 10.8 on average; 25 more are half or twice the speed
 # of the hammer (Goebl 2001, see `Action.per_doubling`).
@@ -213,8 +213,9 @@ def forearm(contact: Mask) -> Array:
 def onset_timing(error: Array, coefficient: float) -> Array:
     """(N,) reward for notes that begin in time.
 
-    Each note that is played counts in full up to an error of 6 ms, which a listener hardly notices,
-    and a tenth at 50 ms. Each counts alike: in a chord, they add up.
+    Each note that is played is worth max(0, abs(error) - 6 ms) on a Gaussian that falls to a tenth
+    at 44 ms: 1 up to an error that a listener hardly notices, a tenth at the 50 ms that note onset
+    F1 allows. Notes count alike, so those of a chord add up.
 
     Args:
         error: (N, K) times between notes and the onsets that play them [s], NaN for other keys.
@@ -226,9 +227,9 @@ def onset_timing(error: Array, coefficient: float) -> Array:
 def loudness(error: Array, coefficient: float) -> Array:
     """(N,) reward for notes that are as loud as written.
 
-    Each note that is played counts in full up to an error of 10.8 in MIDI velocity, by which two
-    people who play the same piece differ, and a tenth where its hammer is half or twice as fast
-    beyond that.
+    Each note that is played is worth max(0, abs(error) - 10.8) on a Gaussian that falls to a tenth
+    at 25: 1 up to an error by which two people who play the same piece differ, a tenth where the
+    hammer is half or twice as fast beyond that. Notes count alike, so those of a chord add up.
 
     Args:
         error: (N, K) differences of MIDI velocities, NaN for keys that play no note.
