@@ -7,13 +7,17 @@ import os
 import shlex
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import mido
 import pytest
 
+from cadenza import load_song
 from cadenza.cli import main
-from cadenza.music.formats.midi import write_midi
+from cadenza.music.expression import performed
+from cadenza.music.expression_rules import ExpressionRules
+from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.formats.reading import name_without_ending
 from cadenza.music.score import Note, PedalEvent, Score
 
@@ -100,6 +104,32 @@ def test_a_plan_of_some_tracks_is_replayed_with_them_and_no_others(
     main([*arguments, "--no-video", "-o", str(tmp_path)])
     said = refused(capsys, *arguments[:-3], "-o", tmp_path)
     assert "was planned with tracks [1, 3], but here it is []" in said
+
+
+def test_a_plan_with_expression_is_replayed_with_its_rules(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan, rules = tmp_path / "plan.safetensors", ["--expression", "0.5", "--rules.phrase-arch", "3"]
+    main(["plan", "OdeToJoy", *rules, "--planner.method", "none", "-o", str(plan)])
+    _, *arguments = shlex.split(capsys.readouterr().out.strip().splitlines()[-1])
+    assert arguments[-4:] == ["--expression", "0.5", "--rules.phrase-arch", "3.0"]
+    main([*arguments, "--no-video", "-o", str(tmp_path)])
+    arrangement = json.loads((tmp_path / "settings.json").read_text())["arrangement"]
+    assert arrangement["expression"] == 0.5
+    assert arrangement["rules"] == asdict(ExpressionRules(phrase_arch=3.0))
+    expected = performed(load_song("OdeToJoy"), 0.5, ExpressionRules(phrase_arch=3.0))
+    wanted = read_midi(tmp_path / "wanted.mid")
+    assert [note.velocity for note in wanted.notes] == [note.velocity for note in expected.notes]
+    said = refused(capsys, *arguments[:-2], "-o", tmp_path)
+    assert "was planned with rules" in said
+
+
+def test_rules_without_expression_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    said = refused(capsys, "play", "OdeToJoy", "--rules.melody-lead", "2")
+    assert "rules change nothing without expression: give --expression 1, too" in said
+    assert "choose 0 to 10" in refused(
+        capsys, "play", "OdeToJoy", "--expression", "1", "--rules.melody-lead", "11"
+    )
 
 
 def test_a_track_that_is_not_there(trio: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -40,6 +40,7 @@ from cadenza.evaluation.collecting.variation import Variation
 from cadenza.learning.config import ImitationConfig, TrainingConfig
 from cadenza.learning.learner import Preset
 from cadenza.music.arrangement import Arrangement
+from cadenza.music.expression_rules import ExpressionRules
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import DomainRandomization, TaskConfig
 
@@ -71,7 +72,7 @@ Quiet = Annotated[
 """The option of all commands that show their progress."""
 
 COMMON: dict[type, tuple[str, ...]] = {
-    Arrangement: ("tracks", "reduce"),
+    Arrangement: ("tracks", "reduce", "expression"),
     TaskConfig: ("stretch", "transpose"),
     SceneConfig: ("hands",),
     Execution: ("retry", "jobs", "executor"),
@@ -81,7 +82,7 @@ COMMON: dict[type, tuple[str, ...]] = {
 }
 """The fields that --help shows of the configurations in a command."""
 
-_GROUPS: dict[type, str] = {DomainRandomization: "randomization"}
+_GROUPS: dict[type, str] = {DomainRandomization: "randomization", ExpressionRules: "rules"}
 """Configurations in others without a prefix whose options have one nevertheless."""
 
 

@@ -43,7 +43,7 @@ class Bench(Options):
     """Agents of "cadenza play" but playback, with commas or spaces between; or train:fast,
     train:paper, train:published, train:fast-residual: a policy trained on each song."""
     seeds: tuple[str, ...] = ("0",)
-    """Random seeds, such as 0-2 or 0,5. Each agent plays each song once with each seed."""
+    """Random seeds, such as 0-2 or 0,5, for each agent and song."""
     output: Output[Path] = Path("bench")
     """Folder of the runs, which is extended if it holds some already."""
     num_threads: Advanced[int] = 1

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from cadenza.configs import check_ranges
+from cadenza.errors import CadenzaError
+from cadenza.music.expression_rules import ExpressionRules, check_quantities
 from cadenza.music.score import (
     RELEASE_TIME,
     Note,
@@ -16,8 +17,6 @@ from cadenza.music.score import (
     chords,
 )
 
-MOST_EXPRESSION = 10.0
-"""The largest dose of expression; twice as published is a caricature."""
 _VOICE_SHARE = 0.9  # of a track's onsets are single notes, if it is a voice
 _MIN_SHARE = 0.25  # of the notes of the busiest voice; tracks with fewer only fill in
 
@@ -29,19 +28,24 @@ class Arrangement:
     tracks: tuple[int, ...] = ()
     """Play only these tracks, numbered as in "cadenza info SONG"."""
     reduce: Literal["off", "melody-bass"] = "off"
-    """Reduce the song to its melody and its bass: the highest and the lowest voice."""
+    """Reduce the song to its highest and its lowest voice."""
     first_seconds: float | None = None
     """Play only what begins within this time from the first note on [s]."""
     expression: float = 0.0
-    """Perform the song by the KTH rules: 1 as published, more to exaggerate, 0 as written."""
+    """The dose of expression: 1 as the KTH rules say, 0 as written."""
+    rules: ExpressionRules = field(default_factory=ExpressionRules)
+    """The quantity of each rule, which `expression` multiplies."""
 
     def __post_init__(self) -> None:
         """Checks the options.
 
         Raises:
-            CadenzaError: `first_seconds` is not a positive number, or `expression` is out of range.
+            CadenzaError: `first_seconds` is not a positive number, `expression` or a rule is out of
+                range, or there are rules but no expression.
         """
-        check_ranges(self, {"expression": (0, MOST_EXPRESSION)})
+        check_quantities(self.expression, self.rules)
+        if self.rules != ExpressionRules() and not self.expression:
+            raise CadenzaError("rules change nothing without expression: give --expression 1, too")
         if self.first_seconds is not None:
             check_beginning(self.first_seconds)
 
@@ -51,19 +55,19 @@ class Arrangement:
         Raises:
             CadenzaError: it cannot be read, has no such tracks, or lasts over an hour.
         """
-        score = self._reduced(song)
+        score = self._performed(self._reduced(song))  # whole, as its beginning has no final ritard
         if self.first_seconds is not None:
             score = score.beginning(self.first_seconds)
         music = score.total_time - min((note.start for note in score.notes), default=0.0)
         check_length(music, f"{song}: the song", "; play its beginning with --first-seconds")
-        return self._performed(score)
+        return score
 
     def _performed(self, score: Score) -> Score:
         if not self.expression:
             return score
-        from cadenza.music.expression import ExpressionConfig, performed
+        from cadenza.music.expression import performed
 
-        return performed(score, ExpressionConfig(dose=self.expression))
+        return performed(score, self.expression, self.rules)
 
     def _reduced(self, song: str) -> Score:
         from cadenza.music.libraries.library import load_score

@@ -8,15 +8,17 @@ are those of Director Musices, the program of its authors (github.com/docfry/Dir
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import astuple, replace
 from heapq import heappop, heappush
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.configs import as_config, check_ranges
-from cadenza.music.score import RELEASE_TIME, Bar, Note, Score, check_length, chords
+from cadenza.configs import as_config
+from cadenza.music.expression_rules import ExpressionRules, check_quantities
+from cadenza.music.score import CHORD_TOLERANCE, RELEASE_TIME, Bar, Note, Score, chords
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -25,7 +27,6 @@ Mask = NDArray[np.bool_]
 # 2273-2283), from which Director Musices computes velocities.
 VELOCITY_PER_DECIBEL = 2.8
 
-_MOST_QUANTITY = 10.0  # of a rule; at 5 it is a caricature already
 _SAME_LENGTH = 1e-3  # [s] to which Director Musices rounds durations that it compares
 _LEAST_INTERVAL = 0.2  # of a written interval, which no rules together make shorter
 
@@ -55,6 +56,7 @@ _ARCH_LOUDNESS = 2.0  # this factor, and the turn, are those of the default rule
 _ARCH_TURN = 0.3  # of the time from the first onset of the phrase to the last
 _PHRASE_LONG = 2.0  # medians of all intervals, at which a note may end a phrase; a choice
 _PHRASE_TIME = 3.0  # [s] that a phrase lasts at least; a choice, about two bars
+_PHRASE_MOST = 10.0  # [s] that a phrase lasts at most, if it can be divided; a choice
 
 # Punctuation: the micropause [s] after notes of these durations [s]
 _PAUSED_DURATIONS = (0.16, 0.64)
@@ -64,39 +66,21 @@ _PUNCTUATED_SHARE = 0.6  # of the mean interval, below which notes are not set a
 _LEAP = (
     12 - 7
 )  # semitones, an octave less a fifth, of leaps between groups; smaller ones hardly weigh
+_FIGURE, _FIGURE_LEAPS = 6, 2  # more such leaps within so many notes are of a figure, as arpeggios
 _LARGEST_LEAP = 1.5  # of both neighbouring intervals, which a leap between groups exceeds
 
 # Final ritard: Friberg and Sundberg (J. Acoust. Soc. Am. 105, 1999, 1469-1484)
 _RITARD_CURVATURE = 3.0  # q, of runners who stop
 _RITARD_TIME = 1.3  # [s] before the last onset at which it begins
 _RITARD_TEMPO = 3.0  # the last tempo is 1 / (1 + 3 k) of the written one
-_RITARD_LAST_NOTE = 1.25  # of the interval before it, which the last note lasts at least
+_RITARD_LAST_NOTE = 1.25  # of the interval before it, which the last note lasts at least; one that
+# is written shorter lasts as much less, so that it stays short
 
 # Melody lead: 20 to 30 ms in Goebl (J. Acoust. Soc. Am. 110, 2001, 563-572). The loudness is a
 # choice; Goebl explains the lead by the melody's larger velocity.
 _LEAD = 0.025  # [s]
 _LEAD_DECIBELS = 3.0  # [dB]
 _LEAD_SHARE = 0.5  # of a note, by which it begins later at most
-
-
-@dataclass(frozen=True, slots=True)
-class ExpressionConfig:
-    """How much each rule of the KTH rule system does: its quantity k, times the `dose` of all.
-
-    The defaults are those of the default rule palette of Director Musices. Of the rules that it
-    lacks, faster uphill and melody lead are 1 and inegales is off. All lie in 0 to 10.
-    """
-
-    dose: float = 1.0  # of all rules; 0 plays as written
-    high_loud: float = 1.0  # the higher, the louder: 3 dB an octave
-    duration_contrast: float = 1.0  # notes shorter than 0.6 s become shorter and softer
-    double_duration: float = 1.0  # of two notes of 2:1, the shorter becomes longer
-    faster_uphill: float = 1.0  # ascending notes follow each other sooner
-    phrase_arch: float = 1.5  # phrases begin and end slower and softer
-    punctuation: float = 1.1  # small groups of notes are set apart by micropauses
-    final_ritard: float = 1.0  # the last 1.3 s slow down to a quarter of the tempo
-    melody_lead: float = 1.0  # chords follow their melody note by 25 ms; it is 3 dB louder
-    inegales: float = 0.0  # of pairs of short notes in a bar, the first becomes longer
 
 
 class _Melody(NamedTuple):
@@ -118,51 +102,53 @@ class _Melody(NamedTuple):
         return inner
 
 
-def performed(score: Score, config: ExpressionConfig | None = None) -> Score:
+def performed(score: Score, dose: float = 1.0, rules: ExpressionRules | None = None) -> Score:
     """Returns `score` as the rules perform it: other onsets, durations and velocities.
 
     Pitches, fingers and the order of notes on a key stay as they are, and notes overlap on a key
-    only where they did. Pedal and bars move by the same map of time as the notes. The tempo is not
-    normalised: the rules make most music slower, and a little softer.
+    only where they did. Pedal and bars move by the same map of time as the notes. As in Director
+    Musices, the mean tempo before the final ritard and the mean velocity stay as they are.
 
     The rules of timing apply to the melody, and everything else follows it; only the final ritard
     applies to all chords. A note is of the melody if it is the highest of its chord and no higher
     note sounds on (the skyline). Its duration is the time to the next note of the melody. The
-    interval between the two is stretched evenly, whatever is played within it. What else begins
-    within it is played as much louder or softer as its melody note. Only high loud counts for each
-    note by itself, by its distance from the mean pitch. Harmonic and melodic charge are left out:
-    they need harmonies, which a score does not have.
+    interval between the two is stretched evenly, whatever is played within it. All other notes
+    begin later by the same lead, so that their rhythm stays even, and are played as much louder or
+    softer as the melody above them. Only high loud counts for each note by itself, by its distance
+    from the mean pitch of the melody or, if it is not of the melody, of all other notes. Harmonic
+    and melodic charge are left out: they need harmonies, which a score does not have.
 
     A phrase ends before a rest of the melody, or with a note whose interval is at least twice the
-    median, but only once it has lasted 3 s. Punctuation uses the two of its published subrules that
-    weigh most: the end of the longest of five notes, and leaps against the direction of both
-    neighbours. Notes that are short for the piece are not set apart. Inegales needs bars.
+    median, but only once it has lasted 3 s. If it lasts over 10 s, it is divided after its longest
+    notes. Punctuation uses the two of its published subrules that weigh most: the end of the
+    longest of five notes, and leaps against the direction of both neighbours, unless there are so
+    many that they are of a figure. Notes that are short for the piece are not set apart. Inegales
+    needs bars.
 
     Args:
         score: what is written.
-        config: how much each rule does; None is the default.
+        dose: multiplies the quantities of all rules; 0 is as written.
+        rules: how much each rule does; None is the default.
 
     Raises:
-        CadenzaError: `config` is not an `ExpressionConfig` of numbers from 0 to 10, or the music
-            would last over an hour.
+        CadenzaError: `dose` or a rule is not from 0 to 10.
     """
-    config = as_config(config, ExpressionConfig)
-    check_ranges(config, {field.name: (0, _MOST_QUANTITY) for field in fields(config)})
+    rules = as_config(rules, ExpressionRules)
+    check_quantities(dose, rules)
+    quantity = ExpressionRules(*(dose * k for k in astuple(rules)))
     if not score.notes:
         return score
     groups = [sorted(chord, key=lambda note: note.pitch) for chord in chords(score.notes)]
     melody = _melody(groups)
-    pauses = config.dose * config.punctuation * _micropauses(melody)
+    pauses = quantity.punctuation * _micropauses(melody)
     moved = _time_map(
         melody,
-        _added_time(melody, pauses, config, score.bars),
+        _added_time(melody, pauses, quantity, score.bars),
         np.array([*(min(note.start for note in group) for group in groups), score.total_time]),
-        config.dose * config.final_ritard,
+        quantity.final_ritard,
     )
-    check_length(moved(score.total_time), "performed with expression, the song")
-
-    times = _note_times(groups, melody, pauses, moved, config.dose * config.melody_lead * _LEAD)
-    velocities = _velocities(score, melody, config).tolist()
+    times = _note_times(groups, melody, pauses, moved, quantity.melody_lead * _LEAD)
+    velocities = _velocities(score, melody, quantity).tolist()
     notes = (
         replace(note, start=start, end=end, velocity=velocity)
         for note, (start, end), velocity in zip(
@@ -200,22 +186,24 @@ def _melody(groups: Sequence[Sequence[Note]]) -> _Melody:
 
 
 def _added_time(
-    melody: _Melody, pauses: Floats, config: ExpressionConfig, bars: Sequence[Bar]
+    melody: _Melody, pauses: Floats, quantity: ExpressionRules, bars: Sequence[Bar]
 ) -> Floats:
-    """(M,) by how much the rules make each interval of the melody longer [s]."""
-    interval, dose = melody.interval, config.dose
+    """(M,) by how much the rules make each interval of the melody longer [s]; 0 in all."""
+    interval = melody.interval
     double = np.where(_doubles(melody), _DOUBLE_SHARE * interval, 0.0)
-    inequality = _inequality(melody, bars, dose * config.inegales)
+    inequality = _inequality(melody, bars, quantity.inegales)
     added = (
-        dose * config.duration_contrast * _CONTRAST_SECONDS * _contrast(melody)
-        + dose * config.double_duration * (double - _of_next(double))
-        - dose * config.faster_uphill * _UPHILL * _uphill(melody)
-        + dose * config.phrase_arch * _arch(melody, _ARCH_START, _ARCH_END) * interval
+        quantity.duration_contrast * _CONTRAST_SECONDS * _contrast(melody)
+        + quantity.double_duration * (double - _of_next(double))
+        - quantity.faster_uphill * _UPHILL * _uphill(melody)
+        + quantity.phrase_arch * _arch(melody, _ARCH_START, _ARCH_END) * interval
         + _PAUSE_LENGTHENS * pauses
         + _of_next(inequality)
         - inequality
     )
-    return np.maximum(added, (_LEAST_INTERVAL - 1) * interval)
+    added = np.maximum(added, (_LEAST_INTERVAL - 1) * interval)
+    longer = interval + added
+    return added - longer * (added.sum() / longer.sum())
 
 
 def _time_map(
@@ -235,7 +223,8 @@ def _time_map(
     if ritard and len(knots) > 2:
         interval = np.diff(knots + shifts)
         slowed = interval * _ritard(knots[:-1], ritard)
-        slowed[-1] = max(slowed[-1], _RITARD_LAST_NOTE * slowed[-2])
+        share = min(1.0, interval[-1] / interval[-2])
+        slowed[-1] = max(slowed[-1], _RITARD_LAST_NOTE * slowed[-2] * share)
         shifts[1:] += np.cumsum(slowed - interval)
     # A shift of 0 leaves a time as it is to the bit.
     return lambda time: time + float(np.interp(time, knots, shifts))
@@ -255,40 +244,53 @@ def _note_times(
         melody: the melody.
         pauses: (M,) the micropauses after its notes [s].
         moved: the map from written to played time [s].
-        lead: how much later than their melody note the other notes of a chord begin [s].
+        lead: how much later than the melody the other notes begin [s].
     """
     sung = {id(note): index for index, note in enumerate(melody.notes)}
-    led = {id(note) for group in groups if id(group[-1]) in sung for note in group[:-1]}
+    next_onset = dict[int, float]()
+    pause_after = dict[int, int]()  # the melody note with which a note ends
+    for group, later in zip(groups, [*groups[1:], []], strict=True):
+        index = sung.get(id(group[-1]), -1)
+        until = -inf if index < 0 else melody.onset[index] + melody.interval[index]
+        for note in group:
+            next_onset[id(note)] = min((other.start for other in later), default=inf)
+            if note.end <= until + CHORD_TOLERANCE:
+                pause_after[id(note)] = index
 
     def times(note: Note) -> tuple[float, float]:
         start, end = moved(note.start), moved(note.end)
-        if id(note) in led:
-            start += min(lead, _LEAD_SHARE * (end - start))
-        elif pause := float(pauses[sung[id(note)]]) if id(note) in sung else 0.0:
-            latest = moved(float(melody.onset[sung[id(note)] + 1])) - pause
+        if id(note) not in sung:
+            start += min(lead, _LEAD_SHARE * (min(end, moved(next_onset[id(note)])) - start))
+        if pause := float(pauses[pause_after[id(note)]]) if id(note) in pause_after else 0.0:
+            latest = moved(float(melody.onset[pause_after[id(note)] + 1])) - pause
             end = min(end, max(latest, (start + end) / 2))
         return start, end
 
     return times
 
 
-def _velocities(score: Score, melody: _Melody, config: ExpressionConfig) -> NDArray[np.intp]:
+def _velocities(score: Score, melody: _Melody, quantity: ExpressionRules) -> NDArray[np.intp]:
     """(N,) the MIDI velocities at which the notes of `score` are played."""
     arch = _arch(melody, _ARCH_START_DECIBELS, _ARCH_END_DECIBELS)
     level = (
-        config.duration_contrast * _CONTRAST_DECIBELS * _contrast(melody)
-        - config.phrase_arch * _ARCH_LOUDNESS * arch
+        quantity.duration_contrast * _CONTRAST_DECIBELS * _contrast(melody)
+        - quantity.phrase_arch * _ARCH_LOUDNESS * arch
     )
     starts = np.array([note.start for note in score.notes])
     above = np.searchsorted(melody.onset, starts, side="right") - 1
     pitch = np.array([note.pitch for note in score.notes], np.float64)
-    decibels = level[above] + config.high_loud / _SEMITONES_PER_DECIBEL * (pitch - pitch.mean())
     sung = {id(note) for note in melody.notes}
-    if len(sung) < len(score.notes):
-        leads = np.array([id(note) in sung for note in score.notes])
-        decibels += config.melody_lead * _LEAD_DECIBELS * leads
+    leads = np.array([id(note) in sung for note in score.notes])
+    height = pitch - pitch[leads].mean()
+    height[~leads] = pitch[~leads] - pitch[~leads].mean() if not leads.all() else 0.0
+    decibels = (
+        level[above]
+        + quantity.high_loud / _SEMITONES_PER_DECIBEL * height
+        + quantity.melody_lead * _LEAD_DECIBELS * leads
+    )
+    decibels -= decibels.mean()
     written = np.array([note.velocity for note in score.notes])
-    played = written + VELOCITY_PER_DECIBEL * config.dose * decibels
+    played = written + VELOCITY_PER_DECIBEL * decibels
     return np.rint(played).astype(np.intp).clip(1, 127)
 
 
@@ -357,9 +359,25 @@ def _phrases(melody: _Melody) -> Iterator[tuple[int, int]]:
     first, count = 0, len(ends)
     for index in np.flatnonzero(ends).tolist():
         if index == count - 1 or offset[index] - melody.onset[first] >= _PHRASE_TIME:
-            if index > first:
-                yield first, index
+            yield from _divided(melody, first, index)
             first = index + 1
+
+
+def _divided(melody: _Melody, first: int, last: int) -> Iterator[tuple[int, int]]:
+    """Yields a phrase from its first note to its last, or the parts of a long one."""
+    undivided = [(first, last)]
+    while undivided:
+        first, last = undivided.pop()
+        onset, interval = melody.onset[first : last + 1], melody.interval[first : last + 1]
+        offset, end = onset + interval, onset[-1] + interval[-1]
+        left = np.minimum(offset - onset[0], end - offset)  # of the shorter part [s]
+        length = np.where(left >= _PHRASE_TIME, interval, 0.0)
+        if end - onset[0] > _PHRASE_MOST and length.max() > np.median(interval) + _SAME_LENGTH:
+            longest = length > length.max() - _SAME_LENGTH
+            cut = first + int(np.argmax(np.where(longest, left, 0.0)))  # nearest to the middle
+            undivided += [(first, cut), (cut + 1, last)]
+        elif last > first:
+            yield first, last
 
 
 def _micropauses(melody: _Melody) -> Floats:
@@ -372,12 +390,15 @@ def _micropauses(melody: _Melody) -> Floats:
 
     before, leap, after = steps[:-2], steps[1:-1], steps[2:]
     size = np.abs(leap)
-    ends[1:-2] |= (
+    leaps = np.zeros(len(length), bool)
+    leaps[1:-2] = (
         (size >= _LEAP)
         & (before * leap < 0)
         & (leap * after < 0)
         & (size > _LARGEST_LEAP * np.maximum(np.abs(before), np.abs(after)))
     )
+    near = np.convolve(leaps, np.ones(2 * _FIGURE + 1))[_FIGURE:-_FIGURE]
+    ends |= leaps & (near <= _FIGURE_LEAPS)
     ends &= melody.inner & (length >= _PUNCTUATED_SHARE * length.mean())
     return np.where(ends, np.interp(length, _PAUSED_DURATIONS, _PAUSES), 0.0)
 
