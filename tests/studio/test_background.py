@@ -176,6 +176,22 @@ def test_a_policy_learns_stops_and_goes_on(tmp_path: Path, monkeypatch: pytest.M
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
+def test_a_policy_learns_a_song_with_expression(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = "import sys; sys.exit(next(word for word in sys.argv if 'expression' in word))"
+    begin_instead(script, tmp_path, monkeypatch)
+
+    async def run() -> None:
+        runs = TrainingRuns(tmp_path / "runs")
+        await runs.begin(PlayRequest("OdeToJoy", expression=True), "Ode", "OdeToJoy", 5000)
+        while not (error := runs.runs()[0]["error"]):
+            await asyncio.sleep(0.01)
+        assert error == "--expression=1.0"
+
+    asyncio.run(asyncio.wait_for(run(), 60))
+
+
 def test_a_run_that_was_stopped_has_no_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -351,11 +367,12 @@ def test_what_is_streamed_is_what_the_command_line_plays(tmp_path: Path, agent: 
     """The same bits, so nothing is lost by it."""
     song = tmp_path / "three.mid"
     write_midi(SCORE, song)
-    request = PlayRequest("three", agent, tempo=1.25, transpose=2, seed=3)
+    request = PlayRequest("three", agent, tempo=1.25, transpose=2, seed=3, expression=True)
     ours = Order(request, "Any title", str(song), True, "0" * 16, str(tmp_path), agent=agent)
     streamed, states = player.play(ours, lambda _: None, lambda: None)
-    options = ["--agent", agent, "--seed", "3", "--stretch", "0.8", "--transpose", "2"]
-    command = ["play", str(song), "-o", str(tmp_path / "out"), "--no-video", *options]
+    options = ["--seed", "3", "--stretch", "0.8", "--transpose", "2", "--expression", "1"]
+    options += ["--agent", agent, "--no-video"]
+    command = ["play", str(song), "-o", str(tmp_path / "out"), *options]
     subprocess.run([sys.executable, "-m", "cadenza", *command], check=True)
     written = load_episode(tmp_path / "out" / "episode.npz")
     assert written.arrays.keys() == streamed.episode.arrays.keys()

@@ -19,6 +19,7 @@ import pytest
 
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
+from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.formats.reading import read_score
 from cadenza.music.score import Note, Score
@@ -278,7 +279,36 @@ def test_what_is_chosen_behind_more_is_played(
             return [link.textContent, link.download, answer.status, begin];
         }));
     })()""")
-    assert links == [["Report", "", 200, "<!do"], ["MIDI", "two.mid", 200, "MThd"]]
+    assert links == [
+        ["Report", "", 200, "<!do"],
+        ["MIDI", "two.mid", 200, "MThd"],
+        ["Wanted MIDI", "two, as wanted.mid", 200, "MThd"],
+    ]
+    assert browser.problems() == []
+
+
+def test_a_song_is_played_with_expression(browser: Browser, address: str, folder: Path) -> None:
+    visit(browser, f"{address}#song=MaryHadALittleLamb&expression=true&seed=1")
+    browser.evaluate("document.getElementById('agent').value = 'sight'")
+    assert browser.evaluate("document.getElementById('expression').checked")
+    browser.evaluate("document.getElementById('start').click()")
+    wait(browser, "cadenza.state === 'kept' && cadenza.finished")
+    assert text(browser, "facts").endswith("with expression · seed 1")
+    id = browser.evaluate("location.hash").removeprefix("#job=")
+    settings = json.loads((folder / id / "settings.json").read_text())
+    assert settings["arrangement"]["expression"] == 1
+    wanted = Arrangement(expression=1.0).score("MaryHadALittleLamb").notes
+    midi = read_score(folder / id / "wanted.mid").notes
+    assert [note.velocity for note in midi] == [note.velocity for note in wanted]
+    assert "with expression" in browser.evaluate(
+        "document.querySelector('#kept li:first-child').innerText"
+    )
+    visit(browser, f"{address}#song=MaryHadALittleLamb&expression=false")
+    assert not browser.evaluate("document.getElementById('expression').checked")
+    press(browser, "#kept li:first-child", "Watch")
+    wait(browser, "cadenza.began")
+    assert browser.evaluate("document.getElementById('expression').checked")
+    browser.evaluate("document.getElementById('expression').checked = false")
     assert browser.problems() == []
 
 
@@ -662,7 +692,7 @@ def test_kept_performances_and_settings_are_found_after_a_restart(
         kept = list(folder.glob("*/studio.json"))
         visit(browser, f"{again}#song=OdeToJoy&hand=allegro&seed=7&tempo=1.5")
         assert "My <b>song" in text(browser, "kept")
-        chosen = """[...document.querySelectorAll(".options > label > :is(select, input)")]
+        chosen = """[...document.querySelectorAll(".options > label > :is(select, [type=number])")]
             .map((each) => each.value)"""
         assert browser.evaluate(chosen) == ["sight", "allegro", "1.5", "0", "7"]
         assert text(browser, "start") == "Play Ode to Joy"

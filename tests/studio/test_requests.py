@@ -8,6 +8,7 @@ import subprocess
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -32,8 +33,8 @@ def read(content: object) -> PlayRequest:
 
 
 def test_a_request_says_what_is_to_be_played() -> None:
-    request = read({"song": "OdeToJoy", "tempo": 2, "tracks": [1, 2]})
-    assert request == PlayRequest("OdeToJoy", tempo=2.0, tracks=(1, 2))
+    request = read({"song": "OdeToJoy", "tempo": 2, "tracks": [1, 2], "expression": True})
+    assert request == PlayRequest("OdeToJoy", tempo=2.0, tracks=(1, 2), expression=True)
 
 
 @pytest.mark.parametrize(
@@ -47,6 +48,7 @@ def test_a_request_says_what_is_to_be_played() -> None:
         {"song": "OdeToJoy", "tempo": 0},
         {"song": "OdeToJoy", "transpose": 1000},
         {"song": "OdeToJoy", "seed": -1},
+        {"song": "OdeToJoy", "expression": 1},
         {"song": "OdeToJoy", "tracks": list(range(1000))},
         {"song": "OdeToJoy", "video": "/etc/passwd"},
     ],
@@ -189,13 +191,12 @@ def test_there_is_a_limit_to_what_is_played(notes: tuple[Note, ...], why: str) -
         upload_reader.check_size(Score(notes))
 
 
-def kept(songs: Storage, id: str, song: str, seed: int, transpose: int = 0) -> Path:
+def kept(songs: Storage, id: str, song: str, seed: int, **options: Any) -> Path:
     folder = songs.folder / id
     with set_up(select(SCORE, RandomAgent()).with_options(seed=seed)) as setup:
         perform(setup).save(folder, page=False)
-    about = KeptPerformance(
-        song, PlayRequest(song, "sight", seed=seed, transpose=transpose), 0.9, 0.8, 8.0, 1.0
-    )
+    request = PlayRequest(song, "sight", seed=seed, **options)
+    about = KeptPerformance(song, request, 0.9, 0.8, 8.0, 1.0)
     write_json(folder / "studio.json", asdict(about))
     return folder
 
@@ -206,7 +207,8 @@ def test_two_performances_of_a_song_are_compared(
     ids = "0" * 16, "1" * 16, "2" * 16
     one, two, _ = (kept(songs, *each) for each in zip(ids, "aab", range(3), strict=True))
     kept(songs, "3" * 16, "a", 3, transpose=1)
-    for others in (ids[1:], (ids[0], "3" * 16)):
+    kept(songs, "4" * 16, "a", 3, expression=True)
+    for others in (ids[1:], (ids[0], "3" * 16), (ids[0], "4" * 16)):
         with pytest.raises(CadenzaError, match="of one song"):
             songs.comparison(*others)
     folders, page = songs.comparison(*ids[:2])

@@ -232,6 +232,7 @@ def add_page(folder: Path, goal: Score, audio: Sound | None = None, video: str =
         misses=read_json(lost, list[dict[str, Any]]) if lost.exists() else (),
         goal_mp3=encode_mp3(sound, bit_rate=48_000, mono=True, seconds=seconds),
         midi=content_of(folder / "played.mid"),
+        wanted_midi=content_of(folder / "wanted.mid"),
         video=video,
         written=goal,
     )

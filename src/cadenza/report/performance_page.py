@@ -46,6 +46,7 @@ def performance_page(
     misses: Sequence[Mapping[str, Any]] = (),
     goal_mp3: bytes = b"",
     midi: bytes = b"",
+    wanted_midi: bytes = b"",
     video: str = "",
     written: Score | None = None,
 ) -> Iterator[str]:
@@ -61,7 +62,8 @@ def performance_page(
         misses: of each note that was lost `time` [s], `note`, `finger` as files have it, `what`
             became of it, and the `reason`; without any, the page has no such table.
         goal_mp3: what should have been played, of the same length; without, it cannot be heard.
-        midi: a MIDI file to download.
+        midi: a MIDI file of what was played, to download.
+        wanted_midi: one of what was to be played.
         video: name of a file beside the page to download.
         written: what was to be played, on the clock of the episode; with it, the page shows how
             loudness and timing differ.
@@ -80,6 +82,7 @@ def performance_page(
         misses=[_miss(miss) for miss in misses],
         settings=settings_table(settings),
         midi=base64.b64encode(midi).decode(),
+        wanted_midi=base64.b64encode(wanted_midi).decode(),
         video=video,
         roll_description=_roll_description(episode),
         recording=recording_of(episode, written),

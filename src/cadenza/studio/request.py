@@ -65,6 +65,8 @@ class PlayRequest:
     hand: str = "shadow"
     """The name of a hand that the studio offers; on the command line, of any."""
     seed: int = 0
+    expression: bool = False
+    """Whether the rules of expression perform the song, with a dose of 1."""
 
 
 @dataclass(frozen=True)

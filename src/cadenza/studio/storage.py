@@ -42,13 +42,15 @@ _ID = re.compile(f"[0-9a-f]{{{_ID_DIGITS}}}")
 ABOUT = "studio.json"
 """File of a performance, with what the list shows."""
 _COMPARISONS = "compared"
-_MUSIC = ("song", "tracks", "tempo", "transpose")  # fields of a request that say what is heard
+# fields of a request that say what is heard
+_MUSIC = ("song", "tracks", "tempo", "transpose", "expression")
 MAX_UPLOADS = 200
 _MAX_TITLE = 100
 _ABANDONED = 3600.0  # [s] after which a file that nobody has finished is deleted
 FILES = {
     "report.html": "text/html; charset=utf-8",
     "played.mid": "audio/midi",
+    "wanted.mid": "audio/midi",
     "video.mp4": "video/mp4",
     "metrics.json": "application/json",
 }
@@ -252,7 +254,9 @@ class Storage:
         requests = [read_json(folder / ABOUT, KeptPerformance).request for folder in folders]
         first, *others = ([getattr(request, name) for name in _MUSIC] for request in requests)
         if any(other != first for other in others):
-            raise CadenzaError("compare performances of one song: the same tracks, tempo and pitch")
+            raise CadenzaError(
+                "compare performances of one song: the same tracks, tempo, pitch and expression"
+            )
         return folders, self.folder / _COMPARISONS / f"{'-'.join(ids)}.html"
 
     def _performance(self, id: str) -> Path:

@@ -83,6 +83,7 @@ class TrainingRuns:
             "hand": request.hand,
             "transpose": request.transpose,
             "stretch": 1 / request.tempo,
+            "expression": float(request.expression),
         }
         flags = [f"--{option}={value}" for option, value in options.items()]
         tracks = ["--tracks", *map(str, request.tracks)] if request.tracks else []

@@ -1,6 +1,7 @@
 // Kept performances, to watch again, compare and download.
 
-const FILE_TITLES = { "report.html": "Report", "video.mp4": "Video", "played.mid": "MIDI" };
+const FILE_TITLES = { "report.html": "Report", "video.mp4": "Video", "played.mid": "MIDI", "wanted.mid": "Wanted MIDI" };
+const FILE_NAMES = { "wanted.mid": ", as wanted" }; // after the title, where two files have the same ending
 
 async function listPerformances() {
   const kept = await fetchJson("api/performances");
@@ -17,7 +18,7 @@ function performanceItem(each) {
   for (const [file, name] of Object.entries(FILE_TITLES)) {
     if (!each.files.includes(file)) continue;
     const link = make("a", name, { href: `performances/${id}/${file}`, target: "_blank", rel: "noopener" });
-    if (file !== "report.html") link.download = `${title}${file.slice(file.lastIndexOf("."))}`;
+    if (file !== "report.html") link.download = `${title}${FILE_NAMES[file] ?? ""}${file.slice(file.lastIndexOf("."))}`;
     link.setAttribute("aria-label", `${name} of ${title}`);
     links.append(link);
   }
@@ -32,9 +33,9 @@ async function deletePerformance({ id, title }) {
 }
 
 /** Shows a performance beside the current one. */
-function compare({ id, title, request: { song, tempo } }) {
-  const other = shown[0], alike = other?.request?.song === song && other.request.tempo === tempo;
-  if (!alike) return showError(`First watch another performance of ${title} at the same tempo, then press Compare here.`);
+function compare({ id, title, request: { song, tempo, expression } }) {
+  const other = shown[0], alike = other?.request?.song === song && other.request.tempo === tempo && other.request.expression === expression;
+  if (!alike) return showError(`First watch another performance of ${title} at the same tempo${expression ? ", with expression" : ""}, then press Compare here.`);
   if (other.id === id) return showError("This is the performance that is shown. Press Compare at another of the same song.");
   instrument.wake();
   showBeside(id);
