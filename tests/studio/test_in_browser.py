@@ -287,31 +287,6 @@ def test_what_is_chosen_behind_more_is_played(
     assert browser.problems() == []
 
 
-def test_a_song_is_played_with_expression(browser: Browser, address: str, folder: Path) -> None:
-    visit(browser, f"{address}#song=MaryHadALittleLamb&expression=true&seed=1")
-    browser.evaluate("document.getElementById('agent').value = 'sight'")
-    assert browser.evaluate("document.getElementById('expression').checked")
-    browser.evaluate("document.getElementById('start').click()")
-    wait(browser, "cadenza.state === 'kept' && cadenza.finished")
-    assert text(browser, "facts").endswith("with expression · seed 1")
-    id = browser.evaluate("location.hash").removeprefix("#job=")
-    settings = json.loads((folder / id / "settings.json").read_text())
-    assert settings["arrangement"]["expression"] == 1
-    wanted = Arrangement(expression=1.0).score("MaryHadALittleLamb").notes
-    midi = read_score(folder / id / "wanted.mid").notes
-    assert [note.velocity for note in midi] == [note.velocity for note in wanted]
-    assert "with expression" in browser.evaluate(
-        "document.querySelector('#kept li:first-child').innerText"
-    )
-    visit(browser, f"{address}#song=MaryHadALittleLamb&expression=false")
-    assert not browser.evaluate("document.getElementById('expression').checked")
-    press(browser, "#kept li:first-child", "Watch")
-    wait(browser, "cadenza.began")
-    assert browser.evaluate("document.getElementById('expression').checked")
-    browser.evaluate("document.getElementById('expression').checked = false")
-    assert browser.problems() == []
-
-
 def test_an_upload_can_be_deleted(browser: Browser, address: str, folder: Path) -> None:
     visit(browser, address)
     browser.evaluate("window.confirm = () => true")
@@ -700,6 +675,31 @@ def test_kept_performances_and_settings_are_found_after_a_restart(
         browser.evaluate("document.querySelector('#kept li button:last-child').click()")
         wait(browser, f"document.getElementById('kept').children.length === {len(kept) - 1}")
         assert len(list(folder.glob("*/studio.json"))) == len(kept) - 1
+
+
+def test_a_song_is_played_with_expression(browser: Browser, address: str, folder: Path) -> None:
+    visit(browser, f"{address}#song=MaryHadALittleLamb&expression=true&seed=1")
+    browser.evaluate("document.getElementById('agent').value = 'sight'")
+    assert browser.evaluate("document.getElementById('expression').checked")
+    browser.evaluate("document.getElementById('start').click()")
+    wait(browser, "cadenza.state === 'kept' && cadenza.finished")
+    assert text(browser, "facts").endswith("with expression · seed 1")
+    id = browser.evaluate("location.hash").removeprefix("#job=")
+    settings = json.loads((folder / id / "settings.json").read_text())
+    assert settings["arrangement"]["expression"] == 1
+    wanted = Arrangement(expression=1.0).score("MaryHadALittleLamb").notes
+    midi = read_score(folder / id / "wanted.mid").notes
+    assert [note.velocity for note in midi] == [note.velocity for note in wanted]
+    assert "with expression" in browser.evaluate(
+        "document.querySelector('#kept li:first-child').innerText"
+    )
+    visit(browser, f"{address}#song=MaryHadALittleLamb&expression=false")
+    assert not browser.evaluate("document.getElementById('expression').checked")
+    press(browser, "#kept li:first-child", "Watch")
+    wait(browser, "cadenza.began")
+    assert browser.evaluate("document.getElementById('expression').checked")
+    browser.evaluate("document.getElementById('expression').checked = false")
+    assert browser.problems() == []
 
 
 def test_what_is_played_on_the_command_line_can_be_watched(

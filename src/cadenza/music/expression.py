@@ -55,7 +55,7 @@ _ARCH_START_DECIBELS, _ARCH_END_DECIBELS = 0.5, 1.0  # [dB], before the factor
 _ARCH_LOUDNESS = 2.0  # this factor, and the turn, are those of the default rule palette
 _ARCH_TURN = 0.3  # of the time from the first onset of the phrase to the last
 _PHRASE_LONG = 2.0  # medians of all intervals, at which a note may end a phrase; a choice
-_PHRASE_TIME = 3.0  # [s] that a phrase lasts at least; a choice, about two bars
+_PHRASE_TIME = 4.0  # [s] that a phrase lasts at least; a choice, about three bars
 _PHRASE_MOST = 10.0  # [s] that a phrase lasts at most, if it can be divided; a choice
 
 # Punctuation: the micropause [s] after notes of these durations [s]
@@ -119,7 +119,7 @@ def performed(score: Score, dose: float = 1.0, rules: ExpressionRules | None = N
     and melodic charge are left out: they need harmonies, which a score does not have.
 
     A phrase ends before a rest of the melody, or with a note whose interval is at least twice the
-    median, but only once it has lasted 3 s. If it lasts over 10 s, it is divided after its longest
+    median, but only once it has lasted 4 s. If it lasts over 10 s, it is divided after its longest
     notes. Punctuation uses the two of its published subrules that weigh most: the end of the
     longest of five notes, and leaps against the direction of both neighbours, unless there are so
     many that they are of a figure. Notes that are short for the piece are not set apart. Inegales
