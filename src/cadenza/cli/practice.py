@@ -45,8 +45,8 @@ class PracticeCommand(Performing):
     output: Output[Path | None] = None
     """Folder of practice and its results; played/SONG/practised by default."""
     effort: float | None = None
-    """Practise until the effort is this much in all, 8 by default. 1 is 100 simulated
-    steps for each control step and hand. The same effort gives the same result."""
+    """Practise up to this effort in all, 8 by default. 1 is 100 simulated control steps for each
+    control step and hand. The same effort gives the same result."""
     minutes: float | None = None
     """Practise for so many minutes instead."""
     seed: int = 0
