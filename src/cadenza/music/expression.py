@@ -159,7 +159,7 @@ def performed(score: Score, dose: float = 1.0, rules: ExpressionRules | None = N
         score,
         notes=tuple(notes),
         pedal=tuple(replace(event, time=moved(event.time)) for event in score.pedal),
-        bars=tuple(replace(bar, time=moved(bar.time)) for bar in score.bars),
+        bars=tuple(bar.moved(moved) for bar in score.bars),
     )
 
 

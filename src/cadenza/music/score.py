@@ -79,16 +79,27 @@ class PedalEvent:
 class Bar:
     """The bar of this `number` begins at `time` [s], which may lie before the song.
 
+    Its beats begin at `beats` [s], the first of them with the bar; they are empty where the metre
+    is unknown. Each is written as the part `1 / beat_type` of a whole note.
+
     Raises:
-        CadenzaError: the time is not finite.
+        CadenzaError: a time is not finite, or beats do not have a length.
     """
 
     time: float
     number: int
+    beats: tuple[float, ...] = ()
+    beat_type: int = 4
 
     def __post_init__(self) -> None:
-        if not isfinite(self.time):
-            raise CadenzaError(f"bar at {self.time} s: give a finite time")
+        if not all(map(isfinite, (self.time, *self.beats))):
+            raise CadenzaError(f"bar at {self.time} s: give finite times")
+        if self.beat_type < 1:
+            raise CadenzaError(f"beats of 1/{self.beat_type} of a whole note: give 1 or more")
+
+    def moved(self, move: Callable[[float], float]) -> Bar:
+        """The bar with `move` applied to all of its times [s]."""
+        return replace(self, time=move(self.time), beats=tuple(map(move, self.beats)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +259,7 @@ class Score:
 
         notes = tuple(moved(note) for note in self.notes)
         pedal = tuple(replace(event, time=move(event.time)) for event in self.pedal)
-        bars = tuple(replace(bar, time=move(bar.time)) for bar in self.bars)
+        bars = tuple(bar.moved(move) for bar in self.bars)
         return replace(self, notes=notes, pedal=pedal, bars=bars)
 
 

@@ -95,8 +95,16 @@ class Sheet:
 
     @property
     def numbered_bars(self) -> tuple[Bar, ...]:
-        """The bars with their times [s]."""
-        return tuple(Bar(bar * self.bar * self._step, bar + 1) for bar in range(self.bars))
+        """The bars with their times [s], in beats of a quarter."""
+        begins = [bar * self.bar for bar in range(self.bars)]
+        return tuple(
+            Bar(
+                begin * self._step,
+                number,
+                tuple(at * self._step for at in range(begin, begin + self.bar, self.division)),
+            )
+            for number, begin in enumerate(begins, start=1)
+        )
 
     @property
     def _step(self) -> float:

@@ -45,7 +45,7 @@ _ALL_OFF = 120, 123  # controllers that end all notes of a channel
 _PUNCTUATION = "‘’“”–—…"
 _DOWN = 64  # the least value of a pedal that is down
 _SHORTEST_BEAT = 64  # as a part of a whole note
-_MOST_BARS = 20_000  # more are taken for damage
+_MOST_BARS, _MOST_BEATS = 20_000, 100_000  # more are taken for damage
 
 
 def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
@@ -303,22 +303,26 @@ def _bars(
 
     A time signature begins a new bar. There are no bars in SMPTE frames, which have no beats.
     """
-    fours: dict[int, int] = {}  # a tick -> how many four bars have from there on
+    metres: dict[int, tuple[int, int]] = {}  # from which tick on: beats in a bar, type of beat
     for chunk in chunks:
         for tick, message in _timed(chunk):
             if message.type == "time_signature" and message.denominator <= _SHORTEST_BEAT:
-                fours[tick] = 16 * division * message.numerator // message.denominator
+                metres[tick] = message.numerator, message.denominator
     bars: list[Bar] = []
-    begins = sorted(tick for tick in fours if fours[tick] > 0)
+    beats = 0
+    begins = sorted(tick for tick, (numerator, _) in metres.items() if numerator > 0)
     for first, end in pairwise([*begins, sys.maxsize]):
-        for n in count():
-            tick = first + n * fours[first] // 4
-            time = clock.seconds(clock.at(tick))
-            if tick >= end or time > until:
+        numerator, denominator = metres[first]
+        four = 16 * division // denominator  # ticks of four beats, as a 64th may be half a tick
+        for n in count(0, numerator):
+            ticks = [first + (n + beat) * four // 4 for beat in range(numerator)]
+            times = [clock.seconds(clock.at(tick)) for tick in ticks if tick < end]
+            if not times or times[0] > until:
                 break
-            if len(bars) == _MOST_BARS:
+            beats += numerator
+            if len(bars) == _MOST_BARS or beats > _MOST_BEATS:
                 return ()
-            bars.append(Bar(time, len(bars) + 1))
+            bars.append(Bar(times[0], len(bars) + 1, tuple(times), denominator))
     return tuple(bars)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
 from cadenza.music.formats.bar_order import played_order, without_goal
-from cadenza.music.formats.musicxml_marks import Marks, marks_of
+from cadenza.music.formats.musicxml_marks import VELOCITIES, Marks, marks_of
 from cadenza.music.formats.musicxml_mending import mend
 from cadenza.music.formats.musicxml_tree import tree_of
 from cadenza.music.formats.titles import printable, title_of
@@ -38,10 +38,11 @@ from cadenza.music.score import (
 _MAX_PLAYED = 100_000  # notes or bars, with repeats
 _SECONDS_PER_QUARTER = 0.5  # until the file says otherwise, as in MIDI
 _GRACE = 0.1  # [s] that a grace note lasts, before the beat
-_VELOCITIES = {"ppp": 16, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 96, "ff": 112, "fff": 126}
 _UNMARKED = 80  # velocity
 _PEDAL_DOWN, _PEDAL_UP = 127, 0
 _SIGNS = range(1, 6)  # of fingers
+_HANDS = {1, 2}  # staves of a part whose staves say which hand plays
+_SHORTEST_BEAT = 64  # as a part of a whole note
 _ROUNDING = 1e-6  # [quarters]
 
 
@@ -51,7 +52,8 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
     Parts with pitched notes are tracks, see `Score.tracks`; all are played together, or only
     `tracks`. Tied notes are one. Repeats, endings, da capo and dal segno are followed as the
     part with most measures has them, the first of those. Times follow the tempos given for playback
-    (`<sound tempo>`, or metronome marks), velocities the dynamic markings. Grace notes last 0.1 s
+    (`<sound tempo>`, or metronome marks), velocities the `dynamics` of notes
+    or else the dynamic markings. Grace notes last 0.1 s
     before the beat; signs of other ornaments are not played. Of a part on two staves the fingering
     is taken over, that of the upper staff for the right hand. What cannot be played on one piano is
     repaired as by `read_midi`.
@@ -73,7 +75,7 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
     begin = min([0.0, *(note.start for note in found)])  # grace notes before the first beat
     notes, remarks = repaired_notes(found, counts, sheet.remarks, path, lambda time: time - begin)
     moves = tuple(PedalEvent(time - begin, value) for time, value in pedal)
-    bars = tuple(Bar(time - begin, number) for time, number in timed)
+    bars = tuple(bar.moved(lambda time: time - begin) for bar in timed)
     return Score(notes, moves, sheet.title or title_of(path), remarks, listed, bars)
 
 
@@ -119,12 +121,22 @@ class _Part:
 
 @dataclass(frozen=True, slots=True)
 class _Bar:
-    """A measure or a part of one, with its start and end in quarters, and its number."""
+    """A measure or a part of one, with its start and end in quarters, and its number.
+
+    A beat is `1 / beat_type` of a whole note.
+    """
 
     measure: int
     start: float
     end: float
     number: int
+    beat_type: int
+
+    @property
+    def beats(self) -> list[float]:
+        """The times at which beats begin, in quarters; the first is `start`."""
+        count = max(1, round((self.end - self.start) * self.beat_type / 4))
+        return [self.start + 4 * beat / self.beat_type for beat in range(count)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,12 +162,12 @@ def _track(number: int, part: _Part) -> Track:
 
 def _played(
     parts: list[_Part], sheet: _Sheet, counts: Counter[str], path: Path
-) -> tuple[list[RawNote], list[tuple[float, int]], list[tuple[float, int]]]:
-    """The notes, the motions of the pedal (time [s], value) and the bars (time [s], number)."""
+) -> tuple[list[RawNote], list[tuple[float, int]], list[Bar]]:
+    """The notes, the motions of the pedal (time [s], value) and the bars."""
     at = _clock(sheet)
     found: list[RawNote] = []
     pedal: list[tuple[float, int]] = []
-    bars: list[tuple[float, int]] = []
+    bars: list[Bar] = []
     tied: dict[tuple[int, int, float], RawNote] = {}  # by part, pitch and end
     now = 0.0
     for first, beyond in sheet.sections:
@@ -177,7 +189,9 @@ def _played(
             for move in _within(part.pedal, first, beyond):
                 pedal.append((max(0.0, round(at(move.quarter) + later, 9)), move.value))
         section = sheet.bars[first:beyond]
-        bars += [(round(at(bar.start) + later, 9), bar.number) for bar in section]
+        for bar in section:
+            beats = tuple(round(at(beat) + later, 9) for beat in bar.beats)
+            bars.append(Bar(beats[0], bar.number, beats, bar.beat_type))
         now += at(end) - at(start)
         if max(len(found), len(bars), len(pedal)) > _MAX_PLAYED:
             what = f"over {_MAX_PLAYED} notes, bars or moves of the pedal with all repeats"
@@ -298,23 +312,39 @@ def _bars(part: _Timeline) -> list[_Bar]:
     begin = [part.quarter(measure, part.units[measure] + into) for measure, into in places]
     end = [*begin[1:], part.quarters[-1]]
     return [
-        _Bar(measure, begin[i], end[i], part.marks.numbers[measure])
+        _Bar(
+            measure,
+            begin[i],
+            end[i],
+            part.marks.numbers[measure],
+            _beat_type(end[i] - begin[i], part.marks.beat_types[measure]),
+        )
         for i, (measure, _) in enumerate(places)
     ]
+
+
+def _beat_type(quarters: float, beat_type: int) -> int:
+    """The type of beat of a bar: `beat_type`, or a finer one where that does not fill it."""
+    while (
+        beat_type < _SHORTEST_BEAT and abs(math.remainder(quarters * beat_type / 4, 1)) > _ROUNDING
+    ):
+        beat_type *= 2
+    return beat_type
 
 
 def _part(timeline: _Timeline, bars: list[_Bar], symbols: Any) -> _Part:
     part = timeline.part
     written = list(part.iter_all(symbols.Note, include_subclasses=True))
     loudness = [
-        (direction.start.t, _VELOCITIES[direction.text])
+        (direction.start.t, VELOCITIES[direction.text])
         for direction in part.iter_all(symbols.ConstantLoudnessDirection)
-        if direction.text in _VELOCITIES
+        if direction.text in VELOCITIES
     ]
     marked = [time for time, _ in loudness]
     shifts = [(each.start.t, each.chromatic or 0) for each in part.iter_all(symbols.Transposition)]
     shifted = [time for time, _ in shifts]
     staves = {note.staff for note in written}
+    are_hands = staves == _HANDS or (timeline.marks.staves == len(_HANDS) and staves < _HANDS)
     notes = []
     for note in written:
         start = note.start.t
@@ -327,8 +357,8 @@ def _part(timeline: _Timeline, bars: list[_Bar], symbols: Any) -> _Part:
                 start=begin,
                 end=timeline.quarter(marks.measure, note.end.t),
                 pitch=int(note.midi_pitch) + (shifts[shift - 1][1] if shift else 0),
-                velocity=loudness[mark - 1][1] if mark else _UNMARKED,
-                finger=_finger(note, symbols) if staves == {1, 2} else None,
+                velocity=marks.velocity or (loudness[mark - 1][1] if mark else _UNMARKED),
+                finger=_finger(note, symbols) if are_hands else None,
                 grace=_before_beat(note, symbols),
                 tied=marks.tied,
                 ties=marks.ties,

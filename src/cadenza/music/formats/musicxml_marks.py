@@ -19,15 +19,23 @@ _JUMP = re.compile(r"\b(d\. ?[cs]\.|da capo\b|dal segno\b)", re.IGNORECASE)
 _PASS = re.compile(r"\d{1,3}")
 _MOST_TIMES = 999  # that a section is played, as endings are numbered
 _MINUTE = 60  # seconds
+FORTE = 90
+"""The velocity that MusicXML's `dynamics` attributes are in percent of."""
+VELOCITIES = {"ppp": 16, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 96, "ff": 112, "fff": 126}
+"""The velocities of dynamic markings."""
 
 
 @dataclass(frozen=True, slots=True)
 class NoteMarks:
-    """The measure of a note or rest, and whether a tie leads to it and on from it."""
+    """The measure of a note or rest, whether a tie leads to it and on from it, and its velocity.
+
+    The velocity is None where the note has none of its own.
+    """
 
     measure: int
     tied: bool
     ties: bool
+    velocity: int | None
 
 
 @dataclass(slots=True)
@@ -35,13 +43,16 @@ class Marks:
     """The marks of one part.
 
     `notes` are notes and rests in the order of the document. `numbers` are those of measures, as
-    printed if that is a number. `bars` are measures, or their parts between repeat signs: the place
-    of the beginning, and the signs. `tempos` are places and lengths of a quarter [s]. `in_words`
+    printed if that is a number. `beat_types` say for measures which part of a whole note a beat
+    is. `staves` is the number of staves. `bars` are measures, or their parts between repeat
+    signs: the place of the beginning, and the signs. `tempos` are places and lengths of a quarter [s]. `in_words`
     counts jumps that are words without a sign for playback.
     """
 
     notes: list[NoteMarks] = field(default_factory=list)
     numbers: list[int] = field(default_factory=list)
+    beat_types: list[int] = field(default_factory=list)
+    staves: int = 1
     bars: list[tuple[Place, Signs]] = field(default_factory=list)
     tempos: list[tuple[Place, float]] = field(default_factory=list)
     in_words: int = 0
@@ -52,17 +63,21 @@ def marks_of(part: Element) -> Marks:
     marks = Marks()
     bracket: frozenset[int] = frozenset()  # of the ending that goes on
     following = Signs()
+    beat_type = 4
     for number, measure in enumerate(part.iterfind("measure")):
         signs, following = following, Signs()
         signs.ending = bracket
         marks.bars.append(((number, 0), signs))
         printed = measure.get("number", "")
         marks.numbers.append(int(printed) if printed.isdecimal() else number + 1)
+        beat_type = _whole(measure.findtext("attributes/time/beat-type")) or beat_type
+        marks.beat_types.append(beat_type)
+        marks.staves = max(marks.staves, _whole(measure.findtext("attributes/staves")))
         placed = list(_placed(measure))
         end = max(at for at, _ in placed)
         for at, element in placed:
             if element.tag == "note":
-                marks.notes.append(NoteMarks(number, *_ties(element)))
+                marks.notes.append(NoteMarks(number, *_ties(element), _velocity(element)))
             elif element.tag == "barline":
                 bracket = _read_barline(element, (number, at), marks.bars, following, bracket)
             elif element.tag in ("direction", "sound"):
@@ -106,6 +121,15 @@ def _ties(note: Element) -> tuple[bool, bool]:
     """Whether a tie leads to the note, and one on from it."""
     kinds = {tie.get("type") for tie in (*note.iterfind("tie"), *note.iterfind("notations/tied"))}
     return "stop" in kinds or "continue" in kinds, "start" in kinds or "continue" in kinds
+
+
+def _velocity(note: Element) -> int | None:
+    """The velocity of a note for playback, as MusicXML has it: in percent of that of a forte."""
+    try:
+        velocity = round(float(note.get("dynamics", "")) * FORTE / 100)
+    except (ValueError, OverflowError):
+        return None
+    return min(max(velocity, 1), 127)
 
 
 def _offset(element: Element, sound: Element) -> int:
