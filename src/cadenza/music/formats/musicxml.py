@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import sys
 import warnings
 from bisect import bisect_left, bisect_right
 from collections import Counter
@@ -23,6 +22,7 @@ from cadenza.music.formats.bar_order import played_order, without_goal
 from cadenza.music.formats.musicxml_marks import VELOCITIES, Marks, marks_of
 from cadenza.music.formats.musicxml_mending import mend
 from cadenza.music.formats.musicxml_tree import tree_of
+from cadenza.music.formats.partitura_modules import partitura_module
 from cadenza.music.formats.titles import printable, title_of
 from cadenza.music.repair import RawNote, counted_remarks, repaired_notes
 from cadenza.music.score import (
@@ -221,24 +221,9 @@ def _sounding(note: _Written, at: Callable[[float], float], later: float) -> Raw
     return RawNote(*times, note.pitch, note.velocity, True, note.finger)
 
 
-def _partitura() -> Any:
-    """Imports partitura, but not the sound font that it fetches if pyfluidsynth is installed."""
-    hidden = "fluidsynth"
-    before = sys.modules.get(hidden)
-    sys.modules[hidden] = None  # type: ignore[assignment]  # makes its import fail
-    try:
-        import partitura.score
-        from partitura.io.importmusicxml import load_musicxml
-    finally:
-        if before is None:
-            del sys.modules[hidden]
-        else:
-            sys.modules[hidden] = before
-    return partitura.score, load_musicxml
-
-
 def _sheet(root: ElementTree.Element, path: Path) -> _Sheet:
-    symbols, load_musicxml = _partitura()
+    symbols = partitura_module("score")
+    load_musicxml = partitura_module("io.importmusicxml").load_musicxml
     try:
         remarks = mend(root)
         marks = {part.get("id", ""): marks_of(part) for part in root.iterfind("part")}

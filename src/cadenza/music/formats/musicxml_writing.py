@@ -1,0 +1,345 @@
+"""Writes scores as MusicXML, to be read and played by people."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from math import gcd
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from cadenza.files import write_atomically
+from cadenza.music.formats.musicxml_marks import FORTE
+from cadenza.music.formats.titles import printable
+from cadenza.music.notation.hands import RIGHT
+from cadenza.music.notation.marks import TREBLE, PedalMark, Tempo
+from cadenza.music.notation.metre import QUARTER
+from cadenza.music.notation.note_values import TYPES
+from cadenza.music.notation.sheet import Sheet, Symbol, WrittenMeasure, sheet_of
+from cadenza.music.notation.spelling import Spelling
+from cadenza.music.score import Note, Score
+
+_HEADER = b"""<?xml version="1.0" encoding="UTF-8"?>
+<!DOCTYPE score-partwise PUBLIC "-//Recordare//DTD MusicXML 4.0 Partwise//EN" \
+"http://www.musicxml.org/dtds/partwise.dtd">
+"""
+_PART = "P1"
+_VOICES_OF_STAFF = 4  # numbers of voices that notation programs give to a staff
+_CLEF_LINES = {"G": 2, "F": 4}
+_ACCIDENTALS = {-2: "flat-flat", -1: "flat", 0: "natural", 1: "sharp", 2: "double-sharp"}
+_UNFLAGGED = 3  # the first note values have no flags
+_ORDER_OF_SHARPS = "FCGDAEB"
+_MINUTE = 60  # seconds
+
+
+def write_musicxml(score: Score, path: str | Path) -> tuple[str, ...]:
+    """Writes a score for piano as MusicXML 4.0, uncompressed.
+
+    Times are quantised: in each beat notes are moved to semiquavers, triplets or whatever grid fits
+    best, and the tempos are such that the beats keep their times. Bars are those of the score; if it
+    has none, they are estimated. The right hand is on the upper staff, the left one on the lower,
+    with the fingers 1 to 5; notes without a finger are put by their pitch. Velocities are kept for
+    playback and shown as dynamic marks; the pedal is either down or up. Read back, time 0 is the
+    beginning of the bar of the first note.
+
+    Returns:
+        Remarks in plain words on what is not as in the score.
+
+    Raises:
+        CadenzaError: the score has no notes.
+    """
+    sheet = sheet_of(score)
+    root = _document(sheet)
+    indent(root, " ")
+    with write_atomically(Path(path)) as file:
+        file.write(_HEADER + tostring(root, "utf-8") + b"\n")
+    return sheet.remarks
+
+
+def _document(sheet: Sheet) -> Element:
+    root = Element("score-partwise", version="4.0")
+    if title := printable(sheet.title):
+        _text(SubElement(root, "work"), "work-title", title)
+    encoding = SubElement(SubElement(root, "identification"), "encoding")
+    _text(encoding, "software", "Cadenza")
+    for element in ("accidental", "beam"):
+        SubElement(encoding, "supports", element=element, type="yes")
+    listed = SubElement(SubElement(root, "part-list"), "score-part", id=_PART)
+    _text(listed, "part-name", "Piano")
+    part = SubElement(root, "part", id=_PART)
+    writer = _Writer(sheet)
+    for i, _ in enumerate(sheet.measures):
+        writer.write(part, i)
+    return root
+
+
+class _Writer:
+    """Writes the measures of a sheet; divisions of a quarter are as few as suffice."""
+
+    def __init__(self, sheet: Sheet) -> None:
+        self._sheet = sheet
+        self._unit = gcd(QUARTER, *_ticks(sheet))
+        self._in_key = _in_key(sheet.key)
+
+    def write(self, part: Element, index: int) -> None:
+        here = self._sheet.measures[index]
+        measure = SubElement(part, "measure", number=str(here.measure.number))
+        if here.measure.is_part:
+            measure.set("implicit", "yes")
+        before = self._sheet.measures[index - 1] if index else None
+        self._attributes(measure, here, before)
+        length = here.measure.end - here.measure.start
+        is_behind = False
+        for hand, staff in enumerate(here.staves):
+            accidentals = self._accidentals(staff.voices)
+            directions = list(_directions(here, hand))
+            for number, voice in enumerate(staff.voices, start=1):
+                if is_behind:
+                    self._duration(SubElement(measure, "backup"), length)
+                is_behind = True
+                where = _Where(str(hand * _VOICES_OF_STAFF + number), str(hand + 1))
+                self._voice(measure, here, voice, where, accidentals, directions, number == 1)
+                directions = []
+        if index == len(self._sheet.measures) - 1:
+            barline = SubElement(measure, "barline", location="right")
+            _text(barline, "bar-style", "light-heavy")
+
+    def _attributes(
+        self, measure: Element, here: WrittenMeasure, before: WrittenMeasure | None
+    ) -> None:
+        attributes = Element("attributes")
+        if before is None:
+            _text(attributes, "divisions", QUARTER // self._unit)
+            _text(SubElement(attributes, "key"), "fifths", self._sheet.key)
+        if before is None or before.measure.written != here.measure.written:
+            time = SubElement(attributes, "time")
+            _text(time, "beats", here.measure.written[0])
+            _text(time, "beat-type", here.measure.written[1])
+        if before is None:
+            _text(attributes, "staves", len(here.staves))
+        for number, staff in enumerate(here.staves, start=1):
+            if before is None or before.staves[number - 1].clef != staff.clef:
+                clef = SubElement(attributes, "clef", number=str(number))
+                _text(clef, "sign", staff.clef)
+                _text(clef, "line", _CLEF_LINES[staff.clef])
+        if len(attributes):
+            measure.append(attributes)
+
+    def _voice(
+        self,
+        measure: Element,
+        here: WrittenMeasure,
+        voice: tuple[Symbol, ...],
+        where: _Where,
+        accidentals: dict[tuple[int, int], str],
+        directions: list[tuple[int, Element]],
+        is_first: bool,
+    ) -> None:
+        start, end = here.measure.start, here.measure.end
+        beams = _beams(voice, here)
+        begins = [symbol.value.start for symbol in voice] or [start]
+        waiting = sorted(directions, key=lambda each: each[0])
+        if not voice:
+            self._put(measure, waiting, start)
+            rest = SubElement(measure, "note")
+            SubElement(rest, "rest", measure="yes")
+            self._duration(rest, end - start)
+            _text(rest, "voice", where.voice)
+            _text(rest, "staff", where.staff)
+            return
+        for i, symbol in enumerate(voice):
+            until = begins[i + 1] if i + 1 < len(begins) else end + 1
+            self._put(measure, [each for each in waiting if each[0] < until], symbol.value.start)
+            waiting = [each for each in waiting if each[0] >= until]
+            if not (symbol.notes or is_first or symbol.value.actual > 1):
+                forward = SubElement(measure, "forward")
+                self._duration(forward, symbol.value.end - symbol.value.start)
+                _text(forward, "voice", where.voice)
+                _text(forward, "staff", where.staff)
+                continue
+            self._symbol(measure, symbol, where, accidentals, beams.get(i, ()))
+
+    def _put(self, measure: Element, directions: list[tuple[int, Element]], now: int) -> None:
+        for tick, direction in directions:
+            if tick != now:
+                offset = Element("offset", sound="yes")
+                offset.text = str((tick - now) // self._unit)
+                after = 1 + max(
+                    i for i, each in enumerate(direction) if each.tag == "direction-type"
+                )
+                direction.insert(after, offset)
+            measure.append(direction)
+
+    def _symbol(
+        self,
+        measure: Element,
+        symbol: Symbol,
+        where: _Where,
+        accidentals: dict[tuple[int, int], str],
+        beams: Sequence[str],
+    ) -> None:
+        for i, each in enumerate(symbol.notes or (None,)):
+            note = SubElement(measure, "note")
+            if i:
+                SubElement(note, "chord")
+            if each is None:
+                SubElement(note, "rest")
+            else:
+                note.set("dynamics", f"{100 * each[0].velocity / FORTE:.2f}")
+                _pitch(note, each[1])
+            self._duration(note, symbol.value.end - symbol.value.start)
+            for kind, is_there in (("stop", symbol.tied), ("start", symbol.ties)):
+                if is_there:
+                    SubElement(note, "tie", type=kind)
+            _text(note, "voice", where.voice)
+            _text(note, "type", symbol.value.name)
+            for _ in range(symbol.value.dots):
+                SubElement(note, "dot")
+            if each is not None and (sign := accidentals.get((id(symbol), i))):
+                _text(note, "accidental", sign)
+            if symbol.value.actual > 1:
+                changed = SubElement(note, "time-modification")
+                _text(changed, "actual-notes", symbol.value.actual)
+                _text(changed, "normal-notes", symbol.value.normal)
+                _text(changed, "normal-type", symbol.value.base)
+            _text(note, "staff", where.staff)
+            if not i:
+                for number, beam in enumerate(beams, start=1):
+                    _text(note, "beam", beam).set("number", str(number))
+            notations = _notations(symbol, each[0] if each else None, is_first=not i)
+            if len(notations):
+                note.append(notations)
+
+    def _duration(self, element: Element, ticks: int) -> None:
+        _text(element, "duration", ticks // self._unit)
+
+    def _accidentals(self, voices: Sequence[Sequence[Symbol]]) -> dict[tuple[int, int], str]:
+        """The accidentals of a staff in a measure, by symbol and index of the note."""
+        now: dict[tuple[str, int], int] = {}
+        signs: dict[tuple[int, int], str] = {}
+        symbols = sorted((s for voice in voices for s in voice), key=lambda s: s.value.start)
+        for symbol in symbols:
+            for i, (_, name) in enumerate(symbol.notes):
+                place = name.step, name.octave
+                if symbol.tied:
+                    continue
+                if now.get(place, self._in_key[name.step]) != name.alter:
+                    signs[id(symbol), i] = _ACCIDENTALS[name.alter]
+                now[place] = name.alter
+        return signs
+
+
+class _Where(NamedTuple):
+    voice: str
+    staff: str
+
+
+def _text(parent: Element, tag: str, text: object) -> Element:
+    element = SubElement(parent, tag)
+    element.text = str(text)
+    return element
+
+
+def _ticks(sheet: Sheet) -> Iterator[int]:
+    for written in sheet.measures:
+        yield written.measure.end
+        yield from (mark.tick for mark in (*written.tempos, *written.pedal))
+        for staff in written.staves:
+            for voice in staff.voices:
+                yield from (symbol.value.end for symbol in voice)
+
+
+def _in_key(key: int) -> dict[str, int]:
+    signed = _ORDER_OF_SHARPS[:key] if key > 0 else _ORDER_OF_SHARPS[key:] if key else ""
+    return {step: (1 if key > 0 else -1) if step in signed else 0 for step in _ORDER_OF_SHARPS}
+
+
+def _pitch(note: Element, name: Spelling) -> None:
+    pitch = SubElement(note, "pitch")
+    _text(pitch, "step", name.step)
+    if name.alter:
+        _text(pitch, "alter", name.alter)
+    _text(pitch, "octave", name.octave)
+
+
+def _notations(symbol: Symbol, note: Note | None, is_first: bool) -> Element:
+    notations = Element("notations")
+    for kind, is_there in (("stop", symbol.tied), ("start", symbol.ties)):
+        if is_there and note is not None:
+            SubElement(notations, "tied", type=kind)
+    if is_first and symbol.value.opens:
+        SubElement(notations, "tuplet", type="start", number="1")
+    if is_first and symbol.value.closes:
+        SubElement(notations, "tuplet", type="stop", number="1")
+    if note is not None and note.finger is not None and not symbol.tied:
+        placement = "above" if note.finger.hand == RIGHT else "below"
+        technical = SubElement(notations, "technical")
+        _text(technical, "fingering", note.finger.index + 1).set("placement", placement)
+    return notations
+
+
+def _directions(here: WrittenMeasure, hand: int) -> Iterator[tuple[int, Element]]:
+    """Yields directions and their ticks: tempos and dynamics above, the pedal below."""
+    if hand != RIGHT:
+        yield from ((mark.tick, _pedal(mark)) for mark in here.pedal)
+        return
+    yield from ((tempo.tick, _tempo(tempo, here)) for tempo in here.tempos)
+    if here.dynamic:
+        direction = Element("direction", placement="below")
+        SubElement(SubElement(SubElement(direction, "direction-type"), "dynamics"), here.dynamic)
+        _text(direction, "staff", 1)
+        yield here.measure.start, direction
+
+
+def _tempo(tempo: Tempo, here: WrittenMeasure) -> Element:
+    direction = Element("direction", placement="above")
+    kind = SubElement(direction, "direction-type")
+    per_minute = _MINUTE / tempo.seconds
+    if tempo.shown:
+        mark = SubElement(kind, "metronome")
+        is_dotted = here.divisions.is_compound
+        _text(mark, "beat-unit", "quarter")
+        if is_dotted:
+            SubElement(mark, "beat-unit-dot")
+        _text(mark, "per-minute", round(per_minute / (1.5 if is_dotted else 1)))
+    else:
+        SubElement(kind, "words")
+    _text(direction, "staff", 1)
+    SubElement(direction, "sound", tempo=f"{per_minute:.4f}")
+    return direction
+
+
+def _pedal(mark: PedalMark) -> Element:
+    direction = Element("direction", placement="below")
+    kind = "start" if mark.is_down else "stop"
+    SubElement(SubElement(direction, "direction-type"), "pedal", type=kind, line="yes")
+    _text(direction, "staff", 2)
+    return direction
+
+
+def _beams(voice: Sequence[Symbol], here: WrittenMeasure) -> dict[int, list[str]]:
+    """The beams of the symbols of a voice, by their indices: one for each flag."""
+    flags = [max(0, TYPES.index(s.value.name) - _UNFLAGGED + 1) if s.notes else 0 for s in voice]
+    groups = [here.divisions.beam_group(symbol.value.start) for symbol in voice]
+    beams: dict[int, list[str]] = {}
+    runs = groupby(range(len(voice)), key=lambda i: (groups[i], flags[i] > 0))
+    for (_, is_flagged), run in runs:
+        indices = list(run)
+        if not is_flagged or len(indices) < 2:
+            continue
+        own = [flags[i] for i in indices]
+        for k, i in enumerate(indices):
+            beams[i] = [_beam(own, k, level) for level in range(1, own[k] + 1)]
+    return beams
+
+
+def _beam(flags: Sequence[int], k: int, level: int) -> str:
+    before = k > 0 and flags[k - 1] >= level
+    after = k + 1 < len(flags) and flags[k + 1] >= level
+    if before and after:
+        return "continue"
+    if before or after:
+        return "end" if before else "begin"
+    return "backward hook" if k else "forward hook"

@@ -1,0 +1,67 @@
+"""The staff of each note: that of the hand of its finger, or else one by pitch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cadenza.music.score import Note, chords
+
+RIGHT, LEFT = 0, 1
+"""The upper and the lower staff, numbered as hands are."""
+_SPLITS = np.arange(43, 80)  # lowest pitch of the right hand, G2 to G5
+_MIDDLE = 60  # the usual split, C4
+_SPAN = 12  # semitones that a hand plays at once with ease
+_TOO_WIDE = 2.0  # cost of each semitone beyond that
+_MOVE = 0.15  # cost of moving the split by a semitone
+_FAR = 0.01  # cost of each semitone of the split from the middle
+_CLOSE = 0.1  # cost of each semitone by which a split leaves less than `_ROOM` between hands
+_ROOM = 5  # semitones
+
+
+def staves(notes: Sequence[Note]) -> list[int]:
+    """The staff of each of the `notes`, by start.
+
+    Notes without a finger are split at a pitch that moves as little as it can while each hand
+    spans about an octave at most, found by dynamic programming over chords.
+    """
+    chosen = [note.finger.hand if note.finger else RIGHT for note in notes]
+    loose = [i for i, note in enumerate(notes) if note.finger is None]
+    if not loose:
+        return chosen
+    groups = list(chords([notes[i] for i in loose]))
+    splits = _splits([np.array([note.pitch for note in group]) for group in groups])
+    place = iter(loose)
+    for group, split in zip(groups, splits, strict=True):
+        for note in group:
+            chosen[next(place)] = RIGHT if note.pitch >= split else LEFT
+    return chosen
+
+
+def _splits(groups: list[np.ndarray]) -> list[int]:
+    move = _MOVE * np.abs(_SPLITS[:, None] - _SPLITS)
+    total = np.zeros(len(_SPLITS))
+    origins = []
+    for pitches in groups:
+        arrived = total[:, None] + move
+        origins.append(arrived.argmin(axis=0))
+        total = arrived.min(axis=0) + _cost(pitches)
+    at = int(total.argmin())
+    path = []
+    for origin in reversed(origins):
+        path.append(int(_SPLITS[at]))
+        at = int(origin[at])
+    return path[::-1]
+
+
+def _cost(pitches: np.ndarray) -> np.ndarray:
+    """The cost of each split for a chord."""
+    upper = pitches >= _SPLITS[:, None]
+    high, low = np.where(upper, pitches, 999), np.where(upper, -999, pitches)
+    right = np.where(upper.any(1), pitches.max() - high.min(1), 0)
+    left = np.where((~upper).any(1), low.max(1) - pitches.min(), 0)
+    wide = np.maximum(right - _SPAN, 0) + np.maximum(left - _SPAN, 0)
+    gap = np.abs(pitches - (_SPLITS[:, None] - 0.5)).min(1)
+    close = np.maximum(_ROOM / 2 - gap, 0)
+    return np.asarray(_TOO_WIDE * wide + _CLOSE * close + _FAR * np.abs(_SPLITS - _MIDDLE))

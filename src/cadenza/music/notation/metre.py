@@ -1,0 +1,166 @@
+"""The measures of a score, and the place in them of any time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cadenza.music.notation.beats import estimated_bars
+from cadenza.music.score import CHORD_TOLERANCE, Bar, Score
+
+QUARTER = 1680
+"""Ticks of a quarter: whole numbers of them make 64ths, triplets, quintuplets and septuplets."""
+WHOLE = 4 * QUARTER
+_SHORTEST_BEAT = 64  # as a part of a whole note
+_UNKNOWN_BEATS = 4  # in a bar whose beats are unknown
+_USUAL_BEAT = 0.5  # [s] of a quarter, where a single beat is all that is known
+_SHORTEST = 1e-3  # [s] of a beat; less is a rounding error
+_LATE = 0.25  # of a beat: what ends so much after the last bar has another
+_MOST_ADDED = 10_000  # bars before the first or after the last
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """A measure from tick `start` to tick `end`, with so many `beats` of 1/`beat_type`.
+
+    A measure that `is_part` is shorter than its time signature, such as a pickup; `written` is
+    the time signature.
+    """
+
+    number: int
+    start: int
+    end: int
+    beats: int
+    beat_type: int
+    written: tuple[int, int]
+    is_part: bool = False
+
+
+class Metre(NamedTuple):
+    """The measures, and a map of time: at `times` [s] lie `ticks`, both of shape (C + 1,).
+
+    Between two of them lies a cell: a beat, or a quarter of one that is longer. Tempo is taken to
+    be constant within a cell. `is_estimated` says that the score has no bars.
+    """
+
+    measures: tuple[Measure, ...]
+    times: NDArray[np.float64]
+    ticks: NDArray[np.int64]
+    is_estimated: bool
+
+    def place(self, times: ArrayLike) -> NDArray[np.float64]:
+        """The ticks, with fractions, of times [s]; those outside are moved to the nearest end."""
+        return np.interp(times, self.times, self.ticks)
+
+
+def metre_of(score: Score) -> Metre:
+    """The measures of a score with notes, from the one of its first note to that of its last.
+
+    They follow `Score.bars`. A score without any gets bars of a metre that is estimated.
+    """
+    bars = score.bars or estimated_bars(score.notes)
+    timed = _timed(bars)
+    first, end = score.notes[0].start, score.total_time
+    while first < timed[0].times[0] - CHORD_TOLERANCE and len(timed) < _MOST_ADDED:
+        timed.insert(0, timed[0].repeated(-1))
+    while len(timed) > 1 and timed[0].times[-1] <= first + CHORD_TOLERANCE:
+        del timed[0]
+    last_start = score.notes[-1].start
+    for _ in range(_MOST_ADDED):
+        late = timed[-1].times[-1] + _LATE * timed[-1].last_beat
+        if end <= late and last_start < timed[-1].times[-1]:
+            break
+        timed.append(timed[-1].repeated(1))
+    return _metre(_numbered(timed), not score.bars)
+
+
+@dataclass(frozen=True, slots=True)
+class _TimedBar:
+    """A bar with the times at which its beats begin, and last its end [s]."""
+
+    number: int
+    times: tuple[float, ...]
+    beat_type: int
+
+    @property
+    def last_beat(self) -> float:
+        return self.times[-1] - self.times[-2]
+
+    @property
+    def signature(self) -> tuple[int, int]:
+        return len(self.times) - 1, self.beat_type
+
+    def repeated(self, direction: int) -> _TimedBar:
+        """The bar after it (1) or before it (-1), with the same metre and tempo."""
+        length = direction * (self.times[-1] - self.times[0])
+        times = tuple(time + length for time in self.times)
+        return replace(self, number=self.number + direction, times=times)
+
+
+def _timed(bars: Sequence[Bar]) -> list[_TimedBar]:
+    timed: list[_TimedBar] = []
+    beat = _USUAL_BEAT
+    for bar, following in pairwise([*bars, None]):
+        assert bar is not None
+        end = following.time if following else None
+        beats = bar.beats or _even_beats(bar.time, end)
+        if len(beats) > 1:
+            beat = beats[-1] - beats[-2]
+        if end is None:
+            end = beats[-1] + max(beat, _SHORTEST)
+        starts = [bar.time, *(each for each in beats[1:] if each < end - _SHORTEST)]
+        if end - bar.time < _SHORTEST:  # bars that begin together
+            continue
+        timed.append(_TimedBar(bar.number, (*starts, end), min(bar.beat_type, _SHORTEST_BEAT)))
+        beat = timed[-1].last_beat
+    return timed
+
+
+def _even_beats(start: float, end: float | None) -> tuple[float, ...]:
+    beat = _USUAL_BEAT if end is None else (end - start) / _UNKNOWN_BEATS
+    return tuple(start + n * beat for n in range(_UNKNOWN_BEATS))
+
+
+def _numbered(bars: list[_TimedBar]) -> list[_TimedBar]:
+    """The bars with their own numbers if these rise, which repeats prevent; or else from 1."""
+    if all(a.number < b.number for a, b in pairwise(bars)) and bars[0].number >= 0:
+        return bars
+    return [replace(bar, number=number) for number, bar in enumerate(bars, start=1)]
+
+
+def _metre(bars: list[_TimedBar], is_estimated: bool) -> Metre:
+    measures: list[Measure] = []
+    times, ticks = [bars[0].times[0]], [0]
+    for bar in bars:
+        start, beat = ticks[-1], WHOLE // bar.beat_type
+        cells = max(1, beat // QUARTER)
+        for begin, end in pairwise(bar.times):
+            for cell in range(1, cells + 1):
+                times.append(begin + (end - begin) * cell / cells)
+                ticks.append(ticks[-1] + beat // cells)
+        signature = bar.signature
+        measures.append(Measure(bar.number, start, ticks[-1], *signature, signature))
+    return Metre(tuple(_with_parts(measures)), np.array(times), np.array(ticks), is_estimated)
+
+
+def _with_parts(measures: list[Measure]) -> list[Measure]:
+    """The measures with those marked that are parts: a pickup, or two that make a whole one."""
+    marked = list(measures)
+    if len(marked) > 1 and _length(marked[0]) < _length(marked[1]):
+        marked[0] = replace(marked[0], written=marked[1].written, is_part=True)
+    for i in range(1, len(marked) - 1):
+        before, here, after = marked[i - 1 : i + 2]
+        whole = WHOLE * before.written[0] // before.written[1]
+        if not here.is_part and _length(here) + _length(after) == whole:
+            marked[i] = replace(here, written=before.written, is_part=True)
+            marked[i + 1] = replace(after, written=before.written, is_part=True)
+    return marked
+
+
+def _length(measure: Measure) -> int:
+    return measure.end - measure.start

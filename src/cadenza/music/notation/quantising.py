@@ -1,0 +1,189 @@
+"""Quantisation: onsets and ends on a grid of note values."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from cadenza.music.notation.metre import QUARTER, Metre
+from cadenza.music.notation.voices import Timed
+from cadenza.music.score import CHORD_TOLERANCE, Note
+
+# What it costs to divide a cell (a quarter, or a shorter beat) into so many parts. It is in units
+# of what a deviation of an onset by `_SPREAD` costs twice; chosen by eye.
+_GRIDS = {1: 0.0, 2: 0.3, 4: 0.8, 3: 1.2, 8: 2.0, 6: 2.2, 5: 4.0, 12: 4.0, 16: 4.5, 7: 4.5}
+_SPREAD = 0.05  # standard deviation of onsets, in cells ...
+_LEAST_SPREAD, _MOST_SPREAD = 0.012, 0.04  # [s] ... within these
+_SHORTEST = 0.025  # [s] of a part of a grid
+_FINEST = QUARTER // 16  # a 64th, which is a whole number of ticks
+_APART = 1.0  # cost of grids that differ between voices
+_MERGED = 1.5  # cost of chords that fall together
+_REPEATED = 20.0  # cost of chords with the same pitch that fall together
+_FILLED = 0.5  # of the time to the next onset, up to which a gap is not written as a rest
+_LONGEST_FILLED = QUARTER
+
+
+@dataclass(slots=True)
+class Chord:
+    """Notes of a voice that begin together at tick `start` and end at tick `end`."""
+
+    notes: list[Note]
+    start: int
+    end: int
+
+
+@dataclass(slots=True)
+class Stream:
+    """A voice: its chords in time, and by cell the number of parts if that is no power of two."""
+
+    chords: list[Chord] = field(default_factory=list)
+    tuplets: dict[int, int] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class _Group:
+    """Notes of a voice that begin together, with onset and end in ticks, with fractions."""
+
+    notes: list[Note]
+    onset: float
+    end: float
+
+
+def quantised(voices: Sequence[Sequence[Timed]], metre: Metre) -> tuple[list[Stream], int]:
+    """The voices on a grid, and the number of notes left out.
+
+    For each cell the grid is chosen that fits the onsets of all voices best; voices have grids of
+    their own where that fits much better, as triplets against semiquavers do. A note is left out
+    if its pitch is struck again so soon that both fall on one place of the finest grid.
+    """
+    ticks = metre.ticks.tolist()
+    groups = [_groups(voice) for voice in voices]
+    by_cell: defaultdict[int, list[list[_Group]]] = defaultdict(lambda: [[] for _ in voices])
+    for v, of_voice in enumerate(groups):
+        for group in of_voice:
+            by_cell[_cell(ticks, group.onset)][v].append(group)
+    grids: list[dict[int, int]] = [{} for _ in voices]
+    starts: list[list[int]] = [[] for _ in voices]
+    for cell in sorted(by_cell):
+        begin, length = ticks[cell], ticks[cell + 1] - ticks[cell]
+        seconds = float(metre.times[cell + 1] - metre.times[cell])
+        onsets = [
+            [((group.onset - begin) / length, group.notes) for group in of_voice]
+            for of_voice in by_cell[cell]
+        ]
+        for v, grid in enumerate(_chosen(onsets, seconds, length)):
+            steps = [round(at * grid) for at, _ in onsets[v]]
+            starts[v] += [begin + step * length // grid for step in steps]
+            grids[v][cell] = _coarsest(grid, steps)
+    left_out = 0
+    streams = []
+    for v, of_voice in enumerate(groups):
+        merged, lost = _merged(of_voice, starts[v])
+        left_out += lost
+        streams.append(_stream(merged, grids[v], ticks))
+    return streams, left_out
+
+
+def _groups(voice: Sequence[Timed]) -> list[_Group]:
+    groups: list[_Group] = []
+    first = 0.0
+    for each in voice:
+        if groups and each.note.start <= first + CHORD_TOLERANCE:
+            group = groups[-1]
+            group.notes.append(each.note)
+            group.end = max(group.end, each.end)
+            group.onset += (each.onset - group.onset) / len(group.notes)
+        else:
+            groups.append(_Group([each.note], each.onset, each.end))
+            first = each.note.start
+    return groups
+
+
+def _cell(ticks: list[int], at: float) -> int:
+    return min(max(bisect_right(ticks, at) - 1, 0), len(ticks) - 2)
+
+
+_Onsets = list[tuple[float, list[Note]]]
+
+
+def _chosen(onsets: list[_Onsets], seconds: float, length: int) -> list[int]:
+    """The grid of each voice in a cell of `seconds` [s] and `length` [ticks]."""
+    spread = min(max(_SPREAD * seconds, _LEAST_SPREAD), _MOST_SPREAD) / seconds
+    possible = [
+        grid
+        for grid in _GRIDS
+        if grid <= 2
+        or (seconds / grid >= _SHORTEST and length % grid == 0 and length // grid >= _FINEST)
+    ]
+    deviations = [{grid: _deviation(each, grid, spread) for grid in possible} for each in onsets]
+    joint = min(possible, key=lambda g: _GRIDS[g] + sum(each[g] for each in deviations))
+    joint_cost = _GRIDS[joint] + sum(each[joint] for each in deviations)
+    own = [min(possible, key=lambda g: _GRIDS[g] + each[g]) for each in deviations]
+    own_cost = sum(_GRIDS[g] + each[g] for g, each in zip(own, deviations, strict=True))
+    if own_cost + _APART * (len(set(own)) - 1) < joint_cost:
+        return own
+    return [joint] * len(onsets)
+
+
+def _deviation(onsets: _Onsets, grid: int, spread: float) -> float:
+    """The cost of moving the `onsets` of a voice to a grid."""
+    cost, before, pitches = 0.0, -1, set[int]()
+    for at, notes in onsets:
+        step = round(at * grid)
+        cost += 0.5 * ((at - step / grid) / spread) ** 2
+        here = {note.pitch for note in notes}
+        if step == before:
+            cost += _REPEATED if pitches & here else _MERGED
+            here |= pitches
+        before, pitches = step, here
+    return cost
+
+
+def _coarsest(grid: int, steps: list[int]) -> int:
+    """The least divisor of `grid` that all `steps` are on."""
+    return min(
+        g for g in range(1, grid + 1) if grid % g == 0 and not any(s * g % grid for s in steps)
+    )
+
+
+def _merged(groups: list[_Group], starts: list[int]) -> tuple[list[Chord], int]:
+    """Chords at their starts, with ends not yet on the grid, and the number of notes left out."""
+    chords: list[Chord] = []
+    left_out = 0
+    for group, start in zip(groups, starts, strict=True):
+        if chords and chords[-1].start >= start:
+            there = {note.pitch for note in chords[-1].notes}
+            added = [note for note in group.notes if note.pitch not in there]
+            left_out += len(group.notes) - len(added)
+            chords[-1].notes += added
+            chords[-1].end = max(chords[-1].end, round(group.end))
+        else:
+            chords.append(Chord(list(group.notes), start, round(group.end)))
+    return chords, left_out
+
+
+def _stream(chords: list[Chord], grids: dict[int, int], ticks: list[int]) -> Stream:
+    for chord, following in pairwise([*chords, None]):
+        cell = _cell(ticks, chord.end)
+        begin, length = ticks[cell], ticks[cell + 1] - ticks[cell]
+        grid = grids.get(cell, 1)
+        if grid == 1 and length // 2 >= _FINEST:
+            grid = 2
+        unit = length // grid
+        end = begin + round((chord.end - begin) / unit) * unit
+        start_cell = _cell(ticks, chord.start)
+        least = (ticks[start_cell + 1] - ticks[start_cell]) // max(grids.get(start_cell, 1), 2)
+        if end <= chord.start:
+            end = chord.start + least
+        if following is None:
+            end = min(end, ticks[-1])
+        else:
+            gap = following.start - end
+            is_short = gap <= _FILLED * (following.start - chord.start) and gap < _LONGEST_FILLED
+            end = following.start if gap < 0 or is_short else end
+        chord.end = end
+    tuplets = {cell: grid for cell, grid in grids.items() if grid & (grid - 1)}
+    return Stream(chords, tuplets)
