@@ -21,7 +21,7 @@ from cadenza.music.notation.sheet import Sheet, Symbol, WrittenMeasure, sheet_of
 from cadenza.music.notation.spelling import Spelling
 from cadenza.music.score import Note, Score
 
-_HEADER = b"""<?xml version="1.0" encoding="UTF-8"?>
+_HEADER = """<?xml version="1.0" encoding="UTF-8"?>
 <!DOCTYPE score-partwise PUBLIC "-//Recordare//DTD MusicXML 4.0 Partwise//EN" \
 "http://www.musicxml.org/dtds/partwise.dtd">
 """
@@ -52,9 +52,9 @@ def write_musicxml(score: Score, path: str | Path) -> tuple[str, ...]:
     """
     sheet = sheet_of(score)
     root = _document(sheet)
-    indent(root, " ")
+    indent(root, "")
     with write_atomically(Path(path)) as file:
-        file.write(_HEADER + tostring(root, "utf-8") + b"\n")
+        file.write((_HEADER + tostring(root, "unicode") + "\n").encode())
     return sheet.remarks
 
 

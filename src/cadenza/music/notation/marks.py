@@ -19,7 +19,8 @@ _CHANGE_OF_CLEF = 30.0  # semitones beyond the staff, summed over notes, that ou
 
 _TEMPO_ERROR = 0.01  # [s] by which times that follow from the tempos may differ
 _SHOWN = 0.12  # relative change of tempo of two measures that is shown
-_LOUDER = 12  # change of the median velocity of a measure that has a mark
+_LOUDER = 12  # change of the median velocity of two measures that has a mark
+_MUCH_LOUDER = 24  # change of that of a single measure that has one
 _DOWN = 64  # the least value of a pedal that is down
 _PEDAL_PARTS = 4  # of a cell, on which pedal marks stand
 
@@ -145,10 +146,14 @@ def dynamics(velocities: Sequence[Sequence[int]]) -> dict[int, str]:
         if not here:
             continue
         median = float(np.median(here))
-        if latest is None or abs(median - VELOCITIES[latest]) > _LOUDER:
-            nearest = min(VELOCITIES, key=lambda mark: abs(VELOCITIES[mark] - median))
-            if nearest != latest:
-                latest = marks[measure] = nearest
+        if latest is not None:
+            following = next((each for each in velocities[measure + 1 :] if each), here)
+            now, then = (m - VELOCITIES[latest] for m in (median, float(np.median(following))))
+            if abs(now) < _LOUDER or (abs(now) < _MUCH_LOUDER and now * then < _LOUDER**2):
+                continue
+        nearest = min(VELOCITIES, key=lambda mark: abs(VELOCITIES[mark] - median))
+        if nearest != latest:
+            latest = marks[measure] = nearest
     return marks
 
 

@@ -39,9 +39,8 @@ class Divisions:
         """Finds the levels of a measure's time signature."""
         beats, beat_type = measure.written
         beat = WHOLE // beat_type
-        # A pickup is the end of a measure.
         self.is_compound = beat_type >= 8 and beats % _COMPOUND == 0 and beats > _COMPOUND
-        self.origin = measure.end - beats * beat if measure.is_part else measure.start
+        self.origin = measure.origin
         self._levels = [(_BAR, beats * beat)]
         if self.is_compound:
             self._levels.append((_GROUP, _COMPOUND * beat))

@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from statistics import median
 
 from cadenza.music.notation.metre import QUARTER, Metre
 from cadenza.music.notation.voices import Timed
@@ -14,9 +15,11 @@ from cadenza.music.score import CHORD_TOLERANCE, Note
 
 # What it costs to divide a cell (a quarter, or a shorter beat) into so many parts. It is in units
 # of what a deviation of an onset by `_SPREAD` costs twice; chosen by eye.
-_GRIDS = {1: 0.0, 2: 0.3, 4: 0.8, 3: 1.2, 8: 2.0, 6: 2.2, 5: 4.0, 12: 4.0, 16: 4.5, 7: 4.5}
+_GRIDS = {1: 0.0, 2: 0.3, 4: 0.8, 3: 1.2, 8: 2.0, 6: 2.2, 5: 4.0, 12: 6.0, 16: 4.5, 7: 4.5}
 _SPREAD = 0.05  # standard deviation of onsets, in cells ...
 _LEAST_SPREAD, _MOST_SPREAD = 0.012, 0.04  # [s] ... within these
+_EXACT = 0.2  # of the deviation of onsets at random, below which a file is taken for exact
+_COMMON = 12  # parts of a cell on which most onsets are, in an exact file
 _SHORTEST = 0.025  # [s] of a part of a grid
 _FINEST = QUARTER // 16  # a 64th, which is a whole number of ticks
 _APART = 1.0  # cost of grids that differ between voices
@@ -65,6 +68,7 @@ def quantised(voices: Sequence[Sequence[Timed]], metre: Metre) -> tuple[list[Str
     for v, of_voice in enumerate(groups):
         for group in of_voice:
             by_cell[_cell(ticks, group.onset)][v].append(group)
+    most = _LEAST_SPREAD if _is_exact(groups, ticks) else _MOST_SPREAD
     grids: list[dict[int, int]] = [{} for _ in voices]
     starts: list[list[int]] = [[] for _ in voices]
     for cell in sorted(by_cell):
@@ -74,7 +78,7 @@ def quantised(voices: Sequence[Sequence[Timed]], metre: Metre) -> tuple[list[Str
             [((group.onset - begin) / length, group.notes) for group in of_voice]
             for of_voice in by_cell[cell]
         ]
-        for v, grid in enumerate(_chosen(onsets, seconds, length)):
+        for v, grid in enumerate(_chosen(onsets, seconds, length, most)):
             steps = [round(at * grid) for at, _ in onsets[v]]
             starts[v] += [begin + step * length // grid for step in steps]
             grids[v][cell] = _coarsest(grid, steps)
@@ -106,12 +110,25 @@ def _cell(ticks: list[int], at: float) -> int:
     return min(max(bisect_right(ticks, at) - 1, 0), len(ticks) - 2)
 
 
+def _is_exact(groups: list[list[_Group]], ticks: list[int]) -> bool:
+    """Whether onsets are where notation has them, and not as somebody played."""
+    deviations = []
+    for group in (group for of_voice in groups for group in of_voice):
+        cell = _cell(ticks, group.onset)
+        at = _COMMON * (group.onset - ticks[cell]) / (ticks[cell + 1] - ticks[cell])
+        deviations.append(abs(at - round(at)))
+    return median(deviations) < _EXACT / 4  # at random, a fourth of a part
+
+
 _Onsets = list[tuple[float, list[Note]]]
 
 
-def _chosen(onsets: list[_Onsets], seconds: float, length: int) -> list[int]:
-    """The grid of each voice in a cell of `seconds` [s] and `length` [ticks]."""
-    spread = min(max(_SPREAD * seconds, _LEAST_SPREAD), _MOST_SPREAD) / seconds
+def _chosen(onsets: list[_Onsets], seconds: float, length: int, most: float) -> list[int]:
+    """The grid of each voice in a cell of `seconds` [s] and `length` [ticks].
+
+    Onsets deviate by at most `most` [s].
+    """
+    spread = min(max(_SPREAD * seconds, _LEAST_SPREAD), most) / seconds
     possible = [
         grid
         for grid in _GRIDS

@@ -132,9 +132,7 @@ def sheet_of(score: Score) -> Sheet:
         for i, measure in enumerate(metre.measures)
     )
     remarks = counted_remarks([(left_out, "note", "left out, struck again too soon to be written")])
-    if metre.is_estimated:
-        remarks.append("the song has no bars: beats and bars are estimated")
-    return Sheet(score.title, key, measures, tuple(remarks))
+    return Sheet(score.title, key, measures, (*metre.remarks, *remarks))
 
 
 def _by_measure(begins: list[int], streams: Sequence[Stream], what: str) -> list[list[int]]:

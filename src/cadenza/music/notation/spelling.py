@@ -15,7 +15,7 @@ _FIFTHS = {step: fifths for fifths, step in enumerate("FCGDAEB", start=-1)}
 _SHARP = 7  # fifths from a step to the same with a sharp
 _ENHARMONIC = 12  # fifths between two names of a pitch
 _CANDIDATES = 3  # likeliest keys, of which the one with fewest accidentals is taken
-_MOST_SIGNS = 7  # of a key signature
+_MOST_SIGNS = 6  # of a key signature; rather five flats than seven sharps
 _MIDDLE = 2  # fifths of the middle of a major scale's notes above its key
 
 

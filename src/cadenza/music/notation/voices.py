@@ -15,7 +15,7 @@ _SECOND = 0.35 * QUARTER  # cost of a chord that is shared by both voices
 _ALONE = 0.15 * QUARTER  # cost of a chord in the lower voice while the upper rests
 _CROSSED = 0.5 * QUARTER  # cost of a note on the wrong side of the other voice
 _UNEVEN = 0.5  # cost of a tick by which a note is written longer than it is
-_KEPT = 12  # best histories that are followed
+_KEPT = 8  # best histories that are followed
 
 
 class _Voice(NamedTuple):
@@ -57,23 +57,11 @@ def voices(timed: Sequence[Timed]) -> list[int]:
     division is found by a beam search.
     """
     histories = [_History(0.0, (_Voice(), _Voice()), ())]
-    by_note = {id(each.note): each for each in timed}
-    groups = []
-    for group in chords([each.note for each in timed]):
-        chord = sorted((by_note[id(note)] for note in group), key=lambda each: -each.note.pitch)
-        groups.append(group)
-        onset = min(each.onset for each in chord)
-        lone = all(voice.end <= onset + _LEGATO for voice in histories[0].voices)
-        even = max(e.end for e in chord) - min(e.end for e in chord) <= _LEGATO
-        if lone and even:  # the usual case: nothing to be divided
-            splits: Sequence[int] = (len(chord),)
-        else:
-            splits = range(len(chord) + 1)
-        found = [
-            _continued(history, chord, onset, split) for history in histories for split in splits
-        ]
-        found.sort(key=lambda history: history.cost)
-        histories = found[:_KEPT]
+    groups = list(chords([each.note for each in timed]))
+    each_time = iter(timed)
+    for group in groups:
+        chord = sorted((next(each_time) for _ in group), key=lambda each: -each.note.pitch)
+        histories = _continued(histories, chord)
     path, counts = histories[0].path, []
     while path:
         count, path = path
@@ -86,30 +74,48 @@ def voices(timed: Sequence[Timed]) -> list[int]:
     return chosen
 
 
-def _continued(history: _History, chord: list[Timed], onset: float, split: int) -> _History:
-    upper, lower = history.voices
-    cost = history.cost
-    parts = chord[:split], chord[split:]
-    latest = list(history.voices)
-    for voice, part in enumerate(parts):
-        if not part:
-            continue
-        before = latest[voice]
-        end = max(each.end for each in part)
-        cost += before.lost(onset)
-        cost += _UNEVEN * sum(
-            min(end - each.end, _MOST_LOST) for each in part if end - each.end > _LEGATO
-        )
-        latest[voice] = _Voice(
-            tuple(each.end for each in part), part[-1].note.pitch, part[0].note.pitch
-        )
-    if parts[UPPER] and parts[LOWER]:
-        cost += _SECOND
-    elif parts[LOWER]:
-        if upper.end <= onset + _LEGATO:
-            cost += _ALONE
-        elif parts[LOWER][0].note.pitch > upper.low:
-            cost += _CROSSED
-    elif lower.end > onset + _LEGATO and parts[UPPER][-1].note.pitch < lower.high:
-        cost += _CROSSED
-    return _History(cost, (latest[UPPER], latest[LOWER]), (split, history.path))
+def _continued(histories: list[_History], chord: list[Timed]) -> list[_History]:
+    """The best histories with `chord`, from the highest note down, one for each pair of voices."""
+    onset = min(each.onset for each in chord)
+    parts = [(chord[:count], chord[count:]) for count in range(len(chord) + 1)]
+    ends = [each.end for each in chord]
+    is_free = all(voice.end <= onset + _LEGATO for each in histories for voice in each.voices)
+    if is_free and max(ends) - min(ends) <= _LEGATO:  # the usual case: nothing to be divided
+        parts = parts[-1:]
+    made = [tuple((_made(part), _uneven(part)) for part in pair) for pair in parts]
+    best: dict[tuple[_Voice, _Voice], _History] = {}
+    for history in histories:
+        lost = [voice.lost(onset) for voice in history.voices]
+        for (upper, lower), ((high, rough), (low, rougher)) in zip(parts, made, strict=True):
+            cost = history.cost + rough + rougher + _crossing(history, upper, lower, onset)
+            cost += (lost[UPPER] if upper else 0.0) + (lost[LOWER] if lower else 0.0)
+            now = high or history.voices[UPPER], low or history.voices[LOWER]
+            if now not in best or cost < best[now].cost:
+                best[now] = _History(cost, now, (len(upper), history.path))
+    return sorted(best.values(), key=lambda history: history.cost)[:_KEPT]
+
+
+def _made(part: list[Timed]) -> _Voice | None:
+    if not part:
+        return None
+    return _Voice(tuple(each.end for each in part), part[-1].note.pitch, part[0].note.pitch)
+
+
+def _uneven(part: list[Timed]) -> float:
+    """The cost of writing the notes of a chord as long as the longest."""
+    end = max((each.end for each in part), default=0.0)
+    gaps = (end - each.end for each in part)
+    return _UNEVEN * sum(min(gap, _MOST_LOST) for gap in gaps if gap > _LEGATO)
+
+
+def _crossing(history: _History, upper: list[Timed], lower: list[Timed], onset: float) -> float:
+    """The cost of a second voice, or of one that crosses the other."""
+    high, low = history.voices
+    if upper and lower:
+        return _SECOND
+    if lower:
+        if high.end <= onset + _LEGATO:
+            return _ALONE
+        return _CROSSED if lower[0].note.pitch > high.low else 0.0
+    is_below = low.end > onset + _LEGATO and upper[-1].note.pitch < low.high
+    return _CROSSED if is_below else 0.0
