@@ -19,9 +19,11 @@ _OCTAVES = 0.7  # standard deviation of that preference, in octaves
 _TERNARY = 0.6  # weight of a beat that has rather three parts than two
 _TIGHTNESS = 100.0  # weight of even beats against beats on onsets (Ellis 2007: 100 to 400)
 _ANCHOR = 0.06  # [s] within which a beat is moved to an onset
-_METRES = 4, 3, 2  # beats in a bar; of equally good ones the first is taken
-_BETTER = 1e-6  # by which a later one has to be better
-_BASS = 0.5  # accent of the lowest pitch against the highest
+_TRIPLE = 0.15  # by which accents have to recur rather after three beats than after two or four
+_QUADRUPLE = 0.2  # standard deviations by which downbeats of four beats have to be stronger
+_LEAST = 1e-9  # standard deviation of accents
+_BASS = 2.0  # accent of a chord that is lower than all about it
+_ABOUT = 6  # chords before and after
 _LONG = 2.0  # accent of a note that lasts as long as the usual beat; longer ones have no more
 
 
@@ -33,7 +35,7 @@ def estimated_bars(notes: Sequence[Note]) -> tuple[Bar, ...]:
     """
     groups = list(chords(notes))
     onsets = np.array([group[0].start for group in groups])
-    accents = _accents(groups, onsets)
+    accents = accents_of(groups)
     strength = _strength(onsets, accents)
     period = _period(strength)
     beats = _anchored(onsets[0] + _FRAME * _tracked(strength, period), onsets, period)
@@ -53,13 +55,16 @@ def estimated_bars(notes: Sequence[Note]) -> tuple[Bar, ...]:
     )
 
 
-def _accents(groups: list[list[Note]], onsets: Floats) -> Floats:
+def accents_of(groups: list[list[Note]]) -> Floats:
     """How accented each chord is, (O,): by number, length and depth of its notes."""
+    onsets = np.array([group[0].start for group in groups])
     gaps = np.append(np.diff(onsets), _USUAL_PERIOD)
     lengths = np.array([max(note.end - note.start for note in group) for group in groups])
     lowest = np.array([min(note.pitch for note in group) for group in groups])
     size = np.sqrt([len(group) for group in groups])
-    depth = (lowest.max() - lowest) / max(np.ptp(lowest), 1)
+    around = np.pad(lowest, _ABOUT, "edge")
+    neighbours = np.lib.stride_tricks.sliding_window_view(around, 2 * _ABOUT + 1)
+    depth = (neighbours > lowest[:, None]).mean(axis=1)
     length = np.minimum(np.maximum(lengths, gaps) / _USUAL_PERIOD, 1)
     return np.asarray(size + _LONG * length + _BASS * depth)
 
@@ -130,11 +135,24 @@ def _metre(beats: Floats, onsets: Floats, accents: Floats) -> tuple[int, int]:
     """The number of beats in a bar, and how many precede the first downbeat."""
     nearest = _nearest(onsets, beats)
     accent = np.where(np.abs(onsets[nearest] - beats) <= _ANCHOR, accents[nearest], 0.0)
-    best, chosen = -np.inf, (_METRES[0], 0)
-    for per_bar in _METRES:
-        for phase in range(min(per_bar, len(beats))):
-            # More beats in a bar leave fewer downbeats, whose mean varies more.
-            contrast = (accent[phase::per_bar].mean() - accent.mean()) * np.sqrt(12 / per_bar)
-            if contrast > best + _BETTER:
-                best, chosen = contrast, (per_bar, phase)
-    return chosen
+    recurs = {per_bar: _recurrence(accent, per_bar) for per_bar in (2, 3, 4)}
+    if recurs[3] > max(recurs[2], recurs[4]) + _TRIPLE:
+        return 3, _downbeat(accent, 3)[1]
+    (two, phase_of_two), (four, phase_of_four) = _downbeat(accent, 2), _downbeat(accent, 4)
+    return (4, phase_of_four) if four > two + _QUADRUPLE else (2, phase_of_two)
+
+
+def _recurrence(accent: Floats, per_bar: int) -> float:
+    """The autocorrelation of the accents of beats at a bar."""
+    centred = accent - accent.mean()
+    if len(accent) <= per_bar or not centred.any():
+        return 0.0
+    return float((centred[per_bar:] * centred[:-per_bar]).mean() / centred.var())
+
+
+def _downbeat(accent: Floats, per_bar: int) -> tuple[float, int]:
+    """How much stronger than others downbeats are at most [standard deviations], and where."""
+    phases = range(min(per_bar, len(accent)))
+    means = [float(accent[phase::per_bar].mean() - accent.mean()) for phase in phases]
+    best = int(np.argmax(means))
+    return means[best] / max(float(accent.std()), _LEAST), best

@@ -146,8 +146,10 @@ def dynamics(velocities: Sequence[Sequence[int]]) -> dict[int, str]:
         if not here:
             continue
         median = float(np.median(here))
-        if latest is not None:
-            following = next((each for each in velocities[measure + 1 :] if each), here)
+        following = next((each for each in velocities[measure + 1 :] if each), here)
+        if latest is None:  # a pickup may be a single note
+            median = float(np.median([*here, *following]))
+        else:
             now, then = (m - VELOCITIES[latest] for m in (median, float(np.median(following))))
             if abs(now) < _LOUDER or (abs(now) < _MUCH_LOUDER and now * then < _LOUDER**2):
                 continue

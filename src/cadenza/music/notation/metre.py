@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cadenza.music.notation.beats import estimated_bars
-from cadenza.music.score import CHORD_TOLERANCE, Bar, Note, Score
+from cadenza.music.notation.beats import accents_of, estimated_bars
+from cadenza.music.score import CHORD_TOLERANCE, Bar, Note, Score, chords
 
 QUARTER = 1680
 """Ticks of a quarter: whole numbers of them make 64ths, triplets, quintuplets and septuplets."""
@@ -22,9 +22,10 @@ _USUAL_BEAT = 0.5  # [s] of a quarter, where a single beat is all that is known
 _SHORTEST = 1e-3  # [s] of a beat; less is a rounding error
 _LATE = 0.25  # of a beat: what ends so much after the last bar has another
 _MOST_ADDED = 10_000  # bars before the first or after the last
-_QUARTER_TYPE = 4  # beat type of a quarter
+_PICKUP_STEP = QUARTER // 4  # a 16th; a grace note that begins a file may shift it by one
 _NEAR = QUARTER // 16  # ticks about a bar line that are at it
-_CLEARLY_BETTER = 0.6  # gain of moved bar lines by `_fit` a bar; files with pickups gain 0.7 to 3.5
+_HELD = 2.0  # accents that a chord held across a bar line outweighs
+_CLEARLY_BETTER = 1.0  # gain of moved bar lines by `_fit` a bar; known pickups gain 1.1 to 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,28 +186,33 @@ def _with_pickup(metre: Metre, notes: Sequence[Note]) -> Metre:
     """
     first = metre.measures[0]
     signatures = {measure.written for measure in metre.measures}
-    onsets = metre.place([note.start for note in notes])
-    ends = metre.place([note.end for note in notes])
+    groups = list(chords(notes))
+    onsets = metre.place([group[0].start for group in groups])
+    ends = metre.place([max(note.end for note in group) for group in groups])
     if len(signatures) > 1 or first.is_part or onsets[0] > first.start + _NEAR:
         return metre
-    beat = WHOLE // first.written[1]
-    step = beat if first.written[1] > _QUARTER_TYPE else beat // 2
-    shifts = range(0, first.length, step)
-    fits = [_fit(onsets - shift, ends - shift, first.length) for shift in shifts]
+    shifts = range(0, first.length, _PICKUP_STEP)
+    accents = accents_of(groups)
+    fits = [_fit(onsets - shift, ends - shift, accents, first.length) for shift in shifts]
     best = int(np.argmax(fits))
     if (fits[best] - fits[0]) / len(metre.measures) < _CLEARLY_BETTER:
         return metre
-    remark = f"the first {shifts[best] / beat:g} beats are taken for a pickup, before bar 1"
+    beats = shifts[best] * first.written[1] / WHOLE
+    remark = f"a pickup of {beats:g} beat{'s'[: beats != 1]} is assumed, which bar lines fit better"
     return _moved(metre, shifts[best])._replace(remarks=(remark,))
 
 
-def _fit(onsets: NDArray[np.float64], ends: NDArray[np.float64], length: int) -> float:
-    """How well bar lines fit: long notes begin at them, and few are held across them."""
+def _fit(
+    onsets: NDArray[np.float64],
+    ends: NDArray[np.float64],
+    accents: NDArray[np.float64],
+    length: int,
+) -> float:
+    """How well bar lines fit: accented chords begin at them, and few are held across them."""
     phase = (onsets + _NEAR) % length - _NEAR
     begins = phase < _NEAR
     held = ~begins & (phase + ends - onsets > length + _NEAR)
-    shares = np.minimum(ends - onsets, length) / length
-    return float(np.sqrt(shares[begins]).sum() - held.sum())
+    return float(accents[begins].sum() - _HELD * held.sum())
 
 
 def _moved(metre: Metre, pickup: int) -> Metre:

@@ -22,7 +22,7 @@ _EXACT = 0.2  # of the deviation of onsets at random, below which a file is take
 _COMMON = 12  # parts of a cell on which most onsets are, in an exact file
 _SHORTEST = 0.025  # [s] of a part of a grid
 _FINEST = QUARTER // 16  # a 64th, which is a whole number of ticks
-_APART = 1.0  # cost of grids that differ between voices
+_APART = 0.5  # cost of grids that differ between voices
 _MERGED = 1.5  # cost of chords that fall together
 _REPEATED = 20.0  # cost of chords with the same pitch that fall together
 _FILLED = 0.5  # of the time to the next onset, up to which a gap is not written as a rest
@@ -55,7 +55,20 @@ class _Group:
     end: float
 
 
-def quantised(voices: Sequence[Sequence[Timed]], metre: Metre) -> tuple[list[Stream], int]:
+def are_exact(onsets: Sequence[float], metre: Metre) -> bool:
+    """Whether `onsets` [ticks] are where notation has them, and not as somebody played."""
+    ticks = metre.ticks.tolist()
+    deviations = []
+    for onset in onsets:
+        cell = _cell(ticks, onset)
+        at = _COMMON * (onset - ticks[cell]) / (ticks[cell + 1] - ticks[cell])
+        deviations.append(abs(at - round(at)))
+    return median(deviations) < _EXACT / 4  # at random, a fourth of a part
+
+
+def quantised(
+    voices: Sequence[Sequence[Timed]], metre: Metre, is_exact: bool
+) -> tuple[list[Stream], int]:
     """The voices on a grid, and the number of notes left out.
 
     For each cell the grid is chosen that fits the onsets of all voices best; voices have grids of
@@ -68,7 +81,7 @@ def quantised(voices: Sequence[Sequence[Timed]], metre: Metre) -> tuple[list[Str
     for v, of_voice in enumerate(groups):
         for group in of_voice:
             by_cell[_cell(ticks, group.onset)][v].append(group)
-    most = _LEAST_SPREAD if _is_exact(groups, ticks) else _MOST_SPREAD
+    most = _LEAST_SPREAD if is_exact else _MOST_SPREAD
     grids: list[dict[int, int]] = [{} for _ in voices]
     starts: list[list[int]] = [[] for _ in voices]
     for cell in sorted(by_cell):
@@ -108,16 +121,6 @@ def _groups(voice: Sequence[Timed]) -> list[_Group]:
 
 def _cell(ticks: list[int], at: float) -> int:
     return min(max(bisect_right(ticks, at) - 1, 0), len(ticks) - 2)
-
-
-def _is_exact(groups: list[list[_Group]], ticks: list[int]) -> bool:
-    """Whether onsets are where notation has them, and not as somebody played."""
-    deviations = []
-    for group in (group for of_voice in groups for group in of_voice):
-        cell = _cell(ticks, group.onset)
-        at = _COMMON * (group.onset - ticks[cell]) / (ticks[cell + 1] - ticks[cell])
-        deviations.append(abs(at - round(at)))
-    return median(deviations) < _EXACT / 4  # at random, a fourth of a part
 
 
 _Onsets = list[tuple[float, list[Note]]]

@@ -21,7 +21,7 @@ from cadenza.music.notation.marks import (
 )
 from cadenza.music.notation.metre import Measure, metre_of
 from cadenza.music.notation.note_values import Divisions, Value, tuplet_values, values
-from cadenza.music.notation.quantising import Stream, quantised
+from cadenza.music.notation.quantising import Stream, are_exact, quantised
 from cadenza.music.notation.spelling import Spelling, spelled
 from cadenza.music.notation.voices import LOWER, UPPER, Timed, voices
 from cadenza.music.repair import counted_remarks
@@ -87,15 +87,16 @@ def sheet_of(score: Score) -> Sheet:
     metre = metre_of(score)
     onsets = metre.place([note.start for note in score.notes]).tolist()
     ends = metre.place([note.end for note in score.notes]).tolist()
+    is_exact = are_exact(onsets, metre)
     hands = staves(score.notes)
     timed = [Timed(*each) for each in zip(score.notes, onsets, ends, strict=True)]
     parts: list[list[Timed]] = []
     for hand in (RIGHT, LEFT):
         own = [each for each, where in zip(timed, hands, strict=True) if where == hand]
-        chosen = voices(own)
+        chosen = voices(own, is_exact)
         for voice in (UPPER, LOWER):
             parts.append([each for each, v in zip(own, chosen, strict=True) if v == voice])
-    streams, left_out = quantised(parts, metre)
+    streams, left_out = quantised(parts, metre, is_exact)
     key, spellings = spelled(score.notes)
     names = {id(note): name for note, name in zip(score.notes, spellings, strict=True)}
     divisions = [Divisions(measure) for measure in metre.measures]

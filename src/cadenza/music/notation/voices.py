@@ -9,7 +9,8 @@ from cadenza.music.notation.metre import QUARTER
 from cadenza.music.score import Note, chords
 
 UPPER, LOWER = 0, 1
-_LEGATO = QUARTER / 6  # by which a chord may overlap the next: players connect them so
+_LEGATO = QUARTER / 6  # ticks by which a chord may overlap the next: players connect them so
+_ROUNDING = QUARTER / 32  # the same where nobody has played
 _MOST_LOST = 2 * QUARTER  # of a note that is cut; what is more costs no more
 _SECOND = 0.35 * QUARTER  # cost of a chord that is shared by both voices
 _ALONE = 0.15 * QUARTER  # cost of a chord in the lower voice while the upper rests
@@ -29,10 +30,10 @@ class _Voice(NamedTuple):
     def end(self) -> float:
         return max(self.ends, default=float("-inf"))
 
-    def lost(self, onset: float) -> float:
+    def lost(self, onset: float, legato: float) -> float:
         """The cost of ending at `onset`."""
         cut = (end - onset for end in self.ends)
-        return sum(min(length, _MOST_LOST) for length in cut if length > _LEGATO)
+        return sum(min(length, _MOST_LOST) for length in cut if length > legato)
 
 
 class _History(NamedTuple):
@@ -49,19 +50,19 @@ class Timed(NamedTuple):
     end: float
 
 
-def voices(timed: Sequence[Timed]) -> list[int]:
+def voices(timed: Sequence[Timed], is_exact: bool) -> list[int]:
     """The voice of each of the notes of a staff, by start.
 
     Of every chord the highest notes go to the upper voice and the others to the lower, so that
     little is cut of held notes, voices rarely cross, and most is written in one voice. The best
-    division is found by a beam search.
+    division is found by a beam search. Unless all `is_exact`, notes may overlap a little.
     """
     histories = [_History(0.0, (_Voice(), _Voice()), ())]
     groups = list(chords([each.note for each in timed]))
     each_time = iter(timed)
     for group in groups:
         chord = sorted((next(each_time) for _ in group), key=lambda each: -each.note.pitch)
-        histories = _continued(histories, chord)
+        histories = _continued(histories, chord, _ROUNDING if is_exact else _LEGATO)
     path, counts = histories[0].path, []
     while path:
         count, path = path
@@ -74,20 +75,20 @@ def voices(timed: Sequence[Timed]) -> list[int]:
     return chosen
 
 
-def _continued(histories: list[_History], chord: list[Timed]) -> list[_History]:
+def _continued(histories: list[_History], chord: list[Timed], legato: float) -> list[_History]:
     """The best histories with `chord`, from the highest note down, one for each pair of voices."""
     onset = min(each.onset for each in chord)
     parts = [(chord[:count], chord[count:]) for count in range(len(chord) + 1)]
     ends = [each.end for each in chord]
-    is_free = all(voice.end <= onset + _LEGATO for each in histories for voice in each.voices)
-    if is_free and max(ends) - min(ends) <= _LEGATO:  # the usual case: nothing to be divided
+    is_free = all(voice.end <= onset + legato for each in histories for voice in each.voices)
+    if is_free and max(ends) - min(ends) <= legato:  # the usual case: nothing to be divided
         parts = parts[-1:]
-    made = [tuple((_made(part), _uneven(part)) for part in pair) for pair in parts]
+    made = [tuple((_made(part), _uneven(part, legato)) for part in pair) for pair in parts]
     best: dict[tuple[_Voice, _Voice], _History] = {}
     for history in histories:
-        lost = [voice.lost(onset) for voice in history.voices]
+        lost = [voice.lost(onset, legato) for voice in history.voices]
         for (upper, lower), ((high, rough), (low, rougher)) in zip(parts, made, strict=True):
-            cost = history.cost + rough + rougher + _crossing(history, upper, lower, onset)
+            cost = history.cost + rough + rougher + _crossing(history, upper, lower, onset + legato)
             cost += (lost[UPPER] if upper else 0.0) + (lost[LOWER] if lower else 0.0)
             now = high or history.voices[UPPER], low or history.voices[LOWER]
             if now not in best or cost < best[now].cost:
@@ -101,11 +102,11 @@ def _made(part: list[Timed]) -> _Voice | None:
     return _Voice(tuple(each.end for each in part), part[-1].note.pitch, part[0].note.pitch)
 
 
-def _uneven(part: list[Timed]) -> float:
+def _uneven(part: list[Timed], legato: float) -> float:
     """The cost of writing the notes of a chord as long as the longest."""
     end = max((each.end for each in part), default=0.0)
     gaps = (end - each.end for each in part)
-    return _UNEVEN * sum(min(gap, _MOST_LOST) for gap in gaps if gap > _LEGATO)
+    return _UNEVEN * sum(min(gap, _MOST_LOST) for gap in gaps if gap > legato)
 
 
 def _crossing(history: _History, upper: list[Timed], lower: list[Timed], onset: float) -> float:
@@ -114,8 +115,8 @@ def _crossing(history: _History, upper: list[Timed], lower: list[Timed], onset: 
     if upper and lower:
         return _SECOND
     if lower:
-        if high.end <= onset + _LEGATO:
+        if high.end <= onset:
             return _ALONE
         return _CROSSED if lower[0].note.pitch > high.low else 0.0
-    is_below = low.end > onset + _LEGATO and upper[-1].note.pitch < low.high
+    is_below = low.end > onset and upper[-1].note.pitch < low.high
     return _CROSSED if is_below else 0.0
