@@ -25,6 +25,7 @@ from cadenza.cli.saving import (
 )
 from cadenza.files import TENSORS
 from cadenza.music.arrangement import Arrangement
+from cadenza.music.formats.reading import SHEET
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import with_time_to_begin
 
@@ -39,6 +40,8 @@ class PlanCommand(Performing):
     output: Output[Path | None] = None
     """The plan, a .safetensors file; played/SONG/plan.safetensors by default. The fingering is
     written beside it as text, to a file that ends in .safetensors.fingering."""
+    score: Path | None = None
+    """Write the song with the planned fingers as sheet music, too, to this .musicxml file."""
     seed: int = 0
     """Random seed."""
     quiet: Quiet = False
@@ -47,12 +50,16 @@ class PlanCommand(Performing):
 
 
 def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
+    from cadenza.music.formats.musicxml_writing import write_musicxml
     from cadenza.performing.planning import fingering_of, make_plan
     from cadenza.performing.setup import select
     from cadenza.performing.source import resolve
 
     if command.output is not None:
         check_name(command.output, TENSORS, f"a plan is a {TENSORS} file")
+    if command.score is not None:
+        check_name(command.score, SHEET, f"sheet music is a {SHEET} file")
+        check_writable(command.score.parent, "--score")
     source = resolve(command.song, command.arrangement)
     selection = select(source, PLANNER, configs=command.configs)
     path = command.output or default_folder(selection) / f"plan{TENSORS}"
@@ -64,6 +71,9 @@ def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
     planned.save(path)
     print_scores(planned.performance)
     print_losses(planned.performance)
+    if command.score is not None:
+        for remark in write_musicxml(planned.score, command.score):
+            print(f"{command.score}: {remark}")
     print(f"\nFingering in {fingering_of(path)}. To see and hear the plan:")
     print(shlex.join(["cadenza", "play", command.song, *_to_replay(command, path)]))
 

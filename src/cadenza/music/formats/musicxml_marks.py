@@ -45,8 +45,8 @@ class Marks:
     `notes` are notes and rests in the order of the document. `numbers` are those of measures, as
     printed if that is a number. `beat_types` say for measures which part of a whole note a beat
     is. `staves` is the number of staves. `bars` are measures, or their parts between repeat
-    signs: the place of the beginning, and the signs. `tempos` are places and lengths of a quarter [s]. `in_words`
-    counts jumps that are words without a sign for playback.
+    signs: the place of the beginning, and the signs. `tempos` are places and lengths of a
+    quarter [s]. `in_words` counts jumps that are words without a sign for playback.
     """
 
     notes: list[NoteMarks] = field(default_factory=list)
@@ -73,9 +73,9 @@ def marks_of(part: Element) -> Marks:
         beat_type = _whole(measure.findtext("attributes/time/beat-type")) or beat_type
         marks.beat_types.append(beat_type)
         marks.staves = max(marks.staves, _whole(measure.findtext("attributes/staves")))
-        placed = list(_placed(measure))
-        end = max(at for at, _ in placed)
-        for at, element in placed:
+        elements = list(placed(measure))
+        end = max(at for at, _ in elements)
+        for at, element in elements:
             if element.tag == "note":
                 marks.notes.append(NoteMarks(number, *_ties(element), _velocity(element)))
             elif element.tag == "barline":
@@ -92,7 +92,7 @@ def marks_of(part: Element) -> Marks:
     return marks
 
 
-def _placed(measure: Element) -> Iterator[tuple[int, Element]]:
+def placed(measure: Element) -> Iterator[tuple[int, Element]]:
     """Yields places in a measure and its elements; last its end, with the measure itself."""
     now = begun = 0
     for element in measure:

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from xml.etree import ElementTree
 
+from cadenza.music.formats.musicxml_marks import placed
 from cadenza.music.repair import counted_remarks
 
 Element = ElementTree.Element
@@ -25,11 +26,11 @@ def mend(root: Element) -> list[str]:
     """Mends a document, and returns remarks on what changed its music.
 
     A score ordered by measures becomes one ordered by parts. Metronome marks become tempos for
-    playback if there are none. A change of the pedal becomes a lift and a press. Fingerings
-    without a number and tempos that cannot be are left out. Cue notes become rests, since they are
-    not to be played. Durations that are no whole numbers are counted in finer units, alterations by
-    less than a semitone rounded. Octaves that an instrument sounds higher are added to the
-    semitones.
+    playback if there are none. A change of the pedal becomes a lift and a press, and pedal
+    marks move to where they sound. Fingerings without a number and tempos that cannot be are left
+    out. Cue notes become rests, since they are not to be played. Durations that are no whole
+    numbers are counted in finer units, alterations by less than a semitone rounded. Octaves that an
+    instrument sounds higher are added to the semitones.
     """
     _order_by_parts(root)
     _distinguish_parts(root)
@@ -42,6 +43,7 @@ def mend(root: Element) -> list[str]:
     for note in cues:
         _silence(note)
     _refine(root)
+    _move_pedal_marks(root)
     _add_octaves(root)
     remarks = (
         (len(fingerings), "unreadable fingering", "left out"),
@@ -97,6 +99,37 @@ def _play_metronomes(root: Element) -> None:
 def _split_pedal_changes(root: Element) -> None:
     for measure in root.iterfind("part/measure"):
         measure[:] = [part for each in measure for part in _lift_and_press(each)]
+
+
+def _move_pedal_marks(root: Element) -> None:
+    """Moves pedal marks by their offsets for playback, as far as their measures reach."""
+    for measure in root.iterfind("part/measure"):
+        *elements, (end, _) = placed(measure)
+        length = max([end, *(at for at, _ in elements)])
+        measure[:] = [
+            part for at, element in elements for part in _at_its_offset(element, at, length)
+        ]
+
+
+def _at_its_offset(element: Element, at: int, length: int) -> Iterator[Element]:
+    """Yields a pedal mark with the motions to its place and back, others as they are."""
+    offset = element.find("offset[@sound='yes']")
+    by = int(offset.text or 0) if offset is not None else 0
+    by = min(max(at + by, 0), length) - at
+    is_moved = by and element.find("direction-type/pedal") is not None
+    if not is_moved or offset is None:
+        yield element
+        return
+    element.remove(offset)
+    yield _motion(by)
+    yield element
+    yield _motion(-by)
+
+
+def _motion(by: int) -> Element:
+    motion = Element("forward" if by > 0 else "backup")
+    ElementTree.SubElement(motion, "duration").text = str(abs(by))
+    return motion
 
 
 def _lift_and_press(direction: Element) -> Iterator[Element]:

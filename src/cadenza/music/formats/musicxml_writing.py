@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 from math import gcd
@@ -14,7 +13,7 @@ from cadenza.files import write_atomically
 from cadenza.music.formats.musicxml_marks import FORTE
 from cadenza.music.formats.titles import printable
 from cadenza.music.notation.hands import RIGHT
-from cadenza.music.notation.marks import TREBLE, PedalMark, Tempo
+from cadenza.music.notation.marks import PedalMark, Tempo
 from cadenza.music.notation.metre import QUARTER
 from cadenza.music.notation.note_values import TYPES
 from cadenza.music.notation.sheet import Sheet, Symbol, WrittenMeasure, sheet_of
@@ -32,17 +31,18 @@ _ACCIDENTALS = {-2: "flat-flat", -1: "flat", 0: "natural", 1: "sharp", 2: "doubl
 _UNFLAGGED = 3  # the first note values have no flags
 _ORDER_OF_SHARPS = "FCGDAEB"
 _MINUTE = 60  # seconds
+_DOTTED = 1.5  # quarters of a dotted one
 
 
 def write_musicxml(score: Score, path: str | Path) -> tuple[str, ...]:
     """Writes a score for piano as MusicXML 4.0, uncompressed.
 
-    Times are quantised: in each beat notes are moved to semiquavers, triplets or whatever grid fits
-    best, and the tempos are such that the beats keep their times. Bars are those of the score; if it
-    has none, they are estimated. The right hand is on the upper staff, the left one on the lower,
-    with the fingers 1 to 5; notes without a finger are put by their pitch. Velocities are kept for
-    playback and shown as dynamic marks; the pedal is either down or up. Read back, time 0 is the
-    beginning of the bar of the first note.
+    Times are quantised: in each beat notes move to the grid of semiquavers, triplets or the like
+    that fits best. Tempos are written such that beats keep their times. Bars are those of the
+    score; if it has none, they are estimated. The right hand is on the upper staff and the left one
+    on the lower, with fingers numbered from 1; notes without a finger are put by their pitch.
+    Velocities are kept for playback and shown as dynamic marks; the pedal is either down or up.
+    Read back, time 0 is the beginning of the bar of the first note.
 
     Returns:
         Remarks in plain words on what is not as in the score.
@@ -164,12 +164,11 @@ class _Writer:
     def _put(self, measure: Element, directions: list[tuple[int, Element]], now: int) -> None:
         for tick, direction in directions:
             if tick != now:
-                offset = Element("offset", sound="yes")
+                offset = Element("offset")
                 offset.text = str((tick - now) // self._unit)
-                after = 1 + max(
-                    i for i, each in enumerate(direction) if each.tag == "direction-type"
-                )
-                direction.insert(after, offset)
+                if direction.tag == "direction":
+                    offset.set("sound", "yes")
+                direction.insert(1, offset)  # after the type of the direction
             measure.append(direction)
 
     def _symbol(
@@ -245,7 +244,8 @@ def _text(parent: Element, tag: str, text: object) -> Element:
 def _ticks(sheet: Sheet) -> Iterator[int]:
     for written in sheet.measures:
         yield written.measure.end
-        yield from (mark.tick for mark in (*written.tempos, *written.pedal))
+        yield from (tempo.tick for tempo in written.tempos)
+        yield from (mark.tick for mark in written.pedal)
         for staff in written.staves:
             for voice in staff.voices:
                 yield from (symbol.value.end for symbol in voice)
@@ -294,20 +294,19 @@ def _directions(here: WrittenMeasure, hand: int) -> Iterator[tuple[int, Element]
 
 
 def _tempo(tempo: Tempo, here: WrittenMeasure) -> Element:
-    direction = Element("direction", placement="above")
-    kind = SubElement(direction, "direction-type")
     per_minute = _MINUTE / tempo.seconds
-    if tempo.shown:
-        mark = SubElement(kind, "metronome")
-        is_dotted = here.divisions.is_compound
-        _text(mark, "beat-unit", "quarter")
-        if is_dotted:
-            SubElement(mark, "beat-unit-dot")
-        _text(mark, "per-minute", round(per_minute / (1.5 if is_dotted else 1)))
-    else:
-        SubElement(kind, "words")
+    sound = Element("sound", tempo=f"{per_minute:.4f}")
+    if not tempo.shown:
+        return sound
+    direction = Element("direction", placement="above")
+    mark = SubElement(SubElement(direction, "direction-type"), "metronome")
+    _text(mark, "beat-unit", "quarter")
+    if here.divisions.is_compound:
+        SubElement(mark, "beat-unit-dot")
+        per_minute /= _DOTTED
+    _text(mark, "per-minute", round(per_minute))
     _text(direction, "staff", 1)
-    SubElement(direction, "sound", tempo=f"{per_minute:.4f}")
+    direction.append(sound)
     return direction
 
 

@@ -11,7 +11,9 @@ from cadenza.files import opened
 from cadenza.music.score import Score
 
 _MIDI = (".mid", ".midi", ".kar", ".rmi")
-_MUSICXML = (".musicxml", ".xml", ".mxl")
+SHEET = ".musicxml"
+"""The ending of the names of files of sheet music that are written."""
+_MUSICXML = (SHEET, ".xml", ".mxl")
 _BEGINS_MIDI = (b"MThd", b"RIFF")
 _BEGINS_MUSICXML = (b"<", b"PK", b"\xef\xbb\xbf<", b"\xff\xfe<", b"\xfe\xff\0<")
 MUSIC = (*_MIDI, *_MUSICXML)

@@ -18,6 +18,7 @@ _STAFF = 9  # semitones from the middle line that need at most one ledger line
 _CHANGE_OF_CLEF = 30.0  # semitones beyond the staff, summed over notes, that outweigh a change
 
 _TEMPO_ERROR = 0.01  # [s] by which times that follow from the tempos may differ
+_FASTEST = 1e-3  # [s] of a quarter
 _SHOWN = 0.12  # relative change of tempo of two measures that is shown
 _LOUDER = 12  # change of the median velocity of two measures that has a mark
 _MUCH_LOUDER = 24  # change of that of a single measure that has one
@@ -72,91 +73,80 @@ def tempos(metre: Metre) -> list[Tempo]:
     Piece-wise Linear Approximation of Numerical Streams with Precision Guarantees). Shown are the
     first, and those of measures that are clearly faster or slower for longer than a measure.
     """
-    changes = _changes(metre)
+    changes = _changes((metre.ticks / QUARTER).tolist(), metre.times.tolist())
+    seconds_at = {int(metre.ticks[cell]): seconds for cell, seconds in changes.items()}
     shown = _shown(metre)
-    return [
-        Tempo(tick, changes.get(tick, 0.0) or _at(changes, tick), tick in shown)
-        for tick in sorted({*changes, *shown})
-    ]
+    found = []
+    seconds = 0.0
+    for tick in sorted({*seconds_at, *shown}):
+        seconds = seconds_at.get(tick, seconds)
+        found.append(Tempo(tick, seconds, tick in shown))
+    return found
 
 
-def _at(changes: dict[int, float], tick: int) -> float:
-    return changes[max(each for each in changes if each <= tick)]
-
-
-def _changes(metre: Metre) -> dict[int, float]:
-    ticks, times = metre.ticks / QUARTER, metre.times
-    begin, begin_time = 0, float(times[0])
-    least, most = 0.0, float("inf")
+def _changes(quarters: list[float], times: list[float]) -> dict[int, float]:
+    """Indices of cells at which a new tempo begins, and the length of a quarter from there [s]."""
     changes: dict[int, float] = {}
-    for i in range(1, len(ticks)):
-        quarters = ticks[i] - ticks[begin]
-        low = (times[i] - _TEMPO_ERROR - begin_time) / quarters
-        high = (times[i] + _TEMPO_ERROR - begin_time) / quarters
-        if max(low, least) > min(high, most):
-            slope = _slope(least, most, times, ticks, begin, begin_time, i - 1)
-            changes[int(metre.ticks[begin])] = slope
-            begin_time += slope * (ticks[i - 1] - ticks[begin])
-            begin = i - 1
-            quarters = ticks[i] - ticks[begin]
-            least = (times[i] - _TEMPO_ERROR - begin_time) / quarters
-            most = (times[i] + _TEMPO_ERROR - begin_time) / quarters
-        else:
-            least, most = max(low, least), min(high, most)
-    slope = _slope(least, most, times, ticks, begin, begin_time, len(ticks) - 1)
-    changes[int(metre.ticks[begin])] = slope
+    cell, now = 0, times[0]
+    while cell < len(times) - 1:
+        last, seconds = _longest(quarters, times, cell, now)
+        changes[cell] = seconds
+        now += seconds * (quarters[last] - quarters[cell])
+        cell = last
     return changes
 
 
-def _slope(  # noqa: PLR0913
-    least: float,
-    most: float,
-    times: np.ndarray,
-    ticks: np.ndarray,
-    begin: int,
-    begin_time: float,
-    end: int,
-) -> float:
-    """The length of a quarter [s] that ends nearest to the time of `end`."""
-    exact = (float(times[end]) - begin_time) / float(ticks[end] - ticks[begin])
-    return min(max(exact, least, 1e-3), most)
+def _longest(
+    quarters: list[float], times: list[float], first: int, now: float
+) -> tuple[int, float]:
+    """Up to which cell a tempo can hold that begins at `first`, `now` [s], and that tempo."""
+    least, most, last = _FASTEST, float("inf"), first
+    for cell in range(first + 1, len(times)):
+        length, passed = quarters[cell] - quarters[first], times[cell] - now
+        low, high = ((passed + error) / length for error in (-_TEMPO_ERROR, _TEMPO_ERROR))
+        if last > first and max(low, least) > min(high, most):
+            break
+        least, most, last = max(low, least), min(high, most), cell
+    exact = (times[last] - now) / (quarters[last] - quarters[first])
+    return last, max(least, min(exact, most))
 
 
 def _shown(metre: Metre) -> set[int]:
-    shown: dict[int, float] = {}
-    latest = 0.0
+    """The ticks of measures whose tempo is shown."""
     starts = [measure.start for measure in metre.measures]
-    ends = [measure.end for measure in metre.measures]
-    begin, end = (np.interp(at, metre.ticks, metre.times) for at in (starts, ends))
-    lengths = (end - begin) / (np.array(ends) - starts)  # [s] of a tick
-    for i, start in enumerate(starts):
-        following = lengths[min(i + 1, len(lengths) - 1)]
-        if not latest or all(
-            abs(np.log(length / latest)) > _SHOWN for length in (lengths[i], following)
-        ):
-            latest = shown[start] = lengths[i]
-    return set(shown)
+    times = np.interp([*starts, metre.measures[-1].end], metre.ticks, metre.times)
+    ticks = [measure.length for measure in metre.measures]
+    pace = np.log(np.diff(times) / ticks)
+    shown = {starts[0]}
+    latest = pace[0]
+    for start, (here, following) in zip(starts[1:], pairwise(pace[1:]), strict=False):
+        if min(abs(here - latest), abs(following - latest)) > _SHOWN:
+            latest = here
+            shown.add(start)
+    return shown
 
 
 def dynamics(velocities: Sequence[Sequence[int]]) -> dict[int, str]:
     """The dynamic marks of measures, by their indices, from the velocities of their notes."""
     marks: dict[int, str] = {}
-    latest = None
-    for measure, here in enumerate(velocities):
-        if not here:
+    latest = ""
+    sounding = [(i, float(np.median(here))) for i, here in enumerate(velocities) if here]
+    for (measure, here), (_, following) in pairwise([*sounding, sounding[-1]]):
+        if not latest:  # a pickup may be a single note
+            here = (here + following) / 2
+        elif not _is_change(here - VELOCITIES[latest], following - VELOCITIES[latest]):
             continue
-        median = float(np.median(here))
-        following = next((each for each in velocities[measure + 1 :] if each), here)
-        if latest is None:  # a pickup may be a single note
-            median = float(np.median([*here, *following]))
-        else:
-            now, then = (m - VELOCITIES[latest] for m in (median, float(np.median(following))))
-            if abs(now) < _LOUDER or (abs(now) < _MUCH_LOUDER and now * then < _LOUDER**2):
-                continue
-        nearest = min(VELOCITIES, key=lambda mark: abs(VELOCITIES[mark] - median))
+        nearest = min(VELOCITIES, key=lambda mark: abs(VELOCITIES[mark] - here))
         if nearest != latest:
             latest = marks[measure] = nearest
     return marks
+
+
+def _is_change(here: float, following: float) -> bool:
+    """Whether a measure that is so much louder than marked, and the next, need a new mark."""
+    if abs(here) > _MUCH_LOUDER:
+        return True
+    return here * following > 0 and min(abs(here), abs(following)) > _LOUDER
 
 
 def pedal_marks(events: Sequence[PedalEvent], metre: Metre) -> list[PedalMark]:
@@ -167,7 +157,7 @@ def pedal_marks(events: Sequence[PedalEvent], metre: Metre) -> list[PedalMark]:
         is_down = event.value >= _DOWN
         if is_down == bool(marks and marks[-1].is_down):
             continue
-        at = float(metre.place(event.time))
+        at = float(metre.place([event.time])[0])
         cell = min(int(np.searchsorted(ticks, at, "right")) - 1, len(ticks) - 2)
         part = int(ticks[cell + 1] - ticks[cell]) // _PEDAL_PARTS
         tick = int(ticks[cell]) + round((at - int(ticks[cell])) / part) * part

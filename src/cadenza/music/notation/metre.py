@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cadenza.music.notation.beats import accents_of, estimated_bars
 from cadenza.music.score import CHORD_TOLERANCE, Bar, Note, Score, chords
@@ -61,7 +61,7 @@ class Metre(NamedTuple):
     ticks: NDArray[np.int64]
     remarks: tuple[str, ...] = ()
 
-    def place(self, times: ArrayLike) -> NDArray[np.float64]:
+    def place(self, times: Sequence[float]) -> NDArray[np.float64]:
         """The ticks, with fractions, of times [s]; those outside are moved to the nearest end."""
         return np.interp(times, self.times, self.ticks)
 

@@ -50,15 +50,7 @@ class Divisions:
         while beat >= WHOLE >> (len(TYPES) - 1):
             self._levels.append((strength, beat))
             strength, beat = strength - 1, beat // 2
-        self.beam = (
-            beats * WHOLE // beat_type
-            if beat_type >= 8 and beats <= _COMPOUND
-            else _COMPOUND * WHOLE // beat_type
-            if self.is_compound
-            else max(QUARTER, WHOLE // beat_type)
-            if beat_type <= 4
-            else WHOLE // beat_type
-        )
+        self._beam = _beam(measure, self.is_compound)
 
     def strength(self, tick: int) -> int:
         """How strong a position is."""
@@ -76,20 +68,30 @@ class Divisions:
 
     def beam_group(self, tick: int) -> int:
         """The number of the group whose notes share a beam."""
-        return (tick - self.origin) // self.beam
+        return (tick - self.origin) // self._beam
+
+
+def _beam(measure: Measure, is_compound: bool) -> int:
+    """The ticks that notes under one beam fill: a beat, or three, or a measure such as 3/8."""
+    beats, beat_type = measure.written
+    beat = WHOLE // beat_type
+    if is_compound or (beat < QUARTER and beats <= _COMPOUND):
+        return beat * min(beats, _COMPOUND)
+    return beat
 
 
 def values(start: int, end: int, divisions: Divisions, is_rest: bool) -> Iterator[Value]:
     """Yields the note values of a stretch without tuplets, which show the beats.
 
     A single value is not to hide a position that is stronger than both its ends; but a plain note
-    may be syncopated about a position one level stronger.
+    may be syncopated about a position one level stronger. A rest begins at a position that is
+    stronger than all within.
     """
     name, dots = _PLAIN.get(end - start), 0
     if name is None and (not is_rest or divisions.is_compound):
         name, dots = _DOTTED.get(end - start), 1
     inner = divisions.strongest_within(start, end)
-    if name and (inner is None or _is_clear(inner, start, end, divisions, is_rest or dots > 0)):
+    if name and (inner is None or _is_clear(inner, start, end, divisions, is_rest, dots)):
         yield Value(start, end, name, dots)
     elif inner is None:
         yield from _greedy(start, end)
@@ -99,11 +101,18 @@ def values(start: int, end: int, divisions: Divisions, is_rest: bool) -> Iterato
 
 
 def _is_clear(
-    inner: tuple[int, int, int], start: int, end: int, divisions: Divisions, is_strict: bool
+    inner: tuple[int, int, int],
+    start: int,
+    end: int,
+    divisions: Divisions,
+    is_rest: bool,
+    dots: int,
 ) -> bool:
     strength, _, count = inner
+    if is_rest:
+        return strength < divisions.strength(start)
     ends = max(divisions.strength(start), divisions.strength(end))
-    return strength <= ends or (not is_strict and strength == ends + 1 and count == 1)
+    return strength <= ends or (not dots and strength == ends + 1 and count == 1)
 
 
 def _greedy(start: int, end: int) -> Iterator[Value]:
@@ -116,7 +125,7 @@ def _greedy(start: int, end: int) -> Iterator[Value]:
 
 
 def tuplet_values(start: int, end: int, first: int, last: int, parts: int) -> Iterator[Value]:
-    """Yields the note values of a stretch within a cell in so many parts, from `first` to `last`."""
+    """Yields the note values of a stretch of the cell from `first` to `last` in so many parts."""
     cell = last - first
     normal = 1 << (parts.bit_length() - 1)
     unit = cell // parts

@@ -6,7 +6,7 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import zip_longest
 from statistics import median
 
 from cadenza.music.notation.metre import QUARTER, Metre
@@ -186,24 +186,30 @@ def _merged(groups: list[_Group], starts: list[int]) -> tuple[list[Chord], int]:
 
 
 def _stream(chords: list[Chord], grids: dict[int, int], ticks: list[int]) -> Stream:
-    for chord, following in pairwise([*chords, None]):
-        cell = _cell(ticks, chord.end)
-        begin, length = ticks[cell], ticks[cell + 1] - ticks[cell]
-        grid = grids.get(cell, 1)
-        if grid == 1 and length // 2 >= _FINEST:
-            grid = 2
-        unit = length // grid
-        end = begin + round((chord.end - begin) / unit) * unit
-        start_cell = _cell(ticks, chord.start)
-        least = (ticks[start_cell + 1] - ticks[start_cell]) // max(grids.get(start_cell, 1), 2)
-        if end <= chord.start:
-            end = chord.start + least
-        if following is None:
-            end = min(end, ticks[-1])
-        else:
-            gap = following.start - end
-            is_short = gap <= _FILLED * (following.start - chord.start) and gap < _LONGEST_FILLED
-            end = following.start if gap < 0 or is_short else end
-        chord.end = end
-    tuplets = {cell: grid for cell, grid in grids.items() if grid & (grid - 1)}
-    return Stream(chords, tuplets)
+    """The chords with their ends on the grid."""
+    for chord, following in zip_longest(chords, [chord.start for chord in chords[1:]]):
+        end = max(_end(chord.end, grids, ticks), chord.start + _least(chord, grids, ticks))
+        if following is not None:
+            gap = following - end
+            is_short = gap <= _FILLED * (following - chord.start) and gap < _LONGEST_FILLED
+            end = following if is_short else end
+        chord.end = min(end, ticks[-1])
+    return Stream(chords, {cell: grid for cell, grid in grids.items() if grid & (grid - 1)})
+
+
+def _end(at: int, grids: dict[int, int], ticks: list[int]) -> int:
+    """The place on the grid that is nearest to the end of a note."""
+    cell = _cell(ticks, at)
+    unit = _unit(cell, grids, ticks)
+    return ticks[cell] + round((at - ticks[cell]) / unit) * unit
+
+
+def _least(chord: Chord, grids: dict[int, int], ticks: list[int]) -> int:
+    """The least length of a chord [ticks]."""
+    return _unit(_cell(ticks, chord.start), grids, ticks)
+
+
+def _unit(cell: int, grids: dict[int, int], ticks: list[int]) -> int:
+    """The ticks of a part of a cell, which is the half of it if its onsets need none."""
+    length, grid = ticks[cell + 1] - ticks[cell], grids.get(cell, 1)
+    return length // (2 if grid == 1 and length // 2 >= _FINEST else grid)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from cadenza.errors import CadenzaError
 from cadenza.music.notation.hands import LEFT, RIGHT, staves
@@ -19,7 +20,7 @@ from cadenza.music.notation.marks import (
     pedal_marks,
     tempos,
 )
-from cadenza.music.notation.metre import Measure, metre_of
+from cadenza.music.notation.metre import Measure, Metre, metre_of
 from cadenza.music.notation.note_values import Divisions, Value, tuplet_values, values
 from cadenza.music.notation.quantising import Stream, are_exact, quantised
 from cadenza.music.notation.spelling import Spelling, spelled
@@ -27,6 +28,7 @@ from cadenza.music.notation.voices import LOWER, UPPER, Timed, voices
 from cadenza.music.repair import counted_remarks
 from cadenza.music.score import Note, Score
 
+_Mark = TypeVar("_Mark", Tempo, PedalMark)
 _USUAL_CLEF = {RIGHT: TREBLE, LEFT: BASS}
 
 
@@ -85,55 +87,68 @@ def sheet_of(score: Score) -> Sheet:
     if not score.notes:
         raise CadenzaError("there are no notes to be written")
     metre = metre_of(score)
-    onsets = metre.place([note.start for note in score.notes]).tolist()
-    ends = metre.place([note.end for note in score.notes]).tolist()
-    is_exact = are_exact(onsets, metre)
-    hands = staves(score.notes)
-    timed = [Timed(*each) for each in zip(score.notes, onsets, ends, strict=True)]
-    parts: list[list[Timed]] = []
-    for hand in (RIGHT, LEFT):
-        own = [each for each, where in zip(timed, hands, strict=True) if where == hand]
-        chosen = voices(own, is_exact)
-        for voice in (UPPER, LOWER):
-            parts.append([each for each, v in zip(own, chosen, strict=True) if v == voice])
-    streams, left_out = quantised(parts, metre, is_exact)
+    streams, left_out = _streams(score.notes, metre)
     key, spellings = spelled(score.notes)
     names = {id(note): name for note, name in zip(score.notes, spellings, strict=True)}
     divisions = [Divisions(measure) for measure in metre.measures]
-    cells = metre.ticks.tolist()
-    written = [
-        _written(stream, metre.measures, divisions, cells, names, is_first=v % 2 == UPPER)
-        for v, stream in enumerate(streams)
-    ]
     begins = [measure.start for measure in metre.measures]
-    pitches = [_by_measure(begins, streams[2 * hand : 2 * hand + 2], "pitch") for hand in (0, 1)]
-    marks = dynamics(_by_measure(begins, streams, "velocity"))
-    timed_tempos = _grouped(begins, tempos(metre))
-    pedal = _grouped(begins, pedal_marks(score.pedal, metre))
-    of_staves = [
-        [
-            Staff(clef, _used(*pair))
-            for clef, pair in zip(
-                clefs(pitches[hand], _USUAL_CLEF[hand]),
-                zip(written[2 * hand], written[2 * hand + 1], strict=True),
-                strict=True,
-            )
-        ]
-        for hand in (RIGHT, LEFT)
+    of_hands = [
+        _staves(streams[hand], _USUAL_CLEF[hand], metre, divisions, names) for hand in (RIGHT, LEFT)
     ]
+    every = [stream for pair in streams for stream in pair]
+    marks = dynamics(_by_measure(begins, every, "velocity"))
+    of_tempo = _grouped(begins, tempos(metre))
+    of_pedal = _grouped(begins, pedal_marks(score.pedal, metre))
     measures = tuple(
         WrittenMeasure(
             measure,
             divisions[i],
-            (of_staves[RIGHT][i], of_staves[LEFT][i]),
+            (of_hands[RIGHT][i], of_hands[LEFT][i]),
             marks.get(i),
-            tuple(timed_tempos[i]),
-            tuple(pedal[i]),
+            tuple(of_tempo[i]),
+            tuple(of_pedal[i]),
         )
         for i, measure in enumerate(metre.measures)
     )
     remarks = counted_remarks([(left_out, "note", "left out, struck again too soon to be written")])
     return Sheet(score.title, key, measures, (*metre.remarks, *remarks))
+
+
+def _streams(notes: Sequence[Note], metre: Metre) -> tuple[list[list[Stream]], int]:
+    """The upper and the lower voice of each hand, and the number of notes left out."""
+    onsets = metre.place([note.start for note in notes]).tolist()
+    ends = metre.place([note.end for note in notes]).tolist()
+    is_exact = are_exact(onsets, metre)
+    timed = [Timed(*each) for each in zip(notes, onsets, ends, strict=True)]
+    hands = staves(notes)
+    parts: list[list[Timed]] = []
+    for hand in (RIGHT, LEFT):
+        own = [each for each, where in zip(timed, hands, strict=True) if where == hand]
+        chosen = voices(own, is_exact)
+        parts += (
+            [each for each, where in zip(own, chosen, strict=True) if where == voice]
+            for voice in (UPPER, LOWER)
+        )
+    streams, left_out = quantised(parts, metre, is_exact)
+    return [streams[:2], streams[2:]], left_out
+
+
+def _staves(
+    streams: list[Stream],
+    usual_clef: str,
+    metre: Metre,
+    divisions: Sequence[Divisions],
+    names: dict[int, Spelling],
+) -> list[Staff]:
+    """The staff of a hand in each measure."""
+    begins = [measure.start for measure in metre.measures]
+    changing = clefs(_by_measure(begins, streams, "pitch"), usual_clef)
+    cells = metre.ticks.tolist()
+    written = [_written(stream, metre.measures, divisions, cells, names) for stream in streams]
+    return [
+        Staff(clef, _used(upper, lower))
+        for clef, upper, lower in zip(changing, *written, strict=True)
+    ]
 
 
 def _by_measure(begins: list[int], streams: Sequence[Stream], what: str) -> list[list[int]]:
@@ -146,8 +161,9 @@ def _by_measure(begins: list[int], streams: Sequence[Stream], what: str) -> list
     return found
 
 
-def _grouped(begins: list[int], marks: Sequence) -> defaultdict[int, list]:  # type: ignore[type-arg]
-    by_measure = defaultdict(list)
+def _grouped(begins: list[int], marks: Iterable[_Mark]) -> defaultdict[int, list[_Mark]]:
+    """Marks by the indices of the measures in which they stand."""
+    by_measure: defaultdict[int, list[_Mark]] = defaultdict(list)
     for mark in marks:
         by_measure[bisect_right(begins, mark.tick) - 1].append(mark)
     return by_measure
@@ -165,65 +181,53 @@ def _written(
     divisions: Sequence[Divisions],
     cells: list[int],
     names: dict[int, Spelling],
-    is_first: bool,
 ) -> list[tuple[Symbol, ...]]:
     """The symbols of a voice in each measure, with rests."""
     found = []
-    at = 0
+    chords = iter(stream.chords)
+    chord = next(chords, None)
     for measure, division in zip(measures, divisions, strict=True):
         symbols: list[Symbol] = []
         now = measure.start
         while now < measure.end:
-            while at < len(stream.chords) and stream.chords[at].end <= now:
-                at += 1
-            chord = stream.chords[at] if at < len(stream.chords) else None
-            if chord is None or chord.start >= measure.end:
-                symbols += _pieces(now, measure.end, stream, division, cells)
-                break
-            if chord.start > now:
-                symbols += _pieces(now, chord.start, stream, division, cells)
-                now = chord.start
-            end = min(chord.end, measure.end)
-            notes = tuple(
-                (note, names[id(note)]) for note in sorted(chord.notes, key=lambda n: n.pitch)
-            )
-            symbols += (
-                Symbol(
-                    piece.value, notes, piece.value.start > chord.start, piece.value.end < chord.end
+            while chord is not None and chord.end <= now:
+                chord = next(chords, None)
+            if chord is None or chord.start > now:
+                end = measure.end if chord is None else min(chord.start, measure.end)
+                rests = _values(now, end, stream, division, cells, is_rest=True)
+                symbols += map(Symbol, rests)
+            else:
+                end = min(chord.end, measure.end)
+                in_order = sorted(chord.notes, key=lambda note: note.pitch)
+                notes = tuple((note, names[id(note)]) for note in in_order)
+                symbols += (
+                    Symbol(value, notes, value.start > chord.start, value.end < chord.end)
+                    for value in _values(now, end, stream, division, cells, is_rest=False)
                 )
-                for piece in _pieces(now, end, stream, division, cells, is_rest=False)
-            )
             now = end
         found.append(tuple(symbols))
     return found
 
 
-def _pieces(
+def _values(
     start: int,
     end: int,
     stream: Stream,
     divisions: Divisions,
     cells: list[int],
-    is_rest: bool = True,
-) -> Iterator[Symbol]:
-    """Yields rests for a stretch; it is broken where tuplets begin and end."""
-    now = start
+    is_rest: bool,
+) -> Iterator[Value]:
+    """Yields the note values of a stretch, which is broken where tuplets begin and end."""
     cell = bisect_right(cells, start) - 1
-    while now < end:
-        if parts := stream.tuplets.get(cell):
-            stop = min(end, cells[cell + 1])
-            found = tuplet_values(now, stop, cells[cell], cells[cell + 1], parts)
+    while start < end:
+        first = cell
+        parts = stream.tuplets.get(cell)
+        cell += 1
+        while not parts and cells[cell] < end and cell not in stream.tuplets:
+            cell += 1
+        stop = min(end, cells[cell])
+        if parts:
+            yield from tuplet_values(start, stop, cells[first], cells[cell], parts)
         else:
-            last = cell
-            while (
-                last + 1 < len(cells) - 1
-                and cells[last + 1] < end
-                and (last + 1 not in stream.tuplets)
-            ):
-                last += 1
-            stop = min(end, cells[last + 1])
-            found = values(now, stop, divisions, is_rest)
-            cell = last
-        for value in found:
-            yield Symbol(value)
-        now, cell = stop, cell + 1
+            yield from values(start, stop, divisions, is_rest)
+        start = stop

@@ -16,6 +16,7 @@ _SHARP = 7  # fifths from a step to the same with a sharp
 _ENHARMONIC = 12  # fifths between two names of a pitch
 _CANDIDATES = 3  # likeliest keys, of which the one with fewest accidentals is taken
 _MOST_SIGNS = 6  # of a key signature; rather five flats than seven sharps
+_MOST_ALTERED = 2  # sharps or flats of a note
 _MIDDLE = 2  # fifths of the middle of a major scale's notes above its key
 
 
@@ -57,13 +58,20 @@ def spelled(notes: Sequence[Note]) -> tuple[int, list[Spelling]]:
     key = min(keys, key=lambda k: int(((line < k - 1) | (line > k + 5)).sum()))
     if abs(key) > _MOST_SIGNS:
         shift = -_ENHARMONIC if key > 0 else _ENHARMONIC
-        return key + shift, [_renamed(spelling, shift) for spelling in spellings]
-    return key, spellings
+        key, spellings = key + shift, [_renamed(spelling, shift) for spelling in spellings]
+    return key, [_simplified(spelling) for spelling in spellings]
 
 
 def _nearest(key: int, fifths: float) -> int:
     """The enharmonic equivalent of a key that is nearest to a place on the line of fifths."""
     return key + _ENHARMONIC * round((fifths - key) / _ENHARMONIC)
+
+
+def _simplified(spelling: Spelling) -> Spelling:
+    """The same pitch with at most two sharps or flats."""
+    while abs(spelling.alter) > _MOST_ALTERED:
+        spelling = _renamed(spelling, -_ENHARMONIC if spelling.alter > 0 else _ENHARMONIC)
+    return spelling
 
 
 def _renamed(spelling: Spelling, shift: int) -> Spelling:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from cadenza.music.notation.metre import QUARTER
 from cadenza.music.score import Note, chords
@@ -39,7 +39,7 @@ class _Voice(NamedTuple):
 class _History(NamedTuple):
     cost: float
     voices: tuple[_Voice, _Voice]
-    path: tuple  # type: ignore[type-arg]  # linked: (notes of the upper voice, path before)
+    path: tuple[Any, ...]  # linked: how many notes the upper voice has, and the path before
 
 
 class Timed(NamedTuple):
