@@ -694,6 +694,18 @@ def test_a_plan_is_a_safetensors_file(
     assert "tune.fingering: a plan is a .safetensors file" in message
 
 
+def test_a_plan_is_written_as_sheet_music(
+    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, sheet = tmp_path / "plan.safetensors", tmp_path / "sheets" / "tune.musicxml"
+    main(["plan", str(tune), "-o", str(path), "--score", str(sheet)])
+    assert f"{sheet}: the song has no bars" in capsys.readouterr().out
+    fingered = read_fingering(f"{path}.fingering", read_midi(tune))
+    assert numbers(cadenza.load_song(sheet)) == numbers(fingered)
+    message = refused_in_a_line(capsys, "plan", tune, "--score", tmp_path / "tune.pdf")
+    assert "tune.pdf: sheet music is a .musicxml file" in message
+
+
 @pytest.mark.parametrize("mine", [None, "0.0 60 R3\n"])
 def test_a_plan_may_be_called_like_its_song(mine: str | None, tune: Path) -> None:
     own = tune.with_suffix(".fingering")

@@ -65,6 +65,18 @@ def test_bars_begin_where_time_signatures_and_tempos_say(tmp_path_factory, metre
     assert [bar.number for bar in bars] == list(range(1, 1 + sum(n for _, _, n in metres)))
 
 
+@given(st.lists(METRES, min_size=1, max_size=4), st.lists(TEMPOS, max_size=3))
+def test_beats_begin_where_bars_of_a_beat_would(tmp_path_factory, metres, tempos):
+    folder = tmp_path_factory.mktemp("bars")
+    bars = read_midi(saved(folder / "song.mid", metres, tempos)).bars
+    beats = [(1, unit, count * beats) for beats, unit, count in metres]
+    struck = struck_by_mido(saved(folder / "beats.mid", beats, tempos))
+    assert [beat for bar in bars for beat in bar.beats] == pytest.approx(struck, abs=1e-6)
+    assert [(len(bar.beats), bar.beat_type) for bar in bars] == [
+        (beats, unit) for beats, unit, count in metres for _ in range(count)
+    ]
+
+
 @given(
     st.lists(METRES, min_size=1, max_size=3),
     st.floats(0.2, 5),
@@ -79,6 +91,7 @@ def test_bars_go_along_with_their_notes(
     moved = score.with_initial_silence(1.0).beginning(seconds).with_silence_trimmed()
     moved = moved.stretched(factor).transposed(semitones).with_initial_silence(silence).mirrored
     assert [bar.time for bar in moved.bars] == pytest.approx([n.start for n in moved.notes])
+    assert [bar.beats[0] for bar in moved.bars] == [bar.time for bar in moved.bars]
     assert [bar_at(moved, note.start) for note in moved.notes] == [
         bar.number for bar in score.bars[: len(moved.notes)]
     ]
@@ -132,6 +145,21 @@ def test_bars_of_musicxml_have_their_printed_numbers_and_are_repeated(tmp_path):
     score = read_score(tmp_path / "song.musicxml")
     assert [bar.number for bar in score.bars] == [7, 8, 7, 8, 9]
     assert [bar.time for bar in score.bars] == pytest.approx([0, 2, 4, 6, 8])
+    assert score.bars[1].beats == pytest.approx([2, 2 + 2 / 3, 2 + 4 / 3])
+
+
+def test_a_bar_that_its_beats_do_not_fill_has_finer_ones(tmp_path):
+    head = "<attributes><divisions>2</divisions><time><beats>3</beats><beat-type>4</beat-type>"
+    note = "<note><pitch><step>C</step><octave>4</octave></pitch><duration>{}</duration></note>"
+    (tmp_path / "song.musicxml").write_text(
+        '<score-partwise version="3.1"><part-list><score-part id="P"><part-name>Piano</part-name>'
+        f'</score-part></part-list><part id="P"><measure number="0">{head}</time></attributes>'
+        f'{note.format(1)}</measure><measure number="1">{note.format(6)}</measure></part>'
+        "</score-partwise>"
+    )
+    pickup, whole = read_score(tmp_path / "song.musicxml").bars
+    assert (pickup.beats, pickup.beat_type) == ((0.0,), 8)
+    assert (whole.beats, whole.beat_type) == ((0.25, 0.75, 1.25), 4)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -151,8 +179,11 @@ def test_bars_are_kept_by_saved_scores_and_do_not_make_them_differ():
 
 
 def test_times_must_be_finite():
-    with pytest.raises(CadenzaError, match="finite"):
-        Bar(float("nan"), 1)
+    for times in (float("nan"), ()), (0.0, (0.0, float("inf"))):
+        with pytest.raises(CadenzaError, match="finite"):
+            Bar(times[0], 1, times[1])
+    with pytest.raises(CadenzaError, match="whole note"):
+        Bar(0.0, 1, (0.0,), beat_type=0)
 
 
 @pytest.mark.parametrize(

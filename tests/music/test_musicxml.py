@@ -173,6 +173,23 @@ def test_a_change_of_the_pedal_lifts_it_and_presses_it_again(saved):
     assert [(event.time, event.value) for event in score.pedal] == moves
 
 
+@pytest.mark.parametrize(("offset", "seconds"), [(4, 0.5), (-4, 0.0), (100, 2.0)])
+def test_pedal_marks_sound_at_their_offset(offset, seconds, saved):
+    start, stop = (direction(f'<pedal type="{of}"/>') for of in ("start", "stop"))
+    later = start.replace("</direction>", f'<offset sound="yes">{offset}</offset></direction>')
+    bars = [FOUR_QUARTERS + later + note("C4", 16), note("D4", 16) + stop]
+    score = load_score(saved(document(bars)))
+    assert [(event.time, event.value) for event in score.pedal] == [(seconds, 127), (4.0, 0)]
+
+
+def test_notes_may_have_velocities_of_their_own(saved):
+    loud, soft = (note("C4", 4).replace("<note", f'<note dynamics="{p}"') for p in ("110.5", "0"))
+    strange = note("E4", 4).replace("<note", '<note dynamics="loud"')
+    bar = FOUR_QUARTERS + direction("<dynamics><p/></dynamics>") + loud + note("D4", 4)
+    score = load_score(saved(document([bar + strange + soft])))
+    assert [n.velocity for n in score.notes] == [99, 49, 49, 1]  # in percent of 90
+
+
 def test_repeats_are_played_with_the_tempo_and_the_pedal_of_their_place(saved):
     pedal = direction('<pedal type="start"/>'), direction('<pedal type="stop"/>')
     first = FOUR_QUARTERS + tempo(60) + pedal[0] + note("C4", 16)
