@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Sequence
-from itertools import groupby
+from itertools import groupby, pairwise
 from math import gcd
 from pathlib import Path
 from typing import NamedTuple
@@ -90,18 +91,13 @@ class _Writer:
             measure.set("implicit", "yes")
         before = self._sheet.measures[index - 1] if index else None
         self._attributes(measure, here, before)
-        length = here.measure.end - here.measure.start
-        is_behind = False
         for hand, staff in enumerate(here.staves):
             accidentals = self._accidentals(staff.voices)
-            directions = list(_directions(here, hand))
-            for number, voice in enumerate(staff.voices, start=1):
-                if is_behind:
-                    self._duration(SubElement(measure, "backup"), length)
-                is_behind = True
-                where = _Where(str(hand * _VOICES_OF_STAFF + number), str(hand + 1))
-                self._voice(measure, here, voice, where, accidentals, directions, number == 1)
-                directions = []
+            for number, symbols in enumerate(staff.voices, start=1):
+                if (hand, number) != (RIGHT, 1):
+                    self._duration(SubElement(measure, "backup"), here.measure.length)
+                voice = _Voice(number, hand, symbols, accidentals)
+                self._voice(measure, here, voice)
         if index == len(self._sheet.measures) - 1:
             barline = SubElement(measure, "barline", location="right")
             _text(barline, "bar-style", "light-heavy")
@@ -131,38 +127,33 @@ class _Writer:
         self,
         measure: Element,
         here: WrittenMeasure,
-        voice: tuple[Symbol, ...],
-        where: _Where,
-        accidentals: dict[tuple[int, int], str],
-        directions: list[tuple[int, Element]],
-        is_first: bool,
+        voice: _Voice,
     ) -> None:
+        """Writes a voice, and with the first of a staff the directions of the staff."""
         start, end = here.measure.start, here.measure.end
-        beams = _beams(voice, here)
-        begins = [symbol.value.start for symbol in voice] or [start]
-        waiting = sorted(directions, key=lambda each: each[0])
-        if not voice:
-            self._put(measure, waiting, start)
+        directions = deque(_directions(here, voice.hand) if voice.is_first else ())
+        if not voice.symbols:
+            self._put(measure, directions, start, end)
             rest = SubElement(measure, "note")
             SubElement(rest, "rest", measure="yes")
-            self._duration(rest, end - start)
-            _text(rest, "voice", where.voice)
-            _text(rest, "staff", where.staff)
-            return
-        for i, symbol in enumerate(voice):
-            until = begins[i + 1] if i + 1 < len(begins) else end + 1
-            self._put(measure, [each for each in waiting if each[0] < until], symbol.value.start)
-            waiting = [each for each in waiting if each[0] >= until]
-            if not (symbol.notes or is_first or symbol.value.actual > 1):
+            self._lasting(rest, end - start, voice)
+        beams = _beams(voice.symbols, here)
+        for i, (symbol, following) in enumerate(pairwise([*voice.symbols, None])):
+            assert symbol is not None
+            until = end if following is None else following.value.start - 1
+            self._put(measure, directions, symbol.value.start, until)
+            if symbol.notes or voice.is_first or symbol.value.actual > 1:
+                self._symbol(measure, symbol, voice, beams.get(i, ()))
+            else:
                 forward = SubElement(measure, "forward")
-                self._duration(forward, symbol.value.end - symbol.value.start)
-                _text(forward, "voice", where.voice)
-                _text(forward, "staff", where.staff)
-                continue
-            self._symbol(measure, symbol, where, accidentals, beams.get(i, ()))
+                self._lasting(forward, symbol.value.end - symbol.value.start, voice)
 
-    def _put(self, measure: Element, directions: list[tuple[int, Element]], now: int) -> None:
-        for tick, direction in directions:
+    def _put(
+        self, measure: Element, directions: deque[tuple[int, Element]], now: int, until: int
+    ) -> None:
+        """Writes at tick `now` the directions up to `until`, with their offsets."""
+        while directions and directions[0][0] <= until:
+            tick, direction = directions.popleft()
             if tick != now:
                 offset = Element("offset")
                 offset.text = str((tick - now) // self._unit)
@@ -175,8 +166,7 @@ class _Writer:
         self,
         measure: Element,
         symbol: Symbol,
-        where: _Where,
-        accidentals: dict[tuple[int, int], str],
+        voice: _Voice,
         beams: Sequence[str],
     ) -> None:
         for i, each in enumerate(symbol.notes or (None,)):
@@ -192,24 +182,30 @@ class _Writer:
             for kind, is_there in (("stop", symbol.tied), ("start", symbol.ties)):
                 if is_there:
                     SubElement(note, "tie", type=kind)
-            _text(note, "voice", where.voice)
+            _text(note, "voice", voice.name)
             _text(note, "type", symbol.value.name)
             for _ in range(symbol.value.dots):
                 SubElement(note, "dot")
-            if each is not None and (sign := accidentals.get((id(symbol), i))):
+            if each is not None and (sign := voice.accidentals.get((id(symbol), i))):
                 _text(note, "accidental", sign)
             if symbol.value.actual > 1:
                 changed = SubElement(note, "time-modification")
                 _text(changed, "actual-notes", symbol.value.actual)
                 _text(changed, "normal-notes", symbol.value.normal)
                 _text(changed, "normal-type", symbol.value.base)
-            _text(note, "staff", where.staff)
+            _text(note, "staff", voice.staff)
             if not i:
                 for number, beam in enumerate(beams, start=1):
                     _text(note, "beam", beam).set("number", str(number))
             notations = _notations(symbol, each[0] if each else None, is_first=not i)
             if len(notations):
                 note.append(notations)
+
+    def _lasting(self, element: Element, ticks: int, voice: _Voice) -> None:
+        """Says how long a rest lasts, or the motion in place of one, and where."""
+        self._duration(element, ticks)
+        _text(element, "voice", voice.name)
+        _text(element, "staff", voice.staff)
 
     def _duration(self, element: Element, ticks: int) -> None:
         _text(element, "duration", ticks // self._unit)
@@ -230,9 +226,28 @@ class _Writer:
         return signs
 
 
-class _Where(NamedTuple):
-    voice: str
-    staff: str
+class _Voice(NamedTuple):
+    """A voice of a hand in a measure, with the accidentals of its staff.
+
+    The first voice has number 1. Accidentals are by symbols and indices of notes.
+    """
+
+    number: int
+    hand: int
+    symbols: tuple[Symbol, ...]
+    accidentals: dict[tuple[int, int], str]
+
+    @property
+    def is_first(self) -> bool:
+        return self.number == 1
+
+    @property
+    def name(self) -> str:
+        return str(self.hand * _VOICES_OF_STAFF + self.number)
+
+    @property
+    def staff(self) -> str:
+        return str(self.hand + 1)
 
 
 def _text(parent: Element, tag: str, text: object) -> Element:
@@ -281,16 +296,17 @@ def _notations(symbol: Symbol, note: Note | None, is_first: bool) -> Element:
 
 
 def _directions(here: WrittenMeasure, hand: int) -> Iterator[tuple[int, Element]]:
-    """Yields directions and their ticks: tempos and dynamics above, the pedal below."""
+    """Yields directions by their ticks: dynamics and tempos above, the pedal below."""
     if hand != RIGHT:
         yield from ((mark.tick, _pedal(mark)) for mark in here.pedal)
         return
-    yield from ((tempo.tick, _tempo(tempo, here)) for tempo in here.tempos)
     if here.dynamic:
         direction = Element("direction", placement="below")
-        SubElement(SubElement(SubElement(direction, "direction-type"), "dynamics"), here.dynamic)
+        kind = SubElement(direction, "direction-type")
+        SubElement(SubElement(kind, "dynamics"), here.dynamic)
         _text(direction, "staff", 1)
         yield here.measure.start, direction
+    yield from ((tempo.tick, _tempo(tempo, here)) for tempo in here.tempos)
 
 
 def _tempo(tempo: Tempo, here: WrittenMeasure) -> Element:
