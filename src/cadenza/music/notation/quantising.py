@@ -7,7 +7,6 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
-from statistics import median
 
 from cadenza.music.notation.metre import QUARTER, Metre
 from cadenza.music.notation.voices import Timed
@@ -16,10 +15,14 @@ from cadenza.music.score import CHORD_TOLERANCE, Note
 # What it costs to divide a cell (a quarter, or a shorter beat) into so many parts. It is in units
 # of what a deviation of an onset by `_SPREAD` costs twice; chosen by eye.
 _GRIDS = {1: 0.0, 2: 0.3, 4: 0.8, 3: 1.2, 8: 2.0, 6: 2.2, 5: 4.0, 12: 6.0, 16: 4.5, 7: 4.5}
-_SPREAD = 0.05  # standard deviation of onsets, in cells ...
-_LEAST_SPREAD, _MOST_SPREAD = 0.012, 0.04  # [s] ... within these
-_EXACT = 0.2  # of the deviation of onsets at random, below which a file is taken for exact
-_COMMON = 12  # parts of a cell on which most onsets are, in an exact file
+_SPREAD = 0.05  # standard deviation of onsets that are played, in cells ...
+_LEAST_SPREAD, _MOST_SPREAD = 0.025, 0.04  # [s] ... within these
+_EXACT_SPREAD = 0.012  # [s] of onsets that are not
+_COMMON, _NEAR = (
+    12,
+    0.02,
+)  # parts of a cell, on which onsets are that nobody has played, and how near
+_MOSTLY = 0.8  # of the onsets of such a file are there
 _SHORTEST = 0.025  # [s] of a part of a grid
 _FINEST = QUARTER // 16  # a 64th, which is a whole number of ticks
 _APART = 0.5  # cost of grids that differ between voices
@@ -63,7 +66,7 @@ def are_exact(onsets: Sequence[float], metre: Metre) -> bool:
         cell = _cell(ticks, onset)
         at = _COMMON * (onset - ticks[cell]) / (ticks[cell + 1] - ticks[cell])
         deviations.append(abs(at - round(at)))
-    return median(deviations) < _EXACT / 4  # at random, a fourth of a part
+    return sum(each < _NEAR for each in deviations) >= _MOSTLY * len(deviations)
 
 
 def quantised(
@@ -81,7 +84,6 @@ def quantised(
     for v, of_voice in enumerate(groups):
         for group in of_voice:
             by_cell[_cell(ticks, group.onset)][v].append(group)
-    most = _LEAST_SPREAD if is_exact else _MOST_SPREAD
     grids: list[dict[int, int]] = [{} for _ in voices]
     starts: list[list[int]] = [[] for _ in voices]
     for cell in sorted(by_cell):
@@ -91,7 +93,7 @@ def quantised(
             [((group.onset - begin) / length, group.notes) for group in of_voice]
             for of_voice in by_cell[cell]
         ]
-        for v, grid in enumerate(_chosen(onsets, seconds, length, most)):
+        for v, grid in enumerate(_chosen(onsets, seconds, length, is_exact)):
             steps = [round(at * grid) for at, _ in onsets[v]]
             starts[v] += [begin + step * length // grid for step in steps]
             grids[v][cell] = _coarsest(grid, steps)
@@ -126,12 +128,10 @@ def _cell(ticks: list[int], at: float) -> int:
 _Onsets = list[tuple[float, list[Note]]]
 
 
-def _chosen(onsets: list[_Onsets], seconds: float, length: int, most: float) -> list[int]:
-    """The grid of each voice in a cell of `seconds` [s] and `length` [ticks].
-
-    Onsets deviate by at most `most` [s].
-    """
-    spread = min(max(_SPREAD * seconds, _LEAST_SPREAD), most) / seconds
+def _chosen(onsets: list[_Onsets], seconds: float, length: int, is_exact: bool) -> list[int]:
+    """The grid of each voice in a cell of `seconds` [s] and `length` [ticks]."""
+    played = min(max(_SPREAD * seconds, _LEAST_SPREAD), _MOST_SPREAD)
+    spread = (_EXACT_SPREAD if is_exact else played) / seconds
     possible = [
         grid
         for grid in _GRIDS
