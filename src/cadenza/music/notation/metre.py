@@ -182,7 +182,7 @@ def _with_pickup(metre: Metre, notes: Sequence[Note]) -> Metre:
     """The metre with bar lines moved to where they fit clearly better, after a pickup.
 
     Some programs write MIDI files without saying that the first bar is a pickup, so that all later
-    ones begin too early.
+    ones begin too early. Pickups of over half a bar are rare, and not assumed.
     """
     first = metre.measures[0]
     signatures = {measure.written for measure in metre.measures}
@@ -191,7 +191,7 @@ def _with_pickup(metre: Metre, notes: Sequence[Note]) -> Metre:
     ends = metre.place([max(note.end for note in group) for group in groups])
     if len(signatures) > 1 or first.is_part or onsets[0] > first.start + _NEAR:
         return metre
-    shifts = range(0, first.length, _PICKUP_STEP)
+    shifts = range(0, first.length // 2 + 1, _PICKUP_STEP)
     accents = accents_of(groups)
     fits = [_fit(onsets - shift, ends - shift, accents, first.length) for shift in shifts]
     best = int(np.argmax(fits))
