@@ -15,6 +15,7 @@ from cadenza.music.score import PedalEvent
 TREBLE, BASS = "G", "F"
 _MIDDLE_LINE = {TREBLE: 71, BASS: 50}  # pitch: B4, D3
 _STAFF = 9  # semitones from the middle line that need at most one ledger line
+_UNUSUAL = 4  # weight of these in the clef of the other hand
 _CHANGE_OF_CLEF = 30.0  # semitones beyond the staff, summed over notes, that outweigh a change
 
 _TEMPO_ERROR = 0.01  # [s] by which times that follow from the tempos may differ
@@ -54,8 +55,8 @@ def clefs(pitches: Sequence[Sequence[int]], usual: str) -> list[str]:
         for kind in kinds:
             others = {k: total[k] + (k != kind) * _CHANGE_OF_CLEF for k in kinds}
             origin[kind] = min((kind, *kinds), key=others.__getitem__)
-            beyond = (abs(pitch - _MIDDLE_LINE[kind]) - _STAFF for pitch in here)
-            arrived[kind] = others[origin[kind]] + sum(max(0, each) for each in beyond)
+            beyond = sum(max(0, abs(pitch - _MIDDLE_LINE[kind]) - _STAFF) for pitch in here)
+            arrived[kind] = others[origin[kind]] + beyond * (1 if kind == usual else _UNUSUAL)
         total = arrived
         origins.append(origin)
     at = min((usual, *kinds), key=total.__getitem__)
