@@ -182,6 +182,18 @@ def test_pedal_marks_sound_at_their_offset(offset, seconds, saved):
     assert [(event.time, event.value) for event in score.pedal] == [(seconds, 127), (4.0, 0)]
 
 
+@pytest.mark.parametrize("beat_type", ["-4", "0", "3", "1000000000", "x"])
+def test_beats_that_cannot_be_are_quarters(beat_type, saved):
+    strange = FOUR_QUARTERS.replace("<beat-type>4<", f"<beat-type>{beat_type}<")
+    (bar,) = load_score(saved(document([strange + note("C4", 16)]))).bars
+    assert (bar.beats, bar.beat_type) == ((0.0, 0.5, 1.0, 1.5), 4)
+
+
+def test_a_bar_without_measure_has_no_beats(saved):
+    (bar,) = load_score(saved(document([FOUR_QUARTERS + note("C4", 4 * 1000)]))).bars
+    assert (bar.time, bar.beats) == (0.0, ())
+
+
 def test_notes_may_have_velocities_of_their_own(saved):
     loud, soft = (note("C4", 4).replace("<note", f'<note dynamics="{p}"') for p in ("110.5", "0"))
     strange = note("E4", 4).replace("<note", '<note dynamics="loud"')

@@ -356,6 +356,25 @@ def test_the_pedal_is_kept(tmp_path):
     ]
 
 
+@pytest.mark.parametrize(
+    "strange",
+    [
+        (Bar(0.0, 1),),
+        (Bar(0.0, 1, (0.0,)),),
+        tuple(Bar(n * 1e-5, n) for n in range(100)),
+        (Bar(100.0, 1, (100.0, 100.5)),),
+        (Bar(-9.0, -3, (-9.0, -8.0), 64), Bar(0.3, -2)),
+    ],
+)
+def test_notes_are_written_whatever_the_bars(strange, tmp_path):
+    score = Score(tuple(line([60, 62, 64, 65, 67], 0.5)), bars=strange)
+    root = written(score, tmp_path)
+    check_measures(root)
+    assert [note.pitch for note in read_musicxml(tmp_path / "song.musicxml").notes] == [
+        note.pitch for note in score.notes
+    ]
+
+
 def test_a_score_without_notes_is_refused(tmp_path):
     with pytest.raises(CadenzaError, match="no notes"):
         write_musicxml(Score(()), tmp_path / "song.musicxml")

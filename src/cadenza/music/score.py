@@ -21,6 +21,7 @@ MIRROR = 124  # sum of a pitch and its mirror image: twice D4, about which black
 MAX_SECONDS = 3600.0  # a longer song is taken for a mistake
 CHORD_TOLERANCE = 0.03  # [s] within which notes begin together
 RELEASE_TIME = 0.05  # [s] a note with less left than this does not keep its finger from the next
+BEAT_TYPES = frozenset(1 << k for k in range(7))  # whole notes to 64ths
 _MIN_LENGTH = 1e-9  # [s] of a note when its times are changed
 _DECIMALS = 9  # of times [s] that are shifted
 _BAR_TOLERANCE = 1e-6  # [s] by which a time may lie before the bar that it is in, by rounding
@@ -83,7 +84,7 @@ class Bar:
     is unknown. Each is written as the part `1 / beat_type` of a whole note.
 
     Raises:
-        CadenzaError: a time is not finite, or beats do not have a length.
+        CadenzaError: a time is not finite, or there is no such part of a whole note.
     """
 
     time: float
@@ -94,8 +95,10 @@ class Bar:
     def __post_init__(self) -> None:
         if not all(map(isfinite, (self.time, *self.beats))):
             raise CadenzaError(f"bar at {self.time} s: give finite times")
-        if self.beat_type < 1:
-            raise CadenzaError(f"beats of 1/{self.beat_type} of a whole note: give 1 or more")
+        if self.beat_type not in BEAT_TYPES:
+            raise CadenzaError(
+                f"beats of 1/{self.beat_type} of a whole note: give 1, 2, 4, 8, 16, 32 or 64"
+            )
 
     def moved(self, move: Callable[[float], float]) -> Bar:
         """The bar with `move` applied to all of its times [s]."""

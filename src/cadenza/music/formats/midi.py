@@ -21,6 +21,7 @@ from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
 from cadenza.music.repair import RawNote, repaired_notes
 from cadenza.music.score import (
+    BEAT_TYPES,
     HIGHEST_PITCH,
     LOWEST_PITCH,
     Bar,
@@ -44,7 +45,6 @@ _RESET = 121  # controller that lifts the pedals of a channel, among others
 _ALL_OFF = 120, 123  # controllers that end all notes of a channel
 _PUNCTUATION = "‘’“”–—…"
 _DOWN = 64  # the least value of a pedal that is down
-_SHORTEST_BEAT = 64  # as a part of a whole note
 _MOST_BARS, _MOST_BEATS = 20_000, 100_000  # more are taken for damage
 
 
@@ -306,7 +306,7 @@ def _bars(
     metres: dict[int, tuple[int, int]] = {}  # from which tick on: beats in a bar, type of beat
     for chunk in chunks:
         for tick, message in _timed(chunk):
-            if message.type == "time_signature" and message.denominator <= _SHORTEST_BEAT:
+            if message.type == "time_signature" and message.denominator in BEAT_TYPES:
                 metres[tick] = message.numerator, message.denominator
     bars: list[Bar] = []
     beats = 0

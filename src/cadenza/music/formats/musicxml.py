@@ -26,6 +26,7 @@ from cadenza.music.formats.partitura_modules import partitura_module
 from cadenza.music.formats.titles import printable, title_of
 from cadenza.music.repair import RawNote, counted_remarks, repaired_notes
 from cadenza.music.score import (
+    BEAT_TYPES,
     HIGHEST_PITCH,
     LOWEST_PITCH,
     Bar,
@@ -42,7 +43,7 @@ _UNMARKED = 80  # velocity
 _PEDAL_DOWN, _PEDAL_UP = 127, 0
 _SIGNS = range(1, 6)  # of fingers
 _HANDS = {1, 2}  # staves of a part whose staves say which hand plays
-_SHORTEST_BEAT = 64  # as a part of a whole note
+_MOST_BEATS = 64  # of a bar; a longer one has no metre
 _ROUNDING = 1e-6  # [quarters]
 
 
@@ -52,11 +53,10 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
     Parts with pitched notes are tracks, see `Score.tracks`; all are played together, or only
     `tracks`. Tied notes are one. Repeats, endings, da capo and dal segno are followed as the
     part with most measures has them, the first of those. Times follow the tempos given for playback
-    (`<sound tempo>`, or metronome marks), velocities the `dynamics` of notes
-    or else the dynamic markings. Grace notes last 0.1 s
-    before the beat; signs of other ornaments are not played. Of a part on two staves the fingering
-    is taken over, that of the upper staff for the right hand. What cannot be played on one piano is
-    repaired as by `read_midi`.
+    (`<sound tempo>`, or metronome marks), velocities the `dynamics` of notes or else the dynamic
+    markings. Grace notes last 0.1 s before the beat; signs of other ornaments are not played. Of a
+    part on two staves the fingering is taken over, that of the upper staff for the right hand. What
+    cannot be played on one piano is repaired as by `read_midi`.
 
     Raises:
         CadenzaError: no such file, not MusicXML, damaged, too large, without notes, or
@@ -136,6 +136,8 @@ class _Bar:
     def beats(self) -> list[float]:
         """The times at which beats begin, in quarters; the first is `start`."""
         count = max(1, round((self.end - self.start) * self.beat_type / 4))
+        if count > _MOST_BEATS:
+            return []
         return [self.start + 4 * beat / self.beat_type for beat in range(count)]
 
 
@@ -190,8 +192,8 @@ def _played(
                 pedal.append((max(0.0, round(at(move.quarter) + later, 9)), move.value))
         section = sheet.bars[first:beyond]
         for bar in section:
-            beats = tuple(round(at(beat) + later, 9) for beat in bar.beats)
-            bars.append(Bar(beats[0], bar.number, beats, bar.beat_type))
+            begin, *beats = (round(at(beat) + later, 9) for beat in (bar.start, *bar.beats))
+            bars.append(Bar(begin, bar.number, tuple(beats), bar.beat_type))
         now += at(end) - at(start)
         if max(len(found), len(bars), len(pedal)) > _MAX_PLAYED:
             what = f"over {_MAX_PLAYED} notes, bars or moves of the pedal with all repeats"
@@ -310,11 +312,9 @@ def _bars(part: _Timeline) -> list[_Bar]:
 
 def _beat_type(quarters: float, beat_type: int) -> int:
     """The type of beat of a bar: `beat_type`, or a finer one where that does not fill it."""
-    while (
-        beat_type < _SHORTEST_BEAT and abs(math.remainder(quarters * beat_type / 4, 1)) > _ROUNDING
-    ):
-        beat_type *= 2
-    return beat_type
+    finer = (each for each in sorted(BEAT_TYPES) if each >= beat_type)
+    filling = (each for each in finer if abs(math.remainder(quarters * each / 4, 1)) < _ROUNDING)
+    return next(filling, beat_type)
 
 
 def _part(timeline: _Timeline, bars: list[_Bar], symbols: Any) -> _Part:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from xml.etree import ElementTree
 
 from cadenza.music.formats.bar_order import Signs
+from cadenza.music.score import BEAT_TYPES
 
 Element = ElementTree.Element
 Place = tuple[int, int]
@@ -70,7 +71,8 @@ def marks_of(part: Element) -> Marks:
         marks.bars.append(((number, 0), signs))
         printed = measure.get("number", "")
         marks.numbers.append(int(printed) if printed.isdecimal() else number + 1)
-        beat_type = _whole(measure.findtext("attributes/time/beat-type")) or beat_type
+        said = _whole(measure.findtext("attributes/time/beat-type"))
+        beat_type = said if said in BEAT_TYPES else beat_type
         marks.beat_types.append(beat_type)
         marks.staves = max(marks.staves, _whole(measure.findtext("attributes/staves")))
         elements = list(placed(measure))

@@ -16,7 +16,6 @@ from cadenza.music.score import CHORD_TOLERANCE, Bar, Note, Score, chords
 QUARTER = 1680
 """Ticks of a quarter: whole numbers of them make 64ths, triplets, quintuplets and septuplets."""
 WHOLE = 4 * QUARTER
-_SHORTEST_BEAT = 64  # as a part of a whole note
 _UNKNOWN_BEATS = 4  # in a bar whose beats are unknown
 _USUAL_BEAT = 0.5  # [s] of a quarter, where a single beat is all that is known
 _SHORTEST = 1e-3  # [s] of a beat; less is a rounding error
@@ -71,8 +70,10 @@ def metre_of(score: Score) -> Metre:
 
     They follow `Score.bars`. A score without any gets bars of a metre that is estimated.
     """
-    bars = score.bars or estimated_bars(score.notes)
-    timed = _timed(bars)
+    timed = _timed(score.bars)
+    is_estimated = not timed
+    if is_estimated:
+        timed = _timed(estimated_bars(score.notes))
     first, end = score.notes[0].start, score.total_time
     while first < timed[0].times[0] - CHORD_TOLERANCE and len(timed) < _MOST_ADDED:
         timed.insert(0, timed[0].repeated(-1))
@@ -85,7 +86,7 @@ def metre_of(score: Score) -> Metre:
             break
         timed.append(timed[-1].repeated(1))
     metre = _metre(_numbered(timed))
-    if not score.bars:
+    if is_estimated:
         return metre._replace(remarks=("the song has no bars: beats and bars are estimated",))
     return _with_pickup(metre, score.notes)
 
@@ -127,7 +128,7 @@ def _timed(bars: Sequence[Bar]) -> list[_TimedBar]:
         starts = [bar.time, *(each for each in beats[1:] if each < end - _SHORTEST)]
         if end - bar.time < _SHORTEST:  # bars that begin together
             continue
-        timed.append(_TimedBar(bar.number, (*starts, end), min(bar.beat_type, _SHORTEST_BEAT)))
+        timed.append(_TimedBar(bar.number, (*starts, end), bar.beat_type))
         beat = timed[-1].last_beat
     return timed
 

@@ -18,10 +18,8 @@ _GRIDS = {1: 0.0, 2: 0.3, 4: 0.8, 3: 1.2, 8: 2.0, 6: 2.2, 5: 4.0, 12: 6.0, 16: 4
 _SPREAD = 0.05  # standard deviation of onsets that are played, in cells ...
 _LEAST_SPREAD, _MOST_SPREAD = 0.025, 0.04  # [s] ... within these
 _EXACT_SPREAD = 0.012  # [s] of onsets that are not
-_COMMON, _NEAR = (
-    12,
-    0.02,
-)  # parts of a cell, on which onsets are that nobody has played, and how near
+_COMMON = 12  # parts of a cell, on which onsets are that nobody has played ...
+_NEAR = 0.02  # ... up to so much of a part
 _MOSTLY = 0.8  # of the onsets of such a file are there
 _SHORTEST = 0.025  # [s] of a part of a grid
 _FINEST = QUARTER // 16  # a 64th, which is a whole number of ticks
