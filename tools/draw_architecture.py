@@ -49,9 +49,9 @@ class Arrow(NamedTuple):
 BOXES = (
     Box(0, 0, "song", "MIDI, MusicXML", "given"),
     Box(1, 0, "score", "music/"),
-    Box(2, 0, "fingers", "fingering/"),
-    Box(3, 0, "goals", "tasks/"),
-    Box(4, 0, "episodes", "demonstrations/", "made"),
+    Box(2, 0, "arrangement", "arranging/"),
+    Box(3, 0, "fingers", "fingering/"),
+    Box(4, 0, "goals", "tasks/"),
     Box(0, 1, "hand", "hands/", "given"),
     Box(0, 2, "keyboard", "keyboards/", "given"),
     Box(1, 1.5, "scene", "scene/"),
@@ -64,6 +64,7 @@ BOXES = (
     Box(3, 3, "episode", "episode.py", "made"),
     Box(4, 3, "learner", "learning/", "given"),
     Box(3, 4, "live page", "studio/", "made"),
+    Box(4, 4, "episodes", "demonstrations/", "made"),
 )
 AGENTS = (
     Box(0, 5, "nominal plan", "planner/plan/"),
@@ -102,9 +103,8 @@ def straight(start: str, end: str, label: str = "", offset: float = 0) -> Arrow:
 
 
 def arrows() -> list[Arrow]:
-    found = [
-        straight(first, second) for first, second in pairwise(("song", "score", "fingers", "goals"))
-    ]
+    flow = "song", "score", "arrangement", "fingers", "goals"
+    found = [straight(first, second) for first, second in pairwise(flow)]
     found += [straight("episode", "performance"), straight("performance", "page, sound")]
     found += [
         Arrow((side("hand", "right"), side("scene", "left", -10))),
@@ -114,19 +114,20 @@ def arrows() -> list[Arrow]:
         straight("task", "simulation", "ctrl", 12),
         straight("task", "agent", "view", -12),
         straight("agent", "task", "action", 12),
-        Arrow((side("goals", "bottom"), side("task", "top"))),
         Arrow((side("task", "bottom"), side("episode", "top"))),
     ]
     x, y = side("hand", "top")
-    to = side("fingers", "bottom")
+    to = side("fingers", "bottom", -20)
     found.append(Arrow(((x, y), (x, 134), (to[0], 134), to), "reach", (x + 24, 128)))
     (x, y), to = side("task", "bottom", 44), side("learner", "top", -32)
     found.append(Arrow(((x, y), (x, 330), (to[0], 330), to), "transitions", (x + 60, 324)))
     a, b = side("learner", "top", 16), side("agent", "bottom", 16)
     found.append(Arrow((a, b), "policy", (a[0] + 24, (a[1] + b[1]) / 2 + 4)))
-    found.append(Arrow((side("agent", "top"), side("episodes", "bottom"))))
-    (x, y), to = side("episodes", "right"), side("learner", "right")
-    found.append(Arrow(((x, y), (x + 11, y), (x + 11, to[1]), to)))
+    (x, y), to = side("goals", "bottom"), side("task", "top", 40)
+    found.append(Arrow(((x, y), (x, 148), (to[0], 148), to)))
+    (x, y), to = side("episode", "bottom", 40), side("episodes", "top", -40)
+    found.append(Arrow(((x, y), (x, 444), (to[0], 444), to)))
+    found.append(Arrow((side("episodes", "top"), side("learner", "bottom"))))
     (x, y), to = side("performance", "bottom"), side("results", "bottom")
     found.append(Arrow(((x, y), (x, 450), (to[0], 450), to), "many runs", (x - 191, 445)))
     (x, y), to = side("performance", "bottom", 44), side("live page", "left")

@@ -21,6 +21,7 @@ class RawNote:
     velocity: int
     released: bool = False
     finger: Finger | None = None
+    tracks: tuple[int, ...] = ()
 
     def release(self, time: float) -> None:
         """Ends the note."""
@@ -47,7 +48,14 @@ def repaired_notes(
         CadenzaError: there are no notes.
     """
     notes = tuple(
-        Note(seconds(note.start), seconds(note.end), note.pitch, note.velocity, note.finger)
+        Note(
+            seconds(note.start),
+            seconds(note.end),
+            note.pitch,
+            note.velocity,
+            note.finger,
+            note.tracks,
+        )
         for note in _without_overlaps(found, counts)
     )
     remarks = (*remarks, *_remarks(counts))
@@ -85,6 +93,7 @@ def _merge(note: RawNote, other: RawNote) -> None:
     """Gives `note` the larger velocity and the later end of both; a known end counts first."""
     note.velocity = max(note.velocity, other.velocity)
     note.finger = note.finger or other.finger
+    note.tracks = (*note.tracks, *other.tracks)
     if note.released == other.released:
         note.end = max(note.end, other.end)
     elif other.released:

@@ -32,6 +32,9 @@ _NAMES = ("C", "C♯", "D", "D♯", "E", "F", "F♯", "G", "G♯", "A", "A♯", 
 class Note:
     """A note: `start` and `end` in [s], MIDI `pitch` 0..127, `velocity` 1..127, and its finger.
 
+    `tracks` are the numbers of the tracks of the file that have it; notes that differ only in
+    these are equal.
+
     Raises:
         CadenzaError: a value is outside its range, or the note does not end after it starts.
     """
@@ -41,6 +44,7 @@ class Note:
     pitch: int
     velocity: int = 80
     finger: Finger | None = None
+    tracks: tuple[int, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         if not 0 <= self.start < self.end < float("inf"):

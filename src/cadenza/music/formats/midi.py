@@ -273,7 +273,10 @@ def _collect(
 
 
 def _tracks(parts: Sequence[_Part]) -> tuple[Track, ...]:
-    """The tracks with notes; one without a program of its own has that of its channel, if any."""
+    """The tracks with notes, which get their numbers.
+
+    One without a program of its own has that of its channel, if any.
+    """
     programs: dict[int, int] = {}
     for part in parts:
         if part.program is not None:
@@ -282,6 +285,8 @@ def _tracks(parts: Sequence[_Part]) -> tuple[Track, ...]:
     for number, part in enumerate((part for part in parts if part.sounds), start=1):
         program = programs.get(part.channel, 0) if part.program is None else part.program
         pitches = [note.pitch for note in part.notes]
+        for note in part.notes:
+            note.tracks = (number,)
         tracks.append(
             Track(
                 number,

@@ -7,7 +7,7 @@ import math
 import warnings
 from bisect import bisect_left, bisect_right
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from itertools import accumulate, islice, zip_longest
 from pathlib import Path
@@ -64,11 +64,11 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
     """
     path = Path(path)
     sheet = _sheet(tree_of(path), path)
-    parts = [part for part in sheet.parts if part.notes]
-    listed = tuple(_track(number, part) for number, part in enumerate(parts, start=1))
+    parts = dict(enumerate((part for part in sheet.parts if part.notes), start=1))
+    listed = tuple(_track(number, part) for number, part in parts.items())
     check_chosen(tracks, listed, path)
     if tracks:
-        parts = [parts[number - 1] for number in sorted(set(tracks))]
+        parts = {number: parts[number] for number in sorted(set(tracks))}
 
     counts = Counter[str]()
     found, pedal, timed = _played(parts, sheet, counts, path)
@@ -163,9 +163,12 @@ def _track(number: int, part: _Part) -> Track:
 
 
 def _played(
-    parts: list[_Part], sheet: _Sheet, counts: Counter[str], path: Path
+    parts: Mapping[int, _Part], sheet: _Sheet, counts: Counter[str], path: Path
 ) -> tuple[list[RawNote], list[tuple[float, int]], list[Bar]]:
-    """The notes, the motions of the pedal (time [s], value) and the bars."""
+    """The notes, the motions of the pedal (time [s], value) and the bars.
+
+    `parts` are those that are played, by their numbers.
+    """
     at = _clock(sheet)
     found: list[RawNote] = []
     pedal: list[tuple[float, int]] = []
@@ -175,12 +178,13 @@ def _played(
     for first, beyond in sheet.sections:
         start, end = sheet.bars[first].start, sheet.bars[beyond - 1].end
         later = now - at(start)
-        for number, part in enumerate(parts):
+        for number, part in parts.items():
             for note in _within(part.notes, first, beyond):
                 if not LOWEST_PITCH <= note.pitch <= HIGHEST_PITCH:
                     counts["outside"] += not note.tied
                     continue
                 sounding = _sounding(note, at, later)
+                sounding.tracks = (number,)
                 before = tied.get((number, note.pitch, sounding.start)) if note.tied else None
                 if before is None:
                     found.append(sounding)

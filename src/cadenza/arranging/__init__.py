@@ -1,0 +1,1 @@
+"""Arranges songs for the hands that are to play them."""

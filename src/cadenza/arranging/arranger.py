@@ -1,0 +1,90 @@
+"""Arranges a song for the hands that are to play it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from cadenza.arranging.fidelity import NOTHING_LOST, Fidelity, fidelity_of
+from cadenza.arranging.lengths import held_as_possible
+from cadenza.arranging.moments import beats_of, merged, moments_of
+from cadenza.arranging.one_hand import LEFT, RIGHT, OneHand
+from cadenza.arranging.parts import parts_of
+from cadenza.arranging.reduction import EarlyEnd, Struck, Values, reduced
+from cadenza.fingering.difficulty import EASIEST, FITTED, HARDEST, features_of
+from cadenza.fingering.players import Players
+from cadenza.fingering.search import find_fingering
+from cadenza.hands.reach import JumpTimes
+from cadenza.music.score import Note, Score
+
+_SOFTER = 0.85  # of the velocity of the harmony, so that the melody is heard above it
+_SHORTEST = 0.05  # [s] of a note
+# Costs of a note of the harmony that are tried, one after the other, until it is easy enough.
+_COSTS = 0.0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 3.0
+
+
+@dataclass(frozen=True)
+class Arranged:
+    """A song as it was arranged."""
+
+    score: Score
+    """The notes that the hands play."""
+    fidelity: Fidelity
+    """How much of the song is left."""
+    grade: float
+    """The difficulty, from 1 to 10."""
+
+
+class Arranger:
+    """Arranges songs for the same hands."""
+
+    def __init__(self, players: Players, times: JumpTimes) -> None:
+        """Takes the hands, and how long they take to jump."""
+        self._players, self._times = players, times
+        self._hands = OneHand(RIGHT, players, times), OneHand(LEFT, players, times)
+
+    def arrange(self, score: Score, grade: float = HARDEST) -> Arranged:
+        """The arrangement that keeps most of a song, of those that are not harder than a grade.
+
+        If even the melody and the bass are harder, they are what is played.
+
+        Args:
+            score: the whole song, with all its tracks.
+            grade: the difficulty, from 1 to 10, see `cadenza.fingering.difficulty`.
+        """
+        if not score.notes:
+            return Arranged(score, NOTHING_LOST, EASIEST)
+        parts, beats = parts_of(score), beats_of(score)
+        song, moments = merged(parts), moments_of(parts, beats)
+        for cost in _COSTS:
+            struck, early_ends = reduced(moments, self._hands, Values(note=cost))
+            fingered, _ = find_fingering(_score(score, struck, early_ends), self._players)
+            reached = FITTED.grade(features_of(fingered))
+            if reached <= grade:
+                break
+        playable = {(n.start, n.pitch) for n in fingered.notes if n.finger is not None}
+        struck = [each for each in struck if (each.source.start, each.pitch) in playable]
+        fingered, _ = find_fingering(_score(score, struck, early_ends), self._players)
+        held = held_as_possible(fingered, self._players, self._times)
+        arranged = held.without_fingers()
+        return Arranged(arranged, fidelity_of(song, struck, arranged, beats), reached)
+
+
+def _score(score: Score, struck: Iterable[Struck], early_ends: Sequence[EarlyEnd]) -> Score:
+    """The score of what is struck, in which some notes end early."""
+    ends: dict[tuple[float, int], float] = {}
+    for early in early_ends:
+        key = early.time, early.pitch
+        ends[key] = min(early.end, ends.get(key, early.end))
+    by_pitch: dict[int, list[Note]] = {}
+    for each in sorted(struck, key=lambda s: s.source.start):
+        source = each.source
+        end = min(source.end, ends.get((each.time, each.pitch), source.end))
+        softer = _SOFTER if not source.melody and not source.bass else 1.0
+        velocity = max(round(softer * source.velocity), 1)
+        note = Note(source.start, max(end, source.start + _SHORTEST), each.pitch, velocity)
+        same = by_pitch.setdefault(each.pitch, [])
+        if same and same[-1].end > note.start:
+            same[-1] = replace(same[-1], end=note.start)
+        same.append(note)
+    return replace(score, notes=tuple(note for notes in by_pitch.values() for note in notes))

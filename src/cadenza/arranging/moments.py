@@ -1,0 +1,148 @@
+"""The moments of a song at which notes begin, or at which some may be struck again."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from cadenza.arranging.parts import Part, Role
+from cadenza.music.score import MIDI_PITCHES, Score
+
+TOGETHER = 0.04
+"""Time within which notes begin at one moment [s]: people in a band are less exact than one."""
+_USUAL_BEAT = 0.5  # [s] where a song has no bars
+_LATE = 0.15  # [s] before its end a note is not worth striking again
+
+
+class Source(NamedTuple):
+    """A note of the song: `start` and `end` [s], and what it is for."""
+
+    start: float
+    end: float
+    pitch: int
+    velocity: int
+    melody: bool
+    bass: bool
+    added: bool = False
+    """Whether it sounds already: it may be struck again."""
+
+
+class Moment(NamedTuple):
+    """A moment at which notes begin."""
+
+    time: float
+    begins_beat: bool
+    melody: tuple[Source, ...]
+    """From the highest on."""
+    bass: tuple[Source, ...]
+    """From the lowest on."""
+    harmony: tuple[Source, ...]
+    """The most important first."""
+    ceiling: int
+    """The highest pitch to which notes may be moved: that of the melody."""
+    floor: int
+    """The lowest pitch to which notes may be moved: that of the bass."""
+
+
+def beats_of(score: Score) -> list[float]:
+    """The times at which beats begin [s], from before the first note to after the last."""
+    end = score.total_time
+    beats = [beat for bar in score.bars for beat in bar.beats or (bar.time,)]
+    if not beats:
+        return np.arange(0.0, end + _USUAL_BEAT, _USUAL_BEAT).tolist()
+    beat = beats[-1] - beats[-2] if len(beats) > 1 else _USUAL_BEAT
+    return [min(beats[0], 0.0), *beats[1:], *np.arange(beats[-1] + beat, end + beat, beat).tolist()]
+
+
+def moments_of(parts: Sequence[Part], beats: Sequence[float]) -> list[Moment]:
+    """The moments of a song, in order."""
+    notes = merged(parts)
+    melody = _Voice([note for note in notes if note.melody])
+    bass = _Voice([note for note in notes if note.bass])
+    moments, beat_before = [], -1
+    for group in _groups(sorted([*notes, *_struck_again(notes, beats)], key=_start)):
+        time = group[0].start
+        beat = bisect_right(beats, time + TOGETHER) - 1
+        inner = [note for note in group if not note.melody and not note.bass]
+        moments.append(
+            Moment(
+                time,
+                beat != beat_before,
+                tuple(sorted((n for n in group if n.melody), key=lambda n: -n.pitch)),
+                tuple(sorted((n for n in group if n.bass), key=lambda n: n.pitch)),
+                tuple(sorted(inner, key=lambda n: (n.added, -n.end))),
+                melody.pitch_at(time, MIDI_PITCHES[-1]),
+                bass.pitch_at(time, MIDI_PITCHES[0]),
+            )
+        )
+        beat_before = beat
+    return moments
+
+
+class _Voice:
+    """The pitch of a voice as time goes on."""
+
+    def __init__(self, notes: Sequence[Source]) -> None:
+        self._notes = sorted(notes, key=_start)
+        self._starts = [note.start for note in self._notes]
+
+    def pitch_at(self, time: float, otherwise: int) -> int:
+        """The pitch that sounds at a time, or `otherwise` if none does."""
+        i = bisect_right(self._starts, time + TOGETHER) - 1
+        return self._notes[i].pitch if i >= 0 and self._notes[i].end >= time else otherwise
+
+
+def merged(parts: Sequence[Part]) -> list[Source]:
+    """The notes of all parts; of those that double another in unison one is left.
+
+    Where the accompaniment strikes a key that the melody holds, the melody goes on.
+    """
+    notes = [
+        Source(n.start, n.end, n.pitch, n.velocity, role is Role.MELODY, role is Role.BASS)
+        for part in parts
+        for n, role in zip(part.notes, part.roles, strict=True)
+    ]
+    by_pitch: dict[int, list[Source]] = {}
+    for note in sorted(notes, key=lambda n: (n.start, not n.melody, not n.bass)):
+        same = by_pitch.setdefault(note.pitch, [])
+        if not same:
+            same.append(note)
+            continue
+        before = same[-1]
+        end = max(before.end, note.end)
+        if note.start <= before.start + TOGETHER:  # in unison
+            melody, bass = before.melody or note.melody, before.bass or note.bass
+            same[-1] = before._replace(end=end, melody=melody, bass=bass and not melody)
+        elif before.melody and not note.melody and note.start <= before.end:
+            same[-1] = before._replace(end=end)
+        else:
+            same[-1] = before._replace(end=min(before.end, note.start))
+            same.append(note)
+    return [note for notes in by_pitch.values() for note in notes]
+
+
+def _struck_again(notes: Sequence[Source], beats: Sequence[float]) -> Iterator[Source]:
+    """Yields the notes of the harmony that sound where a beat begins, and may be struck then."""
+    for note in notes:
+        if not note.melody and not note.bass:
+            first = bisect_right(beats, note.start + TOGETHER)
+            for beat in beats[first : bisect_right(beats, note.end - _LATE)]:
+                yield note._replace(start=beat, added=True)
+
+
+def _groups(notes: Sequence[Source]) -> Iterator[list[Source]]:
+    """Yields groups of notes by time, which begin together."""
+    begins = [0]
+    for i, note in enumerate(notes):
+        if note.start > notes[begins[-1]].start + TOGETHER:
+            begins.append(i)
+    for begin, end in pairwise([*begins, len(notes)]):
+        yield list(notes[begin:end])
+
+
+def _start(note: Source) -> tuple[float, int]:
+    return note.start, note.pitch

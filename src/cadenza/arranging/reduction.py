@@ -1,0 +1,297 @@
+"""The reduction of a song to what two hands can play, by a beam search.
+
+From moment to moment each hand strikes some of the notes that begin, and holds what it can. A state
+of the search is what both hands hold, and which pitch classes have sounded in this beat. A
+transition is worth the sum over the notes that are struck, less what it costs the hands. The best
+states of each moment are kept (the beam); the best sequence of states is the reduction.
+
+Fidelity under a bound on difficulty, melody and bass before all others, follows Nakamura and
+Yoshii, "Statistical piano reduction controlling performance difficulty" (APSIPA Transactions on
+Signal and Information Processing 7, 2018).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from heapq import nsmallest
+from itertools import product
+from typing import NamedTuple
+
+from cadenza.arranging.moments import Moment, Source
+from cadenza.arranging.one_hand import LEFT, RIGHT, OneHand
+from cadenza.music.score import RELEASE_TIME
+
+_BEAM = 6  # states that are kept; more cost time and change little
+_MOST_HARMONY = 3  # notes that a hand adds to melody or bass
+_OCTAVE = 12
+_SHIFTS = 0, -_OCTAVE, _OCTAVE, -2 * _OCTAVE, 2 * _OCTAVE
+_LONG_AGO = -10.0  # [s]
+_LEAST_HELD = 0.03  # [s] for which a hand holds what it strikes
+_LEAST_LENGTH = 0.05  # [s] of a note that ends early
+_FASTEST_REPETITION = 0.1  # [s]
+
+
+@dataclass(frozen=True)
+class Values:
+    """What notes are worth, and what they cost; 1 is a pitch class that sounds in a beat."""
+
+    melody: float = 12.0
+    bass: float = 6.0
+    moved_bass: float = 4.0
+    """The value of a bass note an octave higher."""
+    new: float = 1.0
+    """The value of the first note of a pitch class in a beat."""
+    again: float = 0.5
+    """The value of any other note, where it is written."""
+    octave: float = 0.3
+    """The cost of every octave by which a note is moved."""
+    note: float = 0.0
+    """The cost of every note of the harmony: what is played becomes easier."""
+    early: float = 0.6
+    """The cost of ending a note as soon as it begins; less in proportion if it ends later."""
+    early_melody: float = 4.0
+    """The same for a note of the melody."""
+    haste: float = 20.0
+    """The cost of a jump that takes all the time there is; with the square of the share."""
+
+
+class Held(NamedTuple):
+    """A key that is down: since and until when [s], and whether it has the melody."""
+
+    pitch: int
+    start: float
+    end: float
+    melody: bool
+
+
+class Hand(NamedTuple):
+    """A hand between two moments."""
+
+    held: tuple[Held, ...] = ()
+    """The keys that it holds, from the lowest on."""
+    struck: tuple[int, ...] = ()
+    """The pitches that it struck last."""
+    time: float = _LONG_AGO
+    """When it did [s]."""
+
+    def still_held(self, time: float) -> list[Held]:
+        """The keys that it holds at a time."""
+        return [held for held in self.held if held.end > time + RELEASE_TIME]
+
+
+class Struck(NamedTuple):
+    """A note that is played: at which moment [s], its source, its pitch, and by which hand."""
+
+    time: float
+    source: Source
+    pitch: int
+    hand: int
+
+
+class EarlyEnd(NamedTuple):
+    """The end [s] of a note that began at `time` [s] and cannot be held for as long as written."""
+
+    time: float
+    pitch: int
+    end: float
+
+
+class Action(NamedTuple):
+    """What one hand does at a moment."""
+
+    hand: Hand
+    """The hand afterwards."""
+    struck: tuple[Struck, ...]
+    early_ends: tuple[EarlyEnd, ...]
+    cost: float
+
+
+class State(NamedTuple):
+    """A state of the search: the least cost of getting there, and from where."""
+
+    cost: float
+    hands: tuple[Hand, Hand]
+    classes: int
+    """The pitch classes that have sounded in this beat, as bits."""
+    actions: tuple[Action, ...]
+    before: State | None
+
+
+def reduced(
+    moments: Sequence[Moment], hands: tuple[OneHand, OneHand], values: Values
+) -> tuple[list[Struck], list[EarlyEnd]]:
+    """The notes that the hands play of these moments, and those of them that end early."""
+    beam = [State(0.0, (Hand(), Hand()), 0, (), None)]
+    for moment in moments:
+        found = [after for state in beam for after in _successors(state, moment, hands, values)]
+        best: dict[tuple[object, ...], State] = {}
+        for state in nsmallest(4 * _BEAM, found, key=lambda each: each.cost):
+            best.setdefault((state.hands, state.classes), state)
+        beam = list(best.values())[:_BEAM]
+    struck: list[Struck] = []
+    early_ends: list[EarlyEnd] = []
+    last: State | None = beam[0]
+    while last is not None:
+        for action in last.actions:
+            struck += action.struck
+            early_ends += action.early_ends
+        last = last.before
+    return struck, early_ends
+
+
+def _successors(
+    state: State, moment: Moment, hands: tuple[OneHand, OneHand], values: Values
+) -> Iterator[State]:
+    """Yields the states after a moment, by what each hand strikes."""
+    classes = state.classes
+    if moment.begins_beat:
+        sounding = (held for hand in state.hands for held in hand.still_held(moment.time))
+        classes = _bits(held.pitch for held in sounding)
+    actions = [
+        list(_HandAtMoment(hand, state.hands[hand], moment, hands[hand], values).actions())
+        for hand in (RIGHT, LEFT)
+    ]
+    for right, left in product(*actions):
+        if _collide(right, left):
+            continue
+        now, value = classes, 0.0
+        for struck in (*right.struck, *left.struck):
+            value += _value(struck, now, values)
+            now |= 1 << struck.pitch % _OCTAVE
+        cost = state.cost - value + right.cost + left.cost
+        yield State(cost, (right.hand, left.hand), now, (right, left), state)
+
+
+def _collide(right: Action, left: Action) -> bool:
+    """Whether the hands would cross, or both play the same note."""
+    if (
+        right.hand.held
+        and left.hand.held
+        and (left.hand.held[-1].pitch >= right.hand.held[0].pitch)
+    ):
+        return True
+    mine = {struck.source for struck in right.struck}
+    return any(struck.source in mine for struck in left.struck)
+
+
+def _value(struck: Struck, classes: int, values: Values) -> float:
+    """What a note is worth that is struck when these pitch classes have sounded."""
+    note, moved = struck.source, abs(struck.pitch - struck.source.pitch) // _OCTAVE
+    if note.melody:
+        return values.melody
+    if note.bass:
+        return values.moved_bass if moved else values.bass
+    value = -values.note - values.octave * moved
+    if not classes >> struck.pitch % _OCTAVE & 1:
+        return value + values.new
+    return value - values.new if moved or note.added else value + values.again
+
+
+def _bits(pitches: Iterator[int]) -> int:
+    bits = 0
+    for pitch in pitches:
+        bits |= 1 << pitch % _OCTAVE
+    return bits
+
+
+class _HandAtMoment:
+    """What one hand may do at one moment: the right hand has the melody, the left the bass."""
+
+    def __init__(
+        self, hand: int, before: Hand, moment: Moment, one: OneHand, values: Values
+    ) -> None:
+        self._hand, self._before, self._moment = hand, before, moment
+        self._one, self._values = one, values
+        self._held = before.still_held(moment.time)
+        self._own = moment.melody if hand == RIGHT else moment.bass
+
+    def actions(self) -> Iterator[Action]:
+        """Yields nothing to strike, and what the hand has time to strike."""
+        yield Action(self._before._replace(held=tuple(self._held)), (), (), 0.0)
+        if self._one.is_there:
+            for struck in self._choices():
+                action = self._action(struck)
+                if action is not None:
+                    yield action
+
+    def _choices(self) -> Iterator[tuple[Struck, ...]]:
+        """Yields notes to strike at once: melody or bass, with more or less of the harmony."""
+        own = [self._strike(note) for note in self._own]
+        bases: list[tuple[Struck, ...]] = [()]
+        bases += [tuple(own[:1])] if own else []
+        if len(own) > 1:
+            bases.append(tuple(own))
+        if own and self._hand == LEFT:
+            bases.append((self._strike(self._own[0], _OCTAVE),))
+        for base in bases:
+            yield from self._with_harmony(base)
+
+    def _strike(self, note: Source, shift: int = 0) -> Struck:
+        return Struck(self._moment.time, note, note.pitch + shift, self._hand)
+
+    def _with_harmony(self, base: tuple[Struck, ...]) -> Iterator[tuple[Struck, ...]]:
+        """Yields `base` with none, one or more of the harmony, as far as the hand reaches."""
+        struck, pitches = base, tuple(sorted(each.pitch for each in base))
+        if base:
+            if not self._one.fits(pitches):
+                return
+            yield base
+        for note in self._moment.harmony:
+            if len(struck) - len(base) == _MOST_HARMONY:
+                return
+            shift = self._shift(note, pitches)
+            if shift is not None:
+                struck = (*struck, self._strike(note, shift))
+                pitches = tuple(sorted((*pitches, note.pitch + shift)))
+                yield struck
+
+    def _shift(self, note: Source, pitches: tuple[int, ...]) -> int | None:
+        """The octaves by which a note is moved so that the hand strikes it with these pitches.
+
+        A note that is moved stays below the melody, and above the bass.
+        """
+        around = pitches or self._held
+        for shift in _SHIFTS if around else _SHIFTS[:1]:
+            pitch = note.pitch + shift
+            if pitch in pitches:
+                return None
+            inside = self._moment.floor < pitch < self._moment.ceiling
+            if (not shift or inside) and self._one.fits(tuple(sorted((*pitches, pitch)))):
+                return shift
+        return None
+
+    def _action(self, struck: tuple[Struck, ...]) -> Action | None:
+        """What the hand does to strike these notes; None if it has no time for it."""
+        time, before = self._moment.time, self._before
+        pitches = tuple(sorted(each.pitch for each in struck))
+        kept = self._kept(pitches)
+        since, jump = time - before.time, 0.0
+        if before.struck:
+            jump = self._one.jump_time(before.struck, pitches, bool(kept))
+            repeats = since < _FASTEST_REPETITION and not set(before.struck).isdisjoint(pitches)
+            if repeats or jump > since - _LEAST_HELD:
+                return None
+        early_ends = tuple(self._early_ends(kept, time - jump))
+        cost = self._values.haste * (jump / since) ** 2 + sum(map(self._early_cost, early_ends))
+        new = (Held(s.pitch, time, s.source.end, s.source.melody) for s in struck)
+        hand = Hand(tuple(sorted((*kept, *new))), pitches, time)
+        return Action(hand, struck, early_ends, cost)
+
+    def _kept(self, pitches: tuple[int, ...]) -> list[Held]:
+        """The keys that the hand can go on to hold while it strikes these pitches."""
+        kept = [held for held in self._held if held.pitch not in pitches]
+        while kept and not self._one.fits(tuple(sorted((*pitches, *(h.pitch for h in kept))))):
+            kept.remove(min(kept, key=lambda held: (held.melody, held.end)))
+        return kept
+
+    def _early_ends(self, kept: list[Held], leave: float) -> Iterator[EarlyEnd]:
+        """Yields the notes that are not kept, if the hand leaves them before they are over."""
+        for held in self._before.held:
+            if held not in kept and held.end > leave:
+                yield EarlyEnd(held.start, held.pitch, max(leave, held.start + _LEAST_LENGTH))
+
+    def _early_cost(self, early: EarlyEnd) -> float:
+        held = next(h for h in self._before.held if (h.start, h.pitch) == early[:2])
+        weight = self._values.early_melody if held.melody else self._values.early
+        return weight * max(held.end - early.end, 0.0) / (held.end - held.start)
