@@ -80,6 +80,7 @@ def clone(command: CloneGeneralist) -> None:
 
 def reinforce(command: ReinforceGeneralist) -> None:
     with extra_packages("train", "training"):
+        from cadenza.learning.algorithms.generalist.excerpts import with_dynamics
         from cadenza.learning.algorithms.generalist.reinforcement import GeneralistReinforcement
     from cadenza.evaluation.collecting.variation import excerpt
     from cadenza.music.libraries.library import load_score, open_library
@@ -88,7 +89,10 @@ def reinforce(command: ReinforceGeneralist) -> None:
     check_writable(command.output)
     songs = open_library(command.songs).songs
     drawn = rng.permutation(len(songs))[: config.num_songs].tolist()
-    scores = [excerpt(load_score(songs[i].name), config.seconds, rng.random())[0] for i in drawn]
+    scores = [
+        with_dynamics(excerpt(load_score(songs[i].name), config.seconds, rng.random())[0], rng)
+        for i in drawn
+    ]
     with GeneralistReinforcement.folder_at(command.output).locked():
         with stages("planning") as progress:
             run = GeneralistReinforcement(

@@ -21,6 +21,7 @@ from cadenza.agents.generalist.receding_plan import RecedingPlanner
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
 from cadenza.agents.planner.plan.nominal_trajectory import MotionPlanner
 from cadenza.agents.planner.plan.song_plan import SongPlan, planning_scene, song_plans
+from cadenza.agents.planner.plan.strike_model import planned_strikes
 from cadenza.agents.planner.planner import PlanPlayer, SongPlanner
 from cadenza.agents.planner.search.networks.inputs import sizes_of
 from cadenza.agents.planner.search.networks.weights import Weights, shipped
@@ -74,6 +75,7 @@ class Generalist(PlannerPerEnv["SongPlanner | SightReader"]):
             view.state.hand_qpos[0],
             self.progress,
             jump_acceleration=1.0 if weights is None else JUMP_ACCELERATION,
+            strikes=True,
         )
 
         def hands_for(plan: SongPlan) -> Sequence[PlanPlayer]:
@@ -130,6 +132,7 @@ class SightReader(EpisodePlanner):
         self._track, self._goals = track, track.goals
         self._ahead = np.arange(steps_in(look_ahead, dt) + 1)
         self._scene = planning_scene(track)
+        self._strikes = planned_strikes(self._goals.onsets, self._scene.keyboard, dt)
         times = self._scene.hand.jump_times.accelerated(JUMP_ACCELERATION)
         motion = MotionPlanner(self._scene, dt, times)
         players = players_of(self._scene)
@@ -147,7 +150,8 @@ class SightReader(EpisodePlanner):
         """Plans what is in sight at a step, which is the first of the plan."""
         self._planned = step
         keys, _ = self._goals.at(step + self._ahead)
-        nominal = self._receding.replan(step, keys, state.fingertip_xpos[0])
+        strikes = self._strikes.by_place(step, step + len(keys))
+        nominal = self._receding.replan(step, keys, strikes, state.fingertip_xpos[0])
         return SongPlan(self._scene, self._track, replace(self._goals, keys=keys), nominal)
 
 

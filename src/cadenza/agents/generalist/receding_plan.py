@@ -8,6 +8,7 @@ Gauss-Newton improve: what is still lacking, the plans that follow make up for
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,7 @@ from cadenza.agents.planner.plan.nominal_trajectory import (
     NominalTrajectory,
     PostureTrajectory,
 )
-from cadenza.agents.planner.plan.presses import Press
+from cadenza.agents.planner.plan.presses import Press, Strike
 from cadenza.fingering.online import OnlineFingering
 from cadenza.fingering.players import Players
 from cadenza.fingers import NO_FINGER
@@ -78,12 +79,19 @@ class RecedingPlanner:
         self._plan = self._motion.still(hand_qpos, 0)  # from its first step on, as what follows
         self._found: PostureTrajectory | None = None
 
-    def replan(self, step: int, keys: NDArray[np.bool_], tips: Array) -> NominalTrajectory:
+    def replan(
+        self,
+        step: int,
+        keys: NDArray[np.bool_],
+        strikes: Mapping[tuple[int, int], Strike],
+        tips: Array,
+    ) -> NominalTrajectory:
         """The plan of what is in sight at a step; its first step is this one.
 
         Args:
             step: the step of the song: 0, then always the next.
             keys: (S, K) the keys that should be down after this step and those after it.
+            strikes: how keys are to begin to sound in these steps, by step and key.
             tips: (F, 3) positions of the fingertips [m].
         """
         self._update_notes(step, keys)
@@ -93,7 +101,11 @@ class RecedingPlanner:
             min(len(keys), steps_in(seconds, self._dt))
             for seconds in (_PRESSES_AHEAD, _POSTURES_AHEAD, _CONTROLS_AHEAD)
         )
-        presses = self._motion.presses(self._fingering(step, past, horizon))
+        begin = step - past - 1  # the step that leads to state 0 of the presses
+        presses = [
+            press._replace(strike=strikes.get((begin + press.first, press.key)))
+            for press in self._motion.presses(self._fingering(step, past, horizon))
+        ]
         if self._found is None:
             before, warm_start, options = self._plan, None, THOROUGH
         else:
@@ -135,7 +147,7 @@ class RecedingPlanner:
                     lifted.setdefault(place, step)
                 if place in lifted:
                     first = max(press.first, now + lifted[place] + lift - step)
-                    press = press._replace(first=first, from_above=True)
+                    press = press._replace(first=first, from_above=True, strike=None)
             if press.first < press.last:
                 result.append(press)
         self._lifted = lifted

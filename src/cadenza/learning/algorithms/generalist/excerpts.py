@@ -1,7 +1,7 @@
 """Excerpts of songs, played many at once by planned hands that are corrected, with rewards.
 
-Each finger has its own reward: what its keys lack, wrong keys that it is nearest to, and how far
-its fingertip is from the plan.
+Each finger has its own reward: what its keys lack, wrong keys that it is nearest to, how far its
+strikes are off their times and speeds, and its fingertip from the plan.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from copy import copy
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
 from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
+from cadenza.agents.planner.search.strikes import as_heard, strike_costs
 from cadenza.learning.algorithms.generalist.hand_networks import Array
 from cadenza.music.score import Score
 from cadenza.scene.scene import Scene
@@ -30,9 +32,14 @@ from cadenza.tasks.piano_task import PianoTask
 
 # Weights of a step's costs, as in the planner's search, but that a key counts the less the more are
 # wanted at once.
-_WRONG, _EARLY, _OFF_PLAN = 3.0, 1.5, 0.3
+_WRONG, _EARLY, _OFF_PLAN, _STRIKE = 3.0, 1.5, 0.3, 0.3
 _AXES = np.array([0.55, 1.0, 1.0])  # weights of distances: those along a key count less
 _MOST = 15.0  # cost of a finger in a step
+
+# Velocities that are drawn.
+_VELOCITIES = 30, 100
+_SWELL = 3.0, 8.0  # [s] in which they rise and fall
+_ACCENT = 8.0  # standard deviation of each note's own
 
 
 class FingerCosts:
@@ -49,19 +56,20 @@ class FingerCosts:
         self._share = 2.0 / (1 + goals.keys.sum(axis=1))
         self._fingertips = nominal.fingertips
         self._weight = _OFF_PLAN * np.concatenate([hand.weight for hand in hands], axis=1)
+        self._strikes = Strikes.of(plan, self._held)
         self._top = scene.keyboard.centre[:, 2] + scene.keyboard.half_size[:, 2]
 
     def after(
-        self, step: int, key_qpos: Array, fingertips: Array, sounded: Array
+        self, step: int, state: State, sounded: Array
     ) -> tuple[Array, Array]:
         """Returns costs (F,) of the fingers after a step, and the keys (K,) that sound.
 
         Args:
             step: The step of the song.
-            key_qpos: (K,) after it [rad].
-            fingertips: (F, 3) after it [m].
+            state: The state of one simulation after it.
             sounded: (K,) keys that sounded before it.
         """
+        key_qpos, fingertips = state.key_qpos[0], state.fingertip_xpos[0]
         keyboard, held, share = self.keyboard, self._held[step], self._share[step]
         sounding, depth = key_qpos >= keyboard.sounds_from, key_qpos / keyboard.travel
         lacking = ~sounding + np.clip(1 - depth, 0, 1) ** 2
@@ -81,7 +89,37 @@ class FingerCosts:
         along = fingertips[:, 1] - keyboard.centre[keys, 1, None]
         above = np.maximum(fingertips[:, 2] - self._top[keys, None], 0)
         np.add.at(costs, (along**2 + above**2).argmin(axis=1), wrong[keys])
+        fingers, strikes = self._strikes.costs(step, state)
+        np.add.at(costs, fingers, _STRIKE * strikes)
         return np.minimum(costs, _MOST), sounding
+
+
+class Strikes(NamedTuple):
+    """The N strikes of a plan, by step."""
+
+    step: Array
+    """(N,)"""
+    key: Array
+    """(N,)"""
+    finger: Array
+    """(N,) the fingers of both hands that strike."""
+    wanted: Array
+    """(N, 2) times in the steps [s], and log2 of the angular speeds of the keys [rad/s]."""
+
+    @classmethod
+    def of(cls, plan: SongPlan, held: Array) -> Strikes:
+        """Takes the strikes of keys that the plan holds, as `held` (T, K) says."""
+        step, key, time, speed = plan.strikes
+        wanted = np.column_stack([time, np.log2(speed)])
+        rows = held[step, key]
+        return cls(step[rows], key[rows], plan.goals.fingers[step, key][rows], wanted[rows])
+
+    def costs(self, step: int, state: State) -> tuple[Array, Array]:
+        """Returns fingers (M,) that strike in a step, and the costs (M,) of how they did."""
+        rows = slice(*np.searchsorted(self.step, [step, step + 1]))
+        key = self.key[rows]
+        outcome = np.column_stack([state.key_onset[0, key], as_heard(state.key_speed[0, key])])
+        return self.finger[rows], strike_costs(outcome, self.wanted[rows])
 
 
 class Excerpt(NamedTuple):
@@ -95,14 +133,30 @@ class Excerpt(NamedTuple):
 
 def planned_excerpts(scores: Sequence[Score], progress: Progress = silent) -> list[Excerpt]:
     """Plans each of the scores for the hands and the keyboard of the default scene."""
-    excerpts = []
+    excerpts, config = [], TaskConfig(repeats="shortened")
     for i, score in enumerate(scores):
         progress("plans", i, len(scores))
-        with closing(PianoTask([score.without_fingers()], TaskConfig())) as task:
+        with closing(PianoTask([score.without_fingers()], config)) as task:
             start = task.state.hand_qpos[0].copy()
-            plan = plan_song(task.tracks[0], start, jump_acceleration=JUMP_ACCELERATION)
+            (track,) = task.tracks
+            plan = plan_song(track, start, jump_acceleration=JUMP_ACCELERATION, strikes=True)
         excerpts.append(Excerpt(FingerCosts(plan), CorrectedHands(plan), start))
     return excerpts
+
+
+def with_dynamics(score: Score, rng: np.random.Generator) -> Score:
+    """Returns the score with velocities from soft to loud, which rise and fall, drawn at random.
+
+    Many files of music have the same velocity throughout.
+    """
+    middle, half = sum(_VELOCITIES) / 2, (_VELOCITIES[1] - _VELOCITIES[0]) / 2
+    period, phase = rng.uniform(*_SWELL), rng.uniform(0, 2 * np.pi)
+    start = np.array([note.start for note in score.notes])
+    velocity = middle + half * np.sin(2 * np.pi * start / period + phase)
+    velocity += _ACCENT * rng.standard_normal(len(start))
+    drawn = np.rint(np.clip(velocity, *_VELOCITIES)).astype(int).tolist()
+    notes = zip(score.notes, drawn, strict=True)
+    return replace(score, notes=tuple(replace(note, velocity=own) for note, own in notes))
 
 
 class _Player:
@@ -134,10 +188,7 @@ class _Player:
 
     def costs(self, state: State) -> Array:
         """Returns costs (H, F) of the fingers of each hand in the step that led to a state."""
-        step, tips = self._step, state.fingertip_xpos[0]
-        costs, self._sounding = self.excerpt.costs.after(
-            step, state.key_qpos[0], tips, self._sounding
-        )
+        costs, self._sounding = self.excerpt.costs.after(self._step, state, self._sounding)
         self._step += 1
         self._total += float(costs.sum())
         return costs.reshape(len(self._hands.output), -1)

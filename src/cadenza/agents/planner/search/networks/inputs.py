@@ -14,6 +14,7 @@ everywhere on the keyboard.
 - (F, 6) depths of each finger's key and of two keys on either side, and whether its key is a goal
 - (F, 3) errors of fingertips from the plan now, and (F, 3) from the plan after the step
 - (F, 53) products of these errors with the cases that they are to be corrected in, see `_cases`
+- (F, 5) the strike of each finger, if it comes soon, see `HandInputs._strikes_ahead`
 
 The outputs (A,) are corrections of the controls, see `Corrections`.
 """
@@ -41,6 +42,8 @@ _POSTURE_STEPS = (1, 2, 3, 5)  # steps ahead of the planned postures
 _HELD_STEPS = 6  # steps ahead for which an input says whether a finger holds a key
 _PRESS_INPUTS = 9 + _HELD_STEPS  # per finger, of its press
 _CASE_INPUTS = 53  # per finger, see `_cases`
+_STRIKE_INPUTS = 5  # per finger, of its strike
+_STRIKE_STEPS = 3  # in which a strike counts as soon: this one, and the two that follow
 _NEIGHBOURS = np.array([-2, -1, 0, 1, 2])  # keys, from that of a finger
 _MAX_OUTPUT = 1.5  # in units of `Servos.correction`
 _MAX_ERROR = 4.0  # scaled errors are clipped here
@@ -52,6 +55,7 @@ _VELOCITY_SCALE = 2.0  # [m/s, rad/s] of planned velocities
 _POSITION_ERROR_SCALE, _VELOCITY_ERROR_SCALE = 0.05, 1.0  # [m, rad], [m/s, rad/s] of servos
 _TIP_ERROR_SCALE = 0.01  # [m] of fingertips
 _KEY_OFFSET_SCALE = 0.03  # [m] from a planned fingertip to the middle of its key
+_HEIGHT_SCALE = 0.01  # [m] of a fingertip above its key
 
 # Limits of the cases of `_cases`: fingertip errors are in units of _TIP_ERROR_SCALE, depths of the
 # key's travel.
@@ -93,7 +97,7 @@ class InputLayout(NamedTuple):
         parts += [(servos, 1, True)] * 3
         correction = len(parts) - 1
         parts += [(fingers, count, False) for count in (len(_NEIGHBOURS) + 1, 3, 3)]
-        parts += [(fingers, _CASE_INPUTS, True)]
+        parts += [(fingers, count, True) for count in (_CASE_INPUTS, _STRIKE_INPUTS)]
         finger = [np.repeat(of, count) for of, count, _ in parts]
         private = [np.full(len(of) * count, own) for of, count, own in parts]
         previous = [np.full(len(of), i == correction) for i, of in enumerate(finger)]
@@ -122,10 +126,15 @@ class HandInputs:
         self._sign = np.ones(self._tips.shape[1:])  # for positions of fingertips
         self._sign[:, 1] = np.repeat(self._mirror.y, scene.fingers.per_hand)
         self._goal_keys = plan.goals.keys
+        fingers = alone.hand.fingers * self._hands
+        self._radius = np.array([finger.tip_radius for finger in fingers])
         steps = np.arange(first, plan.nominal.num_steps)
         thumb = scene.fingers.of_hand(SIDES.index(sides[0])).start
         mine = [press for press in plan.nominal.presses if press.side in sides]
         self._key, self._presses = self._presses_ahead(mine, thumb, steps)  # (S, H F), (S, H F, 15)
+        dt = plan.track.config.control_timestep
+        # (S, H F, 4), (S, H F)
+        self._strikes, self._on_key = self._strikes_ahead(mine, thumb, steps, dt)
         presses = self._presses.reshape(len(steps), self._hands, -1)
         planned = [self._postures(alone, steps), presses]
         self._planned = np.concatenate(planned, axis=2, dtype=np.float32)
@@ -183,6 +192,34 @@ class HandInputs:
         inputs[over, :2], inputs[over, 4 + _HELD_STEPS] = 1.0, 1.0
         return np.where(over, -1, key), inputs
 
+    def _strikes_ahead(
+        self, presses: list[Press], thumb: int, steps: NDArray[np.intp], dt: float
+    ) -> tuple[Array, Array]:
+        """(S, H F, 4) inputs about the strikes of fingers in this step and the two that follow.
+
+        Whether it is in this step, and whether in the next; when within its step, from -1 to 1; and
+        log2 of the angular speed of the key. All are 0 for a finger that does not strike so soon.
+        And (S, H F) heights of the fingertips on the keys that they strike [m].
+        """
+        inputs = np.zeros((len(steps), len(self._sign), _STRIKE_INPUTS - 1))
+        on_key = np.zeros(inputs.shape[:2])
+        struck = [(p.first - 1, p.finger - thumb, p.key, *p.strike) for p in presses if p.strike]
+        if not struck:
+            return inputs, on_key
+        rows, keyboard = np.array(struck).T, self._keyboard
+        step, finger, key = rows[:3].astype(np.intp)
+        how = np.stack([2 * rows[3] / dt - 1, np.log2(rows[4])], axis=1)
+        top = keyboard.centre[key, 2] + keyboard.half_size[key, 2] + self._radius[finger]
+        for ahead in range(_STRIKE_STEPS)[::-1]:
+            row = step - ahead - self._first
+            inside = (row >= 0) & (row < len(steps))
+            there = row[inside], finger[inside]
+            inputs[there] = np.concatenate(
+                [np.tile([ahead == 0, ahead == 1], (len(how), 1)), how], axis=1
+            )[inside]
+            on_key[there] = top[inside]
+        return inputs, on_key
+
     def at(
         self, step: int, posture: Array, previous: Array, tips: Array, key_qpos: Array
     ) -> Floats:
@@ -202,7 +239,7 @@ class HandInputs:
         error_now = _scaled((tips - self._tips[step]) * sign, _TIP_ERROR_SCALE)
         error_next = _scaled((tips - next_tips) * sign, _TIP_ERROR_SCALE)
         cases = _cases(self._presses[row], depths, error_now, error_next)
-        by_finger = depths, error_now, error_next, cases
+        by_finger = depths, error_now, error_next, cases, self._strikes_at(row, tips)
         parts = (
             self._planned[row],
             _scaled(error[..., 0], _POSITION_ERROR_SCALE),
@@ -211,6 +248,12 @@ class HandInputs:
             *(values.reshape(self._hands, -1) for values in by_finger),
         )
         return np.concatenate(parts, axis=1, dtype=np.float32)
+
+    def _strikes_at(self, row: int, tips: Array) -> Array:
+        """(H F, 5) what is known about strikes, and how high fingertips are above their keys."""
+        on_key = self._on_key[row]
+        height = _scaled(tips[:, 2] - on_key, _HEIGHT_SCALE) * (on_key > 0)
+        return np.concatenate([self._strikes[row], height[:, None]], axis=1)
 
     def _depths(self, row: int, step: int, key_qpos: Array) -> Array:
         """(H F, 6) depths of a finger's key and of those beside it, and whether it is a goal."""
