@@ -67,6 +67,7 @@ _COMMANDS: dict[str, Any] = {
         {
             "clone": (generalist.CloneGeneralist, generalist.clone),
             "reinforce": (generalist.ReinforceGeneralist, generalist.reinforce),
+            "strike": (generalist.StrikeGeneralist, generalist.strike),
         },
     ),
 }

@@ -18,7 +18,10 @@ from cadenza.errors import extra_packages
 from cadenza.learning.algorithms.generalist.config import (
     GeneralistCloningConfig,
     GeneralistReinforcementConfig,
+    GeneralistStrikingConfig,
 )
+from cadenza.music.libraries.library import load_score, open_library
+from cadenza.music.score import Score
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,27 @@ class ReinforceGeneralist:
     )
 
 
+@dataclass(frozen=True)
+class StrikeGeneralist:
+    """Learn from the songs of a library how fingers strike, in time and as loud as written.
+
+    Ctrl-C stops it. The same command continues it.
+
+    Example: cadenza generalist strike LIBRARY:train --weights reinforced/weights.npz -o striking
+    """
+
+    songs: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="LIBRARY")]
+    """The library, or a split of it as LIBRARY:SPLIT."""
+    weights: Path | None = None
+    """File of the networks to begin with; by default, those that come with Cadenza."""
+    output: Output[Path] = Path("runs/striking")
+    """Folder of the run."""
+    quiet: Quiet = False
+    config: tyro.conf.OmitArgPrefixes[GeneralistStrikingConfig] = field(
+        default_factory=GeneralistStrikingConfig
+    )
+
+
 def clone(command: CloneGeneralist) -> None:
     with extra_packages("train", "training"):
         from cadenza.learning.algorithms.generalist.cloning import GeneralistCloning
@@ -80,26 +104,45 @@ def clone(command: CloneGeneralist) -> None:
 
 def reinforce(command: ReinforceGeneralist) -> None:
     with extra_packages("train", "training"):
-        from cadenza.learning.algorithms.generalist.excerpts import with_dynamics
         from cadenza.learning.algorithms.generalist.reinforcement import GeneralistReinforcement
-    from cadenza.evaluation.collecting.variation import excerpt
-    from cadenza.music.libraries.library import load_score, open_library
 
-    config, rng = command.config, np.random.default_rng(command.config.seed)
     check_writable(command.output)
-    songs = open_library(command.songs).songs
-    drawn = rng.permutation(len(songs))[: config.num_songs].tolist()
-    scores = [
-        with_dynamics(excerpt(load_score(songs[i].name), config.seconds, rng.random())[0], rng)
-        for i in drawn
-    ]
     with GeneralistReinforcement.folder_at(command.output).locked():
+        scores = _excerpts(command.songs, command.config)
         with stages("planning") as progress:
             run = GeneralistReinforcement(
-                config, command.songs, scores, command.output, command.weights, progress
+                command.config, command.songs, scores, command.output, command.weights, progress
             )
         train_until_stopped(run, "learning", "rounds", "train/cost")
     _print_how_to_play(command.output)
+
+
+def strike(command: StrikeGeneralist) -> None:
+    with extra_packages("train", "training"):
+        from cadenza.learning.algorithms.generalist.striking import GeneralistStriking
+
+    check_writable(command.output)
+    with GeneralistStriking.folder_at(command.output).locked():
+        scores = _excerpts(command.songs, command.config)
+        with stages("planning") as progress:
+            run = GeneralistStriking(
+                command.config, command.songs, scores, command.output, command.weights, progress
+            )
+        train_until_stopped(run, "learning", "rounds", "train/cost")
+    _print_how_to_play(command.output)
+
+
+def _excerpts(
+    library: str, config: GeneralistReinforcementConfig | GeneralistStrikingConfig
+) -> list[Score]:
+    """Returns excerpts of songs of a library, with velocities of all kinds."""
+    from cadenza.evaluation.collecting.variation import excerpt
+    from cadenza.learning.algorithms.generalist.excerpts import with_dynamics
+
+    rng, songs = np.random.default_rng(config.seed), open_library(library).songs
+    drawn = rng.permutation(len(songs))[: config.num_songs].tolist()
+    scores = [load_score(songs[i].name) for i in drawn]
+    return [with_dynamics(excerpt(score, config.seconds, rng.random())[0], rng) for score in scores]
 
 
 def _print_how_to_play(folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.song_plan import SongPlan
@@ -11,6 +12,10 @@ from cadenza.agents.planner.search.networks.weights import Floats, Weights
 from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
+
+MOST_LOWER = 1.5
+"""How much lower a finger is led at most where it strikes, or higher [cm]."""
+_CM = 0.01  # [m]
 
 
 class CorrectedHands:
@@ -34,13 +39,15 @@ class CorrectedHands:
         self._all_servos, self.servos = servos_of(scene), scene.servos_on(*self._sides)
         self.corrections = Corrections.of(self._sides, self._alone)
         self.layout = InputLayout.of(self._alone)
+        self._finger = servos_of(self._alone).finger
+        self._is_finger = self._finger >= 0
         self.output = np.zeros_like(self.corrections.sign)
         self.follow(plan, 0)
 
     def follow(self, plan: SongPlan, step: int) -> None:
         """Changes the plan, from `step` on, to one that goes further."""
         self._inputs = HandInputs(plan, self._sides, self._alone, step)
-        self._tracking = plan.nominal.tracking
+        self._tracking, self._lowering = plan.nominal.tracking, plan.nominal.lowering
 
     def observe(self, step: int, state: State) -> tuple[Floats, Array]:
         """The networks' inputs (H, D) before a step, and the controls (H A,) that they correct."""
@@ -54,7 +61,32 @@ class CorrectedHands:
         """(H A,) the next controls."""
         assert self._weights is not None
         inputs, planned = self.observe(step, state)
-        return self.corrected(planned, self._weights(inputs))
+        output, striking = self._weights(inputs), self.striking(inputs)
+        if self._weights.striking and striking.any():
+            touch = self._weights.touch(inputs) * striking[..., None]
+            planned, output = self.touched(step, planned, output, touch)
+        return self.corrected(planned, output)
+
+    def striking(self, inputs: Floats) -> NDArray[np.bool_]:
+        """(H, F) whether fingers strike in the step, by the inputs (H, D)."""
+        return inputs[:, self.layout.striking] > 0
+
+    def touched(
+        self, step: int, planned: Array, output: Floats, touch: Floats
+    ) -> tuple[Array, Floats]:
+        """Planned controls (H A,) of a step, and outputs (H, A), with touches (H, F, 2).
+
+        A finger is led lower by the first value of its touch [cm], and the correction of its
+        servos is less by the second, a share; that of the whole hand is less by the mean share of
+        the fingers that strike. Touches of fingers that do not strike are 0.
+        """
+        lower = np.clip(touch[..., 0], -MOST_LOWER, MOST_LOWER) * _CM
+        less, striking = np.clip(touch[..., 1], 0.0, 1.0), touch.any(axis=2)
+        hand = less.sum(axis=1, keepdims=True) / np.maximum(striking.sum(axis=1, keepdims=True), 1)
+        lower = np.where(self._is_finger, lower[:, self._finger], 0.0)
+        lowered = planned + self._lowering[step] * lower.ravel()
+        share = 1 - np.where(self._is_finger, less[:, self._finger], hand)
+        return self._all_servos.clip(lowered), output * share
 
     def corrected(self, planned: Array, output: Floats) -> Array:
         """(H A,) the controls of a step: those planned (H A,), corrected by the output (H, A)."""

@@ -47,6 +47,8 @@ Delays = NDArray[np.integer] | int
 _ARRIVAL = 0.15  # [s] before a press in which the hand is there
 _SMOOTHING = 0.1  # [s] standard deviation of the filter that smooths the way
 
+_DAMPING = 2e-6  # [m^2] of what lowers a fingertip, which matters where its servos hardly do
+
 # Windows.
 _FIRST_WINDOW = 2.5  # [s] kept: who plays a second has rehearsed more than two
 _GROWTH = 3.0  # times what has been planned is what the next window plans
@@ -68,6 +70,9 @@ class NominalTrajectory(NamedTuple):
     fingertips: Array
     """(T + 1, F, 3) [m]"""
     tracking: Tracking
+    lowering: Array
+    """(T, A) the changes of servos that lower fingertips by 1 m after each step [rad/m]. Those of a
+    finger lower its own fingertip, and those of the whole hand are 0."""
 
     @property
     def num_steps(self) -> int:
@@ -77,14 +82,16 @@ class NominalTrajectory(NamedTuple):
     @property
     def arrays(self) -> tuple[Array, ...]:
         """All arrays of the plan."""
-        return self.postures, self.fingertips, *self.tracking
+        return self.postures, self.fingertips, *self.tracking, self.lowering
 
     def part(self, first: int, last: int) -> NominalTrajectory:
         """The steps from `first` up to, not including, `last`: views, and no presses."""
         steps, states = slice(first, last), slice(first, last + 1)
         ctrl, gain, expected = self.tracking
         tracking = Tracking(ctrl[steps], gain[steps], expected[states])
-        return NominalTrajectory([], self.postures[states], self.fingertips[states], tracking)
+        return NominalTrajectory(
+            [], self.postures[states], self.fingertips[states], tracking, self.lowering[steps]
+        )
 
 
 class PostureTrajectory(NamedTuple):
@@ -170,7 +177,8 @@ class MotionPlanner:
         postures = np.zeros((steps + 1, servos))
         postures[0] = hand_qpos @ self._servos.of_joints
         tracking.expected[0, :, 0] = postures[0]
-        return NominalTrajectory([], postures, np.zeros((steps + 1, fingers, 3)), tracking)
+        fingertips, lowering = np.zeros((steps + 1, fingers, 3)), np.zeros((steps, servos))
+        return NominalTrajectory([], postures, fingertips, tracking, lowering)
 
     def _window(
         self,
@@ -268,14 +276,28 @@ class MotionPlanner:
         tips, jacobian = self._kinematics.fingertips(postures, slice(1, steps + 1))
         hands = len(self._scene.sides)
         pressed = found.targets.force[1 : steps + 1, self._scene.present_fingers]
-        force = pressing_forces(by_hand(jacobian[:, :, 2], hands), by_hand(pressed, hands))
+        heights = by_hand(jacobian[:, :, 2], hands)
+        force = pressing_forces(heights, by_hand(pressed, hands))
         earlier = plan.postures[-2:-1]
         moving = np.concatenate([earlier, postures[: steps + 2]])
         reaction = self._reaction.along(moving, self._dt)[len(earlier) :][:steps]
         offset = np.zeros_like(postures[1:])
         offset[:steps] = (force.reshape(steps, -1) + reaction) / servos.stiffness
         tracking = track(servos, postures, start, offset, self._dt)
-        return NominalTrajectory(presses, postures, tips, tracking)
+        lowering = np.zeros_like(offset)
+        lowering[:steps] = self._lowering(heights).reshape(steps, -1)
+        return NominalTrajectory(presses, postures, tips, tracking, lowering)
+
+    def _lowering(self, heights: Array) -> Array:
+        """(S, H, A) the `lowering`, by the Jacobian (S, H, F, A) of the heights of fingertips.
+
+        Changes are least in units of what the planner's search draws.
+        """
+        fingers, count = heights.shape[2:]
+        noise, finger = self._servos.noise[:count], self._servos.finger[:count]
+        down = -heights * noise * (finger == np.arange(fingers)[:, None])
+        least = down / (np.square(down).sum(axis=-1, keepdims=True) + _DAMPING)
+        return least.sum(axis=2) * noise
 
     def _guess(self, plan: NominalTrajectory, presses: list[Press], first: int, last: int) -> Array:
         """(S, A) hands at rest over the keys that they press or will press next, from `first` on.

@@ -105,3 +105,46 @@ class GeneralistReinforcementConfig:
                 "seed": (0, MOST_COUNT),
             },
         )
+
+
+@dataclass(frozen=True)
+class GeneralistStrikingConfig:
+    """The options of learning how fingers strike."""
+
+    num_songs: int = 120
+    """Songs of the library to learn from, drawn at random."""
+    seconds: float = 12.0
+    """Length of the excerpt of each song [s]."""
+    num_rounds: int = 4
+    """Rounds of playing, each followed by a fit to all that was played."""
+    num_envs: int = 32
+    """Excerpts played in parallel."""
+    rollout_steps: int = 1000
+    """Control steps of each excerpt per round."""
+    hidden_sizes: tuple[int, int] = (64, 32)
+    """Hidden layer widths of the networks for touches."""
+    learning_rate: float = 2e-3
+    """Initial learning rate of these networks (AdamW, cosine decay)."""
+    batch_size: int = 256
+    """Strikes per update."""
+    num_epochs: int = 14
+    """Epochs of each fit."""
+    checkpoint_interval: float = 60.0
+    """Time between checkpoints [s]."""
+    seed: int = 0
+    """Random seed, of which songs and of touches."""
+
+    def check(self) -> None:
+        """Checks the options; raises a CadenzaError if one makes no sense."""
+        counts = ("num_songs", "num_rounds", "num_envs", "batch_size", "num_epochs")
+        check_ranges(
+            self,
+            {
+                **dict.fromkeys(counts, (1, MOST_COUNT)),
+                "rollout_steps": (3, MOST_COUNT),
+                "learning_rate": (0, 1),
+                "seconds": (1, 3600),
+                "checkpoint_interval": (0, math.inf),
+                "seed": (0, MOST_COUNT),
+            },
+        )

@@ -6,7 +6,7 @@ strikes are off their times and speeds, and its fingertip from the plan.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from copy import copy
 from dataclasses import replace
@@ -43,11 +43,19 @@ _ACCENT = 8.0  # standard deviation of each note's own
 
 
 class FingerCosts:
-    """The costs of F fingers for what they fail to do in each of the T steps of a song."""
+    """The costs of F fingers for what they fail to do in each of the T steps of a song.
+
+    Attributes:
+        num_steps: T.
+        dt: control step [s].
+        keyboard: The keyboard.
+        strikes: the strikes of keys that the plan holds.
+    """
 
     def __init__(self, plan: SongPlan) -> None:
         scene, goals, nominal = plan.scene, plan.goals, plan.nominal
         hands = [HandGoals(plan, side) for side in scene.sides]
+        self.dt = plan.track.config.control_timestep
         self.num_steps, self.keyboard = goals.num_steps, scene.keyboard
         self._held = np.any([hand.planned for hand in hands], axis=0)
         self._due = self._held & np.any([hand.onset_due for hand in hands], axis=0)
@@ -56,12 +64,14 @@ class FingerCosts:
         self._share = 2.0 / (1 + goals.keys.sum(axis=1))
         self._fingertips = nominal.fingertips
         self._weight = _OFF_PLAN * np.concatenate([hand.weight for hand in hands], axis=1)
-        self._strikes = Strikes.of(plan, self._held)
+        self.strikes = StrikesOfPlan.of(plan, self._held)
         self._top = scene.keyboard.centre[:, 2] + scene.keyboard.half_size[:, 2]
 
-    def after(
-        self, step: int, state: State, sounded: Array
-    ) -> tuple[Array, Array]:
+    def holds(self, step: int, key: int) -> bool:
+        """Returns whether the plan holds a key down after a step."""
+        return step < self.num_steps and bool(self._held[step, key])
+
+    def after(self, step: int, state: State, sounded: Array) -> tuple[Array, Array]:
         """Returns costs (F,) of the fingers after a step, and the keys (K,) that sound.
 
         Args:
@@ -89,12 +99,12 @@ class FingerCosts:
         along = fingertips[:, 1] - keyboard.centre[keys, 1, None]
         above = np.maximum(fingertips[:, 2] - self._top[keys, None], 0)
         np.add.at(costs, (along**2 + above**2).argmin(axis=1), wrong[keys])
-        fingers, strikes = self._strikes.costs(step, state)
+        fingers, strikes = self.strikes.costs(step, state)
         np.add.at(costs, fingers, _STRIKE * strikes)
         return np.minimum(costs, _MOST), sounding
 
 
-class Strikes(NamedTuple):
+class StrikesOfPlan(NamedTuple):
     """The N strikes of a plan, by step."""
 
     step: Array
@@ -107,12 +117,19 @@ class Strikes(NamedTuple):
     """(N, 2) times in the steps [s], and log2 of the angular speeds of the keys [rad/s]."""
 
     @classmethod
-    def of(cls, plan: SongPlan, held: Array) -> Strikes:
+    def of(cls, plan: SongPlan, held: Array) -> StrikesOfPlan:
         """Takes the strikes of keys that the plan holds, as `held` (T, K) says."""
         step, key, time, speed = plan.strikes
         wanted = np.column_stack([time, np.log2(speed)])
         rows = held[step, key]
         return cls(step[rows], key[rows], plan.goals.fingers[step, key][rows], wanted[rows])
+
+    def at(self, step: int) -> Iterator[tuple[int, int, Array]]:
+        """Yields the key, the finger and what is wanted of each strike of a step."""
+        rows = slice(*np.searchsorted(self.step, [step, step + 1]))
+        yield from zip(
+            self.key[rows].tolist(), self.finger[rows].tolist(), self.wanted[rows], strict=True
+        )
 
     def costs(self, step: int, state: State) -> tuple[Array, Array]:
         """Returns fingers (M,) that strike in a step, and the costs (M,) of how they did."""
@@ -159,39 +176,48 @@ def with_dynamics(score: Score, rng: np.random.Generator) -> Score:
     return replace(score, notes=tuple(replace(note, velocity=own) for note, own in notes))
 
 
-class _Player:
-    """Plays one excerpt in one of the simulations."""
+class Player:
+    """Plays one excerpt in one of the simulations.
+
+    Attributes:
+        excerpt: the excerpt.
+        hands: the hands that play it.
+        step: the next step.
+    """
 
     def __init__(self, excerpt: Excerpt) -> None:
-        self.excerpt, self._step, self._total = excerpt, 0, 0.0
-        self._hands = copy(excerpt.hands)
-        self._hands.output = np.zeros_like(self._hands.output)
+        self.excerpt, self.step, self._total = excerpt, 0, 0.0
+        self.hands = copy(excerpt.hands)
+        self.hands.output = np.zeros_like(self.hands.output)
         self._sounding = np.zeros(len(excerpt.costs.keyboard.travel), bool)
 
     @property
     def over(self) -> bool:
-        return self._step == self.excerpt.costs.num_steps
+        return self.step == self.excerpt.costs.num_steps
 
     @property
     def mean_cost(self) -> float:
         """The mean over the steps so far of the cost of all fingers together."""
-        return self._total / self._step
+        return self._total / self.step
 
     def inputs(self, state: State) -> Array:
         """Returns inputs (H, D) of the networks in a state of one simulation."""
-        inputs, self._planned = self._hands.observe(self._step, state)
+        inputs, self._planned = self.hands.observe(self.step, state)
         return inputs
 
-    def ctrl(self, corrections: Array) -> Array:
-        """Returns controls (H A,) of a step with corrections (H, A)."""
-        return self._hands.corrected(self._planned, corrections)
+    def ctrl(self, corrections: Array, touch: Array | None) -> Array:
+        """Returns controls (H A,) of a step with corrections (H, A) and touches (H, F, 2)."""
+        planned = self._planned
+        if touch is not None:
+            planned, corrections = self.hands.touched(self.step, planned, corrections, touch)
+        return self.hands.corrected(planned, corrections)
 
     def costs(self, state: State) -> Array:
         """Returns costs (H, F) of the fingers of each hand in the step that led to a state."""
-        costs, self._sounding = self.excerpt.costs.after(self._step, state, self._sounding)
-        self._step += 1
+        costs, self._sounding = self.excerpt.costs.after(self.step, state, self._sounding)
+        self.step += 1
         self._total += float(costs.sum())
-        return costs.reshape(len(self._hands.output), -1)
+        return costs.reshape(len(self.hands.output), -1)
 
 
 class Rollout(NamedTuple):
@@ -208,52 +234,68 @@ class Rollout(NamedTuple):
 
 
 class ExcerptEnvs:
-    """Simulations that play excerpts: the more often, the more they cost when last played."""
+    """Simulations that play excerpts: the more often, the more they cost when last played.
+
+    Attributes:
+        players: what plays in each of the E simulations.
+    """
 
     def __init__(
         self, excerpts: Sequence[Excerpt], scene: Scene, num_envs: int, rng: np.random.Generator
     ) -> None:
-        self._excerpts, self._rng, self._num_envs = excerpts, rng, num_envs
+        self._excerpts, self._rng = excerpts, rng
         self._unplayed = rng.permutation(len(excerpts)).tolist()
         self._last_cost = np.ones(len(excerpts))
         self._simulation = MujocoSimulation(scene, num_envs)
         self._playing = [0] * num_envs  # indices of excerpts
-        self._players = [self._next_player(i) for i in range(num_envs)]
+        self.players = [self._next_player(i) for i in range(num_envs)]
 
     def rollout(self, policy: Callable[[Array], Array], steps: int, noise: float) -> Rollout:
         """Plays the next steps, with Gaussian noise added to the policy's corrections (N, A)."""
-        inputs, corrections, rewards, ends = [self._inputs()], [], [], []
+        inputs, corrections, rewards, ends = [self.inputs()], [], [], []
         for _ in range(steps):
             mean = policy(inputs[-1])
             action = mean + noise * self._rng.standard_normal(mean.shape).astype(np.float32)
-            each = np.split(action, self._num_envs)
-            players = zip(self._players, each, strict=True)
-            self._simulation.step(np.stack([player.ctrl(own) for player, own in players]))
-            costs = [player.costs(self._state(i)) for i, player in enumerate(self._players)]
-            over = np.array([player.over for player in self._players])
-            over |= self._simulation.state.unstable
-            for i in np.flatnonzero(over).tolist():
-                self._last_cost[self._playing[i]] = self._players[i].mean_cost
-                self._players[i] = self._next_player(i)
+            _, costs, over = self.step(action)
             corrections.append(action)
-            rewards.append(-np.concatenate(costs))
-            ends.append(np.repeat(over, len(action) // self._num_envs))
-            inputs.append(self._inputs())
+            rewards.append(-costs)
+            ends.append(np.repeat(over, len(action) // len(over)))
+            inputs.append(self.inputs())
         return Rollout(*map(np.array, (inputs, corrections, rewards, ends)))
 
-    def _next_player(self, env: int) -> _Player:
+    def inputs(self) -> Array:
+        """Returns the inputs (N, D) of the networks for the hands of all simulations."""
+        return np.concatenate([p.inputs(self._state(i)) for i, p in enumerate(self.players)])
+
+    def step(self, corrections: Array, touch: Array | None = None) -> tuple[State, Array, Array]:
+        """Takes a step with corrections (N, A), and touches (N, F, 2) of fingers that strike.
+
+        Returns:
+            The state after it, costs (N, F) of the fingers, and which excerpts (E,) are over. Other
+            excerpts then begin.
+        """
+        count = len(self.players)
+        touches = [None] * count if touch is None else np.split(touch, count)
+        each = zip(self.players, np.split(corrections, count), touches, strict=True)
+        self._simulation.step(np.stack([player.ctrl(own, how) for player, own, how in each]))
+        state = self._simulation.state
+        costs = [player.costs(self._state(i)) for i, player in enumerate(self.players)]
+        over = np.array([player.over for player in self.players]) | state.unstable
+        for i in np.flatnonzero(over).tolist():
+            self._last_cost[self._playing[i]] = self.players[i].mean_cost
+            self.players[i] = self._next_player(i)
+        return state, np.concatenate(costs), over
+
+    def _next_player(self, env: int) -> Player:
         index = self._unplayed.pop() if self._unplayed else self._draw()
         self._playing[env] = index
-        player = _Player(self._excerpts[index])
+        player = Player(self._excerpts[index])
         self._simulation.reset([env], player.excerpt.start[None])
         return player
 
     def _draw(self) -> int:
         p = self._last_cost / self._last_cost.sum()
         return int(self._rng.choice(len(self._excerpts), p=p))
-
-    def _inputs(self) -> Array:
-        return np.concatenate([p.inputs(self._state(i)) for i, p in enumerate(self._players)])
 
     def _state(self, env: int) -> State:
         return State._make(values[env : env + 1] for values in self._simulation.state)

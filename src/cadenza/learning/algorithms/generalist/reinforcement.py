@@ -104,9 +104,9 @@ class HandPPO:
         return PPOState(policy, policy, values, *opt_states)
 
     def weights(self, state: PPOState) -> Weights:
-        """Returns the averaged networks."""
+        """Returns the averaged networks; touches that were learnt for others are left out."""
         networks = map(with_layers, self._weights.networks, state.policy_ema)
-        return self._weights._replace(networks=tuple(networks))
+        return self._weights._replace(networks=tuple(networks), striking=())
 
     def update(self, state: PPOState, rollout: Rollout, values_only: bool) -> PPOState:
         """Updates value functions, and unless `values_only` networks, by a rollout."""
@@ -209,6 +209,18 @@ def _normalised(advantages: Array) -> Array:
     return parts / (parts.std(axis=(0, 1)) + np.finfo(np.float32).eps)
 
 
+def initial_weights(scene: Scene, path: Path | None) -> Weights:
+    """Returns the networks of a file, by default those of Cadenza for the hands of a scene.
+
+    Raises:
+        CadenzaError: they are of other hands, or the file is damaged.
+    """
+    weights = shipped_for(scene) if path is None else Weights.load(path)
+    if weights is None or weights.sizes != sizes_of(scene):
+        raise CadenzaError(f"{path}: networks of other hands than {scene.hand.name}")
+    return weights
+
+
 @dataclass(frozen=True)
 class _Manifest:
     """The content of run.json."""
@@ -257,9 +269,7 @@ class GeneralistReinforcement(CheckpointedRun):
         super().__init__(folder, config.num_rounds, config.checkpoint_interval, config.seed)
         start_jax()
         self.config, scene = config, build_scene()
-        initial = shipped_for(scene) if weights is None else Weights.load(weights)
-        if initial is None or initial.sizes != sizes_of(scene):
-            raise CadenzaError(f"{weights}: networks of other hands than {scene.hand.name}")
+        initial = initial_weights(scene, weights)
         self._begin(_Manifest(config, library, "" if weights is None else sha256_of(weights)))
         self._ppo = HandPPO(config, initial, scene, self._rng)
         self._state = self._ppo.init()

@@ -88,6 +88,8 @@ class InputLayout(NamedTuple):
     """(D,) whether the other fingers do not need it."""
     previous: NDArray[np.bool_]
     """(D,) whether it is an output of the step before."""
+    striking: NDArray[np.intp]
+    """(F,) the inputs that are 1 if a finger strikes in the step, and otherwise 0."""
 
     @classmethod
     def of(cls, alone: Scene) -> InputLayout:
@@ -101,7 +103,10 @@ class InputLayout(NamedTuple):
         finger = [np.repeat(of, count) for of, count, _ in parts]
         private = [np.full(len(of) * count, own) for of, count, own in parts]
         previous = [np.full(len(of), i == correction) for i, of in enumerate(finger)]
-        return cls(*(np.concatenate(arrays) for arrays in (finger, private, previous)))
+        size = sum(map(len, finger))
+        striking = np.arange(size - len(fingers) * _STRIKE_INPUTS, size, _STRIKE_INPUTS)
+        whole = np.concatenate
+        return cls(whole(finger), whole(private), whole(previous), striking)
 
 
 def sizes_of(scene: Scene) -> tuple[int, int]:

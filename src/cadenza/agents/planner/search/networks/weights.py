@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ Floats = NDArray[np.float32]
 
 NETWORKS = ("hand", "thumb", "fingers")
 """The networks: for the servos of the whole hand, for its thumb, and for all other fingers."""
+STRIKING = ("striking thumb", "striking fingers")
+"""The networks for the touch of fingers that strike, in files that have them."""
 _LAYERS = 3
 INPUT_LIMIT = 6.0
 """Normalised inputs are clipped here: beyond it, there was no training data."""
@@ -28,16 +31,17 @@ CONSTANTS = np.array([0.0, 1.0], np.float32)
 def _expected() -> dict[str, ArrayOf]:
     """The arrays of a file by name, with shapes that fit together within each network."""
     arrays = {"sizes": ArrayOf(INTEGERS, (2,), needed=True)}
-    for of in NETWORKS:
-        arrays[f"{of}:inputs"] = ArrayOf(INTEGERS, (f"{of}", f"{of} 0"), needed=True)
-        arrays[f"{of}:servos"] = ArrayOf(INTEGERS, (f"{of}", f"{of} {_LAYERS}"), needed=True)
+    for of in (*NETWORKS, *STRIKING):
+        needed, count = of in NETWORKS, f"{of} networks"
+        arrays[f"{of}:inputs"] = ArrayOf(INTEGERS, (f"{of}", f"{of} 0"), needed)
+        arrays[f"{of}:servos"] = ArrayOf(INTEGERS, (f"{of}", f"{of} {_LAYERS}"), needed)
         for name in ("middle", "spread"):
-            arrays[f"{of}:{name}"] = ArrayOf(FLOATS, (f"{of} 0",), needed=True, finite=True)
+            arrays[f"{of}:{name}"] = ArrayOf(FLOATS, (f"{of} 0",), needed, finite=True)
         for i in range(_LAYERS):
-            kernel = ("networks", f"{of} {i}", f"{of} {i + 1}")
-            arrays[f"{of}:kernel{i}"] = ArrayOf(FLOATS, kernel, needed=True, finite=True)
-            bias = ("networks", 1, f"{of} {i + 1}")
-            arrays[f"{of}:bias{i}"] = ArrayOf(FLOATS, bias, needed=True, finite=True)
+            kernel = (count, f"{of} {i}", f"{of} {i + 1}")
+            arrays[f"{of}:kernel{i}"] = ArrayOf(FLOATS, kernel, needed, finite=True)
+            bias = (count, 1, f"{of} {i + 1}")
+            arrays[f"{of}:bias{i}"] = ArrayOf(FLOATS, bias, needed, finite=True)
     return arrays
 
 
@@ -50,7 +54,7 @@ class Network(NamedTuple):
     inputs: Ids
     """(M, I) the inputs of each part, among those of the hand and `CONSTANTS`."""
     servos: Ids
-    """(M, O) the servos of each part."""
+    """(M, O) the servos of each part; of touches, the numbers among those of all fingers."""
     middle: Floats
     """(I,) the middle of the inputs in training."""
     spread: Floats
@@ -76,6 +80,8 @@ class Weights(NamedTuple):
     sizes: tuple[int, int]
     """D and A."""
     networks: tuple[Network, ...]
+    striking: tuple[Network, ...] = ()
+    """Networks for the touch of fingers that strike; may be missing."""
 
     @classmethod
     def load(cls, path: Path) -> Weights:
@@ -84,22 +90,9 @@ class Weights(NamedTuple):
         Raises:
             CadenzaError: the file is not there, or is damaged.
         """
-        arrays = read_arrays(path, _expected())
-        num_inputs, servos = arrays["sizes"].tolist()
-        networks = tuple(
-            Network(
-                arrays[f"{of}:inputs"].astype(np.intp),
-                arrays[f"{of}:servos"].astype(np.intp),
-                arrays[f"{of}:middle"].astype(np.float32),
-                arrays[f"{of}:spread"].astype(np.float32),
-                *(
-                    tuple(arrays[f"{of}:{kind}{i}"].astype(np.float32) for i in range(_LAYERS))
-                    for kind in ("kernel", "bias")
-                ),
-            )
-            for of in NETWORKS
-        )
-        used = np.concatenate([network.inputs.ravel() for network in networks])
+        weights = cls.of(read_arrays(path, _expected()))
+        (num_inputs, servos), networks, striking = weights
+        used = np.concatenate([network.inputs.ravel() for network in (*networks, *striking)])
         moved = np.sort(np.concatenate([network.servos.ravel() for network in networks]))
         inside = (used >= 0) & (used < num_inputs + len(CONSTANTS))
         if not (inside.all() and np.array_equal(moved, np.arange(servos))):
@@ -107,7 +100,15 @@ class Weights(NamedTuple):
                 f"{path}: its networks do not fit {num_inputs} inputs and {servos} servos; "
                 "fit them again with cadenza generalist clone"
             )
-        return cls((num_inputs, servos), networks)
+        return weights
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> Weights:
+        """The networks of `arrays`, the inverse of that property."""
+        num_inputs, servos = arrays["sizes"].tolist()
+        networks = tuple(_network(arrays, of) for of in NETWORKS)
+        striking = tuple(_network(arrays, of) for of in STRIKING if f"{of}:inputs" in arrays)
+        return cls((num_inputs, servos), networks, striking)
 
     def save(self, path: Path) -> None:
         """Writes the networks to a file, for `load`."""
@@ -118,7 +119,8 @@ class Weights(NamedTuple):
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """The arrays of a file, by name."""
         arrays: dict[str, NDArray[np.generic]] = {"sizes": np.array(self.sizes)}
-        for of, network in zip(NETWORKS, self.networks, strict=True):
+        every = *self.networks, *self.striking
+        for of, network in zip((*NETWORKS, *STRIKING), every, strict=False):
             arrays[f"{of}:inputs"] = network.inputs.astype(np.int16)
             arrays[f"{of}:servos"] = network.servos.astype(np.int16)
             arrays[f"{of}:middle"], arrays[f"{of}:spread"] = network.middle, network.spread
@@ -129,12 +131,38 @@ class Weights(NamedTuple):
 
     def __call__(self, inputs: Floats) -> Floats:
         """(A,) the outputs for the inputs (D,) of a hand, or (H, A) for several hands (H, D)."""
-        inputs, shape = np.atleast_2d(inputs), (*inputs.shape[:-1], self.sizes[1])
-        inputs = np.concatenate([inputs, np.tile(CONSTANTS, (len(inputs), 1))], axis=1)
-        outputs = np.empty((len(inputs), self.sizes[1]), np.float32)
-        for network in self.networks:
-            outputs[:, network.servos] = network(inputs)
-        return outputs.reshape(shape)
+        return _outputs(self.networks, inputs, self.sizes[1])
+
+    def touch(self, inputs: Floats) -> Floats:
+        """(H, F, 2) the touch of fingers that strike, for the inputs (H, D) of hands."""
+        count = sum(network.servos.size for network in self.striking)
+        return _outputs(self.striking, inputs, count).reshape(len(inputs), -1, 2)
+
+
+def _network(arrays: Mapping[str, NDArray[Any]], of: str) -> Network:
+    """The network of that name in the arrays of a file."""
+    kernels, biases = (
+        tuple(arrays[f"{of}:{kind}{i}"].astype(np.float32) for i in range(_LAYERS))
+        for kind in ("kernel", "bias")
+    )
+    return Network(
+        arrays[f"{of}:inputs"].astype(np.intp),
+        arrays[f"{of}:servos"].astype(np.intp),
+        arrays[f"{of}:middle"].astype(np.float32),
+        arrays[f"{of}:spread"].astype(np.float32),
+        kernels,
+        biases,
+    )
+
+
+def _outputs(networks: Sequence[Network], inputs: Floats, count: int) -> Floats:
+    """(O,) all outputs of networks, which are `count`, for inputs (D,), or (H, O) for (H, D)."""
+    inputs, shape = np.atleast_2d(inputs), (*inputs.shape[:-1], count)
+    inputs = np.concatenate([inputs, np.tile(CONSTANTS, (len(inputs), 1))], axis=1)
+    outputs = np.zeros((len(inputs), count), np.float32)
+    for network in networks:
+        outputs[:, network.servos] = network(inputs)
+    return outputs.reshape(shape)
 
 
 @lru_cache

@@ -1,0 +1,372 @@
+"""Learns the touch of the generalist's fingers: how they are led in the steps in which they strike.
+
+A touch is how much lower a finger is led, and how much less its servos are corrected. Each round
+plays excerpts with touches that are drawn around the best so far. A critic learns from all rounds
+how each strike turned out, given what the finger's network sees and its touch. Then the networks
+for touches descend the gradient of the cost that the critic predicts: a deterministic policy
+gradient (Silver et al., Deterministic Policy Gradient Algorithms, 2014) of a single decision.
+
+RUN/weights.npz     the networks of the generalist, with those for touches
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from cadenza.agents.agent import Progress, silent
+from cadenza.agents.generalist.corrected_hands import MOST_LOWER
+from cadenza.agents.planner.search.networks.weights import (
+    CONSTANTS,
+    INPUT_LIMIT,
+    Network,
+    Weights,
+)
+from cadenza.agents.planner.search.strikes import UNIT, WEIGHT, as_heard
+from cadenza.errors import CadenzaError
+from cadenza.files import NUMBERS, ArrayOf, Expected, sha256_of
+from cadenza.learning.algorithms.generalist.config import GeneralistStrikingConfig
+from cadenza.learning.algorithms.generalist.excerpts import (
+    ExcerptEnvs,
+    Player,
+    planned_excerpts,
+)
+from cadenza.learning.algorithms.generalist.hand_networks import (
+    Array,
+    Layers,
+    forward,
+    initial_layers,
+)
+from cadenza.learning.algorithms.generalist.reinforcement import initial_weights
+from cadenza.learning.algorithms.on_jax import start_jax
+from cadenza.learning.checkpointed_run import Arrays, CheckpointedRun
+from cadenza.music.score import Score
+from cadenza.scene.scene import build_scene, hand_alone
+from cadenza.scene.servos import servos_of
+from cadenza.sim.protocol import State
+
+_ENSEMBLE = 3  # networks whose touches are averaged, and critics
+_CRITIC_HIDDEN = (128, 64)
+_CRITIC_RATE, _CRITIC_DECAY = 2e-3, 0.03  # AdamW
+_HIDDEN_INPUTS = 0.1  # of a critic's, in training
+_LEAST_STD = 1e-3  # of an input that is normalised
+_MAX_GRADIENT_NORM = 5.0
+
+# Touches that are drawn.
+_SPREAD = 0.8  # [cm] standard deviation
+_SPREADS = np.array([0.0, 0.4, 1.0])  # factors of it
+_LESS, _LESS_DRAWN = 0.6, 0.5  # furthest from the share so far, and how often
+
+# Outcomes: a time and log2 of a speed, normalised; a strike that is missed is so late.
+_MIDDLE, _SCALE = np.array([0.02, 1.0], np.float32), np.array([0.012, 0.8], np.float32)
+_EARLIEST, _LATEST = -0.03, 0.08  # [s] from the beginning of the step
+
+# Costs.
+_LATE = 3.0  # units of time beyond which a strike does not cost more
+_MISSED = 5.0  # of a key that does not sound after its step, or before it
+_LOWER, _LESS_COST = 0.2, 0.4  # of touches, squared
+_FIRST_LESS = 0.3  # share with which learning begins: at 0 it would have no gradient
+
+
+class Strikes(NamedTuple):
+    """N strikes that have been played."""
+
+    inputs: Array
+    """(N, D) what the networks saw of the hand before the step."""
+    finger: Array
+    """(N,) which of the hand's fingers."""
+    touch: Array
+    """(N, 2) its touch."""
+    outcome: Array
+    """(N, 2) the time in the step [s] and log2 of the speed [rad/s]; NaN without an onset."""
+    wanted: Array
+    """(N, 2) the same, as planned."""
+    sounding: Array
+    """(N, 3) whether the key sounded after the step before, this one, and the next one; NaN where
+    the plan does not hold it then."""
+
+
+class _Step(NamedTuple):
+    """A step of all excerpts."""
+
+    players: list[Player]
+    steps: list[int]
+    inputs: Array
+    touch: Array
+    state: State
+
+
+def play(envs: ExcerptEnvs, weights: Weights, steps: int, rng: np.random.Generator) -> Strikes:
+    """Plays steps with touches drawn around those of the networks; returns their strikes."""
+    played, strikes = deque[_Step](maxlen=3), []
+    for _ in range(steps):
+        inputs, players = envs.inputs(), list(envs.players)
+        touch = _drawn(weights, inputs, players[0].hands.striking(inputs), rng)
+        numbers = [player.step for player in players]
+        state, *_ = envs.step(weights(inputs), touch)
+        played.append(_Step(players, numbers, inputs, touch, state))
+        if len(played) == played.maxlen:
+            strikes += _strikes(*played)
+    return Strikes(*map(np.array, zip(*strikes, strict=True)))
+
+
+def _drawn(weights: Weights, inputs: Array, striking: Array, rng: np.random.Generator) -> Array:
+    """Draws touches (N, F, 2) of hands with inputs (N, D), 0 for fingers that do not strike."""
+    touch = np.zeros((*striking.shape, 2))
+    if weights.striking:
+        touch += weights.touch(inputs)
+        touch = np.clip(touch, [-MOST_LOWER, 0.0], [MOST_LOWER, 1.0])
+    spread = _SPREAD * rng.choice(_SPREADS, size=striking.shape)
+    touch[..., 0] += spread * rng.standard_normal(striking.shape)
+    drawn = rng.random(striking.shape) < _LESS_DRAWN
+    touch[..., 1] += drawn * rng.uniform(-_LESS, _LESS, striking.shape)
+    return np.clip(touch, [-MOST_LOWER, 0.0], [MOST_LOWER, 1.0]) * striking[..., None]
+
+
+def _strikes(before: _Step, now: _Step, after: _Step) -> list[Any]:
+    """Returns the strikes of a step, as the rows of `Strikes`."""
+    rows, hands, near = [], len(now.touch) // len(now.players), (before, now, after)
+    for i, player in enumerate(now.players):
+        if any(each.players[i] is not player for each in near):
+            continue  # the excerpt has begun or ended
+        keyboard, plan = player.excerpt.costs.keyboard, player.excerpt.costs
+        for key, finger, wanted in plan.strikes.at(now.steps[i]):
+            hand, own = divmod(finger, now.touch.shape[1])
+            row = hands * i + hand
+            events = [
+                (each.state.key_onset[i, key] + shift, as_heard(each.state.key_speed[i, key]))
+                for each, shift in zip(near, (-plan.dt, 0.0, plan.dt), strict=True)
+            ]
+            onsets = np.array(events)
+            nearest = np.nan_to_num(np.abs(onsets[:, 0] - wanted[0]), nan=np.inf).argmin()
+            sounding = [each.state.key_qpos[i, key] >= keyboard.sounds_from[key] for each in near]
+            held = plan.holds(now.steps[i] + 1, key)
+            sounding = np.array(sounding) + np.array([0.0, 0.0, 0.0 if held else np.nan])
+            touch = now.touch[row, own]
+            rows.append((now.inputs[row], own, touch, onsets[nearest], wanted, sounding))
+    return rows
+
+
+class _Part(NamedTuple):
+    """What is learnt from: R strikes of fingers that share a network."""
+
+    seen: Array
+    """(R, I) normalised inputs."""
+    touch: Array
+    outcome: Array
+    wanted: Array
+    sounding: Array
+
+
+class TouchFit:
+    """Fits a critic of strikes, and by it a network for touches, to the strikes of some fingers."""
+
+    def __init__(self, config: GeneralistStrikingConfig, rng: np.random.Generator) -> None:
+        self._config, self._rng = config, rng
+
+    def fit(self, of: Network, fingers: Array, strikes: Strikes) -> tuple[Network, float]:
+        """Returns the network for touches, and the mean cost that the critics predict with it.
+
+        Args:
+            of: The network of the same fingers, which sees the same.
+            fingers: (M,) the fingers.
+            strikes: Strikes of all fingers.
+        """
+        part, middle, spread = _part(of, fingers, strikes)
+        sizes = (part.seen.shape[1], *self._config.hidden_sizes, 2)
+        policy = _ensemble(sizes, self._rng, 0.01)
+        policy[-1][1][..., 1] = _FIRST_LESS
+        critics = _ensemble((sizes[0] + 2, *_CRITIC_HIDDEN, 5), self._rng, 0.1)
+        critics = self._descend(critics, _critic_loss, part, _CRITIC_RATE, _CRITIC_DECAY, hide=True)
+        loss = partial(_touch_loss, critics)
+        policy = self._descend(policy, loss, part, self._config.learning_rate, 0.0)
+        kernels, biases = (tuple(map(np.asarray, each)) for each in zip(*policy, strict=True))
+        numbers = 2 * fingers[:, None] + np.arange(2)
+        cost = float(loss(policy, part))
+        return Network(of.inputs, numbers, middle, spread, kernels, biases), cost
+
+    def _descend(
+        self, layers: Layers, loss: Any, part: _Part, rate: float, decay: float, hide: bool = False
+    ) -> Layers:
+        """Returns layers after some epochs of AdamW, with some inputs hidden if that is wanted."""
+        config, rng = self._config, self._rng
+        batches = max(len(part.seen) // config.batch_size, 1)
+        schedule = optax.cosine_decay_schedule(rate, config.num_epochs * batches)
+        optimizer = optax.chain(
+            optax.clip_by_global_norm(_MAX_GRADIENT_NORM),
+            optax.adamw(schedule, weight_decay=decay),
+        )
+
+        @jax.jit
+        def step(layers: Layers, opt_state: Any, batch: _Part) -> tuple[Layers, Any]:
+            gradient = jax.grad(loss)(layers, batch)
+            updates, opt_state = optimizer.update(gradient, opt_state, layers)
+            return optax.apply_updates(layers, updates), opt_state
+
+        opt_state = optimizer.init(layers)
+        for _ in range(config.num_epochs):
+            for rows in np.array_split(rng.permutation(len(part.seen)), batches):
+                batch = _Part._make(values[rows] for values in part)
+                if hide:
+                    shown = rng.random(batch.seen.shape, np.float32) >= _HIDDEN_INPUTS
+                    batch = batch._replace(seen=batch.seen * shown)
+                layers, opt_state = step(layers, opt_state, batch)
+        return layers
+
+
+def _part(of: Network, fingers: Array, strikes: Strikes) -> tuple[_Part, Array, Array]:
+    """Returns the strikes of some fingers, and the middle and spread (I,) of what they see."""
+    mine = np.isin(strikes.finger, fingers)
+    own = Strikes._make(values[mine] for values in strikes)
+    constants = np.broadcast_to(CONSTANTS, (len(own.inputs), len(CONSTANTS)))
+    inputs = np.concatenate([own.inputs, constants], axis=1)
+    seen = np.take_along_axis(inputs, of.inputs[np.searchsorted(fingers, own.finger)], axis=1)
+    middle, spread = seen.mean(axis=0), seen.std(axis=0)
+    spread = np.where(spread < _LEAST_STD, 1.0, spread)
+    seen = np.clip((seen - middle) / spread, -INPUT_LIMIT, INPUT_LIMIT)
+    time = np.nan_to_num(own.outcome[:, 0], nan=_LATEST)
+    outcome = np.stack([np.clip(time, _EARLIEST, _LATEST), own.outcome[:, 1]], axis=1)
+    arrays = seen, own.touch, outcome, own.wanted, own.sounding
+    part = _Part._make(values.astype(np.float32) for values in arrays)
+    return part, middle.astype(np.float32), spread.astype(np.float32)
+
+
+def _ensemble(sizes: Sequence[int], rng: np.random.Generator, scale: float) -> Layers:
+    drawn = [initial_layers(sizes, rng, scale) for _ in range(_ENSEMBLE)]
+    layers = []
+    for each in zip(*drawn, strict=True):
+        kernels, biases = zip(*each, strict=True)
+        layers.append((np.concatenate(kernels), np.concatenate(biases)))
+    return layers
+
+
+def _judged(critics: Layers, seen: Any, touch: Any) -> Any:
+    """Returns (C, R, 5) outcomes, normalised, and logits of whether keys sound, by C critics."""
+    return forward(critics, jnp.concatenate([seen, touch], axis=1)[None])
+
+
+def _critic_loss(critics: Layers, part: _Part) -> Any:
+    judged = _judged(critics, part.seen, part.touch)
+    error = judged[..., :2] - (part.outcome - _MIDDLE) / _SCALE
+    known, logit, sounds = jnp.isfinite(error), judged[..., 2:], part.sounding
+    size = jnp.abs(jnp.where(known, error, 0.0))
+    huber = jnp.where(size < 1, size * size / 2, size - 0.5)
+    entropy = jax.nn.softplus(logit) - jnp.nan_to_num(sounds) * logit
+    return huber.mean() + jnp.where(jnp.isnan(sounds), 0.0, entropy).mean()
+
+
+def _touch_loss(critics: Layers, policy: Layers, part: _Part) -> Any:
+    raw = forward(policy, part.seen[None]).mean(axis=0)
+    touch = jnp.clip(raw, jnp.array([-MOST_LOWER, 0.0]), jnp.array([MOST_LOWER, 1.0]))
+    judged = _judged(critics, part.seen, touch)
+    outcome = judged[..., :2] * _SCALE + _MIDDLE
+    error = jnp.abs(outcome - part.wanted) / UNIT
+    error = error.at[..., 0].min(_LATE)
+    strikes = (jnp.sqrt(1 + error * error) - 1) @ WEIGHT
+    sounds = jax.nn.sigmoid(judged[..., 2:])
+    held = jnp.isfinite(part.sounding[:, 2])
+    missed = sounds[..., 0] + (1 - sounds[..., 1]) + held * (1 - sounds[..., 2])
+    beyond = jnp.square(raw - touch)[:, 1]
+    effort = _LOWER * jnp.square(raw[:, 0]) + _LESS_COST * jnp.square(touch[:, 1]) + beyond
+    return (strikes + _MISSED * missed).mean() + effort.mean()
+
+
+@dataclass(frozen=True)
+class _Manifest:
+    """The content of run.json."""
+
+    config: GeneralistStrikingConfig
+    library: str
+    weights: str
+    """SHA-256 of the networks to begin with; empty for those of Cadenza."""
+
+
+class GeneralistStriking(CheckpointedRun):
+    """A run that learns touches; an update is a round of playing and fitting.
+
+    When it is resumed, the excerpts begin anew.
+    """
+
+    command: ClassVar[str] = "cadenza generalist strike"
+    expected: ClassVar[Expected] = {"*": ArrayOf(NUMBERS, None)}
+
+    def __init__(
+        self,
+        config: GeneralistStrikingConfig,
+        library: str,
+        scores: Sequence[Score],
+        folder: Path,
+        weights: Path | None = None,
+        progress: Progress = silent,
+    ) -> None:
+        """Resumes the run in `folder`, if there is one.
+
+        Args:
+            config: its options.
+            library: the name of the library.
+            scores: excerpts of its songs.
+            folder: The folder of the run.
+            weights: file of the networks to begin with; by default those of Cadenza. Their touches
+                are learnt anew.
+            progress: The function that is told how many excerpts have been planned.
+
+        Raises:
+            CadenzaError: an option makes no sense, there is no score, the networks are of other
+                hands, or the folder holds a run with other options.
+        """
+        config.check()
+        if not scores:
+            raise CadenzaError(f"{library}: no songs to play")
+        super().__init__(folder, config.num_rounds, config.checkpoint_interval, config.seed)
+        start_jax()
+        self.config, scene = config, build_scene()
+        initial = initial_weights(scene, weights)
+        manifest = _Manifest(config, library, "" if weights is None else sha256_of(weights))
+        self.folder.check_complete(self.has_checkpoint)
+        self.folder.begin_or_continue(manifest, self.folder.known(_Manifest))
+        self._weights = initial._replace(striking=())
+        fingers = servos_of(hand_alone(scene, scene.sides[0]).scene).finger
+        self._fingers = [fingers[network.servos[:, 0]] for network in initial.networks[1:]]
+        self._played: list[Strikes] = []
+        self.resume()
+        if not self.finished:
+            excerpts = planned_excerpts(scores, progress)
+            self._envs = ExcerptEnvs(excerpts, scene, config.num_envs, self._rng)
+
+    def _learn(self) -> dict[str, Any]:
+        played = play(self._envs, self._weights, self.config.rollout_steps, self._rng)
+        self._played.append(played)
+        strikes = Strikes(*map(np.concatenate, zip(*self._played, strict=True)))
+        fit = TouchFit(self.config, self._rng)
+        parts = zip(self._weights.networks[1:], self._fingers, strict=True)
+        networks, costs = zip(*(fit.fit(*part, strikes) for part in parts), strict=True)
+        self._weights = self._weights._replace(striking=networks)
+        self.update += 1
+        return {"train/cost": float(np.mean(costs))}
+
+    def _arrays(self) -> Arrays:
+        arrays = {
+            f"{i}:{name}": values
+            for i, strikes in enumerate(self._played)
+            for name, values in strikes._asdict().items()
+        }
+        return arrays | self._weights.arrays
+
+    def _restore(self, arrays: Arrays) -> None:
+        self._played = [
+            Strikes(*(arrays[f"{i}:{name}"] for name in Strikes._fields))
+            for i in range(sum(name.endswith(":finger") for name in arrays))
+        ]
+        self._weights = Weights.of(arrays)
+
+    def _save_result(self) -> None:
+        self._weights.save(self.folder.path / "weights.npz")
