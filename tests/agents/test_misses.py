@@ -75,7 +75,13 @@ class Concert:
             "body_xpos": xpos,
         }
         self.episode = Episode("A concert", self.dt, arrays, FOREARMS)
-        nominal = NominalTrajectory(self.presses, np.zeros((STEPS + 1, 1)), self.planned, None)  # type: ignore[arg-type]
+        nominal = NominalTrajectory(
+            self.presses,
+            np.zeros((STEPS + 1, 1)),
+            self.planned,
+            None,
+            np.zeros((STEPS, 1)),  # type: ignore[arg-type]
+        )
         config = TaskConfig(initial_buffer_time=0.5)
         track = GoalTrack(SCORE, self.dropped, config, self.scene)
         return misses_of(self.episode, SongPlan(self.scene, track, track.goals, nominal))

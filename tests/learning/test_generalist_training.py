@@ -9,24 +9,34 @@ import numpy as np
 import pytest
 
 import cadenza
+from cadenza.agents.generalist import generalist
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.planner.search.networks.weights import Weights
 from cadenza.cli import main
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.collecting.variation import Variation
 from cadenza.learning.algorithms.generalist.cloning import GeneralistCloning
-from cadenza.learning.algorithms.generalist.config import GeneralistCloningConfig
+from cadenza.learning.algorithms.generalist.config import (
+    GeneralistCloningConfig,
+    GeneralistStrikingConfig,
+)
 from cadenza.learning.algorithms.generalist.reinforcement import Rollout, gae
+from cadenza.learning.algorithms.generalist.striking import GeneralistStriking
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from demonstrations.made import collected
 
+SHIPPED = Path(generalist.__file__).parent / "shadow.npz"
 SONG = Score((Note(0.0, 0.3, 60), Note(0.3, 0.6, 64)), title="song")
+SCALE = Score(tuple(Note(0.3 * i, 0.3 * i + 0.3, 60 + i) for i in range(10)), title="scale")
 CLONE = ["--batch-size", "8", "--num-epochs", "2", "--hidden-sizes", "8", "8", "-q"]
 REINFORCE = [
     *("--num-envs", "2", "--rollout-steps", "4", "--batch-size", "8", "--seconds", "1"),
     *("--value-warmup", "1", "--learning-rate", "0.01", "-q"),
 ]
+
+
+STRIKE = ["--num-envs", "2", "--rollout-steps", "40", "--num-epochs", "2", "--seconds", "3", "-q"]
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +114,43 @@ def test_reinforcement_goes_on_where_it_was_stopped(
     shutil.copy(folder / "weights.npz", tmp_path / "copy.npz")
     main([*command, "--num-rounds", "3", *REINFORCE])  # nothing is left to do
     assert same(folder / "weights.npz", tmp_path / "copy.npz")
+
+
+def test_fingers_learn_to_strike_and_nothing_else_changes(tmp_path: Path) -> None:
+    library, folder = str(tmp_path / "songs"), tmp_path / "striking"
+    write_midi(SCALE, tmp_path / "songs" / "scale.mid")
+    main(["generalist", "strike", library, "-o", str(folder), "--num-rounds", "2", *STRIKE])
+    learnt, before = Weights.load(folder / "weights.npz"), Weights.load(SHIPPED)
+    assert len(learnt.striking) == 2
+    assert same_networks(learnt, before)
+    played = [
+        cadenza.play(SCALE, cadenza.make_agent("generalist", GeneralistConfig(str(path)))).episode
+        for path in (folder / "weights.npz", SHIPPED)
+    ]
+    assert (played[0]["action"] != played[1]["action"]).any()
+
+
+def same_networks(one: Weights, other: Weights) -> bool:
+    inputs = np.random.default_rng(0).normal(size=one.sizes[0]).astype(np.float32)
+    return np.array_equal(one(inputs), other(inputs))
+
+
+@pytest.mark.slow
+def test_learning_to_strike_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+    config = GeneralistStrikingConfig(
+        num_envs=2, rollout_steps=40, num_epochs=2, num_rounds=2, seconds=3.0
+    )
+
+    def run_in(folder: Path) -> GeneralistStriking:
+        return GeneralistStriking(config, "scales", [SCALE], folder)
+
+    run = run_in(tmp_path / "run")
+    run.run(lambda: run.update < 1)
+    again = run_in(tmp_path / "run")
+    assert again.update == 1
+    again.run(lambda: True)
+    assert again.finished
+    assert len(Weights.load(tmp_path / "run/weights.npz").striking) == 2
 
 
 def test_too_few_songs_are_refused(tmp_path: Path) -> None:

@@ -15,7 +15,9 @@ from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 
-_REHEARSAL = RehearsalConfig(window=0.5, judged_after=0.5, corrected_after=0.7, max_mistakes=1.0)
+_REHEARSAL = RehearsalConfig(
+    window=0.5, judged_after=0.5, corrected_after=0.7, max_mistakes=1.0, refinements=3
+)
 _AS_FORESEEN = 1e-3  # [rad] that a key may be off where the rehearsal had it, to be as fast
 
 

@@ -111,17 +111,17 @@ class GeneralistReinforcementConfig:
 class GeneralistStrikingConfig:
     """The options of learning how fingers strike."""
 
-    num_songs: int = 120
+    num_songs: int = 200
     """Songs of the library to learn from, drawn at random."""
     seconds: float = 12.0
     """Length of the excerpt of each song [s]."""
-    num_rounds: int = 4
+    num_rounds: int = 5
     """Rounds of playing, each followed by a fit to all that was played."""
     num_envs: int = 32
     """Excerpts played in parallel."""
     rollout_steps: int = 1000
     """Control steps of each excerpt per round."""
-    hidden_sizes: tuple[int, int] = (64, 32)
+    hidden_sizes: tuple[int, int] = (32, 32)
     """Hidden layer widths of the networks for touches."""
     learning_rate: float = 2e-3
     """Initial learning rate of these networks (AdamW, cosine decay)."""

@@ -72,7 +72,7 @@ _EARLIEST, _LATEST = -0.03, 0.08  # [s] from the beginning of the step
 
 # Costs.
 _LATE = 3.0  # units of time beyond which a strike does not cost more
-_MISSED = 5.0  # of a key that does not sound after its step, or before it
+_MISSED = 8.0  # of a key that does not sound after its step, or before it
 _LOWER, _LESS_COST = 0.2, 0.4  # of touches, squared
 _FIRST_LESS = 0.3  # share with which learning begins: at 0 it would have no gradient
 
@@ -106,7 +106,11 @@ class _Step(NamedTuple):
 
 
 def play(envs: ExcerptEnvs, weights: Weights, steps: int, rng: np.random.Generator) -> Strikes:
-    """Plays steps with touches drawn around those of the networks; returns their strikes."""
+    """Plays steps with touches drawn around those of the networks; returns their strikes.
+
+    Raises:
+        CadenzaError: there were none.
+    """
     played, strikes = deque[_Step](maxlen=3), []
     for _ in range(steps):
         inputs, players = envs.inputs(), list(envs.players)
@@ -116,6 +120,10 @@ def play(envs: ExcerptEnvs, weights: Weights, steps: int, rng: np.random.Generat
         played.append(_Step(players, numbers, inputs, touch, state))
         if len(played) == played.maxlen:
             strikes += _strikes(*played)
+    if not strikes:
+        raise CadenzaError(
+            f"nothing was struck in {steps} steps: choose more --rollout-steps, or other songs"
+        )
     return Strikes(*map(np.array, zip(*strikes, strict=True)))
 
 
