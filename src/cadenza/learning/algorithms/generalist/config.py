@@ -115,7 +115,7 @@ class GeneralistStrikingConfig:
     """Songs of the library to learn from, drawn at random."""
     seconds: float = 12.0
     """Length of the excerpt of each song [s]."""
-    num_rounds: int = 5
+    num_rounds: int = 6
     """Rounds of playing, each followed by a fit to all that was played."""
     num_envs: int = 32
     """Excerpts played in parallel."""

@@ -56,6 +56,7 @@ from cadenza.sim.protocol import State
 
 _ENSEMBLE = 3  # networks whose touches are averaged, and critics
 _CRITIC_HIDDEN = (128, 64)
+_JUDGED = 2 + 3  # values of a critic: the outcome, and whether the key sounds in three steps
 _CRITIC_RATE, _CRITIC_DECAY = 2e-3, 0.03  # AdamW
 _HIDDEN_INPUTS = 0.1  # of a critic's, in training
 _LEAST_STD = 1e-3  # of an input that is normalised
@@ -193,7 +194,7 @@ class TouchFit:
         sizes = (part.seen.shape[1], *self._config.hidden_sizes, 2)
         policy = _ensemble(sizes, self._rng, 0.01)
         policy[-1][1][..., 1] = _FIRST_LESS
-        critics = _ensemble((sizes[0] + 2, *_CRITIC_HIDDEN, 5), self._rng, 0.1)
+        critics = _ensemble((sizes[0] + 2, *_CRITIC_HIDDEN, _JUDGED), self._rng, 0.1)
         critics = self._descend(critics, _critic_loss, part, _CRITIC_RATE, _CRITIC_DECAY, hide=True)
         loss = partial(_touch_loss, critics)
         policy = self._descend(policy, loss, part, self._config.learning_rate, 0.0)
