@@ -51,7 +51,7 @@ NOTHING_LOST = Fidelity(1.0, 1.0, 1.0, 1.0, 0, 0)
 
 
 def _in_words(share: float) -> str:
-    return "all" if share == 1 else f"{min(share, 0.999):.1%}"
+    return "all" if share == 1 else f"{int(1000 * share) / 1000:.1%}"  # never 100 %
 
 
 def fidelity_of(
