@@ -137,3 +137,32 @@ def test_a_finger_on_a_key_that_should_be_silent_should_have_been_higher(played:
     assert (error[step - 1 : step + 1, 3, 2] > 0.003).all()
     assert (weight[step - 1 : step + 1, 3] == 1.0).all()
     assert (error[[step - 2, step + 1]] == 0.0).all()
+
+
+def test_a_key_that_is_struck_again_within_a_step_costs_as_a_wrong_onset() -> None:
+    chord, key = Chord(), CHORD[0] - PIANO.lowest_pitch
+    path = np.repeat(chord.wanted[1:2] * PIANO.travel, 4, axis=0)
+    sounding, tips = chord.wanted[1], chord.tips[1]
+    held, *_ = chord.horizon.step_cost(1, path, tips, sounding)
+    path[1, key] = 0.0
+    struck_again, mistakes, _ = chord.horizon.step_cost(1, path, tips, sounding)
+    assert struck_again > held
+    assert not mistakes
+
+
+def test_wrong_keys_and_wrong_onsets_near_a_strike_are_its_fault() -> None:
+    chord, key, other = Chord(), CHORD[0] - PIANO.lowest_pitch, CHORD[-1] + 4 - PIANO.lowest_pitch
+    rest = np.repeat(chord.wanted[:, None] * PIANO.travel, 4, axis=1)
+    rest[0, :2] = 0.0  # the chord begins in the first step
+    strikes = chord.horizon.strikes
+    assert not strikes.faults(list(rest)).any()
+    for step, moment, wrong in ((1, 1, other), (2, 3, other), (0, 3, other)):
+        paths = rest.copy()
+        paths[step, moment, wrong] = PIANO.travel[wrong]
+        assert (strikes.faults(list(paths)) > 0).all()
+    paths = rest.copy()
+    paths[2, 2, key] = 0.0  # it is let go of, and struck again
+    assert (strikes.faults(list(paths)) == 1).all()
+    paths = rest.copy()
+    paths[5, 2, key] = 0.0  # long after
+    assert not strikes.faults(list(paths)).any()

@@ -9,6 +9,7 @@ import pytest
 
 from cadenza.agents.planner.plan.strike_model import StrikeModel, planned_strikes
 from cadenza.agents.planner.planner import Planner
+from cadenza.agents.planner.search.strikes import strike_costs
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import Episode
 from cadenza.keyboards.piano import PIANO
@@ -33,7 +34,8 @@ def scale(starts: list[float], velocities: list[int]) -> Score:
 
 
 def played(score: Score) -> Episode:
-    task = PianoTask([score], TaskConfig(initial_buffer_time=SILENCE))
+    """What the planner plays, with repeated notes in time."""
+    task = PianoTask([score], TaskConfig(initial_buffer_time=SILENCE, repeats="shortened"))
     return play_episode(task, Planner()).episode
 
 
@@ -116,3 +118,24 @@ def test_a_soft_note_is_softer_than_a_loud_one() -> None:
         onsets_and_speeds(played(each), each)[1][0] for each in (score, loud)
     )
     assert soft_velocity + 30 < loud_velocity
+
+
+def test_repeated_notes_without_gaps_are_in_time_and_as_loud_as_written() -> None:
+    velocities = [60, 80, 50, 70, 90, 65, 75, 55]
+    starts = 0.33 * np.arange(len(velocities))
+    notes = tuple(
+        Note(start, start + 0.33, 60, velocity)
+        for start, velocity in zip(starts.tolist(), velocities, strict=True)
+    )
+    score = Score(notes)
+    late, velocity = onsets_and_speeds(played(score), score)
+    assert np.max(np.abs(late - np.median(late))) < 0.012
+    assert np.mean(np.abs(velocity - velocities)) < 8
+
+
+def test_a_strike_costs_more_the_further_it_is_off() -> None:
+    errors = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.045, np.nan])
+    outcome = np.column_stack([errors, np.zeros(len(errors))])
+    costs = strike_costs(outcome, np.zeros_like(outcome))
+    assert costs[0] == 0.0
+    assert (np.diff(costs) > 0).all()

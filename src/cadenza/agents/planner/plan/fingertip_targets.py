@@ -36,6 +36,7 @@ _STRIKE = 1.5
 _STRIKING = 0.05  # [s]
 # Before a strike that is to be in time.
 _DEEPEST_BEFORE = 0.75  # share of the way to where the key sounds
+_DEEPEST_LET_GO = 0.4  # the same if the key was let go just before: it has to come up in time
 _HIGHEST_BEFORE = 0.012  # [m]
 _READY_ROOM, _READY_SIGMA = 0.0005, 0.0015  # [m]
 
@@ -158,8 +159,11 @@ class _TargetWriter:
         sounds_at = np.tan(keyboard.sounds_from[key]) * lever
         before, after = self._model.heights(presses.time[struck], speed * lever, sounds_at)
         targets = self._targets
-        before = np.clip(before, -_DEEPEST_BEFORE * sounds_at, _HIGHEST_BEFORE)
-        free = (presses.before[struck] < first - 1) & ~presses.jumps_to[struck]
+        just_let_go = presses.before[struck] >= first - 1
+        share = np.where(just_let_go, _DEEPEST_LET_GO, _DEEPEST_BEFORE)
+        before = np.clip(before, -share * sounds_at, _HIGHEST_BEFORE)
+        # A finger that has just let go of another key is not there yet.
+        free = (~just_let_go | presses.again[struck]) & ~presses.jumps_to[struck]
         ready = first[free] - 1, finger[free]
         height = rest[free, 2] + before[free]
         targets.low[*ready, 2], targets.high[*ready, 2] = height - _READY_ROOM, height + _READY_ROOM
@@ -256,6 +260,8 @@ class _PressArrays(NamedTuple):
     """The state up to which the finger holds the key before."""
     until: Ids
     """The state from which on it holds the next one."""
+    again: NDArray[np.bool_]
+    """Whether the key before was the same."""
     jumps_off: NDArray[np.bool_]
     jumps_to: NDArray[np.bool_]
     from_above: NDArray[np.bool_]
@@ -268,11 +274,12 @@ class _PressArrays(NamedTuple):
     def of(cls, presses: Sequence[Press], num_states: int) -> _PressArrays:
         """The arrays of presses by time, in a plan of `num_states` states."""
         before, until = np.zeros(len(presses), np.intp), np.full(len(presses), num_states)
-        earlier: dict[int, int] = {}
+        again, earlier = np.zeros(len(presses), bool), dict[int, int]()
         for i, press in enumerate(presses):
             if press.finger in earlier:
                 j = earlier[press.finger]
                 before[i], until[j] = presses[j].last, press.first
+                again[i] = presses[j].key == press.key
             earlier[press.finger] = i
         finger, key, first, last = np.array(
             [(press.finger, press.key, press.first, press.last) for press in presses]
@@ -281,4 +288,4 @@ class _PressArrays(NamedTuple):
             [(press.jumps_off, press.jumps_to, press.from_above) for press in presses]
         ).T
         strikes = np.array([press.strike or _ANY_STRIKE for press in presses]).T
-        return cls(finger, key, first, last, before, until, *jumps, *strikes)
+        return cls(finger, key, first, last, before, until, again, *jumps, *strikes)

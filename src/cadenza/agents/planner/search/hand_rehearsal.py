@@ -122,17 +122,18 @@ class HandRehearsal:
             simulated += len(steps)
             if rollout.cost < best.cost and rollout.mistakes <= max_mistakes:
                 kept, best = ctrl, rollout
-        judged, keys = steps[: self._judged], self._simulator.keys
-        strikes = HorizonStrikes(goals, judged, self._keyboard, keys)
+        seen = steps[: self._judged + 1]  # strikes of the last one judged may be late
+        keys = self._simulator.keys
+        strikes = HorizonStrikes(goals, seen, self._keyboard, keys, self._judged)
         refined = self._refinement.refine(
             kept,
             best,
             strikes,
             self._simulator.fingertip_jacobian,
-            lambda ctrl: self._roll_out(ctrl, tracking, steps, horizon),
+            lambda ctrl: self._roll_out(ctrl[: len(seen)], tracking, seen, horizon),
             self._config.refinements,
         )
-        simulated += refined.rollouts * len(steps)
+        simulated += refined.rollouts * len(seen)
         self._keep(int(steps[0]), refined.ctrl, refined.rollout)
         return simulated
 

@@ -58,8 +58,9 @@ _HALF_LIFE = 1.0  # [s] of a warm start after which it is no longer needed
 # come on top.
 BUDGET_SHARE = 0.4
 _INITIAL_BUDGET = 1.0  # [s] for which it has been saved where a hand follows another trajectory
-REFINED_HORIZON = 4
+REFINED_HORIZON = 5
 """Steps that are simulated to refine what is struck in the first two."""
+_REFINED = 2  # of these steps
 REFINEMENTS = 8
 """Rollouts at most for it, beside one of what was found by search."""
 _MAX_DRIFT = 1e-5  # [m, rad] between the model and the scene, above which the model is reset
@@ -237,7 +238,7 @@ class HandSearch:
         """(H, A) controls whose strikes are refined that begin in this step or the next."""
         inside = steps[: len(self._tracking.ctrl) - self._step][:REFINED_HORIZON]
         every = slice(0, self._keyboard.num_keys)
-        if not len(HorizonStrikes(self._goals, inside[:2], self._keyboard, every)):
+        if not len(HorizonStrikes(self._goals, inside, self._keyboard, every, _REFINED)):
             return ctrl
         horizon = start_rollouts(self._simulator, self._model, self._goals, inside, self._keyboard)
 
@@ -246,7 +247,7 @@ class HandSearch:
             return roll_out(self._simulator, horizon, ctrl)
 
         keys = self._simulator.keys
-        strikes = HorizonStrikes(self._goals, inside[:2], self._keyboard, keys)
+        strikes = HorizonStrikes(self._goals, inside, self._keyboard, keys, _REFINED)
         refined = self._refinement.refine(
             ctrl[: len(inside)],
             simulate(ctrl[: len(inside)]),

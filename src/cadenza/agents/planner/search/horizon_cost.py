@@ -80,11 +80,16 @@ class HorizonCost:
             before: (K,) keys that sounded before the step.
         """
         key_qpos = key_path[-1]
-        sounding = key_qpos >= self._sounds_from
+        on_the_way = key_path >= self._sounds_from
+        sounding = on_the_way[-1]
         wrong = (sounding ^ self._wanted[k]) & self._counts[k]
         num_wrong = int(np.count_nonzero(wrong))
         wrong_onsets = np.where(sounding, self._onset_wrong[k] & ~before, self._onset_due[k])
-        num_onsets = int(np.count_nonzero(wrong_onsets))
+        # An own key may be struck again within the step. That other keys sound for a moment must
+        # not cost, or caught fingers would not come free.
+        onsets = np.count_nonzero((on_the_way[1:] > on_the_way[:-1]) & self._wanted[k], axis=0)
+        again = np.maximum(onsets - (sounding & ~before), 0)
+        num_onsets = int(np.count_nonzero(wrong_onsets) + again.sum())
         depth = np.maximum(self._factor[k] * key_qpos + self._offset[k], 0.0)
         error = (fingertips - self._fingertips[k]) * _AXES
         tips = np.minimum((error * error) @ _ONES, MAX_ERROR**2) @ self._cost_weight[k]

@@ -22,13 +22,16 @@ from cadenza.scene.servos import Servos
 
 _MOST = 30.0  # squared error that counts, in units
 _MISSED = 50.0  # cost of a key that does not sound
+_FAULT = 3.0  # cost of a key or an onset that is wrong, as in `horizon_cost`
 _LOWER = np.array([0.001, 0.003])  # [m] where a key did not sound, more with each iteration
-_STEP = np.array([0.003, 0.008])  # [m] that a step changes the parameters at most
-_RANGE = np.array([0.008, 0.03])  # [m] of the parameters
+_STEP = np.array([0.004, 0.008])  # [m] that a step changes the parameters at most
+_RANGE = np.array([0.02, 0.04])  # [m] of the parameters
 _DAMPING = 1e3  # [1/m^2] of Levenberg and Marquardt, to begin with
 _MORE, _LESS, _LEAST = 3.0, 1 / 3, 0.3  # factors of the damping after a failure, a success; bound
 _STUCK = 20.0  # factor of the damping from which on steps are random too: contacts are not smooth
 _NOISE = np.array([0.0006, 0.002])  # [m] of them
+_THUMB = 0
+_WRIST = 0.5  # weight of the wrist in what a thumb does, compared with its own servos
 _BROYDEN = 0.5  # share of Broyden's update that is taken, as contacts are not smooth
 
 
@@ -49,6 +52,10 @@ class StrikeRefinement:
     def __init__(self, servos: Servos, model: StrikeModel) -> None:
         """Takes the servos of the hand, and the model by which strikes are planned."""
         self._servos, self._model = servos, model
+        lag = servos.damping / servos.stiffness
+        self._ease = servos.noise**2 * np.median(lag) / lag
+        lifts_hand = (servos.finger < 0) & (servos.lift != 0)
+        self._wrist = _WRIST * servos.noise**2 * lifts_hand
 
     def refine(
         self,
@@ -75,7 +82,7 @@ class StrikeRefinement:
         search = _Search(strikes, self._model)
         best, rollouts = (ctrl, rollout), 0
         for iteration in range(iterations + 1):
-            search.update(strikes.outcome(rollout.key_paths))
+            search.update(strikes.outcome(rollout.key_paths), strikes.faults(rollout.key_paths))
             if search.done or iteration == iterations:
                 break
             last = iteration == iterations - 1
@@ -86,11 +93,15 @@ class StrikeRefinement:
         return Refined(*best, rollouts)
 
     def _directions(self, strikes: HorizonStrikes, jacobian: Array) -> Array:
-        """(N, A) changes of the finger's own servos that lower its fingertip by 1 m, the least."""
-        rows = np.arange(len(strikes))
-        own = self._servos.finger == strikes.finger[:, None]
-        down = -jacobian[rows, strikes.finger, 2] * own * self._servos.noise
-        return down * self._servos.noise / (down * down).sum(axis=1, keepdims=True)
+        """(N, A) changes of servos that lower a strike's fingertip by 1 m: small, and soon done.
+
+        They are of the finger's own servos, and for a thumb of the wrist as well: a thumb has
+        little room downwards, and one of its servos is slow.
+        """
+        weight = self._ease * (self._servos.finger == strikes.finger[:, None])
+        weight += self._wrist * (strikes.finger[:, None] == _THUMB)
+        down = -jacobian[np.arange(len(strikes)), strikes.finger, 2]
+        return down * weight / (down * down * weight).sum(axis=1, keepdims=True)
 
     def _applied(
         self, ctrl: Array, strikes: HorizonStrikes, directions: Array, lower: Array
@@ -120,12 +131,18 @@ class _Search:
         self._cost, self._damping = np.full(count, np.inf), np.ones(count)
         self._iteration = 0
 
-    def update(self, outcome: Array) -> None:
-        """Takes the outcome (N, 2) of what was tried last: times, and log2 of speeds."""
+    def update(self, outcome: Array, faults: Array) -> None:
+        """Takes the outcome of what was tried last.
+
+        Args:
+            outcome: (N, 2) times, and log2 of speeds.
+            faults: (N,) keys and onsets near the strikes that are wrong.
+        """
         self._update_jacobian(outcome)
         error = (outcome - self._wanted) / UNIT
         cost = np.minimum(error * error, _MOST) @ WEIGHT
         cost[np.isnan(cost)] = _MISSED
+        cost += _FAULT * faults
         better = cost < self._cost
         self.best[better], self._cost[better] = self._tried[better], cost[better]
         self._outcome[better] = outcome[better]

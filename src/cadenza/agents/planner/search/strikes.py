@@ -20,8 +20,9 @@ WEIGHT = np.array([1.0, 1.5])
 """The cost of these errors, squared."""
 TOLERANCE = np.array([0.003, 0.15])
 """The errors that are good enough, hardly audible [s, octaves]."""
-_MOST = 4.0  # squared error that counts: beyond it an onset is wrong, which costs anyway
-_NOT_STRUCK = np.array([_MOST, 0.0])
+_LARGE = 2.0  # error beyond which the cost grows by 1 for 1: a wrong onset costs anyway
+_NOT_STRUCK = np.array([8.0, 0.0])  # costs, as of an onset that is a control step of 50 ms late
+_AFTER = 3  # steps after that of a strike in which it may be at fault: its finger may bounce off
 _LEAST_SPEED = 0.05  # [rad/s] with which a key that hardly moves counts, for the logarithm
 
 
@@ -31,8 +32,9 @@ def strike_costs(outcome: Array, wanted: Array) -> Array:
     Both are times [s] and log2 of angular speeds [rad/s]. NaN is a key that did not begin to sound,
     which is as late as can be.
     """
-    squared = np.minimum(((outcome - wanted) / UNIT) ** 2, _MOST)
-    return np.where(np.isnan(squared), _NOT_STRUCK, squared) @ WEIGHT
+    error = np.abs(outcome - wanted) / UNIT
+    costs = np.where(error < _LARGE, error * error, _LARGE**2 + error - _LARGE)
+    return np.where(np.isnan(costs), _NOT_STRUCK, costs) @ WEIGHT
 
 
 def as_heard(speed: Array) -> Array:
@@ -52,13 +54,24 @@ class HorizonStrikes:
     """
 
     def __init__(
-        self, goals: HandGoals, steps: NDArray[np.intp], keyboard: Keyboard, keys: slice
+        self,
+        goals: HandGoals,
+        steps: NDArray[np.intp],
+        keyboard: Keyboard,
+        keys: slice,
+        struck: int | None = None,
     ) -> None:
-        """Takes the strikes of `goals` in consecutive steps (H,), of the keys simulated."""
+        """Takes the strikes of `goals` in consecutive steps (H,), of the keys simulated.
+
+        If only the first steps count, `struck` is their number.
+        """
         every, self._dt = goals.strikes, goals.dt
-        rows = np.arange(*np.searchsorted(every.step, [steps[0], steps[-1] + 1]))
+        rows = np.arange(*np.searchsorted(every.step, [steps[0], steps[:struck][-1] + 1]))
         rows = rows[goals.planned[every.step[rows], every.key[rows]]]
         rows = rows[(every.key[rows] >= keys.start) & (every.key[rows] < keys.stop)]
+        self._all_sound_from = keyboard.sounds_from[keys]
+        self._held = goals.keys[steps, keys] & goals.planned[steps, keys]
+        self._wrong, self._onset_wrong = goals.wrong[steps, keys], goals.onset_wrong[steps, keys]
         step, key = every.step[rows], every.key[rows]
         self.step, self._key = step - steps[0], key - keys.start
         self.finger = goals.finger[step, key].astype(np.intp)
@@ -101,6 +114,21 @@ class HorizonStrikes:
                 onsets[:, 0] -= (step - begin) * self._dt
                 outcome[i] = onsets[np.abs(onsets[:, 0] - self.wanted[i, 0]).argmin()]
         return outcome
+
+    def faults(self, key_paths: Sequence[Array]) -> Array:
+        """(N,) the wrong keys and wrong onsets while each strike may be at fault.
+
+        That is from the step before it to some steps after it. A key of the plan that does not
+        sound at the end of a step is wrong there, and so is one that should not and does.
+        """
+        steps = min(len(key_paths), len(self._held))
+        sounding = np.array(key_paths[:steps]) >= self._all_sound_from  # (L, S + 1, K)
+        onsets = np.count_nonzero(sounding[:, 1:] > sounding[:, :-1], axis=1)
+        wrong = np.where(sounding[:, -1], self._wrong[:steps], self._held[:steps])
+        again = np.maximum(onsets - ~self._onset_wrong[:steps], 0)
+        until = np.pad(np.cumsum((wrong + again).sum(axis=1)), (1, 0))
+        last = np.minimum(self.step + _AFTER + 1, steps)
+        return until[last] - until[np.minimum(np.maximum(self.step - 1, 0), last)]
 
 
 def _onsets(key_path: Array, sounds_from: float, substep: float) -> Array:
