@@ -30,6 +30,7 @@ _LONG_AGO = -10.0  # [s]
 _LEAST_HELD = 0.03  # [s] for which a hand holds what it strikes
 _LEAST_LENGTH = 0.05  # [s] of a note that ends early
 _FASTEST_REPETITION = 0.1  # [s]
+_BUSY = 0.2  # [s] after which a hand that strikes again is busy
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,8 @@ class Values:
     """The same for a note of the melody."""
     haste: float = 20.0
     """The cost of a jump that takes all the time there is; with the square of the share."""
+    busy: float = 0.5
+    """The cost of each further note that a hand strikes at once `_BUSY` after others."""
 
 
 class Held(NamedTuple):
@@ -272,8 +275,10 @@ class _HandAtMoment:
             repeats = since < _FASTEST_REPETITION and not set(before.struck).isdisjoint(pitches)
             if repeats or jump > since - _LEAST_HELD:
                 return None
+        cost = self._values.haste * (jump / since) ** 2
+        cost += self._values.busy * (len(struck) - 1) * min(_BUSY / since, 1.0)
         early_ends = tuple(self._early_ends(kept, time - jump))
-        cost = self._values.haste * (jump / since) ** 2 + sum(map(self._early_cost, early_ends))
+        cost += sum(map(self._early_cost, early_ends))
         new = (Held(s.pitch, time, s.source.end, s.source.melody) for s in struck)
         hand = Hand(tuple(sorted((*kept, *new))), pitches, time)
         return Action(hand, struck, early_ends, cost)
