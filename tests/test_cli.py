@@ -584,7 +584,7 @@ def test_notes_without_a_finger_are_told(
 ) -> None:
     low_and_high = Score((Note(0.0, 0.4, 30), Note(0.0, 0.4, 90)))
     write_midi(low_and_high, tmp_path / "far.mid")
-    options = ["--hands", "right", "--no-video", "-o", str(tmp_path)]
+    options = ["--arrange", "off", "--hands", "right", "--no-video", "-o", str(tmp_path)]
     main(["play", str(tmp_path / "far.mid"), *options])
     said = capsys.readouterr().out
     (lost,) = json.loads((tmp_path / "misses.json").read_text())

@@ -80,18 +80,80 @@ def test_info_tells_of_the_tracks_that_are_chosen(
     assert "notes      8" in said
 
 
-def test_who_plays_many_tracks_at_once_is_told_of_the_choice(
+def test_a_song_for_a_band_is_arranged_for_the_hands(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    play = ["play", "etudes/band-7", *QUICK, "--first-seconds", "6", "-o", str(tmp_path)]
+    main(play)
+    said = capsys.readouterr().err
+    assert "etudes/band-7: arranged for the hands: " in said
+    assert "; as written: --arrange off" in said
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["melody_kept"] > 0.9
+    assert 0 < metrics["original_f1"] < 1
+    remarks = json.loads((tmp_path / "settings.json").read_text())["remarks"]
+    assert any("arranged for the hands" in remark for remark in remarks)
+    main([*play, "--arrange", "off"])
+    assert "arranged" not in capsys.readouterr().err
+    assert "melody_kept" not in json.loads((tmp_path / "metrics.json").read_text())
+
+
+def test_music_that_the_hands_can_play_stays_as_it_is_unless_a_level_is_given(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(["play", "MoonlightOpening", *QUICK, "-o", str(tmp_path)])
+    assert "arranged" not in capsys.readouterr().err
+    wanted, written = read_midi(tmp_path / "wanted.mid"), load_song("MoonlightOpening")
+    assert [n.pitch for n in wanted.notes] == [n.pitch for n in written.notes]
+    main(["play", "MoonlightOpening", *QUICK, "--level", "2", "-o", str(tmp_path)])
+    assert "arranged for the hands: " in capsys.readouterr().err
+    easy = read_midi(tmp_path / "wanted.mid")
+    assert 0 < len(easy.notes) < len(written.notes)
+
+
+def test_what_is_too_wide_for_two_hands_is_moved_by_octaves(
     trio: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     main(["play", str(trio), *QUICK, "-o", str(tmp_path)])
     said = capsys.readouterr().err
-    assert "all 3 tracks are played at once" in said
-    assert 'use --reduce melody-bass, or --tracks with some that "cadenza info" lists' in said
-    assert "--reduce melody-bass" in said
-    main(["play", str(trio), *QUICK, "-o", str(tmp_path), "--reduce", "melody-bass"])
-    assert "at once" not in capsys.readouterr().err
-    settings = json.loads((tmp_path / "settings.json").read_text())
-    assert settings["arrangement"]["reduce"] == "melody-bass"
+    assert "melody and bass whole, 100% of the other notes, 4 moved by octaves" in said
+    assert len(read_midi(tmp_path / "wanted.mid").notes) == 12
+
+
+def test_a_song_is_arranged_as_sheet_music(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sheet, midi = tmp_path / "song.musicxml", tmp_path / "song.mid"
+    for path in (sheet, midi):
+        main(["arrange", "etudes/band-7", "--first-seconds", "8", "--level", "5", "-o", str(path)])
+        said = capsys.readouterr().out
+        assert f"{path}: " in said
+        assert "of grade " in said
+    read = load_song(sheet)
+    assert {note.finger.hand for note in read.notes if note.finger} == {0, 1}
+    assert sorted(n.pitch for n in read.notes) == sorted(n.pitch for n in load_song(midi).notes)
+
+
+def test_arrange_has_options_of_the_song_and_of_the_hands(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["arrange", "--help"])
+    said = capsys.readouterr().out
+    assert all(option in said for option in ("--level", "--tracks", "--hands", "--output"))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--level", "0"], "level 0: choose"),
+        (["-o", "song.txt"], "song.txt: an arrangement is a .musicxml or .mid file"),
+    ],
+)
+def test_what_cannot_be_arranged_is_told_in_a_line(
+    options: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert said in refused(capsys, "arrange", "etudes/band-7", *options)
 
 
 def test_a_plan_of_some_tracks_is_replayed_with_them_and_no_others(

@@ -27,6 +27,7 @@ PECULIAR = ("hands", "keyboards")
 COUNTS = {5, 10, 88}
 # Where one of these numbers may stand, and what it counts there.
 ALLOWED = {
+    ("agents/planner/search/hand_search.py", 5): "steps that are simulated",
     ("arranging/likeness.py", 10): "different pitches",
     ("agents/planner/search/hand_rehearsal.py", 5): "rollouts of a rehearsal",
     ("learning/algorithms/generalist/cloning.py", 5): "folds of songs",
@@ -45,7 +46,7 @@ ALLOWED = {
     ("agents/planner/practice/perturbations.py", 10): "the base of the sizes of variations",
     ("cli/dataset.py", 10): "the most noise",
     ("cli/estimate.py", 5): "plain control steps",
-    ("fingering/difficulty.py", 10): "the hardest grade",
+    ("music/arrangement.py", 10): "the hardest grade",
     ("fingering/transitions.py", 5): "kinds of changes",
     ("music/etudes/drills.py", 5): "degrees of a sixth",
     ("music/etudes/library.py", 10): "grades of difficulty; steps a second",

@@ -2,15 +2,11 @@
 
 import mido
 import pytest
-from hypothesis import given
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
-from cadenza.music.arrangement import Arrangement, melody_and_bass, melody_and_bass_tracks
 from cadenza.music.libraries.library import load_score
-from cadenza.music.score import Note, PedalEvent, Score, Track
-from music_strategies import scores
-from players import find_fingering
+from cadenza.music.score import Track
 
 QUARTER = 480
 PARTS = (  # name, channel, program, pitches of 16 quarters, and how many sound at once
@@ -97,56 +93,3 @@ def test_fingers_of_other_tracks_do_no_harm(pop_song):
     pop_song.with_suffix(".fingering").write_text("0 72 4\n0 36 9\n")
     fingers = {n.pitch: n.finger for n in load_score(pop_song, tracks=[1]).notes if n.start == 0}
     assert fingers == {72: Finger(hand=0, index=4)}
-
-
-def test_melody_and_bass_of_a_pop_song(pop_song):
-    score = melody_and_bass(load_score(pop_song, tracks=(1, 2, 3, 5)))
-    assert [note.pitch for note in score.notes] == [36, 72, 43, 74, 45, 76, 41, 77] * 4
-
-
-def notes_of(pitches, length, step):
-    return [Note(i * step, i * step + length, pitch) for i, pitch in enumerate(pitches)]
-
-
-def test_the_melody_is_a_voice_and_not_the_chords_above_it():
-    tune, walk = notes_of([72, 74, 76, 72] * 4, 0.24, 0.25), notes_of([40, 43] * 4, 0.45, 0.5)
-    pads = [Note(t, t + 2, pitch) for t in (0.0, 2.0) for pitch in (76, 79, 83)]
-    fill = notes_of([90, 91], 0.2, 0.3)
-    parts = {1: pads, 2: walk, 3: fill, 5: tune}
-    tracks = {number: Score(tuple(notes)) for number, notes in parts.items()}
-    assert melody_and_bass_tracks(tracks) == (5, 2)
-    assert melody_and_bass_tracks({1: tracks[1], 4: tracks[1], 5: tracks[5]}) == (1, 4, 5)
-
-
-def test_a_song_of_many_tracks_is_reduced_to_two_of_them(pop_song):
-    reduced = Arrangement(reduce="melody-bass").score(str(pop_song))
-    chosen = load_score(pop_song, (1, 2))  # vocals and bass
-    assert reduced.notes == melody_and_bass(chosen).notes
-    assert {note.pitch for note in reduced.notes} == {note.pitch for note in chosen.notes}
-
-
-def test_melody_and_bass_go_on_while_inner_voices_move():
-    long = Note(0.0, 2.0, 76), Note(0.0, 2.0, 40)
-    inner = Note(0.0, 1.0, 60), Note(0.5, 1.0, 64), Note(1.0, 1.5, 62)
-    score = Score((*long, *inner), (PedalEvent(0.0, 127),))
-    assert melody_and_bass(score) == Score(long, score.pedal)
-
-
-def test_a_voice_goes_on_below_a_note_that_is_about_to_end():
-    legato = Score((Note(0.0, 1.03, 76), Note(1.0, 2.0, 74), Note(0.0, 2.0, 40)))
-    ends = [(note.pitch, note.end) for note in melody_and_bass(legato).notes]
-    assert ends == [(40, 2.0), (76, 1.0), (74, 2.0)]
-
-
-@given(scores())
-def test_melody_and_bass_are_at_most_two_notes_at_once_and_playable(score):
-    reduced = melody_and_bass(score)
-    originals = {(note.start, note.pitch): note.end for note in score.notes}
-    for note in reduced.notes:
-        assert note.end <= max(n.end for n in score.notes if n.pitch == note.pitch)
-        assert (note.start, note.pitch) in originals
-        sounding = [n for n in reduced.notes if n.start <= note.start < n.end]
-        assert len(sounding) <= 2
-    assert max(n.pitch for n in reduced.notes) == max(n.pitch for n in score.notes)
-    _, dropped = find_fingering(reduced.without_fingers())
-    assert dropped == ()

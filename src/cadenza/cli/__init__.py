@@ -13,6 +13,7 @@ from io import TextIOWrapper
 from typing import Any, NoReturn, get_args
 
 from cadenza.cli import (
+    arrange,
     bench,
     clone,
     compare,
@@ -39,6 +40,7 @@ from cadenza.registry import module_of
 _COMMANDS: dict[str, Any] = {
     "play": (play.PlayCommand, play.run),
     "plan": (plan.PlanCommand, plan.run),
+    "arrange": (arrange.Arrange, arrange.arrange),
     "studio": (studio.StudioCommand, studio.run),
     "practice": (practice.PracticeCommand, practice.run),
     "compare": (compare.Compare, compare.compare),

@@ -31,7 +31,7 @@ TRAIN = "train:"  # what the name of an agent begins with that is trained first
 
 AGENTS_HELP = (
     'Who plays: a name from "cadenza info", the folder of a policy, or module:Class. By default '
-    "the planner, or the policy whose folder is SONG. --help-all has its options."
+    "the planner, or the policy whose folder is SONG."
 )
 SETUP_HELP = 'Options by one name, such as allegro, see "cadenza info". Others override it.'
 

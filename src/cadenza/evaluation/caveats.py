@@ -14,7 +14,8 @@ _OWN = ("config", "agent_digest")  # what each agent has of its own
 _AS_WRITTEN: dict[str, Any] = {
     "arrangement.first_seconds": None,
     "arrangement.tracks": [],
-    "arrangement.reduce": "off",
+    "arrangement.arrange": "auto",
+    "arrangement.level": None,
     "arrangement.expression": 0.0,
     "task.stretch": 1.0,
     "task.transpose": 0,

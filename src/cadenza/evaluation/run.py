@@ -44,9 +44,11 @@ from cadenza.files import write_json
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.cpu_affinity import claimed_cores
 from cadenza.learning.run_folder import RunFolder
+from cadenza.performing.arranging import arranged_for
 from cadenza.performing.performance import Performance, add_page, perform
 from cadenza.performing.setup import select, set_up
 from cadenza.performing.source import load_song
+from cadenza.scene.scene import build_scene
 from cadenza.tasks.piano_task import PianoTask
 
 
@@ -91,6 +93,8 @@ def _add_page(spec: JobSpec, folder: Path) -> None:
     try:
         check_song(spec)
         score = load_song(spec.song, spec.arrangement)
+        arranged = arranged_for(score, spec.arrangement, build_scene(spec.scene))
+        score = score if arranged is None else arranged.arranged.score
         with closing(PianoTask([score], spec.task, spec.scene)) as task:
             begin_episodes(task, [spec.seed])
             add_page(folder, task.score(0))

@@ -19,9 +19,9 @@ from cadenza.fingering.players import Players
 from cadenza.fingering.search import find_fingering
 from cadenza.fingers import NO_FINGER, SIDES
 from cadenza.hands.reach import Array
+from cadenza.music.arrangement import EASIEST, HARDEST
 from cadenza.music.score import MIDI_PITCHES, Score, chords, is_black
 
-EASIEST, HARDEST = 1, 10
 ODDS = 1.6
 
 _FINGER_TO_FINGER = 12 / 7  # [semitones] between fingers at rest: they lie on white keys

@@ -303,11 +303,14 @@ def perform(
         part = f"{played * result.episode.dt:.1f} of {setup.num_steps * result.episode.dt:.1f} s"
         ended = f"ended after {part}; all of this page is about that part"
         settings = settings | {"remarks": [*settings.get("remarks", ()), ended]}
+    metrics = result.metrics
+    if setup.arrangement is not None:
+        metrics = metrics | setup.arrangement.metrics(result.episode, setup.task.tracks[0])
     return Performance(
         score=setup.score,
         goal=setup.task.score(0),
         episode=result.episode,
-        metrics=result.metrics,
+        metrics=metrics,
         settings=settings,
         scene=setup.task.scene,
         track=None if plan is None else plan.track,

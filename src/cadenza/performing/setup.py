@@ -34,8 +34,10 @@ from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.goals import held_pedal_changes, merged_notes
 from cadenza.music.score import Score
+from cadenza.performing.arranging import HandArrangement, arranged_for
 from cadenza.performing.source import PRACTICE, PRACTISED, Song, Source, resolve
 from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import build_scene
 from cadenza.sim.threads import MOST_THREADS
 from cadenza.tasks.config import TaskConfig, task_identity, with_time_to_begin
 from cadenza.tasks.goal_track import GoalTrack
@@ -111,6 +113,8 @@ class Setup:
     """The options by name, as JSON has them; and `remarks` on what of the song is not played."""
     options: dict[str, Any]
     """The options that have to be the same for a plan to play the same."""
+    arrangement: HandArrangement | None = None
+    """The song as it was arranged for the hands, if it was."""
 
     @property
     def num_steps(self) -> int:
@@ -239,6 +243,9 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
         _check_plan(selection.plan, options, scene)
     settings = _settings(selection)
     looking = partial(progress, "fingers")
+    arranged = _arranged(selection)
+    if arranged is not None:
+        selection = selection.with_score(arranged.arranged.score)
     with (
         closing(PianoTask([selection.score], task, scene, progress=looking)) as piano_task,
         _with_threads(selection.agent, selection.num_threads),
@@ -246,11 +253,24 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
         lost = list(_lost_between_steps(piano_task.tracks[0]))
         for loss in lost:
             warnings.warn(f"{selection.source.name}: {loss}", CadenzaWarning, stacklevel=4)
+        if arranged is not None:
+            warnings.warn(f"{selection.source.name}: {arranged}", CadenzaWarning, stacklevel=4)
+            lost.append(str(arranged))
         if remarks := [*selection.score.remarks, *lost]:
             settings["remarks"] = remarks
         if selection.learnt is not None:
             selection.learnt.check(selection.name, piano_task)
-        yield Setup(selection.score, selection.agent, piano_task, seed, settings, options)
+        score, agent = selection.score, selection.agent
+        yield Setup(score, agent, piano_task, seed, settings, options, arranged)
+
+
+def _arranged(selection: Selection) -> HandArrangement | None:
+    """Arranges a song for the hands, but not one that was learnt or practised as it is."""
+    learnt = selection.learnt is not None and selection.learnt.score is not None
+    if learnt or selection.source.practised is not None:
+        return None
+    scene = build_scene(selection.scene)
+    return arranged_for(selection.score, selection.source.arrangement, scene)
 
 
 def _lost_between_steps(track: GoalTrack) -> Iterator[str]:

@@ -52,12 +52,14 @@ def resolve(song: Song, arrangement: Arrangement | None = None) -> Source:
 
     Args:
         song: see `load_song`, or a score.
-        arrangement: which notes of it; all by default.
+        arrangement: which notes of it; all by default. A score is then played as written.
 
     Raises:
         CadenzaError: there is no such song, or it cannot be read; it is the folder of a policy that
             plays any song, or of practice that was killed before it had a plan.
     """
+    if arrangement is None and isinstance(song, Score):
+        arrangement = Arrangement(arrange="off")
     arrangement = as_config(arrangement, Arrangement)
     if isinstance(song, Score):
         return Source(song.title, song, arrangement)
@@ -97,7 +99,7 @@ def _own_song(folder: Path, name: str, arrangement: Arrangement) -> Source:
     if arrangement.chosen:
         raise CadenzaError(
             f"{name}: plays its song as it was trained or practised; leave out --tracks, "
-            "--reduce, --first-seconds and --expression"
+            "--arrange, --level, --first-seconds and --expression"
         )
     if (path := folder / PRACTISED).is_file():
         plan = load_plan(path)
@@ -122,16 +124,6 @@ def _own_song(folder: Path, name: str, arrangement: Arrangement) -> Source:
 
 
 def _warn_of_repairs(source: Source) -> None:
-    """Warns of what was repaired in a score, and of many tracks at once."""
-    score = source.score
-    for remark in score.remarks:
+    """Warns of what was repaired in a score."""
+    for remark in source.score.remarks:
         warnings.warn(f"{source.name}: {remark}", CadenzaWarning, stacklevel=4)
-    chosen = source.arrangement.tracks or source.arrangement.reduce != "off"
-    if len(score.tracks) > 2 and not chosen:
-        warnings.warn(
-            f"{source.name}: all {len(score.tracks)} tracks are played at once; if that is too "
-            "much for two hands, use --reduce melody-bass, or --tracks with some that "
-            '"cadenza info" lists',
-            CadenzaWarning,
-            stacklevel=4,
-        )
