@@ -25,7 +25,7 @@ class SceneConfig:
     hand: str = "shadow"
     """Kind of hand: shadow, allegro, another that `cadenza info` lists, or module:NAME."""
     hands: Hands = "both"
-    """The hands that play; apart: each in its own scene; none: the piano alone."""
+    """Which hands play; apart: a scene for each; none: the piano alone."""
     reduced_action_space: bool = True
     """Lock the joints that the hand names as such (Shadow, as in the paper: thumb 5 and 1, little
     finger 5)."""
