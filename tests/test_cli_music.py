@@ -86,13 +86,13 @@ def test_a_song_for_a_band_is_arranged_for_the_hands(
     play = ["play", "etudes/band-7", *QUICK, "--first-seconds", "6", "-o", str(tmp_path)]
     main(play)
     said = capsys.readouterr().err
-    assert "etudes/band-7: arranged for the hands: " in said
+    assert "etudes/band-7: arranged for both hands: " in said
     assert "; as written: --arrange off" in said
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert metrics["melody_kept"] > 0.9
     assert 0 < metrics["original_f1"] < 1
     remarks = json.loads((tmp_path / "settings.json").read_text())["remarks"]
-    assert any("arranged for the hands" in remark for remark in remarks)
+    assert any("arranged for both hands" in remark for remark in remarks)
     main([*play, "--arrange", "off"])
     assert "arranged" not in capsys.readouterr().err
     assert "melody_kept" not in json.loads((tmp_path / "metrics.json").read_text())
@@ -106,7 +106,7 @@ def test_music_that_the_hands_can_play_stays_as_it_is_unless_a_level_is_given(
     wanted, written = read_midi(tmp_path / "wanted.mid"), load_song("MoonlightOpening")
     assert [n.pitch for n in wanted.notes] == [n.pitch for n in written.notes]
     main(["play", "MoonlightOpening", *QUICK, "--level", "2", "-o", str(tmp_path)])
-    assert "arranged for the hands: " in capsys.readouterr().err
+    assert "arranged for both hands: " in capsys.readouterr().err
     easy = read_midi(tmp_path / "wanted.mid")
     assert 0 < len(easy.notes) < len(written.notes)
 
@@ -146,7 +146,9 @@ def test_arrange_has_options_of_the_song_and_of_the_hands(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--level", "0"], "level 0: choose"),
+        (["--level", "0"], "level 0: choose 1 to 10"),
+        (["--level", "11"], "level 11: choose 1 to 10"),
+        (["--arrange", "off", "--level", "3"], "as written, a song has no level"),
         (["-o", "song.txt"], "song.txt: an arrangement is a .musicxml or .mid file"),
     ],
 )

@@ -234,7 +234,7 @@ def test_runs_alike_need_no_caveat(bench: Path) -> None:
 def test_music_that_was_changed_is_told(tmp_path: Path) -> None:
     for seed in range(2):
         content = result("a", "planner", seed, {"f1": 0.5}, seconds=200.0)
-        content["job"]["arrangement"] = {"tracks": [], "reduce": "off", "first_seconds": 20.0}
+        content["job"]["arrangement"] = {"tracks": [], "first_seconds": 20.0}
         content["job"]["task"] = {"stretch": 2.0, "transpose": 0}
         write_result(tmp_path, f"run {seed}", content)
     assert caveats(tmp_path) == {

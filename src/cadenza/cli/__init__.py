@@ -40,7 +40,7 @@ from cadenza.registry import module_of
 _COMMANDS: dict[str, Any] = {
     "play": (play.PlayCommand, play.run),
     "plan": (plan.PlanCommand, plan.run),
-    "arrange": (arrange.Arrange, arrange.arrange),
+    "arrange": (arrange.Arrange, arrange.run),
     "studio": (studio.StudioCommand, studio.run),
     "practice": (practice.PracticeCommand, practice.run),
     "compare": (compare.Compare, compare.compare),
@@ -74,6 +74,11 @@ _COMMANDS: dict[str, Any] = {
     ),
 }
 """Name -> the options of a command and what runs it; or what several are for, and those."""
+_DEFAULTS: dict[type, Callable[[Chosen], Any]] = {
+    train.Train: train.default,
+    arrange.Arrange: arrange.default,
+}
+"""Commands whose options have other defaults with `--setup` or `--learner` -> those."""
 _ABOUT = "Two simulated robot hands play the piano from any MIDI file."
 
 
@@ -125,7 +130,7 @@ def _run_command(kind: type, run: Callable[..., None], prog: str, words: list[st
         read = [reader(kind, prog, words, chosen)]
         command = read[0]()
     else:
-        default = train.default(chosen) if kind is train.Train else None
+        default = _DEFAULTS.get(kind, lambda _: None)(chosen)
         command = parse(kind, prog, words, default, chosen)
     with warnings_in_a_line(), quietly(getattr(command, "quiet", False)):
         run(command, *read)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from cadenza.cli.arguments import Output
-from cadenza.cli.saving import check_writable
-from cadenza.errors import CadenzaError
+from cadenza.cli.arguments import Chosen, Output
+from cadenza.cli.options import SETUP_HELP
+from cadenza.cli.saving import check_name, check_writable
 from cadenza.files import folder_name
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.reading import SHEET, name_without_ending
 from cadenza.scene.config import SceneConfig
+from cadenza.tasks.setups import NamedSetup, setup_named
 
 _MIDI = ".mid"
 
@@ -29,31 +30,37 @@ class Arrange:
     song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")]
     """A song by its name, or a MIDI or MusicXML file."""
     output: Output[Path | None] = None
-    """The arrangement, a .musicxml or .mid file; SONG.musicxml by default."""
+    """The arrangement, a .musicxml or .mid file; SONG.musicxml by default. The fingers of a .mid
+    file are written beside it as text, to a file that ends in .fingering."""
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(
         default_factory=lambda: Arrangement(arrange="always")
     )
+    setup: Annotated[str | None, tyro.conf.arg(help=SETUP_HELP)] = None
     scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
 
 
-def arrange(command: Arrange) -> None:
+def default(chosen: Chosen) -> Arrange:
+    """Returns the command's default, with the hands and keys of the setup that is chosen."""
+    setup = NamedSetup() if chosen.setup is None else setup_named(chosen.setup)
+    return Arrange(song=tyro.MISSING_NONPROP, scene=SceneConfig(**setup.of(SceneConfig)))
+
+
+def run(command: Arrange) -> None:
     from cadenza.fingering.search import find_fingering
+    from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
     from cadenza.music.formats.midi import write_midi
     from cadenza.music.formats.musicxml_writing import write_musicxml
-    from cadenza.performing.arranging import arranged_for
+    from cadenza.performing.arranging import arrange
     from cadenza.performing.source import resolve
     from cadenza.scene.scene import build_scene
     from cadenza.tasks.goal_track import players_of
 
     path = command.output or Path(f"{folder_name(name_without_ending(command.song))}{SHEET}")
-    if path.suffix not in (SHEET, _MIDI):
-        raise CadenzaError(f"{path}: an arrangement is a {SHEET} or {_MIDI} file")
+    if path.suffix != _MIDI:
+        check_name(path, SHEET, f"an arrangement is a {SHEET} or {_MIDI} file")
     check_writable(path.parent)
-    arrangement = replace(command.arrangement, arrange="always")
-    source, scene = resolve(command.song, arrangement), build_scene(command.scene)
-    found = arranged_for(source.score, arrangement, scene)
-    if found is None:
-        raise CadenzaError(f"{command.song}: there are no hands to arrange it for")
+    source, scene = resolve(command.song, command.arrangement), build_scene(command.scene)
+    found = arrange(source.score, command.arrangement, scene)
     arranged = found.arranged
     score, _ = find_fingering(arranged.score, players_of(scene))
     if path.suffix == SHEET:
@@ -61,4 +68,8 @@ def arrange(command: Arrange) -> None:
             print(f"{path}: {remark}")
     else:
         write_midi(score, path)
-    print(f"{path}: {len(score.notes)} notes of grade {arranged.grade:.1f}: {arranged.fidelity}")
+        write_fingering(score, path.with_suffix(SUFFIX))
+    print(
+        f"{path}: arranged for {found.hands}, {len(score.notes)} notes of grade "
+        f"{arranged.grade:.1f}: {arranged.fidelity}"
+    )

@@ -104,6 +104,8 @@ def _demonstrator(command: Collect) -> Demonstrator:
     from cadenza.performing.setup import is_policy_folder
 
     agent = command.agent
+    if command.arrangement.asks_for_hands:
+        raise CadenzaError("songs are recorded as written: leave out --arrange and --level")
     if agent in (PLAYBACK, PRETRAINED) or is_policy_folder(agent):
         raise CadenzaError(f"--agent {agent}: does not plan, nor play any song; choose the planner")
     config = command.configs.get(agent)

@@ -122,6 +122,11 @@ def train(command: Train) -> None:
                 raise CadenzaError(
                     f"{command.resume}: a resumed run keeps its own {what}; leave out {options}"
                 )
+    if command.arrangement.asks_for_hands:
+        raise CadenzaError(
+            "songs are learnt as written: write an arrangement with cadenza arrange, and train on "
+            "that; leave out --arrange and --level"
+        )
     if command.num_cores < 1:
         raise CadenzaError(f"num_cores {command.num_cores}: choose 1 or more")
     name = name_without_ending(str(command.song))

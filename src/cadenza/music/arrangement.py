@@ -21,7 +21,7 @@ class Arrangement:
     tracks: tuple[int, ...] = ()
     """Play only these tracks, numbered as in "cadenza info SONG"."""
     arrange: Literal["auto", "always", "off"] = "auto"
-    """Arrange the song for the hands: auto where they cannot play it."""
+    """Arrange the song for the hands: auto where they cannot play it as written."""
     level: int | None = None
     """Arrange the song to a difficulty from 1 to 10."""
     first_seconds: float | None = None
@@ -36,10 +36,13 @@ class Arrangement:
 
         Raises:
             CadenzaError: `first_seconds` is not a positive number, `level`, `expression` or a rule
-                is out of range, or there are rules but no expression.
+                is out of range, there are rules but no expression, or a level but nothing is
+                arranged.
         """
         if self.level is not None:
             whole_number(self.level, "level", EASIEST, HARDEST)
+            if self.arrange == "off":
+                raise CadenzaError("as written, a song has no level: leave out arrange or level")
         check_quantities(self.expression, self.rules)
         if self.rules != ExpressionRules() and not self.expression:
             raise CadenzaError("rules change nothing without expression: give --expression 1, too")
@@ -54,8 +57,8 @@ class Arrangement:
         """
         from cadenza.music.libraries.library import load_score
 
-        # Performed as a whole, as its beginning has no final ritard
-        score = self._performed(load_score(song, self.tracks))
+        whole = load_score(song, self.tracks)
+        score = self._performed(whole)  # before it is cut, as its beginning has no final ritard
         if self.first_seconds is not None:
             score = score.beginning(self.first_seconds)
         music = score.total_time - min((note.start for note in score.notes), default=0.0)
@@ -68,6 +71,11 @@ class Arrangement:
         from cadenza.music.expression import performed
 
         return performed(score, self.expression, self.rules)
+
+    @property
+    def asks_for_hands(self) -> bool:
+        """Whether the song is to be arranged for the hands even if they can play it as written."""
+        return self.arrange == "always" or self.level is not None
 
     @property
     def chosen(self) -> bool:

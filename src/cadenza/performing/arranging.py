@@ -8,8 +8,9 @@ from typing import Any
 
 from cadenza.arranging.arranger import Arranged, Arranger
 from cadenza.episode import Episode
-from cadenza.fingering.search import find_fingering
-from cadenza.music.arrangement import Arrangement
+from cadenza.errors import CadenzaError
+from cadenza.fingering.playable import playable
+from cadenza.music.arrangement import HARDEST, Arrangement
 from cadenza.music.expressive_metrics import expressive_metrics
 from cadenza.music.metrics import step_metrics
 from cadenza.music.performance import played_in
@@ -20,6 +21,7 @@ from cadenza.tasks.goal_track import GoalTrack, players_of
 _MOST_LEFT_OUT = 0.1  # share of the notes that hands may leave out of music for one instrument
 _MOST_LEFT_OUT_OF_SEVERAL = 0.01  # the same of music for several
 _TWO_HANDS = 2  # tracks of one player
+_KEYBOARDS = "piano", "organ", "harpsichord", "clavinet", "celesta", "keyboard"
 
 
 @dataclass(frozen=True)
@@ -27,11 +29,16 @@ class HandArrangement:
     """A song as it was arranged for hands, and the song itself."""
 
     original: Score
+    """The song with all of its notes."""
     arranged: Arranged
+    """What the hands play."""
+    hands: str
+    """Whose hands, in words."""
 
     def __str__(self) -> str:
         """What was done, in words."""
-        return f"arranged for the hands: {self.arranged.fidelity}; as written: --arrange off"
+        fidelity = self.arranged.fidelity
+        return f"arranged for {self.hands}: {fidelity}; as written: --arrange off"
 
     def metrics(self, episode: Episode, track: GoalTrack) -> dict[str, Any]:
         """Metrics of the arrangement, and of what was played against the original.
@@ -68,22 +75,40 @@ class HandArrangement:
 def arranged_for(score: Score, arrangement: Arrangement, scene: Scene) -> HandArrangement | None:
     """The arrangement of a song for the hands of a scene; None if it is to be played as written.
 
-    That is so with `arrange="off"`, and with "auto" where the hands leave out few notes.
+    That is so with `arrange="off"`, and with "auto" and no level where the hands leave out few
+    notes: 1 % of music for several instruments, 10 % of other music.
     """
     if arrangement.arrange == "off" or not scene.sides or not score.notes:
         return None
-    wanted = arrangement.arrange == "always" or arrangement.level is not None
-    if not wanted and _is_playable(score, scene):
+    if not arrangement.asks_for_hands and _is_playable(score, scene):
         return None
-    arranger = Arranger(players_of(scene), scene.hand.jump_times)
-    if arrangement.level is None:
-        return HandArrangement(score, arranger.arrange(score))
-    return HandArrangement(score, arranger.arrange(score, float(arrangement.level)))
+    return arrange(score, arrangement, scene)
+
+
+def arrange(score: Score, arrangement: Arrangement, scene: Scene) -> HandArrangement:
+    """The arrangement of a song for the hands of a scene, as hard as its level.
+
+    Raises:
+        CadenzaError: the scene has no hands.
+    """
+    if not scene.sides:
+        raise CadenzaError("without hands, nothing can be arranged: choose --hands both")
+    players = players_of(scene)
+    grade = HARDEST if arrangement.level is None else arrangement.level
+    arranged = Arranger(players, scene.hand.jump_times).arrange(score, grade)
+    return HandArrangement(score, arranged, players.description)
 
 
 def _is_playable(score: Score, scene: Scene) -> bool:
     """Whether hands leave out few notes of a song."""
-    several = len({number for note in score.notes for number in note.tracks}) > _TWO_HANDS
-    most = _MOST_LEFT_OUT_OF_SEVERAL if several else _MOST_LEFT_OUT
-    _, dropped = find_fingering(score, players_of(scene))
-    return len(dropped) <= most * len(score.notes)
+    most = _MOST_LEFT_OUT_OF_SEVERAL if _is_for_several(score) else _MOST_LEFT_OUT
+    left_out = playable(score.without_fingers(), players_of(scene)).reasons
+    return len(left_out) <= most * len(score.notes)
+
+
+def _is_for_several(score: Score) -> bool:
+    """Whether several instruments play a song, not the two staves of a piano."""
+    playing = {number for note in score.notes for number in note.tracks}
+    names = [track.instrument.lower() for track in score.tracks if track.number in playing]
+    others = [name for name in names if not any(word in name for word in _KEYBOARDS)]
+    return len(names) > _TWO_HANDS or len(others) > 1

@@ -37,7 +37,7 @@ from cadenza.music.score import Score
 from cadenza.performing.arranging import HandArrangement, arranged_for
 from cadenza.performing.source import PRACTICE, PRACTISED, Song, Source, resolve
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import build_scene
+from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.threads import MOST_THREADS
 from cadenza.tasks.config import TaskConfig, task_identity, with_time_to_begin
 from cadenza.tasks.goal_track import GoalTrack
@@ -243,11 +243,12 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
         _check_plan(selection.plan, options, scene)
     settings = _settings(selection)
     looking = partial(progress, "fingers")
-    arranged = _arranged(selection)
+    built = build_scene(scene)
+    arranged = _arranged(selection, built)
     if arranged is not None:
         selection = selection.with_score(arranged.arranged.score)
     with (
-        closing(PianoTask([selection.score], task, scene, progress=looking)) as piano_task,
+        closing(PianoTask([selection.score], task, built, progress=looking)) as piano_task,
         _with_threads(selection.agent, selection.num_threads),
     ):
         lost = list(_lost_between_steps(piano_task.tracks[0]))
@@ -264,13 +265,14 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
         yield Setup(score, agent, piano_task, seed, settings, options, arranged)
 
 
-def _arranged(selection: Selection) -> HandArrangement | None:
+def _arranged(selection: Selection, scene: Scene) -> HandArrangement | None:
     """Arranges a song for the hands, but not one that was learnt or practised as it is."""
-    learnt = selection.learnt is not None and selection.learnt.score is not None
-    if learnt or selection.source.practised is not None:
+    learnt, arrangement = selection.learnt, selection.source.arrangement
+    if selection.source.practised is not None:
         return None
-    scene = build_scene(selection.scene)
-    return arranged_for(selection.score, selection.source.arrangement, scene)
+    if learnt is not None and learnt.score is not None and learnt.has_learnt(selection.score):
+        return None
+    return arranged_for(selection.score, arrangement, scene)
 
 
 def _lost_between_steps(track: GoalTrack) -> Iterator[str]:

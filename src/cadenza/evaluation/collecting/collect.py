@@ -141,7 +141,8 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
     check_song(spec)
     seed, rng = _randomness(spec)
     configs = {spec.agent: spec.config}
-    selection = select(spec.song, spec.agent, arrangement=spec.arrangement, configs=configs)
+    as_written = replace(spec.arrangement, arrange="off", level=None)
+    selection = select(spec.song, spec.agent, arrangement=as_written, configs=configs)
     song = selection.score
     if not selection.agent.keeps_fingering:  # so that the task finds the same as the agent
         song = song.without_fingers()
