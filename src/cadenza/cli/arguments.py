@@ -72,7 +72,7 @@ Quiet = Annotated[
 """The option of all commands that show their progress."""
 
 COMMON: dict[type, tuple[str, ...]] = {
-    Arrangement: ("tracks", "arrange", "level", "expression"),
+    Arrangement: ("tracks", "level", "expression"),
     TaskConfig: ("stretch", "transpose"),
     SceneConfig: ("hands",),
     Execution: ("retry", "jobs", "executor"),

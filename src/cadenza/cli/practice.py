@@ -36,8 +36,7 @@ _LATE = 0.999  # of a step, so that a bar that begins within it has begun
 class PracticeCommand(Performing):
     """Practise a song: play it, go back to what fails, and keep what is better.
 
-    Ctrl-C ends practice and keeps the best so far. The same command continues it, and so does
-    "cadenza practice FOLDER"; "cadenza play FOLDER" plays the result.
+    Ctrl-C keeps the best so far; the same command goes on. "cadenza play FOLDER" plays it.
 
     Example: cadenza practice FurEliseOpening -o elise --minutes 5
     """
@@ -45,8 +44,7 @@ class PracticeCommand(Performing):
     output: Output[Path | None] = None
     """Folder of practice and its results; played/SONG/practised by default."""
     effort: float | None = None
-    """Practise up to this effort in all, 8 by default. 1 is 100 simulated control steps for each
-    control step and hand. The same effort gives the same result."""
+    """Effort in all, 8 by default; 1 is 100 simulated steps for each step and hand."""
     minutes: float | None = None
     """Practise for so many minutes instead."""
     seed: int = 0
