@@ -543,6 +543,7 @@ def test_what_was_practised_is_scored_and_explained_alike_when_it_is_played(
     folder, out = tmp_path / "practised", tmp_path / "out"
     practise = ["play", "--planner.effort"] if by_play else ["practice", "--effort"]
     options = ["--hands", "right", "--planner.method", "none", "--no-video", "-o", str(folder)]
+    options += ["--arrange", "off"]
     main([*practise, "0.1", str(tmp_path / "apart.mid"), *options])
     said = capsys.readouterr().out
     main(["play", str(folder), "--no-video", "-o", str(out)])

@@ -90,7 +90,8 @@ def test_a_key_comes_up_before_it_is_struck_again(kind: str, difficulty: int, se
 def test_the_same_seed_gives_the_same_etude(kind: str, difficulty: int, seed: int) -> None:
     score = make_etude(kind, difficulty, seed)
     assert score == make_etude(kind, difficulty, seed)
-    assert score.notes != make_etude(kind, difficulty, seed + 1).notes
+    others = (make_etude(kind, difficulty, seed + more).notes for more in range(1, 5))
+    assert any(score.notes != notes for notes in others)  # two may be alike by chance
 
 
 def test_etudes_are_the_same_on_every_machine() -> None:

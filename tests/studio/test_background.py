@@ -248,9 +248,10 @@ def test_a_run_that_ends_by_itself_says_why(
     async def run() -> None:
         runs = TrainingRuns(tmp_path / "runs")
         await runs.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
-        while runs.runs()[0]["state"] == "learning":
+        while not runs.runs()[0]["error"]:
             await asyncio.sleep(0.01)
         assert runs.runs()[0]["error"].startswith(error)
+        assert runs.runs()[0]["state"] != "learning"
 
     asyncio.run(asyncio.wait_for(run(), 60))
 

@@ -52,12 +52,14 @@ def resolve(song: Song, arrangement: Arrangement | None = None) -> Source:
 
     Args:
         song: see `load_song`, or a score.
-        arrangement: which notes of it; all by default.
+        arrangement: which notes of it; all by default. A score is then played as written.
 
     Raises:
         CadenzaError: there is no such song, or it cannot be read; it is the folder of a policy that
             plays any song, or of practice that was killed before it had a plan.
     """
+    if arrangement is None and isinstance(song, Score):
+        arrangement = Arrangement(arrange="off")
     arrangement = as_config(arrangement, Arrangement)
     if isinstance(song, Score):
         return Source(song.title, song, arrangement)
