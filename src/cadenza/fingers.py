@@ -14,6 +14,8 @@ from cadenza.errors import CadenzaError
 Side = Literal["right", "left"]
 SIDES: tuple[Side, ...] = ("right", "left")
 """Sides in the order of fingers, joints and actions."""
+RIGHT, LEFT = range(len(SIDES))
+"""The numbers of the hands, as `Finger.hand` has them."""
 
 NO_FINGER = -1
 """The number in arrays for no finger, or an unknown one."""

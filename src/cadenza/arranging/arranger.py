@@ -7,18 +7,18 @@ from dataclasses import dataclass, replace
 
 from cadenza.arranging.fidelity import NOTHING_LOST, Fidelity, fidelity_of
 from cadenza.arranging.lengths import held_as_possible
-from cadenza.arranging.moments import beats_of, merged, moments_of
-from cadenza.arranging.one_hand import LEFT, RIGHT, OneHand
+from cadenza.arranging.moments import SHORTEST, beats_of, merged, moments_of
+from cadenza.arranging.one_hand import OneHand
 from cadenza.arranging.parts import parts_of
 from cadenza.arranging.reduction import EarlyEnd, Struck, Values, reduced
 from cadenza.fingering.difficulty import EASIEST, FITTED, HARDEST, features_of
 from cadenza.fingering.players import Players
 from cadenza.fingering.search import find_fingering
+from cadenza.fingers import LEFT, RIGHT
 from cadenza.hands.reach import JumpTimes
 from cadenza.music.score import Note, Score
 
 _SOFTER = 0.85  # of the velocity of the harmony, so that the melody is heard above it
-_SHORTEST = 0.05  # [s] of a note
 # Costs of a note of the harmony that are tried, one after the other, until it is easy enough.
 _COSTS = 0.0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 3.0
 
@@ -54,8 +54,8 @@ class Arranger:
         """
         if not score.notes:
             return Arranged(score, NOTHING_LOST, EASIEST)
-        parts, beats = parts_of(score), beats_of(score)
-        song, moments = merged(parts), moments_of(parts, beats)
+        song, beats = merged(parts_of(score)), beats_of(score)
+        moments = moments_of(song, beats)
         for cost in _COSTS:
             struck, early_ends = reduced(moments, self._hands, Values(note=cost))
             fingered, _ = find_fingering(_score(score, struck, early_ends), self._players)
@@ -82,7 +82,7 @@ def _score(score: Score, struck: Iterable[Struck], early_ends: Sequence[EarlyEnd
         end = min(source.end, ends.get((each.time, each.pitch), source.end))
         softer = _SOFTER if not source.melody and not source.bass else 1.0
         velocity = max(round(softer * source.velocity), 1)
-        note = Note(source.start, max(end, source.start + _SHORTEST), each.pitch, velocity)
+        note = Note(source.start, max(end, source.start + SHORTEST), each.pitch, velocity)
         same = by_pitch.setdefault(each.pitch, [])
         if same and same[-1].end > note.start:
             same[-1] = replace(same[-1], end=note.start)

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from cadenza.arranging.moments import TOGETHER, Source
 from cadenza.arranging.reduction import Struck
-from cadenza.music.score import Note, Score
-
-_PITCH_CLASSES = 12
+from cadenza.music.score import OCTAVE, Note, Score
 
 
 @dataclass(frozen=True)
@@ -86,9 +84,9 @@ def _pitch_classes(
     notes: Iterable[Source] | Iterable[Note], beats: Sequence[float]
 ) -> NDArray[np.bool_]:
     """(B, 12) the pitch classes that sound in each beat."""
-    table = np.zeros((len(beats), _PITCH_CLASSES), bool)
+    table = np.zeros((len(beats), OCTAVE), bool)
     for note in notes:
         first = max(bisect_right(beats, note.start + TOGETHER) - 1, 0)
         end = max(bisect_right(beats, note.end - TOGETHER), first + 1)
-        table[first:end, note.pitch % _PITCH_CLASSES] = True
+        table[first:end, note.pitch % OCTAVE] = True
     return table

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-from cadenza.arranging.moments import TOGETHER
+from cadenza.arranging.moments import SHORTEST, TOGETHER
 from cadenza.fingering.players import Players
 from cadenza.fingers import SIDES, Finger
 from cadenza.hands.reach import JumpTimes
-from cadenza.music.score import Note, Score, is_black
+from cadenza.music.score import Note, Score, chords, is_black
 
 _RISE = 0.05  # [s] in which a finger gets off its key
 _SPARE = 0.05  # [s] since planners release notes on control steps
 _LONGEST_JUMP = 1.0  # [s]
-_SHORTEST = 0.05  # [s] of a note
 
 
 def held_as_possible(score: Score, players: Players, times: JumpTimes) -> Score:
@@ -32,27 +31,19 @@ def held_as_possible(score: Score, players: Players, times: JumpTimes) -> Score:
     notes = list(score.notes)
     for hand in range(len(SIDES)):
         mine = [i for i, n in enumerate(notes) if n.finger is not None and n.finger.hand == hand]
-        _end_for_jumps(notes, list(_chords(notes, mine)), hand, players, times)
+        struck = list(chords(mine, TOGETHER, lambda i: notes[i].start))
+        _end_for_jumps(notes, struck, hand, players, times)
         _end_for_other_keys(notes, mine, times)
     return replace(score, notes=tuple(notes))
 
 
-def _chords(notes: Sequence[Note], mine: Sequence[int]) -> Iterator[list[int]]:
-    """Yields the notes that a hand strikes together, by their indices."""
-    chord: list[int] = []
-    for i in mine:
-        if chord and notes[i].start > notes[chord[0]].start + TOGETHER:
-            yield chord
-            chord = []
-        chord.append(i)
-    if chord:
-        yield chord
-
-
 def _end_for_jumps(
-    notes: list[Note], chords: Sequence[list[int]], hand: int, players: Players, times: JumpTimes
+    notes: list[Note], struck: Sequence[list[int]], hand: int, players: Players, times: JumpTimes
 ) -> None:
-    """Ends notes whose hand is to strike what it does not reach from there."""
+    """Ends notes whose hand is to strike what it does not reach from there.
+
+    `struck` are the indices of the notes that it strikes together.
+    """
     y, reach = players.key_y(hand), players.reach
     key = [note.pitch - players.keyboard.lowest_pitch for note in notes]
     finger = [_index(note.finger) for note in notes]
@@ -68,7 +59,7 @@ def _end_for_jumps(
         return bool(reach.spans(finger[i], finger[j], y[key[j]] - y[key[i]]))
 
     held: list[int] = []
-    for chord, after in pairwise(chords):
+    for chord, after in pairwise(struck):
         begins = notes[after[0]].start
         held = [i for i in (*held, *chord) if notes[i].end > begins - _LONGEST_JUMP]
         for i in held:
@@ -99,4 +90,4 @@ def _end(notes: list[Note], i: int, time: float) -> None:
     """Ends a note at a time, if it is later, but not before it has been heard."""
     note = notes[i]
     if note.end > time:
-        notes[i] = replace(note, end=max(time, min(note.start + _SHORTEST, note.end)))
+        notes[i] = replace(note, end=max(time, min(note.start + SHORTEST, note.end)))

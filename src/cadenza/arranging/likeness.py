@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.score import CHORD_TOLERANCE, Note, chords
+from cadenza.music.score import CHORD_TOLERANCE, OCTAVE, Note, chords
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,6 @@ _PITCHES = 4, 10  # different pitches: few, and many
 _GAPS = 6  # different gaps that are many
 _TOGETHER = 0.8  # share of the notes of two lines that begin together, if one follows the other
 _PHRASE = 1.0  # [s] between the notes of a phrase
-_OCTAVE = 12
 
 
 class Line(NamedTuple):
@@ -103,7 +102,7 @@ class Line(NamedTuple):
         likeness += _LOUD * (self.velocity.mean() - loudness) / _LOUDER
         likeness -= _OSTINATO * _excess(self.again.mean())
         beyond = abs(float(np.median(self.pitch)) - _VOICE) - _COMFORTABLE
-        likeness -= _HIGH * max(beyond, 0.0) / _OCTAVE
+        likeness -= _HIGH * max(beyond, 0.0) / OCTAVE
         return float(likeness) + (self._motion() if len(self.start) > 1 else 0.0)
 
     def _motion(self) -> float:

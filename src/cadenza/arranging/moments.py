@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from cadenza.arranging.parts import Part, Role
-from cadenza.music.score import MIDI_PITCHES, Score
+from cadenza.music.score import MIDI_PITCHES, Score, chords
 
 TOGETHER = 0.04
 """Time within which notes begin at one moment [s]: people in a band are less exact than one."""
+SHORTEST = 0.05
+"""The least length of a note that ends early [s]."""
 _USUAL_BEAT = 0.5  # [s] where a song has no bars
 _LATE = 0.15  # [s] before its end a note is not worth striking again
 
@@ -37,11 +38,11 @@ class Moment(NamedTuple):
     time: float
     begins_beat: bool
     melody: tuple[Source, ...]
-    """From the highest on."""
+    """The notes of the melody, the highest first."""
     bass: tuple[Source, ...]
-    """From the lowest on."""
+    """The notes of the bass, the lowest first."""
     harmony: tuple[Source, ...]
-    """The most important first."""
+    """The other notes, the most important first."""
     ceiling: int
     """The highest pitch to which notes may be moved: that of the melody."""
     floor: int
@@ -58,13 +59,12 @@ def beats_of(score: Score) -> list[float]:
     return [min(beats[0], 0.0), *beats[1:], *np.arange(beats[-1] + beat, end + beat, beat).tolist()]
 
 
-def moments_of(parts: Sequence[Part], beats: Sequence[float]) -> list[Moment]:
-    """The moments of a song, in order."""
-    notes = merged(parts)
+def moments_of(notes: Sequence[Source], beats: Sequence[float]) -> list[Moment]:
+    """The moments of a song with these notes, in order."""
     melody = _Voice([note for note in notes if note.melody])
     bass = _Voice([note for note in notes if note.bass])
     moments, beat_before = [], -1
-    for group in _groups(sorted([*notes, *_struck_again(notes, beats)], key=_start)):
+    for group in chords(sorted([*notes, *_struck_again(notes, beats)], key=_start), TOGETHER):
         time = group[0].start
         beat = bisect_right(beats, time + TOGETHER) - 1
         inner = [note for note in group if not note.melody and not note.bass]
@@ -132,16 +132,6 @@ def _struck_again(notes: Sequence[Source], beats: Sequence[float]) -> Iterator[S
             first = bisect_right(beats, note.start + TOGETHER)
             for beat in beats[first : bisect_right(beats, note.end - _LATE)]:
                 yield note._replace(start=beat, added=True)
-
-
-def _groups(notes: Sequence[Source]) -> Iterator[list[Source]]:
-    """Yields groups of notes by time, which begin together."""
-    begins = [0]
-    for i, note in enumerate(notes):
-        if note.start > notes[begins[-1]].start + TOGETHER:
-            begins.append(i)
-    for begin, end in pairwise([*begins, len(notes)]):
-        yield list(notes[begin:end])
 
 
 def _start(note: Source) -> tuple[float, int]:

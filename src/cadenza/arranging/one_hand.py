@@ -6,10 +6,8 @@ from functools import cache
 from itertools import combinations
 
 from cadenza.fingering.players import Players
-from cadenza.fingers import SIDES
+from cadenza.fingers import RIGHT
 from cadenza.hands.reach import JumpTimes
-
-RIGHT, LEFT = range(len(SIDES))
 
 
 class OneHand:

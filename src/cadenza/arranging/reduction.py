@@ -18,17 +18,16 @@ from heapq import nsmallest
 from itertools import product
 from typing import NamedTuple
 
-from cadenza.arranging.moments import Moment, Source
-from cadenza.arranging.one_hand import LEFT, RIGHT, OneHand
-from cadenza.music.score import RELEASE_TIME
+from cadenza.arranging.moments import SHORTEST, Moment, Source
+from cadenza.arranging.one_hand import OneHand
+from cadenza.fingers import LEFT, RIGHT
+from cadenza.music.score import OCTAVE, RELEASE_TIME
 
 _BEAM = 6  # states that are kept; more cost time and change little
 _MOST_HARMONY = 3  # notes that a hand adds to melody or bass
-_OCTAVE = 12
-_SHIFTS = 0, -_OCTAVE, _OCTAVE, -2 * _OCTAVE, 2 * _OCTAVE
+_SHIFTS = 0, -OCTAVE, OCTAVE, -2 * OCTAVE, 2 * OCTAVE
 _LONG_AGO = -10.0  # [s]
 _LEAST_HELD = 0.03  # [s] for which a hand holds what it strikes
-_LEAST_LENGTH = 0.05  # [s] of a note that ends early
 _FASTEST_REPETITION = 0.1  # [s]
 _BUSY = 0.2  # [s] after which a hand that strikes again is busy
 
@@ -161,7 +160,7 @@ def _successors(
         now, value = classes, 0.0
         for struck in (*right.struck, *left.struck):
             value += _value(struck, now, values)
-            now |= 1 << struck.pitch % _OCTAVE
+            now |= 1 << struck.pitch % OCTAVE
         cost = state.cost - value + right.cost + left.cost
         yield State(cost, (right.hand, left.hand), now, (right, left), state)
 
@@ -180,13 +179,13 @@ def _collide(right: Action, left: Action) -> bool:
 
 def _value(struck: Struck, classes: int, values: Values) -> float:
     """What a note is worth that is struck when these pitch classes have sounded."""
-    note, moved = struck.source, abs(struck.pitch - struck.source.pitch) // _OCTAVE
+    note, moved = struck.source, abs(struck.pitch - struck.source.pitch) // OCTAVE
     if note.melody:
         return values.melody
     if note.bass:
         return values.moved_bass if moved else values.bass
     value = -values.note - values.octave * moved
-    if not classes >> struck.pitch % _OCTAVE & 1:
+    if not classes >> struck.pitch % OCTAVE & 1:
         return value + values.new
     return value - values.new if moved or note.added else value + values.again
 
@@ -194,7 +193,7 @@ def _value(struck: Struck, classes: int, values: Values) -> float:
 def _bits(pitches: Iterator[int]) -> int:
     bits = 0
     for pitch in pitches:
-        bits |= 1 << pitch % _OCTAVE
+        bits |= 1 << pitch % OCTAVE
     return bits
 
 
@@ -226,7 +225,7 @@ class _HandAtMoment:
         if len(own) > 1:
             bases.append(tuple(own))
         if own and self._hand == LEFT:
-            bases.append((self._strike(self._own[0], _OCTAVE),))
+            bases.append((self._strike(self._own[0], OCTAVE),))
         for base in bases:
             yield from self._with_harmony(base)
 
@@ -277,8 +276,9 @@ class _HandAtMoment:
                 return None
         cost = self._values.haste * (jump / since) ** 2
         cost += self._values.busy * (len(struck) - 1) * min(_BUSY / since, 1.0)
-        early_ends = tuple(self._early_ends(kept, time - jump))
-        cost += sum(map(self._early_cost, early_ends))
+        early = list(self._left_early(kept, time - jump))
+        cost += sum(self._early_cost(held, end) for held, end in early)
+        early_ends = tuple(EarlyEnd(held.start, held.pitch, end) for held, end in early)
         new = (Held(s.pitch, time, s.source.end, s.source.melody) for s in struck)
         hand = Hand(tuple(sorted((*kept, *new))), pitches, time)
         return Action(hand, struck, early_ends, cost)
@@ -290,13 +290,13 @@ class _HandAtMoment:
             kept.remove(min(kept, key=lambda held: (held.melody, held.end)))
         return kept
 
-    def _early_ends(self, kept: list[Held], leave: float) -> Iterator[EarlyEnd]:
-        """Yields the notes that are not kept, if the hand leaves them before they are over."""
+    def _left_early(self, kept: list[Held], leave: float) -> Iterator[tuple[Held, float]]:
+        """Yields keys that are not kept and that the hand leaves too early, and when it does."""
         for held in self._before.held:
             if held not in kept and held.end > leave:
-                yield EarlyEnd(held.start, held.pitch, max(leave, held.start + _LEAST_LENGTH))
+                yield held, max(leave, held.start + SHORTEST)
 
-    def _early_cost(self, early: EarlyEnd) -> float:
-        held = next(h for h in self._before.held if (h.start, h.pitch) == early[:2])
+    def _early_cost(self, held: Held, end: float) -> float:
+        """The cost of leaving a key before its note is over."""
         weight = self._values.early_melody if held.melody else self._values.early
-        return weight * max(held.end - early.end, 0.0) / (held.end - held.start)
+        return weight * max(held.end - end, 0.0) / (held.end - held.start)

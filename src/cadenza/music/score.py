@@ -7,16 +7,22 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from numbers import Integral, Real
+from operator import attrgetter
 from pathlib import Path
+from typing import TypeVar
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
+
+_N = TypeVar("_N")
 
 NUM_KEYS = 88
 LOWEST_PITCH = 21  # MIDI number of A0, key 0
 HIGHEST_PITCH = LOWEST_PITCH + NUM_KEYS - 1
 PITCHES = range(LOWEST_PITCH, HIGHEST_PITCH + 1)
 MIDI_PITCHES = range(128)
+OCTAVE = 12
+"""The semitones of an octave."""
 MIRROR = 124  # sum of a pitch and its mirror image: twice D4, about which black keys are symmetric
 MAX_SECONDS = 3600.0  # a longer song is taken for a mistake
 CHORD_TOLERANCE = 0.03  # [s] within which notes begin together
@@ -270,11 +276,21 @@ class Score:
         return replace(self, notes=notes, pedal=pedal, bars=bars)
 
 
-def chords(notes: Iterable[Note]) -> Iterator[list[Note]]:
-    """Yields groups of `notes` by time, which begin within `CHORD_TOLERANCE` of the first."""
-    chord: list[Note] = []
+def chords(
+    notes: Iterable[_N],
+    within: float = CHORD_TOLERANCE,
+    start: Callable[[_N], float] = attrgetter("start"),
+) -> Iterator[list[_N]]:
+    """Yields groups of notes by time, which begin within some time of the first of them.
+
+    Args:
+        notes: notes in order of time, or what stands for them.
+        within: that time [s].
+        start: when a note begins [s].
+    """
+    chord: list[_N] = []
     for note in notes:
-        if chord and note.start > chord[0].start + CHORD_TOLERANCE:
+        if chord and start(note) > start(chord[0]) + within:
             yield chord
             chord = []
         chord.append(note)

@@ -11,9 +11,9 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cadenza.files import write_atomically
+from cadenza.fingers import RIGHT
 from cadenza.music.formats.musicxml_marks import FORTE
 from cadenza.music.formats.titles import printable
-from cadenza.music.notation.hands import RIGHT
 from cadenza.music.notation.marks import PedalMark, Tempo
 from cadenza.music.notation.metre import QUARTER
 from cadenza.music.notation.note_values import TYPES

@@ -1,4 +1,7 @@
-"""The staff of each note: that of the hand of its finger, or else one by pitch."""
+"""The staff of each note: that of the hand of its finger, or else one by pitch.
+
+The upper staff and the lower one are numbered as hands are, `RIGHT` and `LEFT`.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cadenza.fingers import LEFT, RIGHT
 from cadenza.music.score import Note, chords
 
-RIGHT, LEFT = 0, 1
-"""The upper and the lower staff, numbered as hands are."""
 _SPLITS = np.arange(43, 80)  # lowest pitch of the right hand, G2 to G5
 _MIDDLE = 60  # the usual split, C4
 _SPAN = 12  # semitones that a hand plays at once with ease

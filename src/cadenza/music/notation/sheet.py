@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from cadenza.errors import CadenzaError
-from cadenza.music.notation.hands import LEFT, RIGHT, staves
+from cadenza.fingers import LEFT, RIGHT
+from cadenza.music.notation.hands import staves
 from cadenza.music.notation.marks import (
     BASS,
     TREBLE,
