@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import tyro
@@ -22,6 +22,9 @@ from cadenza.learning.algorithms.generalist.config import (
 )
 from cadenza.music.libraries.library import load_score, open_library
 from cadenza.music.score import Score
+
+if TYPE_CHECKING:
+    from cadenza.learning.algorithms.generalist.excerpt_run import ExcerptRun
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,18 @@ class CloneGeneralist(RecordedParts):
 
 
 @dataclass(frozen=True)
-class ReinforceGeneralist:
+class _OverSongs:
+    """The options of training over the songs of a library."""
+
+    songs: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="LIBRARY")]
+    """The library, or a split of it as LIBRARY:SPLIT."""
+    weights: Path | None = None
+    """File of the networks to begin with; by default, those that come with Cadenza."""
+    quiet: Quiet = False
+
+
+@dataclass(frozen=True)
+class ReinforceGeneralist(_OverSongs):
     """Improve networks by reinforcement learning over the songs of a library.
 
     Ctrl-C stops it. The same command continues it.
@@ -55,20 +69,15 @@ class ReinforceGeneralist:
     Example: cadenza generalist reinforce LIBRARY:train --weights trained/weights.npz -o reinforced
     """
 
-    songs: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="LIBRARY")]
-    """The library, or a split of it as LIBRARY:SPLIT."""
-    weights: Path | None = None
-    """File of the networks to improve; by default, those that come with Cadenza."""
     output: Output[Path] = Path("runs/reinforced")
     """Folder of the run."""
-    quiet: Quiet = False
     config: tyro.conf.OmitArgPrefixes[GeneralistReinforcementConfig] = field(
         default_factory=GeneralistReinforcementConfig
     )
 
 
 @dataclass(frozen=True)
-class StrikeGeneralist:
+class StrikeGeneralist(_OverSongs):
     """Learn from the songs of a library how fingers strike, in time and as loud as written.
 
     Ctrl-C stops it. The same command continues it.
@@ -76,13 +85,8 @@ class StrikeGeneralist:
     Example: cadenza generalist strike LIBRARY:train --weights reinforced/weights.npz -o striking
     """
 
-    songs: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="LIBRARY")]
-    """The library, or a split of it as LIBRARY:SPLIT."""
-    weights: Path | None = None
-    """File of the networks to begin with; by default, those that come with Cadenza."""
     output: Output[Path] = Path("runs/striking")
     """Folder of the run."""
-    quiet: Quiet = False
     config: tyro.conf.OmitArgPrefixes[GeneralistStrikingConfig] = field(
         default_factory=GeneralistStrikingConfig
     )
@@ -106,26 +110,22 @@ def reinforce(command: ReinforceGeneralist) -> None:
     with extra_packages("train", "training"):
         from cadenza.learning.algorithms.generalist.reinforcement import GeneralistReinforcement
 
-    check_writable(command.output)
-    with GeneralistReinforcement.folder_at(command.output).locked():
-        scores = _excerpts(command.songs, command.config)
-        with stages("planning") as progress:
-            run = GeneralistReinforcement(
-                command.config, command.songs, scores, command.output, command.weights, progress
-            )
-        train_until_stopped(run, "learning", "rounds", "train/cost")
-    _print_how_to_play(command.output)
+    _train(command, GeneralistReinforcement)
 
 
 def strike(command: StrikeGeneralist) -> None:
     with extra_packages("train", "training"):
         from cadenza.learning.algorithms.generalist.striking import GeneralistStriking
 
+    _train(command, GeneralistStriking)
+
+
+def _train(command: ReinforceGeneralist | StrikeGeneralist, kind: type[ExcerptRun]) -> None:
     check_writable(command.output)
-    with GeneralistStriking.folder_at(command.output).locked():
+    with kind.folder_at(command.output).locked():
         scores = _excerpts(command.songs, command.config)
         with stages("planning") as progress:
-            run = GeneralistStriking(
+            run = kind(
                 command.config, command.songs, scores, command.output, command.weights, progress
             )
         train_until_stopped(run, "learning", "rounds", "train/cost")

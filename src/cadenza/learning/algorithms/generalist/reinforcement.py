@@ -9,9 +9,7 @@ RUN/weights.npz     the average of the networks of all rounds
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -19,14 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from cadenza.agents.agent import Progress, silent
-from cadenza.agents.generalist.generalist import shipped_for
-from cadenza.agents.planner.search.networks.inputs import sizes_of
 from cadenza.agents.planner.search.networks.weights import Weights
-from cadenza.errors import CadenzaError
-from cadenza.files import NUMBERS, ArrayOf, Expected, sha256_of
 from cadenza.learning.algorithms.generalist.config import GeneralistReinforcementConfig
-from cadenza.learning.algorithms.generalist.excerpts import ExcerptEnvs, Rollout, planned_excerpts
+from cadenza.learning.algorithms.generalist.excerpt_run import ExcerptRun
+from cadenza.learning.algorithms.generalist.excerpts import Rollout
 from cadenza.learning.algorithms.generalist.hand_networks import (
     Array,
     Layers,
@@ -34,10 +28,9 @@ from cadenza.learning.algorithms.generalist.hand_networks import (
     initial_layers,
     with_layers,
 )
-from cadenza.learning.algorithms.on_jax import from_arrays, start_jax, to_arrays
-from cadenza.learning.checkpointed_run import Arrays, CheckpointedRun
-from cadenza.music.score import Score
-from cadenza.scene.scene import Scene, build_scene, hand_alone
+from cadenza.learning.algorithms.on_jax import from_arrays, to_arrays
+from cadenza.learning.checkpointed_run import Arrays
+from cadenza.scene.scene import Scene, hand_alone
 from cadenza.scene.servos import servos_of
 
 _VALUE_HIDDEN = (128, 64)  # widths of the hidden layers of the value functions
@@ -209,18 +202,6 @@ def _normalised(advantages: Array) -> Array:
     return parts / (parts.std(axis=(0, 1)) + np.finfo(np.float32).eps)
 
 
-def initial_weights(scene: Scene, path: Path | None) -> Weights:
-    """Returns the networks of a file, by default those of Cadenza for the hands of a scene.
-
-    Raises:
-        CadenzaError: they are of other hands, or the file is damaged.
-    """
-    weights = shipped_for(scene) if path is None else Weights.load(path)
-    if weights is None or weights.sizes != sizes_of(scene):
-        raise CadenzaError(f"{path}: networks of other hands than {scene.hand.name}")
-    return weights
-
-
 @dataclass(frozen=True)
 class _Manifest:
     """The content of run.json."""
@@ -231,60 +212,26 @@ class _Manifest:
     """SHA-256 of the networks to begin with; empty for those of Cadenza."""
 
 
-class GeneralistReinforcement(CheckpointedRun):
+class GeneralistReinforcement(ExcerptRun):
     """A run of reinforcement learning; an update is a round of playing and learning.
 
-    When it is resumed, the excerpts begin anew.
+    Another `num_rounds` changes its end.
     """
 
     command: ClassVar[str] = "cadenza generalist reinforce"
-    expected: ClassVar[Expected] = {"*": ArrayOf(NUMBERS, None)}
+    manifest: ClassVar[type] = _Manifest
+    config: GeneralistReinforcementConfig
 
-    def __init__(
-        self,
-        config: GeneralistReinforcementConfig,
-        library: str,
-        scores: Sequence[Score],
-        folder: Path,
-        weights: Path | None = None,
-        progress: Progress = silent,
-    ) -> None:
-        """Resumes the run in `folder`, if there is one; another `num_rounds` changes its end.
-
-        Args:
-            config: its options.
-            library: the name of the library.
-            scores: excerpts of its songs.
-            folder: The folder of the run.
-            weights: file of the networks to begin with; by default those of Cadenza.
-            progress: The function that is told how many excerpts have been planned.
-
-        Raises:
-            CadenzaError: an option makes no sense, there is no score, the networks are of other
-                hands, or the folder holds a run with other options.
-        """
-        config.check()
-        if not scores:
-            raise CadenzaError(f"{library}: no songs to play")
-        super().__init__(folder, config.num_rounds, config.checkpoint_interval, config.seed)
-        start_jax()
-        self.config, scene = config, build_scene()
-        initial = initial_weights(scene, weights)
-        self._begin(_Manifest(config, library, "" if weights is None else sha256_of(weights)))
-        self._ppo = HandPPO(config, initial, scene, self._rng)
+    def _prepare(self, initial: Weights, scene: Scene) -> None:
+        self._ppo = HandPPO(self.config, initial, scene, self._rng)
         self._state = self._ppo.init()
-        self.resume()
-        if not self.finished:
-            excerpts = planned_excerpts(scores, progress)
-            self._envs = ExcerptEnvs(excerpts, scene, config.num_envs, self._rng)
 
-    def _begin(self, manifest: _Manifest) -> None:
-        self.folder.check_complete(self.has_checkpoint)
-        known = self.folder.known(_Manifest)
-        if known is not None:  # its end may be moved
-            config = replace(known.config, num_rounds=manifest.config.num_rounds)
-            known = replace(known, config=config)
-        self.folder.begin_or_continue(manifest, known)
+    def _known(self) -> _Manifest | None:
+        known: _Manifest | None = super()._known()
+        if known is None:
+            return None
+        config = replace(known.config, num_rounds=self.config.num_rounds)  # its end may be moved
+        return replace(known, config=config)
 
     def _learn(self) -> dict[str, Any]:
         config = self.config

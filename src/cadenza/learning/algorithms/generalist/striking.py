@@ -15,7 +15,6 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -23,7 +22,6 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from cadenza.agents.agent import Progress, silent
 from cadenza.agents.generalist.corrected_hands import MOST_LOWER
 from cadenza.agents.planner.search.networks.weights import (
     CONSTANTS,
@@ -33,12 +31,11 @@ from cadenza.agents.planner.search.networks.weights import (
 )
 from cadenza.agents.planner.search.strikes import UNIT, WEIGHT, as_heard
 from cadenza.errors import CadenzaError
-from cadenza.files import NUMBERS, ArrayOf, Expected, sha256_of
 from cadenza.learning.algorithms.generalist.config import GeneralistStrikingConfig
+from cadenza.learning.algorithms.generalist.excerpt_run import ExcerptRun
 from cadenza.learning.algorithms.generalist.excerpts import (
     ExcerptEnvs,
     Player,
-    planned_excerpts,
 )
 from cadenza.learning.algorithms.generalist.hand_networks import (
     Array,
@@ -46,11 +43,8 @@ from cadenza.learning.algorithms.generalist.hand_networks import (
     forward,
     initial_layers,
 )
-from cadenza.learning.algorithms.generalist.reinforcement import initial_weights
-from cadenza.learning.algorithms.on_jax import start_jax
-from cadenza.learning.checkpointed_run import Arrays, CheckpointedRun
-from cadenza.music.score import Score
-from cadenza.scene.scene import build_scene, hand_alone
+from cadenza.learning.checkpointed_run import Arrays
+from cadenza.scene.scene import Scene, hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
 
@@ -299,57 +293,18 @@ class _Manifest:
     """SHA-256 of the networks to begin with; empty for those of Cadenza."""
 
 
-class GeneralistStriking(CheckpointedRun):
-    """A run that learns touches; an update is a round of playing and fitting.
-
-    When it is resumed, the excerpts begin anew.
-    """
+class GeneralistStriking(ExcerptRun):
+    """A run that learns touches; an update is a round of playing and fitting."""
 
     command: ClassVar[str] = "cadenza generalist strike"
-    expected: ClassVar[Expected] = {"*": ArrayOf(NUMBERS, None)}
+    manifest: ClassVar[type] = _Manifest
+    config: GeneralistStrikingConfig
 
-    def __init__(
-        self,
-        config: GeneralistStrikingConfig,
-        library: str,
-        scores: Sequence[Score],
-        folder: Path,
-        weights: Path | None = None,
-        progress: Progress = silent,
-    ) -> None:
-        """Resumes the run in `folder`, if there is one.
-
-        Args:
-            config: its options.
-            library: the name of the library.
-            scores: excerpts of its songs.
-            folder: The folder of the run.
-            weights: file of the networks to begin with; by default those of Cadenza. Their touches
-                are learnt anew.
-            progress: The function that is told how many excerpts have been planned.
-
-        Raises:
-            CadenzaError: an option makes no sense, there is no score, the networks are of other
-                hands, or the folder holds a run with other options.
-        """
-        config.check()
-        if not scores:
-            raise CadenzaError(f"{library}: no songs to play")
-        super().__init__(folder, config.num_rounds, config.checkpoint_interval, config.seed)
-        start_jax()
-        self.config, scene = config, build_scene()
-        initial = initial_weights(scene, weights)
-        manifest = _Manifest(config, library, "" if weights is None else sha256_of(weights))
-        self.folder.check_complete(self.has_checkpoint)
-        self.folder.begin_or_continue(manifest, self.folder.known(_Manifest))
-        self._weights = initial._replace(striking=())
+    def _prepare(self, initial: Weights, scene: Scene) -> None:
+        self._weights = initial._replace(striking=())  # touches are learnt anew
         fingers = servos_of(hand_alone(scene, scene.sides[0]).scene).finger
         self._fingers = [fingers[network.servos[:, 0]] for network in initial.networks[1:]]
         self._played: list[Strikes] = []
-        self.resume()
-        if not self.finished:
-            excerpts = planned_excerpts(scores, progress)
-            self._envs = ExcerptEnvs(excerpts, scene, config.num_envs, self._rng)
 
     def _learn(self) -> dict[str, Any]:
         played = play(self._envs, self._weights, self.config.rollout_steps, self._rng)

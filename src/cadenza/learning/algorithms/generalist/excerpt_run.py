@@ -1,0 +1,97 @@
+"""Training of the generalist on excerpts of songs, which are played many at once.
+
+RUN/weights.npz     the networks
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+from cadenza.agents.agent import Progress, silent
+from cadenza.agents.generalist.generalist import shipped_for
+from cadenza.agents.planner.search.networks.inputs import sizes_of
+from cadenza.agents.planner.search.networks.weights import Weights
+from cadenza.errors import CadenzaError
+from cadenza.files import NUMBERS, ArrayOf, Expected, sha256_of
+from cadenza.learning.algorithms.generalist.config import (
+    GeneralistReinforcementConfig,
+    GeneralistStrikingConfig,
+)
+from cadenza.learning.algorithms.generalist.excerpts import ExcerptEnvs, planned_excerpts
+from cadenza.learning.algorithms.on_jax import start_jax
+from cadenza.learning.checkpointed_run import CheckpointedRun
+from cadenza.music.score import Score
+from cadenza.scene.scene import Scene, build_scene
+
+Config = GeneralistReinforcementConfig | GeneralistStrikingConfig
+
+
+class ExcerptRun(CheckpointedRun):
+    """A run of training on excerpts; when it is resumed, they begin anew."""
+
+    expected: ClassVar[Expected] = {"*": ArrayOf(NUMBERS, None)}
+    manifest: ClassVar[type]
+    """The content of run.json: the configuration, the library, and the SHA-256 of the networks to
+    begin with, which is empty for those of Cadenza."""
+
+    def __init__(
+        self,
+        config: Config,
+        library: str,
+        scores: Sequence[Score],
+        folder: Path,
+        weights: Path | None = None,
+        progress: Progress = silent,
+    ) -> None:
+        """Resumes the run in `folder`, if there is one.
+
+        Args:
+            config: its options.
+            library: the name of the library.
+            scores: excerpts of its songs.
+            folder: The folder of the run.
+            weights: file of the networks to begin with; by default those of Cadenza.
+            progress: The function that is told how many excerpts have been planned.
+
+        Raises:
+            CadenzaError: an option makes no sense, there is no score, the networks are of other
+                hands, or the folder holds a run with other options.
+        """
+        config.check()
+        if not scores:
+            raise CadenzaError(f"{library}: no songs to play")
+        super().__init__(folder, config.num_rounds, config.checkpoint_interval, config.seed)
+        start_jax()
+        self.config, scene = config, build_scene()
+        initial = _initial_weights(scene, weights)
+        manifest = self.manifest(config, library, "" if weights is None else sha256_of(weights))
+        self.folder.check_complete(self.has_checkpoint)
+        self.folder.begin_or_continue(manifest, self._known())
+        self._prepare(initial, scene)
+        self.resume()
+        if not self.finished:
+            excerpts = planned_excerpts(scores, progress)
+            self._envs = ExcerptEnvs(excerpts, scene, config.num_envs, self._rng)
+
+    @abstractmethod
+    def _prepare(self, initial: Weights, scene: Scene) -> None:
+        """Begins with these networks, before a checkpoint is restored."""
+
+    def _known(self) -> Any:
+        """Returns the manifest of the run that is in the folder, None if there is none."""
+        return self.folder.known(self.manifest)
+
+
+def _initial_weights(scene: Scene, path: Path | None) -> Weights:
+    """Returns the networks of a file, by default those of Cadenza for the hands of a scene.
+
+    Raises:
+        CadenzaError: they are of other hands, or the file is damaged.
+    """
+    weights = shipped_for(scene) if path is None else Weights.load(path)
+    if weights is None or weights.sizes != sizes_of(scene):
+        raise CadenzaError(f"{path}: networks of other hands than {scene.hand.name}")
+    return weights
