@@ -44,12 +44,8 @@ from cadenza.files import write_json
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.cpu_affinity import claimed_cores
 from cadenza.learning.run_folder import RunFolder
-from cadenza.performing.arranging import arranged_for
 from cadenza.performing.performance import Performance, add_page, perform
-from cadenza.performing.setup import select, set_up
-from cadenza.performing.source import load_song
-from cadenza.scene.scene import build_scene
-from cadenza.tasks.piano_task import PianoTask
+from cadenza.performing.setup import Selection, select, set_up
 
 
 def carry_out(
@@ -92,12 +88,9 @@ def _add_page(spec: JobSpec, folder: Path) -> None:
     """Makes the page of a finished run; one of which none can be made keeps its result."""
     try:
         check_song(spec)
-        score = load_song(spec.song, spec.arrangement)
-        arranged = arranged_for(score, spec.arrangement, build_scene(spec.scene))
-        score = score if arranged is None else arranged.arranged.score
-        with closing(PianoTask([score], spec.task, spec.scene)) as task:
-            begin_episodes(task, [spec.seed])
-            add_page(folder, task.score(0))
+        with set_up(_selection(spec, folder)) as setup:  # as it was when it was played
+            begin_episodes(setup.task, [spec.seed])
+            add_page(folder, setup.task.score(0))
     except Exception:
         traceback.print_exc()
 
@@ -132,12 +125,16 @@ def _result(
 
 
 def _play(spec: JobSpec, folder: Path, num_threads: int, progress: Progress) -> Performance:
+    with set_up(_selection(spec, folder, num_threads), progress) as setup:
+        return perform(setup, progress)
+
+
+def _selection(spec: JobSpec, folder: Path, num_threads: int | None = None) -> Selection:
+    """Returns the song of a run, and who plays it: where it trains, what was learnt."""
     agent = spec.agent if spec.training is None else str(folder / "training" / "best")
     configs = {} if spec.training is not None else {spec.agent: spec.config}
     selection = select(spec.song, agent, arrangement=spec.arrangement, configs=configs)
-    selection = selection.with_options(spec.task, spec.scene, spec.seed, num_threads)
-    with set_up(selection, progress) as setup:
-        return perform(setup, progress)
+    return selection.with_options(spec.task, spec.scene, spec.seed, num_threads)
 
 
 def _train(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from bisect import bisect_right
 from collections import Counter, defaultdict, deque
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate, count, pairwise
 from operator import itemgetter
@@ -25,6 +25,7 @@ from cadenza.music.score import (
     HIGHEST_PITCH,
     LOWEST_PITCH,
     Bar,
+    Note,
     PedalEvent,
     Score,
     Track,
@@ -126,29 +127,45 @@ def write_midi(score: Score, path: str | Path) -> None:
             f"{path}: cannot write a song of {max(score.total_time, last) / 60:.4g} minutes, "
             f"the longest is {_MAX_TICKS // _TICKS_PER_SECOND // 60}"
         )
-    # At one tick: first what ends, then the pedal, then what begins.
-    timed: list[tuple[int, int, mido.Message]] = []
-    for note in score.notes:
-        start = _ticks(note.start)
-        end = max(start + 1, _ticks(note.end))
-        on = mido.Message("note_on", note=note.pitch, velocity=note.velocity)
-        timed += [(start, 2, on), (end, 0, mido.Message("note_off", note=note.pitch))]
-    for event in score.pedal:
-        move = mido.Message("control_change", control=_SUSTAIN, value=event.value)
-        timed.append((_ticks(event.time), 1, move))
-    timed.sort(key=lambda item: item[:2])
-
     title = score.title.encode("utf-8", "replace").decode("utf-8")
     track = mido.MidiTrack([mido.MetaMessage("track_name", name=title)] if title else [])
     track.append(mido.MetaMessage("set_tempo", tempo=_DEFAULT_TEMPO))
-    now = 0
-    for tick, _, message in timed:
-        track.append(message.copy(time=tick - now))
-        now = tick
+    track += messages(score.notes, score.pedal, _ticks)
     file = mido.MidiFile(type=0, ticks_per_beat=_TICKS_PER_QUARTER, charset="utf-8")
     file.tracks.append(track)
     with write_atomically(Path(path)) as out:
         file.save(file=out)
+
+
+def messages(
+    notes: Iterable[Note],
+    pedal: Iterable[PedalEvent],
+    ticks: Callable[[float], int],
+    channel: int = 0,
+) -> Iterator[mido.Message]:
+    """Yields the messages of notes and of the pedal, each with the ticks since the one before.
+
+    At one tick, notes end first, then the pedal moves, then notes begin.
+
+    Args:
+        notes: the notes, which last a tick or more.
+        pedal: the movements of the pedal.
+        ticks: converts times [s] to ticks.
+        channel: the MIDI channel, counted from 0.
+    """
+    timed: list[tuple[int, int, mido.Message]] = []
+    for note in notes:
+        start = ticks(note.start)
+        end = max(start + 1, ticks(note.end))
+        on = mido.Message("note_on", note=note.pitch, velocity=note.velocity)
+        timed += [(start, 2, on), (end, 0, mido.Message("note_off", note=note.pitch))]
+    for event in pedal:
+        move = mido.Message("control_change", control=_SUSTAIN, value=event.value)
+        timed.append((ticks(event.time), 1, move))
+    now = 0
+    for tick, _, message in sorted(timed, key=lambda item: item[:2]):
+        yield message.copy(time=tick - now, channel=channel)
+        now = tick
 
 
 @dataclass(slots=True)

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Collection
-from operator import itemgetter
+from functools import partial
 from pathlib import Path
 
 from cadenza.files import write_atomically
 from cadenza.music.etudes.band.parts import (
     TICKS_PER_BEAT,
     Band,
-    Part,
     microseconds_per_beat,
     ticks,
 )
 from cadenza.music.score import Score
-
-_SUSTAIN = 64  # controller number of the sustain pedal
 
 
 def write_band(band: Band, path: str | Path) -> None:
@@ -28,35 +25,19 @@ def write_band(band: Band, path: str | Path) -> None:
     """
     import mido  # here, so that the names of etudes can be had without it
 
+    from cadenza.music.formats.midi import messages
+
     file = mido.MidiFile(type=1, ticks_per_beat=TICKS_PER_BEAT, charset="utf-8")
     heading = file.add_track(band.title)
     heading.append(mido.MetaMessage("set_tempo", tempo=microseconds_per_beat(band.tempo)))
     heading.append(mido.MetaMessage("time_signature", numerator=band.beats, denominator=4))
+    on_tick = partial(ticks, tempo=band.tempo)
     for part in band.parts:
-        track = file.add_track(part.name or None)
-        now = 0
-        for tick, kind, values in _messages(part, band.tempo):
-            track.append(mido.Message(kind, channel=part.channel - 1, time=tick - now, **values))
-            now = tick
+        track, channel = file.add_track(part.name or None), part.channel - 1
+        track.append(mido.Message("program_change", program=part.program, channel=channel))
+        track += messages(part.notes, part.pedal, on_tick, channel)
     with write_atomically(Path(path)) as out:
         file.save(file=out)
-
-
-def _messages(part: Part, tempo: int) -> list[tuple[int, str, dict[str, int]]]:
-    """Ticks, kinds and values of the messages of a part.
-
-    At one tick, notes end, then the pedal moves, then notes begin.
-    """
-    ends, moves, begins = [], [], []
-    for note in part.notes:
-        on = {"note": note.pitch, "velocity": note.velocity}
-        begins.append((ticks(note.start, tempo), "note_on", on))
-        ends.append((ticks(note.end, tempo), "note_off", {"note": note.pitch}))
-    for event in part.pedal:
-        value = {"control": _SUSTAIN, "value": event.value}
-        moves.append((ticks(event.time, tempo), "control_change", value))
-    timed = sorted([*ends, *moves, *begins], key=itemgetter(0))  # which keeps their order at a tick
-    return [(0, "program_change", {"program": part.program}), *timed]
 
 
 def band_score(band: Band, tracks: Collection[int] = ()) -> Score:
