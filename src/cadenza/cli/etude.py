@@ -30,7 +30,7 @@ class Etude:
         ),
     ] = None
     difficulty: int | None = None
-    """From 1 to 10, by default 3; for one hand, the number of notes or chords; a band has none."""
+    """The difficulty from 1 to 10, 3 by default; for one hand, the number of notes or chords."""
     seed: int | None = None
     """Random seed. By default one is drawn and printed."""
     output: Output[Path | None] = None

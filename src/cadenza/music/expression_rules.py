@@ -24,7 +24,7 @@ class ExpressionRules:
     duration_contrast: float = 1.0
     """Notes shorter than 0.6 s become shorter and softer."""
     double_duration: float = 1.0
-    """Of two notes whose durations are 2:1, the shorter becomes longer."""
+    """The shorter of two notes whose durations are 2:1 becomes longer."""
     faster_uphill: float = 1.0
     """Ascending notes follow each other sooner, at 1 by 2 ms."""
     phrase_arch: float = 1.5
@@ -36,7 +36,7 @@ class ExpressionRules:
     melody_lead: float = 1.0
     """All else follows the melody, which is louder: 1 is 25 ms and 3 dB."""
     inegales: float = 0.0
-    """Of two short notes in a beat, the first becomes longer."""
+    """The first of two short notes in a beat becomes longer."""
 
     __repr__ = in_short
 

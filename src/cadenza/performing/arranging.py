@@ -33,7 +33,7 @@ class HandArrangement:
     arranged: Arranged
     """What the hands play."""
     hands: str
-    """Whose hands, in words."""
+    """The hands that play, in words."""
 
     def __str__(self) -> str:
         """What was done, in words."""

@@ -25,7 +25,7 @@ class SceneConfig:
     hand: str = "shadow"
     """Kind of hand: shadow, allegro, another that `cadenza info` lists, or module:NAME."""
     hands: Hands = "both"
-    """Which hands play; apart: a scene for each; none: the piano alone."""
+    """The hands that play; apart: a scene each; none: no hands at all."""
     reduced_action_space: bool = True
     """Lock the joints that the hand names as such (Shadow, as in the paper: thumb 5 and 1, little
     finger 5)."""

@@ -1,1 +1,1 @@
-"""From performed time to notation: metre, hands, voices, note values, keys and spelling."""
+"""Turns performed time into notation: metre, hands, voices, note values, keys and spelling."""

@@ -153,7 +153,7 @@ def _staves(
 
 
 def _by_measure(begins: list[int], streams: Sequence[Stream], what: str) -> list[list[int]]:
-    """By measures, an attribute of the notes that begin in them."""
+    """The values that an attribute has for the notes that begin in each measure."""
     found: list[list[int]] = [[] for _ in begins]
     for stream in streams:
         for chord in stream.chords:

@@ -1,4 +1,4 @@
-"""From what players were given to notes in time: swing, dynamics, jitter, pedal."""
+"""Gives the notes of players their times and velocities: swing, dynamics, jitter, pedal."""
 
 from __future__ import annotations
 

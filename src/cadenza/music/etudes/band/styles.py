@@ -702,5 +702,5 @@ RANGES: dict[int, tuple[int, int]] = {
 }
 """Program of an instrument -> the lowest and highest pitch of its melodies, if not as usual."""
 VOICE_RANGES = ((57, 76), (55, 74), (48, 67), (52, 71), (60, 79))
-"""Those of voices: women, men, and men written an octave higher."""
+"""The ranges of voices: of women, of men, and of men written an octave higher."""
 VOICE_PROGRAMS = frozenset(_VOICES)
