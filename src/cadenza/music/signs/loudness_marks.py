@@ -1,0 +1,30 @@
+"""Marks of how loud a part, or one staff of it, is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+
+@dataclass(frozen=True, slots=True)
+class Dynamic:
+    """From `onset` on notes have this `velocity`.
+
+    With `then`, as of fp, it is that of the notes at `onset` alone, and those after have `then`.
+    """
+
+    onset: Fraction
+    velocity: int
+    then: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Hairpin:
+    """From `onset` to `end` notes become louder (`step` 1) or softer (-1) little by little.
+
+    The end of a word such as cresc. is None: it goes on up to the next dynamic.
+    """
+
+    onset: Fraction
+    end: Fraction | None
+    step: int

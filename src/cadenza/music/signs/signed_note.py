@@ -1,0 +1,176 @@
+"""Notes with the signs at them, as they are written, and notes as they sound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, auto
+from fractions import Fraction
+
+from cadenza.fingers import Finger
+
+
+class Mark(Enum):
+    """A sign at a note that says all by its kind."""
+
+    STACCATO = auto()
+    STACCATISSIMO = auto()
+    """A wedge, or MusicXML's spiccato."""
+    TENUTO = auto()
+    PORTATO = auto()
+    """MusicXML's detached-legato; staccato under a slur, or with tenuto, means the same."""
+    ACCENT = auto()
+    STRONG_ACCENT = auto()
+    """Marcato, the upright wedge."""
+    SFORZATO = auto()
+    """sf, sfz, fz, rf and the like: a dynamic mark for this note alone."""
+    BREATH = auto()
+    """A breath mark after the note."""
+    PHRASE_END = auto()
+    """The note ends a phrase that is marked otherwise than by a slur."""
+
+
+class OrnamentKind(Enum):
+    """A sign for several notes; the names are those of MusicXML."""
+
+    TRILL = auto()
+    """A trill mark, a shake, or a wavy line, for the whole note."""
+    MORDENT = auto()
+    """The sign with a stroke through it: the lower neighbour."""
+    INVERTED_MORDENT = auto()
+    """The sign without a stroke, a short trill: the upper neighbour."""
+    TURN = auto()
+    INVERTED_TURN = auto()
+    SLIDE = auto()
+    """A schleifer: two notes from below."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ornament:
+    """An ornament at a note.
+
+    `above` and `below` are the alterations [semitones] of accidental marks, such as -1 for a flat
+    and 0 for a natural; None where there is none, and the key says how high the neighbours are.
+    `begins` is the first note where the file says so: 1 for the upper neighbour, 0 for the note
+    itself, -1 for the lower neighbour. `delayed` is a turn between this note and the next. A `long`
+    mordent has one more beat.
+    """
+
+    kind: OrnamentKind
+    above: int | None = None
+    below: int | None = None
+    begins: int | None = None
+    delayed: bool = False
+    long: bool = False
+
+
+class Role(Enum):
+    """What a note or chord is in a tremolo."""
+
+    ALONE = auto()
+    """It is repeated."""
+    FIRST = auto()
+    """It alternates with the one that follows in its voice."""
+    SECOND = auto()
+    """It alternates with the one before it in its voice."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tremolo:
+    """A tremolo with so many `marks`, the strokes through the stem; 0 is one without measure.
+
+    Notes of a tremolo of two last as long as they take, which is half of what each of them shows.
+    """
+
+    marks: int
+    role: Role = Role.ALONE
+
+
+@dataclass(frozen=True, slots=True)
+class Arpeggio:
+    """A wavy line before a chord.
+
+    Chords of one part that begin together with the same `number` are broken as one, across staves.
+    `step` is 1 for upwards, -1 for downwards, and 0 for a bracket: together.
+    """
+
+    number: int = 1
+    step: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Grace:
+    """A note is a grace note: the `index`-th, from 0, of those that stand together in its voice.
+
+    Notes with the same index are a chord. `slash` is the stroke through its stem; the shares 0 to 1
+    say how much of the note before or after it takes, and `takes` how much time it has of its own
+    [quarters], where the file says so. `after` is whether it ends the note before it, since no note
+    follows in its bar.
+    """
+
+    index: int
+    slash: bool = False
+    of_previous: float | None = None
+    of_following: float | None = None
+    takes: Fraction | None = None
+    after: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class SlurEnd:
+    """One end of a slur, the beginning or not; `number` tells those apart that overlap."""
+
+    begins: bool
+    number: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class SignedNote:
+    """A note as written, with its signs; tied notes are one.
+
+    `onset` and `duration` are in quarters from the beginning of the piece as it is played, repeats
+    unrolled; those of a grace note are the onset of the note that it leads to, or the end of the
+    one before it (`Grace.after`), and the length that it shows, 0 if unknown. `velocity` is that
+    of the dynamics, without accents. `alter` is by how many semitones the note is sharp (1) or
+    flat (-1): together with `pitch` it says on which line it stands. `fifths` is the key there, by
+    its sharps, negative for flats. `attack` and `release` move its beginning and end [quarters],
+    where the file says so for playback. `written` is the number of the note in its file.
+    """
+
+    onset: Fraction
+    duration: Fraction
+    pitch: int
+    velocity: int
+    part: int = 1
+    staff: int = 1
+    voice: str = "1"
+    alter: int = 0
+    fifths: int = 0
+    finger: Finger | None = None
+    marks: frozenset[Mark] = frozenset()
+    ornament: Ornament | None = None
+    tremolo: Tremolo | None = None
+    arpeggio: Arpeggio | None = None
+    grace: Grace | None = None
+    slurs: tuple[SlurEnd, ...] = ()
+    attack: Fraction = Fraction(0)
+    release: Fraction = Fraction(0)
+    written: int = 0
+
+    @property
+    def end(self) -> Fraction:
+        """When the note ends as written [quarters]; a grace note takes no time."""
+        return self.onset if self.grace else self.onset + self.duration
+
+
+@dataclass(frozen=True, slots=True)
+class SoundingNote:
+    """A note as it sounds, from `start` to `end` [s]; `of` is the written one that it is part of.
+
+    Several come of one with an ornament or a tremolo, in which `pitch` may differ.
+    """
+
+    start: float
+    end: float
+    pitch: int
+    velocity: int
+    of: SignedNote

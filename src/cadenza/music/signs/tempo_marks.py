@@ -1,0 +1,92 @@
+"""Marks for all parts that change how fast the music goes, or how its beats are divided."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, auto
+from fractions import Fraction
+
+
+@dataclass(frozen=True, slots=True)
+class Tempo:
+    """From `onset` on a quarter lasts `seconds` [s].
+
+    `begins_section` is whether it is one that "tempo primo" may go back to: the first tempo is, and
+    so are tempos with a heading such as "Allegro".
+    """
+
+    onset: Fraction
+    seconds: float
+
+
+class Change(Enum):
+    """A change of tempo in words."""
+
+    RITARDANDO = auto()
+    """Slower little by little: rit., rall., allargando, and the like."""
+    ACCELERANDO = auto()
+    """Faster little by little: accel., stringendo."""
+    MENO_MOSSO = auto()
+    """Slower at once; ritenuto, too."""
+    PIU_MOSSO = auto()
+    """Faster at once."""
+    A_TEMPO = auto()
+    """As before the last change."""
+    TEMPO_PRIMO = auto()
+    """As at the beginning."""
+
+
+@dataclass(frozen=True, slots=True)
+class TempoWord:
+    """The tempo changes at `onset`.
+
+    One that changes little by little goes on until `end`, if the score says how far it goes, as a
+    line does; else up to the next mark of a tempo.
+    """
+
+    onset: Fraction
+    change: Change
+    end: Fraction | None = None
+
+
+class FermataLength(Enum):
+    """How long a fermata is by its shape."""
+
+    SHORT = auto()
+    """Angled."""
+    USUAL = auto()
+    """Round."""
+    LONG = auto()
+    """Square."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fermata:
+    """A fermata over a note, a chord or a rest from `onset` to `end`: all parts wait.
+
+    One over a barline has its onset at its end.
+    """
+
+    onset: Fraction
+    end: Fraction
+    length: FermataLength = FermataLength.USUAL
+
+
+@dataclass(frozen=True, slots=True)
+class Caesura:
+    """Two strokes at `onset`: what sounds ends there, and all parts pause."""
+
+    onset: Fraction
+
+
+@dataclass(frozen=True, slots=True)
+class Swing:
+    """From `onset` on, the first and the second of two notes of `unit` last as `first : second`.
+
+    The unit is in quarters: 1/2 for eighths, 1/4 for sixteenths. With 1 : 1 notes are straight.
+    """
+
+    onset: Fraction
+    first: int = 2
+    second: int = 1
+    unit: Fraction = Fraction(1, 2)
