@@ -19,6 +19,13 @@ class Dynamic:
 
 
 @dataclass(frozen=True, slots=True)
+class Sforzato:
+    """The notes at `onset` are louder than those around them: sf, sfz, fz, rf and the like."""
+
+    onset: Fraction
+
+
+@dataclass(frozen=True, slots=True)
 class Hairpin:
     """From `onset` to `end` notes become louder (`step` 1) or softer (-1) little by little.
 

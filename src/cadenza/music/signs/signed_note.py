@@ -89,11 +89,12 @@ class Tremolo:
 class Arpeggio:
     """A wavy line before a chord.
 
-    Chords of one part that begin together with the same `number` are broken as one, across staves.
-    `step` is 1 for upwards, -1 for downwards, and 0 for a bracket: together.
+    Chords of one part that begin together with the same `number` are broken as one, across staves;
+    without a number, those of each staff are. `step` is 1 for upwards, -1 for downwards, and 0 for
+    a bracket: together.
     """
 
-    number: int = 1
+    number: int | None = None
     step: int = 1
 
 

@@ -9,11 +9,7 @@ from fractions import Fraction
 
 @dataclass(frozen=True, slots=True)
 class Tempo:
-    """From `onset` on a quarter lasts `seconds` [s].
-
-    `begins_section` is whether it is one that "tempo primo" may go back to: the first tempo is, and
-    so are tempos with a heading such as "Allegro".
-    """
+    """From `onset` on a quarter lasts `seconds` [s]."""
 
     onset: Fraction
     seconds: float
@@ -27,7 +23,7 @@ class Change(Enum):
     ACCELERANDO = auto()
     """Faster little by little: accel., stringendo."""
     MENO_MOSSO = auto()
-    """Slower at once; ritenuto, too."""
+    """Slower at once: meno mosso, ritenuto."""
     PIU_MOSSO = auto()
     """Faster at once."""
     A_TEMPO = auto()
@@ -84,9 +80,11 @@ class Swing:
     """From `onset` on, the first and the second of two notes of `unit` last as `first : second`.
 
     The unit is in quarters: 1/2 for eighths, 1/4 for sixteenths. With 1 : 1 notes are straight.
+    `beat` is any place where the first of two may stand, such as the beginning of a full bar.
     """
 
     onset: Fraction
     first: int = 2
     second: int = 1
     unit: Fraction = Fraction(1, 2)
+    beat: Fraction = Fraction(0)

@@ -1,0 +1,123 @@
+"""How loud notes are by the dynamics and hairpins of their staff."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable
+from fractions import Fraction
+
+from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.loudness_marks import Dynamic, Hairpin, Sforzato
+
+SOFTEST, LOUDEST = 1, 127
+_GOAL_WITHIN = Fraction(1)  # [quarters] after a hairpin within which a dynamic is its goal
+
+
+class Loudness:
+    """The velocity of notes as a function of their place, by the marks of one staff.
+
+    Under a hairpin it leads from the dynamic before to that after it. Where there is none, or one
+    in the other direction, it changes by `Conventions.hairpin_step`.
+
+    Args:
+        marks: the marks, in any order.
+        conventions: what they mean.
+        unmarked: the velocity up to the first dynamic.
+    """
+
+    def __init__(
+        self,
+        marks: Iterable[Dynamic | Sforzato | Hairpin],
+        conventions: Conventions,
+        unmarked: int,
+    ) -> None:
+        marks = list(marks)
+        self._sforzato = conventions.sforzato
+        self._accented = {mark.onset for mark in marks if isinstance(mark, Sforzato)}
+        self._alone = {
+            mark.onset: mark.velocity
+            for mark in marks
+            if isinstance(mark, Dynamic) and mark.then is not None
+        }
+        levels = {
+            mark.onset: float(mark.velocity if mark.then is None else mark.then)
+            for mark in marks
+            if isinstance(mark, Dynamic)
+        }
+        hairpins = {mark.onset: mark for mark in marks if isinstance(mark, Hairpin)}
+        self._places = [Fraction(0)]
+        self._velocity = [float(unmarked)]  # from the place on
+        self._slope = [0.0]  # [per quarter]
+        dynamics = sorted(levels)
+        begins = sorted(hairpins)
+        for place in sorted({*levels, *hairpins}):
+            now = levels.get(place, self._at(place))
+            self._add(place, now)
+            if place in hairpins and conventions.hairpins:
+                after = bisect_right(dynamics, place)
+                goal = dynamics[after] if after < len(dynamics) else None
+                later = bisect_right(begins, place)
+                following = begins[later] if later < len(begins) else None
+                self._ramp(hairpins[place], now, goal, levels, following, conventions)
+
+    def at(self, place: Fraction) -> int:
+        """The velocity, 1 to 127, of notes at a place [quarters]."""
+        velocity = self._alone.get(place, self._at(place))
+        if place in self._accented:
+            velocity *= self._sforzato
+        return within_midi(velocity)
+
+    def _at(self, place: Fraction) -> float:
+        piece = max(bisect_right(self._places, place) - 1, 0)
+        return self._velocity[piece] + self._slope[piece] * float(place - self._places[piece])
+
+    def _add(self, place: Fraction, velocity: float, slope: float = 0.0) -> None:
+        """Adds a piece, and removes those that begin later."""
+        first = bisect_left(self._places, place)
+        for each in (self._places, self._velocity, self._slope):
+            del each[first:]
+        self._places.append(place)
+        self._velocity.append(velocity)
+        self._slope.append(slope)
+
+    def _ramp(
+        self,
+        hairpin: Hairpin,
+        now: float,
+        dynamic: Fraction | None,
+        levels: dict[Fraction, float],
+        following: Fraction | None,
+        conventions: Conventions,
+    ) -> None:
+        """Adds the change under a hairpin, and what follows it.
+
+        Args:
+            hairpin: the hairpin.
+            now: the velocity at its beginning.
+            dynamic: the place of the next dynamic, if any.
+            levels: the velocities of dynamics, by their places.
+            following: the place of the next hairpin, if any.
+            conventions: what it means.
+        """
+        end = hairpin.end
+        if end is None:
+            stops = [place for place in (dynamic, following) if place is not None]
+            end = min(stops, default=hairpin.onset + Fraction(conventions.open_hairpin))
+        end = end if dynamic is None else min(end, dynamic)
+        if end <= hairpin.onset:
+            return
+        goal = now + hairpin.step * conventions.hairpin_step
+        if (
+            dynamic is not None
+            and dynamic <= end + _GOAL_WITHIN
+            and (levels[dynamic] - now) * hairpin.step > 0
+        ):
+            goal = levels[dynamic]
+        goal = min(max(goal, SOFTEST), LOUDEST)
+        self._add(hairpin.onset, now, (goal - now) / float(end - hairpin.onset))
+        self._add(end, goal)
+
+
+def within_midi(velocity: float) -> int:
+    """The nearest whole velocity that MIDI has, 1 to 127."""
+    return min(max(round(velocity), SOFTEST), LOUDEST)

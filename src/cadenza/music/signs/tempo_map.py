@@ -1,0 +1,258 @@
+"""From places in a score to time: tempos, ramps between them, and waits."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.tempo_marks import (
+    Caesura,
+    Change,
+    Fermata,
+    FermataLength,
+    Tempo,
+    TempoWord,
+)
+
+Floats = NDArray[np.float64]
+TempoMark = Tempo | TempoWord | Fermata | Caesura
+
+_SECONDS_PER_QUARTER = 0.5  # until the score says otherwise, as in MIDI
+_AT_BARLINE = Fraction(1)  # [quarters]: over a barline, a fermata is as long as over a quarter
+
+
+@dataclass(frozen=True, slots=True)
+class TempoPiece:
+    """A part of a tempo map, in which the length of a quarter is linear.
+
+    It begins at `place` [quarters] and at `time` [s], when all waiting there is over. A quarter at
+    its beginning lasts `seconds` [s], and `slope` [s per quarter] more for each quarter since.
+    Before it all is silent for `silence` [s].
+    """
+
+    place: Fraction
+    time: float
+    seconds: float
+    slope: float = 0.0
+    silence: float = 0.0
+
+
+class TempoMap:
+    """Time as a function of places in the music.
+
+    Args:
+        pieces: the pieces of the map in their order, one or more.
+    """
+
+    def __init__(self, pieces: Sequence[TempoPiece]) -> None:
+        self.pieces = tuple(pieces)
+        self._places = [piece.place for piece in pieces]
+        self._quarter = np.array([float(place) for place in self._places])
+        self._time = np.array([piece.time for piece in pieces])
+        self._seconds = np.array([piece.seconds for piece in pieces])
+        self._slope = np.array([piece.slope for piece in pieces])
+        self._silence = np.array([piece.silence for piece in pieces])
+
+    @classmethod
+    def of(
+        cls, marks: Iterable[TempoMark], conventions: Conventions, end: Fraction | None = None
+    ) -> TempoMap:
+        """The map of a score by its marks, in any order.
+
+        A `Tempo` overrules a word at the same place. Fermatas that sound together are one. A
+        gradual change whose end the score does not show goes on up to the next mark of a tempo, or
+        for `Conventions.open_ramp`.
+
+        Args:
+            marks: the marks.
+            conventions: what they mean.
+            end: where the music ends [quarters], and with it the last change of tempo.
+        """
+        marks = list(marks)
+        flow = cls(_tempos(marks, conventions, end))
+        waits = _waits(marks, conventions, flow)
+        waited, pieces = 0.0, []
+        for place in sorted({*flow._places, *waits}):
+            held, silence = waits.get(place, (0.0, 0.0))
+            waited += held + silence
+            cut = flow._from(place)
+            pieces.append(TempoPiece(place, cut.time + waited, cut.seconds, cut.slope, silence))
+        return cls(pieces)
+
+    def onsets(self, places: Sequence[Fraction] | Floats) -> Floats:
+        """(N,) when that begins [s] which stands at `places`, (N,) [quarters].
+
+        That is after all waiting there.
+        """
+        return self._at(np.asarray(places, np.float64))[0]
+
+    def ends(self, places: Sequence[Fraction] | Floats) -> Floats:
+        """(N,) when that ends [s] which lasts up to `places`, (N,) [quarters].
+
+        A fermata there holds it; the silence of a caesura comes after it.
+        """
+        quarters = np.asarray(places, np.float64)
+        time, piece = self._at(quarters)
+        there = self._quarter[piece] == quarters
+        return time - np.where(there, self._silence[piece], 0.0)
+
+    def played(self, sections: Iterable[tuple[Fraction, Fraction]]) -> TempoMap:
+        """The map of music that is played section by section, such as one with repeats.
+
+        Args:
+            sections: the beginning and the end of each section in the written music [quarters].
+        """
+        at, time, silence = Fraction(0), 0.0, 0.0
+        pieces: list[TempoPiece] = []
+        for begin, end in sections:
+            first, last = self.onsets([begin, end]).tolist()
+            inner = self.pieces[bisect_right(self._places, begin) : bisect_left(self._places, end)]
+            for cut in (self._from(begin, silence), *inner):
+                place, begun = at + cut.place - begin, time + cut.time - first
+                pieces.append(TempoPiece(place, begun, cut.seconds, cut.slope, cut.silence))
+            silence = last - float(self.ends([end])[0])
+            at, time = at + end - begin, time + last - first
+        return TempoMap(pieces) if pieces else self
+
+    def _at(self, quarters: Floats) -> tuple[Floats, NDArray[np.intp]]:
+        """(N,) onsets [s] of places [quarters], and (N,) the pieces in which they are."""
+        piece = np.maximum(np.searchsorted(self._quarter, quarters, side="right") - 1, 0)
+        inside = quarters - self._quarter[piece]
+        slope = np.where(inside < 0, 0.0, self._slope[piece])  # before the music it is steady
+        return self._time[piece] + inside * (self._seconds[piece] + slope * inside / 2), piece
+
+    def _from(self, place: Fraction, silence: float = 0.0) -> TempoPiece:
+        """The rest of a piece from a place within it, with this silence before it."""
+        piece = self.pieces[max(bisect_right(self._places, place) - 1, 0)]
+        inside = float(place - piece.place)
+        time = float(self.onsets([place])[0])
+        return TempoPiece(place, time, piece.seconds + piece.slope * inside, piece.slope, silence)
+
+
+@dataclass(frozen=True, slots=True)
+class _Speed:
+    """From `place` on a quarter lasts `seconds` [s], and `slope` more for each quarter since."""
+
+    place: Fraction
+    seconds: float
+    slope: float = 0.0
+
+
+_SUDDEN = (Change.MENO_MOSSO, Change.PIU_MOSSO)
+_GRADUAL = (Change.RITARDANDO, Change.ACCELERANDO)
+
+
+def _tempos(
+    marks: Iterable[TempoMark], conventions: Conventions, end: Fraction | None
+) -> list[TempoPiece]:
+    """The pieces of a map without waits."""
+    tempos = {mark.onset: mark for mark in marks if isinstance(mark, Tempo)}
+    words = [each for each in marks if isinstance(each, TempoWord) and each.onset not in tempos]
+    both: list[Tempo | TempoWord] = [*tempos.values(), *words]
+    changes = sorted(both, key=lambda mark: mark.onset)
+    primo = next((mark.seconds for mark in changes if isinstance(mark, Tempo)), None)
+    speeds = [_Speed(Fraction(0), _SECONDS_PER_QUARTER)]
+    before, gradual = _SECONDS_PER_QUARTER, False  # what "a tempo" leads back to; whether in a ramp
+    for mark, following in zip(changes, [*changes[1:], None], strict=True):
+        now = speeds[-1].seconds
+        if isinstance(mark, TempoWord) and mark.change in _GRADUAL:
+            before, gradual = before if gradual else now, True
+            speeds += _ramp(mark, now, following, conventions, end)
+            continue
+        if isinstance(mark, Tempo):
+            seconds = mark.seconds
+        else:
+            seconds = {
+                Change.MENO_MOSSO: now / conventions.meno_mosso,
+                Change.PIU_MOSSO: now / conventions.piu_mosso,
+                Change.A_TEMPO: before,
+                Change.TEMPO_PRIMO: _SECONDS_PER_QUARTER if primo is None else primo,
+            }[mark.change]
+        sudden = isinstance(mark, TempoWord) and mark.change in _SUDDEN
+        before, gradual = now if sudden else seconds, False
+        speeds.append(_Speed(mark.onset, seconds))
+    return _timed(speeds)
+
+
+def _ramp(
+    word: TempoWord,
+    now: float,
+    following: Tempo | TempoWord | None,
+    conventions: Conventions,
+    end: Fraction | None,
+) -> list[_Speed]:
+    """A gradual change of the length of a quarter from `now` [s] on, and the tempo after it.
+
+    It leads to the tempo that follows where it reaches it and that is on the way.
+    """
+    slower = word.change is Change.RITARDANDO
+    factor = conventions.ritardando if slower else conventions.accelerando
+    if factor == 1:
+        return []
+    open_end = word.onset + Fraction(conventions.open_ramp)
+    reaches = [open_end if word.end is None else word.end]
+    reaches += [] if following is None else [following.onset]
+    reaches += [] if end is None else [end]
+    reach = min(reaches)
+    if reach <= word.onset:
+        return []
+    goal = now / factor
+    if (
+        isinstance(following, Tempo)
+        and following.onset == reach
+        and (following.seconds > now) == slower
+    ):
+        goal = following.seconds
+    slope = (goal - now) / float(reach - word.onset)
+    return [_Speed(word.onset, now, slope), _Speed(reach, goal)]
+
+
+def _timed(speeds: Iterable[_Speed]) -> list[TempoPiece]:
+    """The pieces of a map by their speeds; of those at one place the last counts."""
+    last = list({speed.place: speed for speed in speeds}.values())
+    pieces = [TempoPiece(last[0].place, 0.0, last[0].seconds, last[0].slope)]
+    for before, speed in pairwise(last):
+        length = float(speed.place - before.place)
+        time = pieces[-1].time + length * (before.seconds + before.slope * length / 2)
+        pieces.append(TempoPiece(speed.place, time, speed.seconds, speed.slope))
+    return pieces
+
+
+def _waits(
+    marks: Iterable[TempoMark], conventions: Conventions, flow: TempoMap
+) -> Mapping[Fraction, tuple[float, float]]:
+    """Places [quarters] -> for how long [s] what sounds there is held, and for how long silent.
+
+    Fermatas that sound together are one: they hold where the first of them ends, and the shortest
+    of their notes counts.
+    """
+    factors = {
+        FermataLength.SHORT: conventions.short_fermata,
+        FermataLength.USUAL: conventions.fermata,
+        FermataLength.LONG: conventions.long_fermata,
+    }
+    waits: dict[Fraction, tuple[float, float]] = {}
+    groups: list[list[Fermata]] = []
+    for each in sorted((m for m in marks if isinstance(m, Fermata)), key=lambda m: m.end):
+        if groups and (each.onset < groups[-1][0].end or each.end == groups[-1][0].end):
+            groups[-1].append(each)
+        else:
+            groups.append([each])
+    for group in groups:
+        place = group[0].end
+        begins = (each.onset if each.onset < each.end else place - _AT_BARLINE for each in group)
+        begin, end = flow.onsets([max(begins), place]).tolist()
+        factor = max(factors[each.length] for each in group)
+        if factor > 1:
+            waits[place] = (factor - 1) * (end - begin), 0.0
+    for mark in marks:
+        if isinstance(mark, Caesura) and conventions.caesura:
+            waits[mark.onset] = waits.get(mark.onset, (0.0, 0.0))[0], conventions.caesura
+    return waits

@@ -1,0 +1,67 @@
+"""Notes while their signs are realised, and the voices that they are in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+
+from cadenza.music.signs.signed_note import SignedNote
+
+SHORTEST = 0.02
+"""How long a note lasts at least that a sign makes shorter [s]; a choice."""
+
+
+@dataclass(slots=True, eq=False)
+class TimedNote:
+    """A note as it is to sound from `start` to `end` [s], before ornaments divide it."""
+
+    of: SignedNote
+    start: float
+    end: float
+    velocity: float
+
+    @property
+    def length(self) -> float:
+        """How long the note lasts [s]."""
+        return self.end - self.start
+
+    def end_by(self, time: float) -> None:
+        """Ends the note at a time [s] or before, but not before it has sounded."""
+        self.end = min(self.end, max(time, self.start + min(self.length, SHORTEST)))
+
+
+Chord = list[TimedNote]
+
+
+@dataclass(slots=True)
+class Voice:
+    """One voice of a part: its chords by onset [quarters], and the grace notes at each onset.
+
+    Both are in order of time; grace notes of one place are chords, too, in their order.
+    """
+
+    chords: dict[Fraction, Chord]
+    graces: dict[Fraction, list[Chord]]
+
+    def pairs(self) -> Iterator[tuple[Chord, Chord | None]]:
+        """Yields each chord with the next one."""
+        chords = list(self.chords.values())
+        yield from zip(chords, [*chords[1:], None], strict=True)
+
+
+def voices_of(notes: Iterable[TimedNote]) -> list[Voice]:
+    """The voices that notes are in."""
+    voices: dict[tuple[int, str], Voice] = {}
+    indices: dict[tuple[int, str, Fraction], dict[int, Chord]] = {}
+    for note in sorted(notes, key=lambda note: note.of.onset):
+        of = note.of
+        voice = voices.setdefault((of.part, of.voice), Voice({}, {}))
+        if of.grace is None:
+            voice.chords.setdefault(of.onset, []).append(note)
+        else:
+            chords = indices.setdefault((of.part, of.voice, of.onset), {})
+            chords.setdefault(of.grace.index, []).append(note)
+    for (part, name, onset), chords in indices.items():
+        voices[part, name].graces[onset] = [chords[index] for index in sorted(chords)]
+    return list(voices.values())

@@ -1,0 +1,51 @@
+"""Words in a score that change its tempo, its loudness or its rhythm."""
+
+from __future__ import annotations
+
+import re
+
+from cadenza.music.signs.tempo_marks import Change
+
+# Each with the words that the change is called by; \b before all, so that "brit." is no "rit.".
+_CHANGES = (
+    (Change.TEMPO_PRIMO, r"(tempo (primo|i\b|1)|(1o|1\.|primo) tempo)"),
+    (Change.A_TEMPO, r"(a tempo|au mouvement|im zeitma(ss|ß))"),
+    (Change.MENO_MOSSO, r"(meno (mosso|allegro|vivo|presto)|ritenut|riten\b|langsamer|plus lent)"),
+    (Change.PIU_MOSSO, r"(pi(ù|u'?) (mosso|allegro|vivo|presto)|schneller|plus vite)"),
+    (
+        Change.RITARDANDO,
+        r"(rit\b|ritard|rallent|rall\b|allarg|slarg|lentando|calando|morendo|smorz|cédez|"
+        r"ritenendo)",
+    ),
+    (Change.ACCELERANDO, r"(accel|string(endo|\b)|affrett|precipit|serrez|beschleunig)"),
+)
+_LOUDER = r"(cresc|rinforzando)"
+_SOFTER = r"(decresc|dim\b|dimin|calando|morendo|smorz|perdendosi)"
+_SWING = r"swing"
+_STRAIGHT = r"straight"
+TRIPLETS = (2, 1)
+"""How "Swing" divides a beat: the first note is about twice as long (MuseScore's handbook)."""
+EVEN = (1, 1)
+
+
+def tempo_change(text: str) -> Change | None:
+    """The change of tempo that words such as "poco rit." ask for, if any."""
+    return next((change for change, words in _CHANGES if _has(text, words)), None)
+
+
+def loudness_step(text: str) -> int | None:
+    """1 for words such as "cresc.", -1 for "dim." and the like, None for others."""
+    if _has(text, _LOUDER):
+        return 1
+    return -1 if _has(text, _SOFTER) else None
+
+
+def swing(text: str) -> tuple[int, int] | None:
+    """How words such as "Swing" or "Straight" divide a beat in two, if they do."""
+    if _has(text, _STRAIGHT):
+        return EVEN
+    return TRIPLETS if _has(text, _SWING) else None
+
+
+def _has(text: str, words: str) -> bool:
+    return re.search(rf"(?<!\w){words}", " ".join(text.split()), re.IGNORECASE) is not None
