@@ -6,7 +6,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,9 +66,9 @@ class TempoMap:
     ) -> TempoMap:
         """The map of a score by its marks, in any order.
 
-        A `Tempo` overrules a word at the same place. Fermatas that sound together are one. A
-        gradual change whose end the score does not show goes on up to the next mark of a tempo, or
-        for `Conventions.open_ramp`.
+        A `Tempo` overrules a word at the same place that means it. Fermatas that sound together
+        are one. A gradual change whose end the score does not show goes on up to the next mark of
+        a tempo, or for `Conventions.open_ramp`.
 
         Args:
             marks: the marks.
@@ -154,14 +154,17 @@ def _tempos(
 ) -> list[TempoPiece]:
     """The pieces of a map without waits."""
     tempos = {mark.onset: mark for mark in marks if isinstance(mark, Tempo)}
-    words = [each for each in marks if isinstance(each, TempoWord) and each.onset not in tempos]
-    both: list[Tempo | TempoWord] = [*tempos.values(), *words]
-    changes = sorted(both, key=lambda mark: mark.onset)
+    changes: list[Tempo | TempoWord] = list(tempos.values())
+    words = {(mark.onset, mark.change): mark for mark in marks if isinstance(mark, TempoWord)}
+    changes += words.values()  # once, if every staff has them
+    changes.sort(key=lambda mark: mark.onset)  # at one place, tempos first
     primo = next((mark.seconds for mark in changes if isinstance(mark, Tempo)), None)
     speeds = [_Speed(Fraction(0), _SECONDS_PER_QUARTER)]
     before, gradual = _SECONDS_PER_QUARTER, False  # what "a tempo" leads back to; whether in a ramp
-    for mark, following in zip(changes, [*changes[1:], None], strict=True):
+    for mark, following in zip_longest(changes, changes[1:]):
         now = speeds[-1].seconds
+        if isinstance(mark, TempoWord) and mark.onset in tempos and _is_said(mark, speeds):
+            continue
         if isinstance(mark, TempoWord) and mark.change in _GRADUAL:
             before, gradual = before if gradual else now, True
             speeds += _ramp(mark, now, following, conventions, end)
@@ -179,6 +182,18 @@ def _tempos(
         before, gradual = now if sudden else seconds, False
         speeds.append(_Speed(mark.onset, seconds))
     return _timed(speeds)
+
+
+def _is_said(word: TempoWord, speeds: Sequence[_Speed]) -> bool:
+    """Whether the tempo at the place of a word, the last of `speeds`, is what the word means.
+
+    A tempo from which a gradual change begins is not.
+    """
+    if word.change not in _GRADUAL:
+        return True
+    before = [speed.seconds for speed in speeds[-2:] if speed.place < word.onset]
+    slower = word.change is Change.RITARDANDO
+    return any(before) and (speeds[-1].seconds > before[-1]) == slower
 
 
 def _ramp(

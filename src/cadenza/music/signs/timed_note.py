@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import zip_longest
 
 from cadenza.music.signs.signed_note import SignedNote
 
@@ -14,12 +15,16 @@ SHORTEST = 0.02
 
 @dataclass(slots=True, eq=False)
 class TimedNote:
-    """A note as it is to sound from `start` to `end` [s], before ornaments divide it."""
+    """A note as it is to sound from `start` to `end` [s], before ornaments divide it.
+
+    `cut` is whether a sign has made it end earlier than it is written.
+    """
 
     of: SignedNote
     start: float
     end: float
     velocity: float
+    cut: bool = False
 
     @property
     def length(self) -> float:
@@ -28,7 +33,9 @@ class TimedNote:
 
     def end_by(self, time: float) -> None:
         """Ends the note at a time [s] or before, but not before it has sounded."""
-        self.end = min(self.end, max(time, self.start + min(self.length, SHORTEST)))
+        if time < self.end:
+            self.end = max(time, self.start + min(self.length, SHORTEST))
+            self.cut = True
 
 
 Chord = list[TimedNote]
@@ -41,13 +48,15 @@ class Voice:
     Both are in order of time; grace notes of one place are chords, too, in their order.
     """
 
+    part: int
+    name: str
     chords: dict[Fraction, Chord]
     graces: dict[Fraction, list[Chord]]
 
     def pairs(self) -> Iterator[tuple[Chord, Chord | None]]:
         """Yields each chord with the next one."""
         chords = list(self.chords.values())
-        yield from zip(chords, [*chords[1:], None], strict=True)
+        yield from zip_longest(chords, chords[1:])
 
 
 def voices_of(notes: Iterable[TimedNote]) -> list[Voice]:
@@ -56,7 +65,7 @@ def voices_of(notes: Iterable[TimedNote]) -> list[Voice]:
     indices: dict[tuple[int, str, Fraction], dict[int, Chord]] = {}
     for note in sorted(notes, key=lambda note: note.of.onset):
         of = note.of
-        voice = voices.setdefault((of.part, of.voice), Voice({}, {}))
+        voice = voices.setdefault((of.part, of.voice), Voice(of.part, of.voice, {}, {}))
         if of.grace is None:
             voice.chords.setdefault(of.onset, []).append(note)
         else:

@@ -1,0 +1,126 @@
+"""When grace notes are played."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from itertools import pairwise
+
+from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.signed_note import OrnamentKind
+from cadenza.music.signs.tempo_map import TempoMap
+from cadenza.music.signs.timed_note import Chord, Voice
+
+_MOST_OF_NOTE = 0.5  # of the note before or after grace notes, which they take; a choice
+_HALF, _TWO_THIRDS = Fraction(1, 2), Fraction(2, 3)
+_THREE = 3  # a dotted note has so many halves of the next smaller value
+
+
+def place_graces(voice: Voice, tempo: TempoMap, conventions: Conventions) -> None:
+    """Gives grace notes their times, and their neighbours those that are left to them.
+
+    They are played one after the other before the beat, and the note before sounds on meanwhile;
+    those after a trill end it. Where the file says that they take their time from one of their
+    neighbours, they do. A single one without a stroke is an appoggiatura.
+    """
+    onsets = list(voice.chords)
+    before = 0  # chords that begin earlier than the grace notes
+    for onset, graces in voice.graces.items():
+        while before < len(onsets) and onsets[before] < onset:
+            before += 1
+        previous = voice.chords[onsets[before - 1]] if before else None
+        after = graces[0][0].of.grace
+        assert after is not None  # or they were no grace notes
+        main = None if after.after else voice.chords.get(onset)
+        if main is not None and _on_the_beat(graces, main, tempo, conventions):
+            continue
+        beat = float((tempo.onsets if main else tempo.ends)([onset])[0])
+        _before_the_beat(graces, previous, beat, tempo, conventions)
+
+
+def _on_the_beat(
+    graces: Sequence[Chord], main: Chord, tempo: TempoMap, conventions: Conventions
+) -> bool:
+    """Plays grace notes that take their time from the chord that they lead to, if they do."""
+    grace = graces[0][0]
+    shown = grace.of.grace
+    assert shown is not None
+    if shown.of_following is not None:
+        share = sum(_share(chord[0].of.grace.of_following) for chord in graces if chord[0].of.grace)
+        delayed, length = main, min(share, _MOST_OF_NOTE) * min(note.length for note in main)
+    elif conventions.appoggiaturas and _is_appoggiatura(graces):
+        delayed = [min(main, key=lambda note: abs(note.of.pitch - grace.of.pitch))]
+        end = delayed[0].of.onset + min(grace.of.duration, _most(delayed[0].of.duration))
+        length = min(float(tempo.onsets([end])[0]) - delayed[0].start, delayed[0].length)
+    else:
+        return False
+    start = min(note.start for note in delayed)
+    _in_turn(graces, start, start + length)
+    for note in delayed:
+        note.start = start + length
+    return True
+
+
+def _is_appoggiatura(graces: Sequence[Chord]) -> bool:
+    grace = graces[0][0].of
+    return (
+        len(graces) == len(graces[0]) == 1
+        and grace.grace is not None
+        and not grace.grace.slash
+        and grace.grace.of_previous is None
+        and grace.grace.takes is None
+        and grace.duration > 0
+    )
+
+
+def _most(duration: Fraction) -> Fraction:
+    """The most that an appoggiatura takes of a note: two thirds of a dotted one, half of others."""
+    return duration * (_TWO_THIRDS if duration.numerator % _THREE == 0 else _HALF)
+
+
+def _before_the_beat(
+    graces: Sequence[Chord],
+    previous: Chord | None,
+    beat: float,
+    tempo: TempoMap,
+    conventions: Conventions,
+) -> None:
+    first = graces[0][0].of
+    ends_trill = previous is not None and any(
+        note.of.ornament is not None
+        and note.of.ornament.kind is OrnamentKind.TRILL
+        and note.of.end == first.onset
+        for note in previous
+    )
+    ends_trill &= conventions.ornaments
+    each = 1 / conventions.notes_a_second if ends_trill else conventions.grace_length
+    length = each * len(graces)
+    grace = first.grace
+    assert grace is not None
+    if grace.takes is not None:
+        onset = first.onset
+        length = float(beat - tempo.onsets([onset - grace.takes * len(graces)])[0])
+    steals = ends_trill
+    if previous is not None:
+        begun = min(note.start for note in previous)
+        if grace.of_previous is not None:
+            shares = (chord[0].of.grace.of_previous for chord in graces if chord[0].of.grace)
+            length = sum(map(_share, shares)) * (beat - begun)
+            steals = True
+        length = min(length, _MOST_OF_NOTE * (beat - begun))
+    _in_turn(graces, beat - length, beat)
+    if previous is not None and steals:
+        for note in previous:
+            note.end_by(beat - length)
+
+
+def _in_turn(graces: Sequence[Chord], start: float, end: float) -> None:
+    """Plays chords one after the other, each as long as the others, between two times [s]."""
+    times = [start + (end - start) * k / len(graces) for k in range(len(graces))] + [end]
+    for chord, (begin, stop) in zip(graces, pairwise(times), strict=True):
+        for note in chord:
+            note.start, note.end = begin, stop
+
+
+def _share(share: float | None) -> float:
+    return min(max(share or 0.0, 0.0), 1.0)

@@ -1,0 +1,121 @@
+"""Trills, mordents, turns and slides: the notes that a sign stands for."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.signed_note import Ornament, OrnamentKind, SignedNote
+
+_STEPS = (0, 2, 4, 5, 7, 9, 11)  # semitones of C, D, E, F, G, A and B
+_SHARPS = (3, 0, 4, 1, 5, 2, 6)  # the steps that get sharps, in the order of keys: F, C, G, ...
+_OCTAVE = 12
+_WHOLE_TONE = 2
+_LEAST_TRILL = 4  # notes: two shakes
+_FASTEST = 0.03  # [s] a note of an ornament that would be shorter is left out; a choice
+_MOST_OF_NOTE = 0.5  # of the note, which a turn after it takes at most
+
+Piece = tuple[float, float, int]
+"""A note of an ornament: start and end [s], and pitch."""
+
+
+def neighbour(note: SignedNote, step: int, accidental: int | None = None) -> int:
+    """The pitch a few steps of the staff above a note, or below it if `step` is negative.
+
+    Args:
+        note: the note.
+        step: how many steps higher.
+        accidental: the alteration [semitones] that a sign gives; None is that of the key.
+    """
+    natural = note.pitch - note.alter
+    if natural % _OCTAVE not in _STEPS:  # no line has this note: the file contradicts itself
+        return note.pitch + step * _WHOLE_TONE
+    octave, line = divmod(_STEPS.index(natural % _OCTAVE) + step, len(_STEPS))
+    natural += (octave * _OCTAVE + _STEPS[line]) - natural % _OCTAVE
+    return natural + (alteration(line, note.fifths) if accidental is None else accidental)
+
+
+def alteration(line: int, fifths: int) -> int:
+    """How many semitones a key with so many sharps, or flats if negative, alters a step.
+
+    The step 0 is C. Keys beyond seven sharps or flats have double ones.
+    """
+    place = _SHARPS.index(line)
+    return (fifths - place + len(_SHARPS) - 1) // len(_SHARPS)
+
+
+def ornament_pieces(
+    note: SignedNote, start: float, end: float, led_to: bool, conventions: Conventions
+) -> list[Piece]:
+    """The notes that a note with an ornament stands for, which fill its time without gaps.
+
+    Args:
+        note: the note.
+        start: its beginning [s].
+        end: its end [s].
+        led_to: whether a grace note leads to it.
+        conventions: how fast ornaments are, and how trills begin.
+    """
+    sign = note.ornament
+    assert sign is not None
+    if sign.kind is OrnamentKind.TRILL:
+        return _trill(note, sign, start, end, led_to, conventions)
+    upper, main, lower = (
+        neighbour(note, 1, sign.above),
+        note.pitch,
+        neighbour(note, -1, sign.below),
+    )
+    turn = [upper, main, lower, main]
+    pitches = {
+        OrnamentKind.MORDENT: [main, *[lower, main] * (2 if sign.long else 1)],
+        OrnamentKind.INVERTED_MORDENT: [main, *[upper, main] * (2 if sign.long else 1)],
+        OrnamentKind.TURN: turn,
+        OrnamentKind.INVERTED_TURN: [lower, main, upper, main],
+        OrnamentKind.SLIDE: [neighbour(note, -2), neighbour(note, -1), main],
+    }[sign.kind]
+    if sign.kind is OrnamentKind.INVERTED_MORDENT and sign.begins == 1:
+        pitches = [upper, *pitches]
+    each = 1 / conventions.notes_a_second
+    if sign.delayed:
+        each = min(each, _MOST_OF_NOTE * (end - start) / len(pitches))
+        first = end - each * len(pitches)
+        return _sequence(pitches, first, each, end, [(start, first, main)])
+    return _sequence(pitches, start, min(each, (end - start) / len(pitches)), end, [])
+
+
+def _trill(
+    note: SignedNote,
+    sign: Ornament,
+    start: float,
+    end: float,
+    led_to: bool,
+    conventions: Conventions,
+) -> list[Piece]:
+    """A whole number of equally long notes that end on the main note."""
+    upper, main = neighbour(note, 1, sign.above), note.pitch
+    begins = sign.begins
+    if begins is None:
+        begins = 1 if conventions.trills_from_above and not led_to else 0
+    odd = begins == 0
+    count = max(int((end - start) * conventions.notes_a_second + 1e-9), _LEAST_TRILL - odd)
+    count -= (count - odd) % 2
+    pitches = [main if (count - k) % 2 else upper for k in range(count)]
+    if begins == -1:
+        pitches[0] = neighbour(note, -1, sign.below)
+    return _sequence(pitches, start, (end - start) / count, end, [])
+
+
+def _sequence(
+    pitches: list[int], first: float, each: float, end: float, before: list[Piece]
+) -> list[Piece]:
+    """Notes that last `each` [s], from `first` [s] on, after those `before`; the last to the end.
+
+    There are none where they would be too short to be played.
+    """
+    if each < _FASTEST:
+        return [(before[0][0] if before else first, end, pitches[-1])]
+    times = [first + k * each for k in range(len(pitches))] + [end]
+    return [
+        *before,
+        *((*pair, pitch) for pair, pitch in zip(pairwise(times), pitches, strict=True)),
+    ]

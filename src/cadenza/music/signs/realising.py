@@ -1,0 +1,100 @@
+"""Realises the signs of notes: from a score as written to notes as they sound."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from cadenza.errors import CadenzaError
+from cadenza.music.signs.arpeggios import break_chords
+from cadenza.music.signs.articulation import articulate, slurred_onsets
+from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.graces import place_graces
+from cadenza.music.signs.loudness import within_midi
+from cadenza.music.signs.ornaments import ornament_pieces
+from cadenza.music.signs.signed_note import SignedNote, SoundingNote
+from cadenza.music.signs.swinging import SwungTimes
+from cadenza.music.signs.tempo_map import TempoMap
+from cadenza.music.signs.tempo_marks import Swing
+from cadenza.music.signs.timed_note import TimedNote, voices_of
+from cadenza.music.signs.tremolos import Times, tremolo_times
+
+MOST_NOTES = 100_000
+"""More, with repeats and ornaments, are taken for damage."""
+
+
+def realised(
+    notes: Iterable[SignedNote],
+    tempo: TempoMap,
+    conventions: Conventions,
+    swings: Iterable[Swing] = (),
+) -> list[SoundingNote]:
+    """The notes as they sound, by their beginnings.
+
+    Notes that no sign concerns begin and end where the tempo map says, to the bit. Grace notes
+    before the first beat begin before 0 s.
+
+    Args:
+        notes: the notes as written, of all parts.
+        tempo: the time of each place in the music.
+        conventions: what signs mean.
+        swings: where notes swing.
+
+    Raises:
+        CadenzaError: there would be more notes than `MOST_NOTES`.
+    """
+    notes = list(notes)
+    timed = _timed(notes, tempo, swings if conventions.swing else ())
+    voices = voices_of(timed)
+    slurred = slurred_onsets(notes)
+    for voice in voices:
+        place_graces(voice, tempo, conventions)
+    if conventions.arpeggios:
+        break_chords(timed, conventions)
+    times: dict[int, Times] = {}
+    for voice in voices:
+        articulate(voice, slurred.get((voice.part, voice.name), set()), conventions)
+        if conventions.ornaments:
+            times |= tremolo_times(voice, conventions)
+    led_to = {
+        (voice.part, voice.name, onset)
+        for voice in voices
+        for onset, graces in voice.graces.items()
+        if graces[-1][0].of.grace and not graces[-1][0].of.grace.after
+    }
+    sounding: list[SoundingNote] = []
+    for note in timed:
+        of, velocity = note.of, within_midi(note.velocity)
+        follows_grace = (of.part, of.voice, of.onset) in led_to
+        for start, end, pitch in _pieces(note, times, follows_grace, conventions):
+            sounding.append(SoundingNote(start, end, pitch, velocity, of))
+        if len(sounding) > MOST_NOTES:
+            raise CadenzaError(
+                f"over {MOST_NOTES} notes with all ornaments and repeats, too many; read the song "
+                "as plain"
+            )
+    return sorted(sounding, key=lambda note: (note.start, note.pitch))
+
+
+def _timed(
+    notes: Sequence[SignedNote], tempo: TempoMap, swings: Iterable[Swing]
+) -> list[TimedNote]:
+    """The notes at their written times, which swing and the file's own shifts change."""
+    if not notes:
+        return []
+    swung = SwungTimes(swings, notes)
+    starts = tempo.onsets([swung.moved(note, note.onset) + note.attack for note in notes])
+    ends = tempo.ends([swung.moved(note, note.end) + note.release for note in notes])
+    return [
+        TimedNote(note, start, end, note.velocity)
+        for note, start, end in zip(notes, starts.tolist(), ends.tolist(), strict=True)
+    ]
+
+
+def _pieces(
+    note: TimedNote, times: Mapping[int, Times], led_to: bool, conventions: Conventions
+) -> Iterable[tuple[float, float, int]]:
+    """The notes that one stands for: starts and ends [s], and pitches."""
+    if note.of.ornament is not None and conventions.ornaments and note.of.grace is None:
+        return ornament_pieces(note.of, note.start, note.end, led_to, conventions)
+    own = times.get(id(note), [(note.start, note.end)])
+    return ((start, end, note.of.pitch) for start, end in own)

@@ -1,0 +1,271 @@
+"""Signs of single notes: what is played for them, worked out by hand from rules of editions."""
+
+from fractions import Fraction as Q
+
+import pytest
+
+from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.realising import realised
+from cadenza.music.signs.signed_note import (
+    Arpeggio,
+    Grace,
+    Mark,
+    Ornament,
+    OrnamentKind,
+    Role,
+    SignedNote,
+    SlurEnd,
+    Tremolo,
+)
+from cadenza.music.signs.tempo_map import TempoMap
+from cadenza.music.signs.tempo_marks import Swing, Tempo
+
+BACH = Conventions(notes_a_second=8)  # thirty-seconds of a quarter of 1 s, as most examples have
+C4, D4, E4, F4, G4, B3 = 60, 62, 64, 65, 67, 59
+
+
+def played(*notes, conventions=BACH, seconds=1.0, swings=()):
+    """(start, end, pitch) of what sounds; a quarter lasts `seconds`."""
+    tempo = TempoMap.of([Tempo(Q(0), seconds)], conventions)
+    sounding = realised(notes, tempo, conventions, swings)
+    return [(round(n.start, 9), round(n.end, 9), n.pitch) for n in sounding]
+
+
+def note(onset, duration, pitch=C4, **signs):
+    return SignedNote(Q(onset), Q(duration), pitch, 80, **signs)
+
+
+def eighths_of_a_second(start, pitches):
+    return [(start + k / 8, start + (k + 1) / 8, pitch) for k, pitch in enumerate(pitches)]
+
+
+def ornament(kind, **more):
+    return {"ornament": Ornament(OrnamentKind[kind], **more)}
+
+
+def test_a_trill_begins_above_and_ends_on_its_note():
+    assert played(note(1, 1, **ornament("TRILL"))) == eighths_of_a_second(1, [D4, C4] * 4)
+
+
+def test_the_key_or_an_accidental_says_how_high_the_neighbour_of_a_trill_is():
+    in_e_major = played(note(0, 1, E4, fifths=4, **ornament("TRILL")))
+    assert {pitch for *_, pitch in in_e_major} == {E4, 66}
+    with_natural = played(note(0, 1, E4, fifths=4, **ornament("TRILL", above=0)))
+    assert {pitch for *_, pitch in with_natural} == {E4, F4}
+    on_b_flat = played(note(0, 1, 70, alter=-1, fifths=-2, **ornament("TRILL")))
+    assert {pitch for *_, pitch in on_b_flat} == {70, 72}
+
+
+def test_a_trill_may_begin_on_its_note():
+    main = eighths_of_a_second(0, [])
+    conventions = Conventions(notes_a_second=8, trills_from_above=False)
+    main = [(k / 7, (k + 1) / 7, [C4, D4][k % 2]) for k in range(7)]
+    rounded = [(round(a, 9), round(b, 9), pitch) for a, b, pitch in main]
+    assert played(note(0, 1, **ornament("TRILL")), conventions=conventions) == rounded
+    assert played(note(0, 1, **ornament("TRILL", begins=0))) == rounded
+
+
+def test_grace_notes_after_a_trill_end_it():
+    ending = [
+        note(1, Q(1, 4), B3, grace=Grace(0)),
+        note(1, Q(1, 4), C4, grace=Grace(1)),
+    ]
+    got = played(note(0, 1, **ornament("TRILL")), *ending, note(1, 1, D4))
+    turn = eighths_of_a_second(0.75, [B3, C4])
+    assert got == [*eighths_of_a_second(0, [D4, C4] * 3), *turn, (1, 2, D4)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "pitches"),
+    [
+        ("MORDENT", [C4, B3, C4]),
+        ("INVERTED_MORDENT", [C4, D4, C4]),
+        ("TURN", [D4, C4, B3, C4]),
+        ("INVERTED_TURN", [B3, C4, D4, C4]),
+        ("SLIDE", [57, B3, C4]),
+    ],
+)
+def test_short_ornaments_are_fast_and_their_last_note_is_held(kind, pitches):
+    fast = eighths_of_a_second(0, pitches)
+    fast[-1] = (fast[-1][0], 2, C4)
+    assert played(note(0, 2, **ornament(kind))) == fast
+
+
+def test_a_long_mordent_has_two_beats_and_a_short_note_a_fast_one():
+    got = played(note(0, 2, **ornament("MORDENT", long=True)))
+    assert [pitch for *_, pitch in got] == [C4, B3, C4, B3, C4]
+    short = played(note(0, Q(3, 16), **ornament("MORDENT")))
+    assert short == [(0, 0.0625, C4), (0.0625, 0.125, B3), (0.125, 0.1875, C4)]
+
+
+def test_a_turn_after_a_note_comes_just_before_the_next():
+    got = played(note(0, 2, **ornament("TURN", delayed=True, below=1)))
+    assert got == [(0, 1.5, C4), *eighths_of_a_second(1.5, [D4, C4, 60, C4])]
+
+
+@pytest.mark.parametrize(
+    ("duration", "marks", "count"),
+    [
+        (1, 1, 2),  # a quarter as eighths
+        (1, 2, 4),
+        (Q(3, 2), 1, 3),  # dotted
+        (Q(1, 2), 1, 2),  # an eighth with one stroke has sixteenths
+        (Q(2, 3), 1, 2),  # a quarter of a triplet
+        (4, 2, 16),
+    ],
+)
+def test_tremolos_are_measured_by_their_marks(duration, marks, count):
+    got = played(note(0, duration, tremolo=Tremolo(marks)), seconds=1)
+    assert len(got) == count
+    assert {round(end - start, 6) for start, end, _ in got} == {round(float(duration / count), 6)}
+
+
+def test_a_tremolo_is_no_faster_than_an_ornament():
+    assert len(played(note(0, 1, tremolo=Tremolo(3)), seconds=0.5)) == 4
+
+
+def test_a_tremolo_of_two_alternates():
+    got = played(
+        note(0, 1, C4, tremolo=Tremolo(2, Role.FIRST)),
+        note(0, 1, E4, tremolo=Tremolo(2, Role.FIRST)),
+        note(1, 1, G4, tremolo=Tremolo(2, Role.SECOND)),
+    )
+    assert [(start, pitch) for start, _, pitch in got] == [
+        (k / 4, pitch) for k in range(8) for pitch in ([C4, E4] if k % 2 == 0 else [G4])
+    ]
+
+
+def chord(*pitches, onset=0, duration=2, staff=1, **sign):
+    arpeggio = Arpeggio(**sign)
+    return [note(onset, duration, p, staff=staff, arpeggio=arpeggio) for p in pitches]
+
+
+def test_arpeggios_go_up_or_down_from_the_beat():
+    up = played(*chord(C4, E4, G4))
+    assert up == [(0, 2, C4), (0.04, 2, E4), (0.08, 2, G4)]
+    down = played(*chord(C4, E4, G4, step=-1))
+    assert [pitch for *_, pitch in down] == [G4, E4, C4]
+    assert played(*chord(C4, E4, step=0)) == [(0, 2, C4), (0, 2, E4)]
+
+
+def test_arpeggios_cross_staves_by_their_number():
+    one = played(*chord(36, 48, staff=2, number=1), *chord(C4, E4, number=1))
+    assert [start for start, *_ in one] == [0, 0.04, 0.08, 0.12]
+    two = played(*chord(36, 48, staff=2), *chord(C4, E4))
+    assert [start for start, *_ in two] == [0, 0, 0.04, 0.04]
+
+
+def test_short_grace_notes_come_before_the_beat_and_chords_of_them_together():
+    graces = [
+        note(1, Q(1, 2), D4, grace=Grace(0, slash=True)),
+        note(1, Q(1, 2), F4, grace=Grace(0, slash=True)),
+        note(1, Q(1, 2), E4, grace=Grace(1, slash=True)),
+    ]
+    got = played(note(0, 1), *graces, note(1, 1, C4))
+    assert got == [(0, 1, C4), (0.8, 0.9, D4), (0.8, 0.9, F4), (0.9, 1, E4), (1, 2, C4)]
+
+
+@pytest.mark.parametrize(
+    ("shown", "main", "takes"), [(Q(1, 2), 1, 0.5), (1, 1, 0.5), (2, 3, 2), (Q(1, 4), 1, 0.25)]
+)
+def test_an_appoggiatura_takes_half_of_its_note_or_two_thirds_of_a_dotted_one(shown, main, takes):
+    got = played(note(1, shown, D4, grace=Grace(0)), note(1, main), note(1, main, 48))
+    end = 1 + main
+    assert got == [(1, end, 48), (1, 1 + takes, D4), (1 + takes, end, C4)]
+
+
+def test_grace_notes_take_time_from_the_neighbour_that_the_file_names():
+    previous = Grace(0, of_previous=0.25)
+    got = played(note(0, 1, E4), note(1, Q(1, 4), D4, grace=previous), note(1, 1))
+    assert got == [(0, 0.75, E4), (0.75, 1, D4), (1, 2, C4)]
+    following = Grace(0, of_following=0.25)
+    got = played(note(0, 1, E4), note(1, Q(1, 4), D4, grace=following), note(1, 1))
+    assert got == [(0, 1, E4), (1, 1.25, D4), (1.25, 2, C4)]
+
+
+def test_grace_notes_at_the_end_of_a_bar_come_before_it():
+    got = played(note(0, 4), note(4, Q(1, 4), D4, grace=Grace(0, after=True)))
+    assert got == [(0, 4, C4), (3.9, 4, D4)]
+
+
+def test_grace_notes_leave_half_of_a_short_note_before_them():
+    graces = [note(1, Q(1, 8), D4 + k, grace=Grace(k)) for k in range(4)]
+    got = played(note(Q(3, 4), Q(1, 4), E4), *graces, note(1, 1))
+    assert got[0] == (0.75, 1, E4)
+    assert min(start for start, *_ in got[1:]) == 0.875
+
+
+@pytest.mark.parametrize(
+    ("marks", "end"),
+    [
+        ({Mark.STACCATO}, 0.5),
+        ({Mark.STACCATISSIMO}, 0.33),
+        ({Mark.PORTATO}, 0.67),
+        ({Mark.STACCATO, Mark.TENUTO}, 0.67),
+        ({Mark.TENUTO}, 1),
+        ({Mark.STRONG_ACCENT}, 0.67),
+        ({Mark.BREATH}, 0.85),
+        ({Mark.PHRASE_END}, 0.95),
+        (set(), 1),
+    ],
+)
+def test_articulation_says_how_long_a_note_is(marks, end):
+    assert played(note(0, 1, marks=frozenset(marks)), note(1, 1)) == [(0, end, C4), (1, 2, C4)]
+
+
+def test_accents_are_louder():
+    tempo = TempoMap.of([], BACH)
+    marks = [frozenset(), {Mark.ACCENT}, {Mark.STRONG_ACCENT}, {Mark.SFORZATO}]
+    notes = [note(k, 1, marks=frozenset(each)) for k, each in enumerate(marks)]
+    assert [n.velocity for n in realised(notes, tempo, BACH)] == [80, 92, 96, 120]
+
+
+def test_under_a_slur_notes_last_to_the_next_and_the_last_is_lifted():
+    slur = {"slurs": (SlurEnd(True),)}
+    end = {"slurs": (SlurEnd(False),)}
+    late = chord(E4, G4, onset=1, duration=1)
+    got = played(note(0, 1, **slur), *late, note(2, 1, **end), note(3, 1))
+    assert got == [(0, 1, C4), (1, 2, E4), (1.04, 2, G4), (2, 2.95, C4), (3, 4, C4)]
+    dotted = {"marks": frozenset({Mark.STACCATO})}
+    got = played(note(0, 1, **slur, **dotted), note(1, 1, **end, **dotted))
+    assert got == [(0, 0.67, C4), (1, 1.67, C4)]
+
+
+def test_swing_moves_the_middle_of_a_beat():
+    halves = [note(Q(k, 2), Q(1, 2), C4 + k) for k in range(4)]
+    got = played(*halves, swings=[Swing(Q(0))])
+    assert [start for start, *_ in got] == pytest.approx([0, 2 / 3, 1, 5 / 3])
+    assert [end for _, end, _ in got] == pytest.approx([2 / 3, 1, 5 / 3, 2])
+
+
+def test_swing_leaves_sixteenths_and_triplets_and_ends_where_it_is_straight():
+    sixteenths = [note(Q(k, 4), Q(1, 4)) for k in range(4)]
+    assert [start for start, *_ in played(*sixteenths, swings=[Swing(Q(0))])] == [
+        0,
+        0.25,
+        0.5,
+        0.75,
+    ]
+    halves = [note(Q(k, 2), Q(1, 2)) for k in range(4)]
+    got = played(*halves, swings=[Swing(Q(0)), Swing(Q(1), 1, 1)])
+    assert [start for start, *_ in got] == [0, round(2 / 3, 9), 1, 1.5]
+
+
+def test_an_upbeat_of_an_eighth_swings_with_the_beats():
+    got = played(note(0, Q(1, 2)), note(Q(1, 2), 1), swings=[Swing(Q(0), beat=Q(1, 2))])
+    assert got == [(round(1 / 6, 9), 0.5, C4), (0.5, 1.5, C4)]
+
+
+def test_the_file_may_move_beginnings_and_ends():
+    assert played(note(1, 1, attack=Q(1, 8), release=Q(-1, 4))) == [(1.125, 1.75, C4)]
+
+
+def test_plain_plays_every_note_as_it_stands():
+    signs = [
+        note(0, 1, **ornament("TRILL"), marks=frozenset({Mark.STACCATO, Mark.ACCENT})),
+        *chord(C4, E4, onset=1, duration=1),
+        note(2, Q(1, 2), tremolo=Tremolo(3), slurs=(SlurEnd(True),)),
+        note(Q(5, 2), Q(1, 2), marks=frozenset({Mark.BREATH}), slurs=(SlurEnd(False),)),
+    ]
+    got = played(*signs, conventions=Conventions.plain(), swings=[Swing(Q(0))])
+    assert got == [(0, 1, C4), (1, 2, C4), (1, 2, E4), (2, 2.5, C4), (2.5, 3, C4)]
