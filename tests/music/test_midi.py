@@ -138,9 +138,9 @@ def test_overlapping_notes_of_a_pitch_are_cut_where_the_next_begins(saved):
     assert score.remarks == ("1 note cut short where the same key is struck again",)
 
 
-def test_the_same_key_in_two_tracks_is_cut_too(saved):
+def test_a_key_held_by_one_track_and_struck_by_another_is_held_on(saved):
     score = read_midi(saved([on(60), off(60, 40)], [on(60, 10), off(60, 10)]))
-    assert played(score) == [(0.0, 0.5, 60), (0.5, 1.0, 60)]
+    assert played(score) == [(0.0, 0.5, 60), (0.5, 2.0, 60)]
 
 
 def test_doubled_notes_are_merged_into_the_longest_and_loudest(saved):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
 from cadenza.music.etudes.library import KINDS, make_etude
-from cadenza.music.formats.musicxml import read_musicxml
+from cadenza.music.formats.musicxml.reader import read_musicxml
 from cadenza.music.formats.musicxml_writing import write_musicxml
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.library import load_score

@@ -70,7 +70,8 @@ def repaired_notes(
 def _without_overlaps(found: list[RawNote], counts: Counter[str]) -> list[RawNote]:
     """The notes that last, at most one of each pitch at a time.
 
-    The number of each kind of repair is added to `counts`.
+    One that is struck again while it is held ends there, and the other lasts as long as both. The
+    number of each kind of repair is added to `counts`.
     """
     lasting = [note for note in found if note.end > note.start]
     counts["zero"] = len(found) - len(lasting)
@@ -82,11 +83,13 @@ def _without_overlaps(found: list[RawNote], counts: Counter[str]) -> list[RawNot
             counts["doubled"] += 1
             _merge(before, note)
             continue
+        latest[note.pitch] = struck = replace(note)
+        played.append(struck)
         if before and before.end > note.start:
             counts["cut"] += 1
+            if before.released and note.released:  # the key is held as long as the longer one
+                struck.end = max(before.end, note.end)
             before.release(note.start)
-        latest[note.pitch] = replace(note)
-        played.append(latest[note.pitch])
     counts["unreleased"] = sum(not note.released for note in played)
     return played
 

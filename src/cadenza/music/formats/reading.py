@@ -69,7 +69,7 @@ def read_score(path: Path, tracks: Collection[int] = ()) -> Score:
     """
     from cadenza.music.formats.fingering_file import SUFFIX, read_fingering
     from cadenza.music.formats.midi import read_midi
-    from cadenza.music.formats.musicxml import read_musicxml
+    from cadenza.music.formats.musicxml.reader import read_musicxml
 
     check_format(path)
     suffix = path.suffix.lower()

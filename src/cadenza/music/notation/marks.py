@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cadenza.music.formats.musicxml_marks import VELOCITIES
+from cadenza.music.formats.musicxml.dynamics import VELOCITIES
 from cadenza.music.notation.metre import QUARTER, Metre
 from cadenza.music.score import PedalEvent
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import html
 import io
+import posixpath
 import re
-from collections import Counter
 from pathlib import Path
-from xml.etree.ElementTree import Element, TreeBuilder
+from xml.etree.ElementTree import Element, SubElement, TreeBuilder
 from xml.parsers import expat
 from zipfile import ZipFile
 
@@ -16,31 +16,26 @@ from cadenza.files import opened_archive, unpacked
 from cadenza.music.formats.source import read_bytes
 
 MAX_XML_BYTES = 16 * 2**20
-# A long sonata has a tenth of these. Some cost the library time by their square.
+# A long sonata has a tenth of these.
 MOST_PARTS = 800_000  # elements and attributes
-MOST = {
-    "note": 40_000,
-    "wedge": 5_000,
-    "grace": 5_000,
-    "words": 3_000,
-    "repeat": 1_000,
-    "ending": 1_000,
-}
+MOST_NOTES = 40_000
 DEEPEST = 64  # elements within each other; MusicXML has a dozen
 _CONTENTS = "META-INF/container.xml"
 _MAX_CONTENTS = 2**16  # bytes
+_PARTWISE, _TIMEWISE = "score-partwise", "score-timewise"
+_MEI = ("mei", "meiCorpus")
 _MARKS = b"\xef\xbb\xbf\xff\xfe"  # of the encoding, before the document
 
 
 def tree_of(path: Path) -> Element:
-    """The root of the document, from its archive where it is compressed.
+    """The root of the document, from its archive where it is compressed: parts that hold measures.
 
     Names lose their prefixes of namespaces, and attributes with a prefix, which MusicXML does not
     use, are left out.
 
     Raises:
-        CadenzaError: it cannot be read, is no XML, declares anything of its own, or is too large or
-            too deeply nested for a song.
+        CadenzaError: it cannot be read, is no MusicXML, declares anything of its own, or is too
+            large or too deeply nested for a song.
     """
     data = read_bytes(path, MAX_XML_BYTES)
     try:
@@ -51,7 +46,7 @@ def tree_of(path: Path) -> Element:
             raise CadenzaError("not a MusicXML file (it does not begin as XML)")
         if beginning.startswith((b"<!doctype html", b"<html")):
             raise CadenzaError("is a page (HTML), no music; download the file itself")
-        return _Reader().root_of(data)
+        return _by_parts(_Reader().root_of(data))
     except CadenzaError as error:
         raise CadenzaError(f"{path}: {error}") from error
 
@@ -69,8 +64,7 @@ class _Reader:
         self._tree = TreeBuilder()
         self._parser.CharacterDataHandler = self._tree.data
         self._open: list[str] = []
-        self._parts = 0
-        self._counts = Counter[str]()
+        self._parts = self._notes = 0
 
     def root_of(self, data: bytes) -> Element:
         try:
@@ -88,11 +82,11 @@ class _Reader:
     def _start(self, name: str, attributes: dict[str, str]) -> None:
         name = name.rpartition(":")[2]
         self._parts += 1 + len(attributes)
-        self._counts[name] += 1
+        self._notes += name == "note"
         if self._parts > MOST_PARTS:
             raise CadenzaError(f"over {MOST_PARTS} elements and attributes, too large for a song")
-        if self._counts[name] > MOST.get(name, MOST_PARTS):
-            raise CadenzaError(f"over {MOST[name]} times <{name}>, too large for a song")
+        if self._notes > MOST_NOTES:
+            raise CadenzaError(f"over {MOST_NOTES} notes, too large for a song")
         if len(self._open) == DEEPEST:
             raise CadenzaError(f"over {DEEPEST} elements within each other, which no music has")
         self._open.append(name)
@@ -101,6 +95,24 @@ class _Reader:
 
     def _end(self, _: str) -> None:
         self._tree.end(self._open.pop())
+
+
+def _by_parts(root: Element) -> Element:
+    """The root of a score, of which measures that hold parts become parts that hold measures."""
+    if root.tag == _PARTWISE:
+        return root
+    if root.tag in _MEI:
+        advice = "open it in a notation program such as MuseScore, and export it as MusicXML"
+        raise CadenzaError(f"is MEI, which is not read; {advice}")
+    if root.tag != _TIMEWISE:
+        raise CadenzaError(f"cannot be read as MusicXML (it is <{root.tag:.40}>, not a score)")
+    parts: dict[str, Element] = {}
+    for measure in root.iterfind("measure"):
+        for music in measure.iterfind("part"):
+            part = parts.setdefault(music.get("id", ""), Element("part", music.attrib))
+            SubElement(part, "measure", measure.attrib).extend(music)
+    root[:] = [each for each in root if each.tag != "measure"] + list(parts.values())
+    return root
 
 
 def _document_of(data: bytes) -> bytes:
@@ -123,9 +135,10 @@ def _name_of_document(archive: ZipFile) -> str:
         named = re.search(r"""full-path\s*=\s*["']([^"']+)""", contents)
         if named is None:
             raise CadenzaError("its table of contents names no document")
-        if (name := html.unescape(named[1])) not in names:
+        name, there = html.unescape(named[1]), {posixpath.normpath(each): each for each in names}
+        if (found := there.get(posixpath.normpath(name.lstrip("/")))) is None:
             raise CadenzaError(f"its table of contents names {name!r:.100}, which is not in it")
-        return name
+        return found
     documents = [name for name in names if name.lower().endswith((".xml", ".musicxml"))]
     if len(documents) != 1:
         raise CadenzaError(f"{len(documents)} documents and no table of contents {_CONTENTS}")

@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 
 @dataclass(slots=True)
@@ -19,6 +20,8 @@ class Signs:
     begins_repeat: bool = False
     times: int = 1
     """The number of times that a section is played whose repeat sign is here; 1 without one."""
+    after_jump: bool = False
+    """Whether that repeat is taken again after a jump back."""
     ending: frozenset[int] = frozenset()
     """The passes through its section on which the bar is played; empty for all."""
     segno: str | None = None
@@ -29,22 +32,23 @@ class Signs:
     fine: bool = False
 
 
-def played_order(bars: Sequence[Signs]) -> Iterator[int]:
-    """Yields the numbers of bars, from 0, in the order in which they are played.
+def played_order(bars: Sequence[Signs]) -> Iterator[tuple[int, int]]:
+    """Yields bars, from 0, as they are played, and the passes through their sections, from 1.
 
     A jump is taken once, on the last pass through its bar. From where it leads to up to the bar
-    where it stood, repeats are not taken again; a fine ends the music, and the first sign to the
-    coda leads there. A sign whose goal is missing has no effect, see `without_goal`.
+    where it stood, repeats are not taken again, unless they say so; a fine ends the music, and the
+    first sign to the coda leads there. A sign whose goal is missing has no effect, see `without_goal`.
     """
     jumps, sections = _Jumps(bars), _sections(bars)
     at, turn = 0, 1  # the bar, and the how-manieth pass through its section
     while at < len(bars):
         signs = bars[at]
-        begin, end, turns = sections[bisect_right(sections, at, key=lambda each: each[0]) - 1]
-        if at <= jumps.returned:
+        section = sections[bisect_right(sections, at, key=lambda each: each.begin) - 1]
+        begin, end, turns = section.begin, section.end, section.turns
+        if at <= jumps.returned and not section.after_jump:
             turn = turns
         if not signs.ending or turn in signs.ending:
-            yield at
+            yield at, turn
             if turn == max(signs.ending, default=turns):
                 if signs.fine and jumps.returned >= 0:
                     return
@@ -125,17 +129,28 @@ class _Goals:
         return None
 
 
-def _sections(bars: Sequence[Signs]) -> list[tuple[int, int, int]]:
-    """The sections that are repeated as a whole: first bar, bar after the last, and passes.
+class _Section(NamedTuple):
+    """A section that is repeated as a whole: first bar, bar after the last, and passes."""
 
-    A section begins at a repeat sign, after the endings or the repeat sign of the one before.
-    """
+    begin: int
+    end: int
+    turns: int
+    after_jump: bool
+
+
+def _sections(bars: Sequence[Signs]) -> list[_Section]:
+    """All sections. One begins at a repeat sign, or after the repeats of the one before."""
     begins = [0] if bars else []
     for at, (before, signs) in enumerate(pairwise(bars), start=1):
         ended = before.ending or before.times > 1
         if signs.begins_repeat or (ended and not signs.ending):
             begins.append(at)
     return [
-        (begin, end, max(max(signs.times, *signs.ending, 1) for signs in bars[begin:end]))
+        _Section(
+            begin,
+            end,
+            max(max(signs.times, *signs.ending, 1) for signs in bars[begin:end]),
+            any(signs.after_jump for signs in bars[begin:end]),
+        )
         for begin, end in pairwise([*begins, len(bars)])
     ]

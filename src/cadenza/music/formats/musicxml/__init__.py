@@ -1,0 +1,1 @@
+"""MusicXML, plain or compressed, as notation programs export it: from its tree to a score."""

@@ -1,0 +1,128 @@
+"""How loud notes are, by marks, hairpins, and what is said for playback."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from fractions import Fraction
+from xml.etree.ElementTree import Element
+
+from cadenza.music.formats.musicxml.timeline import Placed
+from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.loudness import Loudness
+from cadenza.music.signs.loudness_marks import Dynamic, Hairpin, Sforzato
+from cadenza.music.signs.words import loudness_step
+
+FORTE = 90
+"""The velocity that MusicXML's `dynamics` attributes are in percent of."""
+VELOCITIES = {"ppp": 16, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 96, "ff": 112, "fff": 126}
+"""The velocities of dynamic markings."""
+UNMARKED = VELOCITIES["mf"]
+LOUDEST = 127  # of MIDI
+_ALL = {
+    **VELOCITIES,
+    **{"n": 1, "pppp": 10, "ppppp": 7, "pppppp": 4},
+    **dict.fromkeys(("ffff", "fffff", "ffffff"), LOUDEST),
+}
+_THEN = {  # for a note, and for those after it
+    **dict.fromkeys(("fp", "sfp", "sfzp"), ("f", "p")),
+    **{"sfpp": ("f", "pp"), "ffp": ("ff", "p"), "pf": ("p", "f")},
+}
+_SFORZATOS = frozenset(("sf", "sfz", "fz", "rf", "rfz", "sff", "sffz", "sfffz"))
+_FOR_ONE_NOTE = _SFORZATOS.union(_THEN)
+_STEPS = {"crescendo": 1, "diminuendo": -1}
+_ANY = None  # the staff of marks that name none
+_NEVER = Fraction(10**9)
+_Mark = Dynamic | Sforzato | Hairpin
+
+
+class PartLoudness:
+    """How loud the notes of a part are.
+
+    A mark with a staff is for that staff, one without for all of the part. A staff follows the
+    marks of the others until it has one of its own.
+
+    Args:
+        part: the elements of the part.
+        conventions: how hairpins are played.
+    """
+
+    def __init__(self, part: Iterable[Placed], conventions: Conventions) -> None:
+        self._conventions = conventions
+        self._marks: defaultdict[int | None, list[_Mark]] = defaultdict(list)  # by staff
+        self._open: dict[tuple[str, int | None], tuple[Fraction, int]] = {}
+        self._known: dict[int | None, tuple[Fraction, Loudness]] = {}
+        for placed in part:
+            self._read(placed)
+        for (_, staff), (onset, step) in self._open.items():
+            self._marks[staff].append(Hairpin(onset, None, step))
+
+    def velocity(self, placed: Placed) -> int:
+        """The velocity of a note: its own for playback, or as the marks before it say."""
+        if (own := _percent(placed.element.get("dynamics"))) is not None:
+            return own
+        first, loudness = self._loudness(placed.staff)
+        if placed.quarter < first:
+            _, loudness = self._loudness(_ANY)
+        return loudness.at(placed.quarter)
+
+    def _loudness(self, staff: int | None) -> tuple[Fraction, Loudness]:
+        """The place of the first mark of a staff, and what its marks say; with `_ANY`, of all."""
+        if staff not in self._known:
+            heard = [*self._marks] if staff is _ANY else [_ANY, staff]
+            marks = [mark for of in heard for mark in self._marks.get(of, ())]
+            first = min((mark.onset for mark in marks), default=_NEVER)
+            self._known[staff] = first, Loudness(marks, self._conventions, UNMARKED)
+        return self._known[staff]
+
+    def _read(self, placed: Placed) -> None:
+        element = placed.element
+        if element.tag == "note":
+            for sign in element.iterfind("notations/dynamics/*"):
+                self._mark(sign, placed.quarter, placed.staff)
+        elif element.tag in ("direction", "sound"):
+            marks = element.findall("direction-type/dynamics/*")
+            for sign in marks:
+                self._mark(sign, placed.sounds_at(), placed.staff)
+            if not any(_name(sign) in _FOR_ONE_NOTE for sign in marks):
+                for sound in placed.sounds:
+                    if (velocity := _percent(sound.get("dynamics"))) is not None:
+                        self._marks[placed.staff].append(Dynamic(placed.sounds_at(sound), velocity))
+            for wedge in element.iterfind("direction-type/wedge"):
+                self._read_wedge(wedge, placed)
+            for words in element.iterfind("direction-type/words"):
+                if step := loudness_step(words.text or ""):
+                    self._marks[placed.staff].append(Hairpin(placed.sounds_at(), None, step))
+
+    def _mark(self, sign: Element, onset: Fraction, staff: int | None) -> None:
+        name = _name(sign)
+        if name in _SFORZATOS:
+            self._marks[staff].append(Sforzato(onset))
+        elif name in _THEN:
+            velocity, then = (VELOCITIES[each] for each in _THEN[name])
+            self._marks[staff].append(Dynamic(onset, velocity, then))
+        elif name in _ALL:
+            self._marks[staff].append(Dynamic(onset, _ALL[name]))
+
+    def _read_wedge(self, wedge: Element, placed: Placed) -> None:
+        key = wedge.get("number", "1"), placed.staff
+        if step := _STEPS.get(wedge.get("type", "")):
+            self._open[key] = placed.sounds_at(), step
+        elif wedge.get("type") == "stop" and key in self._open:
+            onset, step = self._open.pop(key)
+            if onset < placed.sounds_at():
+                self._marks[placed.staff].append(Hairpin(onset, placed.sounds_at(), step))
+
+
+def _name(sign: Element) -> str:
+    """The name of a dynamic mark, as its tag or its text says."""
+    return (sign.text or "").strip().lower() if sign.tag == "other-dynamics" else sign.tag
+
+
+def _percent(text: str | None) -> int | None:
+    """The velocity that an attribute for playback says, if it does: in percent of a forte."""
+    try:
+        velocity = round(float(text or "") * FORTE / 100)
+    except (ValueError, OverflowError):
+        return None
+    return min(max(velocity, 1), LOUDEST)

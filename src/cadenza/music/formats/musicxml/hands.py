@@ -1,0 +1,64 @@
+"""Which hand plays what of a part on two staves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from itertools import groupby
+
+from cadenza.music.formats.musicxml.timeline import Placed, number
+
+_STAVES = {1, 2}  # of the right and of the left hand
+
+
+@dataclass(slots=True)
+class _Run:
+    """Notes that follow each other in a voice of a bar, and the staff where they begin."""
+
+    voice: str
+    staff: int
+    indices: list[int] = field(default_factory=list)
+    latest: Fraction = Fraction(-1)
+    sounds: bool = False
+
+
+def hands_of(part: Sequence[Placed]) -> list[int | None]:
+    """The hands that play the notes and rests of a part, in their order; None where nobody knows.
+
+    The upper staff is the right hand's. A voice that goes to the other staff stays with the hand of
+    the staff where it began, unless in a bar it begins on the other while others are on its own.
+    """
+    notes = [placed for placed in part if placed.element.tag == "note"]
+    staves = {placed.staff or 1 for placed in notes}
+    declared = max((number(p.element.findtext("staves")) for p in part), default=0)
+    if staves != _STAVES and not (declared == len(_STAVES) and staves < _STAVES):
+        return [None] * len(notes)
+    hands: list[int | None] = [None] * len(notes)
+    home: dict[str, int] = {}  # the staff on which a voice began
+    for _, bar in groupby(enumerate(notes), key=lambda each: each[1].measure):
+        runs = _runs(bar)
+        busy = {run.staff for run in runs if run.sounds}
+        for run in runs:
+            own = home.setdefault(run.voice, run.staff)
+            hand = (run.staff if own in busy else own) - 1
+            for index in run.indices:
+                hands[index] = hand
+    return hands
+
+
+def _runs(bar: Iterable[tuple[int, Placed]]) -> list[_Run]:
+    """The runs of a bar, whose notes come with their indices."""
+    runs: list[_Run] = []
+    going: dict[str, _Run] = {}
+    for index, placed in bar:
+        staff = placed.staff or 1
+        voice = placed.element.findtext("voice", f"of staff {staff}")
+        run = going.get(voice)
+        if run is None or placed.quarter < run.latest:
+            run = going[voice] = _Run(voice, staff)
+            runs.append(run)
+        run.indices.append(index)
+        run.latest = placed.quarter
+        run.sounds |= placed.element.find("rest") is None
+    return runs

@@ -1,0 +1,119 @@
+"""Jumps, by sounds for playback, words and signs: da capo, dal segno, coda and fine."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from fractions import Fraction
+from xml.etree.ElementTree import Element
+
+from cadenza.music.formats.musicxml.bar_order import Signs
+from cadenza.music.formats.musicxml.bars import WrittenBar, bar_at
+from cadenza.music.formats.musicxml.timeline import Placed
+
+_DA_CAPO = re.compile(r"\bd\. ?c\b|^dc\b|\bda ?capo\b")
+_DAL_SEGNO = re.compile(r"\bd\. ?s\b|^ds\b|\bdal? segno\b")
+_TO_CODA = re.compile(r"^\W*(to|al|alla) (the )?coda\b")
+_FINE = re.compile(r"^\W*(il )?fine\W*$")
+_GOALS = {kind: re.compile(rf"^\W*{kind}( {kind})?\W*\d?$") for kind in ("segno", "coda")}
+_GLYPHS = {"\U0001d10b": " segno ", "\U0001d10c": " coda ", "⊕": " coda "}
+_UNNAMED = ""  # leads to the nearest goal of its kind
+_SOUNDS = ("dacapo", "dalsegno", "tocoda", "fine", "segno", "coda")
+
+
+def read_jumps(
+    parts: Sequence[Sequence[Placed]], bars: Sequence[WrittenBar], begins: Sequence[Fraction]
+) -> None:
+    """Adds the jumps in all parts, and their goals, to the signs of bars.
+
+    Words and signs count where no sound for playback stands with them. A coda sign up to the last
+    jump back sends the player to the coda, one after it is the coda.
+
+    Args:
+        parts: the elements of each part.
+        bars: the bars, with the signs of their barlines.
+        begins: the quarters at which measures begin, and the end of the last.
+    """
+    reader = _Reader(bars)
+    for part in parts:
+        for placed in part:
+            if placed.measure <= bars[-1].measure:
+                reader.read(
+                    placed,
+                    is_end=begins[placed.measure] < placed.quarter == begins[placed.measure + 1],
+                )
+    reader.read_signs()
+
+
+class _Reader:
+    def __init__(self, bars: Sequence[WrittenBar]) -> None:
+        self._bars = bars
+        self._codas: list[tuple[int, int]] = []  # of signs: their bars, and those that begin there
+        self._segnos: list[int] = []
+
+    def read(self, placed: Placed, is_end: bool) -> None:
+        """Reads an element, which may stand at the end of its measure."""
+        if placed.element.tag not in ("direction", "sound", "barline"):
+            return
+        at = bar_at(self._bars, placed.measure, placed.quarter)
+        begun = min(at + is_end, len(self._bars) - 1)  # the bar that begins there
+        bar = self._bars[at]
+        if at and self._bars[at - 1].measure == bar.measure and placed.quarter == bar.begin:
+            at -= 1  # at a repeat sign within a measure
+        sounds = [placed.element] if placed.element.tag == "barline" else placed.sounds
+        for sound in sounds:
+            _read_sound(sound, self._bars[at].signs, self._bars[begun].signs)
+        if not any(sound.get(name) for sound in sounds for name in _SOUNDS):
+            self._read_text(_text(placed.element), at, begun)
+
+    def _read_text(self, text: str, at: int, begun: int) -> None:
+        signs = self._bars[at].signs
+        if _DA_CAPO.search(text):
+            signs.da_capo = True
+        elif _DAL_SEGNO.search(text):
+            signs.dal_segno = signs.dal_segno or _UNNAMED
+        elif _TO_CODA.search(text):
+            signs.to_coda = signs.to_coda or _UNNAMED
+        elif _FINE.search(text):
+            signs.fine = True
+        elif _GOALS["segno"].search(text):
+            self._segnos.append(begun)
+        elif _GOALS["coda"].search(text):
+            self._codas.append((at, begun))
+
+    def read_signs(self) -> None:
+        """Reads the segno and coda signs, now that all jumps are known."""
+        signs = [bar.signs for bar in self._bars]
+        jumps = [i for i, each in enumerate(signs) if each.da_capo or each.dal_segno is not None]
+        for begun in sorted(self._segnos):
+            known = any(each.segno is not None for each in signs[:begun])
+            if signs[begun].segno is None and not (known and signs[begun].dal_segno is not None):
+                signs[begun].segno = _UNNAMED
+        for at, begun in self._codas:
+            if signs[begun].coda is not None or signs[at].to_coda is not None:
+                continue
+            if begun > max(jumps, default=-1):
+                signs[begun].coda = _UNNAMED
+            else:
+                signs[at].to_coda = _UNNAMED
+
+
+def _read_sound(sound: Element, here: Signs, begun: Signs) -> None:
+    here.da_capo |= sound.get("dacapo", "no") != "no"
+    here.fine |= sound.get("fine", "no") != "no"
+    here.dal_segno = sound.get("dalsegno", here.dal_segno)
+    here.to_coda = sound.get("tocoda", here.to_coda)
+    begun.segno = sound.get("segno", begun.segno)
+    begun.coda = sound.get("coda", begun.coda)
+    begun.begins_repeat |= sound.get("forward-repeat", "no") == "yes"
+
+
+def _text(element: Element) -> str:
+    """The words of a direction, with its signs and those of a barline by their names."""
+    said = []
+    for each in (*element.iterfind("direction-type/*"), *element):
+        if each.tag in ("words", "rehearsal"):
+            said.append("".join(_GLYPHS.get(letter, letter) for letter in each.text or ""))
+        elif each.tag in ("segno", "coda"):
+            said.append(each.tag)
+    return " ".join(" ".join(said).lower().split())

@@ -1,0 +1,219 @@
+"""MusicXML as a score: the parts of a sheet, played in their order."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from cadenza.errors import CadenzaError
+from cadenza.music.formats.musicxml.bar_order import without_goal
+from cadenza.music.formats.musicxml.bars import WrittenBar, bars_of
+from cadenza.music.formats.musicxml.jumps import read_jumps
+from cadenza.music.formats.musicxml.notes import WrittenNote, notes_of
+from cadenza.music.formats.musicxml.pedal import Move, pedal_moves, together
+from cadenza.music.formats.musicxml.tempo import tempo_marks
+from cadenza.music.formats.musicxml.timeline import timeline
+from cadenza.music.formats.musicxml.tree import tree_of
+from cadenza.music.formats.musicxml.unrolling import (
+    Passage,
+    played_notes,
+    played_pedal,
+    played_swings,
+    sections,
+    unrolled,
+)
+from cadenza.music.formats.titles import printable, title_of
+from cadenza.music.repair import RawNote, counted_remarks, repaired_notes
+from cadenza.music.score import Bar, PedalEvent, Score, Track, check_chosen
+from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.realising import realised
+from cadenza.music.signs.tempo_map import TempoMap
+from cadenza.music.signs.tempo_marks import Swing
+
+_DECIMALS = 9  # of times [s]: what ends where another begins does so exactly
+_DRUM_CHANNEL = "10"
+_TITLES = ("work/work-title", "movement-title", "credit[credit-type='title']/credit-words")
+
+
+def read_musicxml(path: str | Path, tracks: Collection[int] = (), plain: bool = False) -> Score:
+    """The piano score in a MusicXML file (.musicxml, .xml or, compressed, .mxl).
+
+    Parts with pitched notes are tracks, see `Score.tracks`; all but drums are played together, or
+    only `tracks`. Tied notes are one. Repeats, endings, da capo and dal segno are followed as the
+    part with most measures has them, the first of those. Times follow the tempos given for playback
+    and metronome marks, velocities what is given for playback or else the dynamic marks. Of a
+    part on two staves hands and fingering are taken over: the upper staff is the right hand's. What
+    cannot be played on one piano is repaired as by `read_midi`.
+
+    Args:
+        path: the file.
+        tracks: the numbers of the tracks to be played; all by default.
+        plain: plays no signs, such as trills and hairpins.
+
+    Raises:
+        CadenzaError: no such file, not MusicXML, damaged, too large, without notes, or
+            without one of `tracks`.
+    """
+    path = Path(path)
+    conventions = Conventions.plain() if plain else Conventions()
+    sheet = _sheet(tree_of(path), conventions)
+    listed = tuple(part.track for part in sheet.parts)
+    check_chosen(tracks, listed, path)
+    parts = [part for part in sheet.parts if not tracks or part.track.number in tracks]
+    counts = Counter(drums=0 if tracks else sheet.drums)
+    try:
+        found, pedal, timed = _played(parts, sheet, counts, conventions)
+    except CadenzaError as error:
+        raise CadenzaError(f"{path}: {error}") from error
+    begin = min([0.0, *(note.start for note in found)])  # grace notes before the first beat
+    notes, remarks = repaired_notes(found, counts, sheet.remarks, path, lambda time: time - begin)
+    moves = tuple(PedalEvent(max(0.0, time - begin), value) for time, value in pedal)
+    bars = tuple(bar.moved(lambda time: time - begin) for bar in timed)
+    return Score(notes, moves, sheet.title or title_of(path), remarks, listed, bars)
+
+
+def _played(
+    parts: Sequence[_Part], sheet: _Sheet, counts: Counter[str], conventions: Conventions
+) -> tuple[list[RawNote], list[tuple[float, int]], list[Bar]]:
+    """The notes, the motions of the pedal (time [s], value) and the bars as they are played."""
+    passages, bars = sheet.passages, sheet.bars
+    tempo = sheet.tempo.played(sections(passages))
+    signed = [note for p in parts for note in played_notes(p.notes, bars, passages, counts)]
+    swings = played_swings(sheet.swings, bars, passages)
+    hands = {note.signed.written: note.hands for part in parts for note in part.notes}
+    found = [
+        RawNote(
+            round(note.start, _DECIMALS),
+            round(note.end, _DECIMALS),
+            note.pitch,
+            note.velocity,
+            True,
+            note.of.finger if note.pitch == note.of.pitch else None,
+            (note.of.part,),
+            hands[note.of.written],
+        )
+        for note in realised(signed, tempo, conventions, swings)
+    ]
+    pedal = together(played_pedal(part.pedal, bars, passages) for part in parts)
+    times = [(tempo.onsets if value else tempo.ends)([place])[0] for place, value in pedal]
+    moves = [
+        (round(float(time), _DECIMALS), value)
+        for time, (_, value) in zip(times, pedal, strict=True)
+    ]
+    return found, moves, _bars(passages, tempo)
+
+
+def _bars(passages: Sequence[Passage], tempo: TempoMap) -> list[Bar]:
+    """The bars as they are played, in seconds."""
+    beats = [
+        [beat + passage.later for beat in (passage.bar.begin, *passage.bar.beats)]
+        for passage in passages
+    ]
+    times = iter(
+        np.round(tempo.onsets([place for bar in beats for place in bar]), _DECIMALS).tolist()
+    )
+    return [
+        Bar(next(times), p.bar.number, tuple(islice(times, len(bar) - 1)), p.bar.beat_type)
+        for p, bar in zip(passages, beats, strict=True)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A part with notes: these and the motions of its pedal, of each bar."""
+
+    track: Track
+    notes: list[WrittenNote]
+    pedal: list[Move]
+
+
+@dataclass(frozen=True, slots=True)
+class _Sheet:
+    """The written music; `drums` counts notes that are left out as such."""
+
+    title: str
+    parts: list[_Part]
+    bars: list[WrittenBar]
+    passages: list[Passage]
+    tempo: TempoMap
+    swings: list[Swing]
+    drums: int
+    remarks: list[str]
+
+
+def _sheet(root: Element, conventions: Conventions) -> _Sheet:
+    counts = Counter[str]()
+    music = root.findall("part")
+    placed, begins = timeline(music)
+    bars = bars_of(
+        max(placed, key=lambda part: part[-1].measure if part else -1, default=[]), begins
+    )
+    read_jumps(placed, bars, begins)
+    parts: list[_Part] = []
+    first = 0
+    for elements, listed in zip(placed, _listed(root, music), strict=True):
+        notes = notes_of(elements, len(parts) + 1, first, _drums(listed), conventions, counts)
+        first += sum(each.element.tag == "note" for each in elements)
+        if notes:
+            track = _track(len(parts) + 1, printable(listed.findtext("part-name", "")), notes)
+            parts.append(_Part(track, notes, pedal_moves(elements, begins)))
+    found = tempo_marks(placed, begins)
+    title = next((text for each in _TITLES if (text := printable(root.findtext(each, "")))), "")
+    tempo = TempoMap.of(found.marks, conventions, begins[-1])
+    passages, lost = unrolled(bars), without_goal([bar.signs for bar in bars])
+    unplayed = len({*range(len(bars))} - {passage.index for passage in passages})
+    remarks = counted_remarks(
+        (
+            (counts["fingering"], "unreadable fingering", "left out"),
+            (found.impossible, "impossible tempo", "left out"),
+            (found.unclear, "metronome mark without a tempo", "left out"),
+            (counts["microtone"], "microtone", "rounded to a semitone"),
+            (counts["unpitched"], "unpitched note", "left out"),
+            (len(_bar_repeats(root)), "bar-repeat sign", "left out"),
+            (lost, "jump", "without a segno or coda to go to left out"),
+            (unplayed, "bar", "passed over by all repeats and jumps"),
+        )
+    )
+    return _Sheet(title, parts, bars, passages, tempo, found.swings, counts["drums"], remarks)
+
+
+def _track(number: int, name: str, notes: Sequence[WrittenNote]) -> Track:
+    struck = [note.signed.pitch for note in notes if not note.tied] or [notes[0].signed.pitch]
+    return Track(number, name, name, None, len(struck), min(struck), max(struck))
+
+
+def _listed(root: Element, parts: Iterable[Element]) -> list[Element]:
+    """What the list of parts says of each part; of several with one name, in their order."""
+    entries: defaultdict[str, list[Element]] = defaultdict(list)
+    for entry in root.iterfind("part-list/score-part"):
+        entries[entry.get("id", "")].append(entry)
+    found = []
+    for part in parts:
+        same = entries[part.get("id", "")]
+        found.append(same.pop(0) if same else Element("score-part"))
+    return found
+
+
+def _drums(listed: Element) -> Callable[[Element], bool]:
+    """A function that says whether a note of a part is played by drums, by the MIDI channel."""
+    channels = {
+        each.get("id", ""): each.findtext("midi-channel", "").strip() == _DRUM_CHANNEL
+        for each in listed.iterfind("midi-instrument")
+    }
+    usual = next(iter(channels.values()), False)
+
+    def is_drum(note: Element) -> bool:
+        instrument = note.find("instrument")
+        return usual if instrument is None else channels.get(instrument.get("id", ""), usual)
+
+    return is_drum
+
+
+def _bar_repeats(root: Element) -> list[Element]:
+    return [sign for sign in root.iter("measure-repeat") if sign.get("type") == "start"]

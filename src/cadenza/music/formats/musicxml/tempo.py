@@ -1,0 +1,150 @@
+"""Tempos: those for playback, metronome marks, words, fermatas, caesuras and swing."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from xml.etree.ElementTree import Element
+
+from cadenza.music.formats.musicxml.timeline import NOTE_VALUES, ZERO, Placed, number
+from cadenza.music.signs.tempo_marks import (
+    Caesura,
+    Change,
+    Fermata,
+    FermataLength,
+    Swing,
+    Tempo,
+    TempoWord,
+)
+from cadenza.music.signs.words import swing, tempo_change
+
+_MINUTE = 60  # seconds
+_SLOWEST, _FASTEST = 1, 10_000  # quarters a minute
+_FERMATAS = {
+    **dict.fromkeys(("angled", "double-angled"), FermataLength.SHORT),
+    **dict.fromkeys(("square", "double-square"), FermataLength.LONG),
+}
+_STRAIGHT = 1, 1
+
+
+@dataclass(slots=True)
+class TempoMarks:
+    """The marks of a sheet that change its tempo and where swing begins or ends, in quarters.
+
+    `impossible` counts tempos for playback that cannot be, `unclear` metronome marks that give no
+    tempo.
+    """
+
+    marks: list[Tempo | TempoWord | Fermata | Caesura] = field(default_factory=list)
+    swings: list[Swing] = field(default_factory=list)
+    impossible: int = 0
+    unclear: int = 0
+
+
+def tempo_marks(parts: Sequence[Iterable[Placed]], begins: Sequence[Fraction]) -> TempoMarks:
+    """The tempo marks in all parts; where they differ, the first part has the last word.
+
+    A metronome mark counts where there is no tempo for playback.
+
+    Args:
+        parts: the elements of each part.
+        begins: the quarters at which measures begin, and the end of the last.
+    """
+    reader = _Reader(begins)
+    for part in reversed(parts):
+        for placed in part:
+            if placed.element.tag in ("direction", "sound"):
+                reader.read_direction(placed)
+            elif placed.element.tag in ("note", "barline"):
+                reader.read_pauses(placed)
+    return reader.finished()
+
+
+class _Reader:
+    def __init__(self, begins: Sequence[Fraction]) -> None:
+        self._begins = begins
+        self._found = TempoMarks()
+        self._for_playback: dict[Fraction, Fraction] = {}  # quarters a minute
+        self._metronome: dict[Fraction, Fraction] = {}
+        self._words: list[tuple[Fraction, Change, str | None]] = []  # with numbers of their lines
+        self._lines: dict[str, list[Fraction]] = {}  # the ends of dashed lines by their numbers
+
+    def finished(self) -> TempoMarks:
+        tempos = self._metronome | self._for_playback
+        for onset, speed in tempos.items():
+            self._found.marks.append(Tempo(max(ZERO, onset), _MINUTE / float(speed)))
+        for onset, change, line in self._words:
+            ends = [end for end in self._lines.get(line or "", ()) if end > onset]
+            self._found.marks.append(TempoWord(onset, change, min(ends, default=None)))
+        return self._found
+
+    def read_direction(self, placed: Placed) -> None:
+        element, sounds = placed.element, placed.sounds
+        spoken = [sound for sound in sounds if sound.get("tempo") is not None]
+        for sound in spoken:
+            speed = number(sound.get("tempo"))
+            if _SLOWEST <= speed <= _FASTEST:
+                self._for_playback[placed.sounds_at(sound)] = speed
+            else:
+                self._found.impossible += 1
+        for metronome in element.iterfind("direction-type/metronome"):
+            shown = _quarters_a_minute(metronome)
+            self._found.unclear += not spoken and shown is None
+            if shown is not None:
+                self._metronome[placed.sounds_at()] = shown
+        for sound in sounds:
+            for sign in sound.iterfind("swing"):
+                unit = NOTE_VALUES.get(
+                    sign.findtext("swing-type", "").strip(), NOTE_VALUES["eighth"]
+                )
+                first, second = (
+                    int(number(sign.findtext(tag))) or 1 for tag in ("first", "second")
+                )
+                self._swing(placed, first, second, unit)
+        self._read_words(placed, is_told=bool(spoken))
+
+    def _read_words(self, placed: Placed, is_told: bool) -> None:
+        """Reads what a direction says in words, which may be told for playback as well."""
+        lines = placed.element.findall("direction-type/dashes")
+        for line in lines:
+            if line.get("type") == "stop":
+                self._lines.setdefault(line.get("number", "1"), []).append(placed.quarter)
+        begun = next((x.get("number", "1") for x in lines if x.get("type") == "start"), None)
+        for words in placed.element.iterfind("direction-type/words"):
+            text = words.text or ""
+            if not is_told and (change := tempo_change(text)):
+                self._words.append((placed.sounds_at(), change, begun))
+            if (ratio := swing(text)) and placed.element.find("sound/swing") is None:
+                self._swing(placed, *ratio, NOTE_VALUES["eighth"])
+
+    def _swing(self, placed: Placed, first: int, second: int, unit: Fraction) -> None:
+        beat = self._begins[placed.measure + 1]  # that of a pickup would be between beats
+        self._found.swings.append(Swing(placed.quarter, first, second, unit, beat))
+
+    def read_pauses(self, placed: Placed) -> None:
+        """Reads the fermatas and caesuras of a note or rest, or of a barline."""
+        element, onset = placed.element, placed.quarter
+        end = onset + placed.duration
+        for fermata in (*element.iterfind("fermata"), *element.iterfind("notations/fermata")):
+            length = _FERMATAS.get((fermata.text or "").strip(), FermataLength.USUAL)
+            self._found.marks.append(Fermata(onset, end, length))
+        if element.find("notations/articulations/caesura") is not None:
+            self._found.marks.append(Caesura(end))
+
+
+def _quarters_a_minute(metronome: Element) -> Fraction | None:
+    """The tempo of a metronome mark that gives a number for a note; None for another."""
+    found = re.search(r"\d{1,5}([.,]\d{1,3})?", metronome.findtext("per-minute", ""))
+    length = unit = ZERO
+    for each in (*metronome, *metronome.iterfind("beat-unit-tied/*")):
+        if each.tag == "beat-unit":
+            unit = NOTE_VALUES.get((each.text or "").strip(), ZERO)
+        elif each.tag == "beat-unit-dot":
+            unit /= 2
+        else:
+            continue
+        length += unit
+    speed = length * number(found[0].replace(",", ".")) if found else ZERO
+    return speed if _SLOWEST <= speed <= _FASTEST else None

@@ -1,0 +1,168 @@
+"""When the elements of measures begin, in quarters of the sheet."""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from fractions import Fraction
+from itertools import accumulate, zip_longest
+from operator import itemgetter
+from typing import NamedTuple, TypeVar
+from xml.etree.ElementTree import Element
+
+ZERO = Fraction(0)
+_FINEST = 10**6  # parts of a quarter that are told apart; more would make sums slow
+_UNIT = 10_000  # parts of a whole number that are told apart, so that 1.3333333 is 4/3
+_T = TypeVar("_T")
+_NUMBER = re.compile(r"[+-]?\d{1,12}(\.\d{0,12})?")
+_TYPES = "maxima long breve whole half quarter eighth 16th 32nd 64th 128th 256th 512th 1024th"
+NOTE_VALUES = {name: Fraction(32, 2**i) for i, name in enumerate(_TYPES.split())}
+"""The lengths of note values [quarters]."""
+_WHOLE = NOTE_VALUES["whole"]
+
+
+class Placed(NamedTuple):
+    """An element of a measure, counted from 0, and the quarter of the sheet where it begins.
+
+    A quarter has so many `divisions` there. The first element of each measure is itself.
+    """
+
+    measure: int
+    quarter: Fraction
+    element: Element
+    divisions: Fraction
+
+    @property
+    def duration(self) -> Fraction:
+        """The length that the element gives [quarters]; 0 without one, as of grace notes."""
+        return max(ZERO, exact(number(self.element.findtext("duration")) / self.divisions))
+
+    @property
+    def staff(self) -> int | None:
+        """The staff that the element names, if any."""
+        return int(number(self.element.findtext("staff"))) or None
+
+    @property
+    def sounds(self) -> list[Element]:
+        """What a direction says for playback, or an element outside of any."""
+        if self.element.tag == "direction":
+            return self.element.findall("sound")
+        return [self.element] if self.element.tag == "sound" else []
+
+    def sounds_at(self, sound: Element | None = None) -> Fraction:
+        """The quarter of the sheet at which the element, or a `sound` in it, takes effect."""
+        offset = self.element.find("offset")
+        if self.element.tag == "direction" and offset is not None and offset.get("sound") != "yes":
+            offset = None  # only on paper
+        if offset is None and sound is not None:
+            offset = sound.find("offset")
+        if offset is None:
+            return self.quarter
+        return exact(self.quarter + number(offset.text) / self.divisions)
+
+
+def timeline(parts: Sequence[Element]) -> tuple[list[list[Placed]], list[Fraction]]:
+    """The elements of each part, and the quarters at which measures begin; last, their end.
+
+    Measures begin together in all parts: where one is not as long in all of them, the next begins
+    when it has ended in all.
+    """
+    lengths: list[Fraction] = []
+    placed: list[list[Placed]] = []
+    for part in parts:
+        elements, own_lengths = _placed(part)
+        placed.append(elements)
+        lengths = [max(pair) for pair in zip_longest(lengths, own_lengths, fillvalue=ZERO)]
+    begins = [*accumulate(lengths, lambda begin, length: exact(begin + length), initial=ZERO)]
+    moved = [
+        [each._replace(quarter=begins[each.measure] + each.quarter) for each in elements]
+        for elements in placed
+    ]
+    return moved, begins
+
+
+def _placed(part: Element) -> tuple[list[Placed], list[Fraction]]:
+    """The elements of a part, with times since the beginnings of measures, and their lengths.
+
+    A measure without contents is as long as its metre says.
+    """
+    placed: list[Placed] = []
+    lengths: list[Fraction] = []
+    divisions, metre = Fraction(1), _WHOLE
+    for measure, elements in enumerate(part.iterfind("measure")):
+        now = begun = length = ZERO
+        is_empty = True
+        placed.append(Placed(measure, ZERO, elements, divisions))
+        for element in elements:
+            if element.tag == "attributes":
+                divisions = number(element.findtext("divisions")) or divisions
+                metre = _metre(element) or metre
+            is_chord = element.tag == "note" and element.find("chord") is not None
+            item = Placed(measure, begun if is_chord else now, element, divisions)
+            if element.tag in ("note", "forward") and not is_chord:
+                begun, now, is_empty = now, exact(now + item.duration), False
+            elif element.tag == "backup":
+                now = max(ZERO, exact(now - item.duration))
+            length = max(length, now)
+            placed.append(item)
+        lengths.append(metre if is_empty and elements.get("implicit") != "yes" else length)
+    return placed, lengths
+
+
+def attribute(
+    part: Iterable[Placed], tag: str, value: Callable[[Element], _T], before: _T
+) -> Callable[[Placed], _T]:
+    """A function from an element of a part to what an attribute such as the key says there.
+
+    Args:
+        part: the elements of the part.
+        tag: the name of the attribute, which may be for a staff by its number.
+        value: what it says.
+        before: what holds before the first.
+    """
+    marks: defaultdict[int, list[tuple[Fraction, _T]]] = defaultdict(list)
+    for placed in part:
+        if placed.element.tag == "attributes":
+            for each in placed.element.iterfind(tag):
+                marks[int(number(each.get("number")))].append((placed.quarter, value(each)))
+    held = {staff: sorted(marks[staff] + marks[0], key=itemgetter(0)) for staff in [0, *marks]}
+
+    def at(placed: Placed) -> _T:
+        own = held.get(placed.staff or 1, held[0])
+        begun = bisect_right(own, placed.quarter, key=itemgetter(0))
+        return own[begun - 1][1] if begun else before
+
+    return at
+
+
+def _metre(attributes: Element) -> Fraction:
+    """The length of a bar as a time signature says [quarters]; 0 without one."""
+    time = attributes.find("time")
+    if time is None:
+        return ZERO
+    beats = [re.findall(r"\d{1,3}", each.text or "") for each in time.iterfind("beats")]
+    types = [number(each.text) for each in time.iterfind("beat-type")]
+    return sum(
+        (
+            _WHOLE * sum(map(int, counts)) / kind
+            for counts, kind in zip(beats, types, strict=False)
+            if kind > 0
+        ),
+        ZERO,
+    )
+
+
+def number(text: str | None) -> Fraction:
+    """The number in a text of few digits, since others could have billions; 0 for other text."""
+    text = (text or "").strip()
+    if not _NUMBER.fullmatch(text):
+        return ZERO
+    found = Fraction(text)
+    return found.limit_denominator(_UNIT) if found.denominator > 1 else found
+
+
+def exact(quarters: Fraction) -> Fraction:
+    """The time itself, unless it is finer than any music."""
+    return quarters if quarters.denominator <= _FINEST else quarters.limit_denominator(_FINEST)

@@ -1,0 +1,182 @@
+"""A sheet as it is played, bar after bar, with its repeats and jumps."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import islice
+from operator import attrgetter, itemgetter
+from typing import TypeVar
+
+from cadenza.errors import CadenzaError
+from cadenza.music.formats.musicxml.bar_order import played_order
+from cadenza.music.formats.musicxml.bars import WrittenBar, bar_at
+from cadenza.music.formats.musicxml.notes import WrittenNote
+from cadenza.music.formats.musicxml.pedal import Move
+from cadenza.music.formats.musicxml.timeline import ZERO
+from cadenza.music.score import PITCHES
+from cadenza.music.signs.signed_note import SignedNote
+from cadenza.music.signs.tempo_marks import Swing
+
+_T = TypeVar("_T")
+_MOST = 100_000  # notes or bars, with repeats
+
+
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """A bar, by its index, as it is played on a pass through its section.
+
+    It is `later` by so many quarters than on the sheet, and `jumps` is whether the bar before it on
+    the sheet is not the one that was played before.
+    """
+
+    index: int
+    bar: WrittenBar
+    turn: int
+    later: Fraction
+    jumps: bool
+
+
+def unrolled(bars: Sequence[WrittenBar]) -> list[Passage]:
+    """The bars in the order in which they are played.
+
+    Raises:
+        CadenzaError: they are too many.
+    """
+    passages: list[Passage] = []
+    now, before = ZERO, -1
+    for index, turn in islice(played_order([bar.signs for bar in bars]), _MOST + 1):
+        bar = bars[index]
+        passages.append(Passage(index, bar, turn, now - bar.begin, index != before + 1))
+        now, before = now + bar.end - bar.begin, index
+    _check(len(passages), "bars")
+    return passages
+
+
+def sections(passages: Sequence[Passage]) -> list[tuple[Fraction, Fraction]]:
+    """The sections of the sheet that are played one after the other: begin and end [quarters]."""
+    found: list[tuple[Fraction, Fraction]] = []
+    for passage in passages:
+        begin = passage.bar.begin if passage.jumps or not found else found.pop()[0]
+        found.append((begin, passage.bar.end))
+    return found
+
+
+def played_notes(
+    notes: Iterable[WrittenNote],
+    bars: Sequence[WrittenBar],
+    passages: Sequence[Passage],
+    counts: Counter[str],
+) -> list[SignedNote]:
+    """The notes of a part as they are played; tied notes are one, with the signs of all.
+
+    Those that no key plays are left out, and added to `counts`.
+
+    Raises:
+        CadenzaError: they are too many.
+    """
+    by_bar: defaultdict[int, list[WrittenNote]] = defaultdict(list)
+    for note in notes:
+        by_bar[bar_at(bars, note.measure, note.signed.onset)].append(note)
+    found: list[SignedNote] = []
+    tied: dict[tuple[int, Fraction], int] = {}  # notes that ties lead on from, by pitch and end
+    for passage in passages:
+        for note in by_bar[passage.index]:
+            if note.passes and passage.turn not in note.passes:
+                continue
+            if note.signed.pitch not in PITCHES:
+                counts["outside"] += not note.tied
+                continue
+            now = replace(note.signed, onset=note.signed.onset + passage.later)
+            before = tied.get((now.pitch, now.onset)) if note.tied else None
+            if before is None:
+                before = len(found)
+                found.append(now)
+            else:
+                found[before] = _joined(found[before], now)
+            if note.ties:
+                tied[now.pitch, found[before].end] = before
+        _check(len(found), "notes")
+    return found
+
+
+def _joined(note: SignedNote, following: SignedNote) -> SignedNote:
+    """Two tied notes as one. A grace note is left out, as what it is tied to sounds there."""
+    if note.grace:
+        return following
+    return replace(
+        note,
+        duration=following.end - note.onset,
+        marks=note.marks | following.marks,
+        slurs=note.slurs + following.slurs,
+        ornament=note.ornament or following.ornament,
+        tremolo=note.tremolo or following.tremolo,
+        release=following.release,
+    )
+
+
+def played_pedal(
+    moves: Iterable[Move], bars: Sequence[WrittenBar], passages: Sequence[Passage]
+) -> list[tuple[Fraction, int]]:
+    """The places [quarters] and values of the pedal of a part; after a jump, as it is there.
+
+    Raises:
+        CadenzaError: they are too many.
+    """
+    marks = [(bar_at(bars, move.measure, move.quarter), move) for move in moves]
+    played: list[tuple[Fraction, int]] = []
+    for passage, move, is_before in _marks_played(marks, passages):
+        value = move.value if move else 0
+        if not is_before and move:
+            played.append((move.quarter + passage.later, value))
+        elif value != (played[-1][1] if played else 0):
+            played.append((passage.bar.begin + passage.later, value))
+        _check(len(played), "moves of the pedal")
+    return played
+
+
+def played_swings(
+    swings: Iterable[Swing], bars: Sequence[WrittenBar], passages: Sequence[Passage]
+) -> list[Swing]:
+    """Where notes swing as they are played; after a jump, as they do there."""
+    begins = [bar.begin for bar in bars]
+    ordered = sorted(swings, key=attrgetter("onset"))
+    marks = [(max(bisect_right(begins, swing.onset) - 1, 0), swing) for swing in ordered]
+    played: list[Swing] = []
+    for passage, swing, is_before in _marks_played(marks, passages):
+        swing = swing or Swing(ZERO, first=1, second=1)
+        onset = passage.bar.begin if is_before else swing.onset
+        played.append(replace(swing, onset=onset + passage.later, beat=swing.beat + passage.later))
+    return played
+
+
+def _marks_played(
+    marks: Sequence[tuple[int, _T]], passages: Iterable[Passage]
+) -> Iterator[tuple[Passage, _T | None, bool]]:
+    """Yields marks with the passages in which they are played.
+
+    At a jump comes first the mark before the bar, None without one. The last item says whether it
+    is that.
+
+    Args:
+        marks: bars and marks in their order.
+        passages: the bars that are played.
+    """
+    if not marks:
+        return
+    for passage in passages:
+        first, beyond = (
+            bisect_left(marks, bar, key=itemgetter(0)) for bar in (passage.index, passage.index + 1)
+        )
+        if passage.jumps:
+            yield passage, marks[first - 1][1] if first else None, True
+        for _, mark in marks[first:beyond]:
+            yield passage, mark, False
+
+
+def _check(number: int, what: str) -> None:
+    if number > _MOST:
+        raise CadenzaError(f"over {_MOST} {what} with all repeats, too many")
