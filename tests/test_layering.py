@@ -34,7 +34,7 @@ STANDS_ON: dict[str, set[str]] = {
     "cli": {"evaluation", "studio"},
 }
 LIBRARIES: dict[str, set[str]] = {
-    "music": {"numpy", "scipy", "mido", "partitura", "filelock", "platformdirs"},
+    "music": {"numpy", "scipy", "mido", "filelock", "platformdirs"},
     "keyboards": {"numpy", "mujoco"},
     "hands": {"numpy", "mujoco"},
     "scene": {"numpy", "mujoco", "threadpoolctl"},

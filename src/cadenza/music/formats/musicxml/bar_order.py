@@ -31,13 +31,18 @@ class Signs:
     da_capo: bool = False
     fine: bool = False
 
+    @property
+    def returns(self) -> bool:
+        """Whether the player goes back from here."""
+        return self.da_capo or self.dal_segno is not None
+
 
 def played_order(bars: Sequence[Signs]) -> Iterator[tuple[int, int]]:
-    """Yields bars, from 0, as they are played, and the passes through their sections, from 1.
+    """Yields bars from 0 as they are played, and the passes through their sections, from 1.
 
     A jump is taken once, on the last pass through its bar. From where it leads to up to the bar
-    where it stood, repeats are not taken again, unless they say so; a fine ends the music, and the
-    first sign to the coda leads there. A sign whose goal is missing has no effect, see `without_goal`.
+    where it stood, repeats are not taken again, unless they say so; the first sign to the coda
+    leads there, and a fine to what follows the jump, which is another movement, if anything. A sign whose goal is missing has no effect, see `without_goal`.
     """
     jumps, sections = _Jumps(bars), _sections(bars)
     at, turn = 0, 1  # the bar, and the how-manieth pass through its section
@@ -51,7 +56,8 @@ def played_order(bars: Sequence[Signs]) -> Iterator[tuple[int, int]]:
             yield at, turn
             if turn == max(signs.ending, default=turns):
                 if signs.fine and jumps.returned >= 0:
-                    return
+                    at, turn = jumps.end(at), 1
+                    continue
                 if (goal := jumps.goal(at)) is not None:
                     at, turn = goal, 1
                     continue
@@ -81,6 +87,7 @@ class _Jumps:
         self._goals = _Goals(bars)
         self._to_coda = False  # whether a sign to the coda is followed
         self._taken: set[int] = set()  # bars whose jump back was
+        self._begin, self._end = 0, len(bars)  # of the movement, and of all
 
     def goal(self, at: int) -> int | None:
         """Takes the jump at the end of a bar; None if there is none to be taken now."""
@@ -90,10 +97,17 @@ class _Jumps:
         if at in self._taken:
             return None
         self._taken.add(at)
-        goal = self._goals.of_return(at)
+        goal = self._goals.of_return(at, self._begin)
         if goal is not None:
             self.returned, self._to_coda = at, True
         return goal
+
+    def end(self, at: int) -> int:
+        """Ends the movement at a fine; where the next begins."""
+        if at > self.returned:
+            return self._end
+        self._begin, self.returned, self._to_coda = self.returned + 1, -1, False
+        return self._begin
 
 
 class _Goals:
@@ -109,14 +123,14 @@ class _Goals:
                     goals[label].append(at)
                     goals[None].append(at)
 
-    def of_return(self, at: int) -> int | None:
-        """The goal of a da capo or dal segno: the first bar, or the nearest segno before."""
+    def of_return(self, at: int, first: int = 0) -> int | None:
+        """The goal of a da capo or dal segno: the `first` bar, or the nearest segno before."""
         signs = self._bars[at]
         if signs.dal_segno is not None:
             for label in (signs.dal_segno, None):
                 if before := bisect_right(self._segnos[label], at):
                     return self._segnos[label][before - 1]
-        return 0 if signs.da_capo else None
+        return first if signs.da_capo else None
 
     def of_coda(self, at: int) -> int | None:
         """The nearest coda after a bar."""
@@ -142,7 +156,7 @@ def _sections(bars: Sequence[Signs]) -> list[_Section]:
     """All sections. One begins at a repeat sign, or after the repeats of the one before."""
     begins = [0] if bars else []
     for at, (before, signs) in enumerate(pairwise(bars), start=1):
-        ended = before.ending or before.times > 1
+        ended = before.ending or before.times > 1 or before.returns
         if signs.begins_repeat or (ended and not signs.ending):
             begins.append(at)
     return [

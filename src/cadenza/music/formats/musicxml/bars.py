@@ -96,8 +96,11 @@ class _Reader:
         location = barline.get("location", "right")
         repeat, ending = barline.find("repeat"), barline.find("ending")
         if ending is not None and (ending.get("type") == "start" or not self._bracket):
-            passes = _PASS.findall(ending.get("number", "")) or _PASS.findall(ending.text or "")
-            bar.signs.ending = self._bracket = frozenset(map(int, passes))
+            numbers = _PASS.findall(ending.get("number", "")) or _PASS.findall(ending.text or "")
+            passes = frozenset(map(int, numbers))
+            if ending.get("type") != "start" and repeat is not None:
+                passes |= {1}  # of a bracket without a beginning, whatever its number
+            bar.signs.ending = self._bracket = passes
         if ending is not None and ending.get("type") != "start":
             self._bracket = frozenset()
         if repeat is None:

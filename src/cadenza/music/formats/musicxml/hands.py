@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import groupby
 
-from cadenza.music.formats.musicxml.timeline import Placed, number
+from cadenza.music.formats.musicxml.timeline import ZERO, Placed, number
 
 _STAVES = {1, 2}  # of the right and of the left hand
 
@@ -19,7 +19,7 @@ class _Run:
     voice: str
     staff: int
     indices: list[int] = field(default_factory=list)
-    latest: Fraction = Fraction(-1)
+    end: Fraction = ZERO
     sounds: bool = False
 
 
@@ -55,10 +55,11 @@ def _runs(bar: Iterable[tuple[int, Placed]]) -> list[_Run]:
         staff = placed.staff or 1
         voice = placed.element.findtext("voice", f"of staff {staff}")
         run = going.get(voice)
-        if run is None or placed.quarter < run.latest:
+        is_chord = placed.element.find("chord") is not None
+        if run is None or (placed.quarter < run.end and not is_chord):
             run = going[voice] = _Run(voice, staff)
             runs.append(run)
         run.indices.append(index)
-        run.latest = placed.quarter
+        run.end = run.end if is_chord else placed.quarter + placed.duration
         run.sounds |= placed.element.find("rest") is None
     return runs

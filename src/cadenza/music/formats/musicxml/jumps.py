@@ -15,8 +15,11 @@ _DA_CAPO = re.compile(r"\bd\. ?c\b|^dc\b|\bda ?capo\b")
 _DAL_SEGNO = re.compile(r"\bd\. ?s\b|^ds\b|\bdal? segno\b")
 _TO_CODA = re.compile(r"^\W*(to|al|alla) (the )?coda\b")
 _FINE = re.compile(r"^\W*(il )?fine\W*$")
+_WORD = re.compile(r"[a-zäöüéè]{5,}")
+_TRIO = re.compile(r"^\W*trio\b")
 _GOALS = {kind: re.compile(rf"^\W*{kind}( {kind})?\W*\d?$") for kind in ("segno", "coda")}
 _GLYPHS = {"\U0001d10b": " segno ", "\U0001d10c": " coda ", "⊕": " coda "}
+_HEADING = "heading"
 _UNNAMED = ""  # leads to the nearest goal of its kind
 _SOUNDS = ("dacapo", "dalsegno", "tocoda", "fine", "segno", "coda")
 
@@ -50,6 +53,8 @@ class _Reader:
         self._bars = bars
         self._codas: list[tuple[int, int]] = []  # of signs: their bars, and those that begin there
         self._segnos: list[int] = []
+        self._trios: list[int] = []  # bars before trios
+        self._headings: dict[str, int] = {}  # bars by the words that stand over them
 
     def read(self, placed: Placed, is_end: bool) -> None:
         """Reads an element, which may stand at the end of its measure."""
@@ -68,10 +73,20 @@ class _Reader:
 
     def _read_text(self, text: str, at: int, begun: int) -> None:
         signs = self._bars[at].signs
+        after = self._bars[min(at + 1, len(self._bars) - 1)].signs
+        # Long words begin before the bar that they are for.
+        back = after if after.times > 1 and not after.begins_repeat else signs
         if _DA_CAPO.search(text):
-            signs.da_capo = True
+            named = [self._headings[w] for w in _WORD.findall(text) if w in self._headings]
+            if named:  # such as "Menuetto da capo"
+                goal = self._bars[named[0]].signs
+                goal.segno = goal.segno or _HEADING
+                back.dal_segno = back.dal_segno or goal.segno
+            back.da_capo = True
         elif _DAL_SEGNO.search(text):
-            signs.dal_segno = signs.dal_segno or _UNNAMED
+            back.dal_segno = back.dal_segno or _UNNAMED
+        elif _TRIO.search(text) and at:
+            self._trios.append(at - 1)
         elif _TO_CODA.search(text):
             signs.to_coda = signs.to_coda or _UNNAMED
         elif _FINE.search(text):
@@ -80,11 +95,16 @@ class _Reader:
             self._segnos.append(begun)
         elif _GOALS["coda"].search(text):
             self._codas.append((at, begun))
+        elif (word := _WORD.match(text)) and at:
+            self._headings[word[0]] = begun
 
     def read_signs(self) -> None:
         """Reads the segno and coda signs, now that all jumps are known."""
         signs = [bar.signs for bar in self._bars]
-        jumps = [i for i, each in enumerate(signs) if each.da_capo or each.dal_segno is not None]
+        jumps = [i for i, each in enumerate(signs) if each.returns]
+        for trio in self._trios:  # what is repeated da capo is what stands before
+            before = signs[max((i for i in jumps if i < trio), default=-1) + 1 : trio + 1]
+            signs[trio].fine |= not any(each.fine or each.to_coda is not None for each in before)
         for begun in sorted(self._segnos):
             known = any(each.segno is not None for each in signs[:begun])
             if signs[begun].segno is None and not (known and signs[begun].dal_segno is not None):

@@ -7,6 +7,7 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
+from functools import lru_cache
 from itertools import accumulate, zip_longest
 from operator import itemgetter
 from typing import NamedTuple, TypeVar
@@ -16,6 +17,7 @@ ZERO = Fraction(0)
 _FINEST = 10**6  # parts of a quarter that are told apart; more would make sums slow
 _UNIT = 10_000  # parts of a whole number that are told apart, so that 1.3333333 is 4/3
 _T = TypeVar("_T")
+_REMEMBERED = 4096  # numbers, as a file has few different ones
 _NUMBER = re.compile(r"[+-]?\d{1,12}(\.\d{0,12})?")
 _TYPES = "maxima long breve whole half quarter eighth 16th 32nd 64th 128th 256th 512th 1024th"
 NOTE_VALUES = {name: Fraction(32, 2**i) for i, name in enumerate(_TYPES.split())}
@@ -69,13 +71,14 @@ def timeline(parts: Sequence[Element]) -> tuple[list[list[Placed]], list[Fractio
     Measures begin together in all parts: where one is not as long in all of them, the next begins
     when it has ended in all.
     """
-    lengths: list[Fraction] = []
+    lengths: list[tuple[int, Fraction]] = []
     placed: list[list[Placed]] = []
     for part in parts:
         elements, own_lengths = _placed(part)
         placed.append(elements)
-        lengths = [max(pair) for pair in zip_longest(lengths, own_lengths, fillvalue=ZERO)]
-    begins = [*accumulate(lengths, lambda begin, length: exact(begin + length), initial=ZERO)]
+        pairs = zip_longest(lengths, own_lengths, fillvalue=(0, ZERO))
+        lengths = [max(pair) for pair in pairs]
+    begins = [*accumulate((each for _, each in lengths), _sum, initial=ZERO)]
     moved = [
         [each._replace(quarter=begins[each.measure] + each.quarter) for each in elements]
         for elements in placed
@@ -83,17 +86,19 @@ def timeline(parts: Sequence[Element]) -> tuple[list[list[Placed]], list[Fractio
     return moved, begins
 
 
-def _placed(part: Element) -> tuple[list[Placed], list[Fraction]]:
+def _placed(part: Element) -> tuple[list[Placed], list[tuple[int, Fraction]]]:
     """The elements of a part, with times since the beginnings of measures, and their lengths.
 
-    A measure without contents is as long as its metre says.
+    Before each length stands how much it counts where other parts have others: most where notes
+    fill the bar as its metre says, not at all for rests in a bar that is not to be full, and for a
+    measure without contents, which is as long as its metre.
     """
     placed: list[Placed] = []
-    lengths: list[Fraction] = []
+    lengths: list[tuple[int, Fraction]] = []
     divisions, metre = Fraction(1), _WHOLE
     for measure, elements in enumerate(part.iterfind("measure")):
         now = begun = length = ZERO
-        is_empty = True
+        is_empty, sounds = True, False
         placed.append(Placed(measure, ZERO, elements, divisions))
         for element in elements:
             if element.tag == "attributes":
@@ -103,11 +108,13 @@ def _placed(part: Element) -> tuple[list[Placed], list[Fraction]]:
             item = Placed(measure, begun if is_chord else now, element, divisions)
             if element.tag in ("note", "forward") and not is_chord:
                 begun, now, is_empty = now, exact(now + item.duration), False
+                sounds |= element.find("pitch") is not None
             elif element.tag == "backup":
                 now = max(ZERO, exact(now - item.duration))
             length = max(length, now)
             placed.append(item)
-        lengths.append(metre if is_empty and elements.get("implicit") != "yes" else length)
+        counts = sounds or elements.get("implicit") != "yes"
+        lengths.append((0, metre) if is_empty else (counts + (sounds and length == metre), length))
     return placed, lengths
 
 
@@ -137,6 +144,10 @@ def attribute(
     return at
 
 
+def _sum(one: Fraction, other: Fraction) -> Fraction:
+    return exact(one + other)
+
+
 def _metre(attributes: Element) -> Fraction:
     """The length of a bar as a time signature says [quarters]; 0 without one."""
     time = attributes.find("time")
@@ -154,6 +165,7 @@ def _metre(attributes: Element) -> Fraction:
     )
 
 
+@lru_cache(_REMEMBERED)
 def number(text: str | None) -> Fraction:
     """The number in a text of few digits, since others could have billions; 0 for other text."""
     text = (text or "").strip()

@@ -91,8 +91,8 @@ def played_notes(
                 counts["outside"] += not note.tied
                 continue
             now = replace(note.signed, onset=note.signed.onset + passage.later)
-            before = tied.get((now.pitch, now.onset)) if note.tied else None
-            if before is None:
+            before = tied.get((now.pitch, now.onset))
+            if before is None or not (note.tied or found[before].voice == now.voice):
                 before = len(found)
                 found.append(now)
             else:

@@ -1,0 +1,297 @@
+"""Signs of MusicXML that say in which order, how loud, how fast and by whom notes are played."""
+
+import pytest
+
+from cadenza.errors import CadenzaError
+from cadenza.music.formats.musicxml.reader import read_musicxml
+from cadenza.music.libraries.library import load_score
+from cadenza.music.score import Note
+from musicxml_documents import (
+    AGAIN,
+    BACK,
+    FOUR_QUARTERS,
+    compressed,
+    direction,
+    document,
+    finger,
+    jump,
+    note,
+    pitches,
+    played,
+    tempo,
+)
+
+TEMPO = FOUR_QUARTERS + tempo(60)
+
+
+def words(text):
+    return direction(f"<words>{text}</words>")
+
+
+def bars(*signs):
+    """Bars of one note each, with what stands before and after it."""
+    pairs = [sign if isinstance(sign, tuple) else ("", sign) for sign in signs]
+    made = [before + note(f"C{i}", 16) + after for i, (before, after) in enumerate(pairs, start=4)]
+    return document([FOUR_QUARTERS + made[0], *made[1:]])
+
+
+def order(score):
+    """The numbers of bars as they are played."""
+    return "".join(str(bar.number) for bar in score.bars)
+
+
+SEGNO, CODA = direction("<segno/>"), direction("<coda/>")
+
+
+@pytest.mark.parametrize(
+    ("signs", "expected"),
+    [
+        (("", words("Fine"), words("D.C. al Fine")), "12312"),
+        (("", words(" FINE "), words("Da Capo al Fine")), "12312"),
+        (("", words("To Coda"), words("D. C. al Coda"), (words("Coda"), "")), "123124"),
+        (("", words("to \U0001d10c"), words("D.C."), (words("\U0001d10c"), "")), "123124"),
+        (("", direction("<words>To</words><coda/>"), words("D.C."), (CODA, "")), "123124"),
+        (("", CODA, words("D.C. al Coda"), (CODA, "")), "123124"),  # a sign is where it leads from
+        (("", (SEGNO, ""), words("D.S.")), "12323"),
+        (("", (words("\U0001d10b"), ""), words("dal segno")), "12323"),
+        (("", (SEGNO, ""), SEGNO + words("D.S.")), "12323"),  # beside D.S. it is no goal
+        ((SEGNO, "", words("D.S. al Fine")), "12323"),  # at the end of a bar: of the next
+        (("", (SEGNO, words("al Coda")), jump('dalsegno="x"'), (CODA, "")), "12324"),
+        (("<barline><segno/></barline>", "", words("D.S.")), "12323"),
+        (("", words("Da capoeira, fine weather"), words("finely")), "123"),
+    ],
+)
+def test_jumps_may_be_words_or_signs(signs, expected, saved):
+    score = load_score(saved(bars(*signs)))
+    assert (order(score), score.remarks) == (expected, ())
+
+
+def test_repeats_may_be_taken_again_after_a_jump(saved):
+    again = AGAIN.replace("<repeat", '<repeat after-jump="yes"')
+    score = load_score(saved(bars(again, '<sound dacapo="yes"/>', "")))
+    assert order(score) == "1121123"
+
+
+def test_a_repeat_may_begin_where_a_sound_says(saved):
+    assert (
+        order(load_score(saved(bars("", ('<sound forward-repeat="yes"/>', ""), AGAIN)))) == "12323"
+    )
+
+
+def test_notes_may_be_for_some_passes_only(saved):
+    second = note("G5", 16).replace("<note", '<note time-only="2, 3"')
+    score = load_score(saved(document([FOUR_QUARTERS + note("C4", 16) + BACK + second + AGAIN])))
+    assert played(score) == [(0.0, 2.0, 60), (2.0, 4.0, 60), (2.0, 4.0, 79)]
+
+
+def marked(mark, staff=None):
+    return direction(f"<dynamics>{mark}</dynamics>").replace(
+        "</direction>", f"<staff>{staff}</staff></direction>" if staff else "</direction>"
+    )
+
+
+def test_a_dynamic_is_for_its_staff(saved):
+    upper = marked("<f/>", 1) + note("C5", 16) + BACK
+    later = note("C5", 16) + BACK + marked("<pp/>", 2) + note("C3", 16, 2)
+    score = load_score(saved(document([FOUR_QUARTERS + upper + note("C3", 16, 2), later])))
+    # A staff without marks of its own follows those of the other.
+    assert [(n.pitch, n.velocity) for n in score.notes] == [(48, 96), (72, 96), (48, 33), (72, 96)]
+
+
+@pytest.mark.parametrize(
+    ("mark", "velocities"),
+    [
+        (marked("<pppp/>"), (10, 10)),
+        (marked("<pppppp/>"), (4, 4)),
+        (marked("<ffff/>"), (127, 127)),
+        (marked("<other-dynamics> FFF </other-dynamics>"), (126, 126)),
+        (marked("<fp/>"), (96, 49)),
+        (marked("<other-dynamics>dolce</other-dynamics>"), (80, 80)),
+        (jump('dynamics="50"'), (45, 45)),
+        (marked("<p/>").replace("</direction>", '<sound dynamics="60"/></direction>'), (54, 54)),
+        ('<sound dynamics="x"/>', (80, 80)),
+    ],
+)
+def test_dynamics(mark, velocities, saved):
+    score = load_score(saved(document([FOUR_QUARTERS + mark + note("C4", 8) + note("D4", 8)])))
+    assert tuple(n.velocity for n in score.notes) == velocities
+
+
+def test_hairpins_lead_to_the_next_dynamic_unless_plain(saved):
+    start, stop = (direction(f'<wedge type="{of}"/>') for of in ("crescendo", "stop"))
+    bar = marked("<p/>") + start + note("C4", 8) + note("D4", 8) + stop + marked("<f/>")
+    path = saved(document([FOUR_QUARTERS + bar, note("E4", 16)]))
+    assert [n.velocity for n in read_musicxml(path).notes] == [49, 72, 96]
+    assert [n.velocity for n in read_musicxml(path, plain=True).notes] == [49, 49, 96]
+
+
+def test_dynamics_may_stand_at_notes(saved):
+    loud = note("C4", 8, inside="<notations><dynamics><ff/></dynamics></notations>")
+    score = load_score(saved(document([FOUR_QUARTERS + note("B3", 4) + loud + note("D4", 4)])))
+    assert [n.velocity for n in score.notes] == [80, 112, 112]
+
+
+def metronome(*units, per_minute):
+    return direction(
+        f"<metronome>{''.join(units)}<per-minute>{per_minute}</per-minute></metronome>"
+    )
+
+
+def unit(name, *more):
+    return f"<beat-unit>{name}</beat-unit>{''.join(more)}"
+
+
+@pytest.mark.parametrize(
+    ("mark", "quarters_a_minute"),
+    [
+        (metronome(unit("32nd"), per_minute=240), 30),
+        (metronome(unit("breve"), per_minute=20), 160),
+        (metronome(unit("quarter", "<beat-unit-dot/><beat-unit-dot/>"), per_minute=40), 70),
+        (metronome(unit("eighth"), per_minute="120,5"), 60.25),
+        (
+            metronome(
+                unit("quarter"), f"<beat-unit-tied>{unit('16th')}</beat-unit-tied>", per_minute=40
+            ),
+            50,
+        ),
+    ],
+)
+def test_metronome_marks_of_any_note(mark, quarters_a_minute, saved):
+    score = load_score(saved(document([FOUR_QUARTERS + mark + note("C4", 16)])))
+    assert score.total_time == pytest.approx(240 / quarters_a_minute)
+
+
+def test_a_metronome_mark_counts_after_a_tempo_for_playback(saved):
+    later = metronome(unit("quarter"), per_minute=120) + note("D4", 16)
+    score = load_score(saved(document([TEMPO + note("C4", 16), later])))
+    assert played(score) == [(0.0, 4.0, 60), (4.0, 6.0, 62)]
+
+
+def test_a_metronome_mark_that_gives_no_tempo_is_told(saved):
+    equal = direction(f"<metronome>{unit('quarter')}{unit('half')}</metronome>")
+    score = load_score(saved(document([FOUR_QUARTERS + equal + note("C4", 16)])))
+    assert score.remarks == ("1 metronome mark without a tempo left out",)
+
+
+def test_swing_and_what_is_plain(saved):
+    swing = "<swing><first>2</first><second>1</second><swing-type>eighth</swing-type></swing>"
+    path = saved(document([TEMPO + f"<sound>{swing}</sound>" + note("C4", 2) + note("D4", 2)]))
+    assert [n.start for n in read_musicxml(path).notes] == pytest.approx([0, 2 / 3])
+    assert [n.start for n in read_musicxml(path, plain=True).notes] == [0.0, 0.5]
+
+
+def test_signs_at_notes_are_played_unless_plain(saved):
+    inside = (
+        "<notations><ornaments><trill-mark/></ornaments>"
+        "<articulations><staccato/></articulations></notations>"
+    )
+    path = saved(document([TEMPO + note("C4", 8, inside=inside) + note("E4", 8)]))
+    assert {n.pitch for n in read_musicxml(path).notes} == {60, 62, 64}
+    assert played(read_musicxml(path, plain=True)) == [(0.0, 2.0, 60), (2.0, 4.0, 64)]
+
+
+def moves(score):
+    return [(event.time, event.value) for event in score.pedal]
+
+
+def test_the_pedal_may_be_for_playback_only(saved):
+    down, half, up = (f'<sound damper-pedal="{value}"/>' for value in ("yes", "50", "no"))
+    bar = TEMPO + down + note("C4", 4) + half + note("D4", 4) + up + note("E4", 8)
+    assert moves(load_score(saved(document([bar])))) == [(0, 127), (1, 64), (2, 0)]
+
+
+def test_a_pedal_without_a_stop_stays_down_and_may_be_pressed_again(saved):
+    start = direction('<pedal type="start"/>')
+    bar = TEMPO + start + note("C4", 8) + start + note("D4", 8)
+    assert moves(load_score(saved(document([bar])))) == [(0, 127), (2, 0), (2, 127)]
+
+
+def test_the_pedal_is_down_while_any_part_holds_it(saved):
+    start, stop = (direction(f'<pedal type="{of}"/>') for of in ("start", "stop"))
+    one = TEMPO + start + note("C4", 8) + stop + note("D4", 8)
+    other = FOUR_QUARTERS + note("C4", 4) + start + note("D4", 8) + stop + note("E4", 4)
+    assert moves(load_score(saved(document([one], [other])))) == [(0, 127), (3, 0)]
+
+
+def test_a_voice_keeps_its_hand_on_the_other_staff(saved):
+    def fingered(pitch, voice, staff, number):
+        return note(pitch, 8, staff, finger(number)).replace(f"<voice>{staff}", f"<voice>{voice}")
+
+    upper = fingered("C5", 1, 1, 5) + fingered("C4", 1, 2, 1)
+    lower = fingered("C3", 2, 2, 5) + fingered("E4", 2, 1, 1)
+    alone = fingered("D4", 1, 2, 2) + fingered("F4", 1, 2, 3)  # still the right hand
+    score = load_score(saved(document([TEMPO + upper + BACK + lower, alone])))
+    hands = {n.pitch: (n.finger.hand, *n.hands) for n in score.notes}
+    assert hands == {72: (0, 0), 60: (0, 0), 48: (1, 1), 64: (1, 1), 62: (0, 0), 65: (0, 0)}
+
+
+def test_voices_of_one_name_on_both_staves_are_two(saved):
+    lower = note("C3", 16, 2).replace("<voice>2", "<voice>1")
+    score = load_score(saved(document([FOUR_QUARTERS + note("C5", 16) + BACK + lower])))
+    assert {n.pitch: n.hands for n in score.notes} == {72: (0,), 48: (1,)}
+
+
+def test_parts_of_drums_are_left_out(saved):
+    text = document([FOUR_QUARTERS + note("C4", 16)], [FOUR_QUARTERS + note("C3", 16)])
+    drums = '<midi-instrument id="P2-I1"><midi-channel>10</midi-channel></midi-instrument>'
+    name = "<part-name>Part 2</part-name>"
+    score = load_score(saved(text.replace(name, name + drums)))
+    assert (pitches(score), len(score.tracks)) == ([60], 1)
+    assert score.remarks == ("1 note on the drum channel (10) left out",)
+
+
+def test_a_key_held_by_one_voice_and_struck_by_another_is_held_on(saved):
+    rest = "<note><rest/><duration>4</duration><voice>2</voice></note>"
+    bar = TEMPO + note("C4", 16) + BACK + rest + note("C4", 4, 2)
+    assert played(load_score(saved(document([bar])))) == [(0.0, 1.0, 60), (1.0, 4.0, 60)]
+
+
+def test_notes_of_a_chord_may_be_shorter_and_grace_notes_a_chord(saved):
+    def in_chord(text):
+        return text.replace("<pitch>", "<chord/><pitch>")
+
+    graces = note("A4", 0, grace=True) + in_chord(note("D5", 0, grace=True))
+    chord = note("C4", 8) + in_chord(note("E4", 4))
+    score = load_score(saved(document([TEMPO + chord + graces + note("F4", 8)])))
+    assert played(score) == [
+        (0.0, 2.0, 60),
+        (0.0, 1.0, 64),
+        (1.9, 2.0, 69),
+        (1.9, 2.0, 74),
+        (2.0, 4.0, 65),
+    ]
+
+
+def test_a_grace_note_tied_to_its_note_is_that_note(saved):
+    grace = note("C4", 0, grace=True, inside='<tie type="start"/>')
+    tied = note("C4", 16, inside='<tie type="stop"/>')
+    assert played(load_score(saved(document([TEMPO + grace + tied])))) == [(0.0, 4.0, 60)]
+
+
+def test_an_accidental_shows_and_an_alteration_sounds(saved):
+    shown = note("A4", 8, inside="<accidental>sharp</accidental>")
+    sounds = note("A4", 8).replace("<octave>", "<alter>1</alter><octave>")
+    assert pitches(load_score(saved(document([FOUR_QUARTERS + shown + sounds])))) == [69, 70]
+
+
+@pytest.mark.parametrize("empty", ["<direction/>", direction(""), "<barline/>", "<note/>"])
+def test_empty_elements_mean_nothing(empty, saved):
+    score = load_score(saved(document([FOUR_QUARTERS + empty + note("A4", 16)])))
+    assert (score.notes, score.remarks) == ((Note(0.0, 2.0, 69, tracks=(1,)),), ())
+
+
+def test_an_empty_bar_is_as_long_as_its_metre(saved):
+    score = load_score(saved(document([FOUR_QUARTERS + note("C4", 4), "", note("D4", 4)])))
+    assert played(score) == [(0.0, 0.5, 60), (2.5, 3.0, 62)]
+
+
+def test_a_document_may_be_named_from_its_folder(saved):
+    text = document([FOUR_QUARTERS + note("C4", 16)])
+    path = saved(compressed(text, named="./score.xml"), "song.mxl")
+    assert pitches(load_score(path)) == [60]
+
+
+def test_mei_is_named(saved):
+    path = saved('<?xml version="1.0"?><m:mei xmlns:m="x"><m:music/></m:mei>', "song.xml")
+    with pytest.raises(CadenzaError, match=r"is MEI, .* MuseScore"):
+        load_score(path)
