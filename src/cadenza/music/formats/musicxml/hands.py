@@ -53,11 +53,10 @@ def _runs(bar: Iterable[tuple[int, Placed]]) -> list[_Run]:
     going: dict[str, _Run] = {}
     for index, placed in bar:
         staff = placed.staff or 1
-        voice = placed.element.findtext("voice", f"of staff {staff}")
-        run = going.get(voice)
+        run = going.get(placed.voice)
         is_chord = placed.element.find("chord") is not None
         if run is None or (placed.quarter < run.end and not is_chord):
-            run = going[voice] = _Run(voice, staff)
+            run = going[placed.voice] = _Run(placed.voice, staff)
             runs.append(run)
         run.indices.append(index)
         run.end = run.end if is_chord else placed.quarter + placed.duration

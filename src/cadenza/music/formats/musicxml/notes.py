@@ -95,7 +95,7 @@ def notes_of(
             velocity=loudness.velocity(placed),
             part=track,
             staff=placed.staff or 1,
-            voice=f"{note.findtext('voice', '1')} {hand}",  # staves may have voices of one name
+            voice=f"{placed.voice} {hand}",  # staves may have voices of one name
             alter=sounds - natural,
             fifths=key(placed) + 7 * shift.semitones - 12 * shift.steps,
             finger=_finger(note, hand, counts),
@@ -155,12 +155,12 @@ def _graces(notes: Sequence[Placed]) -> dict[int, Grace]:
     waiting: defaultdict[str, list[int]] = defaultdict(list)  # for the next note, by voice
     measure = 0
     for i, placed in enumerate(notes):
-        note, voice = placed.element, placed.element.findtext("voice", "1")
+        note = placed.element
         if placed.measure != measure:
             measure = placed.measure
             waiting.clear()
         grace, is_chord = note.find("grace"), note.find("chord") is not None
-        before = waiting[voice]
+        before = waiting[placed.voice]
         if grace is not None:
             index = graces[before[-1]].index + (not is_chord) if before else 0
             graces[i] = _grace(grace, index, placed)

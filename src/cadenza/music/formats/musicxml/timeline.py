@@ -14,6 +14,7 @@ from typing import NamedTuple, TypeVar
 from xml.etree.ElementTree import Element
 
 ZERO = Fraction(0)
+_FIRST_VOICE = "1"
 _FINEST = 10**6  # parts of a quarter that are told apart; more would make sums slow
 _UNIT = 10_000  # parts of a whole number that are told apart, so that 1.3333333 is 4/3
 _T = TypeVar("_T")
@@ -28,13 +29,15 @@ _WHOLE = NOTE_VALUES["whole"]
 class Placed(NamedTuple):
     """An element of a measure, counted from 0, and the quarter of the sheet where it begins.
 
-    A quarter has so many `divisions` there. The first element of each measure is itself.
+    A quarter has so many `divisions` there. Notes have a voice, others that of the note before. The
+    first element of each measure is itself.
     """
 
     measure: int
     quarter: Fraction
     element: Element
     divisions: Fraction
+    voice: str
 
     @property
     def duration(self) -> Fraction:
@@ -99,13 +102,16 @@ def _placed(part: Element) -> tuple[list[Placed], list[tuple[int, Fraction]]]:
     for measure, elements in enumerate(part.iterfind("measure")):
         now = begun = length = ZERO
         is_empty, sounds = True, False
-        placed.append(Placed(measure, ZERO, elements, divisions))
+        voice = _FIRST_VOICE
+        placed.append(Placed(measure, ZERO, elements, divisions, voice))
         for element in elements:
             if element.tag == "attributes":
                 divisions = number(element.findtext("divisions")) or divisions
                 metre = _metre(element) or metre
             is_chord = element.tag == "note" and element.find("chord") is not None
-            item = Placed(measure, begun if is_chord else now, element, divisions)
+            if element.tag == "note":
+                voice = element.findtext("voice", voice if is_chord else _FIRST_VOICE)
+            item = Placed(measure, begun if is_chord else now, element, divisions, voice)
             if element.tag in ("note", "forward") and not is_chord:
                 begun, now, is_empty = now, exact(now + item.duration), False
                 sounds |= element.find("pitch") is not None
