@@ -57,6 +57,13 @@ def test_a_ritardando_leads_to_a_slower_tempo_and_an_accelerando_to_a_faster_one
     assert against[8] - against[4] == pytest.approx(4 * (1 + 1 / 0.75) / 2)
 
 
+def test_a_ritardando_that_the_score_forgets_does_not_slow_down_all_that_follows():
+    marks = [Tempo(Q(0), 1.0), TempoWord(Q(0), Change.RITARDANDO)]
+    lengths = np.diff(onsets(marks, places=[Q(k) for k in range(30)], end=Q(40)))
+    assert lengths[15] > 1.3
+    assert lengths[16:] == pytest.approx(1.0)
+
+
 def test_a_last_ritardando_goes_on_to_the_end():
     got = onsets([Tempo(Q(0), 1.0), TempoWord(Q(12), Change.RITARDANDO)])
     assert got[16] - got[12] == pytest.approx(4 * (1 + 1 / 0.75) / 2)
