@@ -111,6 +111,11 @@ def test_sections_are_played_one_after_the_other_with_their_waits():
     assert played.ends([Q(4), Q(10), Q(11)]).tolist() == [5, 11, 12.5]
 
 
+def test_the_last_note_is_held_by_a_fermata_where_the_music_is_played_by_sections():
+    sheet = TempoMap.of([Fermata(Q(3), Q(4))], USUAL)
+    assert sheet.played([(Q(0), Q(4)), (Q(0), Q(4))]).ends([Q(4), Q(8)]).tolist() == [2.5, 5.0]
+
+
 def test_plain_has_tempos_only():
     marks = [
         Tempo(Q(0), 1.0),

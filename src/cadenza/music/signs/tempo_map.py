@@ -119,7 +119,9 @@ class TempoMap:
                 pieces.append(TempoPiece(place, begun, cut.seconds, cut.slope, cut.silence))
             silence = last - float(self.ends([end])[0])
             at, time = at + end - begin, time + last - first
-        return TempoMap(pieces) if pieces else self
+        if not pieces:
+            return self
+        return TempoMap([*pieces, TempoPiece(at, time, self._from(end).seconds, 0.0, silence)])
 
     def _at(self, quarters: Floats) -> tuple[Floats, NDArray[np.intp]]:
         """(N,) onsets [s] of places [quarters], and (N,) the pieces in which they are."""
