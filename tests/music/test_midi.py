@@ -486,6 +486,15 @@ def test_banks_and_messages_to_synthesizers_say_which_channels_are_drums(
     assert score.remarks == (("1 note of drums left out",) if drums else ())
 
 
+def test_what_sets_up_a_channel_may_stand_in_a_later_track(saved):
+    drums = [on(36, channel=1), off(36, 10, channel=1)]
+    muted = [on(48, channel=2), off(48, 10, channel=2)]
+    score = read_midi(
+        saved([*drums, on(60), off(60, 10)], muted, [control(0, 127, 0, 1), control(7, 0, 0, 2)])
+    )
+    assert [note.pitch for note in score.notes] == [60]
+
+
 def test_short_messages_to_synthesizers_do_no_harm(saved):
     whole = [GS_RHYTHM, GS_RESET, XG_DRUMS]
     cut = [sysex(*message.data[:end]) for message in whole for end in range(len(message.data))]

@@ -19,6 +19,7 @@ SUSTAIN = 64
 """The controller number of the sustain pedal."""
 _SOSTENUTO, _SOFT = 66, 67
 _BANK, _VOLUME, _EXPRESSION = 0, 7, 11  # controllers
+_SETTINGS = (_BANK, _VOLUME, _EXPRESSION)
 _RESET = 121  # controller that lifts the pedals of a channel, among others
 _ALL_OFF = 120, 123  # controllers that end all notes of a channel
 _DOWN = 64  # the least value of a pedal that is down
@@ -161,7 +162,8 @@ class Playing:
             for tick, message in timed(chunk)
             if message.type in _PLAYED
         )
-        for tick, track, message in sorted(events, key=lambda event: event[0]):
+        # At one time, what sets up a channel comes first, in whichever track it is.
+        for tick, track, message in sorted(events, key=lambda each: (each[0], _plays(each[2]))):
             if message.type == "sysex":
                 self._set_up(message.data)
             else:
@@ -243,6 +245,12 @@ class Playing:
     def _part(self, channel: int, track: int) -> Part:
         is_drums = self._channels[channel].is_drums
         return self._parts.setdefault((track, channel, is_drums), Part(channel, is_drums))
+
+
+def _plays(message: mido.Message) -> bool:
+    """Whether a message is more than a setting of how a channel sounds."""
+    is_setting = message.type == "control_change" and message.control in _SETTINGS
+    return not is_setting and message.type != "sysex"
 
 
 def timed(chunk: mido.MidiTrack) -> Iterator[tuple[int, mido.Message]]:
