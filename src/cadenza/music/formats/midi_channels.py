@@ -72,10 +72,11 @@ class Part:
 class _Channel:
     """A channel while the file is played.
 
-    `sounding` are notes in the order in which they began, by pitch, and `of_track` the same by
-    track and pitch; those released by way of the other are still there. `captured` are the notes
-    that the sostenuto pedal holds, None if it is up. `silences` are the spans without volume.
     Whether it plays drums, a message to the synthesizer says, or else its bank of sounds.
+    `silences` are the spans without volume. `sounding` are notes in the order in which they began, by pitch,
+    and `of_track` the same by track and pitch; those released by way of the other are still there.
+    The sostenuto pedal went down at the time `sostenuto`, None if it is up, and goes on to hold
+    `captured`, notes that were released since.
     """
 
     has_drum_bank: bool = False
@@ -88,7 +89,8 @@ class _Channel:
     of_track: defaultdict[tuple[int, int], deque[RawNote]] = field(
         default_factory=lambda: defaultdict(deque)
     )
-    captured: list[RawNote] | None = None
+    sostenuto: int | None = None
+    captured: list[RawNote] = field(default_factory=list)
 
     @property
     def is_drums(self) -> bool:
@@ -106,7 +108,7 @@ class _Channel:
             while waiting:
                 note = waiting.popleft()
                 if not note.released:
-                    note.release(now)
+                    self._end(note, now)
                     return
 
     def release_all(self, now: int) -> None:
@@ -114,19 +116,23 @@ class _Channel:
         for waiting in self.sounding.values():
             for note in waiting:
                 if not note.released:
-                    note.release(now)
+                    self._end(note, now)
         self.sounding.clear()
         self.of_track.clear()
 
+    def _end(self, note: RawNote, now: int) -> None:
+        note.release(now)
+        if self.sostenuto is not None and note.start <= self.sostenuto:
+            self.captured.append(note)
+
     def move_sostenuto(self, value: int, now: int) -> None:
         """Moves the sostenuto pedal, which holds what sounds when it goes down."""
-        if value >= _DOWN and self.captured is None:
-            waiting = (note for notes in self.sounding.values() for note in notes)
-            self.captured = [note for note in waiting if not note.released]
-        elif value < _DOWN and self.captured is not None:
+        if value >= _DOWN and self.sostenuto is None:
+            self.sostenuto = now
+        elif value < _DOWN:
             for note in self.captured:
-                note.end = max(note.end, now) if note.released else note.end
-            self.captured = None
+                note.end = now
+            self.sostenuto, self.captured = None, []
 
     def set_volume(self, volume: int, expression: int, now: int) -> None:
         """Changes the volume, which is the product of both."""
@@ -168,15 +174,17 @@ class Playing:
                 self._set_up(message.data)
             else:
                 self._play(message, track, at(tick))
-        for (track, channel, _), part in self._parts.items():
-            end = at(sum(message.time for message in chunks[track]))
-            part.finish(end, self._channels[channel].silences)
-        self.parts = [part for _, part in sorted(self._parts.items(), key=lambda item: item[0][0])]
-        """The music of each channel in each track of the file, by tracks."""
-        for track, chunk in enumerate(chunks):
-            here = [part for key, part in self._parts.items() if key[0] == track]
+        by_track: list[list[Part]] = [[] for _ in chunks]
+        for (track, *_), part in self._parts.items():
+            by_track[track].append(part)
+        for chunk, here in zip(chunks, by_track, strict=True):
+            end = at(sum(message.time for message in chunk))
+            for part in here:
+                part.finish(end, self._channels[part.channel].silences)
             if len(here) == 1:  # else it names the song, or none of them in particular
                 here[0].name = next((m.name for m in chunk if m.type == "track_name"), "")
+        self.parts = [part for here in by_track for part in here]
+        """The music of each channel in each track of the file, by tracks."""
 
     def _play(self, message: mido.Message, track: int, now: int) -> None:
         """Plays a message of a channel at a time."""
