@@ -73,10 +73,10 @@ class _Channel:
     """A channel while the file is played.
 
     Whether it plays drums, a message to the synthesizer says, or else its bank of sounds.
-    `silences` are the spans without volume. `sounding` are notes in the order in which they began, by pitch,
-    and `of_track` the same by track and pitch; those released by way of the other are still there.
-    The sostenuto pedal went down at the time `sostenuto`, None if it is up, and goes on to hold
-    `captured`, notes that were released since.
+    `silences` are the spans without volume. `sounding` are notes in the order in which they began,
+    by pitch, and `of_track` the same by track and pitch; those released by way of the other are
+    still there. The sostenuto pedal went down at the time `sostenuto`, None if it is up, and goes
+    on to hold `captured`, notes that were released since.
     """
 
     has_drum_bank: bool = False
