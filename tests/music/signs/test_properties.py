@@ -1,5 +1,6 @@
 """What holds for notes with any signs."""
 
+from dataclasses import replace
 from fractions import Fraction as Q
 
 import numpy as np
@@ -79,8 +80,9 @@ scores = st.lists(notes, min_size=1, max_size=12)
 def test_every_note_sounds_and_stays_within_its_neighbourhood(score, tempos, swing):
     tempo = TempoMap.of(tempos, USUAL, END)
     swings = [Swing(Q(0))] if swing else []
+    score = [replace(note, written=index) for index, note in enumerate(score)]
     sounding = realised(score, tempo, USUAL, swings)
-    assert {id(note.of) for note in sounding} == {id(note) for note in score}
+    assert {note.of.written for note in sounding} == set(range(len(score)))
     assert all(note.end > note.start for note in sounding)
     assert all(1 <= note.velocity <= 127 for note in sounding)
     last = max(tempo.onsets([note.end + Q(1, 6) for note in score]))
