@@ -39,6 +39,33 @@ def trio(tmp_path: Path) -> Path:
     return tmp_path / "trio.mid"
 
 
+@pytest.fixture
+def held(tmp_path: Path) -> Path:
+    """A whole note of 4 s with a fermata."""
+    note = (
+        "<note><pitch><step>C</step><octave>4</octave></pitch><duration>4</duration>"
+        "<notations><fermata/></notations></note>"
+    )
+    text = (
+        "<score-partwise><part-list><score-part id='P1'><part-name/></score-part></part-list>"
+        "<part id='P1'><measure><attributes><divisions>1</divisions></attributes>"
+        f"<sound tempo='60'/>{note}</measure></part></score-partwise>"
+    )
+    path = tmp_path / "held.musicxml"
+    path.write_text(text)
+    return path
+
+
+def test_plain_plays_the_notes_of_a_score_as_they_stand(
+    held: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for options, seconds in (([], "8.0 s"), (["--plain"], "4.0 s")):
+        main(["info", str(held), *options])
+        assert seconds in capsys.readouterr().out
+    main(["play", str(held), "--plain", *QUICK, "-o", str(held.parent / "out")])
+    assert "4.5 s of music" in capsys.readouterr().out  # half a second of it before the note
+
+
 @pytest.mark.parametrize(
     ("song", "name"),
     [

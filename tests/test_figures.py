@@ -40,6 +40,7 @@ ALLOWED = {
     ("music/notation/spelling.py", 5): "fifths above the tonic",
     ("music/libraries/pig_dataset.py", 5): "the note F, in semitones above C",
     ("music/libraries/pig_dataset.py", 10): "lines of a file that are named",
+    ("music/signs/ornaments.py", 5): "semitones from C to F; the step A",
     ("music/score.py", 88): "the keys of a piano, which is what music is written for",
     ("agents/planner/search/networks/inputs.py", 5): "steps ahead; a column of the inputs",
     ("agents/planner/config.py", 10): "candidates and step sizes",
@@ -67,6 +68,8 @@ MUSICAL = "music/etudes/band"  # full of semitones, degrees, programs and percen
 COINCIDENCES = {
     ("cli/practice.py", 0.999): "almost a step",
     ("learning/algorithms/droq/config.py", 0.999): "Adam's decay of squares",
+    ("music/signs/conventions.py", 1.15): "multiples of velocity and tempo",
+    ("music/signs/conventions.py", 1.33): "the tempo after an accelerando",
 }
 
 

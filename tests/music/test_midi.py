@@ -114,7 +114,7 @@ def test_drums_are_left_out(saved):
     score = read_midi(saved([on(60), on(40, channel=9), hold, off(40, 5, 9), off(60, 5)]))
     assert played(score) == [(0.0, 0.5, 60)]
     assert score.pedal == ()
-    assert score.remarks == ("1 note on the drum channel (10) left out",)
+    assert score.remarks == ("1 note of drums left out",)
 
 
 def test_notes_outside_the_piano_are_left_out(saved):
@@ -138,9 +138,24 @@ def test_overlapping_notes_of_a_pitch_are_cut_where_the_next_begins(saved):
     assert score.remarks == ("1 note cut short where the same key is struck again",)
 
 
-def test_a_key_held_by_one_track_and_struck_by_another_is_held_on(saved):
-    score = read_midi(saved([on(60), off(60, 40)], [on(60, 10), off(60, 10)]))
-    assert played(score) == [(0.0, 0.5, 60), (0.5, 2.0, 60)]
+def test_a_held_key_that_another_track_strikes_again_sounds_to_the_end_of_the_longer(saved):
+    held, twice = [on(60), off(60, 40)], [on(60, 10), off(60, 5), on(60, 5), off(60, 5)]
+    score = read_midi(saved(held, twice))
+    assert played(score) == [(0.0, 0.5, 60), (0.5, 1.0, 60), (1.0, 2.0, 60)]
+
+
+def test_a_key_that_nothing_releases_does_not_make_the_next_note_long(saved):
+    score = read_midi(saved([on(60), off(62, 90)], [on(60, 10), off(60, 10)]))
+    assert played(score) == [(0.0, 0.5, 60), (0.5, 1.0, 60)]
+
+
+def test_a_note_off_in_another_track_ends_the_note_of_its_channel(saved):
+    score = read_midi(saved([on(60), on(60, 40)], [off(60, 10), off(60, 40)]))
+    assert played(score) == [(0.0, 0.5, 60), (2.0, 2.5, 60)]
+    own_first = read_midi(saved([on(60), off(60, 20)], [on(60, 10), off(60, 20)]))
+    assert played(own_first) == [(0.0, 0.5, 60), (0.5, 1.5, 60)]
+    other_channel = read_midi(saved([on(60), off(60, 20)], [off(60, 10, channel=1)]))
+    assert played(other_channel) == [(0.0, 1.0, 60)]
 
 
 def test_doubled_notes_are_merged_into_the_longest_and_loudest(saved):
@@ -379,31 +394,111 @@ def test_a_midi_file_wrapped_in_riff_is_read(tmp_path):
             read_midi(path)
 
 
-def test_the_pedals_of_all_channels_move_one_pedal(saved):
-    def pedal(value, time, channel):
-        return mido.Message("control_change", control=64, value=value, time=time, channel=channel)
+def control(number, value, time=0, channel=0):
+    return mido.Message("control_change", control=number, value=value, time=time, channel=channel)
 
-    left = [pedal(127, 0, 1), pedal(0, 20, 1)]
-    score = read_midi(saved([on(60), pedal(100, 10, 0), off(60, 20)], left))
-    assert score.pedal == (PedalEvent(0.0, 127), PedalEvent(0.5, 100), PedalEvent(1.0, 0))
+
+def test_the_pedal_is_as_low_as_any_channel_holds_it(saved):
+    left = [control(64, 127, 0, 1), control(64, 0, 20, 1)]
+    right = [on(60), control(64, 100, 10), control(64, 0, 20), off(60, 20)]
+    score = read_midi(saved(right, left))
+    assert [(event.time, event.value) for event in score.pedal] == [
+        (0.0, 127),
+        (0.5, 127),
+        (1.0, 100),
+        (1.5, 0),
+    ]
+
+
+def test_a_change_of_the_pedal_in_all_channels_lifts_it(saved):
+    def hand(channel):
+        down, up, again = (control(64, value, 0, channel) for value in (127, 0, 127))
+        return [down, on(60, 0, 80, channel), off(60, 10, channel), up, again]
+
+    score = read_midi(saved(hand(0), hand(1)))
+    assert [(event.time, event.value) for event in score.pedal] == [(0, 127), (0.5, 0), (0.5, 127)]
 
 
 def test_resetting_the_controllers_of_a_channel_lifts_its_pedal(saved):
-    def control(number, value, time, channel=0):
-        return mido.Message(
-            "control_change", control=number, value=value, time=time, channel=channel
-        )
-
     begin, other, end = control(121, 0, 0), control(121, 0, 10, 1), control(121, 0, 10)
     score = read_midi(saved([begin, on(60), control(64, 127, 0), other, end, off(60, 10)]))
     assert score.pedal == (PedalEvent(0.0, 127), PedalEvent(1.0, 0))
 
 
-def test_that_the_sostenuto_pedal_is_left_out_is_told(saved):
-    pedal = mido.Message("control_change", control=66, value=127)
-    score = read_midi(saved([on(60), pedal, off(60, 10)]))
+def test_the_sostenuto_pedal_holds_what_sounds_when_it_goes_down(saved):
+    down, up = control(66, 127, 5), control(66, 0, 10)
+    notes = [on(60), down, off(60, 5), on(62), off(62, 10), up, on(64), off(64, 10)]
+    score = read_midi(saved(notes))
+    assert played(score) == [(0.0, 1.5, 60), (0.5, 1.0, 62), (1.5, 2.0, 64)]
     assert score.pedal == ()
-    assert score.remarks == ("the sostenuto pedal is left out",)
+    assert score.remarks == ()
+
+
+def test_that_the_soft_pedal_is_left_out_is_told(saved):
+    for value, remarks in ((0, ()), (127, ("the soft pedal is left out",))):
+        assert read_midi(saved([on(60), control(67, value), off(60, 10)])).remarks == remarks
+
+
+def test_notes_in_a_channel_without_volume_are_left_out(saved):
+    melody = [control(7, 0), on(60), off(60, 10), on(62), control(7, 90, 5), off(62, 5)]
+    expression = [control(11, 0, 0, 1), on(64, 0, 80, 1), off(64, 10, 1), control(121, 0, 0, 1)]
+    score = read_midi(saved(melody, [*expression, on(65, 0, 80, 1), off(65, 10, 1)]))
+    assert played(score) == [(0.5, 1.0, 62), (0.5, 1.0, 65)]
+    assert score.remarks == ("2 notes in a channel of no volume left out",)
+    chosen = read_midi(saved(melody), tracks=(1,))
+    assert played(chosen) == [(0.0, 0.5, 60), (0.5, 1.0, 62)]
+
+
+def sysex(*data):
+    return mido.Message("sysex", data=data)
+
+
+GS_RHYTHM = sysex(0x41, 0x10, 0x42, 0x12, 0x40, 0x12, 0x15, 0x01, 0x18)  # of channel 2
+GS_MELODY = sysex(0x41, 0x10, 0x42, 0x12, 0x40, 0x10, 0x15, 0x00, 0x1B)  # of channel 10
+GS_RESET = sysex(0x41, 0x10, 0x42, 0x12, 0x40, 0x00, 0x7F, 0x00, 0x41)
+XG_DRUMS = sysex(0x43, 0x10, 0x4C, 0x08, 0x01, 0x07, 0x02)  # of channel 2
+
+
+@pytest.mark.parametrize(
+    ("set_up", "channel", "drums"),
+    [
+        ([], 9, True),
+        ([], 1, False),
+        ([control(0, 127, 0, 1)], 1, True),
+        ([control(0, 126, 0, 1)], 1, True),
+        ([control(0, 120, 0, 1)], 1, True),
+        ([control(0, 127, 0, 1), control(0, 0, 0, 1)], 1, False),
+        ([control(0, 127, 0, 2)], 1, False),
+        ([control(0, 0, 0, 9)], 9, True),
+        ([control(0, 121, 0, 9)], 9, False),
+        ([GS_RHYTHM, control(0, 0, 0, 1)], 1, True),
+        ([GS_MELODY], 9, False),
+        ([GS_RESET, control(0, 127, 0, 1)], 1, False),
+        ([XG_DRUMS], 1, True),
+    ],
+)
+def test_banks_and_messages_to_synthesizers_say_which_channels_are_drums(
+    saved, set_up, channel, drums
+):
+    notes = [on(36, 0, 80, channel), off(36, 10, channel)]
+    score = read_midi(saved([*set_up, *notes, on(60), off(60, 10)]))
+    assert [note.pitch for note in score.notes] == ([60] if drums else [36, 60])
+    assert score.remarks == (("1 note of drums left out",) if drums else ())
+
+
+def test_what_sets_up_a_channel_may_stand_in_a_later_track(saved):
+    drums = [on(36, channel=1), off(36, 10, channel=1)]
+    muted = [on(48, channel=2), off(48, 10, channel=2)]
+    score = read_midi(
+        saved([*drums, on(60), off(60, 10)], muted, [control(0, 127, 0, 1), control(7, 0, 0, 2)])
+    )
+    assert [note.pitch for note in score.notes] == [60]
+
+
+def test_short_messages_to_synthesizers_do_no_harm(saved):
+    whole = [GS_RHYTHM, GS_RESET, XG_DRUMS]
+    cut = [sysex(*message.data[:end]) for message in whole for end in range(len(message.data))]
+    assert len(read_midi(saved([*cut, on(60), off(60, 10)])).notes) == 1
 
 
 def test_endless_numbers_end_at_once(tmp_path):

@@ -176,18 +176,20 @@ def test_a_policy_learns_stops_and_goes_on(tmp_path: Path, monkeypatch: pytest.M
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
-def test_a_policy_learns_a_song_with_expression(
+def test_a_policy_learns_a_song_as_it_was_chosen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    script = "import sys; sys.exit(next(word for word in sys.argv if 'expression' in word))"
+    script = "import sys; sys.exit(' '.join(w for w in sys.argv if 'express' in w or 'plain' in w))"
     begin_instead(script, tmp_path, monkeypatch)
 
     async def run() -> None:
         runs = TrainingRuns(tmp_path / "runs")
-        await runs.begin(PlayRequest("OdeToJoy", expression=True), "Ode", "OdeToJoy", 5000)
+        await runs.begin(
+            PlayRequest("OdeToJoy", plain=True, expression=True), "Ode", "OdeToJoy", 99
+        )
         while not (error := runs.runs()[0]["error"]):
             await asyncio.sleep(0.01)
-        assert error == "--expression=1.0"
+        assert error == "--expression=1.0 --plain"
 
     asyncio.run(asyncio.wait_for(run(), 60))
 

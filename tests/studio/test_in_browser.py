@@ -677,16 +677,19 @@ def test_kept_performances_and_settings_are_found_after_a_restart(
         assert len(list(folder.glob("*/studio.json"))) == len(kept) - 1
 
 
-def test_a_song_is_played_with_expression(browser: Browser, address: str, folder: Path) -> None:
-    visit(browser, f"{address}#song=MaryHadALittleLamb&expression=true&seed=1")
+def test_a_song_is_played_with_expression_and_without_signs(
+    browser: Browser, address: str, folder: Path
+) -> None:
+    visit(browser, f"{address}#song=MaryHadALittleLamb&expression=true&plain=true&seed=1")
     browser.evaluate("document.getElementById('agent').value = 'sight'")
     assert browser.evaluate("document.getElementById('expression').checked")
     browser.evaluate("document.getElementById('start').click()")
     wait(browser, "cadenza.state === 'kept' && cadenza.finished")
-    assert text(browser, "facts").endswith("with expression · seed 1")
+    assert text(browser, "facts").endswith("without its signs · with expression · seed 1")
     id = browser.evaluate("location.hash").removeprefix("#job=")
     settings = json.loads((folder / id / "settings.json").read_text())
     assert settings["arrangement"]["expression"] == 1
+    assert settings["arrangement"]["plain"]
     wanted = Arrangement(expression=1.0).score("MaryHadALittleLamb").notes
     midi = read_score(folder / id / "wanted.mid").notes
     assert [note.velocity for note in midi] == [note.velocity for note in wanted]
@@ -695,10 +698,13 @@ def test_a_song_is_played_with_expression(browser: Browser, address: str, folder
     )
     visit(browser, f"{address}#song=MaryHadALittleLamb&expression=false")
     assert not browser.evaluate("document.getElementById('expression').checked")
+    assert not browser.evaluate("document.getElementById('plain').checked")
     press(browser, "#kept li:first-child", "Watch")
     wait(browser, "cadenza.began")
     assert browser.evaluate("document.getElementById('expression').checked")
+    assert browser.evaluate("document.getElementById('plain').checked")
     browser.evaluate("document.getElementById('expression').checked = false")
+    browser.evaluate("document.getElementById('plain').checked = false")
     assert browser.problems() == []
 
 

@@ -33,8 +33,9 @@ def read(content: object) -> PlayRequest:
 
 
 def test_a_request_says_what_is_to_be_played() -> None:
-    request = read({"song": "OdeToJoy", "tempo": 2, "tracks": [1, 2], "expression": True})
-    assert request == PlayRequest("OdeToJoy", tempo=2.0, tracks=(1, 2), expression=True)
+    request = read({"song": "OdeToJoy", "tempo": 2, "tracks": [1, 2], "plain": True})
+    assert request == PlayRequest("OdeToJoy", tempo=2.0, tracks=(1, 2), plain=True)
+    assert read({"song": "OdeToJoy", "expression": True}).expression
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ Quiet = Annotated[
 """The option of all commands that show their progress."""
 
 COMMON: dict[type, tuple[str, ...]] = {
-    Arrangement: ("tracks", "level", "expression"),
+    Arrangement: ("tracks", "plain", "level", "expression"),
     TaskConfig: ("stretch", "transpose"),
     SceneConfig: ("hands",),
     Execution: ("retry", "jobs", "executor"),

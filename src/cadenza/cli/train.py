@@ -115,7 +115,7 @@ def train(command: Train) -> None:
         other = command.learner not in learners or command.preset != Train.preset
         for is_given, what, options in (
             (other, "options", "--preset and --learner"),
-            (command.arrangement.chosen, "song", "--tracks and --expression"),
+            (command.arrangement.chosen, "song", "--tracks, --plain and --expression"),
             (command.output is not None, "folder", "--output"),
         ):
             if is_given:

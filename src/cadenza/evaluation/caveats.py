@@ -14,6 +14,7 @@ _OWN = ("config", "agent_digest")  # what each agent has of its own
 _AS_WRITTEN: dict[str, Any] = {
     "arrangement.first_seconds": None,
     "arrangement.tracks": [],
+    "arrangement.plain": False,
     "arrangement.arrange": "auto",
     "arrangement.level": None,
     "arrangement.expression": 0.0,

@@ -20,6 +20,8 @@ class Arrangement:
 
     tracks: tuple[int, ...] = ()
     """Play only these tracks, numbered as in "cadenza info SONG"."""
+    plain: bool = False
+    """Play the notes of a score as they stand: no trills, staccato, fermatas, ritardandos, ..."""
     arrange: Literal["auto", "always", "off"] = "auto"
     """Arrange the song for the hands: auto where they cannot play it as written."""
     level: int | None = None
@@ -57,7 +59,7 @@ class Arrangement:
         """
         from cadenza.music.libraries.library import load_score
 
-        whole = load_score(song, self.tracks)
+        whole = load_score(song, self.tracks, self.plain)
         score = self._performed(whole)  # before it is cut, as its beginning has no final ritard
         if self.first_seconds is not None:
             score = score.beginning(self.first_seconds)

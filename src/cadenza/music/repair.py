@@ -118,7 +118,8 @@ def counted_remarks(cases: Iterable[tuple[int, str, str]]) -> list[str]:
 def _remarks(counts: Counter[str]) -> list[str]:
     """Remarks on repairs, in plain words."""
     repairs = {
-        "drums": "on the drum channel (10) left out",
+        "drums": "of drums left out",
+        "muted": "in a channel of no volume left out",
         "outside": "outside the piano's 88 keys left out",
         "zero": "of no length left out",
         "doubled": "doubled at the same moment merged",

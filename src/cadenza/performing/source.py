@@ -99,7 +99,7 @@ def _own_song(folder: Path, name: str, arrangement: Arrangement) -> Source:
     if arrangement.chosen:
         raise CadenzaError(
             f"{name}: plays its song as it was trained or practised; leave out --tracks, "
-            "--arrange, --level, --first-seconds and --expression"
+            "--plain, --arrange, --level, --first-seconds and --expression"
         )
     if (path := folder / PRACTISED).is_file():
         plan = load_plan(path)

@@ -62,8 +62,11 @@ class LivePage:
 def open_page(setup: Setup, title: str) -> Iterator[LivePage]:
     """Yields the page, which is there until the block ends."""
     agent, hand = setup.settings["agent"], setup.settings["scene"]["hand"]
-    expression = bool(setup.settings["arrangement"]["expression"])
-    request = PlayRequest(title, agent, hand=hand, seed=setup.seed, expression=expression)
+    arrangement = setup.settings["arrangement"]
+    plain, expression = arrangement["plain"], bool(arrangement["expression"])
+    request = PlayRequest(
+        title, agent, hand=hand, seed=setup.seed, plain=plain, expression=expression
+    )
     order = Order(request, title, title, False, secrets.token_hex(8), "")
     module = "cadenza.studio.live_page_server"
     command = [sys.executable, "-P", "-m", module, json.dumps(asdict(order))]

@@ -188,7 +188,9 @@ def _select(order: Order) -> Selection:
     """
     request, agent = order.request, order.agent
     config = {PLANNER: PlannerConfig(method="none")} if request.agent == UNREFINED else None
-    arrangement = Arrangement(tracks=request.tracks, expression=float(request.expression))
+    arrangement = Arrangement(
+        tracks=request.tracks, plain=request.plain, expression=float(request.expression)
+    )
     song = _read_upload(order, arrangement) if order.uploaded else order.source
     selection = select(song, agent, arrangement=arrangement, configs=config)
     check_size(selection.score)

@@ -65,6 +65,8 @@ class PlayRequest:
     hand: str = "shadow"
     """The name of a hand that the studio offers; on the command line, of any."""
     seed: int = 0
+    plain: bool = False
+    """Whether the notes of a score are played as they stand, without what its signs mean."""
     expression: bool = False
     """Whether the rules of expression perform the song, with a dose of 1."""
 

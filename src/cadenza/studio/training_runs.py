@@ -86,6 +86,7 @@ class TrainingRuns:
             "expression": float(request.expression),
         }
         flags = [f"--{option}={value}" for option, value in options.items()]
+        flags += ["--plain"] if request.plain else []
         tracks = ["--tracks", *map(str, request.tracks)] if request.tracks else []
         async with self._starting:
             self._check_is_free()

@@ -231,6 +231,25 @@ def test_under_a_slur_notes_last_to_the_next_and_the_last_is_lifted():
     assert got == [(0, 0.67, C4), (1, 1.67, C4)]
 
 
+def test_signs_at_one_note_are_for_its_chord():
+    marked = note(0, 1, E4, marks=frozenset({Mark.STACCATO}))
+    assert played(note(0, 1), marked) == [(0, 0.5, C4), (0, 0.5, E4)]
+    other_voice = note(0, 1, voice="2")
+    assert played(other_voice, marked) == [(0, 1, C4), (0, 0.5, E4)]
+    repeated = played(note(0, 1, tremolo=Tremolo(1)), note(0, 1, E4))
+    assert repeated == [(0, 0.5, C4), (0, 0.5, E4), (0.5, 1, C4), (0.5, 1, E4)]
+    broken = played(note(0, 1), note(0, 1, E4, arpeggio=Arpeggio()))
+    assert broken == [(0, 1, C4), (0.04, 1, E4)]
+
+
+def test_an_ornament_of_a_chord_is_for_its_highest_note_and_a_double_trill_for_both():
+    lowest = note(0, 1, **ornament("MORDENT"))
+    single = played(lowest, note(0, 1, G4))
+    assert single == [(0, 1, C4), (0, 0.125, G4), (0.125, 0.25, F4), (0.25, 1, G4)]
+    double = played(note(0, 1, **ornament("TRILL")), note(0, 1, E4, **ornament("TRILL")))
+    assert [pitch for start, _, pitch in double if start == 0] == [D4, F4]
+
+
 def test_swing_moves_the_middle_of_a_beat():
     halves = [note(Q(k, 2), Q(1, 2), C4 + k) for k in range(4)]
     got = played(*halves, swings=[Swing(Q(0))])

@@ -57,6 +57,13 @@ def test_a_ritardando_leads_to_a_slower_tempo_and_an_accelerando_to_a_faster_one
     assert against[8] - against[4] == pytest.approx(4 * (1 + 1 / 0.75) / 2)
 
 
+def test_a_ritardando_that_the_score_forgets_does_not_slow_down_all_that_follows():
+    marks = [Tempo(Q(0), 1.0), TempoWord(Q(0), Change.RITARDANDO)]
+    lengths = np.diff(onsets(marks, places=[Q(k) for k in range(30)], end=Q(40)))
+    assert lengths[15] > 1.3
+    assert lengths[16:] == pytest.approx(1.0)
+
+
 def test_a_last_ritardando_goes_on_to_the_end():
     got = onsets([Tempo(Q(0), 1.0), TempoWord(Q(12), Change.RITARDANDO)])
     assert got[16] - got[12] == pytest.approx(4 * (1 + 1 / 0.75) / 2)
@@ -102,6 +109,11 @@ def test_sections_are_played_one_after_the_other_with_their_waits():
     played = sheet.played([(Q(0), Q(4)), (Q(2), Q(8)), (Q(1), Q(2))])
     assert played.onsets([Q(0), Q(4), Q(6), Q(8), Q(10)]).tolist() == [0, 5, 8, 10, 11.5]
     assert played.ends([Q(4), Q(10), Q(11)]).tolist() == [5, 11, 12.5]
+
+
+def test_the_last_note_is_held_by_a_fermata_where_the_music_is_played_by_sections():
+    sheet = TempoMap.of([Fermata(Q(3), Q(4))], USUAL)
+    assert sheet.played([(Q(0), Q(4)), (Q(0), Q(4))]).ends([Q(4), Q(8)]).tolist() == [2.5, 5.0]
 
 
 def test_plain_has_tempos_only():

@@ -225,11 +225,11 @@ def etude_song(name: str) -> Song:
     return Song(name, read, source="practice piece", difficulty=float(difficulty))
 
 
-def _read_band(seed: int, tracks: Collection[int]) -> Score:
+def _read_band(seed: int, tracks: Collection[int], _plain: bool) -> Score:
     return band_score(make_band(seed), tracks)
 
 
-def _read(name: str, tracks: Collection[int]) -> Score:
+def _read(name: str, tracks: Collection[int], _plain: bool) -> Score:
     if tracks:
         raise CadenzaError(f"{name}: an etude has no tracks to choose from")
     return etude(name)

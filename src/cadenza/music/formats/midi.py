@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 from bisect import bisect_right
-from collections import Counter, defaultdict, deque
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
-from itertools import accumulate, count, pairwise
+from dataclasses import dataclass
+from itertools import count, pairwise
 from operator import itemgetter
 from pathlib import Path
 
@@ -16,14 +16,13 @@ import mido
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
 from cadenza.music.formats.general_midi import INSTRUMENTS
+from cadenza.music.formats.midi_channels import SUSTAIN, Part, Playing, merged_pedal, timed
 from cadenza.music.formats.midi_chunks import MidiFile, parsed
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
-from cadenza.music.repair import RawNote, repaired_notes
+from cadenza.music.repair import repaired_notes
 from cadenza.music.score import (
     BEAT_TYPES,
-    HIGHEST_PITCH,
-    LOWEST_PITCH,
     Bar,
     Note,
     PedalEvent,
@@ -39,34 +38,34 @@ _TICKS_PER_SECOND = 2 * _TICKS_PER_QUARTER
 _MAX_TICKS = 2**28 - 1  # the longest time from one event to the next that the format can say
 
 _DEFAULT_TEMPO = 500_000  # [us] per quarter, until the file says otherwise
-_DRUM_CHANNEL = 9  # channel 10 of General MIDI, counted from 0
-_SUSTAIN = 64  # controller number of the sustain pedal
-_SOSTENUTO = 66
-_RESET = 121  # controller that lifts the pedals of a channel, among others
-_ALL_OFF = 120, 123  # controllers that end all notes of a channel
+_CHANNELS = range(16)
 _PUNCTUATION = "‘’“”–—…"
-_DOWN = 64  # the least value of a pedal that is down
 _MOST_BARS, _MOST_BEATS = 20_000, 100_000  # more are taken for damage
 
 
 def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
     """The piano score in a Standard MIDI file (format 0, 1 or 2), bare or wrapped in RIFF (RMID).
 
-    All instruments but the drums (channel 10) are played together, or only `tracks`, by their
-    numbers in `Score.tracks`: a track is what one channel plays in one track of the file. Of format
-    2, whose tracks are songs of their own, the first with notes is read. The sustain pedals
-    (controller 64, lifted by 121) of all channels that are played move the one pedal, which stands
-    where the latest event of any of them put it. Times follow the tempo changes, or the SMPTE
-    division where the file has one. Bars follow the time signatures, where there are any. Chunks of
-    unknown types are skipped. What cannot be played on one piano is repaired, and `Score.remarks`
-    says so:
+    All instruments but the drums are played together, or only `tracks`, by their numbers in
+    `Score.tracks`: a track is what one channel plays in one track of the file. Drums are on channel
+    10, and where a bank of sounds of General MIDI 2 or Yamaha XG, or a message to a Roland or
+    Yamaha synthesizer, says so. Of format 2, whose tracks are songs of their own, the first with
+    notes is read. The sustain pedals (controller 64, lifted by 121) of all channels that are played
+    move the one pedal, which is as low as that of any of them. A sostenuto pedal (66) holds the
+    notes of its channel that sound when it goes down, until it goes up. Times follow the tempo
+    changes, or the SMPTE division where the file has one. Bars follow the time signatures, where
+    there are any. Chunks of unknown types are skipped. What cannot be played on one piano is
+    repaired, and `Score.remarks` says so:
 
     - notes outside the 88 keys are left out;
     - notes that end when they start are left out;
     - of equal pitches that start together one is kept, as long and as loud as the longest and
       loudest;
-    - a note still sounding when its pitch starts again is cut there (a note-off ends the oldest
-      note of its track, channel and pitch);
+    - a note still sounding when its pitch starts again is cut there, and the new one lasts at least
+      as long (a note-off ends the oldest note of its channel and pitch, in its own track if there
+      is one);
+    - notes while the volume (controllers 7 and 11) of their channel is zero are left out, if they
+      are not of chosen tracks;
     - a note that is never released ends with its track, or where all of its channel are ended
       (controllers 120 and 123);
     - of a track that is cut off, what is whole is read;
@@ -86,26 +85,28 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
         chunks = songs[:1]
 
     clock = _Clock.of(file.division, chunks, path)
-    parts: list[_Part] = []
-    moves: list[tuple[int, PedalEvent]] = []  # with their channels
-    for chunk in chunks:
-        _collect(chunk, clock, parts, moves)
-    melodic = [part for part in parts if part.channel != _DRUM_CHANNEL]
+    playing = Playing(chunks, clock.at)
+    melodic = [part for part in playing.parts if not part.is_drums]
     listed = _tracks(melodic)
     if tracks:
         check_chosen(tracks, listed, path)
         sounding = [part for part in melodic if part.sounds]
         melodic = [sounding[number - 1] for number in sorted(set(tracks))]
-    channels = {part.channel for part in melodic}
-    pedal = tuple(event for channel, event in moves if channel in channels)
+    channels = {part.channel for part in melodic} if tracks else _CHANNELS
+    moves = merged_pedal(move for move in playing.moves if move[1] in channels)
+    pedal = tuple(PedalEvent(clock.seconds(time), value) for time, value in moves)
 
-    counts = Counter(outside=sum(part.outside for part in melodic))
-    if not tracks:
-        drums = (part for part in parts if part.channel == _DRUM_CHANNEL)
-        counts["drums"] = sum(len(part.notes) + part.outside for part in drums)
-    if any(part.sostenuto for part in melodic):
-        remarks.append("the sostenuto pedal is left out")
     found = [note for part in melodic for note in part.notes]
+    counts = Counter(outside=sum(part.outside for part in melodic))
+    muted = [note for part in melodic for note in part.muted]
+    if tracks:
+        found += muted  # which are asked for
+    else:
+        drums = (part for part in playing.parts if part.is_drums)
+        counts["drums"] = sum(len(part.notes) + len(part.muted) + part.outside for part in drums)
+        counts["muted"] = len(muted)
+    if playing.soft.intersection(channels):
+        remarks.append("the soft pedal is left out")
     notes, said = repaired_notes(found, counts, remarks, path, clock.seconds)
     bars = _bars(file.division, chunks, clock, until=notes[-1].start)
     return Score(notes, pedal, _title(chunks, path), said, listed, bars)
@@ -160,32 +161,12 @@ def messages(
         on = mido.Message("note_on", note=note.pitch, velocity=note.velocity)
         timed += [(start, 2, on), (end, 0, mido.Message("note_off", note=note.pitch))]
     for event in pedal:
-        move = mido.Message("control_change", control=_SUSTAIN, value=event.value)
+        move = mido.Message("control_change", control=SUSTAIN, value=event.value)
         timed.append((ticks(event.time), 1, move))
     now = 0
     for tick, _, message in sorted(timed, key=lambda item: item[:2]):
         yield message.copy(time=tick - now, channel=channel)
         now = tick
-
-
-@dataclass(slots=True)
-class _Part:
-    """The music of one channel in one track of the file.
-
-    `outside` counts notes that no key plays, `sostenuto` how often that pedal goes down.
-    """
-
-    channel: int
-    name: str = ""
-    program: int | None = None
-    notes: list[RawNote] = field(default_factory=list)
-    outside: int = 0
-    sostenuto: int = 0
-
-    @property
-    def sounds(self) -> bool:
-        """Whether any of its notes lasts, unlike those that only switch something."""
-        return any(note.end > note.start for note in self.notes)
 
 
 @dataclass(frozen=True)
@@ -211,8 +192,8 @@ class _Clock:
             return cls([0], [0], [1], frames * ticks_per_frame)
         if division == 0:
             raise CadenzaError(f"{path}: the file's time division is zero, not valid MIDI")
-        timed = (each for track in tracks for each in _timed(track))
-        changes = ((tick, each.tempo) for tick, each in timed if each.type == "set_tempo")
+        messages = (each for track in tracks for each in timed(track))
+        changes = ((tick, each.tempo) for tick, each in messages if each.type == "set_tempo")
         clock = cls([0], [0], [_DEFAULT_TEMPO], division * 1_000_000)
         for tick, tempo in sorted(changes, key=itemgetter(0)):
             clock.units.append(clock.at(tick))
@@ -228,11 +209,6 @@ class _Clock:
         return units / self.units_per_second
 
 
-def _timed(chunk: mido.MidiTrack) -> Iterator[tuple[int, mido.Message]]:
-    """Yields the messages of a track with their times [ticks] since its beginning."""
-    return zip(accumulate(message.time for message in chunk), chunk, strict=True)
-
-
 def _parse(path: Path) -> MidiFile:
     data = read_bytes(path)
     try:
@@ -241,55 +217,7 @@ def _parse(path: Path) -> MidiFile:
         raise CadenzaError(f"{path}: {error}") from error
 
 
-def _collect(
-    chunk: mido.MidiTrack,
-    clock: _Clock,
-    parts: list[_Part],
-    moves: list[tuple[int, PedalEvent]],
-) -> None:
-    """Adds the music of a track of the file to `parts`, and the motions of pedals to `moves`."""
-    here: dict[int, _Part] = {}
-    sounding: defaultdict[tuple[int, int], deque[RawNote]] = defaultdict(deque)
-    pedals: defaultdict[int, int] = defaultdict(int)  # where they stand, by channel
-    name, tick = "", 0
-    for tick, message in _timed(chunk):
-        kind = message.type
-        if kind == "track_name":
-            name = name or _text(message.name)
-        if kind not in ("note_on", "note_off", "control_change", "program_change"):
-            continue
-        channel = message.channel
-        part, now = here.setdefault(channel, _Part(channel)), clock.at(tick)
-        if kind == "note_on" and message.velocity > 0:
-            if not LOWEST_PITCH <= message.note <= HIGHEST_PITCH:
-                part.outside += 1
-                continue
-            note = RawNote(now, now, message.note, message.velocity)
-            part.notes.append(note)
-            sounding[channel, message.note].append(note)
-        elif kind in ("note_on", "note_off"):
-            if waiting := sounding[channel, message.note]:
-                waiting.popleft().release(now)
-        elif kind == "program_change":
-            part.program = message.program if part.program is None else part.program
-        elif message.control in _ALL_OFF:
-            for pitch in range(LOWEST_PITCH, HIGHEST_PITCH + 1):
-                while waiting := sounding[channel, pitch]:
-                    waiting.popleft().release(now)
-        elif message.control == _SUSTAIN or (message.control == _RESET and pedals[channel]):
-            pedals[channel] = message.value if message.control == _SUSTAIN else 0
-            moves.append((channel, PedalEvent(clock.seconds(now), pedals[channel])))
-        elif message.control == _SOSTENUTO:
-            part.sostenuto += message.value >= _DOWN
-    for waiting in sounding.values():
-        for note in waiting:
-            note.end = clock.at(tick)
-    if len(here) == 1:  # else it names the song, or none of them in particular
-        next(iter(here.values())).name = name
-    parts += here.values()
-
-
-def _tracks(parts: Sequence[_Part]) -> tuple[Track, ...]:
+def _tracks(parts: Sequence[Part]) -> tuple[Track, ...]:
     """The tracks with notes, which get their numbers.
 
     One without a program of its own has that of its channel, if any.
@@ -301,13 +229,14 @@ def _tracks(parts: Sequence[_Part]) -> tuple[Track, ...]:
     tracks = []
     for number, part in enumerate((part for part in parts if part.sounds), start=1):
         program = programs.get(part.channel, 0) if part.program is None else part.program
-        pitches = [note.pitch for note in part.notes]
-        for note in part.notes:
+        notes = [*part.notes, *part.muted]
+        pitches = [note.pitch for note in notes]
+        for note in notes:
             note.tracks = (number,)
         tracks.append(
             Track(
                 number,
-                part.name,
+                _text(part.name),
                 INSTRUMENTS[program],
                 part.channel + 1,
                 len(pitches),
@@ -327,7 +256,7 @@ def _bars(
     """
     metres: dict[int, tuple[int, int]] = {}  # from which tick on: beats in a bar, type of beat
     for chunk in chunks:
-        for tick, message in _timed(chunk):
+        for tick, message in timed(chunk):
             if message.type == "time_signature" and message.denominator in BEAT_TYPES:
                 metres[tick] = message.numerator, message.denominator
     bars: list[Bar] = []

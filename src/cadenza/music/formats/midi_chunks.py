@@ -16,6 +16,8 @@ _NAME, _END, _TEMPO, _TIME = 0x03, 0x2F, 0x51, 0x58
 _WANTED = (_NAME, _END, _TEMPO, _TIME)
 _META = 0xFF
 _SYSTEM_EXCLUSIVE = (0xF0, 0xF7)
+_END_OF_SET_UP = b"\xf7"
+_MAKERS = (b"\x41", b"\x43")  # Roland and Yamaha
 _CHANNELS = range(0x80, 0xF0)  # the status bytes of messages to a channel
 _LENGTHS = {0xC: 1, 0xD: 1}  # bytes after the status, by its upper half; else two
 _SYSTEM_LENGTHS = {0xF1: 1, 0xF2: 2, 0xF3: 1}  # else none
@@ -26,7 +28,7 @@ _HEADER = 6  # bytes
 
 @dataclass(frozen=True, slots=True)
 class MidiFile:
-    """Messages to channels, names, tempos, time signatures and ends, by the tracks of the file."""
+    """Messages to channels and synthesizers, names, tempos, time signatures and ends, by tracks."""
 
     format: int
     division: int
@@ -130,8 +132,10 @@ class _Track:
                 if message is None:
                     continue
             elif status in _SYSTEM_EXCLUSIVE:
-                self._bytes(self._number())
-                continue
+                content = self._bytes(self._number())
+                message = self._set_up(content) if status == _SYSTEM_EXCLUSIVE[0] else None
+                if message is None:
+                    continue
             elif status >= _CHANNELS.stop:
                 self._bytes(_SYSTEM_LENGTHS.get(status, 0))
                 continue
@@ -151,10 +155,21 @@ class _Track:
     def _sign(self, kind: int, content: bytes) -> mido.MetaMessage | None:
         """The meta message of a name, end, tempo or time signature; None if it cannot be read."""
         try:
-            return build_meta_message(kind, content)
+            message = build_meta_message(kind, content)
+            if kind == _TEMPO and not message.tempo:
+                raise ValueError("a tempo of zero")
+            return message
         except Exception:  # mido raises almost anything
             self.strange += 1
             return None
+
+    @staticmethod
+    def _set_up(content: bytes) -> mido.Message | None:
+        """The message to a synthesizer of a maker that is understood, if it is whole."""
+        data = content.removesuffix(_END_OF_SET_UP)
+        if data[:1] not in _MAKERS or not data.isascii():
+            return None
+        return mido.Message("sysex", data=data)
 
     def _bytes(self, size: int) -> bytes:
         """The next bytes.

@@ -52,7 +52,7 @@ def check_format(path: Path) -> None:
         raise CadenzaError(f"{path}: {suffix} files cannot be read; {NOT_READ[suffix]}")
 
 
-def read_score(path: Path, tracks: Collection[int] = ()) -> Score:
+def read_score(path: Path, tracks: Collection[int] = (), plain: bool = False) -> Score:
     """The score in a MIDI or MusicXML file.
 
     Notes have the fingers of a file beside it with the ending .fingering, see
@@ -62,6 +62,7 @@ def read_score(path: Path, tracks: Collection[int] = ()) -> Score:
         path: the file, whose first bytes tell its format, or else its ending; with an unknown
             ending it is read as MIDI.
         tracks: the numbers of the tracks to be played, as in `Score.tracks`; all by default.
+        plain: plays the notes of a MusicXML file as they stand, whatever signs they have.
 
     Raises:
         CadenzaError: a format that is not read, or a file that `read_midi`, `read_musicxml` or
@@ -77,7 +78,7 @@ def read_score(path: Path, tracks: Collection[int] = ()) -> Score:
     is_midi = beginning.startswith(_BEGINS_MIDI) or (
         suffix not in _MUSICXML and not beginning.startswith(_BEGINS_MUSICXML)
     )
-    score = (read_midi if is_midi else read_musicxml)(path, tracks)
+    score = read_midi(path, tracks) if is_midi else read_musicxml(path, tracks, plain)
     sidecar = path.with_suffix(SUFFIX)
     if not os.path.isfile(sidecar):  # also where that name is too long
         return score

@@ -120,18 +120,21 @@ def find_song(name_or_path: str | Path) -> Song:
     return song_named(name, among)
 
 
-def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
+def load_score(
+    name_or_path: str | Path, tracks: Collection[int] = (), plain: bool = False
+) -> Score:
     """The score of a song, see `find_song`.
 
     Args:
         name_or_path: the song or file.
         tracks: the numbers of the tracks to be played, as in `Score.tracks`; all by default.
+        plain: plays notes as they stand, whatever signs they have.
 
     Raises:
         CadenzaError: no such song or track, a format that is not read, or a file that
             `read_midi`, `read_musicxml` or `read_fingering` refuses.
     """
-    return find_song(name_or_path).load(tracks)
+    return find_song(name_or_path).load(tracks, plain)
 
 
 def check_is_free(name: str) -> None:

@@ -9,8 +9,10 @@ from difflib import get_close_matches
 from cadenza.errors import CadenzaError
 from cadenza.music.score import Score
 
-Read = Callable[[Collection[int]], Score]
-"""A function that loads a score with the tracks of these numbers, or with all if none is given."""
+Read = Callable[[Collection[int], bool], Score]
+"""A function that loads a score with the tracks of these numbers, or with all if none is given.
+
+It plays notes as they stand, whatever signs they have, if the second argument is true."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,16 +35,17 @@ class Song:
     hands: int | None = None
     difficulty: float | None = None
 
-    def load(self, tracks: Collection[int] = ()) -> Score:
+    def load(self, tracks: Collection[int] = (), plain: bool = False) -> Score:
         """Loads the score, under the title of the song.
 
         Args:
             tracks: the numbers of the tracks to be played, as in `Score.tracks`; all by default.
+            plain: plays notes as they stand, whatever signs they have.
 
         Raises:
             CadenzaError: it cannot be read, or has no such track.
         """
-        score = self.read(tracks)
+        score = self.read(tracks, plain)
         return replace(score, title=self.title or score.title)
 
 

@@ -11,27 +11,28 @@ from cadenza.configs import in_short
 class Conventions:
     """What the signs of a score mean in numbers; each field says where its default is from.
 
-    MuseScore's figures are the defaults of its version 4 (github.com/musescore/MuseScore); Grove is
-    A Dictionary of Music and Musicians, London 1879-1889; Gehrkens is Music Notation and
-    Terminology, New York 1914; Türk is the Klavierschule, Leipzig 1789. A choice is our own.
+    MuseScore's figures are those that its program (github.com/musescore/MuseScore) and the
+    instruments in its files have by default; Grove is A Dictionary of Music and Musicians, London
+    1879-1889; Gehrkens is Music Notation and Terminology, New York 1914; Türk is the Klavierschule,
+    Leipzig 1789. A choice is our own.
     """
 
     ornaments: bool = True
-    """Play trills, mordents, turns, slides and tremolos."""
+    """Play trills, mordents (as Grove does), turns (as Gehrkens does), slides and tremolos."""
     notes_a_second: float = 12.0
     """The speed of trills and other ornaments, and the most of tremolos [1/s]; a choice."""
     trills_from_above: bool = True
     """Begin trills on the upper neighbour, as C. P. E. Bach (1753) does, unless a grace note
     leads to the note; else on the note itself."""
     arpeggios: bool = True
-    """Break chords with a wavy line, from the beat on, as Grove and Gehrkens do."""
+    """Break chords with a wavy line, as Gehrkens does; from the beat on, a choice."""
     arpeggio_step: float = 0.04
     """The time from a note of a broken chord to the next [s]; a choice."""
     grace_length: float = 0.1
     """The time that a short grace note takes before the beat [s]; a choice."""
     appoggiaturas: bool = True
-    """Play a single grace note without a stroke on the beat, as long as it shows, but at most half
-    of the note or two thirds of a dotted one (Gehrkens, and C. P. E. Bach before him)."""
+    """Play a single grace note without a stroke on the beat, as long as it shows, as Grove does,
+    but at most half of the note or two thirds of a dotted one, as Gehrkens does."""
     staccato: float = 0.5
     """The length of staccato notes, as a share of the written one; MuseScore's."""
     staccatissimo: float = 0.33
@@ -73,7 +74,8 @@ class Conventions:
     accelerando: float = 1.33
     """That of an accelerando; MuseScore's."""
     open_ramp: float = 16.0
-    """How far a change of tempo reaches that no mark ends [quarters]; a choice."""
+    """How far a change of tempo reaches that no mark ends [quarters], before the tempo is as it
+    was; a choice."""
     meno_mosso: float = 0.85
     """The tempo after meno mosso or ritenuto, as a share of that before it; a choice."""
     piu_mosso: float = 1.15

@@ -12,6 +12,7 @@ from cadenza.music.signs.tempo_map import TempoMap
 from cadenza.music.signs.timed_note import Chord, Voice
 
 _MOST_OF_NOTE = 0.5  # of the note before or after grace notes, which they take; a choice
+_LEAST_SHARE = 0.01  # of a neighbour, as files give per cents
 _HALF, _TWO_THIRDS = Fraction(1, 2), Fraction(2, 3)
 _THREE = 3  # a dotted note has so many halves of the next smaller value
 
@@ -45,7 +46,7 @@ def _on_the_beat(
     grace = graces[0][0]
     shown = grace.of.grace
     assert shown is not None
-    if shown.of_following is not None:
+    if shown.of_following:
         share = sum(_share(chord[0].of.grace.of_following) for chord in graces if chord[0].of.grace)
         delayed, length = main, min(share, _MOST_OF_NOTE) * min(note.length for note in main)
     elif conventions.appoggiaturas and _is_appoggiatura(graces):
@@ -67,8 +68,8 @@ def _is_appoggiatura(graces: Sequence[Chord]) -> bool:
         len(graces) == len(graces[0]) == 1
         and grace.grace is not None
         and not grace.grace.slash
-        and grace.grace.of_previous is None
-        and grace.grace.takes is None
+        and not grace.grace.of_previous
+        and not grace.grace.takes
         and grace.duration > 0
     )
 
@@ -97,13 +98,13 @@ def _before_the_beat(
     length = each * len(graces)
     grace = first.grace
     assert grace is not None
-    if grace.takes is not None:
+    if grace.takes:
         onset = first.onset
         length = float(beat - tempo.onsets([onset - grace.takes * len(graces)])[0])
     steals = ends_trill
     if previous is not None:
         begun = min(note.start for note in previous)
-        if grace.of_previous is not None:
+        if grace.of_previous:
             shares = (chord[0].of.grace.of_previous for chord in graces if chord[0].of.grace)
             length = sum(map(_share, shares)) * (beat - begun)
             steals = True
@@ -123,4 +124,4 @@ def _in_turn(graces: Sequence[Chord], start: float, end: float) -> None:
 
 
 def _share(share: float | None) -> float:
-    return min(max(share or 0.0, 0.0), 1.0)
+    return min(max(share or 0.0, _LEAST_SHARE), 1.0)

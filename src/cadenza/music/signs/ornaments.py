@@ -12,7 +12,7 @@ _SHARPS = (3, 0, 4, 1, 5, 2, 6)  # the steps that get sharps, in the order of ke
 _OCTAVE = 12
 _WHOLE_TONE = 2
 _LEAST_TRILL = 4  # notes: two shakes
-_FASTEST = 0.03  # [s] a note of an ornament that would be shorter is left out; a choice
+_FASTEST = 0.05  # [s] a note has no ornament whose notes would be shorter; a choice
 _MOST_OF_NOTE = 0.5  # of the note, which a turn after it takes at most
 
 Piece = tuple[float, float, int]

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from cadenza.errors import CadenzaError
 from cadenza.music.signs.arpeggios import break_chords
 from cadenza.music.signs.articulation import articulate, slurred_onsets
+from cadenza.music.signs.chord_signs import with_signs_of_chords
 from cadenza.music.signs.conventions import Conventions
 from cadenza.music.signs.graces import place_graces
 from cadenza.music.signs.loudness import within_midi
@@ -42,7 +43,7 @@ def realised(
     Raises:
         CadenzaError: there would be more notes than `MOST_NOTES`.
     """
-    notes = list(notes)
+    notes = with_signs_of_chords(list(notes))
     timed = _timed(notes, tempo, swings if conventions.swing else ())
     voices = voices_of(timed)
     slurred = slurred_onsets(notes)

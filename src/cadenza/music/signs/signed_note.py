@@ -167,7 +167,8 @@ class SignedNote:
 class SoundingNote:
     """A note as it sounds, from `start` to `end` [s]; `of` is the written one that it is part of.
 
-    Several come of one with an ornament or a tremolo, in which `pitch` may differ.
+    Several come of one with an ornament or a tremolo, in which `pitch` may differ. The written one
+    has the signs of its whole chord.
     """
 
     start: float

@@ -68,7 +68,7 @@ class TempoMap:
 
         A `Tempo` overrules a word at the same place that means it. Fermatas that sound together
         are one. A gradual change whose end the score does not show goes on up to the next mark of
-        a tempo, or for `Conventions.open_ramp`.
+        a tempo, or for `Conventions.open_ramp`, after which it is forgotten.
 
         Args:
             marks: the marks.
@@ -119,7 +119,9 @@ class TempoMap:
                 pieces.append(TempoPiece(place, begun, cut.seconds, cut.slope, cut.silence))
             silence = last - float(self.ends([end])[0])
             at, time = at + end - begin, time + last - first
-        return TempoMap(pieces) if pieces else self
+        if not pieces:
+            return self
+        return TempoMap([*pieces, TempoPiece(at, time, self._from(end).seconds, 0.0, silence)])
 
     def _at(self, quarters: Floats) -> tuple[Floats, NDArray[np.intp]]:
         """(N,) onsets [s] of places [quarters], and (N,) the pieces in which they are."""
@@ -167,7 +169,7 @@ def _tempos(
             continue
         if isinstance(mark, TempoWord) and mark.change in _GRADUAL:
             before, gradual = before if gradual else now, True
-            speeds += _ramp(mark, now, following, conventions, end)
+            speeds += _ramp(mark, now, before, following, conventions, end)
             continue
         if isinstance(mark, Tempo):
             seconds = mark.seconds
@@ -199,13 +201,15 @@ def _is_said(word: TempoWord, speeds: Sequence[_Speed]) -> bool:
 def _ramp(
     word: TempoWord,
     now: float,
+    before: float,
     following: Tempo | TempoWord | None,
     conventions: Conventions,
     end: Fraction | None,
 ) -> list[_Speed]:
     """A gradual change of the length of a quarter from `now` [s] on, and the tempo after it.
 
-    It leads to the tempo that follows where it reaches it and that is on the way.
+    It leads to the tempo that follows where it reaches it and that is on the way. Where the score
+    forgets it, the tempo after it is that `before` it.
     """
     slower = word.change is Change.RITARDANDO
     factor = conventions.ritardando if slower else conventions.accelerando
@@ -226,7 +230,8 @@ def _ramp(
     ):
         goal = following.seconds
     slope = (goal - now) / float(reach - word.onset)
-    return [_Speed(word.onset, now, slope), _Speed(reach, goal)]
+    is_forgotten = word.end is None and reach == open_end
+    return [_Speed(word.onset, now, slope), _Speed(reach, before if is_forgotten else goal)]
 
 
 def _timed(speeds: Iterable[_Speed]) -> list[TempoPiece]:

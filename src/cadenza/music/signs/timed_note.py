@@ -9,8 +9,9 @@ from itertools import zip_longest
 
 from cadenza.music.signs.signed_note import SignedNote
 
-SHORTEST = 0.02
-"""How long a note lasts at least that a sign makes shorter [s]; a choice."""
+SHORTEST = 0.05
+"""How long a note lasts at least that a sign makes shorter, if it is written so [s]; a choice, as
+long as a control step."""
 
 
 @dataclass(slots=True, eq=False)

@@ -27,9 +27,9 @@ def tremolo_times(voice: Voice, conventions: Conventions) -> dict[int, Times]:
         role = chord[0].of.tremolo.role if chord[0].of.tremolo else None
         if role is Role.ALONE:
             for note in chord:
-                if note.of.tremolo is not None:
-                    count = _count(note.of.duration, note.of.tremolo.marks)
-                    found[id(note)] = _even(note.start, note.end, count, conventions)
+                assert note.of.tremolo is not None  # as the whole chord has it
+                count = _count(note.of.duration, note.of.tremolo.marks)
+                found[id(note)] = _even(note.start, note.end, count, conventions)
         elif role is Role.SECOND and first is not None:
             found |= _alternating(first, chord, conventions)
         first = chord if role is Role.FIRST else None

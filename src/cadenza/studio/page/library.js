@@ -1,6 +1,7 @@
 // Songs to choose from, and how they are to be played.
 
 const OPTIONS = ["agent", "hand", "tempo", "transpose", "seed"], NUMBERS = ["tempo", "transpose", "seed"];
+const SWITCHES = ["plain", "expression"];
 const MAX_LISTED = 200; // songs at once
 const MAX_SENT = 5 << 20; // bytes of a file: more than the server takes, of which it says so
 const SONG_GONE = "This song is not here any more. Choose another, or drop its file again.";
@@ -78,7 +79,7 @@ function playRequest() {
   const wanted = { song: chosen.id }, wrong = NUMBERS.find((name) => !$(name).checkValidity());
   if (wrong) throw new Refusal(`${wrong[0].toUpperCase()}${wrong.slice(1)}: ${$(wrong).validationMessage}`);
   for (const name of OPTIONS) wanted[name] = NUMBERS.includes(name) ? Number($(name).value) : $(name).value;
-  wanted.expression = $("expression").checked;
+  for (const name of SWITCHES) wanted[name] = $(name).checked;
   const boxes = [...$("tracks").querySelectorAll("input")], on = boxes.filter((box) => box.checked);
   if (boxes.length && !on.length) throw new Refusal("Choose at least one of the tracks.");
   if (on.length < boxes.length) wanted.tracks = on.map((box) => Number(box.value));
@@ -93,7 +94,7 @@ function setOptions(wanted) {
     if (at.top < top || at.bottom > bottom) list.scrollTop += at.top - top;
   }
   for (const name of OPTIONS) if (wanted[name] !== undefined) $(name).value = wanted[name];
-  if (wanted.expression !== undefined) $("expression").checked = wanted.expression;
+  for (const name of SWITCHES) if (wanted[name] !== undefined) $(name).checked = wanted[name];
   showAgent();
   const tracks = wanted.tracks ?? [];
   if (tracks.length) for (const box of $("tracks").querySelectorAll("input")) box.checked = tracks.includes(Number(box.value));
@@ -107,7 +108,7 @@ function setOptionsToPlay(wanted) {
 const toHash = (wanted) => new URLSearchParams(Object.entries(wanted).map(([name, value]) => [name, String(value)])).toString();
 function fromHash() {
   const wanted = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
-  if (wanted.expression) wanted.expression = wanted.expression === "true";
+  for (const name of SWITCHES) if (wanted[name]) wanted[name] = wanted[name] === "true";
   if (wanted.tracks) wanted.tracks = wanted.tracks.split(",").map(Number);
   return wanted;
 }

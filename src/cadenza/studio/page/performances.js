@@ -33,8 +33,8 @@ async function deletePerformance({ id, title }) {
 }
 
 /** Shows a performance beside the current one. */
-function compare({ id, title, request: { song, tempo, expression } }) {
-  const other = shown[0], alike = other?.request?.song === song && other.request.tempo === tempo && other.request.expression === expression;
+function compare({ id, title, request: { song, tempo, plain, expression } }) {
+  const other = shown[0], alike = other?.request?.song === song && other.request.tempo === tempo && other.request.plain === plain && other.request.expression === expression;
   if (!alike) return showError(`First watch another performance of ${title} at the same tempo${expression ? ", with expression" : ""}, then press Compare here.`);
   if (other.id === id) return showError("This is the performance that is shown. Press Compare at another of the same song.");
   instrument.wake();

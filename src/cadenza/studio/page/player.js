@@ -141,8 +141,8 @@ function showFacts({ request: wanted, status: { remarks = [] } }) {
   $("facts").replaceChildren(...facts.map((fact) => make("span", fact)));
 }
 /** Returns who plays, and the options that are not the usual ones. */
-function howPlayed({ agent, hand, seed, tempo, transpose, expression }) {
-  const parts = [nameOfAgent(agent), hand !== "shadow" && hand, transpose && `${transpose > 0 ? "+" : "−"}${Math.abs(transpose)} semitones`, tempo !== 1 && `${tempo}×`, expression && "with expression", seed && `seed ${seed}`];
+function howPlayed({ agent, hand, seed, tempo, transpose, plain, expression }) {
+  const parts = [nameOfAgent(agent), hand !== "shadow" && hand, transpose && `${transpose > 0 ? "+" : "−"}${Math.abs(transpose)} semitones`, tempo !== 1 && `${tempo}×`, plain && "without its signs", expression && "with expression", seed && `seed ${seed}`];
   return parts.filter(Boolean).join(" · ");
 }
 
