@@ -237,7 +237,7 @@ def test_parts_of_drums_are_left_out(saved):
     name = "<part-name>Part 2</part-name>"
     score = load_score(saved(text.replace(name, name + drums)))
     assert (pitches(score), len(score.tracks)) == ([60], 1)
-    assert score.remarks == ("1 note on the drum channel (10) left out",)
+    assert score.remarks == ("1 note of drums left out",)
 
 
 def test_a_key_held_by_one_voice_and_struck_by_another_is_held_on(saved):

@@ -50,7 +50,7 @@ def spelled(notes: Sequence[Note]) -> tuple[int, list[Spelling]]:
     accidentals. Where the two differ by an enharmonic change, the notes are respelled.
     """
     pitches = np.array([note.pitch for note in notes])
-    order = np.lexsort((pitches, [note.start for note in notes]))
+    order = np.lexsort((pitches, np.array([note.start for note in notes])))
     spellings = [Spelling("C", 0, 0)] * len(notes)
     for at, spelling in zip(order.tolist(), _ps13(pitches[order]), strict=True):
         spellings[at] = spelling

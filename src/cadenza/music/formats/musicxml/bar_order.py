@@ -42,7 +42,8 @@ def played_order(bars: Sequence[Signs]) -> Iterator[tuple[int, int]]:
 
     A jump is taken once, on the last pass through its bar. From where it leads to up to the bar
     where it stood, repeats are not taken again, unless they say so; the first sign to the coda
-    leads there, and a fine to what follows the jump, which is another movement, if anything. A sign whose goal is missing has no effect, see `without_goal`.
+    leads there, and a fine to what follows the jump, which is another movement, if anything. A sign
+    whose goal is missing has no effect, see `without_goal`.
     """
     jumps, sections = _Jumps(bars), _sections(bars)
     at, turn = 0, 1  # the bar, and the how-manieth pass through its section
