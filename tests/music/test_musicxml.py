@@ -587,6 +587,13 @@ ATTACKS = {
         ("<score-partwise>" + "<note/>" * (MOST_NOTES + 1)).encode("utf-16"),
         "over 40000 notes",
     ),
+    "too many repeats": (
+        document(
+            [FOUR_QUARTERS + note("C4", 4)]
+            + [note("C4", 4) + AGAIN.replace("<repeat", '<repeat times="999"')] * 101
+        ),
+        "over 100000 bars with all repeats",
+    ),
     "timewise": ("<score-timewise/>", "there are no notes"),
     "not a score": ("<opus></opus>", "cannot be read as MusicXML"),
     "a page": ("\n<!DOCTYPE html><br>", "is a page (HTML), no music"),

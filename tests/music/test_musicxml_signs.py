@@ -66,6 +66,30 @@ def test_jumps_may_be_words_or_signs(signs, expected, saved):
     assert (order(score), score.remarks) == (expected, ())
 
 
+@pytest.mark.parametrize(
+    ("signs", "expected"),
+    [
+        (("", (words("Trio"), ""), words("D.C.")), "1231"),
+        (("", (words("Menuetto"), ""), (words("Trio"), words("Menuetto D.C.")), ""), "12324"),
+        (("", words("Fine"), words("D.C. al Fine"), "", ""), "1231245"),  # another movement
+        (("", words("D.C."), AGAIN, ""), "1231231234"),  # words stand before what they are for
+    ],
+)
+def test_a_da_capo_is_of_its_movement(signs, expected, saved):
+    assert order(load_score(saved(bars(*signs)))) == expected
+
+
+def test_a_bar_with_too_much_in_one_part_is_as_long_as_in_others(saved):
+    upper = [FOUR_QUARTERS + note("C5", 16), note("D5", 16)]
+    lower = [FOUR_QUARTERS + note("C3", 16) + note("C3", 16), note("D3", 16)]
+    score = load_score(saved(document(upper, lower)))
+    assert [(n.start, n.pitch) for n in score.notes if n.pitch != 48] == [
+        (0.0, 72),
+        (2.0, 50),
+        (2.0, 74),
+    ]
+
+
 def test_repeats_may_be_taken_again_after_a_jump(saved):
     again = AGAIN.replace("<repeat", '<repeat after-jump="yes"')
     score = load_score(saved(bars(again, '<sound dacapo="yes"/>', "")))

@@ -52,8 +52,8 @@ class _Reader:
     def __init__(self, bars: Sequence[WrittenBar]) -> None:
         self._bars = bars
         self._codas: list[tuple[int, int]] = []  # of signs: their bars, and those that begin there
-        self._segnos: list[int] = []
-        self._trios: list[int] = []  # bars before trios
+        self._segnos: set[int] = set()
+        self._trios: set[int] = set()  # bars before trios
         self._headings: dict[str, int] = {}  # bars by the words that stand over them
 
     def read(self, placed: Placed, is_end: bool) -> None:
@@ -86,33 +86,35 @@ class _Reader:
         elif _DAL_SEGNO.search(text):
             back.dal_segno = back.dal_segno or _UNNAMED
         elif _TRIO.search(text) and at:
-            self._trios.append(at - 1)
+            self._trios.add(at - 1)
         elif _TO_CODA.search(text):
             signs.to_coda = signs.to_coda or _UNNAMED
         elif _FINE.search(text):
             signs.fine = True
         elif _GOALS["segno"].search(text):
-            self._segnos.append(begun)
+            self._segnos.add(begun)
         elif _GOALS["coda"].search(text):
             self._codas.append((at, begun))
         elif (word := _WORD.match(text)) and at:
             self._headings[word[0]] = begun
 
     def read_signs(self) -> None:
-        """Reads the segno and coda signs, now that all jumps are known."""
+        """Reads the segno, trio and coda signs, now that all jumps are known."""
         signs = [bar.signs for bar in self._bars]
-        jumps = [i for i, each in enumerate(signs) if each.returns]
-        for trio in self._trios:  # what is repeated da capo is what stands before
-            before = signs[max((i for i in jumps if i < trio), default=-1) + 1 : trio + 1]
-            signs[trio].fine |= not any(each.fine or each.to_coda is not None for each in before)
-        for begun in sorted(self._segnos):
-            known = any(each.segno is not None for each in signs[:begun])
-            if signs[begun].segno is None and not (known and signs[begun].dal_segno is not None):
-                signs[begun].segno = _UNNAMED
+        is_known = ends = False  # whether there is a segno; and an end of what is repeated
+        last_jump = -1
+        for at, each in enumerate(signs):
+            is_beside = is_known and each.dal_segno is not None  # the words that lead to another
+            if at in self._segnos and each.segno is None and not is_beside:
+                each.segno = _UNNAMED
+            each.fine |= at in self._trios and not ends  # da capo is up to the trio
+            is_known |= each.segno is not None
+            ends = not each.returns and (ends or each.fine or each.to_coda is not None)
+            last_jump = at if each.returns else last_jump
         for at, begun in self._codas:
             if signs[begun].coda is not None or signs[at].to_coda is not None:
                 continue
-            if begun > max(jumps, default=-1):
+            if begun > last_jump:
                 signs[begun].coda = _UNNAMED
             else:
                 signs[at].to_coda = _UNNAMED

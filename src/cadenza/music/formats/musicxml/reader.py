@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -62,20 +63,29 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = (), plain: bool = 
     """
     path = Path(path)
     conventions = Conventions.plain() if plain else Conventions()
-    sheet = _sheet(tree_of(path), conventions)
+    root = tree_of(path)
+    with _named(path):
+        sheet = _sheet(root, conventions)
     listed = tuple(part.track for part in sheet.parts)
     check_chosen(tracks, listed, path)
     parts = [part for part in sheet.parts if not tracks or part.track.number in tracks]
     counts = Counter(drums=0 if tracks else sheet.drums)
-    try:
+    with _named(path):
         found, pedal, timed = _played(parts, sheet, counts, conventions)
-    except CadenzaError as error:
-        raise CadenzaError(f"{path}: {error}") from error
     begin = min([0.0, *(note.start for note in found)])  # grace notes before the first beat
     notes, remarks = repaired_notes(found, counts, sheet.remarks, path, lambda time: time - begin)
     moves = tuple(PedalEvent(max(0.0, time - begin), value) for time, value in pedal)
     bars = tuple(bar.moved(lambda time: time - begin) for bar in timed)
     return Score(notes, moves, sheet.title or title_of(path), remarks, listed, bars)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Begins the messages of errors with the file."""
+    try:
+        yield
+    except CadenzaError as error:
+        raise CadenzaError(f"{path}: {error}") from error
 
 
 def _played(
@@ -175,7 +185,8 @@ def _sheet(root: Element, conventions: Conventions) -> _Sheet:
             (found.unclear, "metronome mark without a tempo", "left out"),
             (counts["microtone"], "microtone", "rounded to a semitone"),
             (counts["unpitched"], "unpitched note", "left out"),
-            (len(_bar_repeats(root)), "bar-repeat sign", "left out"),
+            (_signs(root, "measure-repeat", "start"), "bar-repeat sign", "left out"),
+            (_signs(root, "pedal", "sostenuto"), "sostenuto pedal mark", "left out"),
             (lost, "jump", "without a segno or coda to go to left out"),
             (unplayed, "bar", "passed over by all repeats and jumps"),
         )
@@ -215,5 +226,6 @@ def _drums(listed: Element) -> Callable[[Element], bool]:
     return is_drum
 
 
-def _bar_repeats(root: Element) -> list[Element]:
-    return [sign for sign in root.iter("measure-repeat") if sign.get("type") == "start"]
+def _signs(root: Element, tag: str, kind: str) -> int:
+    """The number of signs of a type."""
+    return sum(sign.get("type") == kind for sign in root.iter(tag))

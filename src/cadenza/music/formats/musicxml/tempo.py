@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -26,7 +27,7 @@ _FERMATAS = {
     **dict.fromkeys(("angled", "double-angled"), FermataLength.SHORT),
     **dict.fromkeys(("square", "double-square"), FermataLength.LONG),
 }
-_STRAIGHT = 1, 1
+_MOST_SWING = 16  # times as long as the other note of a pair
 
 
 @dataclass(slots=True)
@@ -75,9 +76,13 @@ class _Reader:
         tempos = self._metronome | self._for_playback
         for onset, speed in tempos.items():
             self._found.marks.append(Tempo(max(ZERO, onset), _MINUTE / float(speed)))
+        for ends in self._lines.values():
+            ends.sort()
         for onset, change, line in self._words:
-            ends = [end for end in self._lines.get(line or "", ()) if end > onset]
-            self._found.marks.append(TempoWord(onset, change, min(ends, default=None)))
+            ends = self._lines.get(line or "", [])
+            after = bisect_right(ends, onset)
+            end = ends[after] if after < len(ends) else None
+            self._found.marks.append(TempoWord(onset, change, end))
         return self._found
 
     def read_direction(self, placed: Placed) -> None:
@@ -99,9 +104,8 @@ class _Reader:
                 unit = NOTE_VALUES.get(
                     sign.findtext("swing-type", "").strip(), NOTE_VALUES["eighth"]
                 )
-                first, second = (
-                    int(number(sign.findtext(tag))) or 1 for tag in ("first", "second")
-                )
+                shares = (int(number(sign.findtext(tag))) for tag in ("first", "second"))
+                first, second = (min(max(each, 1), _MOST_SWING) for each in shares)
                 self._swing(placed, first, second, unit)
         self._read_words(placed, is_told=bool(spoken))
 
