@@ -255,6 +255,12 @@ def test_voices_of_one_name_on_both_staves_are_two(saved):
     assert {n.pitch: n.hands for n in score.notes} == {72: (0,), 48: (1,)}
 
 
+def test_a_percussion_clef_means_drums(saved):
+    clef = FOUR_QUARTERS.replace("</attr", "<clef><sign>percussion</sign></clef></attr")
+    drums = clef + note("C3", 16)
+    assert pitches(load_score(saved(document([FOUR_QUARTERS + note("C4", 16)], [drums])))) == [60]
+
+
 def test_parts_of_drums_are_left_out(saved):
     text = document([FOUR_QUARTERS + note("C4", 16)], [FOUR_QUARTERS + note("C3", 16)])
     drums = '<midi-instrument id="P2-I1"><midi-channel>10</midi-channel></midi-instrument>'

@@ -167,8 +167,9 @@ def _sheet(root: Element, conventions: Conventions) -> _Sheet:
     read_jumps(placed, bars, begins)
     parts: list[_Part] = []
     first = 0
-    for elements, listed in zip(placed, _listed(root, music), strict=True):
-        notes = notes_of(elements, len(parts) + 1, first, _drums(listed), conventions, counts)
+    for part, elements, listed in zip(music, placed, _listed(root, music), strict=True):
+        is_drum = _drums(listed, part)
+        notes = notes_of(elements, len(parts) + 1, first, is_drum, conventions, counts)
         first += sum(each.element.tag == "note" for each in elements)
         if notes:
             track = _track(len(parts) + 1, printable(listed.findtext("part-name", "")), notes)
@@ -211,13 +212,17 @@ def _listed(root: Element, parts: Iterable[Element]) -> list[Element]:
     return found
 
 
-def _drums(listed: Element) -> Callable[[Element], bool]:
-    """A function that says whether a note of a part is played by drums, by the MIDI channel."""
+def _drums(listed: Element, part: Element) -> Callable[[Element], bool]:
+    """A function that says whether a note of a part is played by drums.
+
+    The channel for MIDI says so, or where there is none, the first clef.
+    """
     channels = {
         each.get("id", ""): each.findtext("midi-channel", "").strip() == _DRUM_CHANNEL
         for each in listed.iterfind("midi-instrument")
     }
-    usual = next(iter(channels.values()), False)
+    is_clef = part.findtext("measure/attributes/clef/sign", "").strip() == "percussion"
+    usual = next(iter(channels.values()), is_clef)
 
     def is_drum(note: Element) -> bool:
         instrument = note.find("instrument")

@@ -23,6 +23,7 @@ DEEPEST = 64  # elements within each other; MusicXML has a dozen
 _CONTENTS = "META-INF/container.xml"
 _MAX_CONTENTS = 2**16  # bytes
 _PARTWISE, _TIMEWISE = "score-partwise", "score-timewise"
+_ADVICE = "open it in a notation program such as MuseScore, and export it as MusicXML"
 _MEI = ("mei", "meiCorpus")
 _MARKS = b"\xef\xbb\xbf\xff\xfe"  # of the encoding, before the document
 
@@ -43,7 +44,7 @@ def tree_of(path: Path) -> Element:
             data = _document_of(data)
         beginning = data[:100].replace(b"\0", b"").lstrip(_MARKS + b" \t\r\n").lower()
         if not beginning.startswith(b"<"):
-            raise CadenzaError("not a MusicXML file (it does not begin as XML)")
+            raise CadenzaError(f"not a MusicXML file (it does not begin as XML); {_ADVICE}")
         if beginning.startswith((b"<!doctype html", b"<html")):
             raise CadenzaError("is a page (HTML), no music; download the file itself")
         return _by_parts(_Reader().root_of(data))
@@ -102,10 +103,9 @@ def _by_parts(root: Element) -> Element:
     if root.tag == _PARTWISE:
         return root
     if root.tag in _MEI:
-        advice = "open it in a notation program such as MuseScore, and export it as MusicXML"
-        raise CadenzaError(f"is MEI, which is not read; {advice}")
+        raise CadenzaError(f"is MEI, which is not read; {_ADVICE}")
     if root.tag != _TIMEWISE:
-        raise CadenzaError(f"cannot be read as MusicXML (it is <{root.tag:.40}>, not a score)")
+        raise CadenzaError(f"cannot be read as MusicXML (it is <{root.tag:.40}>); {_ADVICE}")
     parts: dict[str, Element] = {}
     for measure in root.iterfind("measure"):
         for music in measure.iterfind("part"):
