@@ -15,6 +15,7 @@ from xml.etree.ElementTree import Element
 
 ZERO = Fraction(0)
 _FIRST_VOICE = "1"
+_MOST_STAVES = 16  # of a part; beyond, all are one
 _FINEST = 10**6  # parts of a quarter that are told apart; more would make sums slow
 _UNIT = 10_000  # parts of a whole number that are told apart, so that 1.3333333 is 4/3
 _T = TypeVar("_T")
@@ -47,7 +48,7 @@ class Placed(NamedTuple):
     @property
     def staff(self) -> int | None:
         """The staff that the element names, if any."""
-        return int(number(self.element.findtext("staff"))) or None
+        return _staff(self.element.findtext("staff")) or None
 
     @property
     def sounds(self) -> list[Element]:
@@ -139,7 +140,7 @@ def attribute(
     for placed in part:
         if placed.element.tag == "attributes":
             for each in placed.element.iterfind(tag):
-                marks[int(number(each.get("number")))].append((placed.quarter, value(each)))
+                marks[_staff(each.get("number"))].append((placed.quarter, value(each)))
     held = {staff: sorted(marks[staff] + marks[0], key=itemgetter(0)) for staff in [0, *marks]}
 
     def at(placed: Placed) -> _T:
@@ -148,6 +149,11 @@ def attribute(
         return own[begun - 1][1] if begun else before
 
     return at
+
+
+def _staff(text: str | None) -> int:
+    """The number of a staff; 0 for none."""
+    return min(int(number(text)), _MOST_STAVES)
 
 
 def _sum(one: Fraction, other: Fraction) -> Fraction:
