@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.scene.cameras import CAMERAS, MAX_HEIGHT, MAX_WIDTH, PLAYER, player_camera
+from cadenza.scene.drawn_model import drawn_model
 from cadenza.scene.scene import Scene
 
 HIT_RGBA = (0.20, 0.72, 0.36, 1.0)
@@ -74,23 +75,24 @@ class Renderer:
         """
         self._picture = picture = picture or Picture()
         self._scene = scene
+        self._model = model = drawn_model(scene)
         from_player = picture.camera == PLAYER
         if from_player:
             keys = keys or (0, scene.keyboard.num_keys - 1)
             self._camera = player_camera(scene.keyboard, keys, picture.width / picture.height)
         else:
-            self._camera = _fixed_camera(scene.model, picture.camera)
-        scene.model.vis.quality.offsamples = 0 if from_player else _SAMPLES
-        self._gl, self._context = _open(scene.model, picture.width, picture.height)
+            self._camera = _fixed_camera(model, picture.camera)
+        model.vis.quality.offsamples = 0 if from_player else _SAMPLES
+        self._gl, self._context = _open(model, picture.width, picture.height)
         self.close = weakref.finalize(self, _free, self._context, self._gl)
         """Frees the graphics context, at the latest when the program ends."""
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
-        self._drawn = mujoco.MjvScene(scene.model, maxgeom=1000)
+        self._drawn = mujoco.MjvScene(model, maxgeom=1000)
         self._options = mujoco.MjvOption()
-        self._data = mujoco.MjData(scene.model)
-        geoms = range(scene.key_geoms.start, scene.key_geoms.stop)
+        self._data = mujoco.MjData(model)
+        geoms = [model.geom(scene.keyboard.key_name(k)).id for k in range(scene.keyboard.num_keys)]
         self._key_of_geom = {geom: key for key, geom in enumerate(geoms)}
-        self._palms = frozenset(_palm_geoms(scene) if from_player else ())
+        self._palms = frozenset(_palm_geoms(model, scene) if from_player else ())
         # The hands' shadows would lie on the very keys to look at, and take most of the time.
         self._drawn.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = not from_player
 
@@ -109,7 +111,7 @@ class Renderer:
             sounding: (K,) keys that sound; lit green where they should, red where not.
             goal: (K,) keys that should sound.
         """
-        model, data = self._scene.model, self._data
+        model, data = self._model, self._data
         data.qpos[self._scene.hand_qpos] = hand_qpos
         data.qpos[self._scene.key_qpos] = key_qpos
         mujoco.mj_kinematics(model, data)
@@ -188,8 +190,8 @@ def _fixed_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
     return camera
 
 
-def _palm_geoms(scene: Scene) -> list[int]:
-    return np.flatnonzero(np.isin(scene.model.geom_bodyid, scene.palm_bodies)).tolist()
+def _palm_geoms(model: mujoco.MjModel, scene: Scene) -> list[int]:
+    return np.flatnonzero(np.isin(model.geom_bodyid, scene.palm_bodies)).tolist()
 
 
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}

@@ -5,7 +5,9 @@ const VIEWS = { // from where the camera looks
   player: [0.5, 0, 0.87], close: [0.45, 0, 0.9], top: [0.005, 0, 1], audience: [-0.8, 0, 0.62], side: [-0.5, -0.8, 0.5],
 };
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
-const PALM = 0.3; // opacity of palms, which hide keys
+const FADED = 0.28; // opacity of a palm while it hides a key that sounds
+const ALONG_KEY = [-0.4, 0, 0.4, 0.8]; // halves of a key's length from its middle; two of these are to be seen
+const FADING = 0.15, APPEARING = 0.8; // [s] that a palm takes to fade, and to be solid again
 
 /** What draws WebGL here, such as the name of a graphics card; null where nothing does. */
 const graphics = lazily(() => {
@@ -36,16 +38,23 @@ function createStage(canvas, data, colours) {
 
   const hands = createHands(parts.skeleton);
   scene.add(hands.root);
+  const palms = new Map(); // the root of a hand -> its palm
+  const rootOf = (body) => parts.skeleton[body].parent < 0 ? body : rootOf(parts.skeleton[body].parent);
+  function put(solid, { body, palm }) {
+    (body < 0 ? scene : hands.bodies[body]).add(solid);
+    if (!palm) return;
+    if (!palms.has(rootOf(body))) palms.set(rootOf(body), createPalm());
+    palms.get(rootOf(body)).add(solid);
+  }
   for (const geom of parts.geoms) {
     const colour = new THREE.Color().setRGB(...geom.rgba.slice(0, 3), "srgb");
     const solid = mesh(geom.type, geom.size, colour, geom.finger === null ? 0.45 : 0.35);
     solid.position.fromArray(geom.pos);
     solid.quaternion.copy(quaternion(geom.quat));
     solid.renderOrder = geom.body < 0 ? 0 : 3;
-    const parent = geom.body < 0 ? scene : hands.bodies[geom.body];
-    parent.add(solid);
-    if (geom.palm) parent.add(seeThrough(solid));
+    put(solid, geom);
   }
+  for (const shell of parts.shells) put(hull(shell), shell);
   const keys = parts.keys.map((key) => {
     const hinge = new THREE.Group();
     hinge.position.fromArray(key.hinge);
@@ -55,7 +64,7 @@ function createStage(canvas, data, colours) {
     scene.add(hinge.add(solid));
     const marked = key.black ? 0.85 : 1;
     return {
-      hinge, solid, axis: new THREE.Vector3(...key.axis), travel: key.travel, state: 0,
+      hinge, solid, half: key.size, axis: new THREE.Vector3(...key.axis), travel: key.travel, state: 0,
       colours: [solid.material.color.clone(), ...colours.map((c) => new THREE.Color(c).multiplyScalar(marked))],
     };
   });
@@ -74,7 +83,7 @@ function createStage(canvas, data, colours) {
   canvas.addEventListener("pointerdown", () => { controls.enableZoom = true; });
   canvas.addEventListener("pointerleave", () => { controls.enableZoom = false; });
   canvas.style.touchAction = "pan-y"; // a finger turns the picture sideways, and scrolls the page
-  let stale = true, view = "player", shown = -1;
+  let stale = true, view = "player", shown = -1, drawnAt = performance.now();
   controls.addEventListener("change", () => { stale = true; });
   controls.addEventListener("start", () => { view = null; });
 
@@ -145,6 +154,20 @@ function createStage(canvas, data, colours) {
     if (view === "close") place();
   }
 
+  const surface = ALONG_KEY.map(() => new THREE.Vector3());
+  /** Has palms that hide a key that sounds, or should, let one see it. */
+  function fade(seconds) {
+    scene.updateMatrixWorld();
+    const sounding = keys.filter(({ state }) => state);
+    for (const palm of palms.values()) {
+      const hidden = sounding.some(({ solid, half }) => {
+        surface.forEach((point, i) => solid.localToWorld(point.set(ALONG_KEY[i] * half[0], 0, half[2])));
+        return surface.filter((point) => palm.hides(point, camera.position)).length > 1;
+      });
+      stale = palm.fade(hidden, seconds) || stale;
+    }
+  }
+
   /** Draws flat, or in 3D where this browser can; returns whether it is flat now. */
   function setFlat(flat) {
     if (!flat && !solidRenderer) solidRenderer = createSolidRenderer(canvas, scene);
@@ -175,6 +198,9 @@ function createStage(canvas, data, colours) {
     /** Draws if anything changed. */
     draw() {
       controls.update();
+      const now = performance.now();
+      fade((now - drawnAt) / 1000);
+      drawnAt = now;
       if (!stale) return;
       stale = false;
       renderer.render(scene, camera);
@@ -204,7 +230,7 @@ const SAMPLES = 0.2; // [s] between the poses of which a camera that follows the
 function whereTheHandsAre({ scene, jointsAt, states, dt, steps }) {
   const hands = createHands(scene.skeleton), at = new THREE.Vector3();
   const rootOf = (body) => scene.skeleton[body].parent < 0 ? body : rootOf(scene.skeleton[body].parent);
-  const ofTips = [...new Set(scene.geoms.filter(({ finger }) => finger !== null).map(({ body }) => body))];
+  const ofTips = [...new Set([...scene.geoms, ...scene.shells].filter(({ finger }) => finger !== null).map(({ body }) => body))];
   const tips = [...new Set(ofTips.map(rootOf))].map((root) => ofTips.filter((body) => rootOf(body) === root));
   const count = Math.ceil((steps * dt) / SAMPLES) + 1;
   const edges = tips.map(() => ({ left: new Float32Array(count), right: new Float32Array(count), plays: false }));
@@ -248,17 +274,71 @@ function mesh(type, size, colour, roughness) {
   return solid;
 }
 
-/** Makes `solid` translucent; what it returns keeps parts that overlap from adding up. */
-function seeThrough(solid) {
-  const { color, roughness } = solid.material;
-  const veil = new THREE.Mesh(solid.geometry, new THREE.MeshStandardMaterial({ color, roughness, colorWrite: false }));
-  veil.position.copy(solid.position);
-  veil.quaternion.copy(solid.quaternion);
-  veil.renderOrder = 4; // after all that is solid, so that it shows through
-  Object.assign(solid.material, { transparent: true, opacity: PALM });
-  solid.castShadow = false;
-  return veil;
+/**
+ * The convex hull of a shell's balls: of a globe's grid of directions, each vertex is the point
+ * that lies farthest in its direction, which is also its normal.
+ */
+function hull({ balls, rgba, roughness, metalness }) {
+  const geometry = new THREE.SphereGeometry(1, 28, 18);
+  const { position } = geometry.attributes, direction = new THREE.Vector3(), centre = new THREE.Vector3();
+  for (let i = 0; i < position.count; i++) {
+    direction.fromBufferAttribute(position, i);
+    const far = balls.map(([x, y, z, radius]) => direction.dot(centre.set(x, y, z)) + radius);
+    const [x, y, z, radius] = balls[far.indexOf(Math.max(...far))];
+    position.setXYZ(i, x + radius * direction.x, y + radius * direction.y, z + radius * direction.z);
+  }
+  const colour = new THREE.Color().setRGB(...rgba.slice(0, 3), "srgb");
+  const solid = new THREE.Mesh(geometry, new THREE.MeshStandardMaterial({ color: colour, roughness, metalness }));
+  solid.castShadow = solid.receiveShadow = true;
+  solid.renderOrder = 3;
+  solid.userData = { type: "hull", balls };
+  return solid;
 }
+
+/** The solids of a palm, which become translucent together. */
+function createPalm() {
+  const solids = [], [ray, across, upwards, centre] = [0, 1, 2, 3].map(() => new THREE.Vector3());
+  let opacity = 1;
+  return {
+    add(solid) {
+      const veil = new THREE.Mesh(solid.geometry, new THREE.MeshStandardMaterial({ colorWrite: false })); // what overlaps does not add up
+      veil.renderOrder = 4; // after all that is solid, so that it shows through
+      veil.visible = false;
+      solid.add(veil);
+      solids.push({ solid, veil });
+    },
+    /** Whether it lies between a point and the eye: seen along the line, hulls are around it on all sides. */
+    hides(point, eye) {
+      ray.copy(eye).sub(point).normalize();
+      across.set(-ray.y, ray.x, 0).normalize();
+      upwards.copy(ray).cross(across);
+      return solids.some(({ solid }) => {
+        const circles = (solid.userData.balls ?? [[0, 0, 0, solid.userData.size[0]]]).map(([x, y, z, radius]) => {
+          solid.localToWorld(centre.set(x, y, z)).sub(point);
+          return centre.dot(ray) > 0 ? [centre.dot(across), centre.dot(upwards), radius] : null;
+        }).filter(Boolean);
+        return circles.length && DIRECTIONS.every(([c, s]) => circles.some(([x, y, radius]) => c * x + s * y + radius > 0));
+      });
+    },
+    /** Goes towards being faded or not for some seconds; returns whether that changes anything. */
+    fade(faded, seconds) {
+      const goal = faded ? FADED : 1, most = ((1 - FADED) * seconds) / (faded ? FADING : APPEARING);
+      const next = opacity + Math.max(-most, Math.min(most, goal - opacity));
+      if (next === opacity) return false;
+      opacity = next;
+      for (const { solid, veil } of solids) {
+        const transparent = opacity < 1;
+        const needsUpdate = transparent !== solid.material.transparent; // another shader
+        Object.assign(solid.material, { transparent, opacity, needsUpdate });
+        solid.renderOrder = transparent ? 5 : 3;
+        solid.castShadow = !transparent;
+        veil.visible = transparent;
+      }
+      return true;
+    },
+  };
+}
+const DIRECTIONS = Array.from({ length: 12 }, (_, i) => [Math.cos((Math.PI * i) / 6), Math.sin((Math.PI * i) / 6)]);
 
 /** What the simulation leaves out: the bed under the keys, two cheeks, and a floor for shadows. */
 function furniture(keyboard) {
