@@ -171,16 +171,15 @@ def test_folders_of_this_machine_are_not_shown(write, episode, tmp_path):
     assert not any(str(tmp_path) in word for word in words)
 
 
-def test_midi_and_video_can_be_downloaded(tmp_path, episode):
+def test_midi_can_be_downloaded(tmp_path, episode):
     path = tmp_path / "a.html"
-    midi, video = {"midi": b"MThd\0", "wanted_midi": b"MThd\1"}, "video.mp4"
-    page = performance_page(episode, {}, {}, SILENCE, **midi, video=video)
+    midi = {"midi": b"MThd\0", "wanted_midi": b"MThd\1"}
+    page = performance_page(episode, {}, {}, SILENCE, **midi)
     write_page(path, page)
     links = {a["download"]: a["href"] for tag, a in Page(path).elements if tag == "a"}
     for name, expected in ("played.mid", b"MThd\0"), ("wanted.mid", b"MThd\1"):
         kind, content = links[name].split(";base64,")
         assert (kind, base64.b64decode(content)) == ("data:audio/midi", expected)
-    assert links["video.mp4"] == "video.mp4"
 
 
 TEXT = [

@@ -234,8 +234,8 @@ def test_everything_fits_the_window(tmp_path, write, episode, size):
     width, height = SIZES[size]
     phone = size == "phone"
     silence = encode_mp3(np.zeros((0, 2), np.int16), seconds=STEPS * DT)
-    midi, video = {"midi": b"MThd", "wanted_midi": b"MThd"}, "a_rather_long_name.mp4"
-    path = write(episode, misses=MISSES, goal_mp3=silence, **midi, video=video)
+    midi = {"midi": b"MThd", "wanted_midi": b"MThd"}
+    path = write(episode, misses=MISSES, goal_mp3=silence, **midi)
     browser = Browser(tmp_path / "profile")
     browser.call(
         "Emulation.setDeviceMetricsOverride",

@@ -63,8 +63,8 @@ class Train:
     """CPU cores to use. Cores that other runs have claimed are left out."""
     wandb: Advanced[str | None] = None
     """Also log to this Weights & Biases project. TensorBoard files are always written."""
-    video: Advanced[bool] = True
-    """Write a video of the best policy, if this machine can render."""
+    video: Advanced[bool] = False
+    """Make a film of the best policy, too, as "cadenza film" does."""
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
     setup: Annotated[str | None, tyro.conf.arg(help=SETUP_HELP)] = None
     quiet: Quiet = False

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import html
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planner.misses import Miss, misses_of
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import Episode, load_episode
-from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.errors import CadenzaError
 from cadenza.files import content_of, read_json, write_json
 from cadenza.fingers import SIDES
 from cadenza.music.formats.finger_numbers import written
@@ -30,11 +25,9 @@ from cadenza.performing.setup import Setup, SomeAgent, select, set_up
 from cadenza.performing.source import Song
 from cadenza.report.html_pages import iframe, write_page
 from cadenza.report.performance_page import performance_page
-from cadenza.report.sound import SAMPLE_RATE, Sound, encode_mp3, synthesize
-from cadenza.report.video import write_video
+from cadenza.report.sound import Sound, encode_mp3, synthesize
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene
-from cadenza.sim.render import VIDEO, Picture, Renderer
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.setups import NamedSetup, setup_named
@@ -114,22 +107,13 @@ class Performance:
         """Length of the music that was played [s]; less than all if the episode ended early."""
         return self.episode.num_steps * self.episode.dt
 
-    def save(
-        self,
-        folder: str | Path,
-        video: bool = False,
-        progress: Progress = silent,
-        picture: Picture | None = None,
-        page: bool = True,
-    ) -> None:
+    def save(self, folder: str | Path, progress: Progress = silent, page: bool = True) -> None:
         """Writes what `cadenza play` leaves: report.html, metrics.json, episode.npz and so on.
 
         Args:
             folder: files of an earlier performance are replaced.
-            video: video.mp4 too, with a warning instead where this machine cannot draw.
             progress: is told how far each stage is.
-            picture: how the video looks; 1280 x 720 from the player's side by default.
-            page: report.html too; without it there is no sound and no video either.
+            page: report.html too.
         """
         folder, played = Path(folder), self.played
         write_json(folder / "settings.json", self.settings)  # first: it says whose the others are
@@ -151,34 +135,7 @@ class Performance:
         if not page:
             return
         progress("making the sound", 0, 1)
-        audio = synthesize(played)
-        path, drawn = folder / "video.mp4", False
-        try:
-            drawn = video and self._write_video(path, audio, progress, picture or VIDEO)
-        finally:  # who does not wait for the video has the page all the same
-            add_page(folder, self.goal, audio, video=path.name if drawn else "")
-
-    def _write_video(self, path: Path, audio: Sound, progress: Progress, picture: Picture) -> bool:
-        """Writes video.mp4; returns whether this machine can render."""
-        episode = self.episode
-        goal = np.flatnonzero(episode["goal_keys"].any(axis=0))
-        keys = (int(goal[0]), int(goal[-1])) if len(goal) else None
-        try:
-            renderer = closing(Renderer(self.scene, picture, keys))
-        except CadenzaError as error:
-            warnings.warn(f"no video: {error}", CadenzaWarning, stacklevel=3)
-            return False
-        names = ("hand_qpos", "key_qpos", "key_activation", "goal_keys")
-        rows = zip(*(episode[name] for name in names), strict=True)
-        with renderer as draw:
-
-            def frames() -> Iterator[NDArray[np.uint8]]:
-                for done, row in enumerate(rows, start=1):
-                    yield draw.frame(*row)
-                    progress("drawing", done, episode.num_steps)
-
-            write_video(path, frames(), 1 / episode.dt, audio, SAMPLE_RATE)
-        return True
+        add_page(folder, self.goal, synthesize(played))
 
 
 def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
@@ -209,14 +166,13 @@ def _are_results(folder: Path) -> bool:
     return {"song", "agent", "task", "scene"} <= settings.keys()
 
 
-def add_page(folder: Path, goal: Score, audio: Sound | None = None, video: str = "") -> None:
+def add_page(folder: Path, goal: Score, audio: Sound | None = None) -> None:
     """Makes the page of a performance from its files.
 
     Args:
         folder: of the performance.
         goal: see `Performance`; what the page compares the sound with.
         audio: the sound of the performance; None synthesizes it.
-        video: the name of the video in the folder, if there is one.
 
     Raises:
         CadenzaError: a file is not there, or cannot be read.
@@ -233,7 +189,6 @@ def add_page(folder: Path, goal: Score, audio: Sound | None = None, video: str =
         goal_mp3=encode_mp3(sound, bit_rate=48_000, mono=True, seconds=seconds),
         midi=content_of(folder / "played.mid"),
         wanted_midi=content_of(folder / "wanted.mid"),
-        video=video,
         written=goal,
     )
     write_page(folder / "report.html", page)

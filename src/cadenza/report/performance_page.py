@@ -47,7 +47,6 @@ def performance_page(
     goal_mp3: bytes = b"",
     midi: bytes = b"",
     wanted_midi: bytes = b"",
-    video: str = "",
     written: Score | None = None,
 ) -> Iterator[str]:
     """Yields the page of an episode piece by piece, see `html_pages.render`.
@@ -64,7 +63,6 @@ def performance_page(
         goal_mp3: what should have been played, of the same length; without, it cannot be heard.
         midi: a MIDI file of what was played, to download.
         wanted_midi: one of what was to be played.
-        video: name of a file beside the page to download.
         written: what was to be played, on the clock of the episode; with it, the page shows how
             loudness and timing differ.
     """
@@ -83,7 +81,6 @@ def performance_page(
         settings=settings_table(settings),
         midi=base64.b64encode(midi).decode(),
         wanted_midi=base64.b64encode(wanted_midi).decode(),
-        video=video,
         roll_description=_roll_description(episode),
         recording=recording_of(episode, written),
         has_expression=written is not None,

@@ -99,7 +99,7 @@ class JobQueue:
     """
 
     def __init__(
-        self, folder: Path, trainings: TrainingRuns, at_once: int = 1, video: bool = True
+        self, folder: Path, trainings: TrainingRuns, at_once: int = 1, video: bool = False
     ) -> None:
         self._folder, self._at_once, self._video = folder, at_once, video
         self.jobs: dict[str, Job] = {}

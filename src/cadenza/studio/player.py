@@ -28,6 +28,7 @@ from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json, plain, write_json
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Note, Score
+from cadenza.performing.filming import write_film
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.setup import Selection, Setup, select, set_up
 from cadenza.performing.source import PRACTISED as PLAN
@@ -219,7 +220,9 @@ def save(performance: Performance, states: StateStream, order: Order, send: Send
         remarks=performance.remarks,
     )
     try:
-        performance.save(folder, order.video, reporter.report)
+        performance.save(folder, reporter.report)
+        if order.video:
+            write_film(folder, progress=reporter.report)
         (folder / HEADER_FILE).write_bytes(states.header)
         (folder / ROWS_FILE).write_bytes(states.rows)
         write_json(folder / ABOUT, asdict(about))

@@ -82,7 +82,7 @@ class Order:
     """The name of the performance."""
     folder: str
     """The folder of the studio, where the performance is kept."""
-    video: bool = True
+    video: bool = False
     agent: str = "planner"
     """The agent, as `cadenza.performing.setup.select` takes it."""
 

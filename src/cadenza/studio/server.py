@@ -66,13 +66,13 @@ class Studio(PageServer):
     """Serves the studio: songs, jobs, practice, training, and performances that are kept."""
 
     def __init__(
-        self, folder: Path, runs: Path = Path("runs"), at_once: int = 1, video: bool = True
+        self, folder: Path, runs: Path = Path("runs"), at_once: int = 1, video: bool = False
     ) -> None:
         """Args:
             folder: where songs and performances are kept.
             runs: where policies learn, and those that have learnt are found.
             at_once: how many songs are played at the same time.
-            video: whether to make a video of each performance.
+            video: whether to make a film of each performance.
 
         Raises:
             OSError: the folder cannot be made.

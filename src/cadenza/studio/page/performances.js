@@ -1,6 +1,6 @@
 // Kept performances, to watch again, compare and download.
 
-const FILE_TITLES = { "report.html": "Report", "video.mp4": "Video", "played.mid": "MIDI", "wanted.mid": "Wanted MIDI" };
+const FILE_TITLES = { "report.html": "Report", "video.mp4": "Film", "played.mid": "MIDI", "wanted.mid": "Wanted MIDI" };
 const FILE_NAMES = { "wanted.mid": ", as wanted" }; // after the title, where two files have the same ending
 
 async function listPerformances() {
