@@ -144,7 +144,7 @@ def _shells(part: _Part) -> tuple[Shell, ...]:
     mujoco.mju_rotVecQuat(along, np.array([0.0, 0.0, half_length]), np.array(geom.quat))
     first, last = np.array(geom.pos) - along, np.array(geom.pos) + along
     cover = Shell(((*first.tolist(), radius), (*last.tolist(), 0.94 * radius)))
-    return cover, Shell(ring(1.02 * radius, 0.0, 0.008), METAL)
+    return cover, Shell(ring(1.025 * radius, 0.0, 0.008), METAL)
 
 
 def _principal(moments: Vector, products: Vector) -> tuple[Vector, Quaternion]:

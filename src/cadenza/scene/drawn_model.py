@@ -13,6 +13,7 @@ _COLLIDING_GROUP = 3  # which MuJoCo does not draw unless asked
 _WOOD = (0.055, 0.05, 0.055, 1.0)
 _FLOOR = (0.80, 0.83, 0.87, 1.0)
 _MARGIN = 0.022  # [m] of the piano's case beside its keys
+_ROOM = 4.0  # [m] half of the floor
 _CHEEK = 0.009  # [m] half of the width of its ends
 _SHADOW_SCALE = 0.5  # part of the light's cone that has shadows, which makes them finer
 _SHININESS = 0.6  # of the smoothest material
@@ -66,7 +67,7 @@ def _furnish(spec: mujoco.MjSpec, keyboard: Keyboard) -> None:
     for end in (-1, 1):
         pos = (middle, end * (width - _CHEEK), bottom + 0.018)
         add(type=box, material="wood", pos=pos, size=(depth, _CHEEK, 0.019), **bare)
-    add(type=plane, rgba=_FLOOR, pos=(0, 0, bottom - 0.024), size=(5, 5, 0.1), **bare)
+    add(type=plane, rgba=_FLOOR, pos=(0, 0, bottom - 0.024), size=(_ROOM, _ROOM, 0.1), **bare)
 
 
 def _add(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, shell: Shell) -> None:
