@@ -83,7 +83,7 @@ _RING = 24  # balls of a disc
 
 
 def surface(
-    balls: Iterable[Ball], meridians: int = 24, parallels: int = 16
+    balls: Iterable[Ball], meridians: int = 16, parallels: int = 10
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
     """The convex hull of balls as a mesh: vertices (V, 3) [m], normals (V, 3), triangles (F, 3).
 

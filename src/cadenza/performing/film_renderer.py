@@ -29,7 +29,7 @@ _ELEVATION = np.deg2rad(47.0)  # of the camera over the keys
 _LEAST_SIDE, _MOST_SIDE = 64, 2160  # [px]
 _MOST_FPS = 120
 _SHARPER = 1.5  # times the size at which pictures are drawn, which smooths their edges
-_SHADOW_MAP = 2048  # [px]
+_SHADOW_MAP = 1024  # [px]
 _FONT = mujoco.mjtFontScale.mjFONTSCALE_200  # of the numbers of fingers
 _MOST_GEOMS = 2000
 
