@@ -93,9 +93,15 @@ def test_a_song_for_a_band_is_arranged_for_the_hands(
     assert 0 < metrics["original_f1"] < 1
     remarks = json.loads((tmp_path / "settings.json").read_text())["remarks"]
     assert any("arranged for both hands" in remark for remark in remarks)
+    fates = json.loads((tmp_path / "arrangement.json").read_text())
+    moved = [fate for fate in fates if fate["played"] not in (None, fate["pitch"])]
+    assert len(moved) == metrics["notes_moved"]
+    left_out = [fate for fate in fates if fate["played"] is None and fate["part"] == "harmony"]
+    assert left_out
     main([*play, "--arrange", "off"])
     assert "arranged" not in capsys.readouterr().err
     assert "melody_kept" not in json.loads((tmp_path / "metrics.json").read_text())
+    assert not (tmp_path / "arrangement.json").exists()  # of the other performance
 
 
 def test_music_that_the_hands_can_play_stays_as_it_is_unless_a_level_is_given(

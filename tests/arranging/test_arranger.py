@@ -79,3 +79,13 @@ def test_what_is_playable_is_kept_note_for_note_but_softer_inside(arranger: Arra
 
 def test_an_empty_score_stays_empty(arranger: Arranger) -> None:
     assert not arranger.arrange(Score(())).score.notes
+
+
+def test_each_note_has_its_fate(band: Band, arranger: Arranger) -> None:
+    arranged = arranger.arrange(band_score(band))
+    played = sorted((round(n.start, 6), n.pitch) for n in arranged.score.notes)
+    fates = [(round(f.note.start, 6), f.played) for f in arranged.fates if f.played is not None]
+    assert sorted(fates) == played
+    written = {(note.start, note.pitch) for note in band_score(band).notes}
+    for note, _ in arranged.fates:
+        assert note.added or (note.start, note.pitch) in written

@@ -134,9 +134,15 @@ def test_a_loop_begins_again(browser, write, episode):
 
 
 MISSES = [
-    {"time": 0.2, "note": "C4", "finger": 2, "what": "never sounded", "reason": "too fast"},
-    {"time": 1.5, "note": "E4", "finger": -1, "what": "100 ms late", "reason": "no finger"},
+    {"time": 0.2, "note": "C4", "finger": 2, "what": "never sounded", "cause": "too fast"},
+    {"time": 1.5, "note": "E4", "finger": -1, "what": "100 ms late", "cause": "no finger"},
 ]
+for miss in MISSES:
+    miss["reason"] = f"{miss['cause']}: told by the planner"
+
+
+def fate(time, pitch, played, part="harmony"):
+    return {"start": time, "end": time + 0.5, "pitch": pitch, "played": played, "part": part}
 
 
 @pytest.mark.slow
@@ -149,6 +155,56 @@ def test_a_miss_seeks_to_shortly_before_it(browser, write, episode):
     assert browser.evaluate("cadenza.time") == 0
     heads = "[...document.querySelectorAll('#misses th')].map(head => head.textContent)"
     assert browser.evaluate(heads) == ["Time", "Note", "Finger", "What", "Why"]
+
+
+@pytest.mark.slow
+def test_misses_of_the_same_reason_are_one_row_that_opens(browser, write, episode):
+    far = {"note": "C4", "finger": -1, "what": "never sounded", "cause": "no finger"}
+    several = [far | {"time": 0.1 * i, "reason": "too far from E4"} for i in range(9)]
+    browser.open(write(episode, misses=[*MISSES, *several]))
+    rows = "[...document.querySelectorAll('#misses tbody tr')].map((row) => row.innerText)"
+    first, *others = browser.evaluate(rows)
+    assert first == "9 notes too far from E4"
+    assert len(others) == len(MISSES)
+    browser.evaluate("document.querySelector('#misses button').focus()")
+    press(browser, "Enter", text="\r")
+    assert len(browser.evaluate(rows)) == 1 + 9 + len(MISSES)
+    assert browser.evaluate("document.activeElement.getAttribute('aria-expanded')") == "true"
+    press(browser, "Enter", text="\r")
+    assert len(browser.evaluate(rows)) == 1 + len(MISSES)
+
+
+@pytest.mark.slow
+def test_what_an_arrangement_did_with_notes_is_shown_and_said(browser, write, episode):
+    fates = [fate(0.5, 60, 60), fate(0.5, 64, None), fate(1, 48, 72, "bass")]
+    fates += [fate(1.2, 67, 67) | {"again": True}]
+    browser.open(write(episode, arrangement=fates))
+    rows = "[...document.querySelectorAll('#changes tbody tr')].map((row) => row.innerText)"
+    assert browser.evaluate(rows) == [
+        "0.50 s\tE4\tharmony\tleft out",
+        "1.00 s\tC3\tbass\tmoved up two octaves to C5",
+        "1.20 s\tG4\tharmony\tstruck again",
+    ]
+    assert browser.evaluate("""document.querySelector('#roll canvas').ariaLabel""").endswith(
+        "by the arrangement, 1 left out, 1 moved, 1 struck again"
+    )
+
+    def pointed_at(time, pitch):
+        """What the roll says beside the pointer over a note."""
+        return browser.evaluate(f"""(() => {{
+            const roll = document.getElementById("roll"), box = roll.getBoundingClientRect();
+            const names = written.get(roll.querySelector("canvas"));
+            const [, , top, , bottom] = names.find(([text]) => text === "C4");
+            const clientX = box.left + 44 + (box.width - 44) * {time} / cadenza.duration;
+            const clientY = box.top + (top + bottom) / 2 - 15 * {pitch - 60};
+            roll.dispatchEvent(new PointerEvent("pointermove", {{ clientX, clientY }}));
+            const tip = roll.querySelector(".tip");
+            return tip.hidden ? "" : tip.textContent;
+        }})()""")
+
+    assert pointed_at(0.7, 64) == "E4 of the harmony: left out"
+    assert pointed_at(1.1, 72) == "C3 of the bass: moved up two octaves to C5"
+    assert pointed_at(0.7, 60) == ""  # as written
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from cadenza.arranging.fidelity import NOTHING_LOST, Fidelity, fidelity_of
+from cadenza.arranging.fidelity import NOTHING_LOST, Fate, Fidelity, fates_of, fidelity_of
 from cadenza.arranging.lengths import held_as_possible
 from cadenza.arranging.moments import SHORTEST, beats_of, merged, moments_of
 from cadenza.arranging.one_hand import OneHand
@@ -33,6 +33,8 @@ class Arranged:
     """How much of the song is left."""
     grade: float
     """The difficulty, from 1 to 10."""
+    fates: tuple[Fate, ...] = ()
+    """What became of each note of the song; those in unison are one."""
 
 
 class Arranger:
@@ -67,7 +69,8 @@ class Arranger:
         fingered, _ = find_fingering(_score(score, struck, early_ends), self._players)
         held = held_as_possible(fingered, self._players, self._times)
         arranged = held.without_fingers()
-        return Arranged(arranged, fidelity_of(song, struck, arranged, beats), reached)
+        fates = fates_of(song, struck)
+        return Arranged(arranged, fidelity_of(fates, arranged, beats), reached, fates)
 
 
 def _score(score: Score, struck: Iterable[Struck], early_ends: Sequence[EarlyEnd]) -> Score:

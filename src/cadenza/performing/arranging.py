@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from cadenza.arranging.arranger import Arranged, Arranger
+from cadenza.arranging.fidelity import Fate
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
 from cadenza.fingering.playable import playable
@@ -37,8 +38,7 @@ class HandArrangement:
 
     def __str__(self) -> str:
         """What was done, in words."""
-        fidelity = self.arranged.fidelity
-        return f"arranged for {self.hands}: {fidelity}; as written: --arrange off"
+        return f"arranged for {self.hands}: {self.arranged.fidelity}"
 
     def metrics(self, episode: Episode, track: GoalTrack) -> dict[str, Any]:
         """Metrics of the arrangement, and of what was played against the original.
@@ -59,17 +59,37 @@ class HandArrangement:
             "original_note_onset_f1": onsets,
         }
 
+    def fates(self, track: GoalTrack) -> Iterator[Fate]:
+        """Yields what became of each note of the song that the keyboard has.
+
+        Args:
+            track: the goals of an episode, of the arranged song; times are on its clock.
+        """
+        at, transposed = self._clock(track)
+        silence = track.silent_steps * track.config.control_timestep
+        for note, played in self.arranged.fates:
+            pitch, start = note.pitch + transposed, at(note.start) + silence
+            if start >= 0 and pitch in track.scene.keyboard.pitches:
+                moved = note._replace(start=start, end=at(note.end) + silence, pitch=pitch)
+                yield Fate(moved, None if played is None else played + transposed)
+
     def _on_clock(self, track: GoalTrack) -> Iterator[Note]:
         """Yields the notes of the original that the keyboard has, on the clock of the track."""
-        mine, clock = self.arranged.score, track.score
-        first, begins = mine.notes[0], clock.notes[0]
-        stretch = (clock.total_time - begins.start) / (mine.total_time - first.start)
+        at, transposed = self._clock(track)
         for note in self.original.notes:
-            start = begins.start + (note.start - first.start) * stretch
-            end = begins.start + (note.end - first.start) * stretch
-            pitch = note.pitch + begins.pitch - first.pitch
+            start, pitch = at(note.start), note.pitch + transposed
             if start >= 0 and pitch in track.scene.keyboard.pitches:
-                yield Note(start, end, pitch, note.velocity)
+                yield Note(start, at(note.end), pitch, note.velocity)
+
+    def _clock(self, track: GoalTrack) -> tuple[Callable[[float], float], int]:
+        """The function from times of the song to those of a track [s], and the semitones to it."""
+        mine, theirs = self.arranged.score, track.score
+        first, begins = mine.notes[0], theirs.notes[0]
+        stretch = (theirs.total_time - begins.start) / (mine.total_time - first.start)
+        return (
+            lambda time: begins.start + (time - first.start) * stretch,
+            begins.pitch - first.pitch,
+        )
 
 
 def arranged_for(score: Score, arrangement: Arrangement, scene: Scene) -> HandArrangement | None:

@@ -12,6 +12,7 @@ from typing import Any
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planner.misses import Miss, misses_of
 from cadenza.agents.rollout import play_episode
+from cadenza.arranging.fidelity import Fate
 from cadenza.episode import Episode, load_episode
 from cadenza.errors import CadenzaError
 from cadenza.files import content_of, read_json, write_json
@@ -38,6 +39,7 @@ RESULTS = (
     "episode.npz",
     *(f"episode-{side}.npz" for side in SIDES),
     "misses.json",
+    "arrangement.json",
     "played.mid",
     "wanted.mid",
     "report.html",
@@ -68,6 +70,8 @@ class Performance:
     """The song with the fingers that play it, if the agent plans the whole of it."""
     misses: list[Miss] | None
     """Notes that were missed or let go early, and why; None without a plan to tell by."""
+    fates: list[Fate] | None = None
+    """What became of each note of a song that was arranged for the hands; None if it was not."""
 
     def __repr__(self) -> str:
         agent, f1 = self.settings["agent"], self.metrics["f1"]
@@ -125,10 +129,13 @@ class Performance:
         if self.misses is not None:
             lost = [asdict(miss) | {"finger": written(miss.finger)} for miss in self.misses]
             write_json(folder / "misses.json", lost)
+        if self.fates is not None:
+            write_json(folder / "arrangement.json", [fate.as_json for fate in self.fates])
         write_midi(played, folder / "played.mid")
         write_midi(self.goal, folder / "wanted.mid")
         ours = {f"episode-{side}.npz": side in parts for side in SIDES}
         ours |= {"misses.json": self.misses is not None, "report.html": page, "video.mp4": False}
+        ours |= {"arrangement.json": self.fates is not None}
         for name in ours:
             if not ours[name]:  # it tells of another performance
                 (folder / name).unlink(missing_ok=True)
@@ -177,7 +184,7 @@ def add_page(folder: Path, goal: Score, audio: Sound | None = None) -> None:
     Raises:
         CadenzaError: a file is not there, or cannot be read.
     """
-    episode, lost = load_episode(folder / "episode.npz"), folder / "misses.json"
+    episode = load_episode(folder / "episode.npz")
     seconds = episode.num_steps * episode.dt
     sound = synthesize(goal.until(seconds))
     page = performance_page(
@@ -185,13 +192,19 @@ def add_page(folder: Path, goal: Score, audio: Sound | None = None) -> None:
         read_json(folder / "metrics.json", dict[str, Any]),
         read_json(folder / "settings.json", dict[str, Any]),
         synthesize(played_in(episode)) if audio is None else audio,
-        misses=read_json(lost, list[dict[str, Any]]) if lost.exists() else (),
+        misses=_listed(folder / "misses.json"),
+        arrangement=_listed(folder / "arrangement.json"),
         goal_mp3=encode_mp3(sound, bit_rate=48_000, mono=True, seconds=seconds),
         midi=content_of(folder / "played.mid"),
         wanted_midi=content_of(folder / "wanted.mid"),
         written=goal,
     )
     write_page(folder / "report.html", page)
+
+
+def _listed(path: Path) -> list[dict[str, Any]]:
+    """The list in a file of a performance; an empty one if there is no such file."""
+    return read_json(path, list[dict[str, Any]]) if path.exists() else []
 
 
 def play(
@@ -258,9 +271,11 @@ def perform(
         part = f"{played * result.episode.dt:.1f} of {setup.num_steps * result.episode.dt:.1f} s"
         ended = f"ended after {part}; all of this page is about that part"
         settings = settings | {"remarks": [*settings.get("remarks", ()), ended]}
-    metrics = result.metrics
-    if setup.arrangement is not None:
-        metrics = metrics | setup.arrangement.metrics(result.episode, setup.task.tracks[0])
+    metrics, arrangement, fates = result.metrics, setup.arrangement, None
+    if arrangement is not None:
+        track = setup.task.tracks[0]
+        metrics = metrics | arrangement.metrics(result.episode, track)
+        fates = list(arrangement.fates(track))
     return Performance(
         score=setup.score,
         goal=setup.task.score(0),
@@ -270,4 +285,5 @@ def perform(
         scene=setup.task.scene,
         track=None if plan is None else plan.track,
         misses=None if plan is None else misses_of(result.episode, plan),
+        fates=fates,
     )

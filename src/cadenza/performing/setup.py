@@ -255,7 +255,8 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
         for loss in lost:
             warnings.warn(f"{selection.source.name}: {loss}", CadenzaWarning, stacklevel=4)
         if arranged is not None:
-            warnings.warn(f"{selection.source.name}: {arranged}", CadenzaWarning, stacklevel=4)
+            said = f"{selection.source.name}: {arranged}; as written: --arrange off"
+            warnings.warn(said, CadenzaWarning, stacklevel=4)
             lost.append(str(arranged))
         if remarks := [*selection.score.remarks, *lost]:
             settings["remarks"] = remarks

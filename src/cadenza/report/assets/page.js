@@ -118,12 +118,12 @@ choice("data-sound", (name) => {
   if (playing) play();
 });
 const BEFORE_A_MISS = 0.7; // [s]
-$("misses")?.addEventListener("click", (event) => {
-  const row = event.target.closest("[data-time]");
-  if (!row) return;
-  seek(Number(row.dataset.time) - BEFORE_A_MISS);
+function goToNote(time) {
+  seek(time - BEFORE_A_MISS);
   $("performance").scrollIntoView({ block: "nearest" });
-});
+}
+if ($("misses")) listMisses($("misses"), data, goToNote);
+if ($("changes")) listChanges($("changes"), data, goToNote);
 
 const JUMP = 5, STEP = 0.5; // [s]
 const KEYS = {

@@ -98,11 +98,14 @@ const LOOKING_AROUND = 4000; // [ms] for which a roll that was shifted does not 
 
 function createRoll(element, data, seek) {
   const canvas = element.querySelector("canvas"), { states, pedal, dt, steps, keys, lowest } = data, duration = steps * dt;
-  const used = new Set();
+  const used = new Set(), changes = changesOf(data);
+  for (const { key } of changes) if (key >= 0 && key < keys) used.add(key);
   states.forEach((state, i) => { if (state) used.add(i % keys); });
   const low = Math.max(Math.min(...used, 69 - lowest, keys - 1) - 1, 0), high = Math.min(Math.max(...used, 60 - lowest, 0) + 1, keys - 1);
   const row = Math.min(Math.max(340 / (high - low + 1), 7), 15);
-  const pedalHeight = pedal.some(Boolean) ? 24 : 0;
+  const pedalHeight = pedal.some(Boolean) ? 24 : 0, top = 4;
+  const words = canvas.dataset.words ??= canvas.getAttribute("aria-label");
+  if (changes.length) canvas.setAttribute("aria-label", `${words}; by the arrangement, ${changesInWords(changes)}`);
   let start = 0, length = duration, shiftedAt = -Infinity, time = 0;
   const span = () => [start, start + length];
   const point = timeline(element, span, seek, (seconds) => {
@@ -116,8 +119,14 @@ function createRoll(element, data, seek) {
     point(time);
   }
 
+  explainAtPointer(element, ({ clientX, clientY }) => {
+    const box = element.getBoundingClientRect(), key = high - Math.floor((clientY - box.top - top) / row);
+    const time = start + ((clientX - box.left - GUTTER) / (box.width - GUTTER)) * length;
+    return key < low || key > high || time < start ? "" : explanation(data, changes, key, time);
+  });
+
   function draw() {
-    const top = 4, bottom = top + (high - low + 1) * row, foot = bottom + pedalHeight;
+    const bottom = top + (high - low + 1) * row, foot = bottom + pedalHeight;
     const { context, width } = prepare(canvas, foot + 22);
     length = Math.min(duration, ROLL_WINDOW, (width - GUTTER) / ROLL_SCALE);
     start = Math.min(start, duration - length);
@@ -155,6 +164,9 @@ function createRoll(element, data, seek) {
     const put = ({ from, to, state }, up, height, loudness) => drawNote(context, state, colours, x(from), up, x(to) - x(from), height, loudness);
     const [from, to] = [start - BEYOND, start + length + BEYOND];
     notesBetween(data, from, to, (note) => put(note, y(note.key), row, (data.velocityOf?.(note) ?? LOUDEST_NOTE) / LOUDEST_NOTE));
+    for (const change of changes) {
+      if (change.to > from && change.from < to) drawChange(context, change, x(change.from), y(change.key), x(change.to) - x(change.from), row);
+    }
     notesBetween({ states: pedal, dt, steps, keys: 1 }, from, to, (press) => put(press, bottom + 8, 16));
     context.restore();
   }
