@@ -15,6 +15,7 @@ import pytest
 from cadenza.agents.agent import RandomAgent
 from cadenza.errors import CadenzaError
 from cadenza.files import write_json
+from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.libraries.imported import new_library
 from cadenza.music.score import Note, Score
@@ -35,6 +36,9 @@ def read(content: object) -> PlayRequest:
 def test_a_request_says_what_is_to_be_played() -> None:
     request = read({"song": "OdeToJoy", "tempo": 2, "tracks": [1, 2], "expression": True})
     assert request == PlayRequest("OdeToJoy", tempo=2.0, tracks=(1, 2), expression=True)
+    assert request.arrangement == Arrangement((1, 2), expression=1.0)
+    assert read({"song": "OdeToJoy", "level": 4}).arrangement == Arrangement(level=4)
+    assert read({"song": "OdeToJoy", "arrange": "off"}).arrangement == Arrangement(arrange="off")
 
 
 @pytest.mark.parametrize(
@@ -50,6 +54,9 @@ def test_a_request_says_what_is_to_be_played() -> None:
         {"song": "OdeToJoy", "seed": -1},
         {"song": "OdeToJoy", "expression": 1},
         {"song": "OdeToJoy", "tracks": list(range(1000))},
+        {"song": "OdeToJoy", "arrange": "perhaps"},
+        {"song": "OdeToJoy", "level": 11},
+        {"song": "OdeToJoy", "level": 3, "arrange": "off"},
         {"song": "OdeToJoy", "video": "/etc/passwd"},
     ],
 )
@@ -216,7 +223,7 @@ def test_two_performances_of_a_song_are_compared(
     monkeypatch.setattr(sys, "argv", ["comparison", str(one), str(two), str(page)])
     monkeypatch.setattr(comparison, "limit", lambda _: None)  # not on the process of the tests
     comparison.main()
-    assert "2. Planner, unrefined, shadow, seed 1" in page.read_text()
+    assert "2. Planner, unrefined, Shadow Dexterous Hand, seed 1" in page.read_text()
     songs.remove_performance(ids[1])
     assert not page.exists()
 

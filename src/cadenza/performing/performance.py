@@ -98,6 +98,11 @@ class Performance:
         return list(self.settings.get("remarks", ()))
 
     @property
+    def losses(self) -> list[dict[str, Any]]:
+        """The misses as `misses.json` has them."""
+        return [asdict(miss) | {"finger": written(miss.finger)} for miss in self.misses or ()]
+
+    @property
     def energy(self) -> float | None:
         """Energy of all actuators by their power at step ends [J]; None if it is not counted."""
         task = self.settings["task"]
@@ -127,8 +132,7 @@ class Performance:
             part.save(folder / f"episode-{side}.npz")
         write_json(folder / "metrics.json", self.metrics)
         if self.misses is not None:
-            lost = [asdict(miss) | {"finger": written(miss.finger)} for miss in self.misses]
-            write_json(folder / "misses.json", lost)
+            write_json(folder / "misses.json", self.losses)
         if self.fates is not None:
             write_json(folder / "arrangement.json", [fate.as_json for fate in self.fates])
         write_midi(played, folder / "played.mid")

@@ -251,14 +251,15 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
         closing(PianoTask([selection.score], task, built, progress=looking)) as piano_task,
         _with_threads(selection.agent, selection.num_threads),
     ):
-        lost = list(_lost_between_steps(piano_task.tracks[0]))
-        for loss in lost:
+        remarks = list(_lost_between_steps(piano_task.tracks[0]))
+        for loss in remarks:
             warnings.warn(f"{selection.source.name}: {loss}", CadenzaWarning, stacklevel=4)
+        remarks = [*selection.score.remarks, *remarks]
         if arranged is not None:
             said = f"{selection.source.name}: {arranged}; as written: --arrange off"
             warnings.warn(said, CadenzaWarning, stacklevel=4)
-            lost.append(str(arranged))
-        if remarks := [*selection.score.remarks, *lost]:
+            remarks.insert(0, str(arranged))  # it changes most
+        if remarks:
             settings["remarks"] = remarks
         if selection.learnt is not None:
             selection.learnt.check(selection.name, piano_task)

@@ -41,8 +41,8 @@ from cadenza.studio.broadcast import Broadcast
 from cadenza.studio.synthesizer import Synthesizer
 
 _SHARED = (  # scripts, of reports as well
-    *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "chart.js", "roll.js"),
-    "controls.js",
+    *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "chart.js"),
+    *("arrangement.js", "explanations.js", "roll.js", "controls.js"),
 )
 _OWN = (
     *("requests.js", "instrument.js", "keyboard.js", "stream.js", "library.js", "player.js"),
@@ -178,7 +178,7 @@ def _scripts() -> str:
 
 @cache
 def _styles() -> str:
-    return asset("page.css") + _own("studio.css")
+    return "".join((asset("page.css"), _own("studio.css")))  # + would escape the quotes of ours
 
 
 _PARTS: dict[str, tuple[str, Callable[[], str]]] = {

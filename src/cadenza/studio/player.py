@@ -132,7 +132,7 @@ def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performan
         reporter.report(stage, done, total)
 
     with _practised_setup(order) or set_up_order(order, prepare) as setup:
-        states = StateStream(setup.task, send)
+        states = StateStream(setup, send)
         states.begin()
 
         def progress(stage: str, done: int, total: int) -> None:
@@ -147,6 +147,7 @@ def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performan
         metrics = plain(performance.metrics)
         remarks = performance.remarks
         send(json_message(state="played", metrics=metrics, spent=spent, remarks=remarks))
+        states.explain(performance.losses)
         return performance, states
 
 
@@ -189,7 +190,7 @@ def _select(order: Order) -> Selection:
     """
     request, agent = order.request, order.agent
     config = {PLANNER: PlannerConfig(method="none")} if request.agent == UNREFINED else None
-    arrangement = Arrangement(tracks=request.tracks, expression=float(request.expression))
+    arrangement = request.arrangement
     song = _read_upload(order, arrangement) if order.uploaded else order.source
     selection = select(song, agent, arrangement=arrangement, configs=config)
     check_size(selection.score)

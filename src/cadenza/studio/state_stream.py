@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.music.performance import SoundedNotes, key_events
-from cadenza.report.recording import packed
+from cadenza.performing.setup import Setup
+from cadenza.report.recording import arranged_notes, lost_notes, packed
 from cadenza.scene.drawing import drawing
 from cadenza.studio.messages import (
     ROWS,
@@ -21,7 +26,6 @@ from cadenza.studio.synthesizer import INSTRUMENT
 from cadenza.tasks import reward
 from cadenza.tasks.augmentation import draws_variation
 from cadenza.tasks.goal_track import GoalTrack
-from cadenza.tasks.piano_task import PianoTask
 
 _ALL_THE_WAY = 255  # of a key that is down, in a row
 
@@ -30,12 +34,13 @@ class StateStream:
     """Sends messages as `cadenza.studio.messages` describes them.
 
     Attributes:
-        header: what is to be played, as JSON.
+        header: what is to be played and, once it is over, why notes were missed, as JSON.
         rows: the states of all steps so far.
     """
 
-    def __init__(self, task: PianoTask, send: Send) -> None:
-        self._task, self._send = task, send
+    def __init__(self, setup: Setup, send: Send) -> None:
+        task = setup.task
+        self._setup, self._task, self._send = setup, task, send
         self._dt, keyboard = task.config.control_timestep, task.scene.keyboard
         self._lowest, self._travel = keyboard.lowest_pitch, keyboard.travel
         self._notes = SoundedNotes(self._dt)
@@ -62,9 +67,22 @@ class StateStream:
             pedal=packed(goals.sustain.astype(np.uint8)),
             notes=sorted((n.pitch - self._lowest, n.start) for n in track.delayed_score.notes),
             sound=INSTRUMENT,
+            remarks=self._setup.settings.get("remarks", []),
+            arrangement=arranged_notes(self._fates(track), self._lowest),
         )
         self.header = message.content
         self._send(message)
+
+    def _fates(self, track: GoalTrack) -> list[dict[str, Any]]:
+        """What became of each note of a song that was arranged."""
+        arrangement = self._setup.arrangement
+        return [] if arrangement is None else [f.as_json for f in arrangement.fates(track)]
+
+    def explain(self, misses: Iterable[Mapping[str, Any]]) -> None:
+        """Sends why notes were missed, as `misses.json` has it."""
+        message = json_message(misses=lost_notes(misses))
+        self._send(message)
+        self.header = json.dumps(json.loads(self.header) | json.loads(message.content)).encode()
 
     def step(self) -> None:
         """Sends the state after the step that was just taken."""

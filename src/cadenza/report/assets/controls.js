@@ -29,6 +29,40 @@ function loudness(muted, volume) {
   return mute;
 }
 
+/** A button that loops; returns whether it is pressed. */
+function looping() {
+  $("loop").addEventListener("click", () => press($("loop"), !isPressed($("loop"))));
+  return () => isPressed($("loop"));
+}
+
+/** A button that fills the screen with the performance, where the browser can; returns what it does. */
+function fullScreen() {
+  const fill = () => {
+    if (document.fullscreenEnabled) document.fullscreenElement ? document.exitFullscreen() : $("performance").requestFullscreen();
+  };
+  $("full").hidden = !document.fullscreenEnabled;
+  $("full").addEventListener("click", fill);
+  return fill;
+}
+
+/** Keys of the keyboard: `toggle`, `mute` and `fill` are run, `seek` is told where to go from `now()` [s]. */
+function listenToKeys({ toggle, mute, fill, seek, now, end }) {
+  const JUMP = 5, STEP = 0.5; // [s]
+  const acts = {
+    " ": toggle, k: toggle, m: mute, f: fill,
+    j: () => seek(now() - JUMP), l: () => seek(now() + JUMP), home: () => seek(0), end: () => seek(end()),
+    arrowleft: (event) => seek(now() - (event.shiftKey ? JUMP : STEP)), arrowright: (event) => seek(now() + (event.shiftKey ? JUMP : STEP)),
+  };
+  document.addEventListener("keydown", (event) => {
+    const { target } = event, act = acts[event.key.toLowerCase()];
+    if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (target.matches("input:not(#scrub), select, textarea")) return;
+    if (event.key === " " && target.matches("button, a, summary")) return;
+    act(event);
+    event.preventDefault();
+  });
+}
+
 /** Of a button that plays and pauses. */
 function showPlaying(playing) {
   $("play").classList.toggle("active", playing);

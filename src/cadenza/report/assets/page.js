@@ -31,7 +31,7 @@ function now() {
 
 const colours = VERDICTS.map((name) => css("--" + name));
 const stage = data.scene.keys ? createStage($("view"), data, colours) : null;
-const looks = createLooks();
+const looks = createLooks(), isLooping = looping();
 if (stage) looks.show(stage);
 else $("picture").hidden = true;
 const roll = createRoll($("roll"), data, seek), rewards = createRewards($("rewards"), data, seek);
@@ -78,7 +78,7 @@ let drawn = -1;
 function frame() {
   const time = now();
   if (time !== drawn) show(drawn = time);
-  if (time >= duration && !audio.paused) looping ? seek(0) : audio.pause();
+  if (time >= duration && !audio.paused) isLooping() ? seek(0) : audio.pause();
   stage?.draw();
   looks.measure(!audio.paused);
   requestAnimationFrame(frame);
@@ -99,15 +99,10 @@ $("length").textContent = minutes(duration);
 $("scrub").addEventListener("input", () => seek($("scrub").value));
 $("speed").addEventListener("change", () => { for (const sound of sounds) sound.playbackRate = Number($("speed").value); });
 
-let looping = false;
-$("loop").addEventListener("click", () => press($("loop"), looping = !looping));
 const mute = loudness(
   (muted) => { for (const sound of sounds) sound.muted = muted; },
   (volume) => { for (const sound of sounds) sound.volume = volume; },
 );
-const fullScreen = () => (document.fullscreenElement ? document.exitFullscreen() : $("performance").requestFullscreen());
-$("full").hidden = !document.fullscreenEnabled;
-$("full").addEventListener("click", fullScreen);
 
 $("listen").hidden = sounds.length < 2;
 choice("data-sound", (name) => {
@@ -125,20 +120,7 @@ function goToNote(time) {
 if ($("misses")) listMisses($("misses"), data, goToNote);
 if ($("changes")) listChanges($("changes"), data, goToNote);
 
-const JUMP = 5, STEP = 0.5; // [s]
-const KEYS = {
-  " ": toggle, k: toggle, m: mute, f: () => document.fullscreenEnabled && fullScreen(),
-  j: () => seek(now() - JUMP), l: () => seek(now() + JUMP), home: () => seek(0), end: () => seek(duration),
-  arrowleft: (event) => seek(now() - (event.shiftKey ? JUMP : STEP)), arrowright: (event) => seek(now() + (event.shiftKey ? JUMP : STEP)),
-};
-document.addEventListener("keydown", (event) => {
-  const { target } = event, act = KEYS[event.key.toLowerCase()];
-  if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
-  if (target.matches("select, #volume")) return;
-  if (event.key === " " && target.matches("button, a, summary")) return;
-  act(event);
-  event.preventDefault();
-});
+listenToKeys({ toggle, mute, fill: fullScreen(), seek, now, end: () => duration });
 
 function redraw() {
   roll.draw();

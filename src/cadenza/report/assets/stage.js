@@ -54,7 +54,7 @@ function createStage(canvas, data, colours) {
     solid.renderOrder = geom.body < 0 ? 0 : 3;
     put(solid, geom);
   }
-  for (const shell of parts.shells) put(hull(shell), shell);
+  for (const shell of parts.shells ?? []) put(hull(shell), shell); // earlier recordings have none
   const keys = parts.keys.map((key) => {
     const hinge = new THREE.Group();
     hinge.position.fromArray(key.hinge);
@@ -87,15 +87,12 @@ function createStage(canvas, data, colours) {
   controls.addEventListener("change", () => { stale = true; });
   controls.addEventListener("start", () => { view = null; });
 
-  const follow = lazily(() => whereTheHandsAre(data));
+  const follow = createFollower(data);
   /** What a view has to keep in sight: sides of a box, [m]. */
   function room() {
     const { min, max } = keyboard;
-    if (view === "close" && follow()) {
-      const { left, right } = follow(), { row, next, blend } = rowAt(Math.max(shown, 0), SAMPLES, left.length);
-      const at = (side) => side[row] + blend * (side[next] - side[row]);
-      return [min.x - 0.01, 0.1, at(left) - 0.03, at(right) + 0.03, min.z, 0.06];
-    }
+    const edges = view === "close" && follow(Math.max(shown, 0));
+    if (edges) return [min.x - 0.01, 0.1, edges.left - 0.03, edges.right + 0.03, min.z, 0.06];
     const [low, high] = inUse.map((key) => parts.keys[key].pos[1]);
     const box = [min.x - 0.03, 0.15, low - 0.015, high + 0.015, min.z, 0.06];
     if (falling.track.visible) [box[0], box[5]] = [falling.track.position.x - falling.end[0], falling.track.position.z + falling.end[1]];
@@ -222,41 +219,56 @@ function lazily(make) {
 const quaternion = ([w, x, y, z]) => new THREE.Quaternion(x, y, z, w);
 
 const SAMPLES = 0.2; // [s] between the poses of which a camera that follows the hands takes notice
+const REACTION = 0.4; // [s] over which it averages, before and after
+const FARTHEST = 6; // samples to either side; others would not count
 
 /**
- * At multiples of `SAMPLES`, the hands' left and right edge along the keyboard [m], smoothed; of a
- * hand that never reaches a key that sounds, nothing, if another does.
+ * Returns what says of a time [s] where the hands' left and right edges are along the keyboard [m],
+ * smoothed; of a hand that has reached no key that sounds, nothing, if another has. Null without hands.
  */
-function whereTheHandsAre({ scene, jointsAt, states, dt, steps }) {
-  const hands = createHands(scene.skeleton), at = new THREE.Vector3();
+function createFollower(data) {
+  const { scene, jointsAt, states, dt, steps } = data, hands = createHands(scene.skeleton), at = new THREE.Vector3();
   const rootOf = (body) => scene.skeleton[body].parent < 0 ? body : rootOf(scene.skeleton[body].parent);
-  const ofTips = [...new Set([...scene.geoms, ...scene.shells].filter(({ finger }) => finger !== null).map(({ body }) => body))];
+  const ofTips = [...new Set([...scene.geoms, ...(scene.shells ?? [])].filter(({ finger }) => finger !== null).map(({ body }) => body))];
   const tips = [...new Set(ofTips.map(rootOf))].map((root) => ofTips.filter((body) => rootOf(body) === root));
-  const count = Math.ceil((steps * dt) / SAMPLES) + 1;
-  const edges = tips.map(() => ({ left: new Float32Array(count), right: new Float32Array(count), plays: false }));
-  for (let i = 0; i < count; i++) {
-    const { row } = rowAt(i * SAMPLES, dt, steps);
-    hands.pose(jointsAt(i * SAMPLES));
+  const edges = tips.map(() => ({ left: [], right: [], plays: false }));
+  let count = 0;
+  /** Takes notice of a pose. */
+  function sample() {
+    const time = count++ * SAMPLES, { row } = rowAt(time, dt, steps);
+    hands.pose(jointsAt(time));
     hands.root.updateMatrixWorld();
     tips.forEach((bodies, hand) => {
       const y = bodies.map((body) => at.setFromMatrixPosition(hands.bodies[body].matrixWorld).y);
       const left = Math.min(...y), right = Math.max(...y);
-      [edges[hand].left[i], edges[hand].right[i]] = [left, right];
-      const within = ({ pos }, key) => [HIT, WRONG].includes(states[row * scene.keys.length + key]) && pos[1] > left - 0.01 && pos[1] < right + 0.01;
+      edges[hand].left.push(left);
+      edges[hand].right.push(right);
+      const within = ({ pos }, key) => [HIT, WRONG, COMING].includes(states[row * scene.keys.length + key]) && pos[1] > left - 0.01 && pos[1] < right + 0.01;
       edges[hand].plays ||= scene.keys.some(within);
     });
   }
-  const playing = edges.some(({ plays }) => plays) ? edges.filter(({ plays }) => plays) : edges;
-  const outer = (side, choose) => smoothed(edges[0][side].map((_, i) => choose(...playing.map((hand) => hand[side][i]))), SAMPLES);
-  return playing.length ? { left: outer("left", Math.min), right: outer("right", Math.max) } : null;
-}
-
-/** Low-passed forwards and backwards, so that it is not late. */
-function smoothed(values, dt) {
-  const share = dt / (0.4 + dt), last = values.length - 1;
-  for (let i = 1; i <= last; i++) values[i] = values[i - 1] + share * (values[i] - values[i - 1]);
-  for (let i = last - 1; i >= 0; i--) values[i] = values[i + 1] + share * (values[i] - values[i + 1]);
-  return values;
+  /** The mean of a side around a sample, of which near ones count more. */
+  function around(middle, side, choose, playing) {
+    let sum = 0, weights = 0;
+    for (let i = Math.max(middle - FARTHEST, 0); i <= Math.min(middle + FARTHEST, count - 1); i++) {
+      const weight = Math.exp((-Math.abs(i - middle) * SAMPLES) / REACTION);
+      sum += weight * choose(...playing.map((hand) => hand[side][i]));
+      weights += weight;
+    }
+    return sum / weights;
+  }
+  return (time) => {
+    const end = Math.min(data.available ?? Infinity, steps * dt); // of what has come
+    while (count * SAMPLES <= end) sample();
+    const playing = edges.some(({ plays }) => plays) ? edges.filter(({ plays }) => plays) : edges;
+    if (!playing.length) return null;
+    const { row, next, blend } = rowAt(time, SAMPLES, count);
+    const edge = (side, choose) => {
+      const [from, to] = [row, next].map((middle) => around(middle, side, choose, playing));
+      return from + blend * (to - from);
+    };
+    return { left: edge("left", Math.min), right: edge("right", Math.max) };
+  };
 }
 
 function mesh(type, size, colour, roughness) {
