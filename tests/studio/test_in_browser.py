@@ -264,7 +264,8 @@ def test_what_is_chosen_behind_more_is_played(
         document.getElementById("start").click();
     })()""")
     wait(browser, "cadenza.state === 'kept' && cadenza.finished")
-    assert text(browser, "facts").endswith("Allegro Hand, four fingers · +2 semitones · 1.5× · seed 5")
+    how = "Allegro Hand, four fingers · +2 semitones · 1.5× · seed 5"
+    assert text(browser, "facts").endswith(how)
     id = browser.evaluate("location.hash").removeprefix("#job=")
     settings = json.loads((folder / id / "settings.json").read_text())
     assert (settings["scene"]["hand"], settings["seed"]) == ("allegro", 5)

@@ -36,9 +36,9 @@ const inFull = ({ became, kind, key }, { lowest }) => (kind === MOVED ? `${becam
 function listNotes(table, titles, rows, show) {
   const groups = new Map();
   for (const row of rows) groups.set(row.group, [...(groups.get(row.group) ?? []), row]);
-  const head = element("tr"), largestFirst = [...groups.values()].sort((a, b) => b.length - a.length);
-  head.append(...titles.map((title) => element("th", title, { scope: "col" })));
-  const thead = element("thead");
+  const head = make("tr"), largestFirst = [...groups.values()].sort((a, b) => b.length - a.length);
+  head.append(...titles.map((title) => make("th", title, { scope: "col" })));
+  const thead = make("thead");
   thead.append(head);
   table.replaceChildren(thead, ...largestFirst.map((group) => listGroup(group, titles.length)));
   table.onclick = ({ target }) => {
@@ -47,13 +47,13 @@ function listNotes(table, titles, rows, show) {
   };
 }
 function listGroup(group, columns) {
-  const body = element("tbody"), rows = () => group.map(listNote);
+  const body = make("tbody"), rows = () => group.map(listNote);
   if (group.length === 1) {
     body.append(...rows());
     return body;
   }
-  const [{ reason, title }] = group, row = element("tr", "", { className: "several" }), cell = element("td", "", { colSpan: columns });
-  const button = element("button", `${group.length} notes`, { type: "button" });
+  const [{ reason, title }] = group, row = make("tr", "", { className: "several" }), cell = make("td", "", { colSpan: columns });
+  const button = make("button", `${group.length} notes`, { type: "button" });
   const words = group.every((each) => each.reason === reason) ? reason : title;
   button.setAttribute("aria-expanded", "false");
   row.onclick = () => {
@@ -68,14 +68,11 @@ function listGroup(group, columns) {
   return body;
 }
 function listNote({ time, cells }) {
-  const row = element("tr"), first = element("td");
+  const row = make("tr"), first = make("td");
   row.dataset.time = time;
-  first.append(element("button", `${time.toFixed(2)} s`, { type: "button" })); // so does a click anywhere on the row
-  row.append(first, ...cells.map((cell) => element("td", cell)));
+  first.append(make("button", `${time.toFixed(2)} s`, { type: "button" })); // so does a click anywhere on the row
+  row.append(first, ...cells.map((cell) => make("td", cell)));
   return row;
-}
-function element(name, text = "", properties = {}) {
-  return Object.assign(document.createElement(name), { textContent: text }, properties);
 }
 
 /** What there is to say of a key at a time [s]: what the arrangement did, and why it was missed. */
@@ -93,7 +90,7 @@ function explanation(data, changes, key, time) {
 
 /** Says beside the pointer what `textAt(event)` has to say. */
 function explainAtPointer(chart, textAt) {
-  const tip = element("div", "", { className: "tip", hidden: true });
+  const tip = make("div", "", { className: "tip", hidden: true });
   chart.querySelector(".tip")?.remove(); // of another performance
   chart.append(tip);
   const point = (event) => {
