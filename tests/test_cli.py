@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from xml.etree import ElementTree
 
 import av
 import mido
@@ -717,7 +718,16 @@ def test_a_plan_is_written_as_sheet_music(
     fingered = read_fingering(f"{path}.fingering", read_midi(tune))
     assert numbers(cadenza.load_song(sheet)) == numbers(fingered)
     message = refused_in_a_line(capsys, "plan", tune, "--score", tmp_path / "tune.pdf")
-    assert "tune.pdf: sheet music is a .musicxml file" in message
+    assert "tune.pdf: sheet music is a .musicxml or .svg file" in message
+
+
+def test_a_plan_is_drawn_as_sheet_music(tune: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "tune.svg"
+    main(["plan", str(tune), "-o", str(tmp_path / "a.safetensors"), "--score", str(picture)])
+    numbers = [
+        text.text for text in ElementTree.parse(picture).iter() if text.get("class") == "fing"
+    ]
+    assert len(numbers) == len(cadenza.load_song(tune).notes)
 
 
 @pytest.mark.parametrize("mine", [None, "0.0 60 R3\n"])

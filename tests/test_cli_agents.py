@@ -21,7 +21,7 @@ from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.performing import performance
-from cadenza.report.sound import encode_mp3
+from cadenza.report.sound import encode_opus
 
 TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)))
 OTHER = Score((Note(0.0, 0.3, 62), Note(0.3, 0.6, 65)))
@@ -365,10 +365,10 @@ def test_being_stopped_while_results_are_written_writes_them_all(
         if not stopped:
             stopped.append(number)
             signal.raise_signal(number)
-        return encode_mp3(*arguments, **options)
+        return encode_opus(*arguments, **options)
 
     stopped: list[int] = []
-    monkeypatch.setattr(performance, "encode_mp3", encode_and_stop)
+    monkeypatch.setattr(performance, "encode_opus", encode_and_stop)
     said = interrupted(capsys, "own:Still")
     assert "stopping after writing the results; press Ctrl-C again" in said
     assert "cover only that part" not in said

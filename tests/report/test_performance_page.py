@@ -1,6 +1,7 @@
 import base64
 import json
 import re
+import zlib
 from html.parser import HTMLParser
 
 import numpy as np
@@ -79,7 +80,8 @@ def test_what_was_missed_is_in_the_page(tmp_path, episode):
     text = (tmp_path / "a.html").read_text("utf-8")
     data = re.search(r'class="recording">(.*?)</script>', text)
     assert data
-    assert json.loads(data[1])["misses"] == [
+    recording = json.loads(zlib.decompress(base64.b64decode(data[1])))
+    assert recording["misses"] == [
         [1.25, "C♯4", "left middle", "never sounded", "some cause", "<too fast>"],
         [2.0, "D4", "–", "100 ms late", "some cause", "no finger"],
     ]

@@ -8,7 +8,7 @@ from cadenza.episode import Episode
 from cadenza.music.performance import performed_score
 from cadenza.report.html_pages import write_page
 from cadenza.report.performance_page import performance_page
-from cadenza.report.sound import encode_mp3, synthesize
+from cadenza.report.sound import encode_opus, synthesize
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import drawing
 from cadenza.scene.scene import build_scene
@@ -209,8 +209,8 @@ def test_what_an_arrangement_did_with_notes_is_shown_and_said(browser, write, ep
 
 @pytest.mark.slow
 def test_the_goal_is_heard_from_where_the_performance_was(browser, write, episode):
-    silence = encode_mp3(np.zeros((0, 2), np.int16), seconds=STEPS * DT)
-    browser.open(write(episode, goal_mp3=silence))
+    silence = encode_opus(np.zeros((0, 2), np.int16), seconds=STEPS * DT)
+    browser.open(write(episode, goal_sound=silence))
     browser.evaluate("(cadenza.seek(0.4), cadenza.play())")
     browser.evaluate("document.querySelector('[data-sound=goal]').click()")
     browser.wait("!document.getElementById('goal').paused")
@@ -289,9 +289,9 @@ SIZES = {"laptop": (1280, 720), "desktop": (1920, 1080), "phone": (390, 844)}
 def test_everything_fits_the_window(tmp_path, write, episode, size):
     width, height = SIZES[size]
     phone = size == "phone"
-    silence = encode_mp3(np.zeros((0, 2), np.int16), seconds=STEPS * DT)
+    silence = encode_opus(np.zeros((0, 2), np.int16), seconds=STEPS * DT)
     midi = {"midi": b"MThd", "wanted_midi": b"MThd"}
-    path = write(episode, misses=MISSES, goal_mp3=silence, **midi)
+    path = write(episode, misses=MISSES, goal_sound=silence, **midi)
     browser = Browser(tmp_path / "profile")
     browser.call(
         "Emulation.setDeviceMetricsOverride",

@@ -245,6 +245,30 @@ def test_a_click_in_the_roll_goes_there(browser: Browser, address: str) -> None:
     assert browser.problems() == []
 
 
+def test_the_score_follows_and_a_click_goes_to_its_notes(
+    browser: Browser, address: str, tmp_path: Path
+) -> None:
+    visit(browser, address)
+    drop(browser, song(tmp_path / "eight.mid", 8), "eight.mid")
+    wait(browser, "document.querySelectorAll('#score .note').length === 8")
+    wait(browser, "cadenza.finished")
+    last = "[...document.querySelectorAll('#score .note')].at(-1)"
+    browser.evaluate(f"{last}.dispatchEvent(new MouseEvent('click', {{ bubbles: true }}))")
+    wait(browser, f"{last}.matches('.sounding')")
+    assert browser.evaluate("document.querySelectorAll('#score .sounding').length") == 1
+    browser.evaluate("cadenza.seek(0)")
+    wait(browser, "!document.querySelector('#score .sounding')")
+    numbers = "[...document.querySelectorAll('#score .fing')].map((text) => text.textContent)"
+    assert set(browser.evaluate(numbers)) <= set("12345")
+    assert len(browser.evaluate(numbers)) == 8
+    # It is there again where the performance is opened later.
+    wait(browser, "cadenza.state === 'kept'")
+    browser.call("Page.reload")
+    wait(browser, "!!window.cadenza && cadenza.ready")
+    wait(browser, "document.querySelectorAll('#score .note').length === 8")
+    assert uncaught(browser) == []
+
+
 def test_what_is_chosen_behind_more_is_played(
     browser: Browser, address: str, folder: Path, tmp_path: Path
 ) -> None:

@@ -26,7 +26,7 @@ from cadenza.performing.setup import Setup, SomeAgent, select, set_up
 from cadenza.performing.source import Song
 from cadenza.report.html_pages import iframe, write_page
 from cadenza.report.performance_page import performance_page
-from cadenza.report.sound import Sound, encode_mp3, synthesize
+from cadenza.report.sound import Sound, bit_rate_of, encode_opus, synthesize
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene
 from cadenza.tasks.config import TaskConfig
@@ -47,7 +47,7 @@ RESULTS = (
 )
 """Files that a performance leaves."""
 
-_IN_A_NOTEBOOK = 240.0  # [s] of music: the page, which the notebook keeps, is of up to 10 MB
+_IN_A_NOTEBOOK = 240.0  # [s] of music: the notebook keeps the page
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,11 @@ class Performance:
     def played(self) -> Score:
         """The score of the notes and the pedal that sounded, see `played_in`."""
         return played_in(self.episode)
+
+    @property
+    def fingered_goal(self) -> Score:
+        """The goal with the fingers that were to play it, as far as the agent has planned them."""
+        return self.goal if self.track is None else self.track.delayed_score
 
     @property
     def remarks(self) -> list[str]:
@@ -146,7 +151,7 @@ class Performance:
         if not page:
             return
         progress("making the sound", 0, 1)
-        add_page(folder, self.goal, synthesize(played))
+        add_page(folder, self.fingered_goal, synthesize(played))
 
 
 def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
@@ -198,7 +203,9 @@ def add_page(folder: Path, goal: Score, audio: Sound | None = None) -> None:
         synthesize(played_in(episode)) if audio is None else audio,
         misses=_listed(folder / "misses.json"),
         arrangement=_listed(folder / "arrangement.json"),
-        goal_mp3=encode_mp3(sound, bit_rate=48_000, mono=True, seconds=seconds),
+        goal_sound=encode_opus(
+            sound, bit_rate=bit_rate_of(seconds, mono=True), mono=True, seconds=seconds
+        ),
         midi=content_of(folder / "played.mid"),
         wanted_midi=content_of(folder / "wanted.mid"),
         written=goal,

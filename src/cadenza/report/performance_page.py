@@ -14,18 +14,19 @@ import numpy as np
 from cadenza.configs import flat
 from cadenza.episode import Episode
 from cadenza.music.score import Score
+from cadenza.report.engraving import engraving_of
 from cadenza.report.html_pages import render
 from cadenza.report.recording import recording_of
-from cadenza.report.sound import SAMPLE_RATE, Samples, encode_mp3
+from cadenza.report.sound import SAMPLE_RATE, Samples, bit_rate_of, encode_opus
 
-STYLES = ("uplot.min.css", "page.css", "chart.css")
+STYLES = ("uplot.min.css", "page.css", "chart.css", "score.css")
 SCRIPTS = (
     *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js"),
     *("chart.js", "arrangement.js", "explanations.js", "roll.js", "rewards.js"),
-    *("expression.js", "controls.js", "page.js"),
+    *("expression.js", "controls.js", "score.js", "page.js"),
 )
-LIBRARIES = ("three.min.js", "uplot.min.js")
-"""Libraries of the page. Its assets are the same for every performance."""
+LIBRARIES = "three.min.js", "uplot.min.js"
+"""Libraries of the page, of which the first is packed; assets are the same for all performances."""
 _HEADLINES = {
     "f1": ("F1", "The balance of precision and recall, 0 to 1. At 1 every key is right, always."),
     "precision": ("Precision", "Of the keys that sound, the share that should, 0 to 1."),
@@ -56,7 +57,7 @@ def performance_page(
     sample_rate: int = SAMPLE_RATE,
     misses: Sequence[Mapping[str, Any]] = (),
     arrangement: Sequence[Mapping[str, Any]] = (),
-    goal_mp3: bytes = b"",
+    goal_sound: bytes = b"",
     midi: bytes = b"",
     wanted_midi: bytes = b"",
     written: Score | None = None,
@@ -74,16 +75,17 @@ def performance_page(
             such table.
         arrangement: what became of each note of a song that was arranged, as `arrangement.json`
             has it; likewise.
-        goal_mp3: what should have been played, of the same length; without, it cannot be heard.
+        goal_sound: what should have been played, of the same length; without, it cannot be heard.
         midi: a MIDI file of what was played, to download.
         wanted_midi: one of what was to be played.
         written: what was to be played, on the clock of the episode; with it, the page shows how
-            loudness and timing differ.
+            loudness and timing differ, and a score, see `engraving_of`.
     """
     metrics, remarks = _shown_metrics(episode, metrics), settings.get("remarks") or ()
     settings = {name: value for name, value in settings.items() if name != "remarks"}
     # At least as long as the episode: the page's clock is this sound.
-    sound = encode_mp3(audio, sample_rate, seconds=episode.num_steps * episode.dt)
+    seconds = episode.num_steps * episode.dt
+    sound = encode_opus(audio, sample_rate, bit_rate_of(seconds), seconds=seconds)
     yield from render(
         "performance.html",
         title=episode.song or "Untitled",
@@ -97,8 +99,9 @@ def performance_page(
         wanted_midi=base64.b64encode(wanted_midi).decode(),
         roll_description=_roll_description(episode),
         recording=recording_of(episode, written, misses, arrangement),
+        engraving=engraving_of(written) if written else "",
         has_expression=written is not None,
-        sounds={"sound": sound} | ({"goal": goal_mp3} if goal_mp3 else {}),
+        sounds={"sound": sound} | ({"goal": goal_sound} if goal_sound else {}),
         styles=STYLES,
         scripts=SCRIPTS,
     )

@@ -41,8 +41,8 @@ class Broadcast:
         request: what was asked for, see `cadenza.studio.request.PlayRequest`.
         status: what is going on; `state` is queued, with how many come `before`, preparing,
             playing, played, writing, or one of `_OVER`.
-        texts: what is to be played, and why notes were missed, once that is known; see
-            `cadenza.studio.state_stream`.
+        texts: what is to be played, its engraved score, and why notes were missed, once that is
+            known; see `cadenza.studio.state_stream`.
         rows: the states of all steps so far.
         changed: is set whenever there is more to send, and replaced.
     """

@@ -42,6 +42,7 @@ class LivePage:
 
     def finish(self, performance: Performance) -> None:
         """Sends the metrics when all has been played."""
+        self._states.finish()
         metrics = plain(performance.metrics)
         self._send(json_message(state="played", metrics=metrics, remarks=performance.remarks))
         self._states.explain(performance.losses)

@@ -147,6 +147,7 @@ def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performan
         metrics = plain(performance.metrics)
         remarks = performance.remarks
         send(json_message(state="played", metrics=metrics, spent=spent, remarks=remarks))
+        states.finish()
         states.explain(performance.losses)
         return performance, states
 

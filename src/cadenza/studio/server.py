@@ -46,7 +46,8 @@ _MAX_RECEIVING, _MAX_READING = 4, 2  # files at once
 RECEIVE_TIME = 60.0  # [s] for all of a request to arrive
 # Reports bring their own policy; here they may not reach the studio either. A comparison looks into
 # the pages within it, which a sandbox would prevent.
-_REPORT = {"content-security-policy": "sandbox allow-scripts allow-downloads; connect-src 'none'"}
+_ALLOWED = "allow-scripts allow-downloads allow-modals"  # the last to print
+_REPORT = {"content-security-policy": f"sandbox {_ALLOWED}; connect-src 'none'"}
 _COMPARISON = {"content-security-policy": "connect-src 'none'; form-action 'none'; base-uri 'none'"}
 
 

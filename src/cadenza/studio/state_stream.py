@@ -13,6 +13,7 @@ from cadenza.music.performance import SoundedNotes, key_events
 from cadenza.performing.setup import Setup
 from cadenza.report.recording import arranged_notes, lost_notes, packed
 from cadenza.scene.drawing import drawing
+from cadenza.studio.engraver import Engraver
 from cadenza.studio.messages import (
     ROWS,
     SOUNDS,
@@ -27,6 +28,7 @@ from cadenza.tasks import reward
 from cadenza.tasks.augmentation import draws_variation
 from cadenza.tasks.goal_track import GoalTrack
 
+_PATIENCE = 20.0  # [s] for which a score is waited for
 _ALL_THE_WAY = 255  # of a key that is down, in a row
 
 
@@ -34,13 +36,15 @@ class StateStream:
     """Sends messages as `cadenza.studio.messages` describes them.
 
     Attributes:
-        header: what is to be played and, once it is over, why notes were missed, as JSON.
+        header: what is to be played, its engraved score once there is one and, once it is over,
+            why notes were missed, as JSON.
         rows: the states of all steps so far.
     """
 
     def __init__(self, setup: Setup, send: Send) -> None:
         task = setup.task
         self._setup, self._task, self._send = setup, task, send
+        self._engraver: Engraver | None = None
         self._dt, keyboard = task.config.control_timestep, task.scene.keyboard
         self._lowest, self._travel = keyboard.lowest_pitch, keyboard.travel
         self._notes = SoundedNotes(self._dt)
@@ -85,10 +89,15 @@ class StateStream:
         self.header = json.dumps(json.loads(self.header) | json.loads(message.content)).encode()
 
     def step(self) -> None:
-        """Sends the state after the step that was just taken."""
+        """Sends the state after the step that was just taken, and the score when it is engraved."""
         task, state = self._task, self._task.state
         if not self.header:
             self._send_header(task.goals.tracks[0])
+        if not self.rows:
+            plan = self._setup.agent.song_plan(0)  # has the fingers, unless the song gives them
+            track = task.goals.tracks[0] if plan is None else plan.track
+            self._engraver = Engraver(track.delayed_score)
+        self._send_score()
         depth = reward.key_state(state.key_qpos[0], self._travel)
         sounds, times = self._sounds()
         row = b"".join(
@@ -103,6 +112,17 @@ class StateStream:
         row = row.ljust(row_bytes(state.hand_qpos.shape[1], len(depth)), b"\0")
         self.rows += row
         self._send(Message(ROWS, row))
+
+    def finish(self) -> None:
+        """Sends the score, if it is still being engraved when all has been played."""
+        self._send_score(_PATIENCE)
+
+    def _send_score(self, patience: float = 0.0) -> None:
+        if self._engraver is None or not (engraving := self._engraver.engraving(patience)):
+            return
+        self._engraver = None
+        self._send(json_message(engraving=engraving))
+        self.header = json.dumps(json.loads(self.header) | {"engraving": engraving}).encode()
 
     def _sounds(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """What sounds and the times in the step at which that changed, as rows have them."""

@@ -9,6 +9,7 @@ function fail(message) {
 window.addEventListener("error", (event) => fail(event.message));
 window.addEventListener("unhandledrejection", (event) => fail(event.reason));
 
+await loadLibraries();
 const data = await readRecording();
 const duration = cadenza.duration = data.steps * data.dt;
 
@@ -35,6 +36,11 @@ const looks = createLooks(), isLooping = looping();
 if (stage) looks.show(stage);
 else $("picture").hidden = true;
 const roll = createRoll($("roll"), data, seek), rewards = createRewards($("rewards"), data, seek);
+const score = $("score") && createScore($("score"), await readEngraving($("engraving").textContent), data, seek);
+if (score) {
+  offerScore($("downloads"), score);
+  $("show-score").addEventListener("click", toggleScore);
+}
 const expression = $("expression") && createExpression($("expression"), data, seek);
 
 function seek(time) {
@@ -54,6 +60,7 @@ function show(time) {
   cadenza.time = time;
   stage?.move(time);
   roll.move(time);
+  score?.move(time);
   rewards.move(time);
   expression?.move(time);
   $("scrub").value = time;

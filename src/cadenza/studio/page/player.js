@@ -16,7 +16,7 @@ const END_NOTICES = {
   failed: "Drop another file, or choose a piece.",
   gone: "This performance is not there any more. Press Play to have it played again.",
 };
-let shown = [], current = null, stage = null, roll = null;
+let shown = [], current = null, stage = null, roll = null, score = null;
 let numChoices = 0; // how often something has been chosen to be shown
 let speed = 1;
 let running = false, paused = false, resumeAt = 0, nextRow = 0, scoresDrawnAt = 0, askedAt = 0, nextFrame = 0;
@@ -92,7 +92,8 @@ function watch(ids, at = 0) {
 }
 /** Clears what belongs to the performance shown before. */
 function showNothing() {
-  roll = null;
+  roll = score = null;
+  $("score").hidden = $("show-score").hidden = true;
   document.title = $("title").textContent = $("title").title = "Cadenza studio";
   $("facts").replaceChildren();
   $("roll-card").hidden = $("looks").hidden = document.querySelector("#stage .legend").hidden = true;
@@ -111,11 +112,12 @@ function bringIntoView() { // the picture, and what is above it where there is r
 }
 const showLink = () => history.replaceState(null, "", `#job=${shown.map(({ id }) => id).join()}`);
 
-/** Shows what has changed of a performance: its "status", "request", "recording" or "misses". */
+/** Shows what has changed of a performance: its "status", "request", "recording", "engraving" or "misses". */
 function changed(performance, what) {
   if (what === "misses" && performance === current) showExplanations();
   if (what === "status") showStatus(performance);
   if (what === "request" && performance === current) showRequest(performance);
+  if (what === "engraving" && performance === current) showScore();
   if (what === "recording" && recordings().every(Boolean)) {
     createPicture();
     listenTo(current);
@@ -193,7 +195,20 @@ function listenTo(performance) {
   roll.draw();
   for (const each of shown) if (each.listen) press(each.listen, each === current);
   cadenza.shownFinished = null;
+  showScore();
 }
+/** Shows the score of what is heard, if it has one yet. */
+async function showScore() {
+  const { recording } = current, engraving = recording.engraving && await readEngraving(recording.engraving);
+  if (recording !== current?.recording) return;
+  const old = $("score"), fresh = old.cloneNode(false);
+  old.replaceWith(fresh);
+  $("show-score").hidden = !engraving;
+  fresh.hidden = !engraving || !isPressed($("show-score"));
+  score = engraving && createScore(fresh, engraving, recording, seek);
+  score?.move(now());
+}
+$("show-score").addEventListener("click", toggleScore);
 
 function clearPicture() {
   stage?.end();
@@ -371,6 +386,7 @@ function show(time) {
   stage.move(time);
   stage.draw();
   roll.move(time);
+  score?.move(time);
   if ((fresh && performance.now() - scoresDrawnAt > SCORES_INTERVAL) || cadenza.finished !== cadenza.shownFinished) {
     [scoresDrawnAt, cadenza.shownFinished] = [performance.now(), cadenza.finished];
     roll.draw();
