@@ -29,7 +29,7 @@ from cadenza.files import (
     write_atomically,
     write_json,
 )
-from cadenza.music.formats.reading import MUSIC
+from cadenza.music.formats.reading import MUSIC, ending_of
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.imported import imported, imported_libraries
 from cadenza.music.libraries.songs import Song
@@ -161,7 +161,7 @@ class Storage:
         Raises:
             CadenzaError: there are too many already.
         """
-        ending, id = _file_ending(content), hashlib.sha256(content).hexdigest()[:_ID_DIGITS]
+        ending, id = ending_of(content), hashlib.sha256(content).hexdigest()[:_ID_DIGITS]
         path = self.uploads / f"{id}{ending}"
         if not self.is_listed(id) and len(self._uploads()) >= MAX_UPLOADS:
             raise CadenzaError(
@@ -294,13 +294,6 @@ def _imported_songs() -> Iterator[Song]:
     for name in imported_libraries():
         with suppress(CadenzaError):
             yield from imported(name).songs
-
-
-def _file_ending(content: bytes) -> str:
-    """Returns the ending that fits what a file holds, whatever it is called."""
-    if content.startswith(b"PK"):
-        return ".mxl"
-    return ".musicxml" if content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<") else ".mid"
 
 
 def _title(name: str) -> str:

@@ -49,7 +49,9 @@ _DOWN = 64  # the least value of a pedal that is down
 _MOST_BARS, _MOST_BEATS = 20_000, 100_000  # more are taken for damage
 
 
-def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
+def read_midi(
+    path: str | Path, tracks: Collection[int] = (), content: bytes | None = None
+) -> Score:
     """The piano score in a Standard MIDI file (format 0, 1 or 2), bare or wrapped in RIFF (RMID).
 
     All instruments but the drums (channel 10) are played together, or only `tracks`, by their
@@ -72,12 +74,14 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
     - of a track that is cut off, what is whole is read;
     - values over 127 are taken for 127.
 
+    `content` is the MIDI file that was made of a file of another format at `path`.
+
     Raises:
         CadenzaError: no such file, not a MIDI file, damaged, without notes, or without one
             of `tracks`.
     """
     path = Path(path)
-    file = _parse(path)
+    file = _parse(read_bytes(path) if content is None else content, path)
     remarks, chunks = list(file.remarks), file.tracks
     if file.format == 2:
         songs = [chunk for chunk in chunks if any(message.type == "note_on" for message in chunk)]
@@ -233,8 +237,7 @@ def _timed(chunk: mido.MidiTrack) -> Iterator[tuple[int, mido.Message]]:
     return zip(accumulate(message.time for message in chunk), chunk, strict=True)
 
 
-def _parse(path: Path) -> MidiFile:
-    data = read_bytes(path)
+def _parse(data: bytes, path: Path) -> MidiFile:
     try:
         return parsed(data)
     except CadenzaError as error:
