@@ -617,12 +617,12 @@ def test_what_a_closed_page_asked_for_can_be_cancelled(
 def test_nothing_lies_over_the_legend_of_the_picture(browser: Browser, address: str) -> None:
     visit(browser, address)
     press(browser, "#kept", "Watch")
-    wait(browser, "cadenza.began")
+    wait(browser, "cadenza.began && !!document.querySelector('#score .note')")
     apart = """((legend, looks) => legend.right <= looks.left || legend.bottom <= looks.top)(
         ...["#stage .legend", "#looks"].map((each) =>
             document.querySelector(each).getBoundingClientRect()))"""
     screen = {"height": 900, "deviceScaleFactor": 1, "mobile": False}
-    for width in 390, 701, 901, 1000, 1081, 1400:
+    for width in 390, 701, 901, 1000, 1081, 1181, 1400:
         browser.call("Emulation.setDeviceMetricsOverride", width=width, **screen)
         browser.settle()
         assert browser.evaluate(apart), width
