@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
+from cadenza.fingers import LEFT, RIGHT
 from cadenza.music.formats.musicxml import read_musicxml
 from cadenza.music.formats.musicxml_mending import mend
 from cadenza.music.formats.musicxml_tree import DEEPEST, MAX_XML_BYTES, MOST, MOST_PARTS
@@ -442,9 +443,20 @@ def test_fingering_of_two_staves_is_taken_over(saved):
     assert numbers(score) == [9, 0, -1, 4]
 
 
+def test_two_staves_say_which_hand_plays_what(saved):
+    both = note("C5", 8, 1) + note("G4", 8, 1) + BACK + note("C3", 8, 2) + note("G4", 8, 2)
+    score = load_score(saved(document([FOUR_QUARTERS + both])))
+    assert [(n.pitch, n.hands) for n in score.notes] == [
+        (48, (LEFT,)),
+        (72, (RIGHT,)),
+        (67, (RIGHT, LEFT)),
+    ]
+
+
 def test_on_one_staff_nobody_knows_whose_finger_it_is(saved):
     score = load_score(saved(document([FOUR_QUARTERS + note("C5", 8, 1, finger(1))])))
     assert not score.has_fingering
+    assert score.notes[0].hands == ()
 
 
 def test_parts_are_tracks(saved):

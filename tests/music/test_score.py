@@ -3,6 +3,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
+from cadenza.fingers import LEFT, RIGHT
+from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.score import Note, PedalEvent, Score
 from music_strategies import scores, seconds
 from numbered import finger, numbers
@@ -36,6 +38,7 @@ def test_notes_and_pedal_come_out_sorted():
         {"velocity": 128},
         {"finger": 1},
         {"finger": -1},
+        {"hands": (2,)},
     ],
 )
 def test_impossible_notes_are_refused(values):
@@ -71,6 +74,15 @@ def test_transposing_beyond_midi_is_refused():
     with pytest.raises(CadenzaError, match="transpose by 64"):
         TWO.transposed(64)
     assert TWO.transposed(63).notes[-1].pitch == 127
+
+
+def test_written_hands_are_kept_and_exchanged_in_the_mirror():
+    notes = (Note(1.0, 2.0, 60, hands=(RIGHT,)), Note(1.5, 3.0, 64, hands=(RIGHT, LEFT)))
+    score = Score(notes)
+    changed = score.stretched(2).transposed(1).with_silence_trimmed().with_initial_silence(1)
+    for same in (changed, WrittenScore.of(score).score):
+        assert [note.hands for note in same.notes] == [(RIGHT,), (RIGHT, LEFT)]
+    assert [set(note.hands) for note in score.mirrored.notes] == [{LEFT}, {RIGHT, LEFT}]
 
 
 def test_trimming_keeps_a_held_pedal_and_drops_what_comes_after_the_notes():

@@ -22,6 +22,7 @@ class RawNote:
     released: bool = False
     finger: Finger | None = None
     tracks: tuple[int, ...] = ()
+    hands: tuple[int, ...] = ()
 
     def release(self, time: float) -> None:
         """Ends the note."""
@@ -55,6 +56,7 @@ def repaired_notes(
             note.velocity,
             note.finger,
             note.tracks,
+            note.hands,
         )
         for note in _without_overlaps(found, counts)
     )
@@ -94,6 +96,7 @@ def _merge(note: RawNote, other: RawNote) -> None:
     note.velocity = max(note.velocity, other.velocity)
     note.finger = note.finger or other.finger
     note.tracks = (*note.tracks, *other.tracks)
+    note.hands = tuple(sorted({*note.hands, *other.hands}))
     if note.released == other.released:
         note.end = max(note.end, other.end)
     elif other.released:

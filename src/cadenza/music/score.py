@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from cadenza.errors import CadenzaError
-from cadenza.fingers import Finger
+from cadenza.fingers import LEFT, RIGHT, Finger
 
 _N = TypeVar("_N")
 
@@ -38,8 +38,9 @@ _NAMES = ("C", "C♯", "D", "D♯", "E", "F", "F♯", "G", "G♯", "A", "A♯", 
 class Note:
     """A note: `start` and `end` in [s], MIDI `pitch` 0..127, `velocity` 1..127, and its finger.
 
-    `tracks` are the numbers of the tracks of the file that have it; notes that differ only in
-    these are equal.
+    `tracks` are the numbers of the tracks of the file that have it. `hands`, `RIGHT` and `LEFT`,
+    are those that play it as written: none where the file does not say, both where it is written
+    for both. Notes that differ only in tracks or hands are equal.
 
     Raises:
         CadenzaError: a value is outside its range, or the note does not end after it starts.
@@ -51,6 +52,7 @@ class Note:
     velocity: int = 80
     finger: Finger | None = None
     tracks: tuple[int, ...] = field(default=(), compare=False)
+    hands: tuple[int, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         if not 0 <= self.start < self.end < float("inf"):
@@ -66,6 +68,8 @@ class Note:
                 f"note with finger {self.finger!r:.50}: give Finger(hand, index), such as "
                 "Finger(0, 1) for the right index finger, or None"
             )
+        if not set(self.hands) <= {RIGHT, LEFT}:
+            raise CadenzaError(f"note with hands {self.hands}: give 0 (right), 1 (left) or both")
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +217,12 @@ class Score:
         if (highest := max((note.pitch for note in self.notes), default=0)) > MIRROR:
             raise CadenzaError(f"cannot mirror pitch {highest}: choose pitches up to {MIRROR}")
         notes = (
-            replace(n, pitch=MIRROR - n.pitch, finger=n.finger and n.finger.mirrored)
+            replace(
+                n,
+                pitch=MIRROR - n.pitch,
+                finger=n.finger and n.finger.mirrored,
+                hands=tuple(LEFT if hand == RIGHT else RIGHT for hand in n.hands),
+            )
             for n in self.notes
         )
         return replace(self, notes=tuple(notes))

@@ -55,7 +55,7 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
     part with most measures has them, the first of those. Times follow the tempos given for playback
     (`<sound tempo>`, or metronome marks), velocities the `dynamics` of notes or else the dynamic
     markings. Grace notes last 0.1 s before the beat; signs of other ornaments are not played. Of a
-    part on two staves the fingering is taken over, that of the upper staff for the right hand. What
+    part on two staves hands and fingering are taken over: the upper staff is the right hand's. What
     cannot be played on one piano is repaired as by `read_midi`.
 
     Raises:
@@ -93,6 +93,7 @@ class _Written:
     pitch: int
     velocity: int
     finger: Finger | None
+    hands: tuple[int, ...]
     grace: int
     tied: bool
     ties: bool
@@ -224,7 +225,7 @@ def _sounding(note: _Written, at: Callable[[float], float], later: float) -> Raw
     stop = begin + _GRACE if note.grace else at(note.end) + later
     # Rounded, so that what ends where another begins does so exactly.
     times = round(begin, 9), round(stop, 9)
-    return RawNote(*times, note.pitch, note.velocity, True, note.finger)
+    return RawNote(*times, note.pitch, note.velocity, True, note.finger, hands=note.hands)
 
 
 def _sheet(root: ElementTree.Element, path: Path) -> _Sheet:
@@ -348,6 +349,7 @@ def _part(timeline: _Timeline, bars: list[_Bar], symbols: Any) -> _Part:
                 pitch=int(note.midi_pitch) + (shifts[shift - 1][1] if shift else 0),
                 velocity=marks.velocity or (loudness[mark - 1][1] if mark else _UNMARKED),
                 finger=_finger(note, symbols) if are_hands else None,
+                hands=(note.staff - 1,) if are_hands else (),
                 grace=_before_beat(note, symbols),
                 tied=marks.tied,
                 ties=marks.ties,

@@ -17,6 +17,7 @@ class WrittenNote:
     pitch: int
     velocity: int
     finger: int | str
+    hands: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,8 @@ class WrittenScore:
     def of(cls, score: Score) -> WrittenScore:
         """Converts a score."""
         notes = (
-            WrittenNote(n.start, n.end, n.pitch, n.velocity, written(n.finger)) for n in score.notes
+            WrittenNote(n.start, n.end, n.pitch, n.velocity, written(n.finger), n.hands)
+            for n in score.notes
         )
         return cls(tuple(notes), score.pedal, score.title, score.remarks, score.tracks, score.bars)
 
@@ -46,6 +48,7 @@ class WrittenScore:
             CadenzaError: a note, or its finger, is not possible.
         """
         notes = (
-            Note(n.start, n.end, n.pitch, n.velocity, finger_from(n.finger)) for n in self.notes
+            Note(n.start, n.end, n.pitch, n.velocity, finger_from(n.finger), hands=n.hands)
+            for n in self.notes
         )
         return Score(tuple(notes), self.pedal, self.title, self.remarks, self.tracks, self.bars)
