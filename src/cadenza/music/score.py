@@ -31,6 +31,7 @@ BEAT_TYPES = frozenset(1 << k for k in range(7))  # whole notes to 64ths
 _MIN_LENGTH = 1e-9  # [s] of a note when its times are changed
 _DECIMALS = 9  # of times [s] that are shifted
 _BAR_TOLERANCE = 1e-6  # [s] by which a time may lie before the bar that it is in, by rounding
+_KEYBOARDS = "piano", "organ", "harpsichord", "clavinet", "celesta", "keyboard"
 _NAMES = ("C", "C♯", "D", "D♯", "E", "F", "F♯", "G", "G♯", "A", "A♯", "B")
 
 
@@ -134,6 +135,11 @@ class Track:
     notes: int
     lowest: int
     highest: int
+
+    @property
+    def is_keyboard(self) -> bool:
+        """Whether the instrument is called like one with keys."""
+        return any(word in self.instrument.lower() for word in _KEYBOARDS)
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,6 @@ from cadenza.tasks.goal_track import GoalTrack, players_of
 _MOST_LEFT_OUT = 0.1  # share of the notes that hands may leave out of music for one instrument
 _MOST_LEFT_OUT_OF_SEVERAL = 0.01  # the same of music for several
 _TWO_HANDS = 2  # tracks of one player
-_KEYBOARDS = "piano", "organ", "harpsichord", "clavinet", "celesta", "keyboard"
 
 
 @dataclass(frozen=True)
@@ -129,6 +128,5 @@ def _is_playable(score: Score, scene: Scene) -> bool:
 def _is_for_several(score: Score) -> bool:
     """Whether several instruments play a song, not the two staves of a piano."""
     playing = {number for note in score.notes for number in note.tracks}
-    names = [track.instrument.lower() for track in score.tracks if track.number in playing]
-    others = [name for name in names if not any(word in name for word in _KEYBOARDS)]
-    return len(names) > _TWO_HANDS or len(others) > 1
+    tracks = [track for track in score.tracks if track.number in playing]
+    return len(tracks) > _TWO_HANDS or sum(not track.is_keyboard for track in tracks) > 1

@@ -8,6 +8,7 @@ from difflib import get_close_matches
 
 from cadenza.errors import CadenzaError
 from cadenza.music.score import Score
+from cadenza.music.written_hands import with_written_hands
 
 Read = Callable[[Collection[int]], Score]
 """A function that loads a score with the tracks of these numbers, or with all if none is given."""
@@ -34,7 +35,7 @@ class Song:
     difficulty: float | None = None
 
     def load(self, tracks: Collection[int] = ()) -> Score:
-        """Loads the score, under the title of the song.
+        """Loads the score, under the title of the song, with the hands that it is written for.
 
         Args:
             tracks: the numbers of the tracks to be played, as in `Score.tracks`; all by default.
@@ -42,7 +43,7 @@ class Song:
         Raises:
             CadenzaError: it cannot be read, or has no such track.
         """
-        score = self.read(tracks)
+        score = with_written_hands(self.read(tracks))
         return replace(score, title=self.title or score.title)
 
 
