@@ -8,6 +8,9 @@ Hands and keyboard limit what can be played:
 - a finger stays on its key as long as the note sounds; notes with less than `RELEASE_TIME` left
   when others begin count as over.
 
+Notes may be held to the hands that they are written for. Where that hand cannot play one, it goes
+to the other hand.
+
 Where notes cannot all be played, what sounds already goes on, and of the notes that begin the
 outer ones are taken first: the highest and the lowest, then the next from outside, and so on; of
 two equally far inside the louder, then the longer, then the higher. A note is dropped if it
@@ -28,7 +31,7 @@ from __future__ import annotations
 
 from bisect import bisect
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from itertools import combinations
 from operator import attrgetter
@@ -65,28 +68,37 @@ class Playable:
         moments: the moments at which notes begin.
         reasons: index of each note that is not played -> why.
         ignored: index of each note whose given finger contradicts others, or these hands -> finger.
+        moved: indices of notes that go to another hand than the one that they are written for.
     """
 
     moments: tuple[Moment, ...]
     reasons: dict[int, str]
     ignored: dict[int, Finger]
+    moved: tuple[int, ...]
 
 
-def playable(score: Score, players: Players) -> Playable:
-    """The notes of `score` that these hands can play on this keyboard."""
+def playable(score: Score, players: Players, as_written: bool = False) -> Playable:
+    """The notes of `score` that these hands can play on this keyboard.
+
+    With `as_written`, each hand plays what is written for it, as far as it can.
+    """
     moments = []
+    moved: list[int] = []
     reasons: dict[int, str] = {}
     ignored: dict[int, Finger] = {}
     sounding = SoundingNotes(players)
-    for time, begin in onsets(score, players.keyboard.lowest_pitch):
+    for time, begin in onsets(score, players.keyboard.lowest_pitch, as_written):
         for stroke in sounding.advance(time, begin):
             if stroke.finger is None:
                 reasons |= dict.fromkeys(stroke.notes, sounding.reason_to_drop(stroke))
             else:
                 ignored |= dict.fromkeys(stroke.notes, stroke.finger)
+        free = {stroke.key for stroke in sounding.strokes if stroke.hand is None}
+        for stroke in begin:
+            moved += stroke.notes if stroke.hand is not None and stroke.key in free else ()
         begun = 1 + max(stroke.notes[-1] for stroke in begin)
         moments.append(Moment(time, tuple(sounding.strokes), begun))
-    return Playable(tuple(moments), reasons, ignored)
+    return Playable(tuple(moments), reasons, ignored, tuple(moved))
 
 
 class SoundingNotes:
@@ -110,7 +122,9 @@ class SoundingNotes:
                 self._release(stroke)
         for stroke in outer_first(begin, self.strokes):
             if not self._try_to_add(stroke):
-                yield stroke
+                other_hand_too = replace(stroke, hand=None)
+                if stroke.hand is None or not self._try_to_add(other_hand_too):
+                    yield other_hand_too
 
     def _release(self, stroke: Stroke) -> None:
         n = self.strokes.index(stroke)
@@ -189,11 +203,13 @@ class _Limits:
             sets: a set of sets of fingers.
             n: the place of `stroke` among the notes, from the lowest.
             stroke: the note.
-            given: whether it has to be the finger that `stroke` gives, if any.
+            given: whether it has to be the finger, or the hand, that `stroke` gives, if any.
         """
         fingers = self.reaching[stroke.key]
         if given and stroke.finger is not None:
             fingers = [finger for finger in fingers if self._fingers[finger] == stroke.finger]
+        if given and stroke.hand is not None:
+            fingers = [finger for finger in fingers if self._fingers[finger].hand == stroke.hand]
         more = 0
         for finger in fingers:
             more |= (sets << (1 << finger)) & self.nth[n][finger]

@@ -24,6 +24,8 @@ class Arrangement:
     """Arrange the song for the hands: auto where they cannot play it as written."""
     level: int | None = None
     """Arrange the song to a difficulty from 1 to 10."""
+    all_notes: bool = False
+    """Have one hand play all notes, and not only those that are written for it."""
     first_seconds: float | None = None
     """Play only what begins within this time from the first note on [s]."""
     expression: float = 0.0

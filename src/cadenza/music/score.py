@@ -178,6 +178,11 @@ class Score:
         """Whether any note says which finger plays it."""
         return any(note.finger is not None for note in self.notes)
 
+    @property
+    def has_written_hands(self) -> bool:
+        """Whether any note says which hand plays it."""
+        return any(note.hands for note in self.notes)
+
     def without_fingers(self) -> Score:
         """The score without fingering."""
         return self.with_fingers([None] * len(self.notes))

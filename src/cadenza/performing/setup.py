@@ -29,18 +29,19 @@ from cadenza.agents.registry import (
 )
 from cadenza.configs import MOST_SEED, as_config, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.fingering.playable import playable
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.goals import held_pedal_changes, merged_notes
 from cadenza.music.score import Score
-from cadenza.performing.arranging import HandArrangement, arranged_for
+from cadenza.performing.arranging import HandArrangement, arranged_for, written_for
 from cadenza.performing.source import PRACTICE, PRACTISED, Song, Source, resolve
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.threads import MOST_THREADS
 from cadenza.tasks.config import TaskConfig, task_identity, with_time_to_begin
-from cadenza.tasks.goal_track import GoalTrack
+from cadenza.tasks.goal_track import GoalTrack, players_of
 from cadenza.tasks.piano_task import PianoTask
 
 SomeAgent = str | Path | Agent
@@ -244,6 +245,9 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
     settings = _settings(selection)
     looking = partial(progress, "fingers")
     built = build_scene(scene)
+    whole = selection.score
+    if not _is_learnt(selection):
+        selection = selection.with_score(written_for(whole, selection.source.arrangement, built))
     arranged = _arranged(selection, built)
     if arranged is not None:
         selection = selection.with_score(arranged.arranged.score)
@@ -252,6 +256,7 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
         _with_threads(selection.agent, selection.num_threads),
     ):
         remarks = list(_lost_between_steps(piano_task.tracks[0]))
+        remarks += _about_hands(piano_task.tracks[0], whole, selection.score)
         for loss in remarks:
             warnings.warn(f"{selection.source.name}: {loss}", CadenzaWarning, stacklevel=4)
         remarks = [*selection.score.remarks, *remarks]
@@ -269,12 +274,38 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
 
 def _arranged(selection: Selection, scene: Scene) -> HandArrangement | None:
     """Arranges a song for the hands, but not one that was learnt or practised as it is."""
-    learnt, arrangement = selection.learnt, selection.source.arrangement
-    if selection.source.practised is not None:
+    if _is_learnt(selection):
         return None
-    if learnt is not None and learnt.score is not None and learnt.has_learnt(selection.score):
-        return None
-    return arranged_for(selection.score, arrangement, scene)
+    return arranged_for(selection.score, selection.source.arrangement, scene)
+
+
+def _is_learnt(selection: Selection) -> bool:
+    """Whether the song was learnt or practised as it is."""
+    learnt = selection.learnt
+    return selection.source.practised is not None or (
+        learnt is not None and learnt.score is not None and learnt.has_learnt(selection.score)
+    )
+
+
+def _about_hands(track: GoalTrack, whole: Score, score: Score) -> Iterator[str]:
+    """Yields what one hand leaves to the other, and what is not played as it is written for hands.
+
+    Args:
+        track: the song as the task plays it.
+        whole: all notes of the song.
+        score: those that the hands of the scene play of it, before they are arranged.
+    """
+    if others := len(whole.notes) - len(score.notes):
+        (side,) = track.scene.sides
+        yield (
+            f"{len(score.notes)} notes are written for the {side} hand; without the other "
+            f"{others} (all: --all-notes)"
+        )
+    if track.config.hands_as_written:
+        bare = track.score.without_fingers()
+        if moved := len(playable(bare, players_of(track.scene), as_written=True).moved):
+            notes, are = ("note", "is") if moved == 1 else ("notes", "are")
+            yield f"{moved} {notes} that the written hand cannot play {are} left to the other"
 
 
 def _lost_between_steps(track: GoalTrack) -> Iterator[str]:

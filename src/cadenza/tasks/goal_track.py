@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.fingering.pianist import pianist_fingering
 from cadenza.fingering.players import Forearm, Players, players_at
 from cadenza.fingering.search import Dropped, find_fingering
 from cadenza.fingers import NO_FINGER
@@ -110,8 +111,15 @@ class GoalTrack:
         """
         if self.dropped is not None:
             return self
-        score, dropped = find_fingering(self.score, players_of(self.scene), progress)
-        return replace(self, score=score, dropped=dropped, found=not self.score.has_fingering)
+        score, players = self.score, players_of(self.scene)
+        if self.config.fingering in ("robot", "human"):
+            score = score.without_fingers()
+        if self.config.fingering == "human":
+            fingered, dropped = pianist_fingering(score, players, progress)
+        else:
+            as_written = self.config.hands_as_written
+            fingered, dropped = find_fingering(score, players, progress, as_written=as_written)
+        return replace(self, score=fingered, dropped=dropped, found=not score.has_fingering)
 
     def with_found_fingers(self) -> GoalTrack:
         """The track without the fingers that the song gives, if it gives any."""
