@@ -85,7 +85,8 @@ def _score(score: Score, struck: Iterable[Struck], early_ends: Sequence[EarlyEnd
         end = min(source.end, ends.get((each.time, each.pitch), source.end))
         softer = _SOFTER if not source.melody and not source.bass else 1.0
         velocity = max(round(softer * source.velocity), 1)
-        note = Note(source.start, max(end, source.start + SHORTEST), each.pitch, velocity)
+        end = max(end, source.start + SHORTEST)
+        note = Note(source.start, end, each.pitch, velocity, hands=source.hands)
         same = by_pitch.setdefault(each.pitch, [])
         if same and same[-1].end > note.start:
             same[-1] = replace(same[-1], end=note.start)

@@ -30,6 +30,8 @@ class Source(NamedTuple):
     bass: bool
     added: bool = False
     """Whether it sounds already: it may be struck again."""
+    hands: tuple[int, ...] = ()
+    """The hands that it is written for."""
 
 
 class Moment(NamedTuple):
@@ -102,7 +104,15 @@ def merged(parts: Sequence[Part]) -> list[Source]:
     Where the accompaniment strikes a key that the melody holds, the melody goes on.
     """
     notes = [
-        Source(n.start, n.end, n.pitch, n.velocity, role is Role.MELODY, role is Role.BASS)
+        Source(
+            n.start,
+            n.end,
+            n.pitch,
+            n.velocity,
+            melody=role is Role.MELODY,
+            bass=role is Role.BASS,
+            hands=n.hands,
+        )
         for part in parts
         for n, role in zip(part.notes, part.roles, strict=True)
     ]

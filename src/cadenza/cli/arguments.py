@@ -432,6 +432,7 @@ _MEANT = (
     ("start end length duration seconds max-seconds", "--first-seconds", "from the first note on"),
     ("key pitch semitones octave", "--transpose", "in semitones"),
     ("left right one-hand left-hand right-hand", "--hands", "left, right or both"),
+    ("fingers finger pianist human", "--fingering", "human: as a pianist would"),
     ("volume velocity dynamics loudness", "", "keys are as loud as they are struck"),
     ("cores cpus jobs workers parallel", "--num-threads", "of a planner"),
     ("steps epochs timesteps total-timesteps", "--num-steps", "how long to train"),

@@ -245,9 +245,10 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
     settings = _settings(selection)
     looking = partial(progress, "fingers")
     built = build_scene(scene)
-    whole = selection.score
+    whole = mine = selection.score
     if not _is_learnt(selection):
-        selection = selection.with_score(written_for(whole, selection.source.arrangement, built))
+        mine = written_for(whole, selection.source.arrangement, built)
+        selection = selection.with_score(mine)
     arranged = _arranged(selection, built)
     if arranged is not None:
         selection = selection.with_score(arranged.arranged.score)
@@ -256,7 +257,7 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
         _with_threads(selection.agent, selection.num_threads),
     ):
         remarks = list(_lost_between_steps(piano_task.tracks[0]))
-        remarks += _about_hands(piano_task.tracks[0], whole, selection.score)
+        remarks += _about_hands(piano_task.tracks[0], whole, mine)
         for loss in remarks:
             warnings.warn(f"{selection.source.name}: {loss}", CadenzaWarning, stacklevel=4)
         remarks = [*selection.score.remarks, *remarks]
@@ -287,18 +288,18 @@ def _is_learnt(selection: Selection) -> bool:
     )
 
 
-def _about_hands(track: GoalTrack, whole: Score, score: Score) -> Iterator[str]:
+def _about_hands(track: GoalTrack, whole: Score, mine: Score) -> Iterator[str]:
     """Yields what one hand leaves to the other, and what is not played as it is written for hands.
 
     Args:
         track: the song as the task plays it.
         whole: all notes of the song.
-        score: those that the hands of the scene play of it, before they are arranged.
+        mine: those that are written for the hands of the scene.
     """
-    if others := len(whole.notes) - len(score.notes):
+    if others := len(whole.notes) - len(mine.notes):
         (side,) = track.scene.sides
         yield (
-            f"{len(score.notes)} notes are written for the {side} hand; without the other "
+            f"{len(mine.notes)} notes are written for the {side} hand; without the other "
             f"{others} (all: --all-notes)"
         )
     if track.config.hands_as_written:

@@ -56,7 +56,6 @@ def prepare_tracks(
     _check_duration(max(score.total_time for score in scores), config)
     for score in scores:
         check_pitches(score, scene.keyboard.pitches)
-        _check_hands(score, config)
     tracks = [GoalTrack(score, None, config, scene) for score in scores]
     if _observes_fingers(config, scene):
         tracks = [track.fingered(progress) for track in tracks]
@@ -87,14 +86,6 @@ def _observes_fingers(config: TaskConfig, scene: Scene) -> bool:
 def _check_notes(score: Score) -> None:
     if not score.notes:
         raise CadenzaError(f"nothing to play: {score.title or 'the score'} has no notes")
-
-
-def _check_hands(score: Score, config: TaskConfig) -> None:
-    if config.hands_as_written and not score.has_written_hands:
-        raise CadenzaError(
-            f"{score.title or 'the score'}: does not say which hand plays what, by the staves of a "
-            "part, names of tracks or fingers; leave out --hands-as-written"
-        )
 
 
 def _arranged(score: Score, config: TaskConfig) -> Score:
