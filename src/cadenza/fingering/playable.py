@@ -8,8 +8,8 @@ Hands and keyboard limit what can be played:
 - a finger stays on its key as long as the note sounds; notes with less than `RELEASE_TIME` left
   when others begin count as over.
 
-Notes may be held to the hands that they are written for. Where that hand cannot play one, it goes
-to the other hand.
+Notes may be held to the hands that they are written for. Where that hand cannot play one, the other
+may; where more notes can be played if any hand plays what begins together, any may.
 
 Where notes cannot all be played, what sounds already goes on, and of the notes that begin the
 outer ones are taken first: the highest and the lowest, then the next from outside, and so on; of
@@ -30,7 +30,7 @@ A note takes 10 to 20 us, and time and memory grow in proportion to the number o
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from itertools import combinations
@@ -68,13 +68,11 @@ class Playable:
         moments: the moments at which notes begin.
         reasons: index of each note that is not played -> why.
         ignored: index of each note whose given finger contradicts others, or these hands -> finger.
-        moved: indices of notes that go to another hand than the one that they are written for.
     """
 
     moments: tuple[Moment, ...]
     reasons: dict[int, str]
     ignored: dict[int, Finger]
-    moved: tuple[int, ...]
 
 
 def playable(score: Score, players: Players, as_written: bool = False) -> Playable:
@@ -83,22 +81,18 @@ def playable(score: Score, players: Players, as_written: bool = False) -> Playab
     With `as_written`, each hand plays what is written for it, as far as it can.
     """
     moments = []
-    moved: list[int] = []
     reasons: dict[int, str] = {}
     ignored: dict[int, Finger] = {}
     sounding = SoundingNotes(players)
     for time, begin in onsets(score, players.keyboard.lowest_pitch, as_written):
-        for stroke in sounding.advance(time, begin):
+        for stroke, reason in sounding.advance(time, begin):
             if stroke.finger is None:
-                reasons |= dict.fromkeys(stroke.notes, sounding.reason_to_drop(stroke))
+                reasons |= dict.fromkeys(stroke.notes, reason)
             else:
                 ignored |= dict.fromkeys(stroke.notes, stroke.finger)
-        free = {stroke.key for stroke in sounding.strokes if stroke.hand is None}
-        for stroke in begin:
-            moved += stroke.notes if stroke.hand is not None and stroke.key in free else ()
         begun = 1 + max(stroke.notes[-1] for stroke in begin)
         moments.append(Moment(time, tuple(sounding.strokes), begun))
-    return Playable(tuple(moments), reasons, ignored, tuple(moved))
+    return Playable(tuple(moments), reasons, ignored)
 
 
 class SoundingNotes:
@@ -114,17 +108,30 @@ class SoundingNotes:
         self._limits = _limits(players)
         self._sets = _ONLY_EMPTY
 
-    def advance(self, time: float, begin: Sequence[Stroke]) -> Iterator[Stroke]:
-        """Goes on to the moment at which others begin; yields each of these that is dropped."""
+    def advance(self, time: float, begin: Sequence[Stroke]) -> list[tuple[Stroke, str]]:
+        """Goes on to the moment at which others begin; returns those that are dropped, and why."""
         struck = {stroke.key for stroke in begin}
         for stroke in list(self.strokes):
             if stroke.end <= time + RELEASE_TIME or stroke.key in struck:
                 self._release(stroke)
+        before = list(self.strokes), self._sets
+        dropped = self._add(begin)
+        if dropped and any(stroke.hand is not None for stroke in begin):
+            as_written = self.strokes, self._sets
+            self.strokes, self._sets = before
+            by_any_hand = self._add([replace(stroke, hand=None) for stroke in begin])
+            if len(by_any_hand) < len(dropped):
+                return by_any_hand
+            self.strokes, self._sets = as_written
+        return dropped
+
+    def _add(self, begin: Sequence[Stroke]) -> list[tuple[Stroke, str]]:
+        """Adds strokes as far as they can be played; returns the others, and why they cannot."""
+        dropped = []
         for stroke in outer_first(begin, self.strokes):
-            if not self._try_to_add(stroke):
-                other_hand_too = replace(stroke, hand=None)
-                if stroke.hand is None or not self._try_to_add(other_hand_too):
-                    yield other_hand_too
+            if not any(map(self._try_to_add, (stroke, replace(stroke, hand=None)))):
+                dropped.append((stroke, self._reason_to_drop(stroke)))
+        return dropped
 
     def _release(self, stroke: Stroke) -> None:
         n = self.strokes.index(stroke)
@@ -150,7 +157,7 @@ class SoundingNotes:
             self._sets = sets
         return bool(sets)
 
-    def reason_to_drop(self, stroke: Stroke) -> str:
+    def _reason_to_drop(self, stroke: Stroke) -> str:
         """The reason why `stroke` cannot be played along with the others."""
         limits = self._limits
         if not 0 <= stroke.key < len(limits.reaching):

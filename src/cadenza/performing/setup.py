@@ -29,7 +29,6 @@ from cadenza.agents.registry import (
 )
 from cadenza.configs import MOST_SEED, as_config, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
-from cadenza.fingering.playable import playable
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.arrangement import Arrangement
@@ -41,7 +40,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.threads import MOST_THREADS
 from cadenza.tasks.config import TaskConfig, task_identity, with_time_to_begin
-from cadenza.tasks.goal_track import GoalTrack, players_of
+from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
 
 SomeAgent = str | Path | Agent
@@ -303,10 +302,11 @@ def _about_hands(track: GoalTrack, whole: Score, mine: Score) -> Iterator[str]:
             f"{others} (all: --all-notes)"
         )
     if track.config.hands_as_written:
-        bare = track.score.without_fingers()
-        if moved := len(playable(bare, players_of(track.scene), as_written=True).moved):
-            notes, are = ("note", "is") if moved == 1 else ("notes", "are")
-            yield f"{moved} {notes} that the written hand cannot play {are} left to the other"
+        notes = track.with_found_fingers().fingered().score.notes
+        moved = sum(bool(n.finger and n.hands and n.finger.hand not in n.hands) for n in notes)
+        if moved:
+            what, are = ("note", "is") if moved == 1 else ("notes", "are")
+            yield f"{moved} {what} that the written hand cannot play {are} left to the other"
 
 
 def _lost_between_steps(track: GoalTrack) -> Iterator[str]:
