@@ -5,7 +5,9 @@ import pytest
 from made_up_episode import DT, STEPS, make_episode
 
 from cadenza.episode import Episode
+from cadenza.fingers import Finger
 from cadenza.music.performance import performed_score
+from cadenza.music.score import Note, Score
 from cadenza.report.html_pages import write_page
 from cadenza.report.performance_page import performance_page
 from cadenza.report.sound import encode_opus, synthesize
@@ -143,6 +145,22 @@ for miss in MISSES:
 
 def fate(time, pitch, played, part="harmony"):
     return {"start": time, "end": time + 0.5, "pitch": pitch, "played": played, "part": part}
+
+
+@pytest.mark.slow
+def test_fingers_are_numbered_in_the_roll_and_on_falling_notes(browser, write, episode):
+    goal = np.zeros_like(episode["goal_keys"])
+    goal[10:30, [40, 44]] = True
+    episode.arrays["goal_keys"] = goal
+    notes = (Note(0.5, 1.5, 61, finger=Finger(1, 0)), Note(0.5, 1.5, 65, finger=Finger(0, 4)))
+    browser.open(write(episode, written=Score(notes)))
+    assert browser.labels()[2][-2:] == ["1", "5"]
+    browser.evaluate("document.getElementById('falling').click()")
+    browser.settle()
+    red, green, blue = np.moveaxis(browser.picture("#view").astype(int), 2, 0)
+    assert ((blue > red + 40) & (blue > 200)).sum() > 50  # the right hand's
+    assert ((red > green + 40) & (blue > green + 20) & (red > 200)).sum() > 50  # the left hand's
+    assert browser.problems() == []
 
 
 @pytest.mark.slow

@@ -65,6 +65,16 @@ def recording_of(
             for note in played.notes
         ],
         "written": [[note.start, note.velocity] for note in wanted],
+        "fingers": [
+            [
+                note.pitch - episode.lowest_pitch,
+                round(note.start, 3),
+                note.finger.hand,
+                note.finger.index + 1,
+            ]
+            for note in wanted
+            if note.finger is not None
+        ],
         "onsetErrors": [
             [note.start, round(_MS_PER_SECOND * (mine.start - note.start), 2)]
             for note, mine in matched_notes(wanted, played.notes, SAME_NOTE)

@@ -41,12 +41,13 @@ def write_musicxml(score: Score, path: str | Path) -> tuple[str, ...]:
     Times are quantised: in each beat notes move to the grid of semiquavers, triplets or the like
     that fits best. Tempos are written such that beats keep their times. Bars are those of the
     score; if it has none, they are estimated. The right hand is on the upper staff and the left one
-    on the lower, with fingers numbered from 1; notes without a finger are put by their pitch.
+    on the lower, with fingers numbered from 1; notes without a finger are put by the hand that they
+    are written for, or by their pitch.
     Velocities are kept for playback and shown as dynamic marks; the pedal is either down or up.
     Read back, time 0 is the beginning of the bar of the first note.
 
     Returns:
-        Remarks in plain words on what is not as in the score.
+        Remarks in plain words on what is not as in the score, which the file has, too.
 
     Raises:
         CadenzaError: the score has no notes.
@@ -72,10 +73,15 @@ def _document(sheet: Sheet) -> Element:
     root = Element("score-partwise", version="4.0")
     if title := printable(sheet.title):
         _text(SubElement(root, "work"), "work-title", title)
-    encoding = SubElement(SubElement(root, "identification"), "encoding")
+    identification = SubElement(root, "identification")
+    encoding = SubElement(identification, "encoding")
     _text(encoding, "software", "Cadenza")
     for element in ("accidental", "beam"):
         SubElement(encoding, "supports", element=element, type="yes")
+    if sheet.remarks:
+        others = SubElement(identification, "miscellaneous")
+        for remark in sheet.remarks:
+            _text(others, "miscellaneous-field", remark).set("name", "remark")
     listed = SubElement(SubElement(root, "part-list"), "score-part", id=_PART)
     _text(listed, "part-name", "Piano").set("print-object", "no")  # it is the only one
     part = SubElement(root, "part", id=_PART)

@@ -142,7 +142,9 @@ def sheet_of(score: Score) -> Sheet:
     )
     remarks = counted_remarks([(left_out, "note", "left out, struck again too soon to be written")])
     is_sure = bool(score.bars) or is_exact
-    return Sheet(score.title, key, measures, (*metre.remarks, *remarks), is_sure)
+    quantised = [] if is_exact else ["quantised: notes are moved to the nearest note values"]
+    remarks = (*metre.remarks, *quantised, *remarks)
+    return Sheet(score.title, key, measures, remarks, is_sure)
 
 
 def _streams(

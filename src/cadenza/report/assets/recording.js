@@ -48,6 +48,7 @@ async function unpacked(text, steps, Numbers) {
  *   angles (`keys` a row) of keys, 255 all the way down;
  *   notes that sounded: key, from and to [s], MIDI velocity;
  *   written: [beginning in s, MIDI velocity] of notes that should; onsetErrors: [beginning in s, error in ms];
+ *   fingers: [key, beginning in s, 0 for the right hand and 1 for the left, number from 1];
  *   rewards, by name, NaN where there is none;
  *   jointsAt(time): where the hands' joints are [m, rad].
  * `scene` is what `cadenza.model.drawing` says; `sound` is the address of a WebM file, and `goal`

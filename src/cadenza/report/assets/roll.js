@@ -93,6 +93,7 @@ function timeline(element, span, seek, pan) {
 
 const ROLL_WINDOW = 24; // [s] in sight at once of a longer piece, on a wide screen
 const ROLL_SCALE = 34; // [px] for each second, at least
+const FINGER = { size: 11, width: 8 }; // [px] of a number
 const BEYOND = 1; // [s] out of sight where what lasts longer is cut off
 const LOOKING_AROUND = 4000; // [ms] for which a roll that was shifted does not follow the cursor
 
@@ -168,7 +169,23 @@ function createRoll(element, data, seek) {
       if (change.to > from && change.from < to) drawChange(context, change, x(change.from), y(change.key), x(change.to) - x(change.from), row);
     }
     notesBetween({ states: pedal, dt, steps, keys: 1 }, from, to, (press) => put(press, bottom + 8, 16));
+    drawFingers(context, width, x, (key) => y(key) + row / 2);
     context.restore();
+  }
+
+  /** Numbers before notes, in the colour of the hand; not where one would hide another. */
+  function drawFingers(context, width, x, y) {
+    const colours = [css("--right"), css("--left")], drawn = [];
+    Object.assign(context, { font: `600 ${FINGER.size}px system-ui, sans-serif`, textAlign: "right", lineJoin: "round", lineWidth: 2, strokeStyle: css("--card") });
+    for (const [key, time, hand, number] of data.fingers ?? []) {
+      const [right, middle] = [x(time) - 1, y(key)];
+      if (right < GUTTER + FINGER.width || right > width || key < low || key > high) continue;
+      if (drawn.some(([a, b]) => Math.abs(a - right) < FINGER.width && Math.abs(b - middle) < FINGER.size)) continue;
+      drawn.push([right, middle]);
+      context.fillStyle = colours[hand];
+      context.strokeText(number, right, middle);
+      context.fillText(number, right, middle);
+    }
   }
 
   return {
