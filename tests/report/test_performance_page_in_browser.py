@@ -150,9 +150,9 @@ def fate(time, pitch, played, part="harmony"):
 @pytest.mark.slow
 def test_fingers_are_numbered_in_the_roll_and_on_falling_notes(browser, write, episode):
     goal = np.zeros_like(episode["goal_keys"])
-    goal[10:30, [40, 44]] = True
+    goal[10:30, [39, 43]] = True
     episode.arrays["goal_keys"] = goal
-    notes = (Note(0.5, 1.5, 61, finger=Finger(1, 0)), Note(0.5, 1.5, 65, finger=Finger(0, 4)))
+    notes = (Note(0.5, 1.5, 60, finger=Finger(1, 0)), Note(0.5, 1.5, 64, finger=Finger(0, 4)))
     browser.open(write(episode, written=Score(notes)))
     assert browser.labels()[2][-2:] == ["1", "5"]
     browser.evaluate("document.getElementById('falling').click()")
