@@ -146,7 +146,8 @@ def _train(command: Train, folder: Path) -> None:
     if command.wandb:
         need_wandb()  # before a run begins for it
     if command.song is not None:
-        score = load_song(command.song, command.arrangement)
+        whole = load_song(command.song, command.arrangement)
+        score = command.arrangement.written_for(command.training.scene.hands, whole)
         check_writable(folder)
     with run.locked(), _prints_how_to_resume(folder, command.training):
         if command.song is not None:

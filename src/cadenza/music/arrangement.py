@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
+from cadenza.fingers import SIDES
 from cadenza.music.expression_rules import ExpressionRules, check_quantities
 from cadenza.music.score import Score, check_beginning, check_length
 
@@ -73,6 +74,29 @@ class Arrangement:
         from cadenza.music.expression import performed
 
         return performed(score, self.expression, self.rules)
+
+    def written_for(self, hands: str, score: Score) -> Score:
+        """The notes of a song that are written for the hands that play.
+
+        All are left with `all_notes`, for both hands, and where the song does not say.
+
+        Args:
+            hands: "right" or "left", or anything else for both.
+            score: the song.
+
+        Raises:
+            CadenzaError: nothing is written for the one hand that plays.
+        """
+        if hands not in SIDES or self.all_notes or not score.has_written_hands:
+            return score
+        hand = SIDES.index(hands)
+        notes = tuple(note for note in score.notes if hand in note.hands)
+        if not notes:
+            raise CadenzaError(
+                f"{score.title}: nothing is written for the {hands} hand; choose the other one, or "
+                "--all-notes to have it play what is written for the other"
+            )
+        return replace(score, notes=notes)
 
     @property
     def asks_for_hands(self) -> bool:

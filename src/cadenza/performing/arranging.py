@@ -11,7 +11,6 @@ from cadenza.arranging.fidelity import Fate
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
 from cadenza.fingering.playable import playable
-from cadenza.fingers import SIDES
 from cadenza.music.arrangement import HARDEST, Arrangement
 from cadenza.music.expressive_metrics import expressive_metrics
 from cadenza.music.metrics import step_metrics
@@ -90,26 +89,6 @@ class HandArrangement:
             lambda time: begins.start + (time - first.start) * stretch,
             begins.pitch - first.pitch,
         )
-
-
-def written_for(score: Score, arrangement: Arrangement, scene: Scene) -> Score:
-    """The notes of a song that are written for the one hand of a scene.
-
-    All are left with `all_notes`, for both hands, and where the song does not say.
-
-    Raises:
-        CadenzaError: nothing is written for that hand.
-    """
-    if len(scene.sides) != 1 or arrangement.all_notes or not score.has_written_hands:
-        return score
-    (side,) = scene.sides
-    notes = tuple(note for note in score.notes if SIDES.index(side) in note.hands)
-    if not notes:
-        raise CadenzaError(
-            f"{score.title}: nothing is written for the {side} hand; choose the other one, or "
-            "--all-notes to have it play what is written for the other"
-        )
-    return replace(score, notes=notes)
 
 
 def arranged_for(score: Score, arrangement: Arrangement, scene: Scene) -> HandArrangement | None:

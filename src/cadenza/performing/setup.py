@@ -34,7 +34,7 @@ from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.goals import held_pedal_changes, merged_notes
 from cadenza.music.score import Score
-from cadenza.performing.arranging import HandArrangement, arranged_for, written_for
+from cadenza.performing.arranging import HandArrangement, arranged_for
 from cadenza.performing.source import PRACTICE, PRACTISED, Song, Source, resolve
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
@@ -212,6 +212,10 @@ def is_policy_folder(agent: str) -> bool:
 
 def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:
     """Returns the selection with a policy, in the task and the scene that it was trained in."""
+    if learnt.score is None or not learnt.has_learnt(selection.score):
+        arrangement = selection.source.arrangement
+        mine = arrangement.written_for(learnt.scene.hands, selection.score)
+        selection = selection.with_score(mine)
     if learnt.score is not None and not learnt.has_learnt(selection.score):
         what = f"{selection.name}: was trained on {learnt.score.title!r}"
         if learnt.score.title == selection.score.title:
@@ -246,7 +250,7 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
     built = build_scene(scene)
     whole = mine = selection.score
     if not _is_learnt(selection):
-        mine = written_for(whole, selection.source.arrangement, built)
+        mine = selection.source.arrangement.written_for(scene.hands, whole)
         selection = selection.with_score(mine)
     arranged = _arranged(selection, built)
     if arranged is not None:

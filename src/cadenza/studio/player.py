@@ -157,9 +157,10 @@ def set_up_order(order: Order, progress: Progress) -> AbstractContextManager[Set
     request, selection = order.request, _select(order)
     task, scene = selection.task, selection.scene
     if selection.learnt is None:
-        scene = replace(scene, hand=request.hand)
+        scene = replace(scene, hand=request.hand, hands=request.playing_hands)
     transpose, stretch = task.transpose + request.transpose, task.stretch / request.tempo
-    task = replace(task, transpose=transpose, stretch=stretch)
+    as_written = request.hands == "written"
+    task = replace(task, transpose=transpose, stretch=stretch, hands_as_written=as_written)
     return set_up(selection.with_options(task, scene, request.seed), progress)
 
 

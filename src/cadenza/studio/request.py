@@ -17,6 +17,7 @@ from cadenza.errors import CadenzaError
 from cadenza.files import checked
 from cadenza.hands.registry import HANDS
 from cadenza.music.arrangement import Arrangement
+from cadenza.scene.config import Hands
 
 if TYPE_CHECKING:
     from cadenza.music.score import Score
@@ -66,6 +67,8 @@ class PlayRequest:
     """Numbers of the tracks to be played; all where none is given."""
     hand: str = "shadow"
     """The name of a hand that the studio offers; on the command line, of any."""
+    hands: Literal["both", "written", "right", "left"] = "both"
+    """The hands that play: both as it suits them or as written, or one what is written for it."""
     seed: int = 0
     expression: bool = False
     """Whether the rules of expression perform the song, with a dose of 1."""
@@ -82,6 +85,11 @@ class PlayRequest:
             CadenzaError: an option makes no sense.
         """
         return Arrangement(self.tracks, self.arrange, self.level, expression=float(self.expression))
+
+    @property
+    def playing_hands(self) -> Hands:
+        """The hands that are in the scene."""
+        return "both" if self.hands == "written" else self.hands
 
 
 @dataclass(frozen=True)

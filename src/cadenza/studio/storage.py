@@ -43,7 +43,7 @@ ABOUT = "studio.json"
 """File of a performance, with what the list shows."""
 _COMPARISONS = "compared"
 # fields of a request that say what is heard
-_MUSIC = ("song", "tracks", "tempo", "transpose", "expression", "arrange", "level")
+_MUSIC = ("song", "tracks", "hands", "tempo", "transpose", "expression", "arrange", "level")
 MAX_UPLOADS = 200
 _MAX_TITLE = 100
 _ABANDONED = 3600.0  # [s] after which a file that nobody has finished is deleted
@@ -255,8 +255,8 @@ class Storage:
         first, *others = ([getattr(request, name) for name in _MUSIC] for request in requests)
         if any(other != first for other in others):
             raise CadenzaError(
-                "compare performances of one song: the same tracks, tempo, pitch, expression and "
-                "arrangement"
+                "compare performances of one song: the same tracks, hands, tempo, pitch, "
+                "expression and arrangement"
             )
         return folders, self.folder / _COMPARISONS / f"{'-'.join(ids)}.html"
 

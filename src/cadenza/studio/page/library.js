@@ -1,6 +1,6 @@
 // Songs to choose from, and how they are to be played.
 
-const OPTIONS = ["agent", "hand", "tempo", "transpose", "seed"], NUMBERS = ["tempo", "transpose", "seed"];
+const OPTIONS = ["agent", "hand", "hands", "tempo", "transpose", "seed"], NUMBERS = ["tempo", "transpose", "seed"];
 const HARDEST = 10; // level
 const MAX_LISTED = 200; // songs at once
 const MAX_SENT = 5 << 20; // bytes of a file: more than the server takes, of which it says so

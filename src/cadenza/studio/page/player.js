@@ -156,8 +156,8 @@ function showFacts({ request: wanted, recording, status: { remarks = recording?.
   $("facts").replaceChildren(...facts.map((fact) => make("span", fact)));
 }
 /** Returns who plays, and the options that are not the usual ones. */
-function howPlayed({ agent, hand, seed, tempo, transpose, expression, arrange, level }) {
-  const parts = [nameOfAgent(agent), hand !== "shadow" && (handTitles[hand] ?? hand), arrange === "off" && "as written", level && `level ${level}`, transpose && `${transpose > 0 ? "+" : "−"}${Math.abs(transpose)} semitones`, tempo !== 1 && `${tempo}×`, expression && "with expression", seed && `seed ${seed}`];
+function howPlayed({ agent, hand, hands = "both", seed, tempo, transpose, expression, arrange, level }) {
+  const parts = [nameOfAgent(agent), hand !== "shadow" && (handTitles[hand] ?? hand), hands !== "both" && (hands === "written" ? "hands as written" : `${hands} hand`), arrange === "off" && "as written", level && `level ${level}`, transpose && `${transpose > 0 ? "+" : "−"}${Math.abs(transpose)} semitones`, tempo !== 1 && `${tempo}×`, expression && "with expression", seed && `seed ${seed}`];
   return parts.filter(Boolean).join(" · ");
 }
 
