@@ -214,6 +214,7 @@ def test_info_on_a_song(capsys: pytest.CaptureFixture[str]) -> None:
     assert told["notes"] == "14"
     assert told["at once"] == "up to 1 key"
     assert told["fingering"] == "given for 14 of 14 notes"
+    assert told["hands"] == "as written, 14 notes for the right and 0 for the left"
 
 
 def test_info_on_a_file(tune: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,9 +1,12 @@
 """Fingers as a pianist would choose them, of those with which these hands can play.
 
-The costs are the twelve rules of R. Parncutt, J. A. Sloboda, E. F. Clarke, M. Raekallio and P.
-Desain, "An ergonomic model of keyboard fingering for melodic fragments", Music Perception 14 (4),
-1997, pp. 341-382. Their figures are taken from two open implementations, `dvdrndlph/pydactyl` and
-`vibetuned/counterpoint`, which agree but for one of them.
+The costs are the rules of R. Parncutt, J. A. Sloboda, E. F. Clarke, M. Raekallio and P. Desain, "An
+ergonomic model of keyboard fingering for melodic fragments", Music Perception 14 (4), 1997, pp.
+341-382, as J. P. Jacobs refined them, "Refinements to the ergonomic model ...", 18 (4), 2001, pp.
+505-511: the little finger is not weak, large spans cost the same for all fingers, and there is no
+rule 7. (He also counts distances in millimetres; here they are in semitones.) Their figures are
+taken from two open implementations, `dvdrndlph/pydactyl` and `vibetuned/counterpoint`, which agree
+but for one of them.
 
 The rules are for melodies, of which they look at one to three notes. Where a hand strikes several
 keys at once, what they say of notes after each other is the mean over the notes of each moment, and
@@ -192,9 +195,9 @@ def _best_ways(moments: Sequence[_Moment]) -> list[int]:
 
 
 def _cost_of_moment(now: _Moment) -> Array:
-    """(S,) costs of what is struck: weak fingers, the thumb on black keys, spans of chords."""
+    """(S,) costs of what is struck: rules 6 and 10, and spans of chords."""
     fingers, places = now.striking
-    cost = (fingers >= _RING).sum(axis=1) + (fingers == _THUMB) @ _BLACK[places]
+    cost = (fingers == _RING).sum(axis=1) + (fingers == _THUMB) @ _BLACK[places]
     spans = _tables().spans
     for i, j in combinations(range(len(now.places)), 2):
         if i in now.struck or j in now.struck:
@@ -235,8 +238,6 @@ def _cost_of_three(first: _Moment, second: _Moment, third: _Moment) -> Array:
     between = (np.minimum(p, r) < q) & (q < np.maximum(p, r))
     cost = tables.changes[f, h, distance]
     cost = cost + tables.full_changes[f, h, distance] * (between & (g == _THUMB))
-    weak = (f >= _MIDDLE) & (g >= _MIDDLE) & (h >= _MIDDLE)
-    cost = cost + (weak & (f != g) & (g != h) & (f != h))
     return np.asarray(cost.mean(axis=(3, 4, 5)))
 
 
@@ -268,9 +269,10 @@ def _tables() -> _Tables:
     outwards = np.where(first < second, distance, -distance)
     with_thumb = (first == _THUMB) ^ (second == _THUMB)
     uncomfortable = np.maximum(min_comf - outwards, 0) + np.maximum(outwards - max_comf, 0)
-    tense = np.maximum(min_rel - outwards, 0) + np.maximum(outwards - max_rel, 0)
+    small, large = np.maximum(min_rel - outwards, 0), np.maximum(outwards - max_rel, 0)
     impractical = (outwards < min_prac) | (outwards > max_prac)
-    spans = 2 * uncomfortable + np.where(with_thumb, 1, 2) * tense + _IMPRACTICAL * impractical
+    spans = 2 * uncomfortable + np.where(with_thumb, 1, 2) * small + large
+    spans = spans + _IMPRACTICAL * impractical
     spans = np.where(first == second, _SAME_FINGER + np.abs(distance), spans)
     spans = np.where(distance == 0, _OTHER_FINGER * (first != second), spans)
     changes = (1 + uncomfortable) * (uncomfortable > 0) + ((distance == 0) & (first != second))
