@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from cadenza.agents.agent import RandomAgent
+from cadenza.agents.agent import RandomAgent, silent
 from cadenza.errors import CadenzaError
 from cadenza.files import write_json
 from cadenza.music.arrangement import Arrangement
@@ -22,7 +22,7 @@ from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
 from cadenza.performing.setup import select, set_up
 from cadenza.studio import comparison, storage, upload_reader
-from cadenza.studio.player import error_text
+from cadenza.studio.player import error_text, set_up_order
 from cadenza.studio.request import AGENTS, Order, PlayRequest, practice_folder, read_request
 from cadenza.studio.storage import KeptPerformance, Storage, Upload
 
@@ -31,6 +31,26 @@ SCORE = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, 60 + i) for i in range(4)), tit
 
 def read(content: object) -> PlayRequest:
     return read_request(content, AGENTS, ["shadow"])
+
+
+@pytest.mark.parametrize(
+    ("hands", "playing", "as_written"),
+    [
+        ("both", "both", False),
+        ("written", "both", True),
+        ("left", "left", False),
+    ],
+)
+def test_a_request_says_which_hand_plays_what(
+    hands: str, playing: str, as_written: bool, tmp_path: Path
+) -> None:
+    request = read({"song": "CMajorScaleTwoHands", "hands": hands})
+    order = Order(request, "", request.song, False, "0" * 16, str(tmp_path))
+    with set_up_order(order, silent) as setup:
+        assert setup.task.scene.config.hands == playing
+        assert setup.task.config.hands_as_written is as_written
+        (track,) = setup.task.tracks
+        assert len(track.score.notes) == (15 if playing == "left" else 30)
 
 
 def test_a_request_says_what_is_to_be_played() -> None:
@@ -49,6 +69,7 @@ def test_a_request_says_what_is_to_be_played() -> None:
         {"song": "OdeToJoy", "agent": "os:system"},
         {"song": "OdeToJoy", "agent": "policy/../../etc"},
         {"song": "OdeToJoy", "hand": "os:system"},
+        {"song": "OdeToJoy", "hands": "none"},
         {"song": "OdeToJoy", "tempo": 0},
         {"song": "OdeToJoy", "transpose": 1000},
         {"song": "OdeToJoy", "seed": -1},
