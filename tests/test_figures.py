@@ -48,6 +48,8 @@ ALLOWED = {
     ("cli/estimate.py", 5): "plain control steps",
     ("music/arrangement.py", 10): "the hardest grade",
     ("fingering/transitions.py", 5): "kinds of changes",
+    ("fingering/pianist.py", 5): "semitones",
+    ("fingering/pianist.py", 10): "semitones; costs",
     ("music/etudes/drills.py", 5): "degrees of a sixth",
     ("music/etudes/library.py", 10): "grades of difficulty; steps a second",
     ("music/etudes/keys.py", 5): "semitones of scales; flats",
