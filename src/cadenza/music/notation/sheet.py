@@ -140,10 +140,9 @@ def sheet_of(score: Score) -> Sheet:
         )
         for i, measure in enumerate(metre.measures)
     )
-    remarks = counted_remarks([(left_out, "note", "left out, struck again too soon to be written")])
-    is_sure = bool(score.bars) or is_exact
     quantised = [] if is_exact else ["quantised: notes are moved to the nearest note values"]
-    remarks = (*metre.remarks, *quantised, *remarks)
+    lost = counted_remarks([(left_out, "note", "left out, struck again too soon to be written")])
+    remarks, is_sure = (*metre.remarks, *quantised, *lost), bool(score.bars) or is_exact
     return Sheet(score.title, key, measures, remarks, is_sure)
 
 
