@@ -18,6 +18,9 @@ from cadenza.fingers import LEFT, RIGHT
 from cadenza.hands.reach import JumpTimes
 from cadenza.music.score import Note, Score
 
+# [s] in which a key comes up before it is struck again, so that a repetition is heard as one; at most
+# a share of the note.
+_LIFT, _LIFT_SHARE = 0.08, 0.3
 _SOFTER = 0.85  # of the velocity of the harmony, so that the melody is heard above it
 # Costs of a note of the harmony that are tried, one after the other, until it is easy enough.
 _COSTS = 0.0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 3.0
@@ -65,7 +68,7 @@ class Arranger:
             if reached <= grade:
                 break
         playable = {(n.start, n.pitch) for n in fingered.notes if n.finger is not None}
-        struck = [each for each in struck if (each.source.start, each.pitch) in playable]
+        struck = [each for each in struck if (each.start, each.pitch) in playable]
         fingered, _ = find_fingering(_score(score, struck, early_ends), self._players)
         held = held_as_possible(fingered, self._players, self._times)
         arranged = held.without_fingers()
@@ -80,15 +83,21 @@ def _score(score: Score, struck: Iterable[Struck], early_ends: Sequence[EarlyEnd
         key = early.time, early.pitch
         ends[key] = min(early.end, ends.get(key, early.end))
     by_pitch: dict[int, list[Note]] = {}
-    for each in sorted(struck, key=lambda s: s.source.start):
+    for each in sorted(struck, key=lambda s: s.start):
         source = each.source
-        end = min(source.end, ends.get((each.time, each.pitch), source.end))
+        end = min(each.end, ends.get((each.time, each.pitch), each.end))
         softer = _SOFTER if not source.melody and not source.bass else 1.0
         velocity = max(round(softer * source.velocity), 1)
-        end = max(end, source.start + SHORTEST)
-        note = Note(source.start, end, each.pitch, velocity, hands=source.hands)
+        end = max(end, each.start + SHORTEST)
+        note = Note(each.start, end, each.pitch, velocity, hands=source.hands)
         same = by_pitch.setdefault(each.pitch, [])
-        if same and same[-1].end > note.start:
-            same[-1] = replace(same[-1], end=note.start)
+        if same:
+            same[-1] = _lifted(same[-1], note.start)
         same.append(note)
     return replace(score, notes=tuple(note for notes in by_pitch.values() for note in notes))
+
+
+def _lifted(note: Note, again: float) -> Note:
+    """A note that ends early enough to be struck again at a time [s]."""
+    lift = min(_LIFT, _LIFT_SHARE * (again - note.start))
+    return replace(note, end=min(note.end, again - lift))
