@@ -134,6 +134,16 @@ def test_a_policy_on_another_song_is_a_line_on_stderr(
     )
 
 
+@pytest.mark.parametrize("option", [("--level", "3"), ("--arrange", "always")])
+def test_a_song_that_a_policy_has_learnt_is_not_arranged_for_it(
+    option: tuple[str, str], here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy(here / "run")
+    write_midi(replace(TUNE, title="A tune"), here / "again.mid")
+    said = refused(capsys, "play", "again.mid", "--agent", "run", "--no-video", *option)
+    assert "run: plays this song as it has learnt it; leave out --arrange and --level" in said
+
+
 @pytest.mark.parametrize(
     ("option", "value", "said"),
     [

@@ -18,8 +18,8 @@ from cadenza.fingers import LEFT, RIGHT
 from cadenza.hands.reach import JumpTimes
 from cadenza.music.score import Note, Score
 
-# [s] in which a key comes up before it is struck again, so that a repetition is heard as one; at most
-# a share of the note.
+# [s] in which a key comes up before it is struck again, so that a repetition is heard as one; at
+# most a share of the note.
 _LIFT, _LIFT_SHARE = 0.08, 0.3
 _SOFTER = 0.85  # of the velocity of the harmony, so that the melody is heard above it
 # Costs of a note of the harmony that are tried, one after the other, until it is easy enough.
@@ -63,14 +63,15 @@ class Arranger:
         moments = moments_of(song, beats)
         for cost in _COSTS:
             struck, early_ends = reduced(moments, self._hands, Values(note=cost))
-            fingered, _ = find_fingering(_score(score, struck, early_ends), self._players)
-            reached = FITTED.grade(features_of(fingered))
+            fingered, dropped = find_fingering(_score(score, struck, early_ends), self._players)
+            if dropped:
+                left_out = {(note.start, note.pitch) for note, _ in dropped}
+                struck = [each for each in struck if (each.start, each.pitch) not in left_out]
+                fingered, _ = find_fingering(_score(score, struck, early_ends), self._players)
+            held = held_as_possible(fingered, self._players, self._times)
+            reached = FITTED.grade(features_of(held))
             if reached <= grade:
                 break
-        playable = {(n.start, n.pitch) for n in fingered.notes if n.finger is not None}
-        struck = [each for each in struck if (each.start, each.pitch) in playable]
-        fingered, _ = find_fingering(_score(score, struck, early_ends), self._players)
-        held = held_as_possible(fingered, self._players, self._times)
         arranged = held.without_fingers()
         fates = fates_of(song, struck)
         return Arranged(arranged, fidelity_of(fates, arranged, beats), reached, fates)

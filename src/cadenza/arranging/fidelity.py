@@ -95,7 +95,7 @@ def fidelity_of(fates: Sequence[Fate], arranged: Score, beats: Sequence[float]) 
     """
     song = [fate for fate in fates if not fate.note.added]
     written = [fate.note for fate in song]
-    sounding, played = _pitch_classes(written, beats), _pitch_classes(arranged.notes, beats)
+    sounding, played = pitch_classes(written, beats), pitch_classes(arranged.notes, beats)
     return Fidelity(
         melody_kept=_share(fate for fate in song if fate.note.melody),
         bass_kept=_share(fate for fate in song if fate.note.bass),
@@ -112,7 +112,7 @@ def _share(fates: Iterable[Fate]) -> float:
     return sum(played) / len(played) if played else 1.0
 
 
-def _pitch_classes(
+def pitch_classes(
     notes: Iterable[Source] | Iterable[Note], beats: Sequence[float]
 ) -> NDArray[np.bool_]:
     """(B, 12) the pitch classes that sound in each beat."""

@@ -98,9 +98,7 @@ def moments_of(notes: Sequence[Source], beats: Sequence[float]) -> list[Moment]:
     return moments
 
 
-def _groups(
-    notes: Sequence[Source], beats: Sequence[float]
-) -> list[tuple[float, list[Source]]]:
+def _groups(notes: Sequence[Source], beats: Sequence[float]) -> list[tuple[float, list[Source]]]:
     """The times at which notes begin together, with these, and parts of beats where none do."""
     groups = [(group[0].start, group) for group in chords(sorted(notes, key=_start), TOGETHER)]
     begins = np.array([time for time, _ in groups])

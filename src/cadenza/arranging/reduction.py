@@ -30,8 +30,8 @@ _LONG_AGO = -10.0  # [s]
 _LEAST_HELD = 0.03  # [s] for which a hand holds what it strikes
 _FASTEST_REPETITION = 0.1  # [s]
 _LEAST_LATE = 0.15  # [s] for which a note sounds that is struck late
-# [s] in which C4 (MIDI 60) falls by 20 dB on a piano; it decays at first by 10 dB a second, by 2 and
-# 80 dB for C2 and C7 (Bensa et al., JASA 114, 2003), and then more slowly (Weinreich, 1977).
+# [s] in which C4 (MIDI 60) falls by 20 dB on a piano. It decays at first by 10 dB a second, C2 by 2
+# and C7 by 80 (Bensa et al., JASA 114, 2003), then more slowly (Weinreich, JASA 62, 1977).
 _LASTS, _LASTING = 3.6, 60
 _BUSY = 0.2  # [s] after which a hand that strikes again is busy
 
@@ -46,9 +46,9 @@ class Values:
     """The value of a bass note an octave higher."""
     new: float = 1.0
     """The value of the first note of a pitch class in a beat."""
-    again: float = 0.5
+    again: float = 0.4
     """The value of any other note, where it is written."""
-    late: float = 0.1
+    late: float = 0.15
     """The cost of striking a note later than written, or again."""
     octave: float = 0.3
     """The cost of every octave by which a note is moved."""
@@ -58,9 +58,9 @@ class Values:
     """The cost of ending a note as soon as it begins; less in proportion if it ends later."""
     early_melody: float = 4.0
     """The same for a note of the melody."""
-    haste: float = 20.0
+    haste: float = 30.0
     """The cost of a jump that takes all the time there is; with the square of the share."""
-    busy: float = 0.5
+    busy: float = 0.6
     """The cost of each further note that a hand strikes at once `_BUSY` after others."""
 
 
@@ -182,9 +182,7 @@ def _successors(
         sounding = (held for hand in state.hands for held in hand.still_held(moment.time))
         classes = _bits(held.pitch for held in sounding if not _has_died_away(held, moment.time))
     actions = [
-        list(
-            _HandAtMoment(hand, state.hands[hand], moment, hands[hand], values, classes).actions()
-        )
+        list(_HandAtMoment(hand, state.hands[hand], moment, hands[hand], values, classes).actions())
         for hand in (RIGHT, LEFT)
     ]
     for right, left in product(*actions):
@@ -239,7 +237,7 @@ class _HandAtMoment:
     """What one hand may do at one moment: the right hand has the melody, the left the bass."""
 
     def __init__(
-                self,
+        self,
         hand: int,
         before: Hand,
         moment: Moment,
@@ -247,9 +245,10 @@ class _HandAtMoment:
         values: Values,
         classes: int,
     ) -> None:
-        late = tuple(n for n in moment.sounding if not classes >> n.pitch % OCTAVE & 1)
         inwards = -1 if hand == RIGHT else 1  # so that hands share what begins
-        self._harmony = moment.harmony[::inwards] + late[::inwards]
+        written, late = moment.harmony[::inwards], moment.sounding[::inwards]
+        new = [n for n in (*written, *late) if not classes >> n.pitch % OCTAVE & 1]
+        self._harmony = [*new, *(n for n in written if classes >> n.pitch % OCTAVE & 1)]
         self._hand, self._before, self._moment = hand, before, moment
         self._one, self._values = one, values
         self._held = before.still_held(moment.time)

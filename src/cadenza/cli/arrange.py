@@ -53,7 +53,7 @@ def run(command: Arrange) -> None:
     from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
     from cadenza.music.formats.midi import write_midi
     from cadenza.music.formats.musicxml_writing import write_musicxml
-    from cadenza.performing.arranging import arrange
+    from cadenza.performing.arranging import arrange_song
     from cadenza.performing.source import resolve
     from cadenza.scene.scene import build_scene
     from cadenza.tasks.config import TaskConfig
@@ -64,8 +64,7 @@ def run(command: Arrange) -> None:
         check_name(path, SHEET, f"an arrangement is a {SHEET} or {_MIDI} file")
     check_writable(path.parent)
     source, scene = resolve(command.song, command.arrangement), build_scene(command.scene)
-    song = command.arrangement.written_for(command.scene.hands, source.score)
-    found = arrange(song, command.arrangement, scene)
+    found = arrange_song(source.written_for(command.scene.hands), scene)
     arranged = found.arranged
     how = TaskConfig(fingering=command.fingering, hands_as_written=command.hands_as_written)
     score = GoalTrack(arranged.score, None, how, scene).fingered().score

@@ -16,6 +16,7 @@ _AS_WRITTEN: dict[str, Any] = {
     "arrangement.tracks": [],
     "arrangement.arrange": "auto",
     "arrangement.level": None,
+    "arrangement.drums": "off",
     "arrangement.expression": 0.0,
     "task.stretch": 1.0,
     "task.transpose": 0,

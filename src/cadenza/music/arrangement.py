@@ -27,6 +27,8 @@ class Arrangement:
     """Arrange the song to a difficulty from 1 to 10."""
     all_notes: bool = False
     """Have one hand play all notes, and not only those that are written for it."""
+    drums: Literal["off", "accents"] = "off"
+    """Have drums accent what is played with them."""
     first_seconds: float | None = None
     """Play only what begins within this time from the first note on [s]."""
     expression: float = 0.0
@@ -58,22 +60,35 @@ class Arrangement:
         Raises:
             CadenzaError: it cannot be read, has no such tracks, or lasts over an hour.
         """
+        return self.performed(self.whole(song), song)
+
+    def whole(self, song: str) -> Score:
+        """The whole score of `song`, as it is written.
+
+        Raises:
+            CadenzaError: it cannot be read, or has no such tracks.
+        """
+        from cadenza.music.accents import accented
         from cadenza.music.libraries.library import load_score
 
-        whole = load_score(song, self.tracks)
-        score = self._performed(whole)  # before it is cut, as its beginning has no final ritard
+        score = load_score(song, self.tracks)
+        return accented(score) if self.drums == "accents" else score
+
+    def performed(self, score: Score, song: str) -> Score:
+        """The part of a whole score that is played, with expression.
+
+        Raises:
+            CadenzaError: it lasts over an hour; the message begins with `song`.
+        """
+        if self.expression:  # before it is cut, as its beginning has no final ritard
+            from cadenza.music.expression import performed
+
+            score = performed(score, self.expression, self.rules)
         if self.first_seconds is not None:
             score = score.beginning(self.first_seconds)
         music = score.total_time - min((note.start for note in score.notes), default=0.0)
         check_length(music, f"{song}: the song", "; play its beginning with --first-seconds")
         return score
-
-    def _performed(self, score: Score) -> Score:
-        if not self.expression:
-            return score
-        from cadenza.music.expression import performed
-
-        return performed(score, self.expression, self.rules)
 
     def written_for(self, hands: str, score: Score) -> Score:
         """The notes of a song that are written for the hands that play.

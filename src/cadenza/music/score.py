@@ -148,7 +148,9 @@ class Score:
 
     `remarks` say in plain words what was repaired when the score was read. `tracks` are those of
     the file, played or not. `bars` are in the order in which they are played; there are none if the
-    file has no metre. Scores that differ only in tracks or bars are equal.
+    file has no metre. `drums` are the strokes that no key plays, with times as in the file, and
+    pitches that name the drums of General MIDI. Scores that differ only in tracks, bars or drums
+    are equal.
     """
 
     notes: tuple[Note, ...]
@@ -157,6 +159,7 @@ class Score:
     remarks: tuple[str, ...] = ()
     tracks: tuple[Track, ...] = field(default=(), compare=False)
     bars: tuple[Bar, ...] = field(default=(), compare=False)
+    drums: tuple[Note, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         notes = tuple(sorted(self.notes, key=lambda note: (note.start, note.pitch)))
@@ -201,7 +204,7 @@ class Score:
         if not isinstance(factor, Real) or not 0 < factor < float("inf"):
             raise CadenzaError(f"cannot stretch by {factor!r:.100}: give a positive number")
         check_length(self.total_time * factor, f"stretched by {factor:g}, the song")
-        return self._with_times(lambda time: time * factor)
+        return self.with_times(lambda time: time * factor)
 
     def transposed(self, semitones: int) -> Score:
         """The score with all pitches moved by `semitones`.
@@ -283,9 +286,11 @@ class Score:
     def _shifted(self, seconds: float) -> Score:
         # To the nanosecond: 0.15 - 0.05 must give 0.1 and not the float below it, which would
         # put the note a control step too early.
-        return self._with_times(lambda time: round(time + seconds, _DECIMALS))
+        return self.with_times(lambda time: round(time + seconds, _DECIMALS))
 
-    def _with_times(self, move: Callable[[float], float]) -> Score:
+    def with_times(self, move: Callable[[float], float]) -> Score:
+        """The score with `move` applied to all of its times [s]."""
+
         def moved(note: Note) -> Note:
             start = move(note.start)
             return replace(note, start=start, end=max(move(note.end), start + _MIN_LENGTH))

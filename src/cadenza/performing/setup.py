@@ -213,9 +213,8 @@ def is_policy_folder(agent: str) -> bool:
 def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:
     """Returns the selection with a policy, in the task and the scene that it was trained in."""
     if learnt.score is None or not learnt.has_learnt(selection.score):
-        arrangement = selection.source.arrangement
-        mine = arrangement.written_for(learnt.scene.hands, selection.score)
-        selection = selection.with_score(mine)
+        mine = selection.source.written_for(learnt.scene.hands)
+        selection = replace(selection, source=mine)
     if learnt.score is not None and not learnt.has_learnt(selection.score):
         what = f"{selection.name}: was trained on {learnt.score.title!r}"
         if learnt.score.title == selection.score.title:
@@ -250,8 +249,8 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
     built = build_scene(scene)
     whole = mine = selection.score
     if not _is_learnt(selection):
-        mine = selection.source.arrangement.written_for(scene.hands, whole)
-        selection = selection.with_score(mine)
+        selection = replace(selection, source=selection.source.written_for(scene.hands))
+        mine = selection.score
     arranged = _arranged(selection, built)
     if arranged is not None:
         selection = selection.with_score(arranged.arranged.score)
@@ -278,9 +277,15 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
 
 def _arranged(selection: Selection, scene: Scene) -> HandArrangement | None:
     """Arranges a song for the hands, but not one that was learnt or practised as it is."""
+    learnt, arrangement = selection.learnt, selection.source.arrangement
     if _is_learnt(selection):
+        if learnt is not None and arrangement.asks_for_hands:
+            raise CadenzaError(
+                f"{selection.name}: plays this song as it has learnt it; leave out --arrange and "
+                "--level"
+            )
         return None
-    return arranged_for(selection.score, selection.source.arrangement, scene)
+    return arranged_for(selection.source, scene)
 
 
 def _is_learnt(selection: Selection) -> bool:

@@ -46,6 +46,7 @@ _RESET = 121  # controller that lifts the pedals of a channel, among others
 _ALL_OFF = 120, 123  # controllers that end all notes of a channel
 _PUNCTUATION = "‘’“”–—…"
 _DOWN = 64  # the least value of a pedal that is down
+_STROKE = 0.05  # [s] for which a drum sounds, whatever the file says
 _MOST_BARS, _MOST_BEATS = 20_000, 100_000  # more are taken for damage
 
 
@@ -104,15 +105,16 @@ def read_midi(
     pedal = tuple(event for channel, event in moves if channel in channels)
 
     counts = Counter(outside=sum(part.outside for part in melodic))
+    drums = [part for part in parts if part.channel == _DRUM_CHANNEL]
     if not tracks:
-        drums = (part for part in parts if part.channel == _DRUM_CHANNEL)
         counts["drums"] = sum(len(part.notes) + part.outside for part in drums)
     if any(part.sostenuto for part in melodic):
         remarks.append("the sostenuto pedal is left out")
     found = [note for part in melodic for note in part.notes]
     notes, said = repaired_notes(found, counts, remarks, path, clock.seconds)
     bars = _bars(file.division, chunks, clock, until=notes[-1].start)
-    return Score(notes, pedal, _title(chunks, path), said, listed, bars)
+    strokes = tuple(_stroke(note, clock) for part in drums for note in part.notes)
+    return Score(notes, pedal, _title(chunks, path), said, listed, bars, strokes)
 
 
 def write_midi(score: Score, path: str | Path) -> None:
@@ -349,6 +351,11 @@ def _bars(
                 return ()
             bars.append(Bar(times[0], len(bars) + 1, tuple(times), denominator))
     return tuple(bars)
+
+
+def _stroke(note: RawNote, clock: _Clock) -> Note:
+    start = clock.seconds(note.start)
+    return Note(start, start + _STROKE, note.pitch, note.velocity)
 
 
 def _title(chunks: Sequence[mido.MidiTrack], path: Path) -> str:
