@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 from cadenza.arranging.fidelity import NOTHING_LOST, Fate, Fidelity, fates_of, fidelity_of
 from cadenza.arranging.lengths import held_as_possible
-from cadenza.arranging.moments import SHORTEST, beats_of, merged, moments_of
+from cadenza.arranging.moments import SHORTEST, Moment, beats_of, merged, moments_of
 from cadenza.arranging.one_hand import OneHand
 from cadenza.arranging.parts import parts_of
 from cadenza.arranging.reduction import EarlyEnd, Struck, Values, reduced
@@ -22,7 +24,7 @@ from cadenza.music.score import Note, Score
 # most a share of the note.
 _LIFT, _LIFT_SHARE = 0.08, 0.3
 _SOFTER = 0.85  # of the velocity of the harmony, so that the melody is heard above it
-# Costs of a note of the harmony that are tried, one after the other, until it is easy enough.
+# Costs of a note of the harmony, of which the least is searched for that makes a song easy enough.
 _COSTS = 0.0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 3.0
 
 
@@ -61,20 +63,35 @@ class Arranger:
             return Arranged(score, NOTHING_LOST, EASIEST)
         song, beats = merged(parts_of(score)), beats_of(score)
         moments = moments_of(song, beats)
-        for cost in _COSTS:
-            struck, early_ends = reduced(moments, self._hands, Values(note=cost))
-            fingered, dropped = find_fingering(_score(score, struck, early_ends), self._players)
-            if dropped:
-                left_out = {(note.start, note.pitch) for note, _ in dropped}
-                struck = [each for each in struck if (each.start, each.pitch) not in left_out]
-                fingered, _ = find_fingering(_score(score, struck, early_ends), self._players)
+
+        @cache
+        def arranged(which: int) -> Arranged:
+            """The arrangement with this one of the costs."""
+            struck, fingered = self._struck(score, moments, _COSTS[which])
             held = held_as_possible(fingered, self._players, self._times)
-            reached = FITTED.grade(features_of(held))
-            if reached <= grade:
-                break
-        arranged = held.without_fingers()
-        fates = fates_of(song, struck)
-        return Arranged(arranged, fidelity_of(fates, arranged, beats), reached, fates)
+            fates, reached = fates_of(song, struck), FITTED.grade(features_of(held))
+            return Arranged(held.without_fingers(), fidelity_of(fates, held, beats), reached, fates)
+
+        if grade >= HARDEST:
+            return arranged(0)
+        costs = range(len(_COSTS))
+        easy = bisect_left(costs, True, key=lambda which: arranged(which).grade <= grade)
+        return arranged(min(easy, costs[-1]))
+
+    def _struck(
+        self, score: Score, moments: Sequence[Moment], cost: float
+    ) -> tuple[list[Struck], Score]:
+        """What the hands strike, and the score of it with fingers.
+
+        `cost` is that of every note of the harmony.
+        """
+        struck, early_ends = reduced(moments, self._hands, Values(note=cost))
+        fingered, dropped = find_fingering(_score(score, struck, early_ends), self._players)
+        if dropped:
+            left_out = {(note.start, note.pitch) for note, _ in dropped}
+            struck = [each for each in struck if (each.start, each.pitch) not in left_out]
+            fingered, _ = find_fingering(_score(score, struck, early_ends), self._players)
+        return struck, fingered
 
 
 def _score(score: Score, struck: Iterable[Struck], early_ends: Sequence[EarlyEnd]) -> Score:
