@@ -43,7 +43,8 @@ class Fidelity:
     bass_kept: float
     """Share of the notes of the bass that are played, in any octave."""
     others_kept: float
-    """Share of all other notes that are played, in any octave; notes in unison count once."""
+    """Share of all other notes that are played, in any octave, as written or later in the beat;
+    notes in unison count once."""
     pitch_classes_kept: float
     """Share of the pitch classes of each beat that sound in it."""
     notes_moved: int
