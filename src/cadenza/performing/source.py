@@ -48,6 +48,11 @@ class Source:
         own_folder = self.policy is not None or self.practised is not None
         return self.score.title if own_folder else name_without_ending(self.name)
 
+    def titled(self, title: str) -> Source:
+        """The song under another title."""
+        whole = self.written and replace(self.written, title=title)
+        return replace(self, name=title, score=replace(self.score, title=title), written=whole)
+
     def written_for(self, hands: str) -> Source:
         """The song with the notes that are written for these hands, see `Arrangement.written_for`.
 

@@ -32,6 +32,7 @@ from cadenza.performing.filming import write_film
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.setup import Selection, Setup, select, set_up
 from cadenza.performing.source import PRACTISED as PLAN
+from cadenza.performing.source import Source, resolve
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.messages import IDLE, PAUSE, RESUME, Message, Send, json_message
 from cadenza.studio.request import (
@@ -199,11 +200,11 @@ def _select(order: Order) -> Selection:
     return selection
 
 
-def _read_upload(order: Order, arrangement: Arrangement) -> Score:
+def _read_upload(order: Order, arrangement: Arrangement) -> Source:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        score = arrangement.score(order.source)
-    return replace(score, title=order.title)
+        source = resolve(order.source, arrangement)
+    return source.titled(order.title)
 
 
 def save(performance: Performance, states: StateStream, order: Order, send: Send) -> None:
