@@ -36,10 +36,10 @@ def shadow_hands(
 
 
 def find_fingering(
-    score: Score, sides: Collection[Side] = SIDES
+    score: Score, sides: Collection[Side] = SIDES, as_written: bool = False
 ) -> tuple[Score, tuple[Dropped, ...]]:
     """As in `cadenza.fingering.search`, for them."""
-    return search.find_fingering(score, shadow_hands(sides))
+    return search.find_fingering(score, shadow_hands(sides), as_written=as_written)
 
 
 def solve(score: Score, sides: Collection[Side] = SIDES) -> Solution:

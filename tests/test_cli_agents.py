@@ -21,7 +21,7 @@ from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.performing import performance
-from cadenza.report.sound import encode_mp3
+from cadenza.report.sound import encode_opus
 
 TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)))
 OTHER = Score((Note(0.0, 0.3, 62), Note(0.3, 0.6, 65)))
@@ -132,6 +132,16 @@ def test_a_policy_on_another_song_is_a_line_on_stderr(
     assert "was trained on 'A tune' in another arrangement, or a part of it, not" in (
         capsys.readouterr().err
     )
+
+
+@pytest.mark.parametrize("option", [("--level", "3"), ("--arrange", "always")])
+def test_a_song_that_a_policy_has_learnt_is_not_arranged_for_it(
+    option: tuple[str, str], here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy(here / "run")
+    write_midi(replace(TUNE, title="A tune"), here / "again.mid")
+    said = refused(capsys, "play", "again.mid", "--agent", "run", "--no-video", *option)
+    assert "run: plays this song as it has learnt it; leave out --arrange and --level" in said
 
 
 @pytest.mark.parametrize(
@@ -365,10 +375,10 @@ def test_being_stopped_while_results_are_written_writes_them_all(
         if not stopped:
             stopped.append(number)
             signal.raise_signal(number)
-        return encode_mp3(*arguments, **options)
+        return encode_opus(*arguments, **options)
 
     stopped: list[int] = []
-    monkeypatch.setattr(performance, "encode_mp3", encode_and_stop)
+    monkeypatch.setattr(performance, "encode_opus", encode_and_stop)
     said = interrupted(capsys, "own:Still")
     assert "stopping after writing the results; press Ctrl-C again" in said
     assert "cover only that part" not in said

@@ -93,6 +93,8 @@ def test_an_episode_is_played_again_to_a_page(
         (("collect", "--least-f1", "2"), "least_f1 2"),
         (("collect", "--noise", "-1"), "noise -1"),
         (("collect", "--excerpt", "0"), "excerpt 0"),
+        (("collect", "--level", "3"), "recorded as written: leave out --arrange and --level"),
+        (("collect", "--arrange", "always"), "recorded as written: leave out --arrange and"),
         (("collect", "--songs", "nothing"), "no song library 'nothing'"),
         (("collect", "--agent", "nobody"), "no agent 'nobody'"),
         (("collect", "--agent", "playback"), "does not plan, nor play any song; choose"),

@@ -15,11 +15,15 @@ import pytest
 
 from cadenza import load_song
 from cadenza.cli import main
+from cadenza.music.arrangement import Arrangement
 from cadenza.music.expression import performed
 from cadenza.music.expression_rules import ExpressionRules
 from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.formats.reading import name_without_ending
 from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.performing.arranging import arrange, arrange_song
+from cadenza.performing.source import resolve
+from cadenza.scene.scene import build_scene
 
 QUICK = ("--agent", "zero", "--no-video")
 
@@ -120,9 +124,15 @@ def test_a_song_for_a_band_is_arranged_for_the_hands(
     assert 0 < metrics["original_f1"] < 1
     remarks = json.loads((tmp_path / "settings.json").read_text())["remarks"]
     assert any("arranged for both hands" in remark for remark in remarks)
+    fates = json.loads((tmp_path / "arrangement.json").read_text())
+    moved = [fate for fate in fates if fate["played"] not in (None, fate["pitch"])]
+    assert len(moved) == metrics["notes_moved"]
+    left_out = [fate for fate in fates if fate["played"] is None and fate["part"] == "harmony"]
+    assert left_out
     main([*play, "--arrange", "off"])
     assert "arranged" not in capsys.readouterr().err
     assert "melody_kept" not in json.loads((tmp_path / "metrics.json").read_text())
+    assert not (tmp_path / "arrangement.json").exists()  # of the other performance
 
 
 def test_music_that_the_hands_can_play_stays_as_it_is_unless_a_level_is_given(
@@ -183,6 +193,26 @@ def test_what_cannot_be_arranged_is_told_in_a_line(
     options: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert said in refused(capsys, "arrange", "etudes/band-7", *options)
+
+
+@pytest.mark.parametrize("option", [("--level", "3"), ("--arrange", "always")])
+def test_what_is_learnt_is_not_arranged(
+    option: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "run"
+    said = refused(capsys, "train", "OdeToJoy", *option, "-o", folder)
+    assert "songs are learnt as written: write an arrangement with cadenza arrange" in said
+    assert not folder.exists()
+
+
+def test_expression_is_that_of_the_arrangement() -> None:
+    how = Arrangement(expression=1.0, first_seconds=6.0)
+    scene = build_scene()
+    written = arrange(load_song("etudes/band-7"), Arrangement(), scene)
+    played = arrange_song(resolve("etudes/band-7", how), scene)
+    assert played.arranged.score == performed(written.arranged.score).beginning(6.0)
+    assert played.original.total_time <= played.arranged.score.total_time
+    assert len(played.original.notes) > len(played.arranged.score.notes)
 
 
 def test_a_plan_of_some_tracks_is_replayed_with_them_and_no_others(

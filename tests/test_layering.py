@@ -34,7 +34,7 @@ STANDS_ON: dict[str, set[str]] = {
     "cli": {"evaluation", "studio"},
 }
 LIBRARIES: dict[str, set[str]] = {
-    "music": {"numpy", "scipy", "mido", "filelock", "platformdirs"},
+    "music": {"numpy", "scipy", "mido", "filelock", "platformdirs", "verovio"},
     "keyboards": {"numpy", "mujoco"},
     "hands": {"numpy", "mujoco"},
     "scene": {"numpy", "mujoco", "threadpoolctl"},
@@ -61,6 +61,7 @@ LIBRARIES: dict[str, set[str]] = {
         "markupsafe",
         "threadpoolctl",
         "tensorboardX",
+        "verovio",
         "wandb",
     },
     "evaluation": {"numpy", "scipy", "ray"},

@@ -6,6 +6,8 @@ With the Python of an environment that has pianoplayer (pip install 'pianoplayer
 fingers are compared, too. It is told the hand of every note, as it does not choose hands, and takes
 up to minutes a piece.
 
+The hands are found for the robot's fingers, and those written for the pianist's.
+
 `hand` and `finger` are the shares of notes with the same hand and finger as written, `cost` what
 a fingering costs by `cadenza.fingering.search`, and `against` how many of its notes break what that
 takes for possible (they are left out of the cost).
@@ -23,6 +25,7 @@ from pathlib import Path
 import mido
 
 from cadenza.errors import errors_in_a_line
+from cadenza.fingering.pianist import pianist_fingering
 from cadenza.fingering.search import solve
 from cadenza.fingers import Finger
 from cadenza.music.libraries.library import load_score, songs
@@ -40,11 +43,12 @@ def main() -> None:
     parser.add_argument("--pianoplayer", help="the Python of an environment that has it")
     options = parser.parse_args()
     pianoplayer, names = options.pianoplayer, options.pieces
-    print(f"{'':31} notes  written (against)   found: hand, finger, cost (against)")
+    print(f"{'':31} notes  written (against)   found: hand, finger, cost (against)   a pianist's")
     for name in names or [piece.name for piece in songs()]:
         written = load_score(name)
         found = solve(written.without_fingers(), HANDS).score
         row = f"{name:31} {len(written.notes):5} {_cost(written)}   {_agreement(written, found)}"
+        row += f"   {_agreement(written, pianist_fingering(written, HANDS)[0])}"
         if pianoplayer:
             begin = time.perf_counter()
             row += f"   pianoplayer: {_agreement(written, _by_pianoplayer(pianoplayer, written))}"

@@ -37,7 +37,7 @@ from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.performing import performance
 from cadenza.performing.practising import Practising
-from cadenza.report.sound import encode_mp3
+from cadenza.report.sound import encode_opus
 from cadenza.scene.config import ForearmDof, Hands, SceneConfig
 from cadenza.sim.threads import Threads
 from cadenza.tasks.config import DomainRandomization, TaskConfig
@@ -800,11 +800,11 @@ def test_ctrl_c_while_results_are_written_writes_them_all(
     def encode_and_interrupt(*arguments: Any, **options: Any) -> bytes:
         if not sounds:
             signal.raise_signal(signal.SIGINT)
-        sounds.append(encode_mp3(*arguments, **options))
+        sounds.append(encode_opus(*arguments, **options))
         return sounds[-1]
 
     sounds: list[bytes] = []
-    monkeypatch.setattr(performance, "encode_mp3", encode_and_interrupt)
+    monkeypatch.setattr(performance, "encode_opus", encode_and_interrupt)
     with pytest.raises(SystemExit) as stop:
         folder_of(tmp_path, "--effort", "0")
     assert stop.value.code == 130

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from cadenza.arranging.arranger import Arranger
+from cadenza.arranging.moments import beats_of
 from cadenza.fingering.search import find_fingering
 from cadenza.music.etudes.band import Band, band_score, make_band
-from cadenza.music.score import Note, Score
+from cadenza.music.score import Bar, Note, Score, Track
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.goal_track import players_of
@@ -79,3 +83,67 @@ def test_what_is_playable_is_kept_note_for_note_but_softer_inside(arranger: Arra
 
 def test_an_empty_score_stays_empty(arranger: Arranger) -> None:
     assert not arranger.arrange(Score(())).score.notes
+
+
+def test_each_note_has_its_fate(band: Band, arranger: Arranger) -> None:
+    arranged = arranger.arrange(band_score(band))
+    played = sorted(note.pitch for note in arranged.score.notes)
+    assert sorted(fate.played for fate in arranged.fates if fate.played is not None) == played
+    written = {(note.start, note.pitch) for note in band_score(band).notes}
+    for note, _ in arranged.fates:
+        assert note.added or (note.start, note.pitch) in written
+
+
+@pytest.mark.parametrize("level", [5, 6, 8])
+def test_an_arrangement_is_at_most_as_hard_as_its_level(level: int, arranger: Arranger) -> None:
+    score = band_score(make_band(7)).beginning(20.0)
+    assert arranger.arrange(score, grade=level).grade <= level
+
+
+def test_below_all_levels_melody_and_bass_are_left(arranger: Arranger) -> None:
+    arranged = arranger.arrange(band_score(make_band(7)).beginning(20.0), grade=1.0)
+    assert arranged.grade > 1
+    assert arranged.fidelity.melody_kept == arranged.fidelity.bass_kept == 1
+    assert arranged.fidelity.others_kept < 0.05
+
+
+def song_for_three(chord: tuple[Note, ...], bars: tuple[Bar, ...]) -> Score:
+    """A melody high up and a bass far below, which hands cannot leave, and a chord between."""
+    melody = [Note(0.5 * i, 0.5 * i + 0.5, 84 + i % 3, tracks=(1,)) for i in range(16)]
+    bass = [Note(1.0 * i, 1.0 * i + 1, 36, tracks=(3,)) for i in range(8)]
+    inner = [replace(note, tracks=(2,)) for note in chord]
+    names = ("Melody", "Flute"), ("Pad", "Pad 2 (warm)"), ("Bass", "Acoustic bass")
+    tracks = tuple(Track(i, *name, i, 1, 1, 1) for i, name in enumerate(names, start=1))
+    return Score((*melody, *bass, *inner), tracks=tracks, bars=bars)
+
+
+FOURS = tuple(Bar(2.0 * i, i + 1, tuple(2.0 * i + b for b in (0, 0.5, 1, 1.5))) for i in range(4))
+TWOS = tuple(Bar(2.0 * i, i + 1, (2.0 * i, 2.0 * i + 1)) for i in range(4))
+
+
+def test_a_chord_that_cannot_be_struck_at_once_is_broken(arranger: Arranger) -> None:
+    wide = tuple(Note(2.0 * i, 2.0 * i + 1.9, p) for i in range(4) for p in (48, 55, 64, 71, 77))
+    arranged = arranger.arrange(song_for_three(wide, TWOS))
+    late = [n for n in arranged.score.notes if 40 < n.pitch < 80 and n.start % 2 > 0.1]
+    assert len(late) >= 4
+    assert arranged.fidelity.pitch_classes_kept > 0.85
+
+
+def test_a_chord_is_struck_again_when_a_piano_would_have_died_away(arranger: Arranger) -> None:
+    held = tuple(Note(0.0, 8.0, pitch) for pitch in (64, 67))
+    fidelity = arranger.arrange(song_for_three(held, FOURS)).fidelity
+    assert 1 < fidelity.notes_added <= 8
+
+
+def test_keys_come_up_between_repeated_notes_of_the_melody(arranger: Arranger) -> None:
+    sung = tuple(Note(0.25 * i, 0.25 * (i + 1), 72) for i in range(8))
+    notes = arranger.arrange(Score(sung)).score.notes
+    assert [note.start for note in notes] == [note.start for note in sung]
+    assert all(after.start - note.end > 0.05 for note, after in pairwise(notes))
+
+
+def test_without_bars_beats_are_estimated(arranger: Arranger) -> None:
+    score = band_score(make_band(2)).beginning(20.0)
+    kept, estimated = (arranger.arrange(each).fidelity for each in (score, replace(score, bars=())))
+    assert estimated.melody_kept == pytest.approx(kept.melody_kept, abs=0.03)
+    assert beats_of(replace(score, bars=()))[-1] > score.total_time - 1.2

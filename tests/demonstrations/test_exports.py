@@ -206,15 +206,15 @@ def test_lerobot_files_hold_what_cameras_see(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     export = ["dataset", "export", str(made), "--format", "lerobot", "--video-size", "64", "48"]
-    main([*export, "--video-cameras", "back", "player", "-o", str(tmp_path / "one")])
+    main([*export, "--video-cameras", "back", "left", "-o", str(tmp_path / "one")])
     monkeypatch.setattr(lerobot_videos, "FILE_BYTES", 0)
-    main([*export, "--video-cameras", "back", "player", "-o", str(tmp_path / "several")])
+    main([*export, "--video-cameras", "back", "left", "-o", str(tmp_path / "several")])
     dataset = open_dataset(made)
     shown = np.concatenate([pictures_of(dataset, number) for number in range(2)])
     for folder in (tmp_path / "one", tmp_path / "several"):
         info = json.loads((folder / "meta/info.json").read_text())
         cameras = {name for name, of in info["features"].items() if of["dtype"] == "video"}
-        assert cameras == {"observation.images.back", "observation.images.player"}
+        assert cameras == {"observation.images.back", "observation.images.left"}
         feature = info["features"]["observation.images.back"]
         assert (feature["shape"], feature["names"][-1]) == ([48, 64, 3], "channels")
         frames = pq.read_table(folder / info["data_path"].format(chunk_index=0, file_index=0))

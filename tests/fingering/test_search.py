@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cadenza.fingering.pianist import pianist_fingering
+from cadenza.fingering.players import players_at
+from cadenza.fingers import LEFT, RIGHT
 from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score, songs
 from cadenza.music.score import RELEASE_TIME, Note, Score, is_black
 from music_strategies import lengths, monophonic_per_key, scores, times
 from numbered import finger, numbers
-from players import find_fingering, shadow_hands, solve
+from players import FOUR_FINGERS, find_fingering, shadow_hands, solve
 
 REACH = SHADOW.reach
 ORDER = shadow_hands().fingers  # from left to right
@@ -177,6 +181,43 @@ def test_both_ends_of_the_keyboard(pitches: tuple[int, ...]) -> None:
             assert not dropped
 
 
+# Which hand plays what, as written
+
+
+def written_for(score: Score, hands: Iterable[int]) -> Score:
+    notes = zip(score.notes, itertools.cycle(hands), strict=False)
+    return Score(tuple(replace(note, hands=(hand,)) for note, hand in notes))
+
+
+def test_each_hand_plays_what_is_written_for_it() -> None:
+    low = written_for(melody(40, 43, 47), [RIGHT])
+    assert [n.finger.hand for n in find_fingering(low)[0].notes] == [LEFT] * 3
+    assert [n.finger.hand for n in find_fingering(low, as_written=True)[0].notes] == [RIGHT] * 3
+
+
+def test_a_note_that_is_written_for_both_hands_goes_to_either() -> None:
+    score = Score(tuple(replace(n, hands=(RIGHT, LEFT)) for n in melody(40, 88).notes))
+    assert [n.finger.hand for n in find_fingering(score, as_written=True)[0].notes] == [LEFT, RIGHT]
+
+
+@settings(deadline=None)
+@given(unfingered, st.lists(st.sampled_from([RIGHT, LEFT]), min_size=1))
+def test_hands_as_written_are_within_what_hands_can_do(score: Score, hands) -> None:
+    found, dropped = find_fingering(written_for(score, hands), as_written=True)
+    check_hands(found)
+    assert [d.note for d in dropped] == [note for note in found.notes if note.finger is None]
+
+
+def test_what_the_written_hand_cannot_play_goes_to_the_other() -> None:
+    too_wide = written_for(chord(40, 62, 67), [RIGHT])
+    found, dropped = find_fingering(too_wide, as_written=True)
+    assert [n.finger.hand for n in found.notes] == [LEFT, RIGHT, RIGHT]
+    crossed = written_for(chord(40, 60, 64), [RIGHT, LEFT, LEFT])
+    found, also_dropped = find_fingering(crossed, as_written=True)
+    assert not dropped
+    assert not also_dropped
+
+
 # What pianists play
 
 
@@ -225,6 +266,54 @@ def test_the_bundled_fingering_is_possible_and_costs_more(piece) -> None:
     theirs, ours = solve(written), solve(bare(written))
     assert theirs.ignored == ()
     assert ours.cost <= theirs.cost + 1e-6
+
+
+# Fingers of a pianist
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.5])
+@pytest.mark.parametrize(
+    ("pitches", "side", "fingers"),
+    [
+        ((60, 62, 64, 65, 67, 69, 71, 72), "right", [1, 2, 3, 1, 2, 3, 4, 5]),
+        ((72, 71, 69, 67, 65, 64, 62, 60), "right", [5, 4, 3, 2, 1, 3, 2, 1]),
+        ((48, 50, 52, 53, 55, 57, 59, 60), "left", [5, 4, 3, 2, 1, 3, 2, 1]),
+    ],
+)
+def test_a_pianists_fingers_of_scales(pitches, side, fingers, seconds: float) -> None:
+    found, _ = pianist_fingering(melody(*pitches, seconds=seconds), shadow_hands([side]))
+    assert [note.finger.index + 1 for note in found.notes] == fingers
+    assert {note.finger.side for note in found.notes} == {side}
+
+
+@settings(deadline=None)
+@given(score=unfingered, sides=st.sampled_from([("right", "left"), ("right",), ("left",)]))
+def test_a_pianists_fingers_are_those_that_the_hands_can_play_with(score: Score, sides) -> None:
+    found, dropped = pianist_fingering(score, shadow_hands(sides))
+    check_hands(found)
+    split, left_out = find_fingering(score, sides)
+    assert dropped == left_out
+    assert [n.finger and n.finger.hand for n in found.notes] == [
+        n.finger and n.finger.hand for n in split.notes
+    ]
+
+
+def test_a_pianists_fingers_agree_more_with_the_bundled_fingering() -> None:
+    agreed = []
+    for piece in songs():
+        written = load_score(piece.name)
+        by_robot, _ = find_fingering(bare(written), as_written=True)
+        by_pianist, _ = pianist_fingering(written, shadow_hands())
+        pairs = np.array([numbers(each) for each in (written, by_robot, by_pianist)])
+        agreed.append((pairs[0] == pairs[1:]).mean(axis=1))
+    robot, pianist = np.mean(agreed, axis=0)
+    assert pianist > robot > 0.6
+
+
+def test_hands_of_four_fingers_are_fingered_as_a_pianist_would_without_the_little_one() -> None:
+    hands = players_at(FOUR_FINGERS, PIANO, ["right"], 0.3, slides=True)
+    found, _ = pianist_fingering(melody(60, 62, 64, 65, 67, 69), hands)
+    assert [note.finger.index + 1 for note in found.notes] == [1, 2, 3, 1, 2, 3]
 
 
 # The search

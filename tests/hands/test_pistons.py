@@ -99,7 +99,7 @@ def test_six_keys_in_a_row_take_the_six_fingers(tmp_path: Path) -> None:
     episode = plan.performance.episode
     assert episode["fingertip_xpos"].shape[1:] == (2 * COUNT, 3)
     assert episode["goal_fingers"].max() == COUNT - 1
-    plan.performance.save(tmp_path, video=False)
+    plan.performance.save(tmp_path)
     assert (tmp_path / "report.html").stat().st_size > 1e5
     assert load_episode(tmp_path / "episode.npz").num_steps == episode.num_steps
 
@@ -116,6 +116,6 @@ def test_gymnasium_checks_its_environment(fingering: str) -> None:
 def test_what_a_six_fingered_hand_lost_is_named(tmp_path: Path) -> None:
     performance = cadenza.play(run(), scene=SceneConfig(hand=SIX, hands="right"))
     lost = Miss(0.0, "A4", Finger(0, 5), "never sounded", "no finger", "why", False)
-    replace(performance, misses=[lost]).save(tmp_path, video=False)
+    replace(performance, misses=[lost]).save(tmp_path)
     assert json.loads((tmp_path / "misses.json").read_text())[0]["finger"] == "R6"
     assert "right finger 6" in (tmp_path / "report.html").read_text()

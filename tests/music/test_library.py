@@ -226,7 +226,6 @@ def test_a_missing_file_is_guessed_at(tmp_path):
         ("song.gp5", "MuseScore"),
         ("song.SIB", "MuseScore"),
         ("song.abc", "abc2midi"),
-        ("song.krn", "hum2mid"),
         ("song.ly", "LilyPond"),
         ("song.mp3", "transcription"),
         ("song.wav", "transcription"),

@@ -326,6 +326,25 @@ def test_accidentals_hold_for_their_bar(tmp_path):
     assert shown[4:11] == ["sharp", None, "natural", None, "sharp", None, "natural"]
 
 
+def test_notes_without_fingers_go_to_the_staff_of_the_hand_that_they_are_written_for(tmp_path):
+    notes = (Note(0, 1, 40, hands=(RIGHT,)), Note(1, 2, 72, hands=(LEFT,)))
+    root = written(Score(notes, bars=bars(1)), tmp_path)
+    staves = {note.findtext("pitch/octave"): note.findtext("staff") for note in root.iter("note")}
+    assert (staves["2"], staves["5"]) == ("1", "2")
+
+
+def test_what_is_quantised_says_so(tmp_path):
+    exact = Score(tuple(line([60, 62, 64, 65], 0.5)), bars=bars(1))
+    uneven = replace(exact, notes=tuple(replace(n, start=n.start + 0.02) for n in exact.notes))
+    for score, said in (
+        (exact, []),
+        (uneven, ["quantised: notes are moved to the nearest note values"]),
+    ):
+        assert list(write_musicxml(score, tmp_path / "song.musicxml")) == said
+        root = ElementTree.parse(tmp_path / "song.musicxml").getroot()
+        assert [field.text for field in root.iter("miscellaneous-field")] == said
+
+
 def test_the_clef_changes_where_a_hand_stays_high(tmp_path):
     low, high = line([43, 48, 52, 55] * 4, 0.5, hand=LEFT), [72, 76, 79, 84] * 4
     notes = (*low, *line(high, 0.5, hand=LEFT, start=8.0))

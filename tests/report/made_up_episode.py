@@ -83,6 +83,7 @@ def make_episode(steps: int = STEPS, hands: int = 2, song: str = "A made-up walk
         "bodies": [f"body {i}" for i in range(bodies)],
         "skeleton": [body for hand in range(hands) for body in _bodies(hand)],
         "geoms": [geom for hand in range(hands) for geom in _hand(hand)],
+        "shells": [],
         "keys": _keys(),
     }
     return Episode(song, DT, arrays, scene)

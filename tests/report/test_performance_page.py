@@ -1,5 +1,7 @@
 import base64
+import json
 import re
+import zlib
 from html.parser import HTMLParser
 
 import numpy as np
@@ -71,18 +73,26 @@ def test_what_was_missed_is_in_the_page(tmp_path, episode):
         {"time": 1.25, "note": "C♯4", "finger": 7, "what": "never sounded", "reason": "<too fast>"},
         {"time": 2.0, "note": "D4", "finger": -1, "what": "100 ms late", "reason": "no finger"},
     ]
+    misses = [miss | {"cause": "some cause"} for miss in misses]
     page = performance_page(episode, {}, {}, SILENCE, misses=misses)
     write_page(tmp_path / "a.html", page)
-    words = [word for word in Page(tmp_path / "a.html").words if word]
-    first = words.index("1.25 s")
-    assert words[first : first + 5] == [
-        "1.25 s",
-        "C♯4",
-        "left middle",
-        "never sounded",
-        "<too fast>",
+    assert "Notes missed or let go early: 2" in Page(tmp_path / "a.html").words
+    text = (tmp_path / "a.html").read_text("utf-8")
+    data = re.search(r'class="recording">(.*?)</script>', text)
+    assert data
+    recording = json.loads(zlib.decompress(base64.b64decode(data[1])))
+    assert recording["misses"] == [
+        [1.25, "C♯4", "left middle", "never sounded", "some cause", "<too fast>"],
+        [2.0, "D4", "–", "100 ms late", "some cause", "no finger"],
     ]
-    assert words[first + 5 : first + 8] == ["2.00 s", "D4", "–"]
+
+
+def test_an_arrangement_has_figures_of_its_own(write, episode):
+    metrics = {"f1": 0.98, "melody_kept": 1.0, "original_f1": 0.61, "notes_moved": 94}
+    words = [word for word in write(episode, metrics).words if word]
+    for title, value in ("F1 against the original", "0.610"), ("Notes moved", "94"):
+        assert words[words.index(title) + 1] == value
+    assert "Melody kept" not in [word for word in write(episode, {"f1": 0.98}).words if word]
 
 
 def test_the_page_loads_nothing_from_elsewhere(write, episode):
@@ -171,16 +181,15 @@ def test_folders_of_this_machine_are_not_shown(write, episode, tmp_path):
     assert not any(str(tmp_path) in word for word in words)
 
 
-def test_midi_and_video_can_be_downloaded(tmp_path, episode):
+def test_midi_can_be_downloaded(tmp_path, episode):
     path = tmp_path / "a.html"
-    midi, video = {"midi": b"MThd\0", "wanted_midi": b"MThd\1"}, "video.mp4"
-    page = performance_page(episode, {}, {}, SILENCE, **midi, video=video)
+    midi = {"midi": b"MThd\0", "wanted_midi": b"MThd\1"}
+    page = performance_page(episode, {}, {}, SILENCE, **midi)
     write_page(path, page)
     links = {a["download"]: a["href"] for tag, a in Page(path).elements if tag == "a"}
     for name, expected in ("played.mid", b"MThd\0"), ("wanted.mid", b"MThd\1"):
         kind, content = links[name].split(";base64,")
         assert (kind, base64.b64decode(content)) == ("data:audio/midi", expected)
-    assert links["video.mp4"] == "video.mp4"
 
 
 TEXT = [

@@ -5,10 +5,12 @@ import pytest
 from made_up_episode import DT, STEPS, make_episode
 
 from cadenza.episode import Episode
+from cadenza.fingers import Finger
 from cadenza.music.performance import performed_score
+from cadenza.music.score import Note, Score
 from cadenza.report.html_pages import write_page
 from cadenza.report.performance_page import performance_page
-from cadenza.report.sound import encode_mp3, synthesize
+from cadenza.report.sound import encode_opus, synthesize
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import drawing
 from cadenza.scene.scene import build_scene
@@ -134,9 +136,31 @@ def test_a_loop_begins_again(browser, write, episode):
 
 
 MISSES = [
-    {"time": 0.2, "note": "C4", "finger": 2, "what": "never sounded", "reason": "too fast"},
-    {"time": 1.5, "note": "E4", "finger": -1, "what": "100 ms late", "reason": "no finger"},
+    {"time": 0.2, "note": "C4", "finger": 2, "what": "never sounded", "cause": "too fast"},
+    {"time": 1.5, "note": "E4", "finger": -1, "what": "100 ms late", "cause": "no finger"},
 ]
+for miss in MISSES:
+    miss["reason"] = f"{miss['cause']}: told by the planner"
+
+
+def fate(time, pitch, played, part="harmony"):
+    return {"start": time, "end": time + 0.5, "pitch": pitch, "played": played, "part": part}
+
+
+@pytest.mark.slow
+def test_fingers_are_numbered_in_the_roll_and_on_falling_notes(browser, write, episode):
+    goal = np.zeros_like(episode["goal_keys"])
+    goal[10:30, [39, 43]] = True
+    episode.arrays["goal_keys"] = goal
+    notes = (Note(0.5, 1.5, 60, finger=Finger(1, 0)), Note(0.5, 1.5, 64, finger=Finger(0, 4)))
+    browser.open(write(episode, written=Score(notes)))
+    assert browser.labels()[2][-2:] == ["1", "5"]
+    browser.evaluate("document.getElementById('falling').click()")
+    browser.settle()
+    red, green, blue = np.moveaxis(browser.picture("#view").astype(int), 2, 0)
+    assert ((blue > red + 40) & (blue > 200)).sum() > 50  # the right hand's
+    assert ((red > green + 40) & (blue > green + 20) & (red > 200)).sum() > 50  # the left hand's
+    assert browser.problems() == []
 
 
 @pytest.mark.slow
@@ -152,9 +176,59 @@ def test_a_miss_seeks_to_shortly_before_it(browser, write, episode):
 
 
 @pytest.mark.slow
+def test_misses_of_the_same_reason_are_one_row_that_opens(browser, write, episode):
+    far = {"note": "C4", "finger": -1, "what": "never sounded", "cause": "no finger"}
+    several = [far | {"time": 0.1 * i, "reason": "too far from E4"} for i in range(9)]
+    browser.open(write(episode, misses=[*MISSES, *several]))
+    rows = "[...document.querySelectorAll('#misses tbody tr')].map((row) => row.innerText)"
+    first, *others = browser.evaluate(rows)
+    assert first == "9 notes too far from E4"
+    assert len(others) == len(MISSES)
+    browser.evaluate("document.querySelector('#misses button').focus()")
+    press(browser, "Enter", text="\r")
+    assert len(browser.evaluate(rows)) == 1 + 9 + len(MISSES)
+    assert browser.evaluate("document.activeElement.getAttribute('aria-expanded')") == "true"
+    press(browser, "Enter", text="\r")
+    assert len(browser.evaluate(rows)) == 1 + len(MISSES)
+
+
+@pytest.mark.slow
+def test_what_an_arrangement_did_with_notes_is_shown_and_said(browser, write, episode):
+    fates = [fate(0.5, 60, 60), fate(0.5, 64, None), fate(1, 48, 72, "bass")]
+    fates += [fate(1.2, 67, 67) | {"again": True}]
+    browser.open(write(episode, arrangement=fates))
+    rows = "[...document.querySelectorAll('#changes tbody tr')].map((row) => row.innerText)"
+    assert browser.evaluate(rows) == [
+        "0.50 s\tE4\tharmony\tleft out",
+        "1.00 s\tC3\tbass\tmoved up two octaves to C5",
+        "1.20 s\tG4\tharmony\tstruck again",
+    ]
+    assert browser.evaluate("""document.querySelector('#roll canvas').ariaLabel""").endswith(
+        "by the arrangement, 1 left out, 1 moved, 1 struck again"
+    )
+
+    def pointed_at(time, pitch):
+        """What the roll says beside the pointer over a note."""
+        return browser.evaluate(f"""(() => {{
+            const roll = document.getElementById("roll"), box = roll.getBoundingClientRect();
+            const names = written.get(roll.querySelector("canvas"));
+            const [, , top, , bottom] = names.find(([text]) => text === "C4");
+            const clientX = box.left + 44 + (box.width - 44) * {time} / cadenza.duration;
+            const clientY = box.top + (top + bottom) / 2 - 15 * {pitch - 60};
+            roll.dispatchEvent(new PointerEvent("pointermove", {{ clientX, clientY }}));
+            const tip = roll.querySelector(".tip");
+            return tip.hidden ? "" : tip.textContent;
+        }})()""")
+
+    assert pointed_at(0.7, 64) == "E4 of the harmony: left out"
+    assert pointed_at(1.1, 72) == "C3 of the bass: moved up two octaves to C5"
+    assert pointed_at(0.7, 60) == ""  # as written
+
+
+@pytest.mark.slow
 def test_the_goal_is_heard_from_where_the_performance_was(browser, write, episode):
-    silence = encode_mp3(np.zeros((0, 2), np.int16), seconds=STEPS * DT)
-    browser.open(write(episode, goal_mp3=silence))
+    silence = encode_opus(np.zeros((0, 2), np.int16), seconds=STEPS * DT)
+    browser.open(write(episode, goal_sound=silence))
     browser.evaluate("(cadenza.seek(0.4), cadenza.play())")
     browser.evaluate("document.querySelector('[data-sound=goal]').click()")
     browser.wait("!document.getElementById('goal').paused")
@@ -233,9 +307,9 @@ SIZES = {"laptop": (1280, 720), "desktop": (1920, 1080), "phone": (390, 844)}
 def test_everything_fits_the_window(tmp_path, write, episode, size):
     width, height = SIZES[size]
     phone = size == "phone"
-    silence = encode_mp3(np.zeros((0, 2), np.int16), seconds=STEPS * DT)
-    midi, video = {"midi": b"MThd", "wanted_midi": b"MThd"}, "a_rather_long_name.mp4"
-    path = write(episode, misses=MISSES, goal_mp3=silence, **midi, video=video)
+    silence = encode_opus(np.zeros((0, 2), np.int16), seconds=STEPS * DT)
+    midi = {"midi": b"MThd", "wanted_midi": b"MThd"}
+    path = write(episode, misses=MISSES, goal_sound=silence, **midi)
     browser = Browser(tmp_path / "profile")
     browser.call(
         "Emulation.setDeviceMetricsOverride",
@@ -454,7 +528,7 @@ def test_a_recorded_performance_of_the_real_hands_is_drawn(browser, write):
     arrays = {name: recorded[name] for name in (*wanted, "reward_total")}
     arrays |= {"goal_keys": recorded["key_activation"], "goal_sustain": np.zeros(steps, bool)}
     with_hands = Episode("scale", 0.05, arrays, drawing(scene))
-    parts = with_hands.scene | {"geoms": [g for g in with_hands.scene["geoms"] if g["body"] < 0]}
+    parts = with_hands.scene | {"shells": []}
     pictures = []
     for episode in (with_hands, Episode("scale", 0.05, arrays, parts)):
         browser.open(write(episode))

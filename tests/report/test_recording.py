@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from made_up_episode import DT, make_episode
 
+from cadenza.fingers import Finger
 from cadenza.music.performance import played_in
 from cadenza.music.score import Note, Score
 from cadenza.report.html_pages import asset, write_page
@@ -36,7 +37,7 @@ def test_the_page_reads_what_was_recorded(browser, tmp_path):
         hand_qpos=rng.normal(0, 1, (episode.num_steps, 2)),
         reward_key_press=key_press,
     )
-    score = Score((Note(0.0, 10.0, 60, 50), Note(0.5, 10.0, 61, 90)))
+    score = Score((Note(0.0, 10.0, 60, 50, Finger(1, 4)), Note(0.5, 10.0, 61, 90)))
     page = performance_page(episode, {}, {}, np.zeros((0, 2), np.int16), written=score)
     write_page(tmp_path / "page.html", page)
     browser.open(tmp_path / "page.html")
@@ -54,6 +55,7 @@ def test_the_page_reads_what_was_recorded(browser, tmp_path):
     notes = [(n["key"] + 21, n["from"], n["to"], n["velocity"]) for n in read["notes"]]
     assert notes == [(n.pitch, n.start, n.end, n.velocity) for n in played_in(episode).notes]
     assert read["written"] == [[0, 50], [0.5, 90]]
+    assert read["fingers"] == [[39, 0, 1, 5]]
     assert all(abs(error) <= 200 for _, error in read["onsetErrors"])
     states = np.reshape(read["states"], shape)
     assert np.array_equal(states == 1, goal & played)

@@ -16,6 +16,7 @@ from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import body_poses, drawing
+from cadenza.scene.drawn_model import drawn_model
 from cadenza.scene.scene import Scene, build_scene
 
 EPISODE = Path(__file__).parents[1] / "data/episode_d.npz"
@@ -35,8 +36,9 @@ def test_is_plain_json(scene: Scene) -> None:
 def test_geoms_are_fixed_to_bodies_that_there_are(scene: Scene) -> None:
     drawn = drawing(scene)
     assert drawn["bodies"] == [scene.model.body(b).name for b in scene.hand_bodies]
-    moving = {geom["body"] for geom in drawn["geoms"]}
+    moving = {part["body"] for part in (*drawn["geoms"], *drawn["shells"])}
     assert moving == {-1, *range(len(drawn["bodies"]))}
+    assert not {g["body"] for g in drawn["geoms"]} & {s["body"] for s in drawn["shells"]}
     for geom in drawn["geoms"]:
         assert len(geom["size"]) == SIZES[geom["type"]]
         assert min(geom["size"]) > 0
@@ -47,12 +49,41 @@ def test_geoms_are_fixed_to_bodies_that_there_are(scene: Scene) -> None:
 def test_each_finger_has_a_tip(scene: Scene) -> None:
     drawn = drawing(scene)
     tips = {
-        g["finger"]: drawn["bodies"][g["body"]] for g in drawn["geoms"] if g["finger"] is not None
+        s["finger"]: drawn["bodies"][s["body"]] for s in drawn["shells"] if s["finger"] is not None
     }
     assert sorted(tips) == list(range(10)[scene.present_fingers])
     for finger, body in tips.items():
         side = "rh_" if finger < 5 else "lh_"
         assert body == f"{side}{('th', 'ff', 'mf', 'rf', 'lf')[finger % 5]}distal"
+
+
+@pytest.mark.parametrize("hand", ["shadow", "allegro", "allegro-narrow", "arm-allegro"])
+def test_fingertips_are_drawn_where_they_touch(hand: str) -> None:
+    scene = build_scene(SceneConfig(hand=hand, primitive_fingertips=True))
+    drawn, model = drawing(scene), scene.model
+    for number, body in enumerate(scene.hand_bodies):
+        shells = [s for s in drawn["shells"] if s["body"] == number and s["finger"] is not None]
+        if not shells:
+            continue
+        capsule = model.body_geomadr[body] + model.body_geomnum[body] - 1  # the tip comes last
+        radius, half_length, _ = model.geom_size[capsule]
+        along = np.zeros(3)
+        mujoco.mju_rotVecQuat(along, np.array([0.0, 0, half_length]), model.geom_quat[capsule])
+        ends = (model.geom_pos[capsule] + along)[2], (model.geom_pos[capsule] - along)[2]
+        highest = max(z + r for s in shells for _, _, z, r in s["balls"])
+        assert highest == pytest.approx(max(ends) + radius, abs=5e-4)
+
+
+def test_hands_of_a_model_for_drawing_move_as_those_that_play() -> None:
+    scene = build_scene()
+    model = drawn_model(scene)
+    assert (model.nq, model.nu) == (scene.model.nq, scene.model.nu)
+    ours, theirs = mujoco.MjData(model), mujoco.MjData(scene.model)
+    ours.qpos[:] = theirs.qpos[:] = np.random.default_rng(0).normal(size=model.nq)
+    mujoco.mj_kinematics(model, ours)
+    mujoco.mj_kinematics(scene.model, theirs)
+    assert_allclose(ours.xpos[scene.hand_bodies], theirs.xpos[scene.hand_bodies], atol=1e-12)
+    assert_allclose(ours.site_xpos, theirs.site_xpos, atol=1e-12)
 
 
 def test_keys_lie_where_the_simulation_has_them(scene: Scene) -> None:

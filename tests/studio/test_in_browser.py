@@ -245,6 +245,30 @@ def test_a_click_in_the_roll_goes_there(browser: Browser, address: str) -> None:
     assert browser.problems() == []
 
 
+def test_the_score_follows_and_a_click_goes_to_its_notes(
+    browser: Browser, address: str, tmp_path: Path
+) -> None:
+    visit(browser, address)
+    drop(browser, song(tmp_path / "eight.mid", 8), "eight.mid")
+    wait(browser, "document.querySelectorAll('#score .note').length === 8")
+    wait(browser, "cadenza.finished")
+    last = "[...document.querySelectorAll('#score .note')].at(-1)"
+    browser.evaluate(f"{last}.dispatchEvent(new MouseEvent('click', {{ bubbles: true }}))")
+    wait(browser, f"{last}.matches('.sounding')")
+    assert browser.evaluate("document.querySelectorAll('#score .sounding').length") == 1
+    browser.evaluate("cadenza.seek(0)")
+    wait(browser, "!document.querySelector('#score .sounding')")
+    numbers = "[...document.querySelectorAll('#score .fing')].map((text) => text.textContent)"
+    assert set(browser.evaluate(numbers)) <= set("12345")
+    assert len(browser.evaluate(numbers)) == 8
+    # It is there again where the performance is opened later.
+    wait(browser, "cadenza.state === 'kept'")
+    browser.call("Page.reload")
+    wait(browser, "!!window.cadenza && cadenza.ready")
+    wait(browser, "document.querySelectorAll('#score .note').length === 8")
+    assert uncaught(browser) == []
+
+
 def test_what_is_chosen_behind_more_is_played(
     browser: Browser, address: str, folder: Path, tmp_path: Path
 ) -> None:
@@ -264,7 +288,8 @@ def test_what_is_chosen_behind_more_is_played(
         document.getElementById("start").click();
     })()""")
     wait(browser, "cadenza.state === 'kept' && cadenza.finished")
-    assert text(browser, "facts").endswith("allegro · +2 semitones · 1.5× · seed 5")
+    how = "Allegro Hand, four fingers · +2 semitones · 1.5× · seed 5"
+    assert text(browser, "facts").endswith(how)
     id = browser.evaluate("location.hash").removeprefix("#job=")
     settings = json.loads((folder / id / "settings.json").read_text())
     assert (settings["scene"]["hand"], settings["seed"]) == ("allegro", 5)
@@ -592,12 +617,12 @@ def test_what_a_closed_page_asked_for_can_be_cancelled(
 def test_nothing_lies_over_the_legend_of_the_picture(browser: Browser, address: str) -> None:
     visit(browser, address)
     press(browser, "#kept", "Watch")
-    wait(browser, "cadenza.began")
+    wait(browser, "cadenza.began && !!document.querySelector('#score .note')")
     apart = """((legend, looks) => legend.right <= looks.left || legend.bottom <= looks.top)(
         ...["#stage .legend", "#looks"].map((each) =>
             document.querySelector(each).getBoundingClientRect()))"""
     screen = {"height": 900, "deviceScaleFactor": 1, "mobile": False}
-    for width in 390, 701, 901, 1000, 1081, 1400:
+    for width in 390, 701, 901, 1000, 1081, 1181, 1400:
         browser.call("Emulation.setDeviceMetricsOverride", width=width, **screen)
         browser.settle()
         assert browser.evaluate(apart), width
@@ -669,7 +694,7 @@ def test_kept_performances_and_settings_are_found_after_a_restart(
         assert "My <b>song" in text(browser, "kept")
         chosen = """[...document.querySelectorAll(".options > label > :is(select, [type=number])")]
             .map((each) => each.value)"""
-        assert browser.evaluate(chosen) == ["sight", "allegro", "1.5", "0", "7"]
+        assert browser.evaluate(chosen) == ["sight", "allegro", "1.5", "0", "7", ""]
         assert text(browser, "start") == "Play Ode to Joy"
         browser.evaluate("window.confirm = () => true")
         browser.evaluate("document.querySelector('#kept li button:last-child').click()")
@@ -722,3 +747,74 @@ def test_what_is_played_on_the_command_line_can_be_watched(
         assert browser.evaluate("cadenza.error") is None
         assert browser.problems() == []
     assert shown == pytest.approx(json.loads((out / "metrics.json").read_text())["f1"], abs=1e-9)
+
+
+def test_the_page_opens_with_a_song_at_a_click(browser: Browser, address: str) -> None:
+    browser.call("Page.navigate", url="about:blank")
+    browser.call("Page.navigate", url=address)
+    wait(browser, "!!document.querySelector('#halves canvas')")  # hands that are ready
+    assert "Für Elise" in text(browser, "first")
+    browser.evaluate("document.getElementById('agent').value = 'sight'")
+    browser.evaluate("document.getElementById('first').click()")
+    wait(browser, "cadenza.began")
+    assert "Für Elise" in text(browser, "title")
+    assert browser.evaluate("document.getElementById('first').hidden")
+    assert not uncaught(browser)
+    browser.evaluate("document.getElementById('cancel').click()")
+
+
+def test_an_arrangement_is_chosen_and_explained(
+    browser: Browser, address: str, tmp_path: Path
+) -> None:
+    chords = tuple(Note(i, i + 0.9, pitch) for i in range(4) for pitch in range(36, 84, 4))
+    write_midi(Score(chords), tmp_path / "chords.mid")
+    visit(browser, address)
+    drop(browser, (tmp_path / "chords.mid").read_bytes(), "chords.mid")
+    wait(browser, "cadenza.began")
+    assert "arranged for both hands: " in text(browser, "facts")  # before it has been played
+    rows = "[...document.querySelectorAll('#{} tbody tr')].map((row) => row.innerText)"
+    changed = browser.evaluate(rows.format("changes"))
+    assert any(row.endswith("left out") for row in changed)
+    browser.evaluate("document.getElementById('arrange').click()")
+    assert browser.evaluate("document.getElementById('level').disabled")
+    browser.evaluate("document.getElementById('start').click()")
+    wait(browser, "cadenza.state === 'kept' && !!document.querySelector('#misses tbody')")
+    assert "as written" in text(browser, "facts")
+    assert "arranged" not in text(browser, "facts")
+    assert browser.evaluate("document.getElementById('changes').closest('.card').hidden")
+    missed = browser.evaluate(rows.format("misses"))
+    assert any("no finger for it" in row for row in missed)
+    # Watched again, the same is said, in the words of the report.
+    press(browser, "#kept", "Watch")
+    wait(browser, "cadenza.live && !!document.querySelector('#misses tbody')")
+    assert browser.evaluate(rows.format("misses")) == missed
+    assert not browser.evaluate("document.getElementById('arrange').checked")
+    browser.evaluate("document.getElementById('arrange').click()")
+    assert not uncaught(browser)
+
+
+def test_speed_and_loop(browser: Browser, address: str, tmp_path: Path) -> None:
+    visit(browser, address)
+    drop(browser, song(tmp_path / "a.mid"), "a.mid")
+    wait(browser, "cadenza.finished && cadenza.state === 'kept'")
+    browser.evaluate("document.getElementById('loop').click()")
+    browser.evaluate("""(() => {
+        const speed = document.getElementById("speed");
+        speed.value = "2";
+        speed.dispatchEvent(new Event("change"));
+        window.strikes = cadenza.strikes.length;
+        document.getElementById("play").click();
+    })()""")
+    wait(browser, "cadenza.time > 0.3 && cadenza.time < 2")
+    timed = browser.evaluate("""(async () => {
+        const [time, at] = [cadenza.time, performance.now()];
+        await new Promise((resume) => setTimeout(resume, 500));
+        return (cadenza.time - time) / ((performance.now() - at) / 1000);
+    })()""")
+    assert timed == pytest.approx(2, rel=0.15)
+    wait(browser, "cadenza.strikes.slice(strikes).filter(([due]) => due < 0.8).length > 1")
+    late = [abs(at - due) for due, _, at in browser.evaluate("cadenza.strikes.slice(strikes)")]
+    assert np.median(late) < 0.04
+    browser.evaluate("document.getElementById('loop').click()")
+    wait(browser, "cadenza.finished")
+    assert not uncaught(browser)

@@ -12,16 +12,17 @@ from typing import Any
 
 import pytest
 
-from cadenza.agents.agent import RandomAgent
+from cadenza.agents.agent import RandomAgent, silent
 from cadenza.errors import CadenzaError
 from cadenza.files import write_json
+from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.libraries.imported import new_library
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
 from cadenza.performing.setup import select, set_up
 from cadenza.studio import comparison, storage, upload_reader
-from cadenza.studio.player import error_text
+from cadenza.studio.player import error_text, set_up_order
 from cadenza.studio.request import AGENTS, Order, PlayRequest, practice_folder, read_request
 from cadenza.studio.storage import KeptPerformance, Storage, Upload
 
@@ -32,10 +33,33 @@ def read(content: object) -> PlayRequest:
     return read_request(content, AGENTS, ["shadow"])
 
 
+@pytest.mark.parametrize(
+    ("hands", "playing", "as_written"),
+    [
+        ("both", "both", False),
+        ("written", "both", True),
+        ("left", "left", False),
+    ],
+)
+def test_a_request_says_which_hand_plays_what(
+    hands: str, playing: str, as_written: bool, tmp_path: Path
+) -> None:
+    request = read({"song": "CMajorScaleTwoHands", "hands": hands})
+    order = Order(request, "", request.song, False, "0" * 16, str(tmp_path))
+    with set_up_order(order, silent) as setup:
+        assert setup.task.scene.config.hands == playing
+        assert setup.task.config.hands_as_written is as_written
+        (track,) = setup.task.tracks
+        assert len(track.score.notes) == (15 if playing == "left" else 30)
+
+
 def test_a_request_says_what_is_to_be_played() -> None:
     request = read({"song": "OdeToJoy", "tempo": 2, "tracks": [1, 2], "plain": True})
     assert request == PlayRequest("OdeToJoy", tempo=2.0, tracks=(1, 2), plain=True)
-    assert read({"song": "OdeToJoy", "expression": True}).expression
+    assert request.arrangement == Arrangement((1, 2), plain=True)
+    assert read({"song": "OdeToJoy", "level": 4}).arrangement == Arrangement(level=4)
+    assert read({"song": "OdeToJoy", "arrange": "off"}).arrangement == Arrangement(arrange="off")
+    assert read({"song": "OdeToJoy", "expression": True}).arrangement.expression == 1.0
 
 
 @pytest.mark.parametrize(
@@ -46,11 +70,15 @@ def test_a_request_says_what_is_to_be_played() -> None:
         {"song": "OdeToJoy", "agent": "os:system"},
         {"song": "OdeToJoy", "agent": "policy/../../etc"},
         {"song": "OdeToJoy", "hand": "os:system"},
+        {"song": "OdeToJoy", "hands": "none"},
         {"song": "OdeToJoy", "tempo": 0},
         {"song": "OdeToJoy", "transpose": 1000},
         {"song": "OdeToJoy", "seed": -1},
         {"song": "OdeToJoy", "expression": 1},
         {"song": "OdeToJoy", "tracks": list(range(1000))},
+        {"song": "OdeToJoy", "arrange": "perhaps"},
+        {"song": "OdeToJoy", "level": 11},
+        {"song": "OdeToJoy", "level": 3, "arrange": "off"},
         {"song": "OdeToJoy", "video": "/etc/passwd"},
     ],
 )
@@ -217,7 +245,7 @@ def test_two_performances_of_a_song_are_compared(
     monkeypatch.setattr(sys, "argv", ["comparison", str(one), str(two), str(page)])
     monkeypatch.setattr(comparison, "limit", lambda _: None)  # not on the process of the tests
     comparison.main()
-    assert "2. Planner, unrefined, shadow, seed 1" in page.read_text()
+    assert "2. Planner, unrefined, Shadow Dexterous Hand, seed 1" in page.read_text()
     songs.remove_performance(ids[1])
     assert not page.exists()
 

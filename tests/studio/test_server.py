@@ -73,7 +73,17 @@ def test_the_page_and_its_parts_are_there(client: TestClient) -> None:
     parts = [client.get(f"/TOKEN/{name}") for name in ("studio.css", "studio.js", "three.js")]
     assert all(part.status_code == 200 for part in parts)
     assert len(page.content) + sum(len(part.content) for part in parts) < 1_000_000
+    assert "&#" not in parts[0].text  # nothing is escaped
     assert client.get("/TOKEN/guard.py").status_code == 404
+
+
+def test_the_page_opens_with_hands_at_a_piano(client: TestClient) -> None:
+    songs = client.get("/TOKEN/api/songs").json()
+    assert songs["first"] in {song["id"] for song in songs["songs"]}
+    assert songs["hands"]["shadow"] == "Shadow Dexterous Hand"
+    picture = client.get("/TOKEN/api/opening").json()
+    assert len(picture["scene"]["keys"]) == picture["keys"] == 88
+    assert picture["notes"]
 
 
 def test_a_host_may_be_given_in_capitals(tmp_path: Path) -> None:

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 from cadenza.agents.agent import RandomAgent
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.registry import PLANNER, make_agent
+from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
 from cadenza.performing.setup import select, set_up
@@ -25,7 +28,7 @@ def test_the_rows_hold_the_episode(task: TaskConfig) -> None:
     score = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, 60 + i) for i in range(4)), title="Four")
     sent: list[Message] = []
     with set_up(select(score, RandomAgent()).with_options(task, seed=3)) as setup:
-        states = StateStream(setup.task, sent.append)
+        states = StateStream(setup, sent.append)
         states.begin()
         played = perform(setup, lambda stage, *_: states.step() if stage == "playing" else None)
     about = json.loads(sent[0].content)
@@ -57,3 +60,23 @@ def test_the_rows_hold_the_episode(task: TaskConfig) -> None:
     planes = np.frombuffer(zlib.decompress(base64.b64decode(about["goal"])), np.uint8)
     goal = np.cumsum(planes.reshape(88, -1), axis=1, dtype=np.uint8).T
     np.testing.assert_array_equal(goal, episode["goal_keys"])
+
+
+def test_what_an_arrangement_left_out_and_what_was_missed_is_sent() -> None:
+    chords = tuple(Note(i, i + 0.9, pitch) for i in range(3) for pitch in range(36, 84, 6))
+    sent: list[Message] = []
+    agent = make_agent(PLANNER, PlannerConfig(method="none"))
+    song = select(Score(chords), agent, arrangement=Arrangement(arrange="always"))
+    with set_up(song) as setup:
+        states = StateStream(setup, sent.append)
+        states.begin()
+        played = perform(setup, lambda stage, *_: states.step() if stage == "playing" else None)
+        states.explain(played.losses)
+    about, explained = json.loads(sent[0].content), json.loads(sent[-1].content)
+    became = about["arrangement"]
+    assert len(became) == len(chords)
+    assert all(note[3] in (note[0], None) or (note[3] - note[0]) % 12 == 0 for note in became)
+    assert any(note[3] is None for note in became)
+    assert about["remarks"][0].startswith("arranged for both hands: ")
+    assert len(explained["misses"]) == len(played.misses or ())
+    assert json.loads(states.header) == about | explained  # as it is kept

@@ -80,6 +80,8 @@ def test_says_which_notes_no_finger_is_there_for() -> None:
     [
         (GIVEN, "auto", "both", "score"),
         (SONG, "auto", "both", "found"),
+        (GIVEN, "robot", "both", "found"),
+        (GIVEN, "human", "both", "found"),
         (GIVEN, "transport", "both", "transport"),
         (GIVEN, "off", "both", "off"),
         (GIVEN, "auto", "none", "off"),

@@ -594,7 +594,7 @@ def test_actions_are_scaled_to_the_actuators(scenes: dict[str, Scene]) -> None:
         ({"n_seconds_lookahead": float("nan")}, "n_seconds_lookahead nan"),
         ({"initial_buffer_time": -1.0}, "initial_buffer_time -1.0"),
         ({"initial_buffer_time": float("inf")}, "initial_buffer_time inf"),
-        ({"fingering": "on"}, "fingering 'on': choose from auto, transport, off"),
+        ({"fingering": "on"}, "fingering 'on': choose from auto, robot, human, transport, off"),
         ({"repeats": "left out"}, "repeats 'left out': choose from published, shortened"),
         ({"key_press": "soft"}, "key_press 'soft': choose from published, graded"),
         ({"fingering_margin": 0.0}, "fingering_margin 0.0: choose more than 0"),

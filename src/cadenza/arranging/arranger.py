@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
-from cadenza.arranging.fidelity import NOTHING_LOST, Fidelity, fidelity_of
+from cadenza.arranging.fidelity import NOTHING_LOST, Fate, Fidelity, fates_of, fidelity_of
 from cadenza.arranging.lengths import held_as_possible
-from cadenza.arranging.moments import SHORTEST, beats_of, merged, moments_of
+from cadenza.arranging.moments import SHORTEST, Moment, beats_of, merged, moments_of
 from cadenza.arranging.one_hand import OneHand
 from cadenza.arranging.parts import parts_of
 from cadenza.arranging.reduction import EarlyEnd, Struck, Values, reduced
@@ -18,8 +20,11 @@ from cadenza.fingers import LEFT, RIGHT
 from cadenza.hands.reach import JumpTimes
 from cadenza.music.score import Note, Score
 
+# [s] in which a key comes up before it is struck again, so that a repetition is heard as one; at
+# most a share of the note.
+_LIFT, _LIFT_SHARE = 0.08, 0.3
 _SOFTER = 0.85  # of the velocity of the harmony, so that the melody is heard above it
-# Costs of a note of the harmony that are tried, one after the other, until it is easy enough.
+# Costs of a note of the harmony, of which the least is searched for that makes a song easy enough.
 _COSTS = 0.0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 3.0
 
 
@@ -33,6 +38,8 @@ class Arranged:
     """How much of the song is left."""
     grade: float
     """The difficulty, from 1 to 10."""
+    fates: tuple[Fate, ...] = ()
+    """What became of each note of the song; those in unison are one."""
 
 
 class Arranger:
@@ -56,18 +63,35 @@ class Arranger:
             return Arranged(score, NOTHING_LOST, EASIEST)
         song, beats = merged(parts_of(score)), beats_of(score)
         moments = moments_of(song, beats)
-        for cost in _COSTS:
-            struck, early_ends = reduced(moments, self._hands, Values(note=cost))
+
+        @cache
+        def arranged(which: int) -> Arranged:
+            """The arrangement with this one of the costs."""
+            struck, fingered = self._struck(score, moments, _COSTS[which])
+            held = held_as_possible(fingered, self._players, self._times)
+            fates, reached = fates_of(song, struck), FITTED.grade(features_of(held))
+            return Arranged(held.without_fingers(), fidelity_of(fates, held, beats), reached, fates)
+
+        if grade >= HARDEST:
+            return arranged(0)
+        costs = range(len(_COSTS))
+        easy = bisect_left(costs, True, key=lambda which: arranged(which).grade <= grade)
+        return arranged(min(easy, costs[-1]))
+
+    def _struck(
+        self, score: Score, moments: Sequence[Moment], cost: float
+    ) -> tuple[list[Struck], Score]:
+        """What the hands strike, and the score of it with fingers.
+
+        `cost` is that of every note of the harmony.
+        """
+        struck, early_ends = reduced(moments, self._hands, Values(note=cost))
+        fingered, dropped = find_fingering(_score(score, struck, early_ends), self._players)
+        if dropped:
+            left_out = {(note.start, note.pitch) for note, _ in dropped}
+            struck = [each for each in struck if (each.start, each.pitch) not in left_out]
             fingered, _ = find_fingering(_score(score, struck, early_ends), self._players)
-            reached = FITTED.grade(features_of(fingered))
-            if reached <= grade:
-                break
-        playable = {(n.start, n.pitch) for n in fingered.notes if n.finger is not None}
-        struck = [each for each in struck if (each.source.start, each.pitch) in playable]
-        fingered, _ = find_fingering(_score(score, struck, early_ends), self._players)
-        held = held_as_possible(fingered, self._players, self._times)
-        arranged = held.without_fingers()
-        return Arranged(arranged, fidelity_of(song, struck, arranged, beats), reached)
+        return struck, fingered
 
 
 def _score(score: Score, struck: Iterable[Struck], early_ends: Sequence[EarlyEnd]) -> Score:
@@ -77,14 +101,21 @@ def _score(score: Score, struck: Iterable[Struck], early_ends: Sequence[EarlyEnd
         key = early.time, early.pitch
         ends[key] = min(early.end, ends.get(key, early.end))
     by_pitch: dict[int, list[Note]] = {}
-    for each in sorted(struck, key=lambda s: s.source.start):
+    for each in sorted(struck, key=lambda s: s.start):
         source = each.source
-        end = min(source.end, ends.get((each.time, each.pitch), source.end))
+        end = min(each.end, ends.get((each.time, each.pitch), each.end))
         softer = _SOFTER if not source.melody and not source.bass else 1.0
         velocity = max(round(softer * source.velocity), 1)
-        note = Note(source.start, max(end, source.start + SHORTEST), each.pitch, velocity)
+        end = max(end, each.start + SHORTEST)
+        note = Note(each.start, end, each.pitch, velocity, hands=source.hands)
         same = by_pitch.setdefault(each.pitch, [])
-        if same and same[-1].end > note.start:
-            same[-1] = replace(same[-1], end=note.start)
+        if same:
+            same[-1] = _lifted(same[-1], note.start)
         same.append(note)
     return replace(score, notes=tuple(note for notes in by_pitch.values() for note in notes))
+
+
+def _lifted(note: Note, again: float) -> Note:
+    """A note that ends early enough to be struck again at a time [s]."""
+    lift = min(_LIFT, _LIFT_SHARE * (again - note.start))
+    return replace(note, end=min(note.end, again - lift))

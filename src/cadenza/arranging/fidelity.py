@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,25 @@ from numpy.typing import NDArray
 from cadenza.arranging.moments import TOGETHER, Source
 from cadenza.arranging.reduction import Struck
 from cadenza.music.score import OCTAVE, Note, Score
+
+
+class Fate(NamedTuple):
+    """What became of a note of a song in an arrangement of it."""
+
+    note: Source
+    """The note as written; of one that is struck again while it sounds, from then on."""
+    played: int | None
+    """The pitch at which it is played; None if it is left out."""
+
+    @property
+    def as_json(self) -> dict[str, Any]:
+        """What `arrangement.json` has of it, and pages show."""
+        note = self.note
+        part = "melody" if note.melody else "bass" if note.bass else "harmony"
+        times = {"start": round(note.start, 4), "end": round(note.end, 4)}
+        return {**times, "pitch": note.pitch, "played": self.played, "part": part} | (
+            {"again": True} if note.added else {}
+        )
 
 
 @dataclass(frozen=True)
@@ -23,7 +43,8 @@ class Fidelity:
     bass_kept: float
     """Share of the notes of the bass that are played, in any octave."""
     others_kept: float
-    """Share of all other notes that are played, in any octave; notes in unison count once."""
+    """Share of all other notes that are played, in any octave, as written or later in the beat;
+    notes in unison count once."""
     pitch_classes_kept: float
     """Share of the pitch classes of each beat that sound in it."""
     notes_moved: int
@@ -52,35 +73,47 @@ def _in_words(share: float) -> str:
     return "all" if share == 1 else f"{int(1000 * share) / 1000:.1%}"  # never 100 %
 
 
-def fidelity_of(
-    song: Sequence[Source], struck: Iterable[Struck], arranged: Score, beats: Sequence[float]
-) -> Fidelity:
-    """Compares an arrangement with the song.
+def fates_of(song: Sequence[Source], struck: Iterable[Struck]) -> tuple[Fate, ...]:
+    """What became of each note of a song, and the notes that were struck again, by their start.
 
     Args:
         song: all notes of the song.
         struck: the notes of the arrangement, as they are struck.
-        arranged: the score of these.
+    """
+    played = {each.source: each.pitch for each in struck}
+    again = [source for source in played if source.added]
+    notes = sorted((*song, *again), key=lambda note: (note.start, note.pitch))
+    return tuple(Fate(note, played.get(note)) for note in notes)
+
+
+def fidelity_of(fates: Sequence[Fate], arranged: Score, beats: Sequence[float]) -> Fidelity:
+    """Compares an arrangement with the song.
+
+    Args:
+        fates: what became of each note of the song.
+        arranged: the score of the arrangement.
         beats: when beats begin [s].
     """
-    struck = list(struck)
-    kept = {each.source for each in struck}
-    sounding, played = _pitch_classes(song, beats), _pitch_classes(arranged.notes, beats)
+    song = [fate for fate in fates if not fate.note.added]
+    written = [fate.note for fate in song]
+    sounding, played = pitch_classes(written, beats), pitch_classes(arranged.notes, beats)
     return Fidelity(
-        melody_kept=_share([note for note in song if note.melody], kept),
-        bass_kept=_share([note for note in song if note.bass], kept),
-        others_kept=_share([note for note in song if not note.melody and not note.bass], kept),
+        melody_kept=_share(fate for fate in song if fate.note.melody),
+        bass_kept=_share(fate for fate in song if fate.note.bass),
+        others_kept=_share(fate for fate in song if not fate.note.melody and not fate.note.bass),
         pitch_classes_kept=float((sounding & played).sum() / max(sounding.sum(), 1)),
-        notes_moved=sum(each.pitch != each.source.pitch for each in struck),
-        notes_added=sum(each.source.added for each in struck),
+        notes_moved=sum(fate.played not in (None, fate.note.pitch) for fate in fates),
+        notes_added=len(fates) - len(song),
     )
 
 
-def _share(notes: Sequence[Source], kept: set[Source]) -> float:
-    return sum(note in kept for note in notes) / len(notes) if notes else 1.0
+def _share(fates: Iterable[Fate]) -> float:
+    """The share of notes that are played."""
+    played = [fate.played is not None for fate in fates]
+    return sum(played) / len(played) if played else 1.0
 
 
-def _pitch_classes(
+def pitch_classes(
     notes: Iterable[Source] | Iterable[Note], beats: Sequence[float]
 ) -> NDArray[np.bool_]:
     """(B, 12) the pitch classes that sound in each beat."""

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from itertools import chain, pairwise
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 
 from cadenza.arranging.parts import Part, Role
+from cadenza.music.notation.beats import estimated_bars
 from cadenza.music.score import MIDI_PITCHES, Score, chords
 
 TOGETHER = 0.04
 """Time within which notes begin at one moment [s]: people in a band are less exact than one."""
 SHORTEST = 0.05
 """The least length of a note that ends early [s]."""
-_USUAL_BEAT = 0.5  # [s] where a song has no bars
-_LATE = 0.15  # [s] before its end a note is not worth striking again
+_USUAL_BEAT = 0.5  # [s] where a song has a single one
+_PARTS = 2  # of a beat, at which notes may be struck though none is written there
+_APART = 0.1  # [s] from such a moment to others
+_WORTH = 0.15  # [s] before its end a note of an earlier beat is not worth striking any more
 
 
 class Source(NamedTuple):
@@ -29,7 +34,9 @@ class Source(NamedTuple):
     melody: bool
     bass: bool
     added: bool = False
-    """Whether it sounds already: it may be struck again."""
+    """Whether it sounded already, and is struck again."""
+    hands: tuple[int, ...] = ()
+    """The hands that it is written for."""
 
 
 class Moment(NamedTuple):
@@ -42,7 +49,9 @@ class Moment(NamedTuple):
     bass: tuple[Source, ...]
     """The notes of the bass, the lowest first."""
     harmony: tuple[Source, ...]
-    """The other notes, the most important first."""
+    """The other notes that begin, by pitch."""
+    sounding: tuple[Source, ...]
+    """Notes of the harmony that began before, in this beat or such that they sound on, by pitch."""
     ceiling: int
     """The highest pitch to which notes may be moved: that of the melody."""
     floor: int
@@ -50,11 +59,13 @@ class Moment(NamedTuple):
 
 
 def beats_of(score: Score) -> list[float]:
-    """The times at which beats begin [s], from before the first note to after the last."""
+    """The times at which beats begin [s], from before the first note to after the last.
+
+    They are estimated for a score without bars, which has to have notes.
+    """
     end = score.total_time
-    beats = [beat for bar in score.bars for beat in bar.beats or (bar.time,)]
-    if not beats:
-        return np.arange(0.0, end + _USUAL_BEAT, _USUAL_BEAT).tolist()
+    bars = score.bars or estimated_bars(score.notes)
+    beats = [beat for bar in bars for beat in bar.beats or (bar.time,)]
     beat = beats[-1] - beats[-2] if len(beats) > 1 else _USUAL_BEAT
     return [min(beats[0], 0.0), *beats[1:], *np.arange(beats[-1] + beat, end + beat, beat).tolist()]
 
@@ -64,23 +75,38 @@ def moments_of(notes: Sequence[Source], beats: Sequence[float]) -> list[Moment]:
     melody = _Voice([note for note in notes if note.melody])
     bass = _Voice([note for note in notes if note.bass])
     moments, beat_before = [], -1
-    for group in chords(sorted([*notes, *_struck_again(notes, beats)], key=_start), TOGETHER):
-        time = group[0].start
+    sounding: list[Source] = []
+    for time, group in _groups(notes, beats):
         beat = bisect_right(beats, time + TOGETHER) - 1
-        inner = [note for note in group if not note.melody and not note.bass]
+        since = beats[beat] - TOGETHER
+        sounding = [n for n in sounding if n.end > time + _WORTH or n.start > since]
+        inner = sorted((n for n in group if not n.melody and not n.bass), key=_pitch)
         moments.append(
             Moment(
                 time,
                 beat != beat_before,
                 tuple(sorted((n for n in group if n.melody), key=lambda n: -n.pitch)),
-                tuple(sorted((n for n in group if n.bass), key=lambda n: n.pitch)),
-                tuple(sorted(inner, key=lambda n: (n.added, -n.end))),
+                tuple(sorted((n for n in group if n.bass), key=_pitch)),
+                tuple(inner),
+                tuple(sorted(sounding, key=_pitch)),
                 melody.pitch_at(time, MIDI_PITCHES[-1]),
                 bass.pitch_at(time, MIDI_PITCHES[0]),
             )
         )
+        sounding += inner
         beat_before = beat
     return moments
+
+
+def _groups(notes: Sequence[Source], beats: Sequence[float]) -> list[tuple[float, list[Source]]]:
+    """The times at which notes begin together, with these, and parts of beats where none do."""
+    groups = [(group[0].start, group) for group in chords(sorted(notes, key=_start), TOGETHER)]
+    begins = np.array([time for time, _ in groups])
+    parts = (np.linspace(*beat, _PARTS, endpoint=False).tolist() for beat in pairwise(beats))
+    for time in chain.from_iterable(parts):
+        if begins[0] < time < begins[-1] and np.abs(begins - time).min() >= _APART:
+            groups.append((time, []))
+    return sorted(groups, key=itemgetter(0))
 
 
 class _Voice:
@@ -102,7 +128,15 @@ def merged(parts: Sequence[Part]) -> list[Source]:
     Where the accompaniment strikes a key that the melody holds, the melody goes on.
     """
     notes = [
-        Source(n.start, n.end, n.pitch, n.velocity, role is Role.MELODY, role is Role.BASS)
+        Source(
+            n.start,
+            n.end,
+            n.pitch,
+            n.velocity,
+            melody=role is Role.MELODY,
+            bass=role is Role.BASS,
+            hands=n.hands,
+        )
         for part in parts
         for n, role in zip(part.notes, part.roles, strict=True)
     ]
@@ -125,14 +159,9 @@ def merged(parts: Sequence[Part]) -> list[Source]:
     return [note for notes in by_pitch.values() for note in notes]
 
 
-def _struck_again(notes: Sequence[Source], beats: Sequence[float]) -> Iterator[Source]:
-    """Yields the notes of the harmony that sound where a beat begins, and may be struck then."""
-    for note in notes:
-        if not note.melody and not note.bass:
-            first = bisect_right(beats, note.start + TOGETHER)
-            for beat in beats[first : bisect_right(beats, note.end - _LATE)]:
-                yield note._replace(start=beat, added=True)
-
-
 def _start(note: Source) -> tuple[float, int]:
     return note.start, note.pitch
+
+
+def _pitch(note: Source) -> int:
+    return note.pitch

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cadenza.fingering.players import Players
 from cadenza.fingers import RIGHT
 from cadenza.hands.reach import JumpTimes
+
+_EASY = 0.85  # of the reach that is counted on in chords: at its end, inner fingers press badly
+_OCTAVE = 2  # notes, for which all of it is
 
 
 class OneHand:
@@ -20,9 +27,10 @@ class OneHand:
         self._lowest, self._num_keys = keyboard.lowest_pitch, len(keyboard.grid_y)
         self._y, self._times = keyboard.grid_y, times
         self._reaches = players.reaches(hand)
-        spans = players.spans()
         # [low][high][finger on the low key][finger on the high key]
-        self._spans = spans if hand == RIGHT else spans.swapaxes(2, 3)
+        self._spans = _spans(players, hand)
+        eased = replace(players.reach, most=_EASY * players.reach.most)
+        self._spans_of_chord = _spans(replace(players, reach=eased), hand)
         self._outwards = 1 if hand == RIGHT else -1
         self._num_fingers = players.reach.num_fingers
         self.fits = cache(self._fits)
@@ -37,12 +45,13 @@ class OneHand:
     def _fits(self, pitches: tuple[int, ...]) -> bool:
         """Whether the hand can hold keys at once, by their pitches from the lowest on."""
         keys = [pitch - self._lowest for pitch in pitches]
+        spans = self._spans if len(keys) <= _OCTAVE else self._spans_of_chord
         if len(keys) > self._num_fingers or not all(map(self.reaches, pitches)):
             return False
         for fingers in combinations(range(self._num_fingers), len(keys)):
             placed = list(zip(keys, fingers[:: self._outwards], strict=True))
             if all(self._reaches[key, finger] for key, finger in placed) and all(
-                self._spans[low, high, a, b] for (low, a), (high, b) in combinations(placed, 2)
+                spans[low, high, a, b] for (low, a), (high, b) in combinations(placed, 2)
             ):
                 return True
         return False
@@ -55,3 +64,9 @@ class OneHand:
         """The time from leaving keys to striking others [s]."""
         distance = abs(self.middle(left) - self.middle(struck))
         return float(self._times.seconds(distance, len(left), len(struck), holding))
+
+
+def _spans(players: Players, hand: int) -> NDArray[np.bool_]:
+    """(K, K, F, F) whether two fingers of a hand reach a key and a higher one."""
+    spans = players.spans()
+    return spans if hand == RIGHT else spans.swapaxes(2, 3)

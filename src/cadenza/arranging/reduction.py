@@ -12,13 +12,13 @@ Signal and Information Processing 7, 2018).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from heapq import nsmallest
 from itertools import product
 from typing import NamedTuple
 
-from cadenza.arranging.moments import SHORTEST, Moment, Source
+from cadenza.arranging.moments import SHORTEST, TOGETHER, Moment, Source
 from cadenza.arranging.one_hand import OneHand
 from cadenza.fingers import LEFT, RIGHT
 from cadenza.music.score import OCTAVE, RELEASE_TIME
@@ -29,6 +29,10 @@ _SHIFTS = 0, -OCTAVE, OCTAVE, -2 * OCTAVE, 2 * OCTAVE
 _LONG_AGO = -10.0  # [s]
 _LEAST_HELD = 0.03  # [s] for which a hand holds what it strikes
 _FASTEST_REPETITION = 0.1  # [s]
+_LEAST_LATE = 0.15  # [s] for which a note sounds that is struck late
+# [s] in which C4 (MIDI 60) falls by 20 dB on a piano. It decays at first by 10 dB a second, C2 by 2
+# and C7 by 80 (Bensa et al., JASA 114, 2003), then more slowly (Weinreich, JASA 62, 1977).
+_LASTS, _LASTING = 3.6, 60
 _BUSY = 0.2  # [s] after which a hand that strikes again is busy
 
 
@@ -42,8 +46,10 @@ class Values:
     """The value of a bass note an octave higher."""
     new: float = 1.0
     """The value of the first note of a pitch class in a beat."""
-    again: float = 0.5
+    again: float = 0.4
     """The value of any other note, where it is written."""
+    late: float = 0.15
+    """The cost of striking a note later than written, or again."""
     octave: float = 0.3
     """The cost of every octave by which a note is moved."""
     note: float = 0.0
@@ -52,9 +58,9 @@ class Values:
     """The cost of ending a note as soon as it begins; less in proportion if it ends later."""
     early_melody: float = 4.0
     """The same for a note of the melody."""
-    haste: float = 20.0
+    haste: float = 30.0
     """The cost of a jump that takes all the time there is; with the square of the share."""
-    busy: float = 0.5
+    busy: float = 0.6
     """The cost of each further note that a hand strikes at once `_BUSY` after others."""
 
 
@@ -89,6 +95,21 @@ class Struck(NamedTuple):
     source: Source
     pitch: int
     hand: int
+
+    @property
+    def late(self) -> bool:
+        """Whether its source has begun before: it is of a broken chord, or struck again."""
+        return self.time > self.source.start + TOGETHER
+
+    @property
+    def start(self) -> float:
+        """When it is struck [s]: at the moment or, of notes that begin then, as written."""
+        return max(self.time, self.source.start)
+
+    @property
+    def end(self) -> float:
+        """When it ends [s], if the hand can hold it for so long."""
+        return max(self.source.end, self.time + _LEAST_LATE) if self.late else self.source.end
 
 
 class EarlyEnd(NamedTuple):
@@ -131,15 +152,25 @@ def reduced(
         for state in nsmallest(4 * _BEAM, found, key=lambda each: each.cost):
             best.setdefault((state.hands, state.classes), state)
         beam = list(best.values())[:_BEAM]
-    struck: list[Struck] = []
-    early_ends: list[EarlyEnd] = []
+    actions: list[Action] = []
     last: State | None = beam[0]
     while last is not None:
-        for action in last.actions:
-            struck += action.struck
-            early_ends += action.early_ends
+        actions += last.actions
         last = last.before
-    return struck, early_ends
+    struck = (each for action in reversed(actions) for each in action.struck)
+    return list(_again(struck)), [each for action in actions for each in action.early_ends]
+
+
+def _again(struck: Iterable[Struck]) -> Iterator[Struck]:
+    """Yields notes by time; where a source is struck again, a source that is added."""
+    before: set[Source] = set()
+    for each in struck:
+        if each.source in before:
+            added = each.source._replace(start=each.time, end=each.end, added=True)
+            yield each._replace(source=added)
+        else:
+            before.add(each.source)
+            yield each
 
 
 def _successors(
@@ -149,9 +180,9 @@ def _successors(
     classes = state.classes
     if moment.begins_beat:
         sounding = (held for hand in state.hands for held in hand.still_held(moment.time))
-        classes = _bits(held.pitch for held in sounding)
+        classes = _bits(held.pitch for held in sounding if not _has_died_away(held, moment.time))
     actions = [
-        list(_HandAtMoment(hand, state.hands[hand], moment, hands[hand], values).actions())
+        list(_HandAtMoment(hand, state.hands[hand], moment, hands[hand], values, classes).actions())
         for hand in (RIGHT, LEFT)
     ]
     for right, left in product(*actions):
@@ -184,10 +215,15 @@ def _value(struck: Struck, classes: int, values: Values) -> float:
         return values.melody
     if note.bass:
         return values.moved_bass if moved else values.bass
-    value = -values.note - values.octave * moved
+    value = -values.note - values.octave * moved - values.late * struck.late
     if not classes >> struck.pitch % OCTAVE & 1:
         return value + values.new
-    return value - values.new if moved or note.added else value + values.again
+    return value - values.new if moved or struck.late else value + values.again
+
+
+def _has_died_away(held: Held, time: float) -> bool:
+    """Whether a tone of a piano would have died away by a time [s]: strike it again."""
+    return time - held.start > _LASTS * 2 ** ((_LASTING - held.pitch) / OCTAVE)
 
 
 def _bits(pitches: Iterator[int]) -> int:
@@ -201,8 +237,18 @@ class _HandAtMoment:
     """What one hand may do at one moment: the right hand has the melody, the left the bass."""
 
     def __init__(
-        self, hand: int, before: Hand, moment: Moment, one: OneHand, values: Values
+        self,
+        hand: int,
+        before: Hand,
+        moment: Moment,
+        one: OneHand,
+        values: Values,
+        classes: int,
     ) -> None:
+        inwards = -1 if hand == RIGHT else 1  # so that hands share what begins
+        written, late = moment.harmony[::inwards], moment.sounding[::inwards]
+        new = [n for n in (*written, *late) if not classes >> n.pitch % OCTAVE & 1]
+        self._harmony = [*new, *(n for n in written if classes >> n.pitch % OCTAVE & 1)]
         self._hand, self._before, self._moment = hand, before, moment
         self._one, self._values = one, values
         self._held = before.still_held(moment.time)
@@ -239,7 +285,7 @@ class _HandAtMoment:
             if not self._one.fits(pitches):
                 return
             yield base
-        for note in self._moment.harmony:
+        for note in self._harmony:
             if len(struck) - len(base) == _MOST_HARMONY:
                 return
             shift = self._shift(note, pitches)
@@ -279,7 +325,7 @@ class _HandAtMoment:
         early = list(self._left_early(kept, time - jump))
         cost += sum(self._early_cost(held, end) for held, end in early)
         early_ends = tuple(EarlyEnd(held.start, held.pitch, end) for held, end in early)
-        new = (Held(s.pitch, time, s.source.end, s.source.melody) for s in struck)
+        new = (Held(s.pitch, time, s.end, s.source.melody) for s in struck)
         hand = Hand(tuple(sorted((*kept, *new))), pitches, time)
         return Action(hand, struck, early_ends, cost)
 

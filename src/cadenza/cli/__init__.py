@@ -19,6 +19,7 @@ from cadenza.cli import (
     compare,
     dataset,
     etude,
+    film,
     generalist,
     importing,
     info,
@@ -40,6 +41,7 @@ from cadenza.registry import module_of
 _COMMANDS: dict[str, Any] = {
     "play": (play.PlayCommand, play.run),
     "plan": (plan.PlanCommand, plan.run),
+    "film": (film.Film, film.run),
     "arrange": (arrange.Arrange, arrange.run),
     "studio": (studio.StudioCommand, studio.run),
     "practice": (practice.PracticeCommand, practice.run),

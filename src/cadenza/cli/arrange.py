@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -35,6 +35,10 @@ class Arrange:
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(
         default_factory=lambda: Arrangement(arrange="always")
     )
+    fingering: Literal["robot", "human"] = "robot"
+    """Fingers that suit the robot's hands, or those that a pianist would use."""
+    hands_as_written: bool = False
+    """Have each hand play what the score has for it, as far as it can."""
     setup: Annotated[str | None, tyro.conf.arg(help=SETUP_HELP)] = None
     scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
 
@@ -46,23 +50,24 @@ def default(chosen: Chosen) -> Arrange:
 
 
 def run(command: Arrange) -> None:
-    from cadenza.fingering.search import find_fingering
     from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
     from cadenza.music.formats.midi import write_midi
     from cadenza.music.formats.musicxml_writing import write_musicxml
-    from cadenza.performing.arranging import arrange
+    from cadenza.performing.arranging import arrange_song
     from cadenza.performing.source import resolve
     from cadenza.scene.scene import build_scene
-    from cadenza.tasks.goal_track import players_of
+    from cadenza.tasks.config import TaskConfig
+    from cadenza.tasks.goal_track import GoalTrack
 
     path = command.output or Path(f"{folder_name(name_without_ending(command.song))}{SHEET}")
     if path.suffix != _MIDI:
         check_name(path, SHEET, f"an arrangement is a {SHEET} or {_MIDI} file")
     check_writable(path.parent)
     source, scene = resolve(command.song, command.arrangement), build_scene(command.scene)
-    found = arrange(source.score, command.arrangement, scene)
+    found = arrange_song(source.written_for(command.scene.hands), scene)
     arranged = found.arranged
-    score, _ = find_fingering(arranged.score, players_of(scene))
+    how = TaskConfig(fingering=command.fingering, hands_as_written=command.hands_as_written)
+    score = GoalTrack(arranged.score, None, how, scene).fingered().score
     if path.suffix == SHEET:
         for remark in write_musicxml(score, path):
             print(f"{path}: {remark}")

@@ -204,7 +204,7 @@ class DatasetPlay(RecordedParts):
     output: Output[Path | None] = None
     """Folder for the results; played/FOLDER/N by default."""
     video: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Write video.mp4, if this machine can render."""
+    """Make a film, too, as "cadenza film" does."""
     quiet: Quiet = False
 
 

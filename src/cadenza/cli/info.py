@@ -75,6 +75,7 @@ def _song_facts(score: Score) -> dict[str, Any]:
         "range": f"{_notes(*ends)} (MIDI {ends[0]} to {ends[1]})",
         "at once": f"up to {counted(most, 'key')}",
         "fingering": _about_fingering(score),
+        **_about_hands(score),
         "pedal": counted(len(score.pedal), "movement"),
     } | {f"repaired {i}": remark for i, remark in enumerate(score.remarks, start=1)}
 
@@ -111,6 +112,16 @@ def _about_fingering(score: Score) -> str:
     parts += [f"found for {found}"] if found else []
     parts += [f"none for {count} ({reason})" for reason, count in reasons.most_common()]
     return "; ".join(parts)
+
+
+def _about_hands(score: Score) -> dict[str, str]:
+    """Returns how many notes are written for each hand, if the score says so."""
+    from cadenza.fingers import LEFT, RIGHT
+
+    if not score.has_written_hands:
+        return {}
+    right, left = (sum(hand in note.hands for note in score.notes) for hand in (RIGHT, LEFT))
+    return {"hands": f"as written, {counted(right, 'note')} for the right and {left} for the left"}
 
 
 def usual_players() -> Players:

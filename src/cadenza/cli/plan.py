@@ -26,8 +26,11 @@ from cadenza.cli.saving import (
 from cadenza.files import TENSORS
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.reading import SHEET
+from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import with_time_to_begin
+
+_PICTURE = ".svg"
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,8 @@ class PlanCommand(Performing):
     """The plan, a .safetensors file; played/SONG/plan.safetensors by default. The fingering is
     written beside it as text, to a file that ends in .safetensors.fingering."""
     score: Path | None = None
-    """Write the song with the planned fingers as sheet music, too, to this .musicxml file."""
+    """Write the song with the planned fingers as sheet music, too, to this .musicxml file, or, to
+    be looked at and printed, to this .svg picture."""
     seed: int = 0
     """Random seed."""
     quiet: Quiet = False
@@ -50,7 +54,6 @@ class PlanCommand(Performing):
 
 
 def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
-    from cadenza.music.formats.musicxml_writing import write_musicxml
     from cadenza.performing.planning import fingering_of, make_plan
     from cadenza.performing.setup import select
     from cadenza.performing.source import resolve
@@ -58,7 +61,8 @@ def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
     if command.output is not None:
         check_name(command.output, TENSORS, f"a plan is a {TENSORS} file")
     if command.score is not None:
-        check_name(command.score, SHEET, f"sheet music is a {SHEET} file")
+        if command.score.suffix != _PICTURE:
+            check_name(command.score, SHEET, f"sheet music is a {SHEET} or {_PICTURE} file")
         check_writable(command.score.parent, "--score")
     source = resolve(command.song, command.arrangement)
     selection = select(source, PLANNER, configs=command.configs)
@@ -72,10 +76,18 @@ def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
     print_scores(planned.performance)
     print_losses(planned.performance)
     if command.score is not None:
-        for remark in write_musicxml(planned.score, command.score):
+        for remark in _write_sheet(planned.score, command.score):
             print(f"{command.score}: {remark}")
     print(f"\nFingering in {fingering_of(path)}. To see and hear the plan:")
     print(shlex.join(["cadenza", "play", command.song, *_to_replay(command, path)]))
+
+
+def _write_sheet(score: Score, path: Path) -> tuple[str, ...]:
+    """Writes sheet music; returns in plain words what is not as in the score."""
+    from cadenza.music.formats.musicxml_writing import write_musicxml
+    from cadenza.report.engraving import write_svg
+
+    return (write_svg if path.suffix == _PICTURE else write_musicxml)(score, path)
 
 
 def _to_replay(command: PlanCommand, path: Path) -> list[str]:

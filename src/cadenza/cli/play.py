@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from cadenza.agents.registry import PLANNER
-from cadenza.cli.arguments import Advanced, Output, Quiet
+from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.console import stop_on_signal
 from cadenza.cli.estimate import print_estimate
 from cadenza.cli.options import (
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlayCommand(Performing):
-    """Play a song, and write a report page with sound, scores, MIDI and a video.
+    """Play a song, and write a report page with sound, scores and MIDI.
 
     Example: cadenza play OdeToJoy -o joy
     """
@@ -47,12 +47,8 @@ class PlayCommand(Performing):
     """Random seed."""
     plan: Path | None = None
     """For --agent playback: a plan, or any .npz file with an array "action" (T, A)."""
-    video: bool = True
-    """Write video.mp4, if this machine can render."""
-    video_size: Advanced[tuple[int, int]] = (1280, 720)
-    """Width and height of the video [px], up to 1920 1080."""
-    video_camera: Advanced[str] = "player"
-    """Camera of the video: player, closeup, left, right, back, egocentric or topdown."""
+    video: bool = False
+    """Make a film, too, as "cadenza film" does."""
     watch: tyro.conf.FlagCreatePairsOff[bool] = False
     """Show it on a page while it is planned, until Ctrl-C."""
     quiet: Quiet = False
@@ -62,9 +58,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
     from cadenza.performing.performance import check_replaceable, perform
     from cadenza.performing.setup import select
     from cadenza.performing.source import resolve
-    from cadenza.sim.render import Picture
 
-    picture = Picture(*command.video_size, command.video_camera)
     source = resolve(command.song, command.arrangement)
     selection = select(source, command.agent, configs=command.configs, plan=command.plan)
     check_all_play(command, _playing_agents(selection))
@@ -85,7 +79,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
                     performance = perform(setup, reporting, stop)
             if page:
                 page.finish(performance)
-            save(performance, folder, command.video, picture)
+            save(performance, folder, command.video)
             stopped = stop()
         if page and not stopped:
             print("Ctrl-C ends the page")

@@ -49,8 +49,8 @@ class PracticeCommand(Performing):
     """Practise for so many minutes instead."""
     seed: int = 0
     """Random seed."""
-    video: bool = True
-    """Write video.mp4, if this machine can render."""
+    video: bool = False
+    """Make a film, too, as "cadenza film" does."""
     quiet: Quiet = False
 
     agents_with_options = (PLANNER,)

@@ -13,9 +13,9 @@ from cadenza.errors import CadenzaError
 from cadenza.files import folder_name
 
 if TYPE_CHECKING:
+    from cadenza.performing.film_renderer import Look
     from cadenza.performing.performance import Performance
     from cadenza.performing.setup import Selection
-    from cadenza.sim.render import Picture
 
 _MS_PER_SECOND = 1000
 _REWARDED = {
@@ -64,18 +64,31 @@ def default_folder(selection: Selection) -> Path:
     return Path("played") / folder_name(selection.source.short_name)
 
 
-def save(
-    performance: Performance,
-    folder: Path,
-    video: bool,
-    picture: Picture | None = None,
-) -> None:
-    """Writes the results of a performance, and prints how well it was played."""
+def save(performance: Performance, folder: Path, video: bool) -> None:
+    """Writes the results of a performance, prints how well it was played, and makes its film."""
     with stages("playing") as progress:
-        performance.save(folder, video, progress, picture)
+        performance.save(folder, progress)
     print_scores(performance)
     print_losses(performance)
     print(f"\nOpen {folder / 'report.html'}")
+    if video:
+        try:
+            film(folder)
+        except CadenzaError as error:  # what was played is there all the same
+            print(f"no film: {error}", file=sys.stderr)
+
+
+def film(folder: Path, look: Look | None = None) -> None:
+    """Makes the film of the performance in a folder, with progress.
+
+    Raises:
+        CadenzaError: there is no performance, or this machine cannot draw.
+    """
+    from cadenza.performing.filming import write_film
+
+    with stages("drawing") as progress:
+        path = write_film(folder, look, progress)
+    print(f"Film {path}")
 
 
 def print_scores(performance: Performance) -> None:

@@ -34,8 +34,8 @@ class StudioCommand:
     page can use this machine to play."""
     jobs: Advanced[int] = 1
     """Performances that are planned at the same time."""
-    video: bool = True
-    """Make a video of each performance, if this machine can render."""
+    video: bool = False
+    """Make a film of each performance, too, as "cadenza film" does."""
     browser: bool = True
     """Open the page in a browser, where there is a screen."""
 

@@ -63,8 +63,8 @@ class Train:
     """CPU cores to use. Cores that other runs have claimed are left out."""
     wandb: Advanced[str | None] = None
     """Also log to this Weights & Biases project. TensorBoard files are always written."""
-    video: Advanced[bool] = True
-    """Write a video of the best policy, if this machine can render."""
+    video: Advanced[bool] = False
+    """Make a film of the best policy, too, as "cadenza film" does."""
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
     setup: Annotated[str | None, tyro.conf.arg(help=SETUP_HELP)] = None
     quiet: Quiet = False
@@ -146,7 +146,8 @@ def _train(command: Train, folder: Path) -> None:
     if command.wandb:
         need_wandb()  # before a run begins for it
     if command.song is not None:
-        score = load_song(command.song, command.arrangement)
+        whole = load_song(command.song, command.arrangement)
+        score = command.arrangement.written_for(command.training.scene.hands, whole)
         check_writable(folder)
     with run.locked(), _prints_how_to_resume(folder, command.training):
         if command.song is not None:

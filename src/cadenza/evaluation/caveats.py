@@ -17,6 +17,7 @@ _AS_WRITTEN: dict[str, Any] = {
     "arrangement.plain": False,
     "arrangement.arrange": "auto",
     "arrangement.level": None,
+    "arrangement.drums": "off",
     "arrangement.expression": 0.0,
     "task.stretch": 1.0,
     "task.transpose": 0,

@@ -151,7 +151,8 @@ def _train(
     run = RunFolder(folder)
     with claimed_cores(num_threads), run.locked():
         if not run.begun:
-            run.begin(config, spec.arrangement.score(spec.song))
+            whole = spec.arrangement.score(spec.song)
+            run.begin(config, spec.arrangement.written_for(config.scene.hands, whole))
         config, score = run.settings()
         with closing(Training(config, score, run)) as training:
 

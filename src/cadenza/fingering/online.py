@@ -94,8 +94,7 @@ class OnlineFingering:
         sounding = copy(before)
         sounding.strokes = list(map(self._with_end, before.strokes))
         stage = replace(stage, strokes=tuple(map(self._with_end, stage.strokes)))
-        for _ in sounding.advance(time, strokes):
-            pass  # nobody can play it
+        sounding.advance(time, strokes)  # without what nobody can play
         return sounding, next_stage(stage, time, tuple(sounding.strokes), self._space)
 
     def _moments(self) -> list[tuple[float, list[Stroke]]]:

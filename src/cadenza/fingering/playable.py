@@ -8,6 +8,9 @@ Hands and keyboard limit what can be played:
 - a finger stays on its key as long as the note sounds; notes with less than `RELEASE_TIME` left
   when others begin count as over.
 
+Notes may be held to the hands that they are written for. Where that hand cannot play one, the other
+may; where more notes can be played if any hand plays what begins together, any may.
+
 Where notes cannot all be played, what sounds already goes on, and of the notes that begin the
 outer ones are taken first: the highest and the lowest, then the next from outside, and so on; of
 two equally far inside the louder, then the longer, then the higher. A note is dropped if it
@@ -27,8 +30,8 @@ A note takes 10 to 20 us, and time and memory grow in proportion to the number o
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from itertools import combinations
 from operator import attrgetter
@@ -72,16 +75,19 @@ class Playable:
     ignored: dict[int, Finger]
 
 
-def playable(score: Score, players: Players) -> Playable:
-    """The notes of `score` that these hands can play on this keyboard."""
+def playable(score: Score, players: Players, as_written: bool = False) -> Playable:
+    """The notes of `score` that these hands can play on this keyboard.
+
+    With `as_written`, each hand plays what is written for it, as far as it can.
+    """
     moments = []
     reasons: dict[int, str] = {}
     ignored: dict[int, Finger] = {}
     sounding = SoundingNotes(players)
-    for time, begin in onsets(score, players.keyboard.lowest_pitch):
-        for stroke in sounding.advance(time, begin):
+    for time, begin in onsets(score, players.keyboard.lowest_pitch, as_written):
+        for stroke, reason in sounding.advance(time, begin):
             if stroke.finger is None:
-                reasons |= dict.fromkeys(stroke.notes, sounding.reason_to_drop(stroke))
+                reasons |= dict.fromkeys(stroke.notes, reason)
             else:
                 ignored |= dict.fromkeys(stroke.notes, stroke.finger)
         begun = 1 + max(stroke.notes[-1] for stroke in begin)
@@ -102,15 +108,30 @@ class SoundingNotes:
         self._limits = _limits(players)
         self._sets = _ONLY_EMPTY
 
-    def advance(self, time: float, begin: Sequence[Stroke]) -> Iterator[Stroke]:
-        """Goes on to the moment at which others begin; yields each of these that is dropped."""
+    def advance(self, time: float, begin: Sequence[Stroke]) -> list[tuple[Stroke, str]]:
+        """Goes on to the moment at which others begin; returns those that are dropped, and why."""
         struck = {stroke.key for stroke in begin}
         for stroke in list(self.strokes):
             if stroke.end <= time + RELEASE_TIME or stroke.key in struck:
                 self._release(stroke)
+        before = list(self.strokes), self._sets
+        dropped = self._add(begin)
+        if dropped and any(stroke.hand is not None for stroke in begin):
+            as_written = self.strokes, self._sets
+            self.strokes, self._sets = before
+            by_any_hand = self._add([replace(stroke, hand=None) for stroke in begin])
+            if len(by_any_hand) < len(dropped):
+                return by_any_hand
+            self.strokes, self._sets = as_written
+        return dropped
+
+    def _add(self, begin: Sequence[Stroke]) -> list[tuple[Stroke, str]]:
+        """Adds strokes as far as they can be played; returns the others, and why they cannot."""
+        dropped = []
         for stroke in outer_first(begin, self.strokes):
-            if not self._try_to_add(stroke):
-                yield stroke
+            if not any(map(self._try_to_add, (stroke, replace(stroke, hand=None)))):
+                dropped.append((stroke, self._reason_to_drop(stroke)))
+        return dropped
 
     def _release(self, stroke: Stroke) -> None:
         n = self.strokes.index(stroke)
@@ -136,7 +157,7 @@ class SoundingNotes:
             self._sets = sets
         return bool(sets)
 
-    def reason_to_drop(self, stroke: Stroke) -> str:
+    def _reason_to_drop(self, stroke: Stroke) -> str:
         """The reason why `stroke` cannot be played along with the others."""
         limits = self._limits
         if not 0 <= stroke.key < len(limits.reaching):
@@ -189,11 +210,13 @@ class _Limits:
             sets: a set of sets of fingers.
             n: the place of `stroke` among the notes, from the lowest.
             stroke: the note.
-            given: whether it has to be the finger that `stroke` gives, if any.
+            given: whether it has to be the finger, or the hand, that `stroke` gives, if any.
         """
         fingers = self.reaching[stroke.key]
         if given and stroke.finger is not None:
             fingers = [finger for finger in fingers if self._fingers[finger] == stroke.finger]
+        if given and stroke.hand is not None:
+            fingers = [finger for finger in fingers if self._fingers[finger].hand == stroke.hand]
         more = 0
         for finger in fingers:
             more |= (sets << (1 << finger)) & self.nth[n][finger]

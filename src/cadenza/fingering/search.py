@@ -73,6 +73,7 @@ def find_fingering(
     players: Players,
     progress: Callable[[int, int], None] | None = None,
     costs: Costs = COSTS,
+    as_written: bool = False,
 ) -> tuple[Score, tuple[Dropped, ...]]:
     """`score` with a finger on every note that the hands can play, none on those dropped.
 
@@ -85,6 +86,7 @@ def find_fingering(
         players: the hands that are there, and the keyboard.
         progress: receives the number of notes that are done, and of all.
         costs: weights of what a hand does from moment to moment.
+        as_written: whether each hand plays what is written for it, as far as it can.
 
     Returns:
         The score, and the dropped notes in their order.
@@ -92,14 +94,16 @@ def find_fingering(
     score = _without_missing_fingers(score, players.reach.num_fingers)
     if all(note.finger is not None for note in score.notes):
         return score, ()
-    problem = score, players, costs
+    # Equal scores may differ in what is written for which hand.
+    hands = tuple(note.hands for note in score.notes) if as_written else ()
+    problem = score, players, costs, hands
     if problem not in _last_solution:
-        solution = solve(score, players, progress, costs)
+        solution = solve(score, players, progress, costs, as_written)
         _last_solution.clear()
         _last_solution[problem] = solution
     solution = _last_solution[problem]
-    # Equal scores may differ in bars and tracks.
-    return replace(score, notes=solution.score.notes), solution.dropped
+    # They may differ in bars and tracks, too.
+    return score.with_fingers(n.finger for n in solution.score.notes), solution.dropped
 
 
 def _without_missing_fingers(score: Score, num_fingers: int) -> Score:
@@ -115,7 +119,7 @@ def _without_missing_fingers(score: Score, num_fingers: int) -> Score:
 
 
 # One song is often played in several tasks, as in training.
-_last_solution: dict[tuple[Score, Players, Costs], Solution] = {}
+_last_solution: dict[tuple[Score, Players, Costs, tuple[tuple[int, ...], ...]], Solution] = {}
 
 
 def solve(
@@ -123,12 +127,13 @@ def solve(
     players: Players,
     progress: Callable[[int, int], None] | None = None,
     costs: Costs = COSTS,
+    as_written: bool = False,
 ) -> Solution:
     """The whole solution of `find_fingering`; for a score with all fingers, their cost."""
     space = state_space(players)
     stage = first_stage(space)
     steps: list[Backpointers] = []
-    notes_played = playable(score, players)
+    notes_played = playable(score, players, as_written)
     for moment in notes_played.moments:
         stage = next_stage(stage, moment.time, moment.strokes, space, costs)
         steps.append(stage.backpointers)
@@ -204,7 +209,7 @@ def next_stage(
 ) -> Stage:
     """The stage of the next moment, at `time` [s], in which `strokes` sound."""
     notes = tuple(
-        ChordNote(p.key, begins, p.finger if begins else None)
+        ChordNote(p.key, begins, p.finger, p.hand) if begins else ChordNote(p.key, begins)
         for p in strokes
         for begins in (p.start >= time,)
     )

@@ -135,11 +135,15 @@ class HandStates:
 
 
 class ChordNote(NamedTuple):
-    """A note that a hand has to begin, with the `finger` if it is given, or to go on holding."""
+    """A note that a hand has to begin, or to go on holding.
+
+    It has the `finger` that is given, or else the `hand` that is to play it, if any.
+    """
 
     key: int
     begins: bool
-    finger: Finger | None
+    finger: Finger | None = None
+    hand: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,4 +268,6 @@ class _Hand:
             if note.finger is not None:
                 ours = note.finger.hand == self._hand
                 row[np.arange(none + 1) != (note.finger.index if ours else none)] = INFEASIBLE
+            elif note.hand is not None:
+                row[slice(none, None) if note.hand == self._hand else slice(none)] = INFEASIBLE
         return costs

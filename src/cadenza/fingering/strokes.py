@@ -12,7 +12,10 @@ from cadenza.music.score import Score, chords
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stroke:
-    """A key pressed from `start` to `end` [s] for one or several of the `notes` (indices)."""
+    """A key pressed from `start` to `end` [s] for one or several of the `notes` (indices).
+
+    It has the `finger` that is given, or else the `hand` that is to play it, if any.
+    """
 
     key: int
     start: float
@@ -20,9 +23,12 @@ class Stroke:
     velocity: int
     finger: Finger | None
     notes: tuple[int, ...]
+    hand: int | None = None
 
 
-def onsets(score: Score, lowest_pitch: int) -> Iterator[tuple[float, list[Stroke]]]:
+def onsets(
+    score: Score, lowest_pitch: int, as_written: bool = False
+) -> Iterator[tuple[float, list[Stroke]]]:
     """The moments at which notes begin [s], with the strokes that begin then.
 
     A stroke ends where its key is struck again.
@@ -30,6 +36,7 @@ def onsets(score: Score, lowest_pitch: int) -> Iterator[tuple[float, list[Stroke
     Args:
         score: the notes.
         lowest_pitch: the MIDI number of key 0.
+        as_written: whether strokes have the hands that notes are written for.
     """
     moments: list[tuple[float, dict[int, list[int]]]] = []
     index = count()
@@ -51,7 +58,11 @@ def onsets(score: Score, lowest_pitch: int) -> Iterator[tuple[float, list[Stroke
             notes = [score.notes[i] for i in indices]
             finger = next((n.finger for n in notes if n.finger is not None), None)
             loudest = max(note.velocity for note in notes)
-            strokes.append(Stroke(key, time, ends[indices[0]], loudest, finger, tuple(indices)))
+            written = {hand for note in notes for hand in note.hands}
+            held_to = as_written and finger is None and len(written) == 1
+            hand = written.pop() if held_to else None
+            end = ends[indices[0]]
+            strokes.append(Stroke(key, time, end, loudest, finger, tuple(indices), hand))
         yield time, strokes
 
 

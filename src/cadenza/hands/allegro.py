@@ -15,9 +15,6 @@ import numpy as np
 
 from cadenza.hands import forearm
 from cadenza.hands.body import (
-    FINGERTIP_RGBA,
-    FOREARM_RGBA,
-    LINK_RGBA,
     Actuator,
     Body,
     Geom,
@@ -29,10 +26,14 @@ from cadenza.hands.body import (
 from cadenza.hands.hand import FingerChain, Hand
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
+from cadenza.hands.shell import METAL, RUBBER, SLEEVE, TRIM, Shell, ring, rounded_box
 
 _DENSITY = 800.0  # [kg/m^3]
 _KP, _DAMPING = 10.0, 1.0  # [N m/rad], [N m s/rad]
 _FORCE = 10.0  # [N m] more than a servo asks for within its range
+_INSET = (0.0004, 0.0008, 0.0030)  # [m] by which what is drawn of a link is smaller than its box
+_ROUND = 0.0055  # [m] the radius of its edges
+_PIN, _PIN_RADIUS = 0.0075, 0.0068  # [m] of hinges: half of the length, and radius
 _FINGER_WIDTH = (0.0098, 0.01375)  # half sizes across the palm's normal and across the fingers
 
 # Turns the description's palm into the forearm's frame, whose y is out of the back of the hand.
@@ -60,9 +61,23 @@ def _link(
     return Link(
         name, parent, pos, mass, box.pos, inertia, quat=quat, joint=joint,
         geoms=(box, tip) if tip else (box,),
-        rgba=FINGERTIP_RGBA if tip else LINK_RGBA,
-        hides_keys=not joint,
+        drawn=_shells(box, tip),
+        hides_keys=joint is None or box.pos[0] != 0.0,
     )  # fmt: skip
+
+
+def _shells(box: Geom, tip: Geom | None) -> tuple[Shell, ...]:
+    """A cover a little smaller than the `box`, a hinge where it begins, and the `tip` in rubber."""
+    half_size, pos = np.array(box.size), np.array(box.pos)
+    x, y, z = (half_size - np.array(_INSET)).tolist()
+    shells = [Shell(rounded_box((x, y, z), box.pos, min(_ROUND, x, y, z)))]
+    if pos[0] == 0.0:  # of a finger
+        shells.append(Shell(((0.0, -_PIN, 0.0, _PIN_RADIUS), (0.0, _PIN, 0.0, _PIN_RADIUS)), METAL))
+    if tip:
+        radius, half_length = tip.size
+        ends = (tip.pos[2] - half_length, tip.pos[2] + half_length)
+        shells.append(Shell(tuple((0.0, 0.0, end, radius) for end in ends), RUBBER))
+    return tuple(shells)
 
 
 def _joint(name: str, axis: Vector, low: float, high: float) -> Joint:
@@ -121,16 +136,21 @@ _FOREARM = Link(
     "forearm", "", (0, 0, 0), 3.0, (0, 0, 0.09), (0.0138, 0.0138, 0.00744),
     geoms=(Geom("cylinder", (0.07434, 0.0914), (0, 0, 0.0914)),),
     drawn=(
-        Geom("cylinder", (0.046, 0.075), (0, 0, 0.085)),
-        Geom("cylinder", (0.03, 0.07), (0, 0, 0.23)),  # into the palm
+        Shell(((0.0, 0.0, 0.045, 0.045), (0.0, 0.0, 0.15, 0.038)), SLEEVE),
+        Shell(ring(0.043, 0.165, 0.005), TRIM),
+        Shell((*ring(0.034, 0.16, 0.006), *ring(0.026, 0.255, 0.004)), METAL),
     ),
-    rgba=FOREARM_RGBA,
 )  # fmt: skip
 
-_PALM = _link(
-    "palm", "forearm", _PALM_POS, _box((0.0204, 0.0565, 0.0475), (-0.0093, 0, -0.0475)),
-    quat=_PALM_QUAT,
-)  # fmt: skip
+_BACK_PLATE = Shell(rounded_box((0.003, 0.044, 0.034), (-0.0287, 0.0, -0.0475), 0.0025), SLEEVE)
+_EDGE = Shell(((-0.0285, -0.040, -0.0105, 0.0022), (-0.0285, 0.040, -0.0105, 0.0022)), TRIM)
+
+
+def _palm() -> Link:
+    box = _box((0.0204, 0.0565, 0.0475), (-0.0093, 0, -0.0475))
+    palm = _link("palm", "forearm", _PALM_POS, box, quat=_PALM_QUAT)
+    return replace(palm, drawn=(*palm.drawn, _BACK_PLATE, _EDGE))
+
 
 _FINGERS = ("ff", "mf", "rf", "th")
 
@@ -139,7 +159,7 @@ def _body(finger_tip: Geom, thumb_tip: Geom) -> Body:
     return Body(
         links=(
             _FOREARM,
-            _PALM,
+            _palm(),
             *_finger("ff", (0, 0.0435, -0.001542), (0.999048, -0.0436194, 0, 0), finger_tip),
             *_finger("mf", (0, 0, 0.0007), (1, 0, 0, 0), finger_tip),
             *_finger("rf", (0, -0.0435, -0.001542), (0.999048, 0.0436194, 0, 0), finger_tip),

@@ -18,7 +18,6 @@ import numpy as np
 from cadenza.hands import forearm
 from cadenza.hands.allegro import ALLEGRO
 from cadenza.hands.body import (
-    FOREARM_RGBA,
     IDENTITY,
     Actuator,
     Body,
@@ -30,6 +29,7 @@ from cadenza.hands.body import (
     Vector,
 )
 from cadenza.hands.servo import Servo
+from cadenza.hands.shell import METAL, SLEEVE, Shell, ring
 
 _DAMPING = 0.5  # [N m s/rad]
 _TORQUE = 300.0  # [N m], the limit of the motors
@@ -115,7 +115,8 @@ _JOINTS = tuple(f"armJ{number}" for number in range(1, 8))
 def _arm() -> tuple[Link, ...]:
     base = Link(
         _BASE, "", (0, 0, 0), 5.0, (-0.1, 0, 0.07), (0.05, 0.06, 0.03),
-        geoms=(Geom("cylinder", (0.085, 0.07), (0, 0, 0.07)),), rgba=FOREARM_RGBA,
+        geoms=(Geom("cylinder", (0.085, 0.07), (0, 0, 0.07)),),
+        drawn=(Shell((*ring(0.085, 0.012, 0.012), *ring(0.07, 0.14, 0.012)), SLEEVE),),
     )  # fmt: skip
     chain = [
         _link(name, parent, joint, part)
@@ -131,8 +132,19 @@ def _link(name: str, parent: str, joint: str, part: _Part) -> Link:
     return Link(
         name, parent, part.pos, part.mass, part.com, inertia, quat, quat=part.quat,
         joint=Joint(joint, (0, 0, 1), (-part.limit, part.limit), damping=_DAMPING),
-        geoms=part.geoms, rgba=FOREARM_RGBA,
+        geoms=part.geoms, drawn=_shells(part),
     )  # fmt: skip
+
+
+def _shells(part: _Part) -> tuple[Shell, ...]:
+    """A cover along the link, and a ring around its joint."""
+    (geom,) = part.geoms
+    radius, half_length = geom.size
+    along = np.zeros(3)
+    mujoco.mju_rotVecQuat(along, np.array([0.0, 0.0, half_length]), np.array(geom.quat))
+    first, last = np.array(geom.pos) - along, np.array(geom.pos) + along
+    cover = Shell(((*first.tolist(), radius), (*last.tolist(), 0.94 * radius)))
+    return cover, Shell(ring(1.025 * radius, 0.0, 0.008), METAL)
 
 
 def _principal(moments: Vector, products: Vector) -> tuple[Vector, Quaternion]:

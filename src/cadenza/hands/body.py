@@ -16,6 +16,7 @@ import numpy as np
 
 from cadenza.fingers import Side
 from cadenza.hands import forearm
+from cadenza.hands.shell import Shell
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -25,7 +26,6 @@ IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 FOREARM_RGBA = (0.27, 0.30, 0.35, 1.0)
 LINK_RGBA = (0.80, 0.82, 0.85, 1.0)
 FINGERTIP_RGBA = (0.36, 0.39, 0.45, 1.0)  # grey, as pages colour keys by hits and misses
-DRAWN_GROUP, COLLIDING_GROUP = 0, 3  # MuJoCo's viewers hide group 3
 
 GEOM_TYPES = {
     "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, 1),
@@ -92,11 +92,11 @@ class Link:
     """The shapes that collide."""
     round_geoms: tuple[Geom, ...] = ()
     """The shapes that collide instead if the fingertips are not to be primitive."""
-    drawn: tuple[Geom, ...] = ()
-    """The shapes that are drawn in place of those that collide."""
+    drawn: tuple[Shell, ...] = ()
+    """What pages and films draw in place of the shapes that collide."""
     rgba: Colour = LINK_RGBA
     hides_keys: bool = False
-    """Whether pages draw it transparent, so that one sees the keys."""
+    """Whether it is drawn transparent while it hides keys that sound."""
 
 
 @dataclass(frozen=True)
@@ -289,15 +289,12 @@ class BodyBuilder:
         for geom in geoms:
             self._add_geom(
                 body, geom,
-                group=COLLIDING_GROUP if link.drawn else DRAWN_GROUP,
                 rgba=link.rgba,
                 contype=1 | self._own_bits,
                 conaffinity=self._own_bits or int(self._options.hand_collisions),
                 solref=self._body.contact_solref,
                 solimp=self._body.contact_solimp,
             )  # fmt: skip
-        for geom in link.drawn:
-            self._add_geom(body, geom, group=DRAWN_GROUP, rgba=link.rgba, contype=0, conaffinity=0)
 
     def _add_geom(self, body: mujoco.MjsBody, geom: Geom, **attributes: Any) -> None:
         pos, quat, size = geom.pos, geom.quat, geom.size

@@ -259,8 +259,10 @@ def _faults_of_link(link: Link) -> Iterator[str]:
     if joint := link.joint:
         yield from _wrong_numbers(f"joint {joint.name}: axis", joint.axis, 3)
         yield from _wrong_range(f"joint {joint.name}", joint.range)
-    for geom in (*link.geoms, *link.round_geoms, *link.drawn):
+    for geom in (*link.geoms, *link.round_geoms):
         yield from _faults_of_geom(f"link {link.name}", geom)
+    for ball in (ball for shell in link.drawn for ball in shell.balls):
+        yield from _wrong_numbers(f"link {link.name}: ball of what is drawn", ball, 4)
 
 
 def _faults_of_geom(of: str, geom: Geom) -> Iterator[str]:

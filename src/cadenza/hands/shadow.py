@@ -7,12 +7,12 @@ series. Frames of the links: z along the link, y out of the back of the hand.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cadenza.hands import forearm
 from cadenza.hands.body import (
-    FINGERTIP_RGBA,
-    FOREARM_RGBA,
     Actuator,
     Body,
     Coupling,
@@ -25,6 +25,7 @@ from cadenza.hands.body import (
 from cadenza.hands.hand import FingerChain, Hand
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
+from cadenza.hands.shadow_shells import SHELLS
 
 # Turns a cylinder's z axis onto x.
 _ALONG_X: Quaternion = (0.707107, 0.0, 0.707107, 0.0)
@@ -68,28 +69,6 @@ _ROUND_THUMB_TIP = Geom(
     (-2e-07, 8.581401573e-05, 0.01916883371),
     mirrored=False,
 )
-# What is drawn in place of the boxes that collide: bones of a palm and a forearm, rounded. The
-# forearm tapers into the wrist, which reaches into the palm: no gap however they turn.
-_DRAWN_FOREARM = (
-    Geom("capsule", (0.036, 0.068), (0, -0.002, 0.075)),
-    Geom("cylinder", (0.046, 0.03), (0, -0.002, 0.04)),
-    Geom("cylinder", (0.041, 0.008), (0, -0.004, 0.135)),
-    Geom("ellipsoid", (0.033, 0.033, 0.062), (0, -0.007, 0.165)),
-    Geom("capsule", (0.024, 0.02), (0, -0.01, 0.192)),
-)
-_DRAWN_WRIST = (
-    Geom("capsule", (0.021, 0.017), (0, 0, 0.017)),
-    Geom("capsule", (0.016, 0.008), (0, 0, 0.034), _ALONG_X),
-)
-_DRAWN_PALM = (
-    Geom("ellipsoid", (0.040, 0.014, 0.052), (-0.002, 0.001, 0.045)),
-    Geom("ellipsoid", (0.018, 0.017, 0.032), (0.023, -0.008, 0.022)),
-    Geom("capsule", (0.0105, 0.034), (0.028, 0.0, 0.062), (0.9945, 0, 0.105, 0)),
-    Geom("capsule", (0.0105, 0.036), (0.010, 0.0, 0.064), (0.9990, 0, 0.030, 0)),
-    Geom("capsule", (0.0105, 0.034), (-0.010, 0.0, 0.062), (0.9990, 0, -0.030, 0)),
-)
-_DRAWN_METACARPAL = (Geom("capsule", (0.0105, 0.026), (0.001, 0.0, 0.036)),)
-
 _FOREARM = Link(
     "forearm", "", (0, 0, 0), 3.0, (0, 0, 0.09), (0.0138, 0.0138, 0.00744),
     geoms=(
@@ -99,8 +78,6 @@ _FOREARM = Link(
         Geom("box", (0.035, 0.035, 0.035), (0, -0.01, 0.181),
              (0.924909, 0, 0.380188, 0), mirrored=False),
     ),
-    drawn=_DRAWN_FOREARM,
-    rgba=FOREARM_RGBA,
 )  # fmt: skip
 
 _WRIST = Link(
@@ -114,8 +91,6 @@ _WRIST = Link(
         Geom("box", (0.0135, 0.009, 0.005), (-0.021, 0, 0.011), (0.923879, 0, 0.382684, 0)),
         Geom("box", (0.0135, 0.009, 0.005), (0.026, 0, 0.01), (0.923879, 0, -0.382684, 0)),
     ),
-    drawn=_DRAWN_WRIST,
-    rgba=FOREARM_RGBA,
 )  # fmt: skip
 
 _PALM = Link(
@@ -135,7 +110,6 @@ _PALM = Link(
         Geom("box", (0.009, 0.012, 0.002), (0.011, 0, 0.089)),
         Geom("box", (0.01, 0.012, 0.02), (-0.03, 0, 0.009)),
     ),
-    drawn=_DRAWN_PALM,
     hides_keys=True,
 )  # fmt: skip
 
@@ -167,7 +141,6 @@ def _finger(name: str, base: str, pos: Vector, spread_axis: Vector) -> tuple[Lin
             joint=Joint(f"{joint}J1", (1, 0, 0), (0.0, 1.5708)),
             geoms=(_FINGERTIP,),
             round_geoms=(_ROUND_FINGERTIP,),
-            rgba=FINGERTIP_RGBA,
         ),
     )  # fmt: skip
 
@@ -177,7 +150,6 @@ _LITTLE_FINGER_METACARPAL = Link(
     (1.638e-05, 1.45e-05, 4.272e-06), _SWAP_XY,
     joint=Joint("LFJ5", (0.5735761643640093, 0, 0.8191522347362981), (0.0, 0.785398)),
     geoms=(Geom("box", (0.011, 0.012, 0.025), (0.002, 0, 0.033)),),
-    drawn=_DRAWN_METACARPAL,
     hides_keys=True,
 )  # fmt: skip
 
@@ -211,7 +183,6 @@ _THUMB = (
         joint=Joint("THJ1", (1, 0, 0), (-0.261799, 1.5708)),
         geoms=(_THUMB_TIP,),
         round_geoms=(_ROUND_THUMB_TIP,),
-        rgba=FINGERTIP_RGBA,
     ),
 )  # fmt: skip
 
@@ -254,7 +225,7 @@ _ACTUATORS = (
 )
 
 _BODY = Body(
-    links=_LINKS,
+    links=tuple(replace(link, drawn=SHELLS.get(link.name, ())) for link in _LINKS),
     actuators=_ACTUATORS,
     couplings=tuple(
         Coupling(f"{finger}J0", (f"{finger}J2", f"{finger}J1"), control_range=(0.0, 3.1415))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
+from cadenza.fingers import SIDES
 from cadenza.music.expression_rules import ExpressionRules, check_quantities
 from cadenza.music.score import Score, check_beginning, check_length
 
@@ -26,6 +27,10 @@ class Arrangement:
     """Arrange the song for the hands: auto where they cannot play it as written."""
     level: int | None = None
     """Arrange the song to a difficulty from 1 to 10."""
+    all_notes: bool = False
+    """Have one hand play all notes, and not only those that are written for it."""
+    drums: Literal["off", "accents"] = "off"
+    """Have drums accent what is played with them."""
     first_seconds: float | None = None
     """Play only what begins within this time from the first note on [s]."""
     expression: float = 0.0
@@ -57,22 +62,58 @@ class Arrangement:
         Raises:
             CadenzaError: it cannot be read, has no such tracks, or lasts over an hour.
         """
+        return self.performed(self.whole(song), song)
+
+    def whole(self, song: str) -> Score:
+        """The whole score of `song`, as it is written.
+
+        Raises:
+            CadenzaError: it cannot be read, or has no such tracks.
+        """
+        from cadenza.music.accents import accented
         from cadenza.music.libraries.library import load_score
 
-        whole = load_score(song, self.tracks, self.plain)
-        score = self._performed(whole)  # before it is cut, as its beginning has no final ritard
+        score = load_score(song, self.tracks, self.plain)
+        return accented(score) if self.drums == "accents" else score
+
+    def performed(self, score: Score, song: str) -> Score:
+        """The part of a whole score that is played, with expression.
+
+        Raises:
+            CadenzaError: it lasts over an hour; the message begins with `song`.
+        """
+        if self.expression:  # before it is cut, as its beginning has no final ritard
+            from cadenza.music.expression import performed
+
+            score = performed(score, self.expression, self.rules)
         if self.first_seconds is not None:
             score = score.beginning(self.first_seconds)
         music = score.total_time - min((note.start for note in score.notes), default=0.0)
         check_length(music, f"{song}: the song", "; play its beginning with --first-seconds")
         return score
 
-    def _performed(self, score: Score) -> Score:
-        if not self.expression:
-            return score
-        from cadenza.music.expression import performed
+    def written_for(self, hands: str, score: Score) -> Score:
+        """The notes of a song that are written for the hands that play.
 
-        return performed(score, self.expression, self.rules)
+        All are left with `all_notes`, for both hands, and where the song does not say.
+
+        Args:
+            hands: "right" or "left", or anything else for both.
+            score: the song.
+
+        Raises:
+            CadenzaError: nothing is written for the one hand that plays.
+        """
+        if hands not in SIDES or self.all_notes or not score.has_written_hands:
+            return score
+        hand = SIDES.index(hands)
+        notes = tuple(note for note in score.notes if hand in note.hands)
+        if not notes:
+            raise CadenzaError(
+                f"{score.title}: nothing is written for the {hands} hand; choose the other one, or "
+                "--all-notes to have it play what is written for the other"
+            )
+        return replace(score, notes=notes)
 
     @property
     def asks_for_hands(self) -> bool:

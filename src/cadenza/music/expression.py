@@ -133,11 +133,22 @@ def performed(score: Score, dose: float = 1.0, rules: ExpressionRules | None = N
     Raises:
         CadenzaError: `dose` or a rule is not from 0 to 10.
     """
+    return performed_with_times(score, dose, rules)[0]
+
+
+def performed_with_times(
+    score: Score, dose: float = 1.0, rules: ExpressionRules | None = None
+) -> tuple[Score, Callable[[float], float]]:
+    """The performed score, see `performed`, and the map from written to played times [s].
+
+    Raises:
+        CadenzaError: `dose` or a rule is not from 0 to 10.
+    """
     rules = as_config(rules, ExpressionRules)
     check_quantities(dose, rules)
     quantity = ExpressionRules(*(dose * k for k in astuple(rules)))
     if not score.notes:
-        return score
+        return score, lambda time: time
     groups = [sorted(chord, key=lambda note: note.pitch) for chord in chords(score.notes)]
     melody = _melody(groups)
     pauses = quantity.punctuation * _micropauses(melody)
@@ -155,12 +166,13 @@ def performed(score: Score, dose: float = 1.0, rules: ExpressionRules | None = N
             score.notes, map(times, score.notes), velocities, strict=True
         )
     )
-    return replace(
+    played = replace(
         score,
         notes=tuple(notes),
         pedal=tuple(replace(event, time=moved(event.time)) for event in score.pedal),
         bars=tuple(bar.moved(moved) for bar in score.bars),
     )
+    return played, moved
 
 
 def _melody(groups: Sequence[Sequence[Note]]) -> _Melody:

@@ -31,6 +31,7 @@ BEAT_TYPES = frozenset(1 << k for k in range(7))  # whole notes to 64ths
 _MIN_LENGTH = 1e-9  # [s] of a note when its times are changed
 _DECIMALS = 9  # of times [s] that are shifted
 _BAR_TOLERANCE = 1e-6  # [s] by which a time may lie before the bar that it is in, by rounding
+_KEYBOARDS = "piano", "organ", "harpsichord", "clavinet", "celesta", "keyboard"
 _NAMES = ("C", "C♯", "D", "D♯", "E", "F", "F♯", "G", "G♯", "A", "A♯", "B")
 
 
@@ -135,6 +136,11 @@ class Track:
     lowest: int
     highest: int
 
+    @property
+    def is_keyboard(self) -> bool:
+        """Whether the instrument is called like one with keys."""
+        return any(word in self.instrument.lower() for word in _KEYBOARDS)
+
 
 @dataclass(frozen=True, slots=True)
 class Score:
@@ -142,7 +148,9 @@ class Score:
 
     `remarks` say in plain words what was repaired when the score was read. `tracks` are those of
     the file, played or not. `bars` are in the order in which they are played; there are none if the
-    file has no metre. Scores that differ only in tracks or bars are equal.
+    file has no metre. `drums` are the strokes that no key plays, with times as in the file, and
+    pitches that name the drums of General MIDI. Scores that differ only in tracks, bars or drums
+    are equal.
     """
 
     notes: tuple[Note, ...]
@@ -151,6 +159,7 @@ class Score:
     remarks: tuple[str, ...] = ()
     tracks: tuple[Track, ...] = field(default=(), compare=False)
     bars: tuple[Bar, ...] = field(default=(), compare=False)
+    drums: tuple[Note, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         notes = tuple(sorted(self.notes, key=lambda note: (note.start, note.pitch)))
@@ -172,6 +181,11 @@ class Score:
         """Whether any note says which finger plays it."""
         return any(note.finger is not None for note in self.notes)
 
+    @property
+    def has_written_hands(self) -> bool:
+        """Whether any note says which hand plays it."""
+        return any(note.hands for note in self.notes)
+
     def without_fingers(self) -> Score:
         """The score without fingering."""
         return self.with_fingers([None] * len(self.notes))
@@ -190,7 +204,7 @@ class Score:
         if not isinstance(factor, Real) or not 0 < factor < float("inf"):
             raise CadenzaError(f"cannot stretch by {factor!r:.100}: give a positive number")
         check_length(self.total_time * factor, f"stretched by {factor:g}, the song")
-        return self._with_times(lambda time: time * factor)
+        return self.with_times(lambda time: time * factor)
 
     def transposed(self, semitones: int) -> Score:
         """The score with all pitches moved by `semitones`.
@@ -272,9 +286,11 @@ class Score:
     def _shifted(self, seconds: float) -> Score:
         # To the nanosecond: 0.15 - 0.05 must give 0.1 and not the float below it, which would
         # put the note a control step too early.
-        return self._with_times(lambda time: round(time + seconds, _DECIMALS))
+        return self.with_times(lambda time: round(time + seconds, _DECIMALS))
 
-    def _with_times(self, move: Callable[[float], float]) -> Score:
+    def with_times(self, move: Callable[[float], float]) -> Score:
+        """The score with `move` applied to all of its times [s]."""
+
         def moved(note: Note) -> Note:
             start = move(note.start)
             return replace(note, start=start, end=max(move(note.end), start + _MIN_LENGTH))

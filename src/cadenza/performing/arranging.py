@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from cadenza.arranging.arranger import Arranged, Arranger
+from cadenza.arranging.fidelity import Fate
+from cadenza.arranging.moments import merged
+from cadenza.arranging.parts import parts_of
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
 from cadenza.fingering.playable import playable
 from cadenza.music.arrangement import HARDEST, Arrangement
+from cadenza.music.expression import performed_with_times
 from cadenza.music.expressive_metrics import expressive_metrics
 from cadenza.music.metrics import step_metrics
 from cadenza.music.performance import played_in
 from cadenza.music.score import Note, Score
+from cadenza.performing.source import Source
 from cadenza.scene.scene import Scene
 from cadenza.tasks.goal_track import GoalTrack, players_of
 
 _MOST_LEFT_OUT = 0.1  # share of the notes that hands may leave out of music for one instrument
-_MOST_LEFT_OUT_OF_SEVERAL = 0.01  # the same of music for several
+_MOST_LEFT_OUT_OF_SEVERAL = 0.07  # the same of music for several
+_MOST_OF_LINES = 0.01  # and of its melody and bass
 _TWO_HANDS = 2  # tracks of one player
-_KEYBOARDS = "piano", "organ", "harpsichord", "clavinet", "celesta", "keyboard"
 
 
 @dataclass(frozen=True)
@@ -37,8 +42,24 @@ class HandArrangement:
 
     def __str__(self) -> str:
         """What was done, in words."""
-        fidelity = self.arranged.fidelity
-        return f"arranged for {self.hands}: {fidelity}; as written: --arrange off"
+        return f"arranged for {self.hands}: {self.arranged.fidelity}"
+
+    def performed(self, arrangement: Arrangement) -> HandArrangement:
+        """The same with expression: its rules apply to what is arranged, and the song follows."""
+        score, moved = performed_with_times(
+            self.arranged.score, arrangement.expression, arrangement.rules
+        )
+        original = self.original.with_times(moved)
+        if arrangement.first_seconds is not None:
+            score = score.beginning(arrangement.first_seconds)
+            original = original.until(score.total_time)
+        fates = (
+            Fate(note._replace(start=moved(note.start), end=moved(note.end)), played)
+            for note, played in self.arranged.fates
+            if moved(note.start) < score.total_time
+        )
+        arranged = replace(self.arranged, score=score, fates=tuple(fates))
+        return replace(self, original=original, arranged=arranged)
 
     def metrics(self, episode: Episode, track: GoalTrack) -> dict[str, Any]:
         """Metrics of the arrangement, and of what was played against the original.
@@ -59,30 +80,62 @@ class HandArrangement:
             "original_note_onset_f1": onsets,
         }
 
+    def fates(self, track: GoalTrack) -> Iterator[Fate]:
+        """Yields what became of each note of the song that the keyboard has.
+
+        Args:
+            track: the goals of an episode, of the arranged song; times are on its clock.
+        """
+        at, transposed = self._clock(track)
+        silence = track.silent_steps * track.config.control_timestep
+        for note, played in self.arranged.fates:
+            pitch, start = note.pitch + transposed, at(note.start) + silence
+            if start >= 0 and pitch in track.scene.keyboard.pitches:
+                moved = note._replace(start=start, end=at(note.end) + silence, pitch=pitch)
+                yield Fate(moved, None if played is None else played + transposed)
+
     def _on_clock(self, track: GoalTrack) -> Iterator[Note]:
         """Yields the notes of the original that the keyboard has, on the clock of the track."""
-        mine, clock = self.arranged.score, track.score
-        first, begins = mine.notes[0], clock.notes[0]
-        stretch = (clock.total_time - begins.start) / (mine.total_time - first.start)
+        at, transposed = self._clock(track)
         for note in self.original.notes:
-            start = begins.start + (note.start - first.start) * stretch
-            end = begins.start + (note.end - first.start) * stretch
-            pitch = note.pitch + begins.pitch - first.pitch
+            start, pitch = at(note.start), note.pitch + transposed
             if start >= 0 and pitch in track.scene.keyboard.pitches:
-                yield Note(start, end, pitch, note.velocity)
+                yield Note(start, at(note.end), pitch, note.velocity)
+
+    def _clock(self, track: GoalTrack) -> tuple[Callable[[float], float], int]:
+        """The function from times of the song to those of a track [s], and the semitones to it."""
+        mine, theirs = self.arranged.score, track.score
+        first, begins = mine.notes[0], theirs.notes[0]
+        stretch = (theirs.total_time - begins.start) / (mine.total_time - first.start)
+        return (
+            lambda time: begins.start + (time - first.start) * stretch,
+            begins.pitch - first.pitch,
+        )
 
 
-def arranged_for(score: Score, arrangement: Arrangement, scene: Scene) -> HandArrangement | None:
+def arranged_for(source: Source, scene: Scene) -> HandArrangement | None:
     """The arrangement of a song for the hands of a scene; None if it is to be played as written.
 
     That is so with `arrange="off"`, and with "auto" and no level where the hands leave out few
-    notes: 1 % of music for several instruments, 10 % of other music.
+    notes: 10 % of music for one instrument; 7 % of other music, and 1 % of its melody and bass.
     """
+    score, arrangement = source.score, source.arrangement
     if arrangement.arrange == "off" or not scene.sides or not score.notes:
         return None
     if not arrangement.asks_for_hands and _is_playable(score, scene):
         return None
-    return arrange(score, arrangement, scene)
+    return arrange_song(source, scene)
+
+
+def arrange_song(source: Source, scene: Scene) -> HandArrangement:
+    """The arrangement of a song for the hands of a scene, which is then played with expression.
+
+    Raises:
+        CadenzaError: the scene has no hands.
+    """
+    if source.written is None:
+        return arrange(source.score, source.arrangement, scene)
+    return arrange(source.written, source.arrangement, scene).performed(source.arrangement)
 
 
 def arrange(score: Score, arrangement: Arrangement, scene: Scene) -> HandArrangement:
@@ -100,15 +153,20 @@ def arrange(score: Score, arrangement: Arrangement, scene: Scene) -> HandArrange
 
 
 def _is_playable(score: Score, scene: Scene) -> bool:
-    """Whether hands leave out few notes of a song."""
-    most = _MOST_LEFT_OUT_OF_SEVERAL if _is_for_several(score) else _MOST_LEFT_OUT
-    left_out = playable(score.without_fingers(), players_of(scene)).reasons
-    return len(left_out) <= most * len(score.notes)
+    """Whether hands leave out few notes of a song, and hardly any of its melody and bass."""
+    reasons = playable(score.without_fingers(), players_of(scene)).reasons
+    left_out = [score.notes[i] for i in reasons]
+    if not _is_for_several(score):
+        return len(left_out) <= _MOST_LEFT_OUT * len(score.notes)
+    song = merged(parts_of(score))
+    lines = {(note.start, note.pitch) for note in song if note.melody or note.bass}
+    lost = sum((note.start, note.pitch) in lines for note in left_out)
+    few = len(left_out) <= _MOST_LEFT_OUT_OF_SEVERAL * len(score.notes)
+    return few and lost <= _MOST_OF_LINES * len(lines)
 
 
 def _is_for_several(score: Score) -> bool:
     """Whether several instruments play a song, not the two staves of a piano."""
     playing = {number for note in score.notes for number in note.tracks}
-    names = [track.instrument.lower() for track in score.tracks if track.number in playing]
-    others = [name for name in names if not any(word in name for word in _KEYBOARDS)]
-    return len(names) > _TWO_HANDS or len(others) > 1
+    tracks = [track for track in score.tracks if track.number in playing]
+    return len(tracks) > _TWO_HANDS or sum(not track.is_keyboard for track in tracks) > 1

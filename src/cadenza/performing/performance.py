@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import html
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planner.misses import Miss, misses_of
 from cadenza.agents.rollout import play_episode
+from cadenza.arranging.fidelity import Fate
 from cadenza.episode import Episode, load_episode
-from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.errors import CadenzaError
 from cadenza.files import content_of, read_json, write_json
 from cadenza.fingers import SIDES
 from cadenza.music.formats.finger_numbers import written
@@ -30,11 +26,9 @@ from cadenza.performing.setup import Setup, SomeAgent, select, set_up
 from cadenza.performing.source import Song
 from cadenza.report.html_pages import iframe, write_page
 from cadenza.report.performance_page import performance_page
-from cadenza.report.sound import SAMPLE_RATE, Sound, encode_mp3, synthesize
-from cadenza.report.video import write_video
+from cadenza.report.sound import Sound, bit_rate_of, encode_opus, synthesize
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene
-from cadenza.sim.render import VIDEO, Picture, Renderer
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.setups import NamedSetup, setup_named
@@ -45,6 +39,7 @@ RESULTS = (
     "episode.npz",
     *(f"episode-{side}.npz" for side in SIDES),
     "misses.json",
+    "arrangement.json",
     "played.mid",
     "wanted.mid",
     "report.html",
@@ -52,7 +47,7 @@ RESULTS = (
 )
 """Files that a performance leaves."""
 
-_IN_A_NOTEBOOK = 240.0  # [s] of music: the page, which the notebook keeps, is of up to 10 MB
+_IN_A_NOTEBOOK = 240.0  # [s] of music: the notebook keeps the page
 
 
 @dataclass(frozen=True)
@@ -75,6 +70,8 @@ class Performance:
     """The song with the fingers that play it, if the agent plans the whole of it."""
     misses: list[Miss] | None
     """Notes that were missed or let go early, and why; None without a plan to tell by."""
+    fates: list[Fate] | None = None
+    """What became of each note of a song that was arranged for the hands; None if it was not."""
 
     def __repr__(self) -> str:
         agent, f1 = self.settings["agent"], self.metrics["f1"]
@@ -96,9 +93,19 @@ class Performance:
         return played_in(self.episode)
 
     @property
+    def fingered_goal(self) -> Score:
+        """The goal with the fingers that were to play it, as far as the agent has planned them."""
+        return self.goal if self.track is None else self.track.delayed_score
+
+    @property
     def remarks(self) -> list[str]:
         """Remarks on what of the song is not played."""
         return list(self.settings.get("remarks", ()))
+
+    @property
+    def losses(self) -> list[dict[str, Any]]:
+        """The misses as `misses.json` has them."""
+        return [asdict(miss) | {"finger": written(miss.finger)} for miss in self.misses or ()]
 
     @property
     def energy(self) -> float | None:
@@ -114,22 +121,13 @@ class Performance:
         """Length of the music that was played [s]; less than all if the episode ended early."""
         return self.episode.num_steps * self.episode.dt
 
-    def save(
-        self,
-        folder: str | Path,
-        video: bool = False,
-        progress: Progress = silent,
-        picture: Picture | None = None,
-        page: bool = True,
-    ) -> None:
+    def save(self, folder: str | Path, progress: Progress = silent, page: bool = True) -> None:
         """Writes what `cadenza play` leaves: report.html, metrics.json, episode.npz and so on.
 
         Args:
             folder: files of an earlier performance are replaced.
-            video: video.mp4 too, with a warning instead where this machine cannot draw.
             progress: is told how far each stage is.
-            picture: how the video looks; 1280 x 720 from the player's side by default.
-            page: report.html too; without it there is no sound and no video either.
+            page: report.html too.
         """
         folder, played = Path(folder), self.played
         write_json(folder / "settings.json", self.settings)  # first: it says whose the others are
@@ -139,46 +137,21 @@ class Performance:
             part.save(folder / f"episode-{side}.npz")
         write_json(folder / "metrics.json", self.metrics)
         if self.misses is not None:
-            lost = [asdict(miss) | {"finger": written(miss.finger)} for miss in self.misses]
-            write_json(folder / "misses.json", lost)
+            write_json(folder / "misses.json", self.losses)
+        if self.fates is not None:
+            write_json(folder / "arrangement.json", [fate.as_json for fate in self.fates])
         write_midi(played, folder / "played.mid")
         write_midi(self.goal, folder / "wanted.mid")
         ours = {f"episode-{side}.npz": side in parts for side in SIDES}
         ours |= {"misses.json": self.misses is not None, "report.html": page, "video.mp4": False}
+        ours |= {"arrangement.json": self.fates is not None}
         for name in ours:
             if not ours[name]:  # it tells of another performance
                 (folder / name).unlink(missing_ok=True)
         if not page:
             return
         progress("making the sound", 0, 1)
-        audio = synthesize(played)
-        path, drawn = folder / "video.mp4", False
-        try:
-            drawn = video and self._write_video(path, audio, progress, picture or VIDEO)
-        finally:  # who does not wait for the video has the page all the same
-            add_page(folder, self.goal, audio, video=path.name if drawn else "")
-
-    def _write_video(self, path: Path, audio: Sound, progress: Progress, picture: Picture) -> bool:
-        """Writes video.mp4; returns whether this machine can render."""
-        episode = self.episode
-        goal = np.flatnonzero(episode["goal_keys"].any(axis=0))
-        keys = (int(goal[0]), int(goal[-1])) if len(goal) else None
-        try:
-            renderer = closing(Renderer(self.scene, picture, keys))
-        except CadenzaError as error:
-            warnings.warn(f"no video: {error}", CadenzaWarning, stacklevel=3)
-            return False
-        names = ("hand_qpos", "key_qpos", "key_activation", "goal_keys")
-        rows = zip(*(episode[name] for name in names), strict=True)
-        with renderer as draw:
-
-            def frames() -> Iterator[NDArray[np.uint8]]:
-                for done, row in enumerate(rows, start=1):
-                    yield draw.frame(*row)
-                    progress("drawing", done, episode.num_steps)
-
-            write_video(path, frames(), 1 / episode.dt, audio, SAMPLE_RATE)
-        return True
+        add_page(folder, self.fingered_goal, synthesize(played))
 
 
 def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
@@ -209,19 +182,18 @@ def _are_results(folder: Path) -> bool:
     return {"song", "agent", "task", "scene"} <= settings.keys()
 
 
-def add_page(folder: Path, goal: Score, audio: Sound | None = None, video: str = "") -> None:
+def add_page(folder: Path, goal: Score, audio: Sound | None = None) -> None:
     """Makes the page of a performance from its files.
 
     Args:
         folder: of the performance.
         goal: see `Performance`; what the page compares the sound with.
         audio: the sound of the performance; None synthesizes it.
-        video: the name of the video in the folder, if there is one.
 
     Raises:
         CadenzaError: a file is not there, or cannot be read.
     """
-    episode, lost = load_episode(folder / "episode.npz"), folder / "misses.json"
+    episode = load_episode(folder / "episode.npz")
     seconds = episode.num_steps * episode.dt
     sound = synthesize(goal.until(seconds))
     page = performance_page(
@@ -229,14 +201,21 @@ def add_page(folder: Path, goal: Score, audio: Sound | None = None, video: str =
         read_json(folder / "metrics.json", dict[str, Any]),
         read_json(folder / "settings.json", dict[str, Any]),
         synthesize(played_in(episode)) if audio is None else audio,
-        misses=read_json(lost, list[dict[str, Any]]) if lost.exists() else (),
-        goal_mp3=encode_mp3(sound, bit_rate=48_000, mono=True, seconds=seconds),
+        misses=_listed(folder / "misses.json"),
+        arrangement=_listed(folder / "arrangement.json"),
+        goal_sound=encode_opus(
+            sound, bit_rate=bit_rate_of(seconds, mono=True), mono=True, seconds=seconds
+        ),
         midi=content_of(folder / "played.mid"),
         wanted_midi=content_of(folder / "wanted.mid"),
-        video=video,
         written=goal,
     )
     write_page(folder / "report.html", page)
+
+
+def _listed(path: Path) -> list[dict[str, Any]]:
+    """The list in a file of a performance; an empty one if there is no such file."""
+    return read_json(path, list[dict[str, Any]]) if path.exists() else []
 
 
 def play(
@@ -303,9 +282,11 @@ def perform(
         part = f"{played * result.episode.dt:.1f} of {setup.num_steps * result.episode.dt:.1f} s"
         ended = f"ended after {part}; all of this page is about that part"
         settings = settings | {"remarks": [*settings.get("remarks", ()), ended]}
-    metrics = result.metrics
-    if setup.arrangement is not None:
-        metrics = metrics | setup.arrangement.metrics(result.episode, setup.task.tracks[0])
+    metrics, arrangement, fates = result.metrics, setup.arrangement, None
+    if arrangement is not None:
+        track = setup.task.tracks[0]
+        metrics = metrics | arrangement.metrics(result.episode, track)
+        fates = list(arrangement.fates(track))
     return Performance(
         score=setup.score,
         goal=setup.task.score(0),
@@ -315,4 +296,5 @@ def perform(
         scene=setup.task.scene,
         track=None if plan is None else plan.track,
         misses=None if plan is None else misses_of(result.episode, plan),
+        fates=fates,
     )

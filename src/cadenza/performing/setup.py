@@ -212,6 +212,9 @@ def is_policy_folder(agent: str) -> bool:
 
 def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:
     """Returns the selection with a policy, in the task and the scene that it was trained in."""
+    if learnt.score is None or not learnt.has_learnt(selection.score):
+        mine = selection.source.written_for(learnt.scene.hands)
+        selection = replace(selection, source=mine)
     if learnt.score is not None and not learnt.has_learnt(selection.score):
         what = f"{selection.name}: was trained on {learnt.score.title!r}"
         if learnt.score.title == selection.score.title:
@@ -244,6 +247,10 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
     settings = _settings(selection)
     looking = partial(progress, "fingers")
     built = build_scene(scene)
+    whole = mine = selection.score
+    if not _is_learnt(selection):
+        selection = replace(selection, source=selection.source.written_for(scene.hands))
+        mine = selection.score
     arranged = _arranged(selection, built)
     if arranged is not None:
         selection = selection.with_score(arranged.arranged.score)
@@ -251,13 +258,16 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
         closing(PianoTask([selection.score], task, built, progress=looking)) as piano_task,
         _with_threads(selection.agent, selection.num_threads),
     ):
-        lost = list(_lost_between_steps(piano_task.tracks[0]))
-        for loss in lost:
+        remarks = list(_lost_between_steps(piano_task.tracks[0]))
+        remarks += _about_hands(piano_task.tracks[0], whole, mine)
+        for loss in remarks:
             warnings.warn(f"{selection.source.name}: {loss}", CadenzaWarning, stacklevel=4)
+        remarks = [*selection.score.remarks, *remarks]
         if arranged is not None:
-            warnings.warn(f"{selection.source.name}: {arranged}", CadenzaWarning, stacklevel=4)
-            lost.append(str(arranged))
-        if remarks := [*selection.score.remarks, *lost]:
+            said = f"{selection.source.name}: {arranged}; as written: --arrange off"
+            warnings.warn(said, CadenzaWarning, stacklevel=4)
+            remarks.insert(0, str(arranged))  # it changes most
+        if remarks:
             settings["remarks"] = remarks
         if selection.learnt is not None:
             selection.learnt.check(selection.name, piano_task)
@@ -268,11 +278,44 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
 def _arranged(selection: Selection, scene: Scene) -> HandArrangement | None:
     """Arranges a song for the hands, but not one that was learnt or practised as it is."""
     learnt, arrangement = selection.learnt, selection.source.arrangement
-    if selection.source.practised is not None:
+    if _is_learnt(selection):
+        if learnt is not None and arrangement.asks_for_hands:
+            raise CadenzaError(
+                f"{selection.name}: plays this song as it has learnt it; leave out --arrange and "
+                "--level"
+            )
         return None
-    if learnt is not None and learnt.score is not None and learnt.has_learnt(selection.score):
-        return None
-    return arranged_for(selection.score, arrangement, scene)
+    return arranged_for(selection.source, scene)
+
+
+def _is_learnt(selection: Selection) -> bool:
+    """Whether the song was learnt or practised as it is."""
+    learnt = selection.learnt
+    return selection.source.practised is not None or (
+        learnt is not None and learnt.score is not None and learnt.has_learnt(selection.score)
+    )
+
+
+def _about_hands(track: GoalTrack, whole: Score, mine: Score) -> Iterator[str]:
+    """Yields what one hand leaves to the other, and what is not played as it is written for hands.
+
+    Args:
+        track: the song as the task plays it.
+        whole: all notes of the song.
+        mine: those that are written for the hands of the scene.
+    """
+    if others := len(whole.notes) - len(mine.notes):
+        (side,) = track.scene.sides
+        yield (
+            f"{len(mine.notes)} notes are written for the {side} hand; without the other "
+            f"{others} (all: --all-notes)"
+        )
+    if track.config.hands_as_written:
+        notes = track.with_found_fingers().fingered().score.notes
+        moved = sum(bool(n.finger and n.hands and n.finger.hand not in n.hands) for n in notes)
+        if moved:
+            what, are = ("note", "is") if moved == 1 else ("notes", "are")
+            yield f"{moved} {what} that the written hand cannot play {are} left to the other"
 
 
 def _lost_between_steps(track: GoalTrack) -> Iterator[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from cadenza.agents.playback import SavedPlan, load_plan
@@ -35,6 +35,8 @@ class Source:
     score: Score
     arrangement: Arrangement = field(default_factory=Arrangement)
     """The part of the song that the score has."""
+    written: Score | None = None
+    """The whole song without the expression that its score has, if that has any."""
     policy: LearntPolicy | None = None
     """The policy that has learnt the song, if the word is its folder."""
     practised: SavedPlan | None = None
@@ -45,6 +47,21 @@ class Source:
         """The name without folders and ending; for a folder of a policy or practice, its title."""
         own_folder = self.policy is not None or self.practised is not None
         return self.score.title if own_folder else name_without_ending(self.name)
+
+    def titled(self, title: str) -> Source:
+        """The song under another title."""
+        whole = self.written and replace(self.written, title=title)
+        return replace(self, name=title, score=replace(self.score, title=title), written=whole)
+
+    def written_for(self, hands: str) -> Source:
+        """The song with the notes that are written for these hands, see `Arrangement.written_for`.
+
+        Raises:
+            CadenzaError: nothing is written for the one hand that plays.
+        """
+        mine = self.arrangement.written_for(hands, self.score)
+        whole = self.written and self.arrangement.written_for(hands, self.written)
+        return replace(self, score=mine, written=whole)
 
 
 def resolve(song: Song, arrangement: Arrangement | None = None) -> Source:
@@ -66,7 +83,10 @@ def resolve(song: Song, arrangement: Arrangement | None = None) -> Source:
     check_is_name(song)
     if is_own_folder(song):
         return _own_song(Path(song), str(song), arrangement)
-    source = Source(str(song), arrangement.score(str(song)), arrangement)
+    whole = arrangement.whole(str(song))
+    score = arrangement.performed(whole, str(song))
+    written = whole if arrangement.expression else None
+    source = Source(str(song), score, arrangement, written)
     _warn_of_repairs(source)
     return source
 
@@ -99,7 +119,7 @@ def _own_song(folder: Path, name: str, arrangement: Arrangement) -> Source:
     if arrangement.chosen:
         raise CadenzaError(
             f"{name}: plays its song as it was trained or practised; leave out --tracks, "
-            "--plain, --arrange, --level, --first-seconds and --expression"
+            "--plain, --arrange, --level, --drums, --first-seconds and --expression"
         )
     if (path := folder / PRACTISED).is_file():
         plan = load_plan(path)

@@ -11,6 +11,7 @@ from cadenza.agents.agent import Progress, silent
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import begin
+from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Score
 from cadenza.performing.source import Song, load_song
 
@@ -44,7 +45,8 @@ def train(
             already, or JAX is not installed.
     """
     config = replace(config or preset("fast"), **options)
-    score = song if isinstance(song, Score) else load_song(song)
+    whole = song if isinstance(song, Score) else load_song(song)
+    score = Arrangement().written_for(config.scene.hands, whole)
     run = RunFolder(Path(folder))
     with run.locked(), closing(begin(config, score, run)) as training:
 

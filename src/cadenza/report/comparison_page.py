@@ -15,7 +15,7 @@ from cadenza.music.performance import key_runs, played_in
 from cadenza.music.score import is_black, note_name
 from cadenza.report import performance_page as performance
 from cadenza.report.charts import Bar, mean_of_known
-from cadenza.report.html_pages import asset, render
+from cadenza.report.html_pages import asset, packed_asset, render
 from cadenza.report.recording import VERDICTS, verdict
 from cadenza.report.sound import synthesize
 
@@ -31,8 +31,7 @@ COLUMNS = {
 """Title and number of decimals of each metric that is compared."""
 _STYLES = ("uplot.min.css", "page.css", "chart.css", "comparison.css")
 _SCRIPTS = ("chart.js", "comparison.js")
-_SHARED = (*performance.STYLES, *performance.SCRIPTS, *performance.LIBRARIES)
-_UPLOT = "uplot.min.js"  # which this page runs, too; `comparison.js` knows where it is
+_THREE, _UPLOT = performance.LIBRARIES  # this page runs the latter, too, as `comparison.js` knows
 _BARS = ("f1", "precision", "recall", "note_onset_f1")
 _MS_PER_SECOND = 1000
 _MIDDLE_C = 60  # MIDI pitch
@@ -98,7 +97,7 @@ def comparison_page(runs: Sequence[Run], remarks: Sequence[str] = ()) -> Iterato
         roll=_roll(longest),
         strips=[_strip(run) for run in runs],
         run_pages=map(_run_page, runs),
-        shared={name: asset(name) for name in _SHARED if name != _UPLOT},
+        shared={name: text for name, text in _shared().items() if name != _UPLOT},
         styles=_STYLES,
         scripts=_SCRIPTS,
     )
@@ -110,11 +109,17 @@ def _duration(episode: Episode) -> float:
 
 def _run_page(run: Run) -> Iterator[str | list[str]]:
     """Yields the page of a run: its texts, and as a list the name of each shared asset."""
-    names = {asset(name): name for name in _SHARED}
+    names = {text: name for name, text in _shared().items()}
     settings = {"agent": run.agent, "seed": run.seed}
     audio = synthesize(played_in(run.episode))
     for piece in performance.performance_page(run.episode, run.metrics, settings, audio):
         yield [names[piece]] if piece in names else piece
+
+
+def _shared() -> dict[str, str]:
+    """Returns the assets of the pages of runs, as they stand in them."""
+    plain = (*performance.STYLES, *performance.SCRIPTS, _UPLOT)
+    return {name: asset(name) for name in plain} | {_THREE: packed_asset(_THREE)}
 
 
 def _bars(name: str, runs: Sequence[Run]) -> list[Bar]:

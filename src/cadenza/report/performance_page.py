@@ -13,19 +13,20 @@ import numpy as np
 
 from cadenza.configs import flat
 from cadenza.episode import Episode
-from cadenza.music.formats.finger_numbers import finger_from
 from cadenza.music.score import Score
+from cadenza.report.engraving import engraving_of
 from cadenza.report.html_pages import render
 from cadenza.report.recording import recording_of
-from cadenza.report.sound import SAMPLE_RATE, Samples, encode_mp3
+from cadenza.report.sound import SAMPLE_RATE, Samples, bit_rate_of, encode_opus
 
-STYLES = ("uplot.min.css", "page.css", "chart.css")
+STYLES = ("uplot.min.css", "page.css", "chart.css", "score.css")
 SCRIPTS = (
     *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js"),
-    *("chart.js", "roll.js", "rewards.js", "expression.js", "controls.js", "page.js"),
+    *("chart.js", "arrangement.js", "explanations.js", "roll.js", "rewards.js"),
+    *("expression.js", "controls.js", "score.js", "page.js"),
 )
-LIBRARIES = ("three.min.js", "uplot.min.js")
-"""Libraries of the page. Its assets are the same for every performance."""
+LIBRARIES = "three.min.js", "uplot.min.js"
+"""Libraries of the page, of which the first is packed; assets are the same for all performances."""
 _HEADLINES = {
     "f1": ("F1", "The balance of precision and recall, 0 to 1. At 1 every key is right, always."),
     "precision": ("Precision", "Of the keys that sound, the share that should, 0 to 1."),
@@ -33,6 +34,17 @@ _HEADLINES = {
     "note_onset_f1": ("Note onset F1", "Notes that begin within 50 ms of their time, 0 to 1."),
 }
 """Title and meaning of the metrics at the top of the page; the others are folded."""
+_ARRANGEMENT = {
+    "original_f1": ("F1 against the original", "Of all keys of the song as written, 0 to 1."),
+    "original_note_onset_f1": ("Note onset F1 against it", "Of all of its notes, 0 to 1."),
+    "melody_kept": ("Melody kept", "The share of its notes that the arrangement has, 0 to 1."),
+    "bass_kept": ("Bass kept", "The share of its notes, in any octave, 0 to 1."),
+    "others_kept": ("Others kept", "The share of all other notes, in any octave, 0 to 1."),
+    "pitch_classes_kept": ("Pitch classes kept", "The share of each beat's that sound, 0 to 1."),
+    "notes_moved": ("Notes moved", "By one or more octaves."),
+    "notes_added": ("Notes added", "Struck again while they sound."),
+}
+"""The same of a song that was arranged for the hands."""
 _IN_SECONDS = "timing_error", "onset_delay", "onset_error_", "ioi_", "chord_spread_", "duration_"
 """Beginnings of the names of metrics that are times."""
 
@@ -44,10 +56,10 @@ def performance_page(
     audio: Samples,
     sample_rate: int = SAMPLE_RATE,
     misses: Sequence[Mapping[str, Any]] = (),
-    goal_mp3: bytes = b"",
+    arrangement: Sequence[Mapping[str, Any]] = (),
+    goal_sound: bytes = b"",
     midi: bytes = b"",
     wanted_midi: bytes = b"",
-    video: str = "",
     written: Score | None = None,
 ) -> Iterator[str]:
     """Yields the page of an episode piece by piece, see `html_pages.render`.
@@ -59,35 +71,37 @@ def performance_page(
             each of `remarks`. None is not shown; of an absolute path, only the last part.
         audio: the performance as `synthesize` makes it, starting with the first step.
         sample_rate: of the audio [Hz].
-        misses: of each note that was lost `time` [s], `note`, `finger` as files have it, `what`
-            became of it, and the `reason`; without any, the page has no such table.
-        goal_mp3: what should have been played, of the same length; without, it cannot be heard.
+        misses: the notes that were lost, as `misses.json` has them; without any, the page has no
+            such table.
+        arrangement: what became of each note of a song that was arranged, as `arrangement.json`
+            has it; likewise.
+        goal_sound: what should have been played, of the same length; without, it cannot be heard.
         midi: a MIDI file of what was played, to download.
         wanted_midi: one of what was to be played.
-        video: name of a file beside the page to download.
         written: what was to be played, on the clock of the episode; with it, the page shows how
-            loudness and timing differ.
+            loudness and timing differ, and a score, see `engraving_of`.
     """
     metrics, remarks = _shown_metrics(episode, metrics), settings.get("remarks") or ()
     settings = {name: value for name, value in settings.items() if name != "remarks"}
     # At least as long as the episode: the page's clock is this sound.
-    sound = encode_mp3(audio, sample_rate, seconds=episode.num_steps * episode.dt)
+    seconds = episode.num_steps * episode.dt
+    sound = encode_opus(audio, sample_rate, bit_rate_of(seconds), seconds=seconds)
     yield from render(
         "performance.html",
         title=episode.song or "Untitled",
         facts=_facts(episode, dict(flat(settings))),
         remarks=remarks,
-        headlines=[_headline(name, metrics[name]) for name in _HEADLINES if name in metrics],
+        headlines=_figures(_HEADLINES, metrics),
+        arrangement=_figures(_ARRANGEMENT, metrics),
         metrics=_other_metrics(metrics),
-        misses=[_miss(miss) for miss in misses],
         settings=settings_table(settings),
         midi=base64.b64encode(midi).decode(),
         wanted_midi=base64.b64encode(wanted_midi).decode(),
-        video=video,
         roll_description=_roll_description(episode),
-        recording=recording_of(episode, written),
+        recording=recording_of(episode, written, misses, arrangement),
+        engraving=engraving_of(written) if written else "",
         has_expression=written is not None,
-        sounds={"sound": sound} | ({"goal": goal_mp3} if goal_mp3 else {}),
+        sounds={"sound": sound} | ({"goal": goal_sound} if goal_sound else {}),
         styles=STYLES,
         scripts=SCRIPTS,
     )
@@ -118,17 +132,27 @@ def _shown_metrics(episode: Episode, metrics: Mapping[str, Any]) -> dict[str, An
     return {name: v for name, v in flat(metrics) if pedal or not name.startswith("sustain_")}
 
 
-def _headline(name: str, value: Any) -> tuple[str, str, str, float | None]:
-    """Returns title and meaning of a metric, its value as text, and the length of its bar."""
+def _figures(
+    titles: Mapping[str, tuple[str, str]], metrics: Mapping[str, Any]
+) -> list[tuple[str, str, str, float | None]]:
+    """Returns title and meaning of metrics, their values as text, and the lengths of their bars."""
+    known = [name for name in titles if name in metrics]
+    return [(*titles[name], *_figure(metrics[name])) for name in known]
+
+
+def _figure(value: Any) -> tuple[str, float | None]:
+    """Returns a value as text, and the length of its bar; a count has none."""
     number = _number(value)
-    return *_HEADLINES[name], "–" if number is None else f"{number:z.3f}", number or None
+    if number is None or isinstance(value, int):
+        return "–" if number is None else str(value), None
+    return f"{number:z.3f}", number or None
 
 
 def _other_metrics(metrics: Mapping[str, Any]) -> dict[str, str]:
     return {
         _spoken(name.removesuffix("_seconds")): _with_unit(name, value)
         for name, value in metrics.items()
-        if name not in _HEADLINES
+        if name not in _HEADLINES | _ARRANGEMENT
     }
 
 
@@ -153,13 +177,6 @@ def _plain(value: Any) -> str:
         return ", ".join(map(_plain, value)) or "–"
     path = Path(text := str(value))
     return path.name if path.is_absolute() else text
-
-
-def _miss(miss: Mapping[str, Any]) -> tuple[str, ...]:
-    """Returns the cells of a row."""
-    finger = finger_from(miss["finger"])
-    named = finger.name if finger else "–"
-    return f"{miss['time']:.2f}", miss["note"], named, miss["what"], miss["reason"]
 
 
 def _spoken(name: str) -> str:

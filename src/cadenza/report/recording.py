@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import zlib
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from cadenza.episode import Episode
 from cadenza.music.expressive_metrics import matched_notes
+from cadenza.music.formats.finger_numbers import finger_from
 from cadenza.music.performance import SAME_NOTE, played_in
 from cadenza.music.score import Score
 
@@ -22,11 +24,21 @@ _MS_PER_SECOND = 1000
 _UNIT = 5e-5  # [m, rad] of a joint's position; a fingertip is then less than 0.1 mm off
 
 
-def recording_of(episode: Episode, written: Score | None = None) -> dict[str, Any]:
+def recording_of(
+    episode: Episode,
+    written: Score | None = None,
+    misses: Iterable[Mapping[str, Any]] = (),
+    arrangement: Iterable[Mapping[str, Any]] = (),
+) -> dict[str, Any]:
     """Returns what `recording.js` reads, as JSON has it.
 
-    `written` is what was to be played, on the clock of the episode; without, the page cannot show
-    how the loudness and the timing of what was played differ from it.
+    Args:
+        episode: what was played.
+        written: what was to be played, on the clock of the episode; without, the page cannot show
+            how the loudness and the timing of what was played differ from it.
+        misses: the notes that were lost, as `misses.json` has them.
+        arrangement: what became of each note of a song that was arranged, as `arrangement.json`
+            has it.
     """
     scene = episode.scene
     joints = episode["hand_qpos"] if scene.get("skeleton") else np.empty((episode.num_steps, 0))
@@ -53,14 +65,68 @@ def recording_of(episode: Episode, written: Score | None = None) -> dict[str, An
             for note in played.notes
         ],
         "written": [[note.start, note.velocity] for note in wanted],
+        "fingers": [
+            [
+                note.pitch - episode.lowest_pitch,
+                round(note.start, 3),
+                note.finger.hand,
+                note.finger.index + 1,
+            ]
+            for note in wanted
+            if note.finger is not None
+        ],
         "onsetErrors": [
             [note.start, round(_MS_PER_SECOND * (mine.start - note.start), 2)]
             for note, mine in matched_notes(wanted, played.notes, SAME_NOTE)
         ],
         "states": packed(verdict(episode["goal_keys"], episode["key_activation"])),
         "pedal": packed(verdict(episode["goal_sustain"], episode["sustain_activation"])),
+        "misses": lost_notes(misses),
+        "arrangement": arranged_notes(arrangement, episode.lowest_pitch),
         "rewards": dict(sorted(rewards.items(), key=lambda item: item[0] != "total")),
     }
+
+
+def lost_notes(misses: Iterable[Mapping[str, Any]]) -> list[list[Any]]:
+    """Returns the notes that were lost, as `explanations.js` reads them.
+
+    Args:
+        misses: as `misses.json` has them.
+
+    Returns:
+        Of each its time [s], its name, the name of its finger, what became of it, and cause and
+        reason of that.
+    """
+    return [
+        [
+            round(miss["time"], 2),
+            miss["note"],
+            getattr(finger_from(miss["finger"]), "name", "–"),
+            *(miss["what"], miss["cause"], miss["reason"]),
+        ]
+        for miss in misses
+    ]
+
+
+def arranged_notes(fates: Iterable[Mapping[str, Any]], lowest: int) -> list[list[Any]]:
+    """Returns what became of each note of a song that was arranged, as `arrangement.js` reads it.
+
+    Args:
+        fates: as `arrangement.json` has them.
+        lowest: the pitch of the lowest key.
+
+    Returns:
+        Of each note its key, from and to [s], the key that is played or None, its part, and
+        whether it is struck again.
+    """
+    return [
+        [
+            *(fate["pitch"] - lowest, fate["start"], fate["end"]),
+            None if fate["played"] is None else fate["played"] - lowest,
+            *(fate["part"], fate.get("again", False)),
+        ]
+        for fate in fates
+    ]
 
 
 VERDICTS = ("hit", "wrong", "missed")

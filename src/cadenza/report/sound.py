@@ -38,6 +38,9 @@ BLOCK = 10  # [s] of sound that is made at a time
 _LONGEST = 30.0  # [s] a note sounds, whoever holds it
 _VELOCITY_BAND = 8  # velocities that share one timbre
 _TONES_KEPT = 64e6  # bytes of tones that are kept for the notes to come
+_OPUS_RATE, _OPUS_FRAME = 48_000, 60  # [Hz], [ms]
+_STEREO_RATES, _MONO_RATES = (30_000, 96_000), (20_000, 48_000)  # bit/s, the least and the most
+_LONG = 180.0  # [s] from which on a sound has the least bit rate
 _TAIL = 0.7  # [s] of room after the last note
 _ROOM = 0.05  # level of the room against the piano
 IN_MEMORY = 32 << 20  # bytes of sound that need no file: three minutes
@@ -102,30 +105,42 @@ def synthesize(score: Score, sample_rate: int = SAMPLE_RATE) -> Sound:
     return sound
 
 
-def encode_mp3(
+def encode_opus(
     audio: Samples,
     sample_rate: int = SAMPLE_RATE,
     bit_rate: int = 96_000,
     mono: bool = False,
     seconds: float = 0.0,
 ) -> bytes:
-    """Returns `audio` as an MP3 file, which every browser plays.
+    """Returns `audio` as a WebM file with Opus, which every browser plays.
 
     Args:
-        bit_rate: of the file, bits a second.
+        audio: what sounds.
+        sample_rate: of the audio [Hz].
+        bit_rate: of the file, bits a second, which it has about.
         mono: whether both channels are mixed into one.
         seconds: what the file lasts at least; silence is added where the audio is shorter.
     """
     buffer = io.BytesIO()
-    with av.open(buffer, "w", format="mp3") as container:
+    with av.open(buffer, "w", format="webm", options={"fflags": "+bitexact"}) as container:
         layout = "mono" if mono or audio.ndim == 1 else "stereo"
-        stream = container.add_stream("libmp3lame", rate=sample_rate, layout=layout)
+        frames = {"frame_duration": str(_OPUS_FRAME)}
+        stream = container.add_stream("libopus", rate=_OPUS_RATE, layout=layout, options=frames)
         stream.bit_rate = bit_rate
         length = max(len(audio), int(np.ceil(seconds * sample_rate)))
         for frame in audio_frames(audio, sample_rate, length):
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
     return buffer.getvalue()
+
+
+def bit_rate_of(seconds: float, mono: bool = False) -> int:
+    """Returns the bit rate of a sound on a page: the longer it lasts, the lower, within limits.
+
+    Of a minute it is 90 kbit/s, from three minutes on 30 kbit/s; of one channel 48 and 20 kbit/s.
+    """
+    least, most = _MONO_RATES if mono else _STEREO_RATES
+    return round(min(max(least * _LONG / max(seconds, 1.0), least), most))
 
 
 def audio_frames(audio: Samples, sample_rate: int, length: int) -> Iterator[av.AudioFrame]:

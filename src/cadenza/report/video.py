@@ -26,6 +26,7 @@ def write_video(
     fps: float,
     audio: Samples,
     sample_rate: int = SAMPLE_RATE,
+    size: tuple[int, int] | None = None,
 ) -> None:
     """Writes an MP4 with H.264 pictures and AAC sound, which any player and browser plays.
 
@@ -34,6 +35,7 @@ def write_video(
             column is left out, because the format cannot hold it.
         fps: pictures a second.
         audio: cut where it outlasts the pictures by over a second.
+        size: width and height [px] to which pictures are scaled; None leaves them as they are.
 
     Raises:
         CadenzaError: there are no frames, or they differ in size.
@@ -43,7 +45,8 @@ def write_video(
     first = next(pictures, None)
     if first is None:
         raise CadenzaError(f"{path}: a video needs at least one picture")
-    height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
+    drawn_height, drawn_width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
+    width, height = (side // 2 * 2 for side in size or (drawn_width, drawn_height))
     if min(height, width) < _MIN_SIZE:
         raise CadenzaError(
             f"{path}: a video of {width} x {height} pixels cannot be encoded; "
@@ -67,8 +70,11 @@ def write_video(
                 raise CadenzaError(
                     f"{path}: picture {count} is {picture.shape}, the first is {first.shape}"
                 )
-            pixels = np.ascontiguousarray(picture[:height, :width])
-            container.mux(video.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+            pixels = np.ascontiguousarray(picture[:drawn_height, :drawn_width])
+            drawn = av.VideoFrame.from_ndarray(pixels, format="rgb24")
+            container.mux(
+                video.encode(drawn.reformat(width, height, "yuv420p", interpolation="AREA"))
+            )
             count += 1
         container.mux(video.encode(None))
 

@@ -1,7 +1,6 @@
 """Cameras and light of the scene.
 
-`CAMERAS` are the published scene's (robopianist 1.0.10), fixed where they are. The player's camera
-is Cadenza's own: it comes as near as the keys of a song allow.
+`CAMERAS` are the published scene's (robopianist 1.0.10), fixed where they are.
 """
 
 from __future__ import annotations
@@ -10,8 +9,7 @@ import itertools
 
 import mujoco
 import numpy as np
-
-from cadenza.keyboards.keyboard import Keyboard
+from numpy.typing import NDArray
 
 # name: position [m], orientation (w, x, y, z), vertical field of view [degree]
 CAMERAS = {
@@ -22,40 +20,39 @@ CAMERAS = {
     "egocentric": ((0.417, -0.039, 0.717), (0.6825, 0.1821, 0.1824, 0.6839), 45.0),
     "topdown": ((0.0, 0.0, 1.0), (0.7071, 0.0, 0.0, 0.7071), 33.9496),
 }
-PLAYER = "player"
 MAX_WIDTH, MAX_HEIGHT = 1920, 1080  # [px] of a picture
 
-_ELEVATION = np.deg2rad(62.0)  # of the player's camera over the keys
 _FOVY = np.deg2rad(45.0)  # MuJoCo's for cameras that are not fixed
-_BESIDE_KEYS = 0.06  # [m] in view on either side of a song's keys
-_BEHIND_KEYS = 0.065  # [m] in view
-_WRISTS_X = 0.2  # [m] end of the view
 
 
-def player_camera(keyboard: Keyboard, keys: tuple[int, int], aspect: float) -> mujoco.MjvCamera:
-    """The camera over the player's head, at which a song's keys and the hands fill the view.
+def camera_on(box: NDArray[np.float64], elevation: float, aspect: float) -> mujoco.MjvCamera:
+    """The camera on the player's side that is as near to a box as keeps all of it in the picture.
 
     Args:
-        keyboard: the keyboard.
-        keys: the lowest and the highest key of the song.
+        box: (2, 3), the least and the greatest x, y and z [m].
+        elevation: of the camera over the box [rad].
         aspect: width of the picture over its height.
     """
-    left, right = keyboard.centre[list(keys), 1] + np.array([-_BESIDE_KEYS, _BESIDE_KEYS])
-    back = keyboard.white.centre_x - keyboard.white.half_size[0] - _BEHIND_KEYS
-    centre = np.array([(back + _WRISTS_X) / 2, (left + right) / 2, keyboard.white.centre_z])
-    towards = np.array([np.cos(_ELEVATION), 0.0, np.sin(_ELEVATION)])
-    up = np.array([-np.sin(_ELEVATION), 0.0, np.cos(_ELEVATION)])
-    sides = ((back, _WRISTS_X), (left, right), (0.0, keyboard.black.top))
-    corners = np.array(list(itertools.product(*sides)))
+    centre = box.mean(axis=0)
+    towards = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
+    up = np.array([-np.sin(elevation), 0.0, np.cos(elevation)])
+    corners = np.array(list(itertools.product(*box.T)))
     across, upwards, nearer = np.stack([[0, 1, 0], up, towards]) @ (corners - centre).T
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.azimuth, camera.elevation = 180.0, -np.rad2deg(_ELEVATION)
+    camera.azimuth, camera.elevation = 180.0, -np.rad2deg(elevation)
     camera.lookat[:] = centre
     slope = np.tan(_FOVY / 2)
     distance = np.maximum(np.abs(across) / aspect, np.abs(upwards)) / slope
     camera.distance = float(np.max(nearer + distance))
     return camera
+
+
+def eye_of(camera: mujoco.MjvCamera) -> NDArray[np.float64]:
+    """Where a camera that `camera_on` returned stands, (3,) [m]."""
+    elevation = -np.deg2rad(camera.elevation)
+    towards = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
+    return np.asarray(camera.lookat + camera.distance * towards)
 
 
 def add_cameras(spec: mujoco.MjSpec) -> None:

@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.hands.body import COLLIDING_GROUP, GEOM_TYPES
+from cadenza.hands.body import GEOM_TYPES, prefix
+from cadenza.hands.shell import as_json
 from cadenza.keyboards.keyboard import Keyboard
 from cadenza.scene.scene import Scene
 
@@ -28,6 +29,8 @@ def drawing(scene: Scene) -> dict[str, Any]:
     geoms: body (index, or -1 where it stands still), type, size (MuJoCo's half sizes [m]), pos
         [m] and quat (w x y z) in the body's frame, rgba, finger (number of a fingertip, or None),
         and whether it is part of a palm, which hides keys.
+    shells: what is drawn of bodies in place of geoms: body, finger and palm as above, and what
+        `hands.shell.as_json` says of it.
     keys: for each its box at rest, pos and half size [m], a point on the hinge, the
         hinge's axis, travel [rad], and whether it is black.
     """
@@ -36,18 +39,27 @@ def drawing(scene: Scene) -> dict[str, Any]:
     first = scene.present_fingers.start
     tips = model.site_bodyid[scene.fingertip_sites].tolist()
     fingertip = {body: number for number, body in enumerate(tips, start=first)}
-    geoms, keys = [], range(model.ngeom)[scene.key_geoms]
-    for g in range(model.ngeom):
-        body = int(model.geom_bodyid[g])
-        if model.geom_group[g] == COLLIDING_GROUP or g in keys:
-            continue
-        palm = body in scene.palm_bodies
-        geom = {"body": index.get(body, -1), "finger": fingertip.get(body), "palm": palm}
-        geoms.append(geom | _shape(model, g, fixed=body not in index))
+    palms = set(scene.palm_bodies.tolist())
+
+    def part(body: int) -> dict[str, Any]:
+        return {
+            "body": index.get(body, -1), "finger": fingertip.get(body), "palm": body in palms
+        }  # fmt: skip
+
+    shells = [
+        (model.body(prefix(side) + link.name).id, shell.mirrored(side))
+        for side in scene.sides
+        for link in scene.hand.body.links
+        for shell in link.drawn
+    ]
+    covered, keys = {body for body, _ in shells}, range(model.ngeom)[scene.key_geoms]
+    bodies = model.geom_bodyid.tolist()
+    geoms = [g for g, body in enumerate(bodies) if g not in keys and body not in covered]
     return {
         "bodies": [model.body(b).name for b in scene.hand_bodies],
         "skeleton": [_body(scene, int(b), index) for b in scene.hand_bodies],
-        "geoms": geoms,
+        "geoms": [part(bodies[g]) | _shape(model, g, fixed=bodies[g] not in index) for g in geoms],
+        "shells": [part(body) | as_json(shell) for body, shell in shells],
         "keys": [_key(scene.keyboard, k) for k in range(scene.keyboard.num_keys)],
     }
 

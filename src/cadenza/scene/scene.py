@@ -120,6 +120,24 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     """
     config = as_config(config, SceneConfig)
     keyboard, hand = keyboard_named(config.keyboard), hand_named(config.hand)
+    spec, sites = scene_spec(config)
+    try:
+        model = spec.compile()
+    except ValueError as error:  # hand and keyboard may come from other packages
+        said, which = " ".join(str(error).split()), f"hand {hand.name}, keyboard {keyboard.name}"
+        raise CadenzaError(f"{which}: MuJoCo cannot build them: {said}") from error
+    sides = _sides(config)
+    _damp_forearms_critically(model, hand, sides, config)
+    return _resolve(config, keyboard, hand, model, sides, sites)
+
+
+def scene_spec(config: SceneConfig) -> tuple[mujoco.MjSpec, list[str]]:
+    """The scene that `config` describes, not compiled, and the names of its fingertips' sites.
+
+    Raises:
+        CadenzaError: the options contradict each other, or are out of range.
+    """
+    keyboard, hand = keyboard_named(config.keyboard), hand_named(config.hand)
     _check(config, keyboard, hand)
     spec = mujoco.MjSpec()
     _set_options(spec, config, hand)
@@ -127,14 +145,7 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     sides = _sides(config)
     keyboard.add_to(spec, range(keyboard.num_keys), actuated=not sides)
     options = _options(config, keyboard)
-    sites = [site for side in sides for site in hand.add_to(spec, side, options)]
-    try:
-        model = spec.compile()
-    except ValueError as error:  # hand and keyboard may come from other packages
-        said, which = " ".join(str(error).split()), f"hand {hand.name}, keyboard {keyboard.name}"
-        raise CadenzaError(f"{which}: MuJoCo cannot build them: {said}") from error
-    _damp_forearms_critically(model, hand, sides, config)
-    return _resolve(config, keyboard, hand, model, sides, sites)
+    return spec, [site for side in sides for site in hand.add_to(spec, side, options)]
 
 
 class HandAlone(NamedTuple):

@@ -41,7 +41,8 @@ class Broadcast:
         request: what was asked for, see `cadenza.studio.request.PlayRequest`.
         status: what is going on; `state` is queued, with how many come `before`, preparing,
             playing, played, writing, or one of `_OVER`.
-        header: what is to be played, once that is known; see `cadenza.studio.state_stream`.
+        texts: what is to be played, its engraved score, and why notes were missed, once that is
+            known; see `cadenza.studio.state_stream`.
         rows: the states of all steps so far.
         changed: is set whenever there is more to send, and replaced.
     """
@@ -49,7 +50,7 @@ class Broadcast:
     title: str
     request: dict[str, Any]
     status: dict[str, Any] = field(default_factory=lambda: {"state": "queued"})
-    header: bytes | None = None
+    texts: list[bytes] = field(default_factory=list)
     rows: bytearray | bytes | StoredRows = field(default_factory=bytearray)
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
@@ -73,7 +74,7 @@ class Broadcast:
         elif kind == JSON:
             received = json.loads(content)
             if "state" not in received:
-                self.header = content
+                self.texts.append(content)
             elif received["state"] != "preparing" or self.status["state"] != "playing":
                 lasting = {name: self.status[name] for name in _LASTING if name in self.status}
                 self.status = lasting | received
@@ -86,15 +87,15 @@ class Broadcast:
     ) -> None:
         """Sends JSON and rows, no faster than they are taken, until the performance is over."""
         await send_text(json.dumps({"title": self.title, "request": self.request}))
-        status, has_header, rows = None, False, 0
+        status, texts, rows = None, 0, 0
         while True:
             changed = self.changed
             if status != self.status:
                 status = self.status
                 await send_text(json.dumps(status))
-            if not has_header and self.header is not None:
-                has_header = True
-                await send_text(self.header.decode())
+            while texts < len(self.texts):
+                texts += 1
+                await send_text(self.texts[texts - 1].decode())
             while rows < len(self.rows):
                 part = bytes(self.rows[rows : rows + _MAX_SENT])
                 await send_bytes(part)

@@ -12,7 +12,7 @@ from cadenza.files import read_json
 from cadenza.report.comparison_page import COLUMNS, Run, comparison_page
 from cadenza.report.html_pages import write_page
 from cadenza.studio.limits import PLAYING, limit
-from cadenza.studio.request import AGENTS
+from cadenza.studio.request import AGENTS, hand_titles
 from cadenza.studio.storage import ABOUT, KeptPerformance
 
 
@@ -26,7 +26,8 @@ def compared_run(folder: Path, number: int) -> Run:
     known = {name: metrics.get(name) for name in COLUMNS} | {"planning": planning}
     defined = {name: math.nan if value is None else value for name, value in known.items()}
     title, _ = AGENTS.get(agent, (agent, ""))  # as the page calls it
-    name = f"{number}. {title}, {settings['scene']['hand']}"
+    hand = settings["scene"]["hand"]
+    name = f"{number}. {title}, {hand_titles().get(hand, hand)}"
     return Run(name, settings["seed"], defined, episode)
 
 

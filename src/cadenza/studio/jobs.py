@@ -99,7 +99,7 @@ class JobQueue:
     """
 
     def __init__(
-        self, folder: Path, trainings: TrainingRuns, at_once: int = 1, video: bool = True
+        self, folder: Path, trainings: TrainingRuns, at_once: int = 1, video: bool = False
     ) -> None:
         self._folder, self._at_once, self._video = folder, at_once, video
         self.jobs: dict[str, Job] = {}
@@ -239,7 +239,7 @@ class JobQueue:
         over = [job for job in self.jobs.values() if job.is_over and not job.is_busy]
         failed = [job for job in over if job.status["state"] != "kept"]
         for job in failed:
-            job.header, job.rows = None, b""
+            job.texts, job.rows = [], b""
         for job in over:
             if job not in failed[-_MAX_FAILED:]:
                 del self.jobs[job.id]

@@ -25,7 +25,7 @@ class LivePage:
 
     def __init__(self, process: subprocess.Popen[bytes], setup: Setup) -> None:
         self._process = process
-        self._states = StateStream(setup.task, self._send)
+        self._states = StateStream(setup, self._send)
         self._states.begin()
 
     def reporting(self, progress: Progress) -> Progress:
@@ -42,8 +42,10 @@ class LivePage:
 
     def finish(self, performance: Performance) -> None:
         """Sends the metrics when all has been played."""
+        self._states.finish()
         metrics = plain(performance.metrics)
         self._send(json_message(state="played", metrics=metrics, remarks=performance.remarks))
+        self._states.explain(performance.losses)
 
     def wait(self) -> None:
         """Keeps the page open until Ctrl-C."""

@@ -41,8 +41,8 @@ from cadenza.studio.broadcast import Broadcast
 from cadenza.studio.synthesizer import Synthesizer
 
 _SHARED = (  # scripts, of reports as well
-    *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "chart.js", "roll.js"),
-    "controls.js",
+    *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "chart.js"),
+    *("arrangement.js", "explanations.js", "roll.js", "controls.js", "score.js"),
 )
 _OWN = (
     *("requests.js", "instrument.js", "keyboard.js", "stream.js", "library.js", "player.js"),
@@ -178,7 +178,8 @@ def _scripts() -> str:
 
 @cache
 def _styles() -> str:
-    return asset("page.css") + _own("studio.css")
+    # A sum would escape the quotes of our own.
+    return "".join((asset("page.css"), asset("score.css"), _own("studio.css")))
 
 
 _PARTS: dict[str, tuple[str, Callable[[], str]]] = {

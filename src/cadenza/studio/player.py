@@ -28,9 +28,11 @@ from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json, plain, write_json
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Note, Score
+from cadenza.performing.filming import write_film
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.setup import Selection, Setup, select, set_up
 from cadenza.performing.source import PRACTISED as PLAN
+from cadenza.performing.source import Source, resolve
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.messages import IDLE, PAUSE, RESUME, Message, Send, json_message
 from cadenza.studio.request import (
@@ -131,7 +133,7 @@ def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performan
         reporter.report(stage, done, total)
 
     with _practised_setup(order) or set_up_order(order, prepare) as setup:
-        states = StateStream(setup.task, send)
+        states = StateStream(setup, send)
         states.begin()
 
         def progress(stage: str, done: int, total: int) -> None:
@@ -146,6 +148,8 @@ def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performan
         metrics = plain(performance.metrics)
         remarks = performance.remarks
         send(json_message(state="played", metrics=metrics, spent=spent, remarks=remarks))
+        states.finish()
+        states.explain(performance.losses)
         return performance, states
 
 
@@ -154,9 +158,10 @@ def set_up_order(order: Order, progress: Progress) -> AbstractContextManager[Set
     request, selection = order.request, _select(order)
     task, scene = selection.task, selection.scene
     if selection.learnt is None:
-        scene = replace(scene, hand=request.hand)
+        scene = replace(scene, hand=request.hand, hands=request.playing_hands)
     transpose, stretch = task.transpose + request.transpose, task.stretch / request.tempo
-    task = replace(task, transpose=transpose, stretch=stretch)
+    as_written = request.hands == "written"
+    task = replace(task, transpose=transpose, stretch=stretch, hands_as_written=as_written)
     return set_up(selection.with_options(task, scene, request.seed), progress)
 
 
@@ -188,20 +193,18 @@ def _select(order: Order) -> Selection:
     """
     request, agent = order.request, order.agent
     config = {PLANNER: PlannerConfig(method="none")} if request.agent == UNREFINED else None
-    arrangement = Arrangement(
-        tracks=request.tracks, plain=request.plain, expression=float(request.expression)
-    )
+    arrangement = request.arrangement
     song = _read_upload(order, arrangement) if order.uploaded else order.source
     selection = select(song, agent, arrangement=arrangement, configs=config)
     check_size(selection.score)
     return selection
 
 
-def _read_upload(order: Order, arrangement: Arrangement) -> Score:
+def _read_upload(order: Order, arrangement: Arrangement) -> Source:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        score = arrangement.score(order.source)
-    return replace(score, title=order.title)
+        source = resolve(order.source, arrangement)
+    return source.titled(order.title)
 
 
 def save(performance: Performance, states: StateStream, order: Order, send: Send) -> None:
@@ -221,7 +224,9 @@ def save(performance: Performance, states: StateStream, order: Order, send: Send
         remarks=performance.remarks,
     )
     try:
-        performance.save(folder, order.video, reporter.report)
+        performance.save(folder, reporter.report)
+        if order.video:
+            write_film(folder, progress=reporter.report)
         (folder / HEADER_FILE).write_bytes(states.header)
         (folder / ROWS_FILE).write_bytes(states.rows)
         write_json(folder / ABOUT, asdict(about))

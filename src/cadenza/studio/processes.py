@@ -99,6 +99,19 @@ async def read_upload(path: Path) -> dict[str, Any]:
     return answer
 
 
+async def opening_picture(song: str) -> bytes:
+    """Returns the first picture of a song, see `cadenza.studio.opening`; nothing if it fails."""
+    try:
+        process = await start_process("cadenza.studio.opening", song, stderr=DEVNULL)
+    except OSError:  # there is no room for it
+        return b""
+    try:
+        picture, _ = await process.communicate()
+    finally:
+        kill(process)
+    return b"" if process.returncode else picture
+
+
 async def write_comparison(folders: Sequence[Path], page: Path) -> None:
     """Writes a page that compares performances, by a process.
 

@@ -10,11 +10,14 @@ import json
 from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from cadenza.configs import MOST_COUNT, check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.files import checked
+from cadenza.hands.registry import HANDS
+from cadenza.music.arrangement import Arrangement
+from cadenza.scene.config import Hands
 
 if TYPE_CHECKING:
     from cadenza.music.score import Score
@@ -64,11 +67,37 @@ class PlayRequest:
     """Numbers of the tracks to be played; all where none is given."""
     hand: str = "shadow"
     """The name of a hand that the studio offers; on the command line, of any."""
+    hands: Literal["both", "written", "right", "left"] = "both"
+    """The hands that play: both as it suits them or as written, or one what is written for it."""
     seed: int = 0
     plain: bool = False
     """Whether the notes of a score are played as they stand, without what its signs mean."""
     expression: bool = False
     """Whether the rules of expression perform the song, with a dose of 1."""
+    arrange: Literal["auto", "off"] = "auto"
+    """Whether a song that the hands cannot play as written is arranged for them."""
+    level: int | None = None
+    """The difficulty to which the song is arranged, from 1 to 10; None is as hard as it can be."""
+
+    @property
+    def arrangement(self) -> Arrangement:
+        """The part of the song that is played, and how it is arranged and performed.
+
+        Raises:
+            CadenzaError: an option makes no sense.
+        """
+        return Arrangement(
+            tracks=self.tracks,
+            plain=self.plain,
+            arrange=self.arrange,
+            level=self.level,
+            expression=float(self.expression),
+        )
+
+    @property
+    def playing_hands(self) -> Hands:
+        """The hands that are in the scene."""
+        return "both" if self.hands == "written" else self.hands
 
 
 @dataclass(frozen=True)
@@ -84,9 +113,15 @@ class Order:
     """The name of the performance."""
     folder: str
     """The folder of the studio, where the performance is kept."""
-    video: bool = True
+    video: bool = False
     agent: str = "planner"
     """The agent, as `cadenza.performing.setup.select` takes it."""
+
+
+def hand_titles() -> dict[str, str]:
+    """Returns the titles of the hands on the page, by their names."""
+    about = {name: entry.about.removeprefix("the ") for name, entry in HANDS.entries().items()}
+    return {name: words[:1].upper() + words[1:] or name for name, words in about.items()}
 
 
 def read_request(content: Any, agents: Collection[str], hands: Collection[str]) -> PlayRequest:
@@ -105,6 +140,7 @@ def read_request(content: Any, agents: Collection[str], hands: Collection[str]) 
     check_ranges(request, _RANGES)
     if len(request.tracks) > _MAX_TRACKS or not all(0 < t <= _MAX_TRACK for t in request.tracks):
         raise CadenzaError(f"tracks: choose {_MAX_TRACKS} or fewer, by their numbers in the file")
+    _ = request.arrangement  # raises what is wrong with it
     return request
 
 

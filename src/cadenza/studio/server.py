@@ -22,17 +22,23 @@ from cadenza.agents.registry import PLANNER
 from cadenza.configs import MOST_COUNT, whole_number
 from cadenza.errors import CadenzaError
 from cadenza.files import checked, parsed_json
-from cadenza.hands.registry import HANDS
 from cadenza.music.formats.reading import check_format
 from cadenza.studio.broadcast import Broadcast
 from cadenza.studio.jobs import Job, JobQueue
 from cadenza.studio.limits import MAX_BYTES
 from cadenza.studio.page_server import PageServer, error_response
-from cadenza.studio.processes import read_upload, write_comparison
-from cadenza.studio.request import AGENTS, PLANNER_VARIANTS, PlayRequest, read_request
+from cadenza.studio.processes import opening_picture, read_upload, write_comparison
+from cadenza.studio.request import (
+    AGENTS,
+    PLANNER_VARIANTS,
+    PlayRequest,
+    hand_titles,
+    read_request,
+)
 from cadenza.studio.storage import FILES, Storage, Upload
 from cadenza.studio.training_runs import TrainingRuns
 
+_FIRST_SONG = "FurEliseOpening"  # with which the page opens
 _LEARNT = "A policy that has learnt on this machine."
 _MAX_NAME = 255  # letters of the name of a file, as most file systems have it
 _MAX_JSON = 1 << 14  # bytes of a request
@@ -40,7 +46,8 @@ _MAX_RECEIVING, _MAX_READING = 4, 2  # files at once
 RECEIVE_TIME = 60.0  # [s] for all of a request to arrive
 # Reports bring their own policy; here they may not reach the studio either. A comparison looks into
 # the pages within it, which a sandbox would prevent.
-_REPORT = {"content-security-policy": "sandbox allow-scripts allow-downloads; connect-src 'none'"}
+_ALLOWED = "allow-scripts allow-downloads allow-modals"  # the last to print
+_REPORT = {"content-security-policy": f"sandbox {_ALLOWED}; connect-src 'none'"}
 _COMPARISON = {"content-security-policy": "connect-src 'none'; form-action 'none'; base-uri 'none'"}
 
 
@@ -66,13 +73,13 @@ class Studio(PageServer):
     """Serves the studio: songs, jobs, practice, training, and performances that are kept."""
 
     def __init__(
-        self, folder: Path, runs: Path = Path("runs"), at_once: int = 1, video: bool = True
+        self, folder: Path, runs: Path = Path("runs"), at_once: int = 1, video: bool = False
     ) -> None:
         """Args:
             folder: where songs and performances are kept.
             runs: where policies learn, and those that have learnt are found.
             at_once: how many songs are played at the same time.
-            video: whether to make a video of each performance.
+            video: whether to make a film of each performance.
 
         Raises:
             OSError: the folder cannot be made.
@@ -80,7 +87,7 @@ class Studio(PageServer):
         super().__init__()
         self.storage = Storage(folder)
         self.jobs = JobQueue(self.storage.folder, TrainingRuns(runs), at_once, video)
-        self._hands = {name: name.capitalize() for name in HANDS.entries()}
+        self._hands = hand_titles()
         self._added = {
             name: (name, f"{entry.about[:1].upper()}{entry.about[1:]}.")
             for name, entry in REGISTERED.entries().items()
@@ -88,6 +95,7 @@ class Studio(PageServer):
         }
         self._receiving = list[asyncio.Timeout]()
         self._reading = asyncio.Semaphore(_MAX_READING)
+        self._opening: asyncio.Task[bytes] | None = None
 
     async def broadcast(self, id: str) -> Broadcast | None:
         """Returns a job or a performance that is kept; None if there is none of this id."""
@@ -111,6 +119,7 @@ class Studio(PageServer):
             Route("/api/songs", self.songs),
             Route("/api/songs", self.upload, methods=["POST"]),
             Route("/api/songs/{id}", _in_thread(storage.remove_upload), methods=["DELETE"]),
+            Route("/api/opening", self.opening),
             Route("/api/jobs", self.play, methods=["POST"]),
             Route("/api/jobs/{id}", _action(jobs.cancel), methods=["DELETE"]),
             Route("/api/background", self.background),
@@ -135,15 +144,22 @@ class Studio(PageServer):
                 await self.jobs.close()
 
     def songs(self, _: Request) -> Response:
-        """Lists songs, agents and hands."""
-        found, agents = self.storage.songs(), self._agents()
-        return JSONResponse({"songs": found, "agents": agents, "hands": self._hands})
+        """Lists songs, agents and hands, and says with which song the page opens."""
+        about = {"songs": self.storage.songs(), "agents": self._agents(), "hands": self._hands}
+        return JSONResponse(about | {"first": _FIRST_SONG})
 
     def _agents(self) -> dict[str, tuple[str, str]]:
         """Returns the agents by name: their titles on the page, and what they do."""
         policies = self.jobs.trainings.policies()
         learnt = {agent: (agent.replace("/", ": ", 1), _LEARNT) for agent in policies}
         return AGENTS | self._added | learnt
+
+    async def opening(self, _: Request) -> Response:
+        """Answers the picture with which the page opens, of `_FIRST_SONG`; null if none is made."""
+        if self._opening is None:  # made once
+            self._opening = asyncio.create_task(opening_picture(_FIRST_SONG))
+        picture = await asyncio.shield(self._opening)
+        return Response(picture or b"null", media_type="application/json")
 
     async def upload(self, request: Request) -> Response:
         """Takes a file; its name, percent-encoded, is the parameter `name`."""

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.music.performance import SoundedNotes, key_events
-from cadenza.report.recording import packed
+from cadenza.performing.setup import Setup
+from cadenza.report.recording import arranged_notes, lost_notes, packed
 from cadenza.scene.drawing import drawing
+from cadenza.studio.engraver import Engraver
 from cadenza.studio.messages import (
     ROWS,
     SOUNDS,
@@ -21,8 +27,8 @@ from cadenza.studio.synthesizer import INSTRUMENT
 from cadenza.tasks import reward
 from cadenza.tasks.augmentation import draws_variation
 from cadenza.tasks.goal_track import GoalTrack
-from cadenza.tasks.piano_task import PianoTask
 
+_PATIENCE = 20.0  # [s] for which a score is waited for
 _ALL_THE_WAY = 255  # of a key that is down, in a row
 
 
@@ -30,12 +36,15 @@ class StateStream:
     """Sends messages as `cadenza.studio.messages` describes them.
 
     Attributes:
-        header: what is to be played, as JSON.
+        header: what is to be played, its engraved score once there is one and, once it is over,
+            why notes were missed, as JSON.
         rows: the states of all steps so far.
     """
 
-    def __init__(self, task: PianoTask, send: Send) -> None:
-        self._task, self._send = task, send
+    def __init__(self, setup: Setup, send: Send) -> None:
+        task = setup.task
+        self._setup, self._task, self._send = setup, task, send
+        self._engraver: Engraver | None = None
         self._dt, keyboard = task.config.control_timestep, task.scene.keyboard
         self._lowest, self._travel = keyboard.lowest_pitch, keyboard.travel
         self._notes = SoundedNotes(self._dt)
@@ -62,15 +71,33 @@ class StateStream:
             pedal=packed(goals.sustain.astype(np.uint8)),
             notes=sorted((n.pitch - self._lowest, n.start) for n in track.delayed_score.notes),
             sound=INSTRUMENT,
+            remarks=self._setup.settings.get("remarks", []),
+            arrangement=arranged_notes(self._fates(track), self._lowest),
         )
         self.header = message.content
         self._send(message)
 
+    def _fates(self, track: GoalTrack) -> list[dict[str, Any]]:
+        """What became of each note of a song that was arranged."""
+        arrangement = self._setup.arrangement
+        return [] if arrangement is None else [f.as_json for f in arrangement.fates(track)]
+
+    def explain(self, misses: Iterable[Mapping[str, Any]]) -> None:
+        """Sends why notes were missed, as `misses.json` has it."""
+        message = json_message(misses=lost_notes(misses))
+        self._send(message)
+        self.header = json.dumps(json.loads(self.header) | json.loads(message.content)).encode()
+
     def step(self) -> None:
-        """Sends the state after the step that was just taken."""
+        """Sends the state after the step that was just taken, and the score when it is engraved."""
         task, state = self._task, self._task.state
         if not self.header:
             self._send_header(task.goals.tracks[0])
+        if not self.rows:
+            plan = self._setup.agent.song_plan(0)  # has the fingers, unless the song gives them
+            track = task.goals.tracks[0] if plan is None else plan.track
+            self._engraver = Engraver(track.delayed_score)
+        self._send_score()
         depth = reward.key_state(state.key_qpos[0], self._travel)
         sounds, times = self._sounds()
         row = b"".join(
@@ -85,6 +112,17 @@ class StateStream:
         row = row.ljust(row_bytes(state.hand_qpos.shape[1], len(depth)), b"\0")
         self.rows += row
         self._send(Message(ROWS, row))
+
+    def finish(self) -> None:
+        """Sends the score, if it is still being engraved when all has been played."""
+        self._send_score(_PATIENCE)
+
+    def _send_score(self, patience: float = 0.0) -> None:
+        if self._engraver is None or not (engraving := self._engraver.engraving(patience)):
+            return
+        self._engraver = None
+        self._send(json_message(engraving=engraving))
+        self.header = json.dumps(json.loads(self.header) | {"engraving": engraving}).encode()
 
     def _sounds(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """What sounds and the times in the step at which that changed, as rows have them."""

@@ -29,7 +29,7 @@ from cadenza.files import (
     write_atomically,
     write_json,
 )
-from cadenza.music.formats.reading import MUSIC
+from cadenza.music.formats.reading import MUSIC, ending_of
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.imported import imported, imported_libraries
 from cadenza.music.libraries.songs import Song
@@ -43,7 +43,17 @@ ABOUT = "studio.json"
 """File of a performance, with what the list shows."""
 _COMPARISONS = "compared"
 # fields of a request that say what is heard
-_MUSIC = ("song", "tracks", "tempo", "transpose", "plain", "expression")
+_MUSIC = (
+    "song",
+    "tracks",
+    "hands",
+    "tempo",
+    "transpose",
+    "plain",
+    "expression",
+    "arrange",
+    "level",
+)
 MAX_UPLOADS = 200
 _MAX_TITLE = 100
 _ABANDONED = 3600.0  # [s] after which a file that nobody has finished is deleted
@@ -161,7 +171,7 @@ class Storage:
         Raises:
             CadenzaError: there are too many already.
         """
-        ending, id = _file_ending(content), hashlib.sha256(content).hexdigest()[:_ID_DIGITS]
+        ending, id = ending_of(content), hashlib.sha256(content).hexdigest()[:_ID_DIGITS]
         path = self.uploads / f"{id}{ending}"
         if not self.is_listed(id) and len(self._uploads()) >= MAX_UPLOADS:
             raise CadenzaError(
@@ -231,7 +241,7 @@ class Storage:
             raise CadenzaError("of this performance there is only the report")
         header, rows = content_of(folder / HEADER_FILE), StoredRows(folder / ROWS_FILE)
         parsed_json(header, dict[str, Any], folder / HEADER_FILE)  # else the page could not read it
-        return Broadcast(kept.title, asdict(kept.request), status, header, rows)
+        return Broadcast(kept.title, asdict(kept.request), status, [header], rows)
 
     def remove_performance(self, id: str) -> None:
         """Deletes a performance.
@@ -255,8 +265,8 @@ class Storage:
         first, *others = ([getattr(request, name) for name in _MUSIC] for request in requests)
         if any(other != first for other in others):
             raise CadenzaError(
-                "compare performances of one song: the same tracks, tempo, pitch, signs and "
-                "expression"
+                "compare performances of one song: the same tracks, hands, tempo, pitch, signs, "
+                "expression and arrangement"
             )
         return folders, self.folder / _COMPARISONS / f"{'-'.join(ids)}.html"
 
@@ -294,13 +304,6 @@ def _imported_songs() -> Iterator[Song]:
     for name in imported_libraries():
         with suppress(CadenzaError):
             yield from imported(name).songs
-
-
-def _file_ending(content: bytes) -> str:
-    """Returns the ending that fits what a file holds, whatever it is called."""
-    if content.startswith(b"PK"):
-        return ".mxl"
-    return ".musicxml" if content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<") else ".mid"
 
 
 def _title(name: str) -> str:

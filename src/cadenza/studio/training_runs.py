@@ -81,6 +81,7 @@ class TrainingRuns:
             "num-steps": steps,
             "seed": request.seed,
             "hand": request.hand,
+            "hands": request.playing_hands,
             "transpose": request.transpose,
             "stretch": 1 / request.tempo,
             "expression": float(request.expression),

@@ -80,7 +80,7 @@ def unchanged_track(score: Score, config: TaskConfig, scene: Scene) -> GoalTrack
 
 
 def _observes_fingers(config: TaskConfig, scene: Scene) -> bool:
-    return config.fingering == "auto" and len(scene.sides) > 0
+    return config.fingering not in ("transport", "off") and len(scene.sides) > 0
 
 
 def _check_notes(score: Score) -> None:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from cadenza.configs import in_short
 from cadenza.scene.config import SceneConfig
 
-Fingering = Literal["auto", "transport", "off"]
+Fingering = Literal["auto", "robot", "human", "transport", "off"]
 KeyPress = Literal["published", "graded"]
 Repeats = Literal["published", "shortened"]
 
@@ -114,8 +114,11 @@ class TaskConfig:
     wrong_press_termination: bool = False
     """End the episode when a wrong key sounds."""
     fingering: Fingering = "auto"
-    """Fingering reward. auto: fingers from the score, or from a search for notes without any.
-    transport: the assignment of fingers to keys with the shortest total distance. off: none."""
+    """Fingers that are rewarded, and that planners use. auto: those of the score, and for other
+    notes what suits the robot's hands. robot: what suits them, for all notes. human: what a pianist
+    would use. transport: rewards the shortest way from fingers to keys. off: rewards none."""
+    hands_as_written: bool = False
+    """Have each hand play what the score has for it, as far as it can."""
     fingering_margin: float = 0.1
     """Distance over which the fingering reward falls to a tenth, beyond a first centimetre that
     costs nothing [m]."""
@@ -174,6 +177,7 @@ _PLAYED_ALIKE = {
     "n_steps_lookahead",
     "n_seconds_lookahead",
     "fingering",
+    "hands_as_written",
     "fingering_margin",
     "onset_goals",
     "onset_timing_coefficient",

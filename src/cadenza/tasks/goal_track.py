@@ -10,6 +10,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.errors import CadenzaError
+from cadenza.fingering.pianist import pianist_fingering
 from cadenza.fingering.players import Forearm, Players, players_at
 from cadenza.fingering.search import Dropped, find_fingering
 from cadenza.fingers import NO_FINGER
@@ -107,11 +109,27 @@ class GoalTrack:
         """Finds a finger for every note that the hands can play, unless that was done before.
 
         `progress` is called as by `find_fingering`.
+
+        Raises:
+            CadenzaError: hands are to play what is written for them, but the score does not say
+                what that is; or a pianist's fingers are asked for, and the hands have more.
         """
         if self.dropped is not None:
             return self
-        score, dropped = find_fingering(self.score, players_of(self.scene), progress)
-        return replace(self, score=score, dropped=dropped, found=not self.score.has_fingering)
+        score, players = self.score, players_of(self.scene)
+        if self.config.hands_as_written and not score.has_written_hands:
+            raise CadenzaError(
+                f"{score.title or 'the score'}: nothing says which hand plays what (two staves, "
+                "tracks named right and left, fingers); leave out --hands-as-written"
+            )
+        if self.config.fingering in ("robot", "human"):
+            score = score.without_fingers()
+        if self.config.fingering == "human":
+            fingered, dropped = pianist_fingering(score, players, progress)
+        else:
+            as_written = self.config.hands_as_written
+            fingered, dropped = find_fingering(score, players, progress, as_written=as_written)
+        return replace(self, score=fingered, dropped=dropped, found=not score.has_fingering)
 
     def with_found_fingers(self) -> GoalTrack:
         """The track without the fingers that the song gives, if it gives any."""

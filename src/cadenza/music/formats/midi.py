@@ -20,7 +20,7 @@ from cadenza.music.formats.midi_channels import SUSTAIN, Part, Playing, merged_p
 from cadenza.music.formats.midi_chunks import MidiFile, parsed
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
-from cadenza.music.repair import repaired_notes
+from cadenza.music.repair import RawNote, repaired_notes
 from cadenza.music.score import (
     BEAT_TYPES,
     Bar,
@@ -40,10 +40,13 @@ _MAX_TICKS = 2**28 - 1  # the longest time from one event to the next that the f
 _DEFAULT_TEMPO = 500_000  # [us] per quarter, until the file says otherwise
 _CHANNELS = range(16)
 _PUNCTUATION = "‘’“”–—…"
+_STROKE = 0.05  # [s] for which a drum sounds, whatever the file says
 _MOST_BARS, _MOST_BEATS = 20_000, 100_000  # more are taken for damage
 
 
-def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
+def read_midi(
+    path: str | Path, tracks: Collection[int] = (), content: bytes | None = None
+) -> Score:
     """The piano score in a Standard MIDI file (format 0, 1 or 2), bare or wrapped in RIFF (RMID).
 
     All instruments but the drums are played together, or only `tracks`, by their numbers in
@@ -71,12 +74,14 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
     - of a track that is cut off, what is whole is read;
     - values over 127 are taken for 127.
 
+    `content` is the MIDI file that was made of a file of another format at `path`.
+
     Raises:
         CadenzaError: no such file, not a MIDI file, damaged, without notes, or without one
             of `tracks`.
     """
     path = Path(path)
-    file = _parse(path)
+    file = _parse(read_bytes(path) if content is None else content, path)
     remarks, chunks = list(file.remarks), file.tracks
     if file.format == 2:
         songs = [chunk for chunk in chunks if any(message.type == "note_on" for message in chunk)]
@@ -98,18 +103,19 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
 
     found = [note for part in melodic for note in part.notes]
     counts = Counter(outside=sum(part.outside for part in melodic))
+    drums = [part for part in playing.parts if part.is_drums]
     muted = [note for part in melodic for note in part.muted]
     if tracks:
         found += muted  # which are asked for
     else:
-        drums = (part for part in playing.parts if part.is_drums)
         counts["drums"] = sum(len(part.notes) + len(part.muted) + part.outside for part in drums)
         counts["muted"] = len(muted)
     if playing.soft.intersection(channels):
         remarks.append("the soft pedal is left out")
     notes, said = repaired_notes(found, counts, remarks, path, clock.seconds)
     bars = _bars(file.division, chunks, clock, until=notes[-1].start)
-    return Score(notes, pedal, _title(chunks, path), said, listed, bars)
+    strokes = tuple(_stroke(note, clock) for part in drums for note in part.notes)
+    return Score(notes, pedal, _title(chunks, path), said, listed, bars, strokes)
 
 
 def write_midi(score: Score, path: str | Path) -> None:
@@ -209,8 +215,7 @@ class _Clock:
         return units / self.units_per_second
 
 
-def _parse(path: Path) -> MidiFile:
-    data = read_bytes(path)
+def _parse(data: bytes, path: Path) -> MidiFile:
     try:
         return parsed(data)
     except CadenzaError as error:
@@ -275,6 +280,11 @@ def _bars(
                 return ()
             bars.append(Bar(times[0], len(bars) + 1, tuple(times), denominator))
     return tuple(bars)
+
+
+def _stroke(note: RawNote, clock: _Clock) -> Note:
+    start = clock.seconds(note.start)
+    return Note(start, start + _STROKE, note.pitch, note.velocity)
 
 
 def _title(chunks: Sequence[mido.MidiTrack], path: Path) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from itertools import groupby, pairwise
 from math import gcd
@@ -41,34 +41,49 @@ def write_musicxml(score: Score, path: str | Path) -> tuple[str, ...]:
     Times are quantised: in each beat notes move to the grid of semiquavers, triplets or the like
     that fits best. Tempos are written such that beats keep their times. Bars are those of the
     score; if it has none, they are estimated. The right hand is on the upper staff and the left one
-    on the lower, with fingers numbered from 1; notes without a finger are put by their pitch.
+    on the lower, with fingers numbered from 1; notes without a finger are put by the hand that they
+    are written for, or by their pitch.
     Velocities are kept for playback and shown as dynamic marks; the pedal is either down or up.
     Read back, time 0 is the beginning of the bar of the first note.
 
     Returns:
-        Remarks in plain words on what is not as in the score.
+        Remarks in plain words on what is not as in the score, which the file has, too.
 
     Raises:
         CadenzaError: the score has no notes.
     """
     sheet = sheet_of(score)
+    with write_atomically(Path(path)) as file:
+        file.write(musicxml_of(sheet).encode())
+    return sheet.remarks
+
+
+def musicxml_of(sheet: Sheet) -> str:
+    """The text of a MusicXML file.
+
+    Its notes have ids: `n0` and so on in the order of `Sheet.notes`; what a note `n0` is tied to
+    has the ids `n0.1` and so on.
+    """
     root = _document(sheet)
     indent(root, "")
-    with write_atomically(Path(path)) as file:
-        file.write((_HEADER + tostring(root, "unicode") + "\n").encode())
-    return sheet.remarks
+    return _HEADER + tostring(root, "unicode") + "\n"
 
 
 def _document(sheet: Sheet) -> Element:
     root = Element("score-partwise", version="4.0")
     if title := printable(sheet.title):
         _text(SubElement(root, "work"), "work-title", title)
-    encoding = SubElement(SubElement(root, "identification"), "encoding")
+    identification = SubElement(root, "identification")
+    encoding = SubElement(identification, "encoding")
     _text(encoding, "software", "Cadenza")
     for element in ("accidental", "beam"):
         SubElement(encoding, "supports", element=element, type="yes")
+    if sheet.remarks:
+        others = SubElement(identification, "miscellaneous")
+        for remark in sheet.remarks:
+            _text(others, "miscellaneous-field", remark).set("name", "remark")
     listed = SubElement(SubElement(root, "part-list"), "score-part", id=_PART)
-    _text(listed, "part-name", "Piano")
+    _text(listed, "part-name", "Piano").set("print-object", "no")  # it is the only one
     part = SubElement(root, "part", id=_PART)
     writer = _Writer(sheet)
     for i, _ in enumerate(sheet.measures):
@@ -83,6 +98,8 @@ class _Writer:
         self._sheet = sheet
         self._unit = gcd(QUARTER, *_ticks(sheet))
         self._in_key = _in_key(sheet.key)
+        self._number = {id(note): i for i, note in enumerate(sheet.notes)}
+        self._continued = Counter[int]()
 
     def write(self, part: Element, index: int) -> None:
         here = self._sheet.measures[index]
@@ -176,6 +193,7 @@ class _Writer:
             if each is None:
                 SubElement(note, "rest")
             else:
+                note.set("id", self._id(each[0]))
                 note.set("dynamics", f"{100 * each[0].velocity / FORTE:.2f}")
                 _pitch(note, each[1])
             self._duration(note, symbol.value.end - symbol.value.start)
@@ -200,6 +218,13 @@ class _Writer:
             notations = _notations(symbol, each[0] if each else None, is_first=not i)
             if len(notations):
                 note.append(notations)
+
+    def _id(self, note: Note) -> str:
+        """An id for the next symbol of a note, see `musicxml_of`."""
+        number = self._number[id(note)]
+        part = self._continued[number]
+        self._continued[number] += 1
+        return f"n{number}.{part}" if part else f"n{number}"
 
     def _lasting(self, element: Element, ticks: int, voice: _Voice) -> None:
         """Says how long a rest lasts, or the motion in place of one, and where."""

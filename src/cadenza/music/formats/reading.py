@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Collection
 from pathlib import Path
 
@@ -14,20 +15,21 @@ _MIDI = (".mid", ".midi", ".kar", ".rmi")
 SHEET = ".musicxml"
 """The ending of the names of files of sheet music that are written."""
 _MUSICXML = (SHEET, ".xml", ".mxl")
+_HUMDRUM, _MEI = ".krn", ".mei"
 _BEGINS_MIDI = (b"MThd", b"RIFF")
-_BEGINS_MUSICXML = (b"<", b"PK", b"\xef\xbb\xbf<", b"\xff\xfe<", b"\xfe\xff\0<")
-MUSIC = (*_MIDI, *_MUSICXML)
+_IS_MEI = re.compile(rb"<(\w+:)?mei[\s>/]")
+_BEGINNING = 1 << 12  # bytes of a file, among which an MEI file says what it is
+MUSIC = (*_MIDI, *_MUSICXML, _HUMDRUM, _MEI)
 """The endings of music files."""
 
 _NOTATION = "open it in a notation program such as MuseScore, and export it as MIDI or MusicXML"
 _SOUND = "convert the sound to MIDI with a transcription program such as Basic Pitch"
 _SHEET = "convert the sheet music to MusicXML with a recognition program such as Audiveris"
 NOT_READ = {  # ending of other files -> how to convert them
-    **dict.fromkeys((".mscz", ".mscx", ".sib", ".musx", ".dorico", ".ptb", ".mei"), _NOTATION),
+    **dict.fromkeys((".mscz", ".mscx", ".sib", ".musx", ".dorico", ".ptb"), _NOTATION),
     **dict.fromkeys((".gp", ".gp3", ".gp4", ".gp5", ".gpx", ".cap", ".capx"), _NOTATION),
     **dict.fromkeys((".abc",), "convert it with abc2midi"),
     **dict.fromkeys((".ly",), "have LilyPond write MIDI: add \\midi {} to its \\score block"),
-    **dict.fromkeys((".krn",), "convert it with hum2mid, or with Verovio"),
     **dict.fromkeys((".mp3", ".wav", ".flac", ".ogg", ".oga", ".m4a", ".aac", ".opus"), _SOUND),
     **dict.fromkeys((".wma", ".aif", ".aiff", ".mp4", ".mov", ".webm", ".mkv", ".avi"), _SOUND),
     **dict.fromkeys((".pdf", ".png", ".jpg", ".jpeg", ".tif", ".tiff"), _SHEET),
@@ -53,7 +55,7 @@ def check_format(path: Path) -> None:
 
 
 def read_score(path: Path, tracks: Collection[int] = (), plain: bool = False) -> Score:
-    """The score in a MIDI or MusicXML file.
+    """The score in a MIDI, MusicXML, Humdrum or MEI file.
 
     Notes have the fingers of a file beside it with the ending .fingering, see
     `cadenza.music.formats.fingering_file`.
@@ -65,30 +67,50 @@ def read_score(path: Path, tracks: Collection[int] = (), plain: bool = False) ->
         plain: plays the notes of a MusicXML file as they stand, whatever signs they have.
 
     Raises:
-        CadenzaError: a format that is not read, or a file that `read_midi`, `read_musicxml` or
-            `read_fingering` refuses.
+        CadenzaError: a format that is not read, or a file that `read_midi`, `read_musicxml`,
+            `read_by_verovio` or `read_fingering` refuses.
     """
     from cadenza.music.formats.fingering_file import SUFFIX, read_fingering
     from cadenza.music.formats.midi import read_midi
     from cadenza.music.formats.musicxml.reader import read_musicxml
+    from cadenza.music.formats.verovio_reading import read_by_verovio
 
     check_format(path)
-    suffix = path.suffix.lower()
     beginning = _beginning(path)
-    is_midi = beginning.startswith(_BEGINS_MIDI) or (
-        suffix not in _MUSICXML and not beginning.startswith(_BEGINS_MUSICXML)
-    )
-    score = read_midi(path, tracks) if is_midi else read_musicxml(path, tracks, plain)
+    form, suffix = ending_of(beginning), path.suffix.lower()
+    if form in _MIDI and suffix in MUSIC and not beginning.startswith(_BEGINS_MIDI):
+        form = suffix  # its bytes say nothing
+    if form == _HUMDRUM:
+        score = read_by_verovio(path, "humdrum", tracks)
+    elif form == _MEI:
+        score = read_by_verovio(path, "mei", tracks)
+    elif form in _MIDI:
+        score = read_midi(path, tracks)
+    else:
+        score = read_musicxml(path, tracks, plain)
     sidecar = path.with_suffix(SUFFIX)
     if not os.path.isfile(sidecar):  # also where that name is too long
         return score
     return read_fingering(sidecar, score, all_there=not tracks)
 
 
+def ending_of(content: bytes) -> str:
+    """The ending that fits the first bytes of a file of music, whatever it is called.
+
+    It is that of MIDI for all that is of no format that is read.
+    """
+    if content.startswith(b"PK"):
+        return ".mxl"
+    text = content[:_BEGINNING].replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n")
+    if text.startswith(b"<"):
+        return _MEI if _IS_MEI.search(text) else SHEET
+    return _HUMDRUM if text.startswith((b"**", b"!!")) else _MIDI[0]
+
+
 def _beginning(path: Path) -> bytes:
     """The first bytes; none if the file cannot be read, which its reader will report."""
     try:
         with opened(path) as file:
-            return file.read(4) or b""  # of the kernel's log there may be nothing yet
+            return file.read(_BEGINNING) or b""  # of the kernel's log there may be nothing yet
     except (OSError, ValueError):
         return b""

@@ -8,6 +8,7 @@ from difflib import get_close_matches
 
 from cadenza.errors import CadenzaError
 from cadenza.music.score import Score
+from cadenza.music.written_hands import with_written_hands
 
 Read = Callable[[Collection[int], bool], Score]
 """A function that loads a score with the tracks of these numbers, or with all if none is given.
@@ -36,7 +37,7 @@ class Song:
     difficulty: float | None = None
 
     def load(self, tracks: Collection[int] = (), plain: bool = False) -> Score:
-        """Loads the score, under the title of the song.
+        """Loads the score, under the title of the song, with the hands that it is written for.
 
         Args:
             tracks: the numbers of the tracks to be played, as in `Score.tracks`; all by default.
@@ -45,7 +46,7 @@ class Song:
         Raises:
             CadenzaError: it cannot be read, or has no such track.
         """
-        score = self.read(tracks, plain)
+        score = with_written_hands(self.read(tracks, plain))
         return replace(score, title=self.title or score.title)
 
 

@@ -1,4 +1,4 @@
-"""The staff of each note: that of the hand of its finger, or else one by pitch.
+"""The staff of each note: that of the hand of its finger, or for which it is written, or by pitch.
 
 The upper staff and the lower one are numbered as hands are, `RIGHT` and `LEFT`.
 """
@@ -25,11 +25,12 @@ _ROOM = 5  # semitones
 def staves(notes: Sequence[Note]) -> list[int]:
     """The staff of each of the `notes`, by start.
 
-    Notes without a finger are split at a pitch that moves as little as it can while each hand
-    spans about an octave at most, found by dynamic programming over chords.
+    Notes without a finger or a hand are split at a pitch that moves as little as it can while each
+    hand spans about an octave at most, found by dynamic programming over chords.
     """
-    chosen = [note.finger.hand if note.finger else RIGHT for note in notes]
-    loose = [i for i, note in enumerate(notes) if note.finger is None]
+    hands = [(note.finger.hand,) if note.finger else note.hands for note in notes]
+    chosen = [hand[0] if hand else RIGHT for hand in hands]
+    loose = [i for i, hand in enumerate(hands) if len(hand) != 1]
     if not loose:
         return chosen
     groups = list(chords([notes[i] for i in loose]))

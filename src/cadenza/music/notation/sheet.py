@@ -8,6 +8,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+import numpy as np
+
 from cadenza.errors import CadenzaError
 from cadenza.fingers import LEFT, RIGHT
 from cadenza.music.notation.hands import staves
@@ -56,9 +58,14 @@ class Staff:
 
 @dataclass(frozen=True, slots=True)
 class WrittenMeasure:
-    """A measure with its staves, the upper first, its dynamic mark if any, tempos and pedal."""
+    """A measure with its staves, the upper first, its dynamic mark if any, tempos and pedal.
+
+    It begins at the time `begin` [s] and ends at `end`.
+    """
 
     measure: Measure
+    begin: float
+    end: float
     divisions: Divisions
     staves: tuple[Staff, Staff]
     dynamic: str | None
@@ -70,13 +77,29 @@ class WrittenMeasure:
 class Sheet:
     """A written score; `remarks` say in plain words where it differs from what is played.
 
-    `key` is the number of sharps of its key signature, negative for flats.
+    `key` is the number of sharps of its key signature, negative for flats. `is_sure` unless the
+    song has no bars, and its onsets do not fit those that are estimated.
     """
 
     title: str
     key: int
     measures: tuple[WrittenMeasure, ...]
     remarks: tuple[str, ...]
+    is_sure: bool
+
+    @property
+    def symbols(self) -> Iterator[Symbol]:
+        """Yields all chords and rests, measure by measure."""
+        for written in self.measures:
+            for staff in written.staves:
+                for voice in staff.voices:
+                    yield from voice
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """The notes that are written, by (start, pitch)."""
+        found = [note for symbol in self.symbols if not symbol.tied for note, _ in symbol.notes]
+        return tuple(sorted(found, key=lambda note: (note.start, note.pitch)))
 
 
 def sheet_of(score: Score) -> Sheet:
@@ -88,7 +111,9 @@ def sheet_of(score: Score) -> Sheet:
     if not score.notes:
         raise CadenzaError("there are no notes to be written")
     metre = metre_of(score)
-    streams, left_out = _streams(score.notes, metre)
+    onsets = metre.place([note.start for note in score.notes]).tolist()
+    is_exact = are_exact(onsets, metre)
+    streams, left_out = _streams(score.notes, onsets, metre, is_exact)
     key, spellings = spelled(score.notes)
     names = {id(note): name for note, name in zip(score.notes, spellings, strict=True)}
     divisions = [Divisions(measure) for measure in metre.measures]
@@ -100,9 +125,13 @@ def sheet_of(score: Score) -> Sheet:
     marks = dynamics(_by_measure(begins, every, "velocity"))
     of_tempo = _grouped(begins, tempos(metre))
     of_pedal = _grouped(begins, pedal_marks(score.pedal, metre))
+    lines = [*begins, metre.measures[-1].end]
+    times = np.interp(lines, metre.ticks, metre.times).tolist()
     measures = tuple(
         WrittenMeasure(
             measure,
+            times[i],
+            times[i + 1],
             divisions[i],
             (of_hands[RIGHT][i], of_hands[LEFT][i]),
             marks.get(i),
@@ -111,15 +140,17 @@ def sheet_of(score: Score) -> Sheet:
         )
         for i, measure in enumerate(metre.measures)
     )
-    remarks = counted_remarks([(left_out, "note", "left out, struck again too soon to be written")])
-    return Sheet(score.title, key, measures, (*metre.remarks, *remarks))
+    quantised = [] if is_exact else ["quantised: notes are moved to the nearest note values"]
+    lost = counted_remarks([(left_out, "note", "left out, struck again too soon to be written")])
+    remarks, is_sure = (*metre.remarks, *quantised, *lost), bool(score.bars) or is_exact
+    return Sheet(score.title, key, measures, remarks, is_sure)
 
 
-def _streams(notes: Sequence[Note], metre: Metre) -> tuple[list[list[Stream]], int]:
+def _streams(
+    notes: Sequence[Note], onsets: Sequence[float], metre: Metre, is_exact: bool
+) -> tuple[list[list[Stream]], int]:
     """The upper and the lower voice of each hand, and the number of notes left out."""
-    onsets = metre.place([note.start for note in notes]).tolist()
     ends = metre.place([note.end for note in notes]).tolist()
-    is_exact = are_exact(onsets, metre)
     timed = [Timed(*each) for each in zip(notes, onsets, ends, strict=True)]
     hands = staves(notes)
     parts: list[list[Timed]] = []

@@ -2,6 +2,8 @@
 
 const $ = (id) => document.getElementById(id);
 const minutes = (time) => `${Math.floor(time / 60)}:${(time % 60).toFixed(1).padStart(4, "0")}`;
+/** Makes an element that holds a text. */
+const make = (name, text = "", properties = {}) => Object.assign(document.createElement(name), { textContent: text }, properties);
 const press = (button, pressed) => button.setAttribute("aria-pressed", pressed);
 const isPressed = (button) => button.getAttribute("aria-pressed") === "true";
 
@@ -27,6 +29,40 @@ function loudness(muted, volume) {
   $("mute").addEventListener("click", mute);
   $("volume").addEventListener("input", () => volume(Number($("volume").value)));
   return mute;
+}
+
+/** A button that loops; returns whether it is pressed. */
+function looping() {
+  $("loop").addEventListener("click", () => press($("loop"), !isPressed($("loop"))));
+  return () => isPressed($("loop"));
+}
+
+/** A button that fills the screen with the performance, where the browser can; returns what it does. */
+function fullScreen() {
+  const fill = () => {
+    if (document.fullscreenEnabled) document.fullscreenElement ? document.exitFullscreen() : $("performance").requestFullscreen();
+  };
+  $("full").hidden = !document.fullscreenEnabled;
+  $("full").addEventListener("click", fill);
+  return fill;
+}
+
+/** Keys of the keyboard: `toggle`, `mute` and `fill` are run, `seek` is told where to go from `now()` [s]. */
+function listenToKeys({ toggle, mute, fill, seek, now, end }) {
+  const JUMP = 5, STEP = 0.5; // [s]
+  const acts = {
+    " ": toggle, k: toggle, m: mute, f: fill,
+    j: () => seek(now() - JUMP), l: () => seek(now() + JUMP), home: () => seek(0), end: () => seek(end()),
+    arrowleft: (event) => seek(now() - (event.shiftKey ? JUMP : STEP)), arrowright: (event) => seek(now() + (event.shiftKey ? JUMP : STEP)),
+  };
+  document.addEventListener("keydown", (event) => {
+    const { target } = event, act = acts[event.key.toLowerCase()];
+    if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (target.matches("input:not(#scrub), select, textarea")) return;
+    if (event.key === " " && target.matches("button, a, summary")) return;
+    act(event);
+    event.preventDefault();
+  });
 }
 
 /** Of a button that plays and pauses. */

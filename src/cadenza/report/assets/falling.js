@@ -1,12 +1,34 @@
-// The notes of the score, sliding down a track behind the keyboard onto their keys: grey until they
-// arrive, then in the colour of what became of them.
+// The notes of the score, sliding down a track behind the keyboard onto their keys: until they
+// arrive in the colour of their hand and with the number of their finger, or grey if these are not
+// known; then in the colour of what became of them.
 
 const TRACK = { ahead: 2.4, past: 0.35, speed: 0.075, slope: 0.5 }; // [s], [s], [m/s], [rad]
 const TRACK_LENGTH = (TRACK.ahead + TRACK.past) * TRACK.speed;
+// Of notes on white and on black keys: of the right hand, of the left, of an unknown one.
+const COMING_NOTES = [[0x9db8f5, 0x6f8fe0], [0xf0b0d4, 0xc777a9], [0xcdd4e0, 0x8d97a8]];
+// Numbers from 1 on, made of strokes: the middle upwards and to the right, the length, whether it stands.
+const STROKES = [
+  [[0.5, 0, 1, true]],
+  [[1, 0, 1], [0.75, 0.5, 0.5, true], [0.5, 0, 1], [0.25, -0.5, 0.5, true], [0, 0, 1]],
+  [[1, 0, 1], [0.5, 0.5, 1, true], [0.5, 0, 1], [0, 0, 1]],
+  [[0.75, -0.5, 0.5, true], [0.5, 0.5, 1, true], [0.5, 0, 1]],
+  [[1, 0, 1], [0.75, -0.5, 0.5, true], [0.5, 0, 1], [0.25, 0.5, 0.5, true], [0, 0, 1]],
+];
+const NUMBER = { high: 0.0075, wide: 0.0042, stroke: 0.0011, edge: 0.0018 }; // [m]
+
+/** Gives notes the finger [hand, number] that is to play them. */
+function addFingers(goal, { fingers = [], dt }) {
+  const byKey = new Map();
+  for (const [key, time, ...finger] of fingers) byKey.set(key, [...(byKey.get(key) ?? []), [time, finger]]);
+  for (const note of goal) {
+    note.finger = byKey.get(note.key)?.find(([time]) => Math.abs(time - note.from) < 1.5 * dt)?.[1];
+  }
+}
 
 /** Behind those `keys` of the scene that lie from number `low` to `high` of the `keyboard`. */
 function createFallingNotes(data, keys, keyboard, [low, high], colours) {
   const goal = notes(data, wanted), longest = longestOf(goal);
+  addFingers(goal, data);
   const track = new THREE.Group();
   track.position.set(keyboard.min.x - 0.012, 0, keyboard.max.z + 0.016);
   track.quaternion.setFromAxisAngle(new THREE.Vector3(0, 1, 0), Math.PI + TRACK.slope); // x is away
@@ -21,24 +43,50 @@ function createFallingNotes(data, keys, keyboard, [low, high], colours) {
   strip(0, TRACK_LENGTH, 0x23272f, 0.004);
   strip(TRACK.past * TRACK.speed - 0.0015, 0.003, 0xd5dbe6, 0.0025);
 
-  const coming = [false, true].map((black) => new THREE.Color(black ? 0x8d97a8 : 0xcdd4e0));
-  const solids = [];
-  let used = 0;
+  const coming = COMING_NOTES.map((colours) => colours.map((colour) => new THREE.Color(colour)));
+  const ink = new THREE.Color(0x10141c);
+  /** Boxes that are used again in each picture: `next()` is one of them. */
+  function pool(order) {
+    const solids = [];
+    let used = 0;
+    return {
+      next() {
+        if (used === solids.length) {
+          const solid = mesh("box", [0.5, 0.5, 0.5], ink.clone(), 0.6);
+          solid.castShadow = false;
+          solid.renderOrder = order;
+          solids.push(solid);
+          track.add(solid);
+        }
+        solids[used].visible = true;
+        return solids[used++];
+      },
+      begin() { used = 0; },
+      end() { for (let i = used; i < solids.length; i++) solids[i].visible = false; },
+    };
+  }
+  const solids = pool(0.6), strokes = pool(0.7);
+
   function put({ key, from, to }, start, end, now, colour) {
-    if (used === solids.length) {
-      const solid = mesh("box", [0.5, 0.5, 0.5], coming[0].clone(), 0.6);
-      solid.castShadow = false;
-      solid.renderOrder = 0.6;
-      solids.push(solid);
-      track.add(solid);
-    }
-    const solid = solids[used++], x = (time) => (time - now + TRACK.past) * TRACK.speed;
+    const solid = solids.next(), x = (time) => (time - now + TRACK.past) * TRACK.speed;
     const near = x(Math.max(from, start)), far = x(Math.min(to, end));
-    solid.visible = true;
     solid.scale.set(Math.max(far - near - 0.001, 5e-4), keys[key].black ? 0.009 : 0.013, 0.003);
     solid.position.set((near + far) / 2, keys[key].pos[1], keys[key].black ? -0.001 : 0);
     solid.material.color.copy(colour);
     solid.material.emissive.copy(colour).multiplyScalar(0.35);
+    return [near, far];
+  }
+
+  function putComing(note, time, end) {
+    const [hand, number] = note.finger ?? [2], { black, pos } = keys[note.key];
+    const [near, far] = put(note, time, end, time, coming[hand][Number(black)]);
+    const room = far - near - 2 * NUMBER.edge, high = Math.min(NUMBER.high, room);
+    if (high < NUMBER.high / 2) return;
+    for (const [up, right, length, stands] of STROKES[number - 1] ?? []) {
+      const stroke = strokes.next(), long = length * (stands ? high : NUMBER.wide) + NUMBER.stroke;
+      stroke.scale.set(stands ? long : NUMBER.stroke, stands ? NUMBER.stroke : long, 5e-4);
+      stroke.position.set(near + NUMBER.edge + up * high, pos[1] + right * NUMBER.wide, black ? -0.003 : -0.002);
+    }
   }
 
   return {
@@ -46,11 +94,13 @@ function createFallingNotes(data, keys, keyboard, [low, high], colours) {
     /** How far the track goes back and up [m]. */
     end: [TRACK_LENGTH * Math.cos(TRACK.slope), TRACK_LENGTH * Math.sin(TRACK.slope)],
     move(time) {
-      used = 0;
+      solids.begin();
+      strokes.begin();
       const end = time + TRACK.ahead, start = time - TRACK.past;
-      within(goal, longest, time, end, (note) => put(note, time, end, time, coming[Number(keys[note.key].black)]));
+      within(goal, longest, time, end, (note) => putComing(note, time, end));
       notesBetween(data, start, time, (note) => put(note, start, time, time, colours[note.state - 1]));
-      for (let i = used; i < solids.length; i++) solids[i].visible = false;
+      solids.end();
+      strokes.end();
     },
   };
 }

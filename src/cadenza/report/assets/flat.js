@@ -3,12 +3,14 @@
 // farthest first. No shadows. Made to draw 60 times a second: it allocates nothing while it plays.
 
 const SHADES = 24;
+const SIDES = 28; // of the outline of a hull
 const RIM_AND_INSIDE = [[0.45, 0.8], [0.85, 0]]; // brightness, and by how many pixels wider: a stroke takes longer
 
 function createFlatRenderer(canvas) {
   const context = canvas.getContext("2d");
   const sun = [0.3, -0.4, 0.87];
   const records = new Map(), shapes = [];
+  const point = new Float64Array(3); // as it is projected
   const clip = new Float64Array(16); // of the camera, column by column
   let ratio = 1, width = 1, height = 1, eyeX = 0, eyeY = 0, eyeZ = 0;
   let enlarged = 1; // halves of the picture's height that a metre fills at a distance of one
@@ -41,9 +43,9 @@ function createFlatRenderer(canvas) {
   function recordOf(solid) {
     let record = records.get(solid);
     if (!record) {
-      const { type, size } = solid.userData;
-      const half = type === "box" || type === "ellipsoid" ? size : type === "sphere" ? [size[0], size[0], size[0]] : [size[0], size[0], size[1]];
-      record = { solid, type, half, axes: new Float64Array(12), homogeneous: new Float64Array(12), corners: new Float64Array(16), depth: 0, order: solid.renderOrder, shades: [], r: -1, g: -1, b: -1 };
+      const { type, size, balls } = solid.userData;
+      const half = balls ? [0, 0, 0] : type === "box" || type === "ellipsoid" ? size : type === "sphere" ? [size[0], size[0], size[0]] : [size[0], size[0], size[1]];
+      record = { solid, type, half, axes: new Float64Array(12), homogeneous: new Float64Array(12), corners: new Float64Array(16), balls, circles: new Float64Array(3 * (balls?.length ?? 0)), depth: 0, order: solid.renderOrder, shades: [], r: -1, g: -1, b: -1 };
       records.set(solid, record);
     }
     return record;
@@ -69,6 +71,26 @@ function createFlatRenderer(canvas) {
       axes[9 + i] = e[12 + i];
     }
     project(homogeneous, 9, axes[9], axes[10], axes[11], 1);
+    record.depth = Math.hypot(axes[9] - eyeX, axes[10] - eyeY, axes[11] - eyeZ);
+    if (record.balls) locateBalls(record, e);
+  }
+
+  /** The circles as which the balls of a hull appear: x, y and radius [px]. */
+  function locateBalls(record, e) {
+    const { balls, circles, axes } = record;
+    let nearest = Infinity;
+    for (let i = 0; i < balls.length; i++) {
+      const [bx, by, bz, radius] = balls[i];
+      const x = e[0] * bx + e[4] * by + e[8] * bz + e[12], y = e[1] * bx + e[5] * by + e[9] * bz + e[13], z = e[2] * bx + e[6] * by + e[10] * bz + e[14];
+      project(point, 0, x, y, z, 1);
+      circles[3 * i] = screenX(point[0], point[2]);
+      circles[3 * i + 1] = screenY(point[1], point[2]);
+      circles[3 * i + 2] = (radius * enlarged * 0.5 * height) / point[2];
+      nearest = Math.min(nearest, point[2]);
+      if (i === 0) [axes[9], axes[10], axes[11]] = [0, 0, 0];
+      axes[9] += x / balls.length; axes[10] += y / balls.length; axes[11] += z / balls.length;
+    }
+    record.homogeneous[11] = nearest;
     record.depth = Math.hypot(axes[9] - eyeX, axes[10] - eyeY, axes[11] - eyeZ);
   }
 
@@ -141,7 +163,23 @@ function createFlatRenderer(canvas) {
     }
   }
 
+  /** Adds the outline of a hull: in each direction, the farthest point of its circles. */
+  function addHull({ circles }, wider) {
+    for (let i = 0; i < SIDES; i++) {
+      const dx = Math.cos((2 * Math.PI * i) / SIDES), dy = Math.sin((2 * Math.PI * i) / SIDES);
+      let best = 0, farthest = -Infinity;
+      for (let j = 0; j < circles.length; j += 3) {
+        const far = circles[j] * dx + circles[j + 1] * dy + circles[j + 2];
+        if (far > farthest) [best, farthest] = [j, far];
+      }
+      const radius = circles[best + 2] + wider, x = circles[best] + radius * dx, y = circles[best + 1] + radius * dy;
+      if (i === 0) context.moveTo(x, y); else context.lineTo(x, y);
+    }
+    context.closePath();
+  }
+
   function addOutline(record, wider) {
+    if (record.balls) { addHull(record, wider); return; }
     if (record.type === "ellipsoid" || record.type === "sphere") addEllipse(record.homogeneous, 0, 3, wider);
     else addRod(record, record.type === "capsule", wider);
   }

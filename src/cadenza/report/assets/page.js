@@ -9,6 +9,7 @@ function fail(message) {
 window.addEventListener("error", (event) => fail(event.message));
 window.addEventListener("unhandledrejection", (event) => fail(event.reason));
 
+await loadLibraries();
 const data = await readRecording();
 const duration = cadenza.duration = data.steps * data.dt;
 
@@ -31,10 +32,15 @@ function now() {
 
 const colours = VERDICTS.map((name) => css("--" + name));
 const stage = data.scene.keys ? createStage($("view"), data, colours) : null;
-const looks = createLooks();
+const looks = createLooks(), isLooping = looping();
 if (stage) looks.show(stage);
 else $("picture").hidden = true;
 const roll = createRoll($("roll"), data, seek), rewards = createRewards($("rewards"), data, seek);
+const score = $("score") && createScore($("score"), await readEngraving($("engraving").textContent), data, seek);
+if (score) {
+  offerScore($("downloads"), score);
+  $("show-score").addEventListener("click", toggleScore);
+}
 const expression = $("expression") && createExpression($("expression"), data, seek);
 
 function seek(time) {
@@ -54,6 +60,7 @@ function show(time) {
   cadenza.time = time;
   stage?.move(time);
   roll.move(time);
+  score?.move(time);
   rewards.move(time);
   expression?.move(time);
   $("scrub").value = time;
@@ -78,7 +85,7 @@ let drawn = -1;
 function frame() {
   const time = now();
   if (time !== drawn) show(drawn = time);
-  if (time >= duration && !audio.paused) looping ? seek(0) : audio.pause();
+  if (time >= duration && !audio.paused) isLooping() ? seek(0) : audio.pause();
   stage?.draw();
   looks.measure(!audio.paused);
   requestAnimationFrame(frame);
@@ -99,15 +106,10 @@ $("length").textContent = minutes(duration);
 $("scrub").addEventListener("input", () => seek($("scrub").value));
 $("speed").addEventListener("change", () => { for (const sound of sounds) sound.playbackRate = Number($("speed").value); });
 
-let looping = false;
-$("loop").addEventListener("click", () => press($("loop"), looping = !looping));
 const mute = loudness(
   (muted) => { for (const sound of sounds) sound.muted = muted; },
   (volume) => { for (const sound of sounds) sound.volume = volume; },
 );
-const fullScreen = () => (document.fullscreenElement ? document.exitFullscreen() : $("performance").requestFullscreen());
-$("full").hidden = !document.fullscreenEnabled;
-$("full").addEventListener("click", fullScreen);
 
 $("listen").hidden = sounds.length < 2;
 choice("data-sound", (name) => {
@@ -118,27 +120,14 @@ choice("data-sound", (name) => {
   if (playing) play();
 });
 const BEFORE_A_MISS = 0.7; // [s]
-$("misses")?.addEventListener("click", (event) => {
-  const row = event.target.closest("[data-time]");
-  if (!row) return;
-  seek(Number(row.dataset.time) - BEFORE_A_MISS);
+function goToNote(time) {
+  seek(time - BEFORE_A_MISS);
   $("performance").scrollIntoView({ block: "nearest" });
-});
+}
+if ($("misses")) listMisses($("misses"), data, goToNote);
+if ($("changes")) listChanges($("changes"), data, goToNote);
 
-const JUMP = 5, STEP = 0.5; // [s]
-const KEYS = {
-  " ": toggle, k: toggle, m: mute, f: () => document.fullscreenEnabled && fullScreen(),
-  j: () => seek(now() - JUMP), l: () => seek(now() + JUMP), home: () => seek(0), end: () => seek(duration),
-  arrowleft: (event) => seek(now() - (event.shiftKey ? JUMP : STEP)), arrowright: (event) => seek(now() + (event.shiftKey ? JUMP : STEP)),
-};
-document.addEventListener("keydown", (event) => {
-  const { target } = event, act = KEYS[event.key.toLowerCase()];
-  if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
-  if (target.matches("select, #volume")) return;
-  if (event.key === " " && target.matches("button, a, summary")) return;
-  act(event);
-  event.preventDefault();
-});
+listenToKeys({ toggle, mute, fill: fullScreen(), seek, now, end: () => duration });
 
 function redraw() {
   roll.draw();

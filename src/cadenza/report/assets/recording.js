@@ -14,11 +14,23 @@ function stateAt(time, dt, steps) {
 const LOUDEST_NOTE = 127; // MIDI velocity
 const fromBase64 = Uint8Array.fromBase64?.bind(Uint8Array) ?? ((text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)));
 
+const inflated = (text) => new Response(new Blob([fromBase64(text)]).stream().pipeThrough(new DecompressionStream("deflate")));
+
+/** What `packed_text` was given. */
+const unpackedText = (text) => inflated(text).text();
+
+/** Runs the libraries that the page has as `packed_asset` packs them. */
+async function loadLibraries() {
+  for (const library of document.querySelectorAll("script.library")) {
+    const script = document.createElement("script");
+    script.textContent = await unpackedText(library.textContent);
+    document.head.append(script);
+  }
+}
+
 /** What `packed` was given: numbers of the type `Numbers`, row by row. */
 async function unpacked(text, steps, Numbers) {
-  const deflated = new Blob([fromBase64(text)]).stream();
-  const inflated = new Response(deflated.pipeThrough(new DecompressionStream("deflate")));
-  const planes = new Uint8Array(await inflated.arrayBuffer());
+  const planes = new Uint8Array(await inflated(text).arrayBuffer());
   const size = Numbers.BYTES_PER_ELEMENT, count = planes.length / size, columns = count / steps;
   const patterns = new { 1: Uint8Array, 2: Uint16Array, 4: Uint32Array }[size](count);
   for (let column = 0, i = 0; column < columns; column++) {
@@ -36,19 +48,20 @@ async function unpacked(text, steps, Numbers) {
  *   angles (`keys` a row) of keys, 255 all the way down;
  *   notes that sounded: key, from and to [s], MIDI velocity;
  *   written: [beginning in s, MIDI velocity] of notes that should; onsetErrors: [beginning in s, error in ms];
+ *   fingers: [key, beginning in s, 0 for the right hand and 1 for the left, number from 1];
  *   rewards, by name, NaN where there is none;
  *   jointsAt(time): where the hands' joints are [m, rad].
- * `scene` is what `cadenza.model.drawing` says; `sound` is the address of an MP3 file, and `goal`
+ * `scene` is what `cadenza.model.drawing` says; `sound` is the address of a WebM file, and `goal`
  * that of another with what should have been played, or null.
  */
 async function readRecording(index = 0) {
   const { unit, joints, angles, states, pedal, rewards, notes: sounded, ...plain } =
-    JSON.parse(document.querySelectorAll(".recording")[index].textContent);
+    JSON.parse(await unpackedText(document.querySelectorAll(".recording")[index].textContent));
   const { dt, steps } = plain, read = (text, Numbers) => unpacked(text, steps, Numbers);
   const positions = await read(joints, Int32Array), width = positions.length / steps;
   const terms = {};
   for (const [name, text] of Object.entries(rewards)) terms[name] = await read(text, Float32Array);
-  const mp3 = (element) => element && URL.createObjectURL(new Blob([fromBase64(element.textContent)], { type: "audio/mpeg" }));
+  const addressOf = (element) => element && URL.createObjectURL(new Blob([fromBase64(element.textContent)], { type: "audio/webm" }));
   const played = sounded.map(([key, from, to, velocity]) => ({ key, from, to, velocity })), byKey = new Map();
   for (const note of played) byKey.set(note.key, [...(byKey.get(note.key) ?? []), note]);
   return {
@@ -62,8 +75,8 @@ async function readRecording(index = 0) {
     states: await read(states, Uint8Array),
     pedal: await read(pedal, Uint8Array),
     rewards: terms,
-    sound: mp3(document.querySelectorAll("script.sound")[index]),
-    goal: mp3(document.querySelectorAll("script.goal")[index] ?? null),
+    sound: addressOf(document.querySelectorAll("script.sound")[index]),
+    goal: addressOf(document.querySelectorAll("script.goal")[index] ?? null),
     jointsAt(time) {
       const { row, next, blend } = stateAt(time, dt, steps);
       return Array.from({ length: width }, (_, i) => {

@@ -93,16 +93,20 @@ function timeline(element, span, seek, pan) {
 
 const ROLL_WINDOW = 24; // [s] in sight at once of a longer piece, on a wide screen
 const ROLL_SCALE = 34; // [px] for each second, at least
+const FINGER = { size: 11, width: 8 }; // [px] of a number
 const BEYOND = 1; // [s] out of sight where what lasts longer is cut off
 const LOOKING_AROUND = 4000; // [ms] for which a roll that was shifted does not follow the cursor
 
 function createRoll(element, data, seek) {
   const canvas = element.querySelector("canvas"), { states, pedal, dt, steps, keys, lowest } = data, duration = steps * dt;
-  const used = new Set();
+  const used = new Set(), changes = changesOf(data);
+  for (const { key } of changes) if (key >= 0 && key < keys) used.add(key);
   states.forEach((state, i) => { if (state) used.add(i % keys); });
   const low = Math.max(Math.min(...used, 69 - lowest, keys - 1) - 1, 0), high = Math.min(Math.max(...used, 60 - lowest, 0) + 1, keys - 1);
   const row = Math.min(Math.max(340 / (high - low + 1), 7), 15);
-  const pedalHeight = pedal.some(Boolean) ? 24 : 0;
+  const pedalHeight = pedal.some(Boolean) ? 24 : 0, top = 4;
+  const words = canvas.dataset.words ??= canvas.getAttribute("aria-label");
+  if (changes.length) canvas.setAttribute("aria-label", `${words}; by the arrangement, ${changesInWords(changes)}`);
   let start = 0, length = duration, shiftedAt = -Infinity, time = 0;
   const span = () => [start, start + length];
   const point = timeline(element, span, seek, (seconds) => {
@@ -116,8 +120,14 @@ function createRoll(element, data, seek) {
     point(time);
   }
 
+  explainAtPointer(element, ({ clientX, clientY }) => {
+    const box = element.getBoundingClientRect(), key = high - Math.floor((clientY - box.top - top) / row);
+    const time = start + ((clientX - box.left - GUTTER) / (box.width - GUTTER)) * length;
+    return key < low || key > high || time < start ? "" : explanation(data, changes, key, time);
+  });
+
   function draw() {
-    const top = 4, bottom = top + (high - low + 1) * row, foot = bottom + pedalHeight;
+    const bottom = top + (high - low + 1) * row, foot = bottom + pedalHeight;
     const { context, width } = prepare(canvas, foot + 22);
     length = Math.min(duration, ROLL_WINDOW, (width - GUTTER) / ROLL_SCALE);
     start = Math.min(start, duration - length);
@@ -155,8 +165,27 @@ function createRoll(element, data, seek) {
     const put = ({ from, to, state }, up, height, loudness) => drawNote(context, state, colours, x(from), up, x(to) - x(from), height, loudness);
     const [from, to] = [start - BEYOND, start + length + BEYOND];
     notesBetween(data, from, to, (note) => put(note, y(note.key), row, (data.velocityOf?.(note) ?? LOUDEST_NOTE) / LOUDEST_NOTE));
+    for (const change of changes) {
+      if (change.to > from && change.from < to) drawChange(context, change, x(change.from), y(change.key), x(change.to) - x(change.from), row);
+    }
     notesBetween({ states: pedal, dt, steps, keys: 1 }, from, to, (press) => put(press, bottom + 8, 16));
+    drawFingers(context, width, x, (key) => y(key) + row / 2);
     context.restore();
+  }
+
+  /** Numbers before notes, in the colour of the hand; not where one would hide another. */
+  function drawFingers(context, width, x, y) {
+    const colours = [css("--right"), css("--left")], drawn = [];
+    Object.assign(context, { font: `600 ${FINGER.size}px system-ui, sans-serif`, textAlign: "right", lineJoin: "round", lineWidth: 2, strokeStyle: css("--card") });
+    for (const [key, time, hand, number] of data.fingers ?? []) {
+      const [right, middle] = [x(time) - 1, y(key)];
+      if (right < GUTTER + FINGER.width || right > width || key < low || key > high) continue;
+      if (drawn.some(([a, b]) => Math.abs(a - right) < FINGER.width && Math.abs(b - middle) < FINGER.size)) continue;
+      drawn.push([right, middle]);
+      context.fillStyle = colours[hand];
+      context.strokeText(number, right, middle);
+      context.fillText(number, right, middle);
+    }
   }
 
   return {

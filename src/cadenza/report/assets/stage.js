@@ -5,7 +5,9 @@ const VIEWS = { // from where the camera looks
   player: [0.5, 0, 0.87], close: [0.45, 0, 0.9], top: [0.005, 0, 1], audience: [-0.8, 0, 0.62], side: [-0.5, -0.8, 0.5],
 };
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
-const PALM = 0.3; // opacity of palms, which hide keys
+const FADED = 0.28; // opacity of a palm while it hides a key that sounds
+const ALONG_KEY = [-0.4, 0, 0.4, 0.8]; // halves of a key's length from its middle; two of these are to be seen
+const FADING = 0.15, APPEARING = 0.8; // [s] that a palm takes to fade, and to be solid again
 
 /** What draws WebGL here, such as the name of a graphics card; null where nothing does. */
 const graphics = lazily(() => {
@@ -36,16 +38,23 @@ function createStage(canvas, data, colours) {
 
   const hands = createHands(parts.skeleton);
   scene.add(hands.root);
+  const palms = new Map(); // the root of a hand -> its palm
+  const rootOf = (body) => parts.skeleton[body].parent < 0 ? body : rootOf(parts.skeleton[body].parent);
+  function put(solid, { body, palm }) {
+    (body < 0 ? scene : hands.bodies[body]).add(solid);
+    if (!palm) return;
+    if (!palms.has(rootOf(body))) palms.set(rootOf(body), createPalm());
+    palms.get(rootOf(body)).add(solid);
+  }
   for (const geom of parts.geoms) {
     const colour = new THREE.Color().setRGB(...geom.rgba.slice(0, 3), "srgb");
     const solid = mesh(geom.type, geom.size, colour, geom.finger === null ? 0.45 : 0.35);
     solid.position.fromArray(geom.pos);
     solid.quaternion.copy(quaternion(geom.quat));
     solid.renderOrder = geom.body < 0 ? 0 : 3;
-    const parent = geom.body < 0 ? scene : hands.bodies[geom.body];
-    parent.add(solid);
-    if (geom.palm) parent.add(seeThrough(solid));
+    put(solid, geom);
   }
+  for (const shell of parts.shells ?? []) put(hull(shell), shell); // earlier recordings have none
   const keys = parts.keys.map((key) => {
     const hinge = new THREE.Group();
     hinge.position.fromArray(key.hinge);
@@ -55,7 +64,7 @@ function createStage(canvas, data, colours) {
     scene.add(hinge.add(solid));
     const marked = key.black ? 0.85 : 1;
     return {
-      hinge, solid, axis: new THREE.Vector3(...key.axis), travel: key.travel, state: 0,
+      hinge, solid, half: key.size, axis: new THREE.Vector3(...key.axis), travel: key.travel, state: 0,
       colours: [solid.material.color.clone(), ...colours.map((c) => new THREE.Color(c).multiplyScalar(marked))],
     };
   });
@@ -74,19 +83,16 @@ function createStage(canvas, data, colours) {
   canvas.addEventListener("pointerdown", () => { controls.enableZoom = true; });
   canvas.addEventListener("pointerleave", () => { controls.enableZoom = false; });
   canvas.style.touchAction = "pan-y"; // a finger turns the picture sideways, and scrolls the page
-  let stale = true, view = "player", shown = -1;
+  let stale = true, view = "player", shown = -1, drawnAt = performance.now();
   controls.addEventListener("change", () => { stale = true; });
   controls.addEventListener("start", () => { view = null; });
 
-  const follow = lazily(() => whereTheHandsAre(data));
+  const follow = createFollower(data);
   /** What a view has to keep in sight: sides of a box, [m]. */
   function room() {
     const { min, max } = keyboard;
-    if (view === "close" && follow()) {
-      const { left, right } = follow(), { row, next, blend } = rowAt(Math.max(shown, 0), SAMPLES, left.length);
-      const at = (side) => side[row] + blend * (side[next] - side[row]);
-      return [min.x - 0.01, 0.1, at(left) - 0.03, at(right) + 0.03, min.z, 0.06];
-    }
+    const edges = view === "close" && follow(Math.max(shown, 0));
+    if (edges) return [min.x - 0.01, 0.1, edges.left - 0.03, edges.right + 0.03, min.z, 0.06];
     const [low, high] = inUse.map((key) => parts.keys[key].pos[1]);
     const box = [min.x - 0.03, 0.15, low - 0.015, high + 0.015, min.z, 0.06];
     if (falling.track.visible) [box[0], box[5]] = [falling.track.position.x - falling.end[0], falling.track.position.z + falling.end[1]];
@@ -145,6 +151,20 @@ function createStage(canvas, data, colours) {
     if (view === "close") place();
   }
 
+  const surface = ALONG_KEY.map(() => new THREE.Vector3());
+  /** Has palms that hide a key that sounds, or should, let one see it. */
+  function fade(seconds) {
+    scene.updateMatrixWorld();
+    const sounding = keys.filter(({ state }) => state);
+    for (const palm of palms.values()) {
+      const hidden = sounding.some(({ solid, half }) => {
+        surface.forEach((point, i) => solid.localToWorld(point.set(ALONG_KEY[i] * half[0], 0, half[2])));
+        return surface.filter((point) => palm.hides(point, camera.position)).length > 1;
+      });
+      stale = palm.fade(hidden, seconds) || stale;
+    }
+  }
+
   /** Draws flat, or in 3D where this browser can; returns whether it is flat now. */
   function setFlat(flat) {
     if (!flat && !solidRenderer) solidRenderer = createSolidRenderer(canvas, scene);
@@ -175,6 +195,9 @@ function createStage(canvas, data, colours) {
     /** Draws if anything changed. */
     draw() {
       controls.update();
+      const now = performance.now();
+      fade((now - drawnAt) / 1000);
+      drawnAt = now;
       if (!stale) return;
       stale = false;
       renderer.render(scene, camera);
@@ -196,41 +219,56 @@ function lazily(make) {
 const quaternion = ([w, x, y, z]) => new THREE.Quaternion(x, y, z, w);
 
 const SAMPLES = 0.2; // [s] between the poses of which a camera that follows the hands takes notice
+const REACTION = 0.4; // [s] over which it averages, before and after
+const FARTHEST = 6; // samples to either side; others would not count
 
 /**
- * At multiples of `SAMPLES`, the hands' left and right edge along the keyboard [m], smoothed; of a
- * hand that never reaches a key that sounds, nothing, if another does.
+ * Returns what says of a time [s] where the hands' left and right edges are along the keyboard [m],
+ * smoothed; of a hand that has reached no key that sounds, nothing, if another has. Null without hands.
  */
-function whereTheHandsAre({ scene, jointsAt, states, dt, steps }) {
-  const hands = createHands(scene.skeleton), at = new THREE.Vector3();
+function createFollower(data) {
+  const { scene, jointsAt, states, dt, steps } = data, hands = createHands(scene.skeleton), at = new THREE.Vector3();
   const rootOf = (body) => scene.skeleton[body].parent < 0 ? body : rootOf(scene.skeleton[body].parent);
-  const ofTips = [...new Set(scene.geoms.filter(({ finger }) => finger !== null).map(({ body }) => body))];
+  const ofTips = [...new Set([...scene.geoms, ...(scene.shells ?? [])].filter(({ finger }) => finger !== null).map(({ body }) => body))];
   const tips = [...new Set(ofTips.map(rootOf))].map((root) => ofTips.filter((body) => rootOf(body) === root));
-  const count = Math.ceil((steps * dt) / SAMPLES) + 1;
-  const edges = tips.map(() => ({ left: new Float32Array(count), right: new Float32Array(count), plays: false }));
-  for (let i = 0; i < count; i++) {
-    const { row } = rowAt(i * SAMPLES, dt, steps);
-    hands.pose(jointsAt(i * SAMPLES));
+  const edges = tips.map(() => ({ left: [], right: [], plays: false }));
+  let count = 0;
+  /** Takes notice of a pose. */
+  function sample() {
+    const time = count++ * SAMPLES, { row } = rowAt(time, dt, steps);
+    hands.pose(jointsAt(time));
     hands.root.updateMatrixWorld();
     tips.forEach((bodies, hand) => {
       const y = bodies.map((body) => at.setFromMatrixPosition(hands.bodies[body].matrixWorld).y);
       const left = Math.min(...y), right = Math.max(...y);
-      [edges[hand].left[i], edges[hand].right[i]] = [left, right];
-      const within = ({ pos }, key) => [HIT, WRONG].includes(states[row * scene.keys.length + key]) && pos[1] > left - 0.01 && pos[1] < right + 0.01;
+      edges[hand].left.push(left);
+      edges[hand].right.push(right);
+      const within = ({ pos }, key) => [HIT, WRONG, COMING].includes(states[row * scene.keys.length + key]) && pos[1] > left - 0.01 && pos[1] < right + 0.01;
       edges[hand].plays ||= scene.keys.some(within);
     });
   }
-  const playing = edges.some(({ plays }) => plays) ? edges.filter(({ plays }) => plays) : edges;
-  const outer = (side, choose) => smoothed(edges[0][side].map((_, i) => choose(...playing.map((hand) => hand[side][i]))), SAMPLES);
-  return playing.length ? { left: outer("left", Math.min), right: outer("right", Math.max) } : null;
-}
-
-/** Low-passed forwards and backwards, so that it is not late. */
-function smoothed(values, dt) {
-  const share = dt / (0.4 + dt), last = values.length - 1;
-  for (let i = 1; i <= last; i++) values[i] = values[i - 1] + share * (values[i] - values[i - 1]);
-  for (let i = last - 1; i >= 0; i--) values[i] = values[i + 1] + share * (values[i] - values[i + 1]);
-  return values;
+  /** The mean of a side around a sample, of which near ones count more. */
+  function around(middle, side, choose, playing) {
+    let sum = 0, weights = 0;
+    for (let i = Math.max(middle - FARTHEST, 0); i <= Math.min(middle + FARTHEST, count - 1); i++) {
+      const weight = Math.exp((-Math.abs(i - middle) * SAMPLES) / REACTION);
+      sum += weight * choose(...playing.map((hand) => hand[side][i]));
+      weights += weight;
+    }
+    return sum / weights;
+  }
+  return (time) => {
+    const end = Math.min(data.available ?? Infinity, steps * dt); // of what has come
+    while (count * SAMPLES <= end) sample();
+    const playing = edges.some(({ plays }) => plays) ? edges.filter(({ plays }) => plays) : edges;
+    if (!playing.length) return null;
+    const { row, next, blend } = rowAt(time, SAMPLES, count);
+    const edge = (side, choose) => {
+      const [from, to] = [row, next].map((middle) => around(middle, side, choose, playing));
+      return from + blend * (to - from);
+    };
+    return { left: edge("left", Math.min), right: edge("right", Math.max) };
+  };
 }
 
 function mesh(type, size, colour, roughness) {
@@ -248,17 +286,71 @@ function mesh(type, size, colour, roughness) {
   return solid;
 }
 
-/** Makes `solid` translucent; what it returns keeps parts that overlap from adding up. */
-function seeThrough(solid) {
-  const { color, roughness } = solid.material;
-  const veil = new THREE.Mesh(solid.geometry, new THREE.MeshStandardMaterial({ color, roughness, colorWrite: false }));
-  veil.position.copy(solid.position);
-  veil.quaternion.copy(solid.quaternion);
-  veil.renderOrder = 4; // after all that is solid, so that it shows through
-  Object.assign(solid.material, { transparent: true, opacity: PALM });
-  solid.castShadow = false;
-  return veil;
+/**
+ * The convex hull of a shell's balls: of a globe's grid of directions, each vertex is the point
+ * that lies farthest in its direction, which is also its normal.
+ */
+function hull({ balls, rgba, roughness, metalness }) {
+  const geometry = new THREE.SphereGeometry(1, 28, 18);
+  const { position } = geometry.attributes, direction = new THREE.Vector3(), centre = new THREE.Vector3();
+  for (let i = 0; i < position.count; i++) {
+    direction.fromBufferAttribute(position, i);
+    const far = balls.map(([x, y, z, radius]) => direction.dot(centre.set(x, y, z)) + radius);
+    const [x, y, z, radius] = balls[far.indexOf(Math.max(...far))];
+    position.setXYZ(i, x + radius * direction.x, y + radius * direction.y, z + radius * direction.z);
+  }
+  const colour = new THREE.Color().setRGB(...rgba.slice(0, 3), "srgb");
+  const solid = new THREE.Mesh(geometry, new THREE.MeshStandardMaterial({ color: colour, roughness, metalness }));
+  solid.castShadow = solid.receiveShadow = true;
+  solid.renderOrder = 3;
+  solid.userData = { type: "hull", balls };
+  return solid;
 }
+
+/** The solids of a palm, which become translucent together. */
+function createPalm() {
+  const solids = [], [ray, across, upwards, centre] = [0, 1, 2, 3].map(() => new THREE.Vector3());
+  let opacity = 1;
+  return {
+    add(solid) {
+      const veil = new THREE.Mesh(solid.geometry, new THREE.MeshStandardMaterial({ colorWrite: false })); // what overlaps does not add up
+      veil.renderOrder = 4; // after all that is solid, so that it shows through
+      veil.visible = false;
+      solid.add(veil);
+      solids.push({ solid, veil });
+    },
+    /** Whether it lies between a point and the eye: seen along the line, hulls are around it on all sides. */
+    hides(point, eye) {
+      ray.copy(eye).sub(point).normalize();
+      across.set(-ray.y, ray.x, 0).normalize();
+      upwards.copy(ray).cross(across);
+      return solids.some(({ solid }) => {
+        const circles = (solid.userData.balls ?? [[0, 0, 0, solid.userData.size[0]]]).map(([x, y, z, radius]) => {
+          solid.localToWorld(centre.set(x, y, z)).sub(point);
+          return centre.dot(ray) > 0 ? [centre.dot(across), centre.dot(upwards), radius] : null;
+        }).filter(Boolean);
+        return circles.length && DIRECTIONS.every(([c, s]) => circles.some(([x, y, radius]) => c * x + s * y + radius > 0));
+      });
+    },
+    /** Goes towards being faded or not for some seconds; returns whether that changes anything. */
+    fade(faded, seconds) {
+      const goal = faded ? FADED : 1, most = ((1 - FADED) * seconds) / (faded ? FADING : APPEARING);
+      const next = opacity + Math.max(-most, Math.min(most, goal - opacity));
+      if (next === opacity) return false;
+      opacity = next;
+      for (const { solid, veil } of solids) {
+        const transparent = opacity < 1;
+        const needsUpdate = transparent !== solid.material.transparent; // another shader
+        Object.assign(solid.material, { transparent, opacity, needsUpdate });
+        solid.renderOrder = transparent ? 5 : 3;
+        solid.castShadow = !transparent;
+        veil.visible = transparent;
+      }
+      return true;
+    },
+  };
+}
+const DIRECTIONS = Array.from({ length: 12 }, (_, i) => [Math.cos((Math.PI * i) / 6), Math.sin((Math.PI * i) / 6)]);
 
 /** What the simulation leaves out: the bed under the keys, two cheeks, and a floor for shadows. */
 function furniture(keyboard) {

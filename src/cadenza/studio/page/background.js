@@ -56,7 +56,7 @@ function curveOfF1(points) {
 }
 /** Returns the item of a song that another page asked for, which may have been closed: anybody can end it. */
 function jobItem({ id, title, status: { state } }) {
-  const doing = { queued: "waits for its turn", preparing: "getting ready", playing: "being planned" }[state] ?? "being kept";
+  const doing = { queued: "waits for its turn", preparing: "getting ready", playing: "being planned" }[state] ?? "writing its files";
   return taskItem(`Playing ${title}`, doing, [], [["Watch", () => watch([id])], ["Cancel", () => fetchJson(`api/jobs/${id}`, "DELETE")]]);
 }
 function practiceItem({ title, request: wanted, status: { state, f1: values = [], note_onset_f1: onsets = [], share = 0, error } }) {

@@ -3,7 +3,7 @@
 const VOLUME = 0.25; // of a note struck as hard as can be, at full volume of the page
 const PAN = 0.45; // of the outermost keys; 1 is one side only
 const UNDAMPED = 0.3; // [s] in which a key without a damper fades by 1/e, when it is lifted
-const FADED = 8; // times 1/e, which cannot be heard any more
+const INAUDIBLE = 8; // times 1/e, which cannot be heard any more
 const LONGEST = 10; // [s]: no tone is longer
 const LOUDEST_SAMPLE = 32767, LOUDEST_VELOCITY = 127;
 
@@ -35,7 +35,7 @@ function createInstrument() {
     note.damped = at;
     const fade = key + recording.lowest > settings.last_damper ? UNDAMPED : settings.damping;
     note.gain.gain.setTargetAtTime(0, at, fade);
-    note.source.stop(at + FADED * fade);
+    note.source.stop(at + INAUDIBLE * fade);
   }
   /** A key that bounces goes on: its damper has not fallen. */
   function undamp(key) {

@@ -1,23 +1,27 @@
 // Songs to choose from, and how they are to be played.
 
-const OPTIONS = ["agent", "hand", "tempo", "transpose", "seed"], NUMBERS = ["tempo", "transpose", "seed"];
+const OPTIONS = ["agent", "hand", "hands", "tempo", "transpose", "seed"], NUMBERS = ["tempo", "transpose", "seed"];
+const HARDEST = 10; // level
 const SWITCHES = ["plain", "expression"];
 const MAX_LISTED = 200; // songs at once
 const MAX_SENT = 5 << 20; // bytes of a file: more than the server takes, of which it says so
 const SONG_GONE = "This song is not here any more. Choose another, or drop its file again.";
-let agentTexts = {}; // by id: title, and what it does
-let songs = [], chosen = null, only = null; // the one performance that can be watched
+let agentTexts = {}, handTitles = {}; // by id: title, and of agents what they do
+let songs = [], first = "", chosen = null; // songs, and the one that the page opens with
+let only = null; // the one performance that can be watched
 
 async function listSongs() {
-  const { songs: found, agents, hands, only: one = null } = await fetchJson("api/songs");
-  [songs, only] = [found, one];
+  const { songs: found, agents, hands, first: opening = "", only: one = null } = await fetchJson("api/songs");
+  [songs, first, only] = [found, opening, one];
   document.body.classList.toggle("one", only !== null);
   agentTexts = agents;
   fillSelect("agent", Object.fromEntries(Object.entries(agents).map(([id, [name]]) => [id, name])));
+  handTitles = hands;
   fillSelect("hand", hands);
   showAgent();
   showSongs();
 }
+const showLevel = () => { $("level").disabled = !$("arrange").checked; };
 const showAgent = () => { $("about").textContent = agentTexts[$("agent").value]?.[1] ?? ""; };
 /** Returns the title of an agent. */
 const nameOfAgent = (agent) => agentTexts[agent]?.[0] ?? agent;
@@ -80,6 +84,8 @@ function playRequest() {
   if (wrong) throw new Refusal(`${wrong[0].toUpperCase()}${wrong.slice(1)}: ${$(wrong).validationMessage}`);
   for (const name of OPTIONS) wanted[name] = NUMBERS.includes(name) ? Number($(name).value) : $(name).value;
   for (const name of SWITCHES) wanted[name] = $(name).checked;
+  wanted.arrange = $("arrange").checked ? "auto" : "off";
+  wanted.level = $("arrange").checked && $("level").value ? Number($("level").value) : null;
   const boxes = [...$("tracks").querySelectorAll("input")], on = boxes.filter((box) => box.checked);
   if (boxes.length && !on.length) throw new Refusal("Choose at least one of the tracks.");
   if (on.length < boxes.length) wanted.tracks = on.map((box) => Number(box.value));
@@ -95,6 +101,9 @@ function setOptions(wanted) {
   }
   for (const name of OPTIONS) if (wanted[name] !== undefined) $(name).value = wanted[name];
   for (const name of SWITCHES) if (wanted[name] !== undefined) $(name).checked = wanted[name];
+  if (wanted.arrange !== undefined) $("arrange").checked = wanted.arrange !== "off";
+  if (wanted.level !== undefined) $("level").value = wanted.level ?? "";
+  showLevel();
   showAgent();
   const tracks = wanted.tracks ?? [];
   if (tracks.length) for (const box of $("tracks").querySelectorAll("input")) box.checked = tracks.includes(Number(box.value));
@@ -105,10 +114,11 @@ function setOptionsToPlay(wanted) {
   if (!chosen) showError(SONG_GONE);
 }
 /** Returns what a link has after its #. */
-const toHash = (wanted) => new URLSearchParams(Object.entries(wanted).map(([name, value]) => [name, String(value)])).toString();
+const toHash = (wanted) => new URLSearchParams(Object.entries(wanted).map(([name, value]) => [name, String(value ?? "")])).toString();
 function fromHash() {
   const wanted = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
   for (const name of SWITCHES) if (wanted[name]) wanted[name] = wanted[name] === "true";
+  if (wanted.level !== undefined) wanted.level = Number(wanted.level) || null;
   if (wanted.tracks) wanted.tracks = wanted.tracks.split(",").map(Number);
   return wanted;
 }

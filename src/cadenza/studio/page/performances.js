@@ -1,6 +1,6 @@
 // Kept performances, to watch again, compare and download.
 
-const FILE_TITLES = { "report.html": "Report", "video.mp4": "Video", "played.mid": "MIDI", "wanted.mid": "Wanted MIDI" };
+const FILE_TITLES = { "report.html": "Report", "video.mp4": "Film", "played.mid": "MIDI", "wanted.mid": "Wanted MIDI" };
 const FILE_NAMES = { "wanted.mid": ", as wanted" }; // after the title, where two files have the same ending
 
 async function listPerformances() {
@@ -33,9 +33,9 @@ async function deletePerformance({ id, title }) {
 }
 
 /** Shows a performance beside the current one. */
-function compare({ id, title, request: { song, tempo, plain, expression } }) {
-  const other = shown[0], alike = other?.request?.song === song && other.request.tempo === tempo && other.request.plain === plain && other.request.expression === expression;
-  if (!alike) return showError(`First watch another performance of ${title} at the same tempo${expression ? ", with expression" : ""}, then press Compare here.`);
+function compare({ id, title, request: wanted }) {
+  const other = shown[0], alike = ["song", "tempo", "plain", "expression", "arrange", "level"].every((name) => other?.request?.[name] === wanted[name]);
+  if (!alike) return showError(`First watch another performance of ${title} at the same tempo${wanted.expression ? ", with expression" : ""}${wanted.level ? `, at level ${wanted.level}` : ""}, then press Compare here.`);
   if (other.id === id) return showError("This is the performance that is shown. Press Compare at another of the same song.");
   instrument.wake();
   showBeside(id);

@@ -1,6 +1,6 @@
 // Plays a performance, or two side by side and in step, of which one is heard: the current one.
 
-const instrument = createInstrument(), looks = createLooks();
+const instrument = createInstrument(), looks = createLooks(), isLooping = looping();
 // [s] that are planned ahead before it plays: `FAST_LEAD` where planning is `FAST` times faster than the
 // music, `SHORT_LEAD` when the visitor has waited for `LATE_START` [s], and twice as much as before, up to
 // `LONGEST_LEAD`, each time that planning falls behind.
@@ -16,8 +16,9 @@ const END_NOTICES = {
   failed: "Drop another file, or choose a piece.",
   gone: "This performance is not there any more. Press Play to have it played again.",
 };
-let shown = [], current = null, stage = null, roll = null;
+let shown = [], current = null, stage = null, roll = null, score = null;
 let numChoices = 0; // how often something has been chosen to be shown
+let speed = 1;
 let running = false, paused = false, resumeAt = 0, nextRow = 0, scoresDrawnAt = 0, askedAt = 0, nextFrame = 0;
 
 // The clock is that of the sound where there is one, else wall time.
@@ -27,14 +28,22 @@ function now() {
   if (!running) return position;
   const better = instrument.isSuspended ? wallTime : audioTime;
   if (better !== clock) {
-    if (clock === wallTime) position += wallTime() - clockStart; // an audio clock that stands has nothing to add
+    if (clock === wallTime) position += speed * (wallTime() - clockStart); // an audio clock that stands has nothing to add
     [clock, clockStart] = [better, better()];
   }
-  return position + (clock() ?? clockStart) - clockStart;
+  return position + speed * ((clock() ?? clockStart) - clockStart);
 }
 function startClock() {
   clock = instrument.isSuspended ? wallTime : audioTime;
   [running, clockStart, nextRow] = [true, clock(), firstRow(position)];
+}
+function setSpeed(chosen) {
+  const at = now();
+  speed = chosen;
+  if (!running) return;
+  instrument.silence(); // what was scheduled is due at other times now
+  position = at;
+  startClock();
 }
 function stopClock(at) {
   position = at;
@@ -69,6 +78,7 @@ function overrideNotice(text) {
 /** Shows performances, by their ids, from a time on [s]. */
 function watch(ids, at = 0) {
   numChoices++;
+  $("first").hidden = true;
   for (const each of shown) each.close();
   instrument.silence();
   clearPicture();
@@ -82,10 +92,12 @@ function watch(ids, at = 0) {
 }
 /** Clears what belongs to the performance shown before. */
 function showNothing() {
-  roll = null;
+  roll = score = null;
+  $("score").hidden = $("show-score").hidden = true;
   document.title = $("title").textContent = $("title").title = "Cadenza studio";
   $("facts").replaceChildren();
   $("roll-card").hidden = $("looks").hidden = document.querySelector("#stage .legend").hidden = true;
+  for (const card of document.querySelectorAll(".explained")) card.hidden = true;
   for (const id of ["clock", "length"]) $(id).textContent = minutes(0);
   Object.assign($("scrub"), { max: 1, value: 0 });
   for (const part of ["planned", "heard"]) $("scrub").style.setProperty(`--${part}`, "0%");
@@ -100,13 +112,16 @@ function bringIntoView() { // the picture, and what is above it where there is r
 }
 const showLink = () => history.replaceState(null, "", `#job=${shown.map(({ id }) => id).join()}`);
 
-/** Shows what has changed of a performance: its "status", "request" or "recording". */
+/** Shows what has changed of a performance: its "status", "request", "recording", "engraving" or "misses". */
 function changed(performance, what) {
+  if (what === "misses" && performance === current) showExplanations();
   if (what === "status") showStatus(performance);
   if (what === "request" && performance === current) showRequest(performance);
+  if (what === "engraving" && performance === current) showScore();
   if (what === "recording" && recordings().every(Boolean)) {
     createPicture();
     listenTo(current);
+    bringIntoView(); // what is above it may be higher now, and so may be the picture
   }
 }
 function showStatus(performance) {
@@ -135,15 +150,31 @@ function showRequest({ title, request: wanted }) {
   document.title = `${title} · Cadenza studio`;
   showFacts(current);
 }
-/** Shows who plays, and what of the song is not played. */
-function showFacts({ request: wanted, status: { remarks = [] } }) {
-  const facts = [`Played by ${howPlayed(wanted)}`, ...remarks];
+/** Shows who plays, and what of the song is not played; what is the file's is said below the list of songs. */
+function showFacts({ request: wanted, recording, status: { remarks = recording?.remarks ?? [] } }) {
+  const facts = [`Played by ${howPlayed(wanted)}`, ...remarks.filter((remark) => !chosen?.remarks?.includes(remark))];
   $("facts").replaceChildren(...facts.map((fact) => make("span", fact)));
 }
 /** Returns who plays, and the options that are not the usual ones. */
-function howPlayed({ agent, hand, seed, tempo, transpose, plain, expression }) {
-  const parts = [nameOfAgent(agent), hand !== "shadow" && hand, transpose && `${transpose > 0 ? "+" : "−"}${Math.abs(transpose)} semitones`, tempo !== 1 && `${tempo}×`, plain && "without its signs", expression && "with expression", seed && `seed ${seed}`];
+function howPlayed({ agent, hand, hands = "both", seed, tempo, transpose, plain, expression, arrange, level }) {
+  const parts = [nameOfAgent(agent), hand !== "shadow" && (handTitles[hand] ?? hand), hands !== "both" && (hands === "written" ? "hands as written" : `${hands} hand`), arrange === "off" && "as written", level && `level ${level}`, transpose && `${transpose > 0 ? "+" : "−"}${Math.abs(transpose)} semitones`, tempo !== 1 && `${tempo}×`, plain && "without its signs", expression && "with expression", seed && `seed ${seed}`];
   return parts.filter(Boolean).join(" · ");
+}
+
+/** Says why notes were missed, and what an arrangement changed. */
+function showExplanations() {
+  const { misses, arrangement } = current.recording;
+  for (const [id, list, rows] of [["misses", listMisses, misses], ["changes", listChanges, arrangement]]) {
+    $(id).closest(".card").hidden = !rows.length;
+    list($(id), current.recording, goToNote);
+  }
+  $("misses-title").textContent = `Notes missed or let go early: ${misses.length}`;
+  for (const part of document.querySelectorAll(".legend .arranged")) part.hidden = !arrangement.length;
+}
+const BEFORE_A_NOTE = 0.7; // [s]
+function goToNote(time) {
+  seek(time - BEFORE_A_NOTE);
+  bringIntoView();
 }
 
 /** Has one of the performances be heard, and shows its roll and scores. */
@@ -154,6 +185,7 @@ function listenTo(performance) {
   instrument.setRecording(current.recording);
   nextRow = firstRow(now());
   showRequest(current);
+  showExplanations();
   $("length").textContent = minutes(duration());
   $("scrub").max = duration();
   $("roll-card").hidden = $("looks").hidden = document.querySelector("#stage .legend").hidden = false;
@@ -163,7 +195,20 @@ function listenTo(performance) {
   roll.draw();
   for (const each of shown) if (each.listen) press(each.listen, each === current);
   cadenza.shownFinished = null;
+  showScore();
 }
+/** Shows the score of what is heard, if it has one yet. */
+async function showScore() {
+  const { recording } = current, engraving = recording.engraving && await readEngraving(recording.engraving);
+  if (recording !== current?.recording) return;
+  const old = $("score"), fresh = old.cloneNode(false);
+  old.replaceWith(fresh);
+  $("show-score").hidden = !engraving;
+  fresh.hidden = !engraving || !isPressed($("show-score"));
+  score = engraving && createScore(fresh, engraving, recording, seek);
+  score?.move(now());
+}
+$("show-score").addEventListener("click", toggleScore);
 
 function clearPicture() {
   stage?.end();
@@ -172,21 +217,35 @@ function clearPicture() {
 }
 function createPicture() {
   clearPicture();
-  const colours = VERDICTS.map((name) => css("--" + name));
-  stage = combineStages(shown.map((performance) => {
-    const half = make("div", "", { className: "half" }), canvas = make("canvas", "", { className: "view", tabIndex: 0 });
-    canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", "The hands over the keyboard: drag to turn, wheel to zoom after a click");
-    const seen = make("div", "", { className: "seen" });
-    seen.append(canvas);
-    half.append(seen);
-    if (shown.length > 1) half.append(caption(performance));
-    $("halves").append(half);
-    return createStage(canvas, performance.recording, colours);
-  }));
+  stage = combineStages(shown.map((performance) => addPicture(performance.recording, shown.length > 1 && caption(performance))));
   looks.show(stage);
   stage.move(now());
-  if (shown.length > 1) bringIntoView(); // it is higher now
+}
+/** Adds a picture of a recording, with a caption if there is one, and returns its stage. */
+function addPicture(recording, caption) {
+  const half = make("div", "", { className: "half" }), canvas = make("canvas", "", { className: "view", tabIndex: 0 });
+  canvas.setAttribute("role", "img");
+  canvas.setAttribute("aria-label", "The hands over the keyboard: drag to turn, wheel to zoom after a click");
+  const seen = make("div", "", { className: "seen" });
+  seen.append(canvas);
+  half.append(seen);
+  if (caption) half.append(caption);
+  $("halves").append(half);
+  return createStage(canvas, recording, VERDICTS.map((name) => css("--" + name)));
+}
+/** Shows hands that are ready to play a song, until something is chosen. */
+async function showOpening() {
+  choose(first);
+  $("first").textContent = `▶ ${$("start").textContent}`;
+  $("first").hidden = !chosen;
+  $("play").disabled = !chosen;
+  const picture = await fetchJson("api/opening"), recording = picture && await createStreamedRecording(picture);
+  if (!picture || numChoices || shown.length) return;
+  stage = addPicture(recording);
+  looks.show(stage);
+  stage.move(0);
+  $("looks").hidden = false;
+  showNotice(notice[0], null, null, true);
 }
 /** Returns a bar with who plays, the scores, and a button to listen to it. */
 function caption(performance) {
@@ -224,9 +283,9 @@ function showOnly(performance) {
 
 /** Returns how much has to be planned ahead before it plays [s]. */
 function requiredLead() {
-  if (cadenza.waits) return Math.min(LEAD * 2 ** cadenza.waits, LONGEST_LEAD);
-  if (wallTime() > askedAt + LATE_START) return SHORT_LEAD;
-  return shown.every(({ pace }) => pace > FAST) ? FAST_LEAD : LEAD;
+  if (cadenza.waits) return Math.min(speed * LEAD * 2 ** cadenza.waits, LONGEST_LEAD);
+  if (wallTime() > askedAt + LATE_START) return speed * SHORT_LEAD;
+  return speed * (shown.every(({ pace }) => pace > speed * FAST) ? FAST_LEAD : LEAD);
 }
 
 /** Plays while something is planned ahead, and shows what it waits for. */
@@ -237,8 +296,9 @@ function updatePlayback() {
   const end = available();
   if (running && now() >= end) {
     stopClock(end);
-    if (isComplete()) finish();
-    else cadenza.waits++;
+    if (!isComplete()) cadenza.waits++;
+    else if (isLooping()) seek(0);
+    else finish();
   }
   if (running) showNotice(instrument.isSuspended ? "Click anywhere for sound" : "", null, null, true);
   else if (!paused && !cadenza.finished) playWhenReady(end);
@@ -277,6 +337,7 @@ function seek(time) {
   if (!running) showNotice("");
 }
 function togglePlay() {
+  if (!shown.length && chosen) return playChosen();
   if (!isReady()) return;
   instrument.wake();
   if (cadenza.finished) {
@@ -300,12 +361,12 @@ function scheduleSound() {
     return;
   }
   const audio = instrument.time;
-  for (; nextRow < recording.rows && nextRow * recording.dt < time + SOUND_AHEAD; nextRow++) {
-    const timeOf = (moment) => Math.max(audio + moment - time, audio);
+  for (; nextRow < recording.rows && nextRow * recording.dt < time + speed * SOUND_AHEAD; nextRow++) {
+    const timeOf = (moment) => Math.max(audio + (moment - time) / speed, audio);
     instrument.playRow(nextRow, timeOf);
     for (let key = 0; key < recording.keys; key++) {
       const moment = recording.changedAt(nextRow, key);
-      if (recording.velocity(nextRow, key)) cadenza.strikes.push([moment, key, timeOf(moment) - audio + time]);
+      if (recording.velocity(nextRow, key)) cadenza.strikes.push([moment, key, speed * (timeOf(moment) - audio) + time]);
     }
   }
 }
@@ -316,7 +377,8 @@ function frame(time) {
   // Without a graphics card, fewer pictures leave more of the machine to who plans.
   if (!stage || (stage.flat && !isComplete() && time < nextFrame)) return;
   nextFrame = Math.max(Math.min(nextFrame, time) + FRAME_INTERVAL, time);
-  show(now());
+  if (shown.length) show(now());
+  else stage.draw();
 }
 function show(time) {
   const fresh = recordings().map((recording) => recording.show(time)).includes(true);
@@ -324,6 +386,7 @@ function show(time) {
   stage.move(time);
   stage.draw();
   roll.move(time);
+  score?.move(time);
   if ((fresh && performance.now() - scoresDrawnAt > SCORES_INTERVAL) || cadenza.finished !== cadenza.shownFinished) {
     [scoresDrawnAt, cadenza.shownFinished] = [performance.now(), cadenza.finished];
     roll.draw();

@@ -1,11 +1,6 @@
 // Requests to the server, and errors on the page.
 
 const cadenza = window.cadenza = { ready: false, error: null, state: "idle", time: 0, strikes: [], waits: 0 };
-function make(name, text = "", attributes = {}) {
-  const element = Object.assign(document.createElement(name), attributes);
-  element.textContent = text;
-  return element;
-}
 /** Returns a button whose label says to screen readers what it acts on. */
 function labelledButton(name, label, run) {
   const button = make("button", name, { type: "button" });

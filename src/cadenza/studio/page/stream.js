@@ -39,7 +39,9 @@ function createPerformance(id, changed) {
     if (message.state === "full") return showError(serverError = message.error);
     if (cadenza.error === serverError) clearError();
     if (message.state) [performance.status, what] = [message, "status"];
+    else if (message.misses && !message.dt) [performance.recording.misses, what] = [message.misses, "misses"];
     else if (message.request) [what] = ["request", Object.assign(performance, message)];
+    else if (message.engraving && !message.dt) [performance.recording.engraving, what] = [message.engraving, "engraving"];
     else if (performance.recording) return performance.recording.restart(); // sent again
     else performance.recording = await createStreamedRecording(message);
     if (!closed) changed(performance, what);
@@ -92,6 +94,10 @@ async function createStreamedRecording(about) {
   const pedalDown = (row) => bytes[row * size + pedalAt] > 0;
   return {
     dt, steps, keys, lowest, scene, sound, angles, states, pedal,
+    /** The score, once it is engraved, see `readEngraving`. */
+    engraving: about.engraving ?? null,
+    /** What of the song is not played, what became of each note, and why notes were missed, once that is known. */
+    remarks: about.remarks ?? [], arrangement: about.arrangement ?? [], misses: about.misses ?? [],
     /** Rows that have come. */
     get rows() { return rows(); },
     /** Up to when it can be played [s]. */

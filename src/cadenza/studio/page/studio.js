@@ -2,7 +2,11 @@
 
 $("search").addEventListener("input", showSongs);
 $("agent").addEventListener("change", showAgent);
-$("start").addEventListener("click", playChosen);
+const levels = Array.from({ length: HARDEST }, (_, i) => make("option", i + 1));
+$("level").append(make("option", "as hard as it can be", { value: "" }), ...levels);
+$("arrange").addEventListener("change", showLevel);
+for (const id of ["start", "first"]) $(id).addEventListener("click", playChosen);
+$("speed").addEventListener("change", () => setSpeed(Number($("speed").value)));
 $("train").addEventListener("click", train);
 let stopListening = null;
 $("keyboard").hidden = !navigator.requestMIDIAccess && isSecureContext; // it knows none
@@ -42,19 +46,7 @@ for (const name of ["dragenter", "dragover", "dragleave", "drop"]) {
 document.addEventListener("pointerdown", () => { if (shown.length) instrument.wake(); });
 $("scrub").addEventListener("input", () => seek(Number($("scrub").value)));
 
-const STEP = 0.5, JUMP = 5; // [s]
-const SHORTCUTS = {
-  " ": togglePlay, k: togglePlay, m: mute, j: () => seek(now() - JUMP), l: () => seek(now() + JUMP),
-  arrowleft: () => seek(now() - STEP), arrowright: () => seek(now() + STEP),
-};
-document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input:not(#scrub), select, textarea")) return;
-  if (event.key === " " && event.target.matches("button, a, summary")) return;
-  const run = SHORTCUTS[event.key.toLowerCase()];
-  if (!run) return;
-  run();
-  event.preventDefault();
-});
+listenToKeys({ toggle: togglePlay, mute, fill: fullScreen(), seek, now, end: available });
 
 /** Opens what the address asks for: performances, or a song and how it is to be played. */
 function openFromAddress() {
@@ -65,7 +57,7 @@ function openFromAddress() {
   } else if (wanted.song) {
     setOptionsToPlay(wanted);
     $("more").open = true;
-  }
+  } else if (!shown.length) return showOpening();
 }
 
 await listSongs();

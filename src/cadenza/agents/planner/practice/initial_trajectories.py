@@ -74,7 +74,8 @@ class InitialTrajectories:
         self._chunk, self._max_delay = steps_in(_CHUNK, dt), steps_in(_MAX_DELAY, dt)
         # Costs that find other fingers; steps by which releases are delayed; None follows the best
         # of all trajectories, spliced together.
-        self._schedule: list[Costs | int | None] = [*OTHER_COSTS] if found else []
+        refingers = found and track.config.fingering != "human"
+        self._schedule: list[Costs | int | None] = [*OTHER_COSTS] if refingers else []
         self._schedule.append(None)
         for delay in range(1, self._max_delay + 1):
             self._schedule += [delay, None]

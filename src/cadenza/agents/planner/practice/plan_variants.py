@@ -70,8 +70,9 @@ class SplicedTrajectory(NamedTuple):
 
     def with_fingers_by(self, costs: Costs) -> Variant:
         """The variant with the fingers that these `costs` choose where something is lost."""
-        bare = self.track.score.without_fingers()
-        found, _ = find_fingering(bare, players_of(self.track.scene), costs=costs)
+        bare, players = self.track.score.without_fingers(), players_of(self.track.scene)
+        as_written = self.track.config.hands_as_written
+        found, _ = find_fingering(bare, players, costs=costs, as_written=as_written)
         other = self.variant._replace(fingers=fingers_in(replace(self.track, score=found)))
         loss = self.trajectory.loss
         return self._merged(other, lambda passage: bool(loss[passage].any()))[0]

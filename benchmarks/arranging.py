@@ -1,0 +1,132 @@
+"""Measures how much of songs is arranged for two hands, and how well the planner plays it.
+
+    python -m benchmarks.arranging [SONG ...] [--bands N] [--seed S] [--begin S] [--seconds S]
+
+Prints a table in Markdown, a row as soon as a song is done, and the means. SONG is a file or a
+name; `--bands` are so many songs for a band, made with the seeds S, S + 1 and so on, whose melody
+and bass are known; of others they are those that are found. The whole song is arranged, and an
+excerpt played.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.arguments import one_or_more, parser_for
+from cadenza.arranging.fidelity import pitch_classes
+from cadenza.arranging.moments import beats_of, merged
+from cadenza.arranging.parts import parts_of
+from cadenza.errors import errors_in_a_line
+from cadenza.music.arrangement import Arrangement
+from cadenza.music.etudes.band import band_score, make_band
+from cadenza.music.libraries.library import load_score
+from cadenza.music.performance import played_in
+from cadenza.music.score import OCTAVE, Note, Score
+from cadenza.performing.arranging import HandArrangement, arrange
+from cadenza.performing.performance import perform
+from cadenza.performing.setup import select, set_up
+from cadenza.scene.scene import build_scene
+
+IN_TIME = 0.08  # [s] within which a note of melody or bass counts as played
+COLUMNS = (
+    *("F1", "note onsets", "F1 of the original", "melody played", "bass played"),
+    *("pitch classes", "grade", "arranging [s]"),
+)
+
+
+def excerpt(notes: Sequence[Note], begin: float, seconds: float) -> tuple[Note, ...]:
+    """The notes that begin within a time, cut at its end, on its clock."""
+    end = begin + seconds
+    inside = (note for note in notes if begin <= note.start < end - IN_TIME)
+    return tuple(replace(n, start=n.start - begin, end=min(n.end, end) - begin) for n in inside)
+
+
+def share(wanted: Sequence[Note], played: Sequence[Note], octaves: bool) -> float:
+    """The share of notes that are played in time, or 1 if there are none."""
+    modulus = OCTAVE if octaves else OCTAVE**3
+
+    def is_there(note: Note) -> bool:
+        return any(
+            abs(each.start - note.start) <= IN_TIME and not (each.pitch - note.pitch) % modulus
+            for each in played
+        )
+
+    return float(np.mean([is_there(note) for note in wanted])) if wanted else 1.0
+
+
+def measure(
+    score: Score, melody: Sequence[Note], bass: Sequence[Note], begin: float, seconds: float
+) -> tuple[float, ...]:
+    """The values of `COLUMNS` for a song of which melody and bass are known."""
+    started = time.process_time()
+    found = arrange(score, Arrangement(), build_scene())
+    took = time.process_time() - started
+    begin = min(begin, max(score.total_time - seconds, 0.0))
+    part = Score(excerpt(found.arranged.score.notes, begin, seconds))
+    original = Score(excerpt(score.notes, begin, seconds))
+    with set_up(select(part)) as setup:
+        performance, track = perform(setup), setup.task.tracks[0]
+    arranged = replace(found.arranged, score=part)
+    against = HandArrangement(original, arranged, found.hands).metrics(performance.episode, track)
+    delay = track.silent_steps * track.config.control_timestep - part.notes[0].start
+    notes = [
+        replace(note, start=note.start - delay, end=note.end - delay)
+        for note in played_in(performance.episode).notes
+        if note.start >= delay
+    ]
+    beats = [beat - begin for beat in beats_of(score) if begin <= beat < begin + seconds]
+    wanted, sounding = pitch_classes(original.notes, beats), pitch_classes(notes, beats)
+    return (
+        performance.metrics["f1"],
+        performance.metrics["note_onset_f1"],
+        against["original_f1"],
+        share(excerpt(melody, begin, seconds), notes, octaves=False),
+        share(excerpt(bass, begin, seconds), notes, octaves=True),
+        float((wanted & sounding).sum() / max(wanted.sum(), 1)),
+        found.arranged.grade,
+        took,
+    )
+
+
+@errors_in_a_line()
+def main() -> None:
+    """Measures the songs and prints the table."""
+    parser = parser_for(__doc__)
+    parser.add_argument("songs", nargs="*")
+    parser.add_argument("--bands", type=one_or_more)
+    parser.add_argument("--seed", type=one_or_more, default=3000, help="the first, of the bands")
+    parser.add_argument("--begin", type=float, default=20.0, help="of the excerpts [s]")
+    parser.add_argument("--seconds", type=float, default=15.0, help="of the excerpts [s]")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")
+    print(f"| song | {' | '.join(COLUMNS)} |\n| --- |{' --- |' * len(COLUMNS)}")
+    rows = []
+
+    def add(name: str, score: Score, melody: Sequence[Note], bass: Sequence[Note]) -> None:
+        rows.append(measure(score, melody, bass, options.begin, options.seconds))
+        _print(name, rows[-1])
+
+    for song in options.songs:
+        score = load_score(song)
+        notes = merged(parts_of(score))
+        melody = [Note(*note[:4]) for note in notes if note.melody]
+        add(Path(song).stem, score, melody, [Note(*note[:4]) for note in notes if note.bass])
+    for seed in range(options.seed, options.seed + (options.bands or 0)):
+        band = make_band(seed)
+        add(f"band-{seed}", band_score(band), band.notes("melody"), band.notes("bass"))
+    if rows:
+        _print("mean", np.mean(rows, axis=0).tolist())
+
+
+def _print(name: str, row: Sequence[float]) -> None:
+    print(f"| {name} | {' | '.join(f'{value:.3f}' for value in row)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

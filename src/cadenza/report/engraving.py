@@ -1,0 +1,295 @@
+"""Engraved sheet music, as small drawings of one system each, whose notes are known by number.
+
+Verovio engraves. Of its drawings remain shapes, glyphs and texts: glyphs are shared by all systems,
+staff lines are joined, and only the groups of notes are kept, to be coloured.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from importlib import resources
+from itertools import groupby
+from pathlib import Path
+from xml.etree.ElementTree import Element, fromstring
+from xml.sax.saxutils import escape, quoteattr
+
+from cadenza.errors import CadenzaError
+from cadenza.files import write_atomically
+from cadenza.music.formats.musicxml_writing import musicxml_of
+from cadenza.music.notation.sheet import Sheet, sheet_of
+from cadenza.music.score import Score
+from cadenza.report.html_pages import COMPACT, packed_text
+
+_WIDTH = 2600  # of a system, in Verovio's pixels, of which a staff is 72 high
+_MUSIC_FONT = "Leipzig"
+_LONGEST_PAGE = 60_000  # the greatest height of a page that Verovio takes
+_MARGIN = 400  # about the systems of a document and between them, in tenths of these
+_OPTIONS = {
+    "pageWidth": _WIDTH,
+    "pageHeight": _LONGEST_PAGE,
+    "adjustPageHeight": True,
+    "systemMaxPerPage": 1,  # so that each page is a drawing of one system
+    "header": "none",
+    "footer": "none",
+    "svgRemoveXlink": True,
+    "svgFormatRaw": True,
+    "smuflTextFont": "none",
+    "font": _MUSIC_FONT,
+    **{f"pageMargin{side}": 0 for side in ("Top", "Bottom", "Left", "Right")},
+}
+_SVG = "{http://www.w3.org/2000/svg}"
+_NOTE_ID = re.compile(r"n(\d+)(?:\.\d+)?")
+_PLACED = re.compile(r"translate\((-?\d+), (-?\d+)\) scale\(([\d.]+), [\d.]+\)")
+_LINE = re.compile(r"M(-?\d+) (-?\d+) L(-?\d+) (-?\d+)")
+_LEFT_OUT = {"label", "placeholder"}  # the name of the instrument, and what is not seen
+_CLASSES = {"fing": "fing", "tempo": "tempo", "mNum": "number", "dynam": "mark", "dir": "mark"}
+_IN_TEXT = {"\ueca5": 302, "\uecb7": 97}  # metronome notes and dots, and how wide they are ...
+_EM = 1000  # ... in parts of the size of the font
+_STYLES = (
+    "text{font-family:Times,serif}.fing,.tempo{font-weight:bold}.number,.mark{font-style:italic}"
+)
+_A4 = 210  # [mm], the width of a document
+_MOST_SYMBOLS = 15_000  # bars, rests, and notes with what they are tied to, of a score on a page
+
+
+@dataclass(frozen=True)
+class EngravedBar:
+    """A bar in a drawing: from `left` to `right`, played from `begin` to `end` [s]."""
+
+    number: int
+    left: int
+    right: int
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True)
+class System:
+    """A drawing of one system, and its place and bars; notes are groups with `data-note`.
+
+    In a document of all systems its upper edge is at `top`.
+    """
+
+    top: int
+    width: int
+    height: int
+    bars: tuple[EngravedBar, ...]
+    svg: str
+
+
+@dataclass(frozen=True)
+class Engraving:
+    """Systems, and the SVG of the glyphs that they use."""
+
+    systems: tuple[System, ...]
+    glyphs: str
+
+    @property
+    def frame(self) -> tuple[str, str]:
+        """What stands before and after the systems in an SVG file, of the width of a page."""
+        last = self.systems[-1]
+        width, height = last.width + 2 * _MARGIN, last.top + last.height + 2 * _MARGIN
+        box = f"{-_MARGIN} {-_MARGIN} {width} {height}"
+        size = f'width="{_A4}mm" height="{_A4 * height / width:.0f}mm"'
+        before = (
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{box}" {size}>'
+            f"<style>{_STYLES}</style><defs>{self.glyphs}</defs>"
+            f'<rect x="{-_MARGIN}" y="{-_MARGIN}" width="{width}" height="{height}" fill="white"/>'
+            '<g stroke="black" stroke-width="0">'
+        )
+        return before, "</g></svg>\n"
+
+    @property
+    def document(self) -> str:
+        """An SVG file of all systems, one below the other."""
+        before, after = self.frame
+        placed = (f'<g transform="translate(0,{s.top})">{s.svg}</g>' for s in self.systems)
+        return f"{before}{''.join(placed)}{after}"
+
+
+def engraved(sheet: Sheet) -> Engraving:
+    """Engraves sheet music.
+
+    Raises:
+        CadenzaError: Verovio cannot engrave it.
+    """
+    import verovio  # only where it is needed, as it takes a tenth of a second
+
+    verovio.enableLog(verovio.LOG_OFF)
+    toolkit = verovio.toolkit()
+    toolkit.setOptions(_OPTIONS)
+    if not toolkit.loadData(musicxml_of(sheet)):
+        raise CadenzaError(f"{sheet.title}: the sheet music cannot be engraved")
+    drawer = _Drawer(sheet)
+    pages = range(1, toolkit.getPageCount() + 1)
+    systems = tuple(drawer.system(fromstring(toolkit.renderToSVG(page))) for page in pages)
+    return Engraving(systems, "".join(drawer.glyphs.values()))
+
+
+@dataclass
+class _Drawer:
+    """Redraws pages of Verovio one after the other, and gathers their glyphs."""
+
+    sheet: Sheet
+    glyphs: dict[str, str] = field(default_factory=dict)
+    _num_bars: int = 0
+    _top: int = 0
+
+    def system(self, page: Element) -> System:
+        """Returns the system on a page."""
+        outlines = {
+            glyph.get("id", "").partition("-")[0]: glyph[0].get("d", "")
+            for glyph in page.iterfind(f"{_SVG}defs/{_SVG}g")
+        }
+        drawing = page.find(f"{_SVG}svg")
+        assert drawing is not None
+        width, height = (int(number) for number in drawing.get("viewBox", "").split()[2:])
+        shapes = _joined(self._shapes(drawing, outlines, ""))
+        top, self._top = self._top, self._top + height + _MARGIN
+        return System(top, width, height, tuple(self._bars(drawing)), "".join(shapes))
+
+    def _bars(self, drawing: Element) -> Iterator[EngravedBar]:
+        for group in drawing.iter(f"{_SVG}g"):
+            if group.get("class") != "measure":
+                continue
+            here = self.sheet.measures[self._num_bars]
+            upper_staff = group.find(f"{_SVG}g/{_SVG}path[@d]")
+            line = None if upper_staff is None else _LINE.match(upper_staff.attrib["d"])
+            assert line is not None
+            left, right = int(line[1]), int(line[3])
+            yield EngravedBar(here.measure.number, left, right, here.begin, here.end)
+            self._num_bars += 1
+
+    def _shapes(self, parent: Element, outlines: Mapping[str, str], style: str) -> Iterator[str]:
+        """Yields what is within an element, where texts have a `style`."""
+        for element in parent:
+            kind = element.tag.removeprefix(_SVG)
+            names = element.get("class", "").split()
+            if _LEFT_OUT.intersection(names):
+                continue
+            if kind == "use":
+                yield self._glyph(element, outlines)
+            elif kind == "text":
+                yield from self._text(element, style)
+            elif kind != "g":
+                yield _shape(kind, element)
+            elif "note" in names and (number := _NOTE_ID.fullmatch(element.get("id", ""))):
+                within = "".join(_joined(self._shapes(element, outlines, style)))
+                yield f'<g class="note" data-note="{number[1]}">{within}</g>'
+            else:
+                known = next((_CLASSES[name] for name in names if name in _CLASSES), style)
+                yield from self._shapes(element, outlines, known)
+
+    def _glyph(self, use: Element, outlines: Mapping[str, str]) -> str:
+        name = use.get("href", "")[1:].partition("-")[0]
+        placed = _PLACED.fullmatch(use.get("transform", ""))
+        assert placed is not None
+        x, y, scale = placed.groups()
+        return self._placed(name, outlines[name], float(scale), x, y)
+
+    def _placed(self, name: str, outline: str, scale: float, x: str, y: str) -> str:
+        """Returns a glyph at a place, and keeps its outline at this scale for all that use it."""
+        scaled = f"{name}-{_EM * scale:.0f}"
+        if scaled not in self.glyphs:
+            enlarged = f'transform="scale({scale:g},{-scale:g})"'
+            self.glyphs[scaled] = f'<path id="{scaled}" {enlarged} d={quoteattr(outline)}/>'
+        return f'<use href="#{scaled}" x="{x}" y="{y}"/>'
+
+    def _text(self, text: Element, style: str) -> Iterator[str]:
+        """Yields a line of text, and before it the glyphs of a metronome mark."""
+        x, y = text.get("x", ""), text.get("y", "")
+        anchor = f' text-anchor="{text.get("text-anchor")}"' if text.get("text-anchor") else ""
+        named = f' class="{style}"' if style else ""
+        words, size = "", 0
+        for part in text.iter(f"{_SVG}tspan"):
+            size = int(part.get("font-size", "0px").removesuffix("px")) or size
+            for letter in part.text or "":
+                if letter in _IN_TEXT:
+                    yield self._placed(f"{ord(letter):X}", _outline(letter), size / _EM, x, y)
+                    x = str(int(x) + _IN_TEXT[letter] * size // _EM)
+                else:
+                    words += letter
+        if words:
+            place = f'x="{x}" y="{y}"{anchor}{named} font-size="{size}"'
+            yield f'<text {place} xml:space="preserve">{escape(words)}</text>'
+
+
+def _shape(kind: str, element: Element) -> str:
+    drawn = {name: value for name, value in element.attrib.items() if name not in ("id", "class")}
+    if "d" in drawn:
+        drawn["d"] = _LINE.sub(_line, drawn["d"])
+    attributes = "".join(f" {name}={quoteattr(value)}" for name, value in drawn.items())
+    return f"<{kind}{attributes}/>"
+
+
+def _line(line: re.Match[str]) -> str:
+    left, top, right, bottom = line.groups()
+    end = f"H{right}" if top == bottom else f"V{bottom}" if left == right else f"L{right} {bottom}"
+    return f"M{left} {top}{end}"
+
+
+def _joined(shapes: Iterator[str]) -> Iterator[str]:
+    """Yields shapes, of which paths that are drawn alike and follow each other are one."""
+    for key, alike in groupby(shapes, key=_pen):
+        if key is None:
+            yield from alike
+        else:
+            yield f'<path d="{"".join(path.split(chr(34))[1] for path in alike)}"{key}'
+
+
+def _pen(shape: str) -> str | None:
+    """Returns what follows the outline of a path, and None for other shapes."""
+    return shape.split('"', 2)[2] if shape.startswith('<path d="') else None
+
+
+def write_svg(score: Score, path: str | Path) -> tuple[str, ...]:
+    """Writes a score as an SVG file of all its systems, engraved as `write_musicxml` writes it.
+
+    Returns:
+        Remarks in plain words on what is not as in the score.
+
+    Raises:
+        CadenzaError: the score has no notes.
+    """
+    sheet = sheet_of(score)
+    with write_atomically(Path(path)) as file:
+        file.write(engraved(sheet).document.encode())
+    return sheet.remarks
+
+
+def engraving_of(score: Score) -> str:
+    """Returns the engraved score that `score.js` reads, as `packed_text`; "" for no notation.
+
+    A score has notation if its bars are known, or if its onsets fit those that are estimated, as
+    those of performers do not. One of over 15,000 symbols is too long for a page.
+
+    Args:
+        score: what is to be played, with its fingers, on the clock of the performance.
+    """
+    if not 0 < len(score.notes) <= _MOST_SYMBOLS:
+        return ""
+    sheet = sheet_of(score)
+    symbols = len(sheet.measures) + sum(max(len(each.notes), 1) for each in sheet.symbols)
+    if not sheet.is_sure or symbols > _MOST_SYMBOLS:
+        return ""
+    drawn = engraved(sheet)
+    about = {
+        "glyphs": drawn.glyphs,
+        "frame": drawn.frame,
+        "systems": [asdict(system) for system in drawn.systems],
+        "notes": [[note.pitch, note.start, note.end] for note in sheet.notes],
+        "remarks": sheet.remarks,
+        "musicxml": musicxml_of(sheet),
+    }
+    return packed_text(json.dumps(about, **COMPACT))
+
+
+@cache
+def _outline(letter: str) -> str:
+    """Returns the outline of a letter of the music font, which comes with Verovio."""
+    glyph = resources.files("verovio").joinpath("data", _MUSIC_FONT, f"{ord(letter):X}.xml")
+    return fromstring(glyph.read_text("utf-8"))[0].get("d", "")

@@ -1,0 +1,58 @@
+"""Engraves a score as a process of its own, so that the hands need not wait for it.
+
+`python -m cadenza.studio.engraver` reads a score on stdin, as `WrittenScore` has it, and prints
+what `engraving_of` makes of it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from contextlib import suppress
+from dataclasses import asdict
+from tempfile import TemporaryFile
+
+from cadenza.files import parsed_json
+from cadenza.music.formats.written_score import WrittenScore
+from cadenza.music.score import Score
+from cadenza.report.engraving import engraving_of
+
+_NICENESS = 5  # behind what plays
+
+
+class Engraver:
+    """Has a score engraved, which takes up to seconds."""
+
+    def __init__(self, score: Score) -> None:
+        """Begins to engrave a score."""
+        self._output = TemporaryFile()  # noqa: SIM115  # closed with this
+        command = [sys.executable, "-P", "-m", "cadenza.studio.engraver"]
+        with TemporaryFile() as file:
+            file.write(json.dumps(asdict(WrittenScore.of(score))).encode())
+            file.seek(0)
+            self._process = subprocess.Popen(command, stdin=file, stdout=self._output)
+
+    def __del__(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+    def engraving(self, patience: float = 0.0) -> str:
+        """Returns the engraving; "" where there is none, or not yet after `patience` [s]."""
+        with suppress(subprocess.TimeoutExpired):
+            if self._process.wait(patience) == 0:
+                self._output.seek(0)
+                return self._output.read().decode()
+        return ""
+
+
+def main() -> None:
+    """Engraves the score on stdin."""
+    os.nice(_NICENESS)
+    written = parsed_json(sys.stdin.buffer.read(), WrittenScore, "score")
+    sys.stdout.write(engraving_of(written.score))
+
+
+if __name__ == "__main__":
+    main()

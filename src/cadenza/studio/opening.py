@@ -1,0 +1,32 @@
+"""The first picture of the page, as a process: `python -m cadenza.studio.opening SONG`.
+
+It prints what `cadenza.studio.state_stream` sends of a song before its first step: hands at rest,
+and the notes that are to come.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from cadenza.agents.registry import PLANNER
+from cadenza.performing.setup import select, set_up
+from cadenza.studio.messages import Message
+from cadenza.studio.state_stream import StateStream
+
+_NICENESS = 4  # the process that plays gets ready beside it
+
+
+def main() -> None:
+    """Prints the picture of the song that the command line names."""
+    os.nice(_NICENESS)
+    with set_up(select(sys.argv[1], PLANNER)) as setup:
+        StateStream(setup, _print).begin()
+
+
+def _print(message: Message) -> None:
+    sys.stdout.write(message.content.decode())
+
+
+if __name__ == "__main__":
+    main()

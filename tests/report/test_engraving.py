@@ -1,0 +1,152 @@
+"""Engraved scores: drawings in which notes are known."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import zlib
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from cadenza.fingers import LEFT, RIGHT, Finger
+from cadenza.music.etudes.library import make_etude
+from cadenza.music.libraries.library import load_score
+from cadenza.music.notation.sheet import sheet_of
+from cadenza.music.score import Bar, Note, Score
+from cadenza.report.engraving import engraved, engraving_of
+
+SVG = "{http://www.w3.org/2000/svg}"
+BEAT = 0.5  # [s]
+
+
+def bars(count):
+    begins = [4 * BEAT * n for n in range(count)]
+    beats = [tuple(begin + BEAT * k for k in range(4)) for begin in begins]
+    return tuple(map(Bar, begins, range(1, count + 1), beats))
+
+
+@pytest.fixture(scope="module")
+def score():
+    """Four bars: a note tied over two bar lines, under others of the right hand, and chords."""
+    upper = [
+        Note(BEAT * i, BEAT * (i + 1), 72 + i % 5, finger=Finger(RIGHT, i % 5)) for i in range(16)
+    ]
+    held = [Note(0, 12 * BEAT, 60, finger=Finger(RIGHT, 0))]
+    lower = [
+        Note(4 * BEAT * i, 4 * BEAT * (i + 1), pitch, finger=Finger(LEFT, 4))
+        for i in range(4)
+        for pitch in (36, 43)
+    ]
+    return Score(tuple(upper + held + lower), title="<Tied> & held", bars=bars(4))
+
+
+def drawings(engraving):
+    """The systems as XML."""
+    return [ElementTree.fromstring(f"<svg>{system.svg}</svg>") for system in engraving.systems]
+
+
+def drawn_notes(engraving):
+    return [note for drawing in drawings(engraving) for note in drawing.iter("g")]
+
+
+def test_every_note_is_drawn_with_all_that_it_is_tied_to(score):
+    sheet = sheet_of(score)
+    numbers = [int(note.get("data-note")) for note in drawn_notes(engraved(sheet))]
+    assert set(numbers) == set(range(len(score.notes)))
+    held = sheet.notes.index(next(note for note in score.notes if note.pitch == 60))
+    assert {number for number in numbers if numbers.count(number) > 1} == {held}
+    assert numbers.count(held) == 3
+
+
+def test_higher_notes_are_drawn_higher(score):
+    sheet = sheet_of(score)
+    heights = {}
+    for note in drawn_notes(engraved(sheet)):
+        heights[sheet.notes[int(note.get("data-note"))].pitch] = int(note.find("use").get("y"))
+    assert sorted(heights, key=heights.get, reverse=True) == sorted(heights)
+
+
+def test_fingers_stand_above_the_right_hand_and_below_the_left(score):
+    (drawing,) = drawings(engraved(sheet_of(score)))
+    fingers = [text for text in drawing.iter("text") if text.get("class") == "fing"]
+    heads = [int(use.get("y")) for note in drawing.iter("g") for use in note.findall("use")[:1]]
+    above = sorted(text.text for text in fingers if int(text.get("y")) < min(heads))
+    below = [text.text for text in fingers if int(text.get("y")) > max(heads)]
+    assert above == sorted([*(str(i % 5 + 1) for i in range(16)), "1"])
+    assert below == ["5"] * 8
+
+
+def test_bars_follow_each_other_in_place_and_time():
+    score = load_score("FurEliseOpening").with_initial_silence(0.5)
+    sheet = sheet_of(score)
+    found = [bar for system in engraved(sheet).systems for bar in system.bars]
+    assert [bar.number for bar in found] == [written.measure.number for written in sheet.measures]
+    assert [bar.begin for bar in found[1:]] == pytest.approx([bar.end for bar in found[:-1]])
+    assert found[0].begin <= score.notes[0].start
+    assert found[-1].end >= score.notes[-1].start
+    for system in engraved(sheet).systems:
+        edges = [(bar.left, bar.right) for bar in system.bars]
+        assert all(left < right for left, right in edges)
+        assert edges[-1][1] <= 1.01 * system.width
+
+
+def test_a_document_needs_nothing_else(score):
+    document = ElementTree.fromstring(engraved(sheet_of(score)).document)
+    there = {element.get("id") for element in document.iter() if element.get("id")}
+    used = {use.get("href").removeprefix("#") for use in document.iter(f"{SVG}use")}
+    assert used == there
+    # Music fonts are in no browser: their letters are outlines.
+    assert not re.search("[\ue000-\uf8ff]", "".join(document.itertext()))
+
+
+def read(text):
+    return json.loads(zlib.decompress(base64.b64decode(text)))
+
+
+def test_the_page_knows_the_notes_and_has_the_sheet_music(score):
+    about = read(engraving_of(score))
+    assert about["notes"] == [[note.pitch, note.start, note.end] for note in score.notes]
+    root = ElementTree.fromstring(about["musicxml"])
+    assert root.findtext("work/work-title") == score.title
+    assert len(root.findall(".//fingering")) == len(score.notes)
+
+
+def test_music_without_a_metre_has_a_score_only_where_it_fits_one():
+    song = load_score("MinuetInG")
+    assert not song.bars
+    assert "estimated" in read(engraving_of(song))["remarks"][0]
+    rng = np.random.default_rng(0)
+    free = [
+        replace(n, start=n.start + t, end=n.end + t)
+        for n, t in zip(song.notes, rng.uniform(0, 0.15, len(song.notes)), strict=True)
+    ]
+    assert not engraving_of(replace(song, notes=tuple(free)))
+    assert not engraving_of(Score(()))
+
+
+def test_too_long_a_score_is_left_out():
+    notes = tuple(Note(0.1 * i, 0.1 * (i + 1), 60) for i in range(15_001))
+    assert not engraving_of(Score(notes))
+    held = tuple(Note(0, 3000, pitch) for pitch in range(60, 72))
+    assert not engraving_of(Score(held, bars=bars(1500)))
+
+
+def test_three_minutes_take_a_small_part_of_a_page():
+    """All of a page is to have less than 3 MB."""
+    piece = make_etude("chorale", 8, 1)
+    times = range(int(180 / piece.total_time) + 1)
+    notes = [
+        replace(
+            note,
+            start=note.start + n * piece.total_time,
+            end=note.end + n * piece.total_time,
+            finger=Finger(int(note.pitch < 60), i % 5),
+        )
+        for n in times
+        for i, note in enumerate(piece.notes)
+    ]
+    assert 50_000 < len(engraving_of(Score(tuple(notes)))) < 300_000
