@@ -40,8 +40,8 @@ LIBRARIES: dict[str, set[str]] = {
     "scene": {"numpy", "mujoco", "threadpoolctl"},
     "fingering": {"numpy"},
     "arranging": {"numpy"},
-    "sim": {"numpy", "mujoco"},
-    "tasks": {"numpy", "scipy", "gymnasium", "dm_env"},
+    "sim": {"numpy", "mujoco", "jax", "mujoco_warp", "warp"},
+    "tasks": {"numpy", "scipy", "gymnasium", "dm_env", "jax"},
     "agents": {"numpy", "scipy", "threadpoolctl"},
     "demonstrations": {"numpy", "av", "gymnasium", "minari", "pyarrow"},
     "learning": {

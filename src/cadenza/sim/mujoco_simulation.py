@@ -69,7 +69,7 @@ class MujocoSimulation:
         self.scene = scene
         self.num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
         self.control_timestep = control_timestep
-        self.num_substeps = _divide(control_timestep, scene.model.opt.timestep)
+        self.num_substeps = physics_steps(control_timestep, scene.model.opt.timestep)
         self._lock = Lock()
         self._threads = Threads(num_threads)
         self._data = [mujoco.MjData(scene.model) for _ in range(num_envs)]
@@ -238,7 +238,12 @@ class MujocoSimulation:
             scale(self._models[env_id], self.scene, factors, mujoco.MjData(self.scene.model))
 
 
-def _divide(control_timestep: float, physics_timestep: float) -> int:
+def physics_steps(control_timestep: float, physics_timestep: float) -> int:
+    """The number of physics steps in a control step, both [s].
+
+    Raises:
+        CadenzaError: it is not a whole number.
+    """
     substeps = round(control_timestep / physics_timestep)
     if substeps < 1 or abs(substeps * physics_timestep - control_timestep) > 1e-9:
         raise CadenzaError(

@@ -1,0 +1,341 @@
+"""N simulations on a GPU, by MuJoCo Warp; on the CPU too, slowly, for tests.
+
+`WarpPhysics` is a pair of pure functions of JAX's arrays, for `jax.jit`. `WarpSimulation` has the
+interface of `protocol.Simulation`, and arrays of NumPy.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from inspect import Parameter, Signature
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.configs import whole_number
+from cadenza.errors import extra_packages
+from cadenza.scene.scene import Scene
+from cadenza.sim.key_crossings import last_key_events
+from cadenza.sim.mujoco_simulation import MujocoSimulation, physics_steps
+from cadenza.sim.protocol import State
+
+with extra_packages("gpu", "the engine warp"):
+    import jax
+    import jax.numpy as jnp
+    import mujoco_warp as mjw
+    import warp as wp
+
+_LOG = logging.getLogger(__name__)
+
+MOST_WORLDS = 65_536
+_LOST = mjw.OverflowType.ALL & ~(mjw.OverflowType.ITERATIONS | mjw.OverflowType.LS_ITERATIONS)
+"""Overflows in which contacts or constraints are left out."""
+_DIVERGED = 1e10
+"""The position or velocity from which on MuJoCo takes a simulation for diverged (mjMAXVAL)."""
+
+
+@dataclass(frozen=True)
+class Buffers:
+    """How many contacts and constraints a world has room for.
+
+    Hands that play, and hands that move at random, need at most 30 contacts and 151 rows.
+    """
+
+    contacts: int = 64
+    """Contacts, on average over all worlds."""
+    rows: int = 352
+    """Rows of constraints in any world: joints with dry friction, limits, and four a contact."""
+    convex: int = 16
+    """Pairs of geoms, on average over all worlds, which only the general algorithm for convex
+    bodies can collide."""
+
+
+class Physics(NamedTuple):
+    """The physical state of N worlds: all from which the next steps follow."""
+
+    qpos: Any
+    """(N, nq) positions of all joints [m, rad]."""
+    qvel: Any
+    """(N, nv) their velocities [m/s, rad/s]."""
+    warmstart: Any
+    """(N, nv) accelerations from which the solver starts [m/s^2, rad/s^2]."""
+    unstable: Any
+    """(N,) bool, whether a world has diverged, or lost contacts, since it was reset."""
+    overflow: Any
+    """(N,) int32, bits of `mujoco_warp.OverflowType` since it was reset."""
+
+
+class WarpPhysics:
+    """The physics of N worlds of a scene, as pure functions that `jax.jit` compiles.
+
+    Keys never sleep here, as on a GPU each world costs the same whatever is at rest in it; those of
+    `MujocoSimulation` then move by up to 1e-4 rad otherwise.
+
+    A world that has diverged, or for whose contacts there was no room, is unstable, and rests in
+    its start until it is reset, so that it does not take room from others.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        num_envs: int,
+        control_timestep: float = 0.05,
+        watch_forearms: bool = False,
+        buffers: Buffers | None = None,
+    ) -> None:
+        """Allocates N worlds on JAX's device. The first step compiles for up to a minute or two.
+
+        Args:
+            scene: the scene to simulate.
+            num_envs: N.
+            control_timestep: time of a control step [s], a multiple of the physics step.
+            watch_forearms: whether `State.forearm_contact` is wanted.
+            buffers: the room for contacts.
+
+        Raises:
+            CadenzaError: a number makes no sense.
+        """
+        self.scene = scene
+        self.num_envs = whole_number(num_envs, "num_envs", 1, MOST_WORLDS)
+        self.num_substeps = physics_steps(control_timestep, scene.model.opt.timestep)
+        self._substep = control_timestep / self.num_substeps
+        self._buffers = buffers or Buffers()
+        self._watch_forearms = watch_forearms and len(scene.sides) == 2
+        self._velocities = _servo_velocities(scene.model)
+        self._on_gpu = jax.default_backend() == "gpu"
+        self._simulate = self._make_simulate()
+
+    def start(self, hand_qpos: Any) -> Physics:
+        """The state of worlds at rest, with hands (N, J) [m, rad] and with all keys up."""
+        nv = self.scene.model.nv
+        rest = jnp.asarray(self.scene.model.qpos0, jnp.float32)
+        qpos = jnp.tile(rest, (self.num_envs, 1)).at[:, self.scene.hand_qpos].set(hand_qpos)
+        still = jnp.zeros((self.num_envs, nv), jnp.float32)
+        none = jnp.zeros(self.num_envs, jnp.int32)
+        return Physics(qpos, still, still, jnp.zeros(self.num_envs, bool), none)
+
+    def step(self, physics: Physics, ctrl: Any) -> tuple[Physics, State]:
+        """The worlds after a control step with controls (N, A), in actuator units."""
+        ctrl = jnp.asarray(ctrl, jnp.float32)
+        result = self._simulate(physics.qpos, physics.qvel, physics.warmstart, ctrl)
+        qpos, qvel, warmstart, after, overflow, geoms, sites, force, sensors, *contacts = result
+        overflow = physics.overflow | overflow
+        sound = (abs(qpos) < _DIVERGED).all(-1) & (abs(qvel) < _DIVERGED).all(-1)
+        sound &= jnp.isfinite(ctrl).all(-1)
+        unstable = physics.unstable | ~sound | (overflow & int(_LOST) != 0)
+        rest = self.start(jnp.asarray(self.scene.hand_start, jnp.float32))
+        reached = Physics(qpos, qvel, warmstart, unstable, overflow)
+        kept = where(unstable, rest, reached)._replace(unstable=unstable, overflow=overflow)
+        keys = self.scene.key_qpos
+        path: Any = jnp.concatenate([physics.qpos[:, None, keys], after], axis=1)
+        sounds_from = self.scene.keyboard.sounds_from
+        onset, offset, speed = last_key_events(path, sounds_from, self._substep)
+        num_fingers, there = self.scene.fingers.count, self.scene.present_fingers
+        tips: Any = jnp.zeros((self.num_envs, num_fingers, 3))
+        touch: Any = jnp.zeros((self.num_envs, num_fingers))
+        state = State(
+            key_qpos=kept.qpos[:, keys],
+            key_xpos=geoms[:, self.scene.key_geoms],
+            key_onset=onset,
+            key_offset=offset,
+            key_speed=speed,
+            hand_qpos=kept.qpos[:, self.scene.hand_qpos],
+            hand_qvel=kept.qvel[:, self.scene.hand_qvel],
+            fingertip_xpos=tips.at[:, there].set(sites[:, self.scene.fingertip_sites]),
+            actuator_force=force,
+            actuator_velocity=kept.qvel @ self._velocities,
+            forearm_contact=self._forearms_touch(*contacts),
+            touch=touch.at[:, there].set(sensors) if self.scene.config.touch else touch,
+            unstable=unstable,
+        )
+        numbers: dict[str, Any] = {
+            name: jnp.where(_rows_of(unstable, values), 0.0, values)
+            for name, values in state._asdict().items()
+            if name in ("key_xpos", "fingertip_xpos", "actuator_force", "touch")
+        }
+        return kept, state._replace(**numbers)
+
+    def _forearms_touch(self, geom: Any = None, world: Any = None, count: Any = None) -> Any:
+        """(N,) whether contacts (C, 2) of geoms in worlds (C,), the first `count`, are theirs."""
+        nowhere = jnp.zeros(self.num_envs, bool)
+        if geom is None:
+            return nowhere
+        sides = np.zeros((2, self.scene.model.ngeom), bool)
+        for row, geoms in zip(sides, self.scene.forearm_geoms.values(), strict=True):
+            row[geoms] = True
+        both = jnp.asarray(sides)[:, geom].any(-1).all(0) & (jnp.arange(len(geom)) < count)
+        return nowhere.at[world].max(both)
+
+    def _make_simulate(self) -> Any:
+        """The function from states and controls to what is simulated, which JAX can call."""
+        num_envs, model = self.num_envs, _awake(self.scene.model)
+        keys, num_substeps = self.scene.key_qpos, self.num_substeps
+        watched, buffers = self._watch_forearms, self._buffers
+        device = wp.get_device("cuda:0" if self._on_gpu else "cpu")
+        with wp.ScopedDevice(device):
+            m = mjw.put_model(model)
+            m.opt.warn_overflow = 0  # it is told as `Physics.overflow`
+            d = mjw.make_data(
+                model,
+                nworld=num_envs,
+                nconmax=buffers.contacts,
+                njmax=buffers.rows,
+                nccdmax=buffers.convex,
+            )
+
+        def simulate(qpos, qvel, warmstart, ctrl, *out):
+            wp.copy(d.qpos, qpos)
+            wp.copy(d.qvel, qvel)
+            wp.copy(d.qacc_warmstart, warmstart)
+            wp.copy(d.ctrl, ctrl)
+            d.overflow.zero_()
+            path = out[3]
+            for substep in range(num_substeps):
+                mjw.step(m, d)
+                wp.copy(path[:, substep], d.qpos[:, keys])
+            # Positions belong to the new state, forces to the step that led there.
+            mjw.kinematics(m, d)
+            wanted = [d.qpos, d.qvel, d.qacc_warmstart, None, d.overflow, d.geom_xpos, d.site_xpos]
+            wanted += [d.actuator_force, d.sensordata]
+            if watched:
+                mjw.collision(m, d)
+                wanted += [d.contact.geom, d.contact.worldid, d.nacon]
+            for to, values in zip(out, wanted, strict=True):
+                if values is not None:
+                    wp.copy(to, values)
+
+        shapes: dict[str, tuple[Any, tuple[int, ...]]] = {
+            "qpos_after": (wp.array2d(dtype=float), (num_envs, model.nq)),
+            "qvel_after": (wp.array2d(dtype=float), (num_envs, model.nv)),
+            "warmstart_after": (wp.array2d(dtype=float), (num_envs, model.nv)),
+            "path": (wp.array3d(dtype=float), (num_envs, num_substeps, keys.stop - keys.start)),
+            "overflow": (wp.array(dtype=int), (num_envs,)),
+            "geoms": (wp.array2d(dtype=wp.vec3), (num_envs, model.ngeom)),
+            "sites": (wp.array2d(dtype=wp.vec3), (num_envs, model.nsite)),
+            "force": (wp.array2d(dtype=float), (num_envs, model.nu)),
+            "sensors": (wp.array2d(dtype=float), (num_envs, model.nsensordata)),
+        }
+        if watched:
+            shapes["geom"] = (wp.array(dtype=wp.vec2i), (d.naconmax,))
+            shapes["world"] = (wp.array(dtype=int), (d.naconmax,))
+            shapes["count"] = (wp.array(dtype=int), (1,))
+        return _callable(simulate, shapes, self._on_gpu)
+
+
+def _callable(simulate: Any, shapes: dict[str, tuple[Any, tuple[int, ...]]], on_gpu: bool) -> Any:
+    """Lets JAX call `simulate`, a function of four float arrays (N, ...) and of its outputs.
+
+    Warp reads the number and the types of arguments off a function's signature.
+    """
+    kinds = {name: wp.array2d(dtype=float) for name in ("qpos", "qvel", "warmstart", "ctrl")}
+    kinds |= {name: kind for name, (kind, _) in shapes.items()}
+
+    def named(*arrays: Any) -> None:
+        simulate(*arrays)
+
+    named.__annotations__ = kinds
+    kind_of_argument = Parameter.POSITIONAL_OR_KEYWORD
+    named.__signature__ = Signature(  # type: ignore[attr-defined]
+        [Parameter(name, kind_of_argument, annotation=kind) for name, kind in kinds.items()]
+    )
+    # Staged, because JAX may give other buffers in each call and a graph remembers addresses.
+    mode = wp.JaxCallableGraphMode.WARP_STAGED if on_gpu else wp.JaxCallableGraphMode.NONE
+    dims = {name: shape for name, (_, shape) in shapes.items()}
+    return wp.jax_callable(named, num_outputs=len(shapes), graph_mode=mode, output_dims=dims)
+
+
+def _awake(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy of the model in which nothing sleeps."""
+    awake = copy(model)
+    awake.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    return awake
+
+
+def _servo_velocities(model: mujoco.MjModel) -> NDArray[np.float32]:
+    """(nv, A) the derivatives of the actuators' lengths by joints, which all are constant."""
+    data, moment = mujoco.MjData(model), np.zeros((model.nu, model.nv))
+    mujoco.mj_forward(model, data)
+    mujoco.mju_sparse2dense(
+        moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+    )
+    return moment.T.astype(np.float32)
+
+
+def _rows_of(mask: Any, values: Any) -> Any:
+    return mask.reshape(mask.shape + (1,) * (values.ndim - 1))
+
+
+def where(mask: Any, first: Any, second: Any) -> Any:
+    """Rows of the first of two trees of arrays (N, ...) where the mask (N,) is set."""
+    return jax.tree.map(lambda a, b: jnp.where(_rows_of(mask, a), a, b), first, second)
+
+
+class WarpSimulation:
+    """N simulations on JAX's device; implements `protocol.Simulation` with arrays of NumPy.
+
+    Each step copies its state to the host. What is to stay on the device calls `WarpPhysics`.
+
+    Attributes:
+        state: the state after the last step.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        num_envs: int = 1,
+        control_timestep: float = 0.05,
+        num_threads: int = 1,
+        watch_forearms: bool = False,
+    ) -> None:
+        """Takes the arguments of `MujocoSimulation`, of which `num_threads` has no meaning here.
+
+        Raises:
+            CadenzaError: a number makes no sense.
+        """
+        self.scene = scene
+        self.physics = WarpPhysics(scene, num_envs, control_timestep, watch_forearms)
+        self._at_start = MujocoSimulation(scene, 1, control_timestep, 1, watch_forearms)
+        self._step = jax.jit(self.physics.step)
+        self._physics = self.physics.start(np.zeros(len(scene.hand_joint_names)))
+        self.state = State.zeros(scene, num_envs)
+        self.reset(range(num_envs), np.zeros((num_envs, len(scene.hand_joint_names))))
+
+    def reset(self, env_ids: Sequence[int], hand_qpos: NDArray[np.float64]) -> None:
+        start, chosen = np.array(self._physics.qpos[:, self.scene.hand_qpos]), list(env_ids)
+        start[chosen] = hand_qpos
+        mask = np.zeros(len(start), bool)
+        mask[chosen] = True
+        self._physics = where(mask, self.physics.start(start), self._physics)
+        state = self.state.copy()
+        for env, qpos in zip(chosen, hand_qpos, strict=True):
+            self._at_start.reset([0], qpos[None])
+            for values, start_values in zip(state, self._at_start.state, strict=True):
+                values[env] = start_values[0]
+        self.state = state
+
+    def step(self, ctrl: NDArray[np.float64], env_ids: Sequence[int] | None = None) -> None:
+        physics, state = self._step(self._physics, np.asarray(ctrl, np.float32))
+        mask = np.ones(len(ctrl), bool)
+        if env_ids is not None:
+            mask[:] = False
+            mask[list(env_ids)] = True
+        self._physics = where(mask, physics, self._physics)
+        new = State._make(
+            np.where(_rows_of(mask, after), np.asarray(after, before.dtype), before)
+            for after, before in zip(state, self.state, strict=True)
+        )
+        for env in np.flatnonzero(new.unstable & ~self.state.unstable).tolist():
+            _LOG.warning("simulation %d became unstable%s", env, self._why(env))
+        self.state = new
+
+    def _why(self, env: int) -> str:
+        lost = mjw.OverflowType(int(self._physics.overflow[env])) & _LOST
+        return f": no room for contacts ({lost!r}); give it more, see Buffers" if lost else ""
+
+    def close(self) -> None:
+        self._at_start.close()
