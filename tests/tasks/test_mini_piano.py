@@ -14,7 +14,7 @@ from cadenza.keyboards.mini import MINI
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.etudes import make_etude
 from cadenza.scene.scene import build_scene
-from cadenza.tasks.piano_task import TOUCH_RANGE
+from cadenza.tasks.view import TOUCH_RANGE
 
 IDS = {"cadenza/MiniNote-v0": 1, "cadenza/MiniNotes-v0": 6, "cadenza/MiniDyads-v0": 6}
 

@@ -22,7 +22,8 @@ def step_metrics(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Precision, recall and F1 of each step, each (T,), of `played` (T, n) against `goal` (T, n).
 
-    A ratio 0/0 counts as 1: a step on which nothing should sound and nothing does is perfect.
+    A ratio 0/0 counts as 1: a step on which nothing should sound and nothing does is perfect. The
+    arrays are NumPy's or those of a library like it, which can compile this.
     """
     played, goal = played.astype(bool), goal.astype(bool)
     hits, sounding, wanted = (x.sum(axis=1) for x in (played & goal, played, goal))
@@ -191,4 +192,6 @@ def _f1(pairs: int, reference: _Notes, estimated: _Notes) -> float:
 
 def _ratio(part: NDArray[Any], whole: NDArray[Any]) -> NDArray[np.float64]:
     """`part` / `whole`, and 1 where both are 0."""
-    return np.divide(part, whole, out=np.ones(len(part)), where=whole > 0)
+    xp = whole.__array_namespace__()
+    ratio: NDArray[np.float64] = xp.where(whole > 0, part / xp.maximum(whole, 1), 1.0)
+    return ratio

@@ -35,14 +35,12 @@ from cadenza.tasks.reward import (
     key_state,
     midi_velocity,
 )
-from cadenza.tasks.view import View, observed_onsets, task_spec
+from cadenza.tasks.view import View, observed_onsets, observed_touch, task_spec
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 PEDAL_DOWN = 0.5  # fraction of its range from which on the pedal sustains
-TOUCH_RANGE = 5.0
-"""Greatest force that is observed [N]; a key is held down with about one."""
 
 
 class Transition(NamedTuple):
@@ -119,7 +117,7 @@ class PianoTask:
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
         self.num_envs = num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
         self.draw_from(scores, progress)
-        self._offset_joints = self._find_offset_joints()
+        self._offset_joints = offset_joints(self.config, self.scene)
         if make_simulation is None:
             apart = self.scene.config.hands == "apart"
             make_simulation = HandsApart if apart else MujocoSimulation
@@ -153,22 +151,6 @@ class PianoTask:
         self._env_ids = np.arange(num_envs)
         self.reward = np.zeros(num_envs)
         self._read_state()
-
-    def _find_offset_joints(self) -> NDArray[np.intp]:
-        names, most = self.scene.hand_joint_names, self.config.random_hand_position
-        slides = self.scene.slide_joints
-        if most and not len(slides):
-            raise CadenzaError(
-                "random_hand_position needs hands that slide along the keyboard, with tx among "
-                "their forearm_dofs; choose such hands, or random_hand_position 0"
-            )
-        reach = min((abs(self.scene.model.joint(names[j]).range).min() for j in slides), default=0)
-        if most > reach:
-            raise CadenzaError(
-                f"random_hand_position {most} m: the hands reach the keyboard's end after "
-                f"{reach:.2f} m; choose less"
-            )
-        return slides
 
     # Episodes
 
@@ -312,7 +294,7 @@ class PianoTask:
         goal: keys and pedal of the next step and of those after it, 0 or 1; fingering: 1 for each
         finger that has a key to press next; key_state: 0 (up) to 1 (down); pedal: 0 to 1; joints:
         positions [m, rad]; touch: normal forces on the fingertips that are there, from 0 to 1
-        where the sensors saturate, at `TOUCH_RANGE`. Joints and key states have the noise of
+        where the sensors saturate, see `observed_touch`. Joints and key states have the noise of
         `DomainRandomization`.
 
         With `TaskConfig.onset_goals`, goal_onset and goal_velocity (L + 2, K): when notes begin and
@@ -321,35 +303,28 @@ class PianoTask:
         step, and how loud. What was due and what was played then tell which notes may still be
         played (`OnsetMatching`), and so what the next step can earn.
         """
-        layout = self.spec.observation_layout
-        result = np.empty((self.num_envs, self.spec.observation_size), np.float32)
-        upcoming = self.goals.upcoming
-        result[:, layout["goal"]] = upcoming.goal.reshape(self.num_envs, -1)
-        if "fingering" in layout:
-            result[:, layout["fingering"]] = upcoming.fingers_wanted
-        result[:, layout["key_state"]] = self._randomization.observed_keys(self.key_state)
-        result[:, layout["pedal"]] = self._pedal[:, None]
-        if "joints" in layout:
-            hand_qpos = self.state.hand_qpos
-            result[:, layout["joints"]] = self._randomization.observed_joints(hand_qpos)
-        if "touch" in layout:
-            result[:, layout["touch"]] = np.minimum(
-                self.state.touch[:, self.scene.present_fingers] / TOUCH_RANGE, 1.0
-            )
+        upcoming, state = self.goals.upcoming, self.state
+        parts = {
+            "goal": upcoming.goal,
+            "fingering": upcoming.fingers_wanted,
+            "key_state": self._randomization.observed_keys(self.key_state),
+            "pedal": self._pedal,
+            "joints": self._randomization.observed_joints(state.hand_qpos),
+            "touch": observed_touch(state.touch[:, self.scene.present_fingers]),
+        }
         if self.config.onset_goals:
-            self._observe_onsets(result)
-        return result
+            parts |= self._observed_onsets()
+        return self.spec.observation(parts)
 
-    def _observe_onsets(self, result: NDArray[np.float32]) -> None:
-        """Writes the onsets of notes and of keys to observations (N, D)."""
-        layout, dt = self.spec.observation_layout, self.config.control_timestep
+    def _observed_onsets(self) -> dict[str, NDArray[np.float32]]:
+        """The onsets of notes and of keys as parts of an observation."""
+        dt, keyboard = self.config.control_timestep, self.scene.keyboard
         due, shown = self.goals.upcoming_onsets, self.config.lookahead_steps + 2
-        time, velocity = observed_onsets(due.time[:, :shown], due.velocity[:, :shown], dt)
-        result[:, layout["goal_onset"]] = time.reshape(self.num_envs, -1)
-        result[:, layout["goal_velocity"]] = velocity.reshape(self.num_envs, -1)
-        loudness = np.nan_to_num(self.scene.keyboard.velocity(self.state.key_speed))
-        time, velocity = observed_onsets(np.nan_to_num(self.state.key_onset), loudness, dt)
-        result[:, layout["key_onset"]], result[:, layout["key_velocity"]] = time, velocity
+        names = "goal_onset", "goal_velocity", "key_onset", "key_velocity"
+        notes = observed_onsets(due.time[:, :shown], due.velocity[:, :shown], dt)
+        loudness = np.nan_to_num(keyboard.velocity(self.state.key_speed))
+        keys = observed_onsets(np.nan_to_num(self.state.key_onset), loudness, dt)
+        return dict(zip(names, notes + keys, strict=True))
 
     def view(self, playing: Mask | None = None) -> View:
         """The view of an agent before the next step of the environments `playing` (N,) bool.
@@ -407,3 +382,25 @@ class PianoTask:
     def close(self) -> None:
         """Stops the threads."""
         self.simulation.close()
+
+
+def offset_joints(config: TaskConfig, scene: Scene) -> NDArray[np.intp]:
+    """The joints that `TaskConfig.random_hand_position` moves.
+
+    Raises:
+        CadenzaError: the hands have none, or not as far.
+    """
+    names, most = scene.hand_joint_names, config.random_hand_position
+    slides = scene.slide_joints
+    if most and not len(slides):
+        raise CadenzaError(
+            "random_hand_position needs hands that slide along the keyboard, with tx among "
+            "their forearm_dofs; choose such hands, or random_hand_position 0"
+        )
+    reach = min((abs(scene.model.joint(names[j]).range).min() for j in slides), default=0)
+    if most > reach:
+        raise CadenzaError(
+            f"random_hand_position {most} m: the hands reach the keyboard's end after "
+            f"{reach:.2f} m; choose less"
+        )
+    return slides

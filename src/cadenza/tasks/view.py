@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -22,14 +23,23 @@ Ids = NDArray[np.intp]
 
 def to_range(action: NDArray[Any], low: Array, high: Array) -> Array:
     """Maps [-1, 1] to [low, high], `(..., A)`; values outside are clipped."""
-    value = np.asarray(action, np.float64) * ((high - low) / 2) + (low + high) / 2
-    return np.minimum(np.maximum(value, low), high)
+    value: Array = action * ((high - low) / 2) + (low + high) / 2
+    return value.clip(low, high)
 
 
 def from_range(ctrl: NDArray[Any], low: Array, high: Array) -> Array:
     """Maps [low, high] to [-1, 1], `(..., A)`: the inverse of `to_range`."""
     action = (np.asarray(ctrl, np.float64) - (low + high) / 2) / ((high - low) / 2)
     return np.minimum(np.maximum(action, -1.0), 1.0)
+
+
+TOUCH_RANGE = 5.0
+"""Greatest force that is observed [N]; a key is held down with about one."""
+
+
+def observed_touch(force: NDArray[Any]) -> NDArray[Any]:
+    """What is observed of forces on fingertips (...) [N]: 0 to 1, from `TOUCH_RANGE` on."""
+    return force.__array_namespace__().minimum(force / TOUCH_RANGE, 1.0)
 
 
 def observed_onsets(
@@ -73,6 +83,18 @@ class TaskSpec:
     def observation_size(self) -> int:
         """D, the number of values in an observation."""
         return max(part.stop for part in self.observation_layout.values())
+
+    def observation(self, parts: Mapping[str, Any]) -> NDArray[np.float32]:
+        """(N, D) observations from arrays (N, ...) by name, of which some may not be observed.
+
+        The arrays are NumPy's or those of a library like it, which can compile this.
+        """
+        xp = parts["key_state"].__array_namespace__()
+        flat = [
+            parts[name].reshape(-1, part.stop - part.start).astype(xp.float32)
+            for name, part in self.observation_layout.items()
+        ]
+        return xp.concat(flat, axis=1)
 
     def scale_action(self, action: NDArray[Any]) -> Array:
         """Actions in actuator units from [-1, 1], `(..., A)`; values outside are clipped."""

@@ -1,0 +1,310 @@
+"""The task as pure functions of JAX's arrays, all on one device, for thousands of worlds.
+
+It shares the terms of the reward, the layout of observations and the metrics with `PianoTask`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cadenza.configs import as_config
+from cadenza.errors import CadenzaError, extra_packages
+from cadenza.music.goals import Goals
+from cadenza.music.metrics import step_metrics
+from cadenza.music.score import Score
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import Scene, build_scene
+from cadenza.sim.protocol import State
+from cadenza.tasks.augmentation import draws_variation, prepare_tracks
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PEDAL_DOWN, offset_joints
+from cadenza.tasks.reward import Outcome, Reward, key_activation, key_state
+from cadenza.tasks.view import observed_touch, task_spec
+
+with extra_packages("gpu", "the engine warp"):
+    import jax
+    import jax.numpy as jnp
+
+Array = Any  # of JAX
+
+METRICS = "precision", "recall", "f1"
+
+
+class Songs(NamedTuple):
+    """The goals of S songs, padded to the T control steps of the longest."""
+
+    goal: Array
+    """(S, T + L, K + 1) bool, keys and pedal; nothing past the end of a song."""
+    fingers: Array
+    """(S, T, K) int8, fingers for the keys, -1 for none."""
+    fingers_wanted: Array
+    """(S, T, F) bool, which fingers have a key to press."""
+    num_steps: Array
+    """(S,) int32, control steps of each song."""
+
+
+class Episodes(NamedTuple):
+    """How far N environments have got."""
+
+    song: Array
+    """(N,) int32, which song each plays."""
+    steps_done: Array
+    """(N,) int32, control steps since its reset."""
+    pedal: Array
+    """(N,) the pedal, 0 to 1."""
+    lost: Array
+    """(N,) bool, whether the pedal was not a number since its reset."""
+    sums: Array
+    """(N, 3) sums over its steps of precision, recall and F1."""
+
+
+class Transition(NamedTuple):
+    """The result of a control step of N environments, see `piano_task.Transition`."""
+
+    reward: Array
+    terms: dict[str, Array]
+    terminated: Array
+    truncated: Array
+    unstable: Array
+
+
+class PianoState(NamedTuple):
+    """N environments after a step, with the fields that users of MuJoCo Playground expect.
+
+    Where an episode has ended, the next one has begun: `obs` is its first observation.
+    """
+
+    data: Any
+    """The physical state of all worlds, see `cadenza.sim.warp.Physics`."""
+    episodes: Episodes
+    """How far the environments have got."""
+    key: Array
+    """The key from which what is random follows."""
+    obs: Array
+    """(N, D) float32, observations."""
+    reward: Array
+    """(N,) rewards of the step."""
+    done: Array
+    """(N,) bool, whether the episode ended with the step."""
+    metrics: dict[str, Array]
+    """Name -> (N,): "reward/<term>"; and precision, recall and f1 of the episode so far, or of the
+    one that has just ended, as the mean over its steps."""
+    info: dict[str, Array]
+    """Name -> array: `state`, the simulations after the step, see `State`; `final_obs` (N, D), the
+    observations after the step, before any episode began; and (N,) `truncation`, whether the song
+    was over; `unstable`, whether the simulation diverged or lost contacts; `overflow`, see
+    `Physics`; `song`, the song that `obs` is of."""
+
+
+class FunctionalPianoTask:
+    """N environments of the task, whose state is passed in and returned.
+
+    `reset` and `step` are compiled, and move nothing to the host. All songs and options of
+    `PianoTask` are there, except for those that the constructor refuses.
+
+    Attributes:
+        spec: what is the same in all environments and episodes.
+        songs: the goals of all songs.
+        physics: the simulation.
+    """
+
+    def __init__(
+        self,
+        scores: Sequence[Score],
+        config: TaskConfig | None = None,
+        scene: SceneConfig | Scene | None = None,
+        num_envs: int = 1,
+        physics: Any = None,
+    ) -> None:
+        """Makes a task of songs, of which each episode plays one.
+
+        Args:
+            scores: the songs to draw from.
+            config: the task's options.
+            scene: the scene or its options.
+            num_envs: N.
+            physics: makes the simulation, by default `cadenza.sim.warp.WarpPhysics`.
+
+        Raises:
+            CadenzaError: a song cannot be played, or an option makes no sense or is missing here.
+        """
+        self.config = as_config(config, TaskConfig)
+        self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
+        self.num_envs = num_envs
+        _check(self.config, self.scene)
+        self.tracks = prepare_tracks(scores, self.config, self.scene)
+        self.songs = _padded([t.goals for t in self.tracks], self.config.lookahead_steps)
+        self.spec = task_spec(self.config, self.scene)
+        self._offset_joints = offset_joints(self.config, self.scene)
+        self._reward = Reward(self.config, self.scene, None)
+        self.physics = (physics or _warp())(
+            self.scene, num_envs, self.config.control_timestep, self.config.forearm_term
+        )
+        self.reset, self.step = jax.jit(self._reset), jax.jit(self._step)
+
+    def _reset(self, key: Array) -> PianoState:
+        """Begins an episode in every environment."""
+        key, drawn = jax.random.split(key)
+        episodes, start = self.begin(drawn)
+        data = self.physics.start(start)
+        state = self._resting(start)
+        observation = self.observation(episodes, state)
+        nothing = jnp.zeros(self.num_envs)
+        _, result = jax.eval_shape(self.advance, episodes, state, self._no_action())
+        names = [*(f"reward/{name}" for name in result.terms), *METRICS]
+        no = jnp.zeros(self.num_envs, bool)
+        info = {"state": state, "final_obs": observation, "truncation": no, "unstable": no}
+        info |= {"overflow": data.overflow, "song": episodes.song}
+        metrics = dict.fromkeys(names, nothing)
+        return PianoState(data, episodes, key, observation, nothing, no, metrics, info)
+
+    def _step(self, state: PianoState, action: Array) -> PianoState:
+        """Takes a control step with actions (N, A + 1) in [-1, 1], the pedal last."""
+        ctrl = self.spec.scale_action(action)
+        data, simulated = self.physics.step(state.data, ctrl[:, :-1])
+        episodes, result = self.advance(state.episodes, simulated, ctrl)
+        final = self.observation(episodes, simulated)
+        done = result.terminated | result.truncated
+        means = (episodes.sums / episodes.steps_done[:, None]).T
+        metrics = {f"reward/{name}": values for name, values in result.terms.items()}
+        metrics |= dict(zip(METRICS, means, strict=True))
+        overflow = data.overflow
+
+        key, drawn = jax.random.split(state.key)
+        fresh, start = self.begin(drawn)
+        first = self.observation(fresh, self._resting(start))
+        data = _where(done, self.physics.start(start), data)
+        episodes = _where(done, fresh, episodes)
+        observation = _where(done, first, final)
+        info = {"state": simulated, "final_obs": final, "truncation": result.truncated}
+        info |= {"unstable": result.unstable, "overflow": overflow, "song": episodes.song}
+        return PianoState(data, episodes, key, observation, result.reward, done, metrics, info)
+
+    def begin(self, key: Array) -> tuple[Episodes, Array]:
+        """Draws episodes of all environments.
+
+        Returns:
+            The episodes, and the joint positions (N, J) at which the hands start [m, rad].
+        """
+        of_song, of_hands = jax.random.split(key)
+        shape, most = (self.num_envs,), self.config.random_hand_position
+        start = jnp.tile(jnp.asarray(self.scene.hand_start), (self.num_envs, 1))
+        if most:
+            offset = jax.random.uniform(of_hands, shape, minval=-most, maxval=most)
+            start = start.at[:, self._offset_joints].set(offset[:, None])
+        zeros = jnp.zeros(shape, jnp.int32)
+        song = jax.random.randint(of_song, shape, 0, len(self.tracks), jnp.int32)
+        sums = jnp.zeros((*shape, len(METRICS)))
+        return Episodes(song, zeros, jnp.zeros(shape), jnp.zeros(shape, bool), sums), start
+
+    def _resting(self, start: Array) -> State:
+        """What is observed of worlds that have been reset; fingertips and forces are not."""
+        zeros = State.zeros(self.scene, self.num_envs)
+        return jax.tree.map(jnp.asarray, zeros)._replace(hand_qpos=start)
+
+    def _no_action(self) -> Array:
+        return jnp.zeros((self.num_envs, self.spec.action_size))
+
+    def _row(self, episodes: Episodes) -> Array:
+        """(N,) the step that comes next; after the last, the last."""
+        return jnp.minimum(episodes.steps_done, self.songs.num_steps[episodes.song] - 1)
+
+    def advance(self, episodes: Episodes, state: State, ctrl: Array) -> tuple[Episodes, Transition]:
+        """What a control step has led to, as `PianoTask.step`.
+
+        Args:
+            episodes: before the step.
+            state: the simulations after it.
+            ctrl: (N, A + 1) the actions in actuator units, the pedal last.
+        """
+        song, row = episodes.song, self._row(episodes)
+        goal, fingers = self.songs.goal[song, row], self.songs.fingers[song, row]
+        lost = episodes.lost | ~jnp.isfinite(ctrl[:, -1])
+        pedal: Any = jnp.fmin(jnp.fmax(ctrl[:, -1], 0.0), 1.0)
+        keyboard = self.scene.keyboard
+        sounding = key_activation(state.key_qpos, keyboard.sounds_from)
+        outcome = Outcome(
+            state=state,
+            key_state=key_state(state.key_qpos, keyboard.travel),
+            sounding=sounding,
+            pedal_down=pedal >= PEDAL_DOWN,
+            goal_keys=goal[:, :-1],
+            goal_sustain=goal[:, -1],
+            fingers=fingers,
+            ctrl=ctrl,
+        )
+        terms = self._reward.terms(outcome)
+        terminated = unstable = state.unstable | lost
+        if self.config.wrong_press_termination:
+            terminated = terminated | (sounding > goal[:, :-1]).any(axis=1)
+        done = episodes.steps_done + 1
+        over = done >= self.songs.num_steps[song]
+        sums = episodes.sums + jnp.stack(step_metrics(sounding, goal[:, :-1]), axis=1)
+        after = Episodes(song, done, pedal, lost, sums)
+        total = sum(terms.values(), jnp.zeros(len(ctrl)))
+        return after, Transition(total, terms, terminated, over & ~terminated, unstable)
+
+    def observation(self, episodes: Episodes, state: State) -> Array:
+        """(N, D) observations, see `PianoTask.observation`."""
+        song, row = episodes.song[:, None], self._row(episodes)[:, None]
+        ahead = jnp.arange(self.config.lookahead_steps + 1)
+        parts = {
+            "goal": self.songs.goal[song, row + ahead],
+            "fingering": self.songs.fingers_wanted[song, row],
+            "key_state": key_state(state.key_qpos, self.scene.keyboard.travel),
+            "pedal": episodes.pedal,
+            "joints": state.hand_qpos,
+            "touch": observed_touch(state.touch[:, self.scene.present_fingers]),
+        }
+        return self.spec.observation(parts)
+
+
+def _warp() -> Any:
+    from cadenza.sim.warp import WarpPhysics  # needs more packages than the rest of this module
+
+    return WarpPhysics
+
+
+def _where(mask: Array, first: Any, second: Any) -> Any:
+    """Rows of the first of two trees of arrays (N, ...) where the mask (N,) is set."""
+
+    def choose(a: Array, b: Array) -> Array:
+        return jnp.where(mask.reshape(mask.shape + (1,) * (b.ndim - 1)), a, b)
+
+    return jax.tree.map(choose, first, second)
+
+
+def _padded(goals: Sequence[Goals], lookahead: int) -> Songs:
+    longest = max(each.num_steps for each in goals)
+
+    def stacked(arrays: Sequence[np.ndarray], more: int, filled_with: int) -> Array:
+        padded = [
+            np.pad(a, ((0, longest + more - len(a)), (0, 0)), constant_values=filled_with)
+            for a in arrays
+        ]
+        return jnp.asarray(np.stack(padded))
+
+    wanted = [np.column_stack([each.keys, each.sustain]) for each in goals]
+    return Songs(
+        stacked(wanted, lookahead, 0),
+        stacked([each.fingers for each in goals], 0, -1),
+        stacked([each.fingers_wanted for each in goals], 0, 0),
+        jnp.asarray([each.num_steps for each in goals], jnp.int32),
+    )
+
+
+def _check(config: TaskConfig, scene: Scene) -> None:
+    """Checks that all options of the task are there on the device."""
+    missing = {
+        "hands apart": scene.config.hands == "apart",
+        "fingering transport": config.fingering == "transport",
+        "onset_goals": config.onset_goals,
+        "random_stretch, random_pitch_shift or random_octave_shift": draws_variation(config),
+        "randomization": config.randomization.is_on,
+    }
+    for what, asked in missing.items():
+        if asked:
+            raise CadenzaError(f"the engine warp has no {what}: leave it out, or use the CPU's")

@@ -1,0 +1,157 @@
+"""The task as pure functions, value for value against the task that steps, on the same states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from cadenza.errors import CadenzaError
+from cadenza.music.libraries.library import load_score
+from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.sim.protocol import State
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.env import PianoVectorEnv
+from cadenza.tasks.piano_task import EpisodeStart, PianoTask
+
+jax = pytest.importorskip("jax")
+
+from jax.experimental import io_callback  # noqa: E402
+
+from cadenza.tasks.functional import FunctionalPianoTask  # noqa: E402
+
+DATA = Path(__file__).parents[1] / "data"
+EXACT = {"rtol": 1e-12, "atol": 1e-12}
+ONE_NOTE = Score((Note(0.0, 0.2, 60),), title="one note")
+CASES = {
+    "default": {},
+    "terms": {
+        "sustain_term": True,
+        "forearm_term": True,
+        "key_press": "graded",
+        "initial_buffer_time": 0.2,
+    },
+    "wrong keys end it": {"wrong_press_termination": True, "n_steps_lookahead": 0},
+    "without fingers": {"fingering": "off"},
+}
+
+
+class Data(NamedTuple):
+    """A physical state without physics."""
+
+    overflow: Any
+
+
+class RecordedPhysics:
+    """Worlds that are what the states of another simulation were, one after the other."""
+
+    states: Iterator[State]
+
+    def __init__(self, scene: Any, num_envs: int, *_: Any) -> None:
+        self.zeros = State.zeros(scene, num_envs)
+
+    def start(self, hand_qpos: Any) -> Data:
+        return Data(jax.numpy.zeros(len(hand_qpos), int))
+
+    def step(self, data: Data, ctrl: Any) -> tuple[Data, State]:
+        return data, io_callback(self._next, single_precision(self.zeros), ordered=True)
+
+    def _next(self) -> State:
+        return single_precision(next(self.states))
+
+
+def single_precision(state: State) -> State:
+    return State._make(v.astype(np.float32) if v.dtype == float else v for v in state)
+
+
+def recorded() -> np.ndarray:
+    with np.load(DATA / "episode_d.npz") as file:
+        return file["action"]
+
+
+@pytest.mark.parametrize("options", CASES.values(), ids=CASES)
+@pytest.mark.parametrize("touch", [False, True])
+def test_every_value_of_an_episode(options: dict[str, Any], touch: bool) -> None:
+    """The recorded performance, random actions, an action that is no number, and a short song."""
+    scores = [load_score("CMajorScaleTwoHands"), ONE_NOTE]
+    config, scene = TaskConfig(**options), SceneConfig(touch=touch)
+    cpu = PianoTask(scores, config, scene, 4)
+    rng, songs = np.random.default_rng(0), np.array([0, 0, 0, 1])
+    cpu.reset(rng.spawn(4), range(4), [EpisodeStart(int(song)) for song in songs])
+    with jax.enable_x64(True):
+        task = FunctionalPianoTask(scores, config, cpu.scene, 4, RecordedPhysics)
+        advance, observe = jax.jit(task.advance), jax.jit(task.observation)
+        episodes = task.begin(jax.random.key(0))[0]._replace(song=jax.numpy.asarray(songs))
+        assert_array_equal(observe(episodes, on_device(cpu.state)), cpu.observation())
+        for step, action in enumerate(recorded()):
+            ctrl = rng.uniform(cpu.spec.action_low, cpu.spec.action_high, (4, len(action)))
+            ctrl[0] = action
+            if step == 20:
+                ctrl[1, -1] = np.nan
+            result = cpu.step(ctrl)
+            episodes, ours = advance(episodes, on_device(cpu.state), ctrl)
+            assert ours.terms.keys() == result.terms.keys()
+            for name, values in result.terms.items():
+                assert_allclose(ours.terms[name], values, err_msg=name, **EXACT)
+            assert_allclose(ours.reward, result.reward, **EXACT)
+            for name in ("terminated", "truncated", "unstable"):
+                assert_array_equal(getattr(ours, name), getattr(result, name), err_msg=name)
+            assert_array_equal(observe(episodes, on_device(cpu.state)), cpu.observation())
+            for env in (0, 2):
+                if step < cpu.goals.num_steps[env]:
+                    expected = cpu.episode_metrics(env)
+                    f1 = [expected[name] for name in ("precision", "recall", "f1")]
+                    assert_allclose(episodes.sums[env] / (step + 1), f1, **EXACT)
+    cpu.close()
+
+
+def test_episodes_begin_anew() -> None:
+    """Against the environments of Gymnasium that are reset in the same step."""
+    envs = PianoVectorEnv(ONE_NOTE, 2, autoreset_mode="SameStep")
+    first, _ = envs.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1, 1, (12, 2, 39)).astype(np.float32)
+    states, step = [], envs.task.step
+
+    def watched(*args: Any) -> Any:
+        result = step(*args)
+        states.append(envs.task.state)
+        return result
+
+    envs.task.step = watched
+    steps = [envs.step(action) for action in actions]
+    RecordedPhysics.states = iter(states)
+    task = FunctionalPianoTask([ONE_NOTE], None, envs.task.scene, 2, RecordedPhysics)
+    state = task.reset(jax.random.key(0))
+    assert_allclose(state.obs, first, atol=1e-6)
+    ends = 0
+    for action, (obs, reward, terminated, truncated, infos) in zip(actions, steps, strict=True):
+        state = task.step(state, action)
+        assert_allclose(state.obs, obs, atol=1e-6)
+        assert_allclose(state.reward, reward, atol=1e-4)
+        assert_array_equal(state.done, terminated | truncated)
+        assert_array_equal(state.info["truncation"], truncated)
+        for env in np.flatnonzero(truncated):
+            assert_allclose(state.info["final_obs"][env], infos["final_obs"][env], atol=1e-6)
+            f1 = infos["final_info"]["metrics/f1"][env]
+            assert_allclose(state.metrics["f1"][env], f1, atol=1e-6)
+            ends += 1
+    assert ends >= 4
+    envs.close()
+
+
+def on_device(state: State) -> State:
+    return State._make(jax.numpy.asarray(values) for values in state)
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [({"onset_goals": True}, "onset_goals"), ({"random_stretch": 0.1}, "random_stretch")],
+)
+def test_says_what_it_lacks(options: dict[str, Any], what: str) -> None:
+    with pytest.raises(CadenzaError, match=f"no {what}"):
+        FunctionalPianoTask([ONE_NOTE], TaskConfig(**options), None, 1, RecordedPhysics)
