@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -15,7 +16,7 @@ from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.protocol import State
-from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.env import PianoVectorEnv
 from cadenza.tasks.piano_task import EpisodeStart, PianoTask
 
@@ -155,3 +156,31 @@ def on_device(state: State) -> State:
 def test_says_what_it_lacks(options: dict[str, Any], what: str) -> None:
     with pytest.raises(CadenzaError, match=f"no {what}"):
         FunctionalPianoTask([ONE_NOTE], TaskConfig(**options), None, 1, RecordedPhysics)
+
+
+def test_gymnasium_makes_environments_on_the_device() -> None:
+    """Random actions as another library's array; the observations of the first as of the CPU's."""
+    options: dict[str, Any] = {"song": ONE_NOTE, "num_envs": 2}
+    envs = gym.make_vec("cadenza/Piano-v0", engine="warp", make_physics=StillPhysics, **options)
+    on_cpu = gym.make_vec("cadenza/Piano-v0", **options)
+    observation, _ = envs.reset(seed=1)
+    assert_allclose(np.from_dlpack(observation), on_cpu.reset(seed=1)[0], atol=1e-6)
+    assert envs.observation_space == on_cpu.observation_space
+    assert envs.action_space == on_cpu.action_space
+    assert envs.observation_space.contains(np.asarray(observation))
+    lengths = [envs.step(jax.numpy.zeros((2, 39)))[3].all() for _ in range(10)]
+    assert lengths == [False, False, False, False, True] * 2
+    with pytest.raises(CadenzaError, match=r"actions of shape \(3, 39\): give \(2, 39\)"):
+        envs.step(np.zeros((3, 39)))
+    with pytest.raises(CadenzaError, match="engine 'cuda': choose from mujoco, warp"):
+        gym.make_vec("cadenza/Piano-v0", engine="cuda", **options)
+    noisy = DomainRandomization(joint_noise=0.1)
+    with pytest.raises(CadenzaError, match="no randomization: leave it out"):
+        gym.make_vec("cadenza/Piano-v0", engine="warp", randomization=noisy, **options)
+
+
+class StillPhysics(RecordedPhysics):
+    """Nothing moves."""
+
+    def step(self, data: Data, ctrl: Any) -> tuple[Data, State]:
+        return data, jax.tree.map(jax.numpy.asarray, single_precision(self.zeros))

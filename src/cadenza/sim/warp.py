@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cadenza.configs import whole_number
 from cadenza.errors import extra_packages
 from cadenza.scene.scene import Scene
-from cadenza.sim.key_crossings import last_key_events
+from cadenza.sim.key_crossings import dense_key_events
 from cadenza.sim.mujoco_simulation import MujocoSimulation, physics_steps
 from cadenza.sim.protocol import State
 
@@ -134,7 +134,7 @@ class WarpPhysics:
         keys = self.scene.key_qpos
         path: Any = jnp.concatenate([physics.qpos[:, None, keys], after], axis=1)
         sounds_from = self.scene.keyboard.sounds_from
-        onset, offset, speed = last_key_events(path, sounds_from, self._substep)
+        onset, offset, speed = dense_key_events(path, sounds_from, self._substep)
         num_fingers, there = self.scene.fingers.count, self.scene.present_fingers
         tips: Any = jnp.zeros((self.num_envs, num_fingers, 3))
         touch: Any = jnp.zeros((self.num_envs, num_fingers))

@@ -30,6 +30,7 @@ from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import EpisodeStart, PianoTask, Transition
 from cadenza.tasks.reward import Array, RewardTerm, finite_array
 from cadenza.tasks.setups import configure
+from cadenza.tasks.view import TaskSpec
 
 Song = str | Path | Score | Mapping[str, Any]
 Observation = Any  # an array, or with pixels a dictionary of two
@@ -38,11 +39,20 @@ _EPISODE_OPTIONS = ("song", "score", "start", "randomization")
 _RESET_OPTIONS = {"reset_mask", *_EPISODE_OPTIONS}
 
 
-def _as_score(song: Any) -> Score | None:
+def as_score(song: Any) -> Score | None:
     """The score, if `song` is one, also as JSON (`WrittenScore`); None if it only names one."""
     if isinstance(song, Mapping):
         return checked(song, WrittenScore, "the score").score
     return song if isinstance(song, Score) else None
+
+
+def state_space(spec: TaskSpec) -> spaces.Box:
+    """The space of observations without pixels."""
+    low, high = np.zeros(spec.observation_size, np.float32), np.ones(spec.observation_size)
+    if "joints" in spec.observation_layout:
+        joints = spec.observation_layout["joints"]
+        low[joints], high[joints] = -np.inf, np.inf  # joint limits are soft
+    return spaces.Box(low, high.astype(np.float32), dtype=np.float32)
 
 
 def _make_task(
@@ -70,7 +80,7 @@ def _make_task(
         raise CadenzaError(
             "no song to play: give song='OdeToJoy', the path of a MIDI file, a Score, or several"
         )
-    scores = [_as_score(song) or load_score(song) for song in songs]
+    scores = [as_score(song) or load_score(song) for song in songs]
     return PianoTask(scores, config, scene, num_envs, num_threads, reward_terms)
 
 
@@ -165,12 +175,7 @@ class PianoVectorEnv(VectorEnv):
         return self.task.spec.observation_layout
 
     def _observation_space(self) -> spaces.Space:
-        low = np.zeros(self.task.spec.observation_size, np.float32)
-        high = np.ones(self.task.spec.observation_size, np.float32)
-        if "joints" in self.observation_layout:
-            joints = self.observation_layout["joints"]
-            low[joints], high[joints] = -np.inf, np.inf  # joint limits are soft
-        state = spaces.Box(low, high, dtype=np.float32)
+        state = state_space(self.task.spec)
         if not self._pixels:
             return state
         shape = (self._picture.height, self._picture.width, 3)
@@ -230,7 +235,7 @@ class PianoVectorEnv(VectorEnv):
             return None if song is None else self._index(song)
         if song is not None:
             raise CadenzaError("song and score: give one of them, as an episode plays one")
-        if (played := _as_score(score)) is None:
+        if (played := as_score(score)) is None:
             raise CadenzaError(f"score {score!r:.100}: give a Score; a song is named by song")
         return unchanged_track(played, self.task.config, self.task.scene)
 

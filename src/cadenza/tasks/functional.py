@@ -117,7 +117,7 @@ class FunctionalPianoTask:
         config: TaskConfig | None = None,
         scene: SceneConfig | Scene | None = None,
         num_envs: int = 1,
-        physics: Any = None,
+        make_physics: Any = None,
     ) -> None:
         """Makes a task of songs, of which each episode plays one.
 
@@ -126,7 +126,7 @@ class FunctionalPianoTask:
             config: the task's options.
             scene: the scene or its options.
             num_envs: N.
-            physics: makes the simulation, by default `cadenza.sim.warp.WarpPhysics`.
+            make_physics: makes the simulation, by default `cadenza.sim.warp.WarpPhysics`.
 
         Raises:
             CadenzaError: a song cannot be played, or an option makes no sense or is missing here.
@@ -140,7 +140,7 @@ class FunctionalPianoTask:
         self.spec = task_spec(self.config, self.scene)
         self._offset_joints = offset_joints(self.config, self.scene)
         self._reward = Reward(self.config, self.scene, None)
-        self.physics = (physics or _warp())(
+        self.physics = (make_physics or _warp())(
             self.scene, num_envs, self.config.control_timestep, self.config.forearm_term
         )
         self.reset, self.step = jax.jit(self._reset), jax.jit(self._step)

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import gymnasium
+from gymnasium.vector import VectorEnv
 
+from cadenza.errors import CadenzaError
 from cadenza.music.libraries.bundled import songs
 
 _DRILLS = {"MiniNote": "notes-1", "MiniNotes": "notes-6", "MiniDyads": "dyads-3"}
+_ENGINES = {
+    "mujoco": ("cadenza.tasks.env", "PianoVectorEnv"),
+    "warp": ("cadenza.tasks.device_env", "DevicePianoVectorEnv"),
+}
 _NUM_DRILLS = 20
 _MINI = {"setup": "mini-allegro", "initial_buffer_time": 0.5}
 
@@ -27,10 +34,25 @@ def register_envs() -> None:
         _register(f"cadenza/{name}-v0", {"song": songs_of_it, **_MINI})
 
 
+def make_vector_env(engine: str = "mujoco", **options: Any) -> VectorEnv:
+    """N environments, by the physics of an `engine`: "mujoco", or "warp" for GPUs.
+
+    The options are those of `PianoVectorEnv`, or of `DevicePianoVectorEnv`.
+
+    Raises:
+        CadenzaError: there is no such engine or option, or a song cannot be played.
+    """
+    if engine not in _ENGINES:
+        raise CadenzaError(f"engine {engine!r}: choose from {', '.join(_ENGINES)}")
+    module, name = _ENGINES[engine]
+    made: VectorEnv = getattr(import_module(module), name)(**options)
+    return made
+
+
 def _register(env_id: str, kwargs: dict[str, Any]) -> None:
     gymnasium.register(
         id=env_id,
         entry_point="cadenza.tasks.env:PianoEnv",
-        vector_entry_point="cadenza.tasks.env:PianoVectorEnv",
+        vector_entry_point="cadenza.tasks.registration:make_vector_env",
         kwargs=kwargs,
     )

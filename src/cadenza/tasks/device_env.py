@@ -1,0 +1,117 @@
+"""The task as Gymnasium's `VectorEnv`, whose arrays stay on the device."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from cadenza.errors import CadenzaError, extra_packages
+from cadenza.music.libraries.library import load_score
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.env import as_score, state_space
+from cadenza.tasks.functional import FunctionalPianoTask, PianoState
+from cadenza.tasks.setups import configure
+
+with extra_packages("gpu", "the engine warp"):
+    import jax
+    import jax.numpy as jnp
+
+
+class DevicePianoVectorEnv(VectorEnv):
+    """N environments of the task on JAX's device.
+
+    Observations, rewards, ends and infos are arrays of JAX, which other libraries take over without
+    a copy by DLPack: `torch.from_dlpack(observation)`. Actions are arrays of any library that has
+    DLPack, or of NumPy.
+
+    An environment whose episode has ended is reset in the same step, as in
+    `gymnasium.vector.AutoresetMode.SAME_STEP`. `infos` holds what `PianoState` has as `metrics` and
+    as `info`; "final_obs" (N, D) are the observations after the step, of all environments. Unlike
+    Gymnasium's own, infos have no masks: which environments have ended is only known on the device.
+    """
+
+    def __init__(
+        self,
+        song: Any = None,
+        num_envs: int = 1,
+        task: TaskConfig | None = None,
+        scene: SceneConfig | None = None,
+        make_physics: Any = None,
+        **options: Any,
+    ) -> None:
+        """Makes N environments of a song, or of songs that episodes are drawn from.
+
+        Args:
+            song: see `PianoVectorEnv`.
+            num_envs: N.
+            task: the task's configuration.
+            scene: the scene's configuration.
+            make_physics: makes the simulation, see `FunctionalPianoTask`.
+            options: fields of `TaskConfig` and `SceneConfig`, see `PianoVectorEnv`.
+
+        Raises:
+            CadenzaError: a song cannot be played, or an option makes no sense or is missing here.
+        """
+        config, scene = configure(options, task, scene)
+        songs = list(song) if isinstance(song, list | tuple) else [song]
+        if songs == [None]:
+            raise CadenzaError("no song to play: give song='OdeToJoy', a path, a Score, or several")
+        scores = [as_score(each) or load_score(each) for each in songs]
+        self.task = FunctionalPianoTask(scores, config, scene, num_envs, make_physics)
+        self.num_envs = num_envs
+        self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
+        self.render_mode = None
+        self.single_action_space = spaces.Box(-1.0, 1.0, (self.task.spec.action_size,), np.float32)
+        self.single_observation_space = state_space(self.task.spec)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._state: PianoState | None = None
+
+    @property
+    def observation_layout(self) -> dict[str, slice]:
+        """Name -> slice of an observation (see `PianoTask.observation`)."""
+        return self.task.spec.observation_layout
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Starts new episodes in all environments.
+
+        Args:
+            seed: what is random follows from it; by default the random numbers go on.
+            options: there are none.
+
+        Raises:
+            CadenzaError: there is an option.
+        """
+        if options:
+            raise CadenzaError(f"reset: the engine warp has no option {next(iter(options))!r}")
+        if seed is None and self._state is not None:
+            key = self._state.key
+        else:
+            key = jax.random.key(int(self.np_random.integers(2**31)) if seed is None else seed)
+        self._state = self.task.reset(key)
+        return self._state.obs, dict(self._state.info)
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Takes a control step with actions (N, A) in every environment.
+
+        Raises:
+            CadenzaError: no episode has started, or there are not as many actions.
+        """
+        if self._state is None:
+            raise CadenzaError("no episode has started: call reset() before step()")
+        if tuple(actions.shape) != self.action_space.shape:
+            raise CadenzaError(
+                f"actions of shape {tuple(actions.shape)}: give {self.action_space.shape}"
+            )
+        on_device = actions if isinstance(actions, np.ndarray) else jnp.from_dlpack(actions)
+        self._state = state = self.task.step(self._state, jnp.asarray(on_device, jnp.float32))
+        truncated = state.info["truncation"]
+        infos = state.metrics | state.info
+        return state.obs, state.reward, state.done & ~truncated, truncated, infos
