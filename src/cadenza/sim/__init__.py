@@ -1,1 +1,1 @@
-"""A batch of simulations stepped by a pool of threads; state in and out as arrays."""
+"""A batch of simulations, stepped by threads or on a GPU; state in and out as arrays."""

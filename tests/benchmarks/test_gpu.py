@@ -1,0 +1,26 @@
+"""The benchmark for GPUs, on the CPU."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow  # it compiles for a minute
+pytest.importorskip("mujoco_warp")
+
+
+def test_writes_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from benchmarks import gpu
+
+    table = tmp_path / "gpu.csv"
+    command = ["gpu", "--worlds", "2", "--steps", "3", "--output", str(table)]
+    monkeypatch.setattr(sys, "argv", command)
+    gpu.main()
+    with table.open() as file:
+        random, skilled = csv.DictReader(file)
+    assert (random["actions"], skilled["actions"]) == ("random", "skilled")
+    assert int(random["steps_per_second"]) > 0 < int(skilled["steps_per_second"])
+    assert random["unstable"] == random["overflow"] == skilled["overflow"] == "0"
