@@ -232,7 +232,9 @@ def _callable(simulate: Any, shapes: dict[str, tuple[Any, tuple[int, ...]]], on_
 
     Warp reads the number and the types of arguments off a function's signature.
     """
-    kinds = {name: wp.array2d(dtype=float) for name in ("qpos", "qvel", "warmstart", "ctrl")}
+    kinds: dict[str, Any] = {
+        name: wp.array2d(dtype=float) for name in ("qpos", "qvel", "warmstart", "ctrl")
+    }
     kinds |= {name: kind for name, (kind, _) in shapes.items()}
 
     def named(*arrays: Any) -> None:
