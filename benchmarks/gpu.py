@@ -3,11 +3,10 @@
     python -m benchmarks.gpu [--output gpu.csv] [--worlds 256 1024 4096 8192]
 
 It is meant to take less than eight minutes, compiling included: no batch begins after --minutes.
-"random"
-draws actions uniformly in each step; "skilled" replays a performance of CMajorScaleTwoHands, with
-noise of 1 % of the range so that worlds differ. Each batch is compiled and warmed up before the
-clock runs. The table is written anew after each batch. Without a GPU everything runs on the CPU,
-slowly: try --worlds 4 --steps 5.
+Actions are drawn uniformly in each step ("random"), or replay a performance of CMajorScaleTwoHands
+with noise of 1 % of the range, so that worlds differ ("skilled"). Each batch is compiled and warmed
+up before the clock runs. The table is written anew after each batch. Without a GPU everything runs
+on the CPU, slowly: try --worlds 4 --steps 5.
 """
 
 from __future__ import annotations

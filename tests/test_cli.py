@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 import errno
 import json
 import os
-import re
 import shlex
 import subprocess
 import sys
 import tomllib
-import zlib
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -40,6 +37,7 @@ from cadenza.scene.scene import build_scene
 from cadenza.sim.render import Renderer
 from cadenza.tasks.config import DomainRandomization, TaskConfig, task_identity, with_time_to_begin
 from numbered import numbers
+from report_pages import recording_in
 
 DATA = Path(__file__).parent / "data"
 TUNE = Score(
@@ -598,12 +596,6 @@ def test_the_planner_plays_by_default(
     assert f"missed {len(missed)} of 3 notes" in said
 
 
-def recording(page: str) -> str:
-    """What a report page holds of the performance, as JSON."""
-    (packed,) = re.findall(r'class="recording"[^>]*>([^<]*)<', page)
-    return json.dumps(json.loads(zlib.decompress(base64.b64decode(packed))), ensure_ascii=False)
-
-
 def test_notes_without_a_finger_are_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -616,7 +608,7 @@ def test_notes_without_a_finger_are_told(
     assert (lost["note"], lost["finger"], lost["time"]) == ("F♯1", -1, 0.5)
     assert "missed 1 of 2 notes: no finger\n" in said
     assert "no finger for 1 note: " + lost["reason"].removeprefix("no finger for it: ") in said
-    assert lost["reason"] in recording((tmp_path / "report.html").read_text())
+    assert lost["reason"] in str(recording_in((tmp_path / "report.html").read_text()))
 
 
 def test_the_planners_have_options_of_their_own(tune: Path, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.env import PianoEnv, PianoVectorEnv
 from cadenza.tasks.piano_task import PianoTask
+from report_pages import recording_in
 
 TWO_OCTAVES = replace(PIANO, name="two_octaves", lowest_pitch=48, num_keys=25)
 UNREFINED = PlannerConfig(method="none")
@@ -70,8 +71,8 @@ def test_a_performance_on_it_is_saved_with_its_page(agent: str, tmp_path: Path) 
     scene = SceneConfig(hands="right", keyboard=KEYBOARD)
     performance = cadenza.play(tune, agent, scene=scene)
     performance.save(tmp_path)
-    page = (tmp_path / "report.html").read_text()
-    assert '"keys":25,"lowest":48' in page
+    recording = recording_in((tmp_path / "report.html").read_text())
+    assert (recording["keys"], recording["lowest"]) == (25, 48)
     episode = cadenza.load_episode(tmp_path / "episode.npz")
     assert (episode.lowest_pitch, episode["key_activation"].shape[1]) == (48, 25)
     if agent == "planner":
