@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import tracemalloc
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -70,23 +69,6 @@ def test_playing_leaves_what_the_command_line_leaves(tmp_path: Path) -> None:
     assert metrics[0]["return"] == metrics[1]["return"] == performance.metrics["return"]
     pitches = [note.pitch for note in performance.played.notes]
     assert [note.pitch for note in read_midi(ours / "played.mid").notes] == pitches
-
-
-def test_the_page_is_there_for_those_who_do_not_wait_for_the_video(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    performance = cadenza.play(TUNE, "zero")
-    monkeypatch.setattr("cadenza.performing.performance.write_video", interrupted)
-    monkeypatch.setattr("cadenza.performing.performance.Renderer", lambda *_: BytesIO())
-    with pytest.raises(KeyboardInterrupt):
-        performance.save(tmp_path, video=True)
-    assert 'href="video.mp4"' not in (tmp_path / "report.html").read_text("utf-8")
-    monkeypatch.setattr("cadenza.performing.performance.write_video", lambda *_: None)
-    performance.save(tmp_path, video=True)
-    assert 'href="video.mp4"' in (tmp_path / "report.html").read_text("utf-8")
 
 
 @pytest.mark.slow

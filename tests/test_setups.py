@@ -45,7 +45,7 @@ def test_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert chosen["agent"] == "zero"
     assert chosen["scene"]["hand"] == "allegro"  # type: ignore[index]
     assert chosen["scene"]["forearm_dofs"] == ["tx"]  # type: ignore[index]
-    chosen = settings("--hands", "left", f"--setup={setup}", "--agent", "random")
+    chosen = settings("--hands", "left", "--all-notes", f"--setup={setup}", "--agent", "random")
     assert chosen["agent"] == "random"
     assert chosen["scene"]["hands"] == "left"  # type: ignore[index]
     assert chosen["scene"]["hand"] == "allegro"  # type: ignore[index]

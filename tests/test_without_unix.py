@@ -25,6 +25,8 @@ for module in pkgutil.walk_packages(cadenza.__path__, "cadenza."):
             importlib.import_module(module.name)
         except ModuleNotFoundError as error:
             assert error.name.split(".")[0] != "cadenza" and error.name != "fcntl", error
+        except cadenza.CadenzaError as error:  # of an extra that is not installed
+            assert isinstance(error.__cause__, ModuleNotFoundError), error
 from cadenza.learning.cpu_affinity import claimed_cores
 from cadenza.learning.run_folder import RunFolder
 from cadenza.cli import main

@@ -22,7 +22,7 @@ class Arrangement:
     tracks: tuple[int, ...] = ()
     """Play only these tracks, numbered as in "cadenza info SONG"."""
     plain: bool = False
-    """Play the notes of a score as they stand: no trills, staccato, fermatas, ritardandos, ..."""
+    """Play the notes as they stand, without signs."""
     arrange: Literal["auto", "always", "off"] = "auto"
     """Arrange the song for the hands: auto where they cannot play it as written."""
     level: int | None = None

@@ -24,6 +24,7 @@ from cadenza.report.sound import SAMPLE_RATE, synthesize
 from cadenza.report.video import write_video
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
+from cadenza.sim.threads import available_cores
 
 FILM = "video.mp4"
 """The name of the film in the folder of a performance."""
@@ -57,7 +58,7 @@ def _drawn(
     folder: Path, look: Look, times: NDArray[np.float64], progress: Progress
 ) -> Iterator[NDArray[np.uint8]]:
     """Draws pictures in several processes, and yields them in their order."""
-    cores = len(os.sched_getaffinity(0))
+    cores = available_cores()
     pieces = (times[i : i + _AT_ONCE] for i in range(0, len(times), _AT_ONCE))
     done = 0
     with ProcessPoolExecutor(

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cadenza.music.signs.conventions import Conventions
 from cadenza.music.signs.signed_note import OrnamentKind
@@ -35,8 +38,8 @@ def place_graces(voice: Voice, tempo: TempoMap, conventions: Conventions) -> Non
         main = None if after.after else voice.chords.get(onset)
         if main is not None and _on_the_beat(graces, main, tempo, conventions):
             continue
-        beat = float((tempo.onsets if main else tempo.ends)([onset])[0])
-        _before_the_beat(graces, previous, beat, tempo, conventions)
+        clock = tempo.onsets if main else tempo.ends
+        _before_the_beat(graces, previous, clock, conventions)
 
 
 def _on_the_beat(
@@ -82,11 +85,11 @@ def _most(duration: Fraction) -> Fraction:
 def _before_the_beat(
     graces: Sequence[Chord],
     previous: Chord | None,
-    beat: float,
-    tempo: TempoMap,
+    clock: Callable[[Sequence[Fraction]], NDArray[np.float64]],
     conventions: Conventions,
 ) -> None:
     first = graces[0][0].of
+    beat = float(clock([first.onset])[0])
     ends_trill = previous is not None and any(
         note.of.ornament is not None
         and note.of.ornament.kind is OrnamentKind.TRILL
@@ -99,8 +102,7 @@ def _before_the_beat(
     grace = first.grace
     assert grace is not None
     if grace.takes:
-        onset = first.onset
-        length = float(beat - tempo.onsets([onset - grace.takes * len(graces)])[0])
+        length = beat - float(clock([first.onset - grace.takes * len(graces)])[0])
     steals = ends_trill
     if previous is not None:
         begun = min(note.start for note in previous)
