@@ -12,7 +12,7 @@ from cadenza.arranging.lengths import held_as_possible
 from cadenza.arranging.moments import SHORTEST, Moment, beats_of, merged, moments_of
 from cadenza.arranging.one_hand import OneHand
 from cadenza.arranging.parts import parts_of
-from cadenza.arranging.reduction import EarlyEnd, Struck, Values, reduced
+from cadenza.arranging.reduction import EarlyEnd, Struck, reduced
 from cadenza.fingering.difficulty import EASIEST, FITTED, HARDEST, features_of
 from cadenza.fingering.players import Players
 from cadenza.fingering.search import find_fingering
@@ -85,7 +85,7 @@ class Arranger:
 
         `cost` is that of every note of the harmony.
         """
-        struck, early_ends = reduced(moments, self._hands, Values(note=cost))
+        struck, early_ends = reduced(moments, self._hands, cost)
         fingered, dropped = find_fingering(_score(score, struck, early_ends), self._players)
         if dropped:
             left_out = {(note.start, note.pitch) for note, _ in dropped}

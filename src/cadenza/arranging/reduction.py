@@ -13,7 +13,6 @@ Signal and Information Processing 7, 2018).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from heapq import nsmallest
 from itertools import product
 from typing import NamedTuple
@@ -35,33 +34,15 @@ _LEAST_LATE = 0.15  # [s] for which a note sounds that is struck late
 _LASTS, _LASTING = 3.6, 60
 _BUSY = 0.2  # [s] after which a hand that strikes again is busy
 
-
-@dataclass(frozen=True)
-class Values:
-    """What notes are worth, and what they cost; 1 is a pitch class that sounds in a beat."""
-
-    melody: float = 12.0
-    bass: float = 6.0
-    moved_bass: float = 4.0
-    """The value of a bass note an octave higher."""
-    new: float = 1.0
-    """The value of the first note of a pitch class in a beat."""
-    again: float = 0.4
-    """The value of any other note, where it is written."""
-    late: float = 0.15
-    """The cost of striking a note later than written, or again."""
-    octave: float = 0.3
-    """The cost of every octave by which a note is moved."""
-    note: float = 0.0
-    """The cost of every note of the harmony: what is played becomes easier."""
-    early: float = 0.6
-    """The cost of ending a note as soon as it begins; less in proportion if it ends later."""
-    early_melody: float = 4.0
-    """The same for a note of the melody."""
-    haste: float = 30.0
-    """The cost of a jump that takes all the time there is; with the square of the share."""
-    busy: float = 0.6
-    """The cost of each further note that a hand strikes at once `_BUSY` after others."""
+# What notes are worth, and what they cost; 1 is a pitch class that sounds in a beat.
+_MELODY, _BASS, _MOVED_BASS = 12.0, 6.0, 4.0  # values; that of a bass note an octave higher
+_NEW, _AGAIN = 1.0, 0.4  # values of the first note of a pitch class in a beat, and of others
+_LATE = 0.15  # cost of striking a note later than written, or again
+_MOVED = 0.3  # cost of every octave by which a note is moved
+# Cost of ending a note, and one of the melody, as soon as it begins; less if it ends later.
+_EARLY, _EARLY_MELODY = 0.6, 4.0
+_HASTE = 30.0  # cost of a jump that takes all the time there is; with the square of the share
+_BUSY_COST = 0.6  # cost of each further note that a hand strikes at once `_BUSY` after others
 
 
 class Held(NamedTuple):
@@ -142,12 +123,15 @@ class State(NamedTuple):
 
 
 def reduced(
-    moments: Sequence[Moment], hands: tuple[OneHand, OneHand], values: Values
+    moments: Sequence[Moment], hands: tuple[OneHand, OneHand], cost: float
 ) -> tuple[list[Struck], list[EarlyEnd]]:
-    """The notes that the hands play of these moments, and those of them that end early."""
+    """The notes that the hands play of these moments, and those of them that end early.
+
+    What is played becomes easier with the `cost` of every note of the harmony.
+    """
     beam = [State(0.0, (Hand(), Hand()), 0, (), None)]
     for moment in moments:
-        found = [after for state in beam for after in _successors(state, moment, hands, values)]
+        found = [after for state in beam for after in _successors(state, moment, hands, cost)]
         best: dict[tuple[object, ...], State] = {}
         for state in nsmallest(4 * _BEAM, found, key=lambda each: each.cost):
             best.setdefault((state.hands, state.classes), state)
@@ -174,7 +158,7 @@ def _again(struck: Iterable[Struck]) -> Iterator[Struck]:
 
 
 def _successors(
-    state: State, moment: Moment, hands: tuple[OneHand, OneHand], values: Values
+    state: State, moment: Moment, hands: tuple[OneHand, OneHand], cost: float
 ) -> Iterator[State]:
     """Yields the states after a moment, by what each hand strikes."""
     classes = state.classes
@@ -182,7 +166,7 @@ def _successors(
         sounding = (held for hand in state.hands for held in hand.still_held(moment.time))
         classes = _bits(held.pitch for held in sounding if not _has_died_away(held, moment.time))
     actions = [
-        list(_HandAtMoment(hand, state.hands[hand], moment, hands[hand], values, classes).actions())
+        list(_HandAtMoment(hand, state.hands[hand], moment, hands[hand], classes).actions())
         for hand in (RIGHT, LEFT)
     ]
     for right, left in product(*actions):
@@ -190,10 +174,10 @@ def _successors(
             continue
         now, value = classes, 0.0
         for struck in (*right.struck, *left.struck):
-            value += _value(struck, now, values)
+            value += _value(struck, now, cost)
             now |= 1 << struck.pitch % OCTAVE
-        cost = state.cost - value + right.cost + left.cost
-        yield State(cost, (right.hand, left.hand), now, (right, left), state)
+        total = state.cost - value + right.cost + left.cost
+        yield State(total, (right.hand, left.hand), now, (right, left), state)
 
 
 def _collide(right: Action, left: Action) -> bool:
@@ -208,17 +192,20 @@ def _collide(right: Action, left: Action) -> bool:
     return any(struck.source in mine for struck in left.struck)
 
 
-def _value(struck: Struck, classes: int, values: Values) -> float:
-    """What a note is worth that is struck when these pitch classes have sounded."""
+def _value(struck: Struck, classes: int, cost: float) -> float:
+    """What a note is worth that is struck when these pitch classes have sounded.
+
+    Notes of the harmony have a `cost`.
+    """
     note, moved = struck.source, abs(struck.pitch - struck.source.pitch) // OCTAVE
     if note.melody:
-        return values.melody
+        return _MELODY
     if note.bass:
-        return values.moved_bass if moved else values.bass
-    value = -values.note - values.octave * moved - values.late * struck.late
+        return _MOVED_BASS if moved else _BASS
+    value = -cost - _MOVED * moved - _LATE * struck.late
     if not classes >> struck.pitch % OCTAVE & 1:
-        return value + values.new
-    return value - values.new if moved or struck.late else value + values.again
+        return value + _NEW
+    return value - _NEW if moved or struck.late else value + _AGAIN
 
 
 def _has_died_away(held: Held, time: float) -> bool:
@@ -236,21 +223,12 @@ def _bits(pitches: Iterator[int]) -> int:
 class _HandAtMoment:
     """What one hand may do at one moment: the right hand has the melody, the left the bass."""
 
-    def __init__(
-        self,
-        hand: int,
-        before: Hand,
-        moment: Moment,
-        one: OneHand,
-        values: Values,
-        classes: int,
-    ) -> None:
+    def __init__(self, hand: int, before: Hand, moment: Moment, one: OneHand, classes: int) -> None:
         inwards = -1 if hand == RIGHT else 1  # so that hands share what begins
         written, late = moment.harmony[::inwards], moment.sounding[::inwards]
         new = [n for n in (*written, *late) if not classes >> n.pitch % OCTAVE & 1]
         self._harmony = [*new, *(n for n in written if classes >> n.pitch % OCTAVE & 1)]
-        self._hand, self._before, self._moment = hand, before, moment
-        self._one, self._values = one, values
+        self._hand, self._before, self._moment, self._one = hand, before, moment, one
         self._held = before.still_held(moment.time)
         self._own = moment.melody if hand == RIGHT else moment.bass
 
@@ -320,8 +298,8 @@ class _HandAtMoment:
             repeats = since < _FASTEST_REPETITION and not set(before.struck).isdisjoint(pitches)
             if repeats or jump > since - _LEAST_HELD:
                 return None
-        cost = self._values.haste * (jump / since) ** 2
-        cost += self._values.busy * (len(struck) - 1) * min(_BUSY / since, 1.0)
+        cost = _HASTE * (jump / since) ** 2
+        cost += _BUSY_COST * (len(struck) - 1) * min(_BUSY / since, 1.0)
         early = list(self._left_early(kept, time - jump))
         cost += sum(self._early_cost(held, end) for held, end in early)
         early_ends = tuple(EarlyEnd(held.start, held.pitch, end) for held, end in early)
@@ -344,5 +322,5 @@ class _HandAtMoment:
 
     def _early_cost(self, held: Held, end: float) -> float:
         """The cost of leaving a key before its note is over."""
-        weight = self._values.early_melody if held.melody else self._values.early
+        weight = _EARLY_MELODY if held.melody else _EARLY
         return weight * max(held.end - end, 0.0) / (held.end - held.start)

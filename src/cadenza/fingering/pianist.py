@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.fingering.players import Players
+from cadenza.fingering.players import Players, ways_to_hold
 from cadenza.fingering.search import Dropped, find_fingering
 from cadenza.fingering.states import INFEASIBLE
 from cadenza.fingering.strokes import Stroke, onsets
@@ -156,15 +156,7 @@ class _Hand:
 
     def _ways_to_hold(self, keys: tuple[int, ...]) -> NDArray[np.intp]:
         """(S, n) the sets of fingers that reach keys together."""
-        pairs = list(combinations(range(len(keys)), 2))
-        ways = [
-            fingers
-            for fingers in combinations(range(self._reaches.shape[1]), len(keys))
-            if all(self._reaches[key, f] for key, f in zip(keys, fingers, strict=True))
-            and all(
-                self._spans[(*sorted((keys[i], keys[j])), fingers[i], fingers[j])] for i, j in pairs
-            )
-        ]
+        ways = list(ways_to_hold(keys, self._reaches, self._spans))
         return np.array(ways, np.intp).reshape(len(ways), len(keys))
 
 

@@ -6,8 +6,9 @@ were the right one, to the player's right: for the left one the keyboard is mirr
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -122,6 +123,25 @@ class Players:
         """
         room = sum(arm.high for arm in map(self.forearm, range(2)) if arm)
         return np.asarray(np.add(right, left) < min(self.reach.forearm_width, room))
+
+
+def ways_to_hold(
+    keys: Sequence[int], reaches: NDArray[np.bool_], spans: NDArray[np.bool_]
+) -> Iterator[tuple[int, ...]]:
+    """Yields the sets of fingers of a hand that reach keys together.
+
+    Args:
+        keys: the keys, and in the same order their fingers, from the thumb's side on.
+        reaches: (K, F), see `Players.reaches`.
+        spans: (K, K, F, F), see `Players.spans`.
+    """
+    for fingers in combinations(range(reaches.shape[1]), len(keys)):
+        placed = list(zip(keys, fingers, strict=True))
+        if all(reaches[each] for each in placed) and all(
+            spans[min(key, other), max(key, other), finger, another]
+            for (key, finger), (other, another) in combinations(placed, 2)
+        ):
+            yield fingers
 
 
 def is_within(distance: Array, least: Array, most: Array) -> NDArray[np.bool_]:
