@@ -70,12 +70,13 @@ def chords(voicings: Callable[[Passage], list[Voicing]], *rhythms: Rhythm) -> Pa
     return play
 
 
-def held(voicings: Callable[[Passage], list[Voicing]]) -> Pattern:
+def held(slots: Slots) -> Pattern:
     """Chords that are held as long as the harmony; a voice that stays is held on, up to 2 bars."""
 
     def play(passage: Passage) -> Iterator[Tone]:
+        voicings = led_voicings(passage.chords, slots)
         sounding: dict[int, Tone] = {}
-        for harmony, pitches in zip(passage.harmonies, voicings(passage), strict=True):
+        for harmony, pitches in zip(passage.harmonies, voicings, strict=True):
             for pitch in [p for p in sounding if p not in pitches]:
                 yield sounding.pop(pitch)
             for pitch in pitches:

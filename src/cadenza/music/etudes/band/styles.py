@@ -68,14 +68,13 @@ class Chair:
 class Style:
     """A style: tempi in quarters a minute, `swing` as the share of a beat that its first half has.
 
-    `forms` are sections in their order, `bars` how many each kind has, `progressions` their chords
-    in major and minor keys. `cells` are the kinds of rhythms of the melody, `colours` its scales,
-    `leads` the programs that can have it, `solos` those that take it over for a section.
+    `forms` are sections in their order, `bars` how many bars of how many `beats` each kind has,
+    `progressions` their chords in major and minor keys. `cells` are the kinds of rhythms of the
+    melody, `colours` its scales, `leads` the programs that can have it, `solos` those that take it
+    over for a section.
     """
 
     tempi: range
-    beats: int
-    swing: float
     minor: int
     """Percentage of songs in minor keys."""
     forms: tuple[str, ...]
@@ -89,6 +88,8 @@ class Style:
     basses: tuple[int, ...]
     drums: Pattern
     chairs: tuple[Chair, ...]
+    beats: int = 4
+    swing: float = 0.5
 
 
 # Sections: i intro, v verse, c chorus, b bridge, s solo, o outro, e the final chord.
@@ -328,13 +329,13 @@ _BALLAD_CHAIRS = (
     ),
     Chair((picked, chords(open_chords, _STRUM_CALM)), (_NYLON, _STEEL), _GUITAR_NAMES, 65),
     Chair(
-        (held(voiced(STRINGS)), held(voiced(FOUR_STRINGS)), held(voiced(HIGH_STRINGS))),
+        (held(STRINGS), held(FOUR_STRINGS), held(HIGH_STRINGS)),
         (*_ENSEMBLES, *_SYNTH_STRINGS),
         _STRING_NAMES,
         85,
         _LOUD,
     ),
-    Chair((held(voiced(ORGAN)),), (*_ORGANS, 89, 91), ("Organ", "Pad", "Hammond"), 30, _FULL),
+    Chair((held(ORGAN),), (*_ORGANS, 89, 91), ("Organ", "Pad", "Hammond"), 30, _FULL),
 )
 _BALLAD_DRUMS = drums(
     {CLOSED_HAT: "x-o-x-o-x-o-x-o-", KICK: "x-----o-x-------", SNARE: "----X-------X---"},
@@ -345,8 +346,6 @@ _BALLAD_DRUMS = drums(
 STYLES: dict[str, Style] = {
     "ballad": Style(
         tempi=range(70, 93),
-        beats=4,
-        swing=0.5,
         minor=30,
         forms=_POP_FORMS,
         bars=_SONG,
@@ -366,8 +365,6 @@ STYLES: dict[str, Style] = {
     ),
     "rock": Style(
         tempi=range(108, 161),
-        beats=4,
-        swing=0.5,
         minor=45,
         forms=_POP_FORMS,
         bars=_LONG_SONG,
@@ -407,15 +404,14 @@ STYLES: dict[str, Style] = {
                 40,
                 pedal=True,
             ),
-            Chair((held(voiced(ORGAN)),), _ORGANS, _ORGAN_NAMES, 45),
-            Chair((held(voiced(FOUR_STRINGS)),), (*_ENSEMBLES, 50), _STRING_NAMES, 25, _LOUD),
+            Chair((held(ORGAN),), _ORGANS, _ORGAN_NAMES, 45),
+            Chair((held(FOUR_STRINGS),), (*_ENSEMBLES, 50), _STRING_NAMES, 25, _LOUD),
             Chair((riff(52, *_RIFFS),), (_MUTED, _CLEAN, _OVERDRIVEN), ("Riff", "Gtr 3"), 30),
             Chair((chords(voiced(BRASS), _STABS, _STABS_LATE),), (61, 62), _BRASS_NAMES, 15, _LOUD),
         ),
     ),
     "swing": Style(
         tempi=range(112, 161),
-        beats=4,
         swing=0.64,
         minor=30,
         forms=_AABA_FORMS,
@@ -444,14 +440,12 @@ STYLES: dict[str, Style] = {
             ),
             Chair((chords(voiced(ROOTLESS), _QUARTERS),), (_JAZZ,), ("Guitar", "Jazz Gtr"), 50),
             Chair((chords(voiced(BRASS), _STABS, _STABS_LATE),), (61, 57, 66), _BRASS_NAMES, 50),
-            Chair((held(voiced(FOUR_STRINGS)),), _ENSEMBLES, _STRING_NAMES, 25),
-            Chair((held(voiced(ORGAN)),), (16, 17), _ORGAN_NAMES, 15),
+            Chair((held(FOUR_STRINGS),), _ENSEMBLES, _STRING_NAMES, 25),
+            Chair((held(ORGAN),), (16, 17), _ORGAN_NAMES, 15),
         ),
     ),
     "bossa": Style(
         tempi=range(104, 145),
-        beats=4,
-        swing=0.5,
         minor=35,
         forms=_AABA_FORMS,
         bars=_SONG,
@@ -494,7 +488,7 @@ STYLES: dict[str, Style] = {
                 pedal=True,
             ),
             Chair(
-                (held(voiced(STRINGS)), held(voiced(HIGH_STRINGS))),
+                (held(STRINGS), held(HIGH_STRINGS)),
                 (*_ENSEMBLES, 50),
                 _STRING_NAMES,
                 55,
@@ -505,8 +499,6 @@ STYLES: dict[str, Style] = {
     ),
     "country": Style(
         tempi=range(90, 151),
-        beats=4,
-        swing=0.5,
         minor=15,
         forms=_POP_FORMS,
         bars=_SONG | {"verse": 16},
@@ -524,10 +516,7 @@ STYLES: dict[str, Style] = {
         ),
         chairs=(
             Chair(
-                (boom_chick, chords(open_chords, _STRUM, _STRUM_CALM)),
-                (_STEEL,),
-                _GUITAR_NAMES,
-                95,
+                (boom_chick, chords(open_chords, _STRUM, _STRUM_CALM)), (_STEEL,), _GUITAR_NAMES, 95
             ),
             Chair((picked,), (105, 24, 27), ("Banjo", "Picking", "Gtr 2"), 45),
             Chair(
@@ -539,19 +528,18 @@ STYLES: dict[str, Style] = {
                 pedal=True,
             ),
             Chair(
-                (held(voiced(FOUR_STRINGS)), held(voiced(HIGH_STRINGS))),
+                (held(FOUR_STRINGS), held(HIGH_STRINGS)),
                 (48, 49, 110),
                 ("Strings", "Fiddles", "Str"),
                 35,
                 _LOUD,
             ),
-            Chair((held(voiced(HIGH_CLOSE)),), (26, 21), ("Steel Gtr", "Accordion"), 30, _FULL),
+            Chair((held(HIGH_CLOSE),), (26, 21), ("Steel Gtr", "Accordion"), 30, _FULL),
         ),
     ),
     "waltz": Style(
         tempi=range(84, 151),
         beats=3,
-        swing=0.5,
         minor=30,
         forms=_POP_FORMS,
         bars=_LONG_SONG,
@@ -580,19 +568,11 @@ STYLES: dict[str, Style] = {
                 60,
                 pedal=True,
             ),
-            Chair(
-                (held(voiced(STRINGS)), held(voiced(HIGH_STRINGS))),
-                (*_ENSEMBLES, 50),
-                _STRING_NAMES,
-                60,
-                _LOUD,
-            ),
+            Chair((held(STRINGS), held(HIGH_STRINGS)), (*_ENSEMBLES, 50), _STRING_NAMES, 60, _LOUD),
         ),
     ),
     "synth pop": Style(
         tempi=range(100, 137),
-        beats=4,
-        swing=0.5,
         minor=55,
         forms=_POP_FORMS,
         bars=_SONG | {"intro": 8, "verse": 16},
@@ -618,12 +598,7 @@ STYLES: dict[str, Style] = {
                 ("Arp", "Sequence", "Synth Arp", "ARP 1", "Sequencer"),
                 80,
             ),
-            Chair(
-                (held(voiced(STRINGS)), held(voiced(FOUR_STRINGS))),
-                (88, 89, 90, 94, 50),
-                _PAD_NAMES,
-                85,
-            ),
+            Chair((held(STRINGS), held(FOUR_STRINGS)), (88, 89, 90, 94, 50), _PAD_NAMES, 85),
             Chair(
                 (chords(voiced(HIGH_CLOSE), _OFFBEATS, _SYNCOPATED, _STABS),),
                 (62, 90, 81, 5),
@@ -633,12 +608,11 @@ STYLES: dict[str, Style] = {
             ),
             Chair((chords(power_chords, _EIGHTHS),), (_MUTED, _CLEAN), ("Muted Gtr", "Gtr"), 30),
             Chair((riff(60, *_RIFFS), riff(72, *_RIFFS)), (81, 5, 87, 98), ("Synth 3", "Hook"), 35),
-            Chair((held(voiced(HIGH_STRINGS)),), (50, 51, 48), _STRING_NAMES, 40, _LOUD),
+            Chair((held(HIGH_STRINGS),), (50, 51, 48), _STRING_NAMES, 40, _LOUD),
         ),
     ),
     "blues": Style(
         tempi=range(80, 133),
-        beats=4,
         swing=0.66,
         minor=25,
         forms=_BLUES_FORMS,
@@ -670,7 +644,7 @@ STYLES: dict[str, Style] = {
                 _GUITAR_NAMES,
                 85,
             ),
-            Chair((held(voiced(ORGAN)),), _ORGANS, _ORGAN_NAMES, 50),
+            Chair((held(ORGAN),), _ORGANS, _ORGAN_NAMES, 50),
             Chair((chords(voiced(BRASS), _STABS, _STABS_LATE),), (61, 66), _BRASS_NAMES, 40),
             Chair((riff(55, *_RIFFS),), (66, 57, 27), ("Sax Riff", "Riff"), 25, ("verse",)),
         ),
