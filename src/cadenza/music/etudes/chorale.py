@@ -18,10 +18,10 @@ from cadenza.music.etudes.voice_leading import (
     Pitches,
     are_hidden,
     are_parallel,
-    cheapest_sequence,
     is_awkward_leap,
     random_costs,
 )
+from cadenza.music.viterbi import cheapest_sequence
 
 _RANGES = {"bass": (38, 57), "tenor": (48, 62), "alto": (58, 72), "soprano": (62, 79)}
 _VOICES = (("bass", "soprano"), ("bass", "alto", "soprano"), tuple(_RANGES))

@@ -16,12 +16,12 @@ from cadenza.music.etudes.voice_leading import (
     Pitches,
     are_hidden,
     are_parallel,
-    cheapest_sequence,
     is_awkward_leap,
     is_consonant,
     is_perfect,
     random_costs,
 )
+from cadenza.music.viterbi import cheapest_sequence
 
 _RANGE = np.arange(-3, 6)  # degrees around the tonics on which both voices end
 _LOW, _HIGH = _RANGE - STEPS, STEPS - _RANGE[::-1]

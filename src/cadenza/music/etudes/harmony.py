@@ -8,7 +8,8 @@ from functools import cache
 import numpy as np
 
 from cadenza.music.etudes.keys import STEPS, Form
-from cadenza.music.etudes.voice_leading import FORBIDDEN, Costs, cheapest_sequence, random_costs
+from cadenza.music.etudes.voice_leading import FORBIDDEN, Costs, random_costs
+from cadenza.music.viterbi import cheapest_sequence
 
 TONIC, SUPERTONIC, MEDIANT, SUBDOMINANT, DOMINANT, SUBMEDIANT, LEADING = range(STEPS)
 _TRIAD = (0, 2, 4)

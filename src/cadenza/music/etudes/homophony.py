@@ -14,8 +14,9 @@ from cadenza.fingers import Side
 from cadenza.music.etudes.harmony import Chord
 from cadenza.music.etudes.keys import OCTAVE, STEPS
 from cadenza.music.etudes.sheet import PHRASE, Sheet, Tone
-from cadenza.music.etudes.voice_leading import FORBIDDEN, cheapest_sequence, random_costs
+from cadenza.music.etudes.voice_leading import FORBIDDEN, random_costs
 from cadenza.music.score import LOWEST_PITCH
+from cadenza.music.viterbi import cheapest_sequence
 
 # MIDI velocities of accompaniments, of held or struck chords, and of melodies.
 _SOFT, _CHORD, _LOUD = 60, 64, 84

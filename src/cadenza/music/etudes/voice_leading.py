@@ -1,11 +1,9 @@
-"""Voice leading: the rules of strict writing, and the cheapest sequence under such rules.
+"""Voice leading: the rules of strict writing, as costs.
 
 Costs are whole numbers, so that the same sequence is chosen on every machine.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,24 +16,6 @@ FORBIDDEN = 1_000_000
 """Cost of breaking a rule: more than all other costs of an etude together."""
 _FIFTH, _TRITONE, _AUGMENTED_SECOND = 7, 6, 3  # [semitones]
 _CONSONANCES = (0, 3, 4, 7, 8, 9)  # [semitones] unison, thirds, fifth, sixths
-
-
-def cheapest_sequence(costs: Sequence[Costs], steps: Sequence[Costs]) -> list[int]:
-    """The candidates of all moments, one each, whose costs have the least sum (Viterbi).
-
-    Args:
-        costs: (n_i,) costs of the candidates of each moment.
-        steps: (n_i, n_i+1) costs of going from a candidate to one of the next moment.
-    """
-    total, before = costs[0], []
-    for cost, step in zip(costs[1:], steps, strict=True):
-        sums = total[:, None] + step
-        before.append(sums.argmin(axis=0))
-        total = sums.min(axis=0) + cost
-    chosen = [int(total.argmin())]
-    for predecessor in reversed(before):
-        chosen.append(int(predecessor[chosen[-1]]))
-    return chosen[::-1]
 
 
 def random_costs(rng: np.random.Generator, count: int, largest: int) -> Costs:

@@ -11,6 +11,7 @@ import numpy as np
 
 from cadenza.fingers import LEFT, RIGHT
 from cadenza.music.score import Note, chords
+from cadenza.music.viterbi import cheapest_sequence
 
 _SPLITS = np.arange(43, 80)  # lowest pitch of the right hand, G2 to G5
 _MIDDLE = 60  # the usual split, C4
@@ -34,28 +35,14 @@ def staves(notes: Sequence[Note]) -> list[int]:
     if not loose:
         return chosen
     groups = list(chords([notes[i] for i in loose]))
-    splits = _splits([np.array([note.pitch for note in group]) for group in groups])
+    costs = [_cost(np.array([note.pitch for note in group])) for group in groups]
+    move = _MOVE * np.abs(_SPLITS[:, None] - _SPLITS)
+    splits = _SPLITS[cheapest_sequence(costs, [move] * (len(groups) - 1))].tolist()
     place = iter(loose)
     for group, split in zip(groups, splits, strict=True):
         for note in group:
             chosen[next(place)] = RIGHT if note.pitch >= split else LEFT
     return chosen
-
-
-def _splits(groups: list[np.ndarray]) -> list[int]:
-    move = _MOVE * np.abs(_SPLITS[:, None] - _SPLITS)
-    total = np.zeros(len(_SPLITS))
-    origins = []
-    for pitches in groups:
-        arrived = total[:, None] + move
-        origins.append(arrived.argmin(axis=0))
-        total = arrived.min(axis=0) + _cost(pitches)
-    at = int(total.argmin())
-    path = []
-    for origin in reversed(origins):
-        path.append(int(_SPLITS[at]))
-        at = int(origin[at])
-    return path[::-1]
 
 
 def _cost(pitches: np.ndarray) -> np.ndarray:

@@ -17,9 +17,9 @@ from cadenza.music.etudes.voice_leading import (
     FORBIDDEN,
     Costs,
     Pitches,
-    cheapest_sequence,
     random_costs,
 )
+from cadenza.music.viterbi import cheapest_sequence
 
 Rhythm = tuple[float, ...]
 """Onsets in quarters from the beginning of a bar."""

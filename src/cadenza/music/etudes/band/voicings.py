@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from cadenza.music.etudes.band.chords import SongChord
 from cadenza.music.etudes.keys import OCTAVE
-from cadenza.music.etudes.voice_leading import Costs, are_parallel, cheapest_sequence
+from cadenza.music.etudes.voice_leading import Costs, are_parallel
+from cadenza.music.viterbi import cheapest_sequence
 
 Voicing = tuple[int, ...]
 """MIDI pitches from the lowest."""
