@@ -23,9 +23,7 @@ Quaternion = tuple[float, float, float, float]
 Colour = tuple[float, float, float, float]
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
-FOREARM_RGBA = (0.27, 0.30, 0.35, 1.0)
 LINK_RGBA = (0.80, 0.82, 0.85, 1.0)
-FINGERTIP_RGBA = (0.36, 0.39, 0.45, 1.0)  # grey, as pages colour keys by hits and misses
 
 GEOM_TYPES = {
     "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, 1),

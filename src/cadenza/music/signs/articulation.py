@@ -32,7 +32,7 @@ def articulate(voice: Voice, slurred: set[Fraction], conventions: Conventions) -
                 note.end_by(note.start + share * note.length)
             elif in_slur:
                 _join(note, following)
-            elif was_in_slur or Mark.PHRASE_END in note.of.marks:
+            elif was_in_slur:
                 _lift(note, conventions.phrase_lift)
             if Mark.BREATH in note.of.marks:
                 _lift(note, conventions.breath)
@@ -96,7 +96,6 @@ def _loudness(marks: frozenset[Mark], conventions: Conventions) -> float:
     factors = {
         Mark.ACCENT: conventions.accent,
         Mark.STRONG_ACCENT: conventions.strong_accent,
-        Mark.SFORZATO: conventions.sforzato,
     }
     return max((factor for mark, factor in factors.items() if mark in marks), default=1.0)
 

@@ -21,12 +21,8 @@ class Mark(Enum):
     ACCENT = auto()
     STRONG_ACCENT = auto()
     """Marcato, the upright wedge."""
-    SFORZATO = auto()
-    """sf, sfz, fz, rf and the like: a dynamic mark for this note alone."""
     BREATH = auto()
     """A breath mark after the note."""
-    PHRASE_END = auto()
-    """The note ends a phrase that is marked otherwise than by a slur."""
 
 
 class OrnamentKind(Enum):
