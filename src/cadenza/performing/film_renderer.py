@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,9 +16,9 @@ from cadenza.fingers import Side
 from cadenza.hands.body import prefix
 from cadenza.music.score import Note, Score
 from cadenza.scene.cameras import camera_on, eye_of
-from cadenza.scene.drawn_model import drawn_model, key_geoms
+from cadenza.scene.drawn_model import drawn_model
 from cadenza.scene.scene import Scene
-from cadenza.sim.graphics import free, opened, read
+from cadenza.sim.graphics import Canvas
 
 # As pages colour them
 _HIT, _WRONG, _MISSED = (0.0, 0.62, 0.45), (0.84, 0.37, 0.0), (0.56, 0.42, 0.85)
@@ -30,8 +29,6 @@ _LEAST_SIDE, _MOST_SIDE = 64, 2160  # [px]
 _MOST_FPS = 120
 _SHARPER = 1.5  # times the size at which pictures are drawn, which smooths their edges
 _SHADOW_MAP = 1024  # [px]
-_FONT = mujoco.mjtFontScale.mjFONTSCALE_200  # of the numbers of fingers
-_MOST_GEOMS = 2000
 
 # The track on which notes fall: as that of pages.
 _AHEAD, _PAST = 2.4, 0.35  # [s] of the score that it shows
@@ -80,7 +77,7 @@ class Look:
             raise CadenzaError(f"{self.fps} pictures a second: choose 1 to {_MOST_FPS}")
 
 
-class FilmRenderer:
+class FilmRenderer(Canvas):
     """Draws an episode at any time. Holds a graphics context of this thread until `close`."""
 
     def __init__(self, scene: Scene, episode: Episode, goal: Score, look: Look) -> None:
@@ -95,20 +92,16 @@ class FilmRenderer:
         Raises:
             CadenzaError: this machine cannot draw.
         """
-        self._scene, self._episode = scene, episode
-        self._width, self._height = round(look.width * _SHARPER), round(look.height * _SHARPER)
-        self._model = model = drawn_model(scene, furniture=True)
-        model.vis.global_.offwidth, model.vis.global_.offheight = self._width, self._height
+        self._episode = episode
+        width, height = round(look.width * _SHARPER), round(look.height * _SHARPER)
+        model = drawn_model(scene, furniture=True)
+        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         model.vis.quality.shadowsize, model.vis.quality.offsamples = _SHADOW_MAP, 0
-        self._gl, self._context = opened(model, self._width, self._height, _FONT)
-        self.close = weakref.finalize(self, free, self._context, self._gl)
-        """Frees the graphics context, at the latest when the program ends."""
-        self._drawn = mujoco.MjvScene(model, maxgeom=_MOST_GEOMS)
-        self._options, self._data = mujoco.MjvOption(), mujoco.MjData(model)
-        self._key_of_geom = key_geoms(model, scene)
+        super().__init__(scene, model, width, height)
         tall = look.height > _TALL * look.width
         self._falling = _FallingNotes(scene, goal, episode, _AHEAD_IF_TALL if tall else _AHEAD)
         self._palms = [_Palm(model, scene, side) for side in scene.sides]
+        self._palm_of_geom = {g: i for i, palm in enumerate(self._palms) for g in palm.geoms}
         self._aspect = look.width / look.height
         self._middle = _middle_of_hands(episode) if tall else None
         self._opacity = self._opacity_of_palms()
@@ -118,22 +111,22 @@ class FilmRenderer:
 
         States lie at the ends of control steps, and are interpolated between them.
         """
-        episode, data = self._episode, self._data
-        data.qpos[self._scene.hand_qpos] = _at(episode["hand_qpos"], time - episode.dt, episode.dt)
-        data.qpos[self._scene.key_qpos] = _at(episode["key_qpos"], time - episode.dt, episode.dt)
-        mujoco.mj_kinematics(self._model, data)
-        mujoco.mj_camlight(self._model, data)
-        camera = self._camera(time)
-        mujoco.mjv_updateScene(
-            self._model, data, self._options, None, camera,
-            mujoco.mjtCatBit.mjCAT_ALL.value, self._drawn,
-        )  # fmt: skip
+        episode = self._episode
         row = min(int(time / episode.dt + 1e-6), episode.num_steps - 1)
         opacity = _at(self._opacity, time, episode.dt)
-        self._colour(episode["key_activation"][row], episode["goal_keys"][row], opacity)
+        sounding, goal = episode["key_activation"][row], episode["goal_keys"][row]
+        hands, keys = (
+            _at(episode[name], time - episode.dt, episode.dt) for name in ("hand_qpos", "key_qpos")
+        )
+        for geom, key in self._show(hands, keys, self._camera(time)):
+            palm = self._palm_of_geom.get(geom.objid)
+            if key is not None and (sounding[key] or goal[key]):
+                geom.rgba[:3] = _MISSED if not sounding[key] else _HIT if goal[key] else _WRONG
+                geom.emission = _GLOW
+            elif palm is not None and opacity[palm] < _SOLID:
+                geom.rgba[3] = opacity[palm]
         self._falling.add_to(self._drawn, time)
-        self._gl.make_current()
-        return read(self._drawn, self._context, self._width, self._height)
+        return self._picture()
 
     def _camera(self, time: float) -> mujoco.MjvCamera:
         """The camera, which sees the keys of the song, or in a tall picture goes with the hands."""
@@ -165,20 +158,6 @@ class FilmRenderer:
             hidden[step] = [palm.hides(data, surface[keys], eye) for palm in self._palms]
         longer = maximum_filter1d(hidden, 1 + 2 * round(_FADING / episode.dt), axis=0)
         return 1.0 - (1.0 - _FADED) * gaussian_filter1d(longer, _FADING / episode.dt, axis=0)
-
-    def _colour(
-        self, sounding: NDArray[Any], goal: NDArray[Any], opacity: NDArray[np.float64]
-    ) -> None:
-        palm_of_geom = {g: i for i, palm in enumerate(self._palms) for g in palm.geoms}
-        for geom in self._drawn.geoms[: self._drawn.ngeom]:
-            if geom.objtype != mujoco.mjtObj.mjOBJ_GEOM:
-                continue
-            key, palm = self._key_of_geom.get(geom.objid), palm_of_geom.get(geom.objid)
-            if key is not None and (sounding[key] or goal[key]):
-                geom.rgba[:3] = _MISSED if not sounding[key] else _HIT if goal[key] else _WRONG
-                geom.emission = _GLOW
-            elif palm is not None and opacity[palm] < _SOLID:
-                geom.rgba[3] = opacity[palm]
 
 
 def _at(rows: NDArray[Any], time: float, dt: float) -> NDArray[Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import threading
-import weakref
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,9 +13,9 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.scene.cameras import CAMERAS, MAX_HEIGHT, MAX_WIDTH
-from cadenza.scene.drawn_model import drawn_model, key_geoms
+from cadenza.scene.drawn_model import drawn_model
 from cadenza.scene.scene import Scene
-from cadenza.sim.graphics import free, opened, read
+from cadenza.sim.graphics import Canvas
 
 HIT_RGBA = (0.20, 0.72, 0.36, 1.0)
 WRONG_RGBA = (0.88, 0.27, 0.22, 1.0)
@@ -47,7 +46,7 @@ class Picture:
             )
 
 
-class Renderer:
+class Renderer(Canvas):
     """Draws states of one scene. Holds a graphics context of this thread until `close`."""
 
     def __init__(self, scene: Scene, picture: Picture | None = None) -> None:
@@ -56,16 +55,11 @@ class Renderer:
         Raises:
             CadenzaError: this machine cannot draw.
         """
-        self._picture = picture = picture or Picture()
-        self._scene, self._model = scene, (model := drawn_model(scene))
+        picture = picture or Picture()
+        model = drawn_model(scene)
         self._camera = _fixed_camera(model, picture.camera)
         model.vis.quality.offsamples = _SAMPLES
-        self._gl, self._context = opened(model, picture.width, picture.height)
-        self.close = weakref.finalize(self, free, self._context, self._gl)
-        """Frees the graphics context, at the latest when the program ends."""
-        self._drawn = mujoco.MjvScene(model, maxgeom=1000)
-        self._options, self._data = mujoco.MjvOption(), mujoco.MjData(model)
-        self._key_of_geom = key_geoms(model, scene)
+        super().__init__(scene, model, picture.width, picture.height)
 
     def frame(
         self,
@@ -82,30 +76,11 @@ class Renderer:
             sounding: (K,) keys that sound; lit green where they should, red where not.
             goal: (K,) keys that should sound.
         """
-        model, data = self._model, self._data
-        data.qpos[self._scene.hand_qpos] = hand_qpos
-        data.qpos[self._scene.key_qpos] = key_qpos
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_camlight(model, data)
-        mujoco.mjv_updateScene(
-            model, data, self._options, None, self._camera,
-            mujoco.mjtCatBit.mjCAT_ALL.value, self._drawn,
-        )  # fmt: skip
-        self._colour(sounding, goal)
-        return self._read()
-
-    def _colour(self, sounding: NDArray[Any], goal: NDArray[Any]) -> None:
-        for geom in self._drawn.geoms[: self._drawn.ngeom]:
-            if geom.objtype != mujoco.mjtObj.mjOBJ_GEOM:
-                continue
-            key = self._key_of_geom.get(geom.objid)
+        for geom, key in self._show(hand_qpos, key_qpos, self._camera):
             if key is not None and sounding[key]:
                 geom.rgba[:] = HIT_RGBA if goal[key] else WRONG_RGBA
                 geom.emission = _GLOW
-
-    def _read(self) -> NDArray[np.uint8]:
-        self._gl.make_current()
-        return read(self._drawn, self._context, self._picture.width, self._picture.height)
+        return self._picture()
 
 
 class Drawing:
