@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.arranging.likeness import CALLED_BASS, Line, likeness_by_name
-from cadenza.music.score import CHORD_TOLERANCE, RELEASE_TIME, Note, Score, Track, chords
+from cadenza.music.score import CHORD_TOLERANCE, RELEASE_TIME, Note, Score, chords
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def parts_of(score: Score) -> list[Part]:
     A score without tracks is one part, of which the highest notes are the melody and the lowest
     the bass.
     """
-    parts = list(_tracks(score))
+    parts = _tracks(score)
     if not parts:
         return []
     bars = np.array([bar.time for bar in score.bars])
@@ -75,17 +75,13 @@ def parts_of(score: Score) -> list[Part]:
 
 def _tracks(score: Score) -> list[Part]:
     """The parts of a score by the tracks of its notes."""
-    if not any(note.tracks for note in score.notes):
-        return [Part("", "", score.notes)] if score.notes else []
     by_track: dict[int, list[Note]] = {}
     for note in score.notes:
         for number in note.tracks or (0,):
             by_track.setdefault(number, []).append(note)
-    tracks: dict[int, Track] = {track.number: track for track in score.tracks}
+    names = {track.number: (track.name, track.instrument) for track in score.tracks}
     return [
-        Part(tracks[number].name, tracks[number].instrument, tuple(notes))
-        if number in tracks
-        else Part("", "", tuple(notes))
+        Part(*names.get(number, ("", "")), tuple(notes))
         for number, notes in sorted(by_track.items())
     ]
 

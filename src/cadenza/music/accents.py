@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from cadenza.music.score import CHORD_TOLERANCE, Note, Score
+from cadenza.music.signs.loudness import LOUDEST
 
 _ACCENTING = {35, 36, 38, 40, 49, 57}  # bass drums, snares, crashes; others mark every beat
 _MOST = 16  # velocities, as from mezzo-forte to forte, that the loudest stroke adds; a choice
-_LOUDEST = 127
 
 
 def accented(score: Score) -> Score:
@@ -24,7 +24,7 @@ def accented(score: Score) -> Score:
 
     def louder(note: Note) -> Note:
         stroke = velocity[np.abs(time - note.start) <= CHORD_TOLERANCE].max(initial=0)
-        accent = round(_MOST * int(stroke) / _LOUDEST)
-        return replace(note, velocity=min(note.velocity + accent, _LOUDEST))
+        accent = round(_MOST * int(stroke) / LOUDEST)
+        return replace(note, velocity=min(note.velocity + accent, LOUDEST))
 
     return replace(score, notes=tuple(map(louder, score.notes)))

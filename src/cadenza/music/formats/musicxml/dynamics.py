@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 
 from cadenza.music.formats.musicxml.timeline import Placed
 from cadenza.music.signs.conventions import Conventions
-from cadenza.music.signs.loudness import Loudness
+from cadenza.music.signs.loudness import LOUDEST, Loudness, within_midi
 from cadenza.music.signs.loudness_marks import Dynamic, Hairpin, Sforzato
 from cadenza.music.signs.words import loudness_step
 
@@ -18,7 +18,6 @@ FORTE = 90
 VELOCITIES = {"ppp": 16, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 96, "ff": 112, "fff": 126}
 """The velocities of dynamic markings."""
 UNMARKED = VELOCITIES["mf"]
-LOUDEST = 127  # of MIDI
 _ALL = {
     **VELOCITIES,
     **{"n": 1, "pppp": 10, "ppppp": 7, "pppppp": 4},
@@ -122,7 +121,6 @@ def _name(sign: Element) -> str:
 def _percent(text: str | None) -> int | None:
     """The velocity that an attribute for playback says, if it does: in percent of a forte."""
     try:
-        velocity = round(float(text or "") * FORTE / 100)
+        return within_midi(float(text or "") * FORTE / 100)
     except (ValueError, OverflowError):
         return None
-    return min(max(velocity, 1), LOUDEST)
