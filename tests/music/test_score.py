@@ -140,10 +140,15 @@ def test_a_trimmed_score_starts_at_zero_and_ends_with_its_last_note(score):
 
 @given(scores(seconds), st.floats(0.25, 4))
 def test_stretching_back_restores_the_times(score, factor):
+    """Notes that begin less than a rounding error apart may change places."""
     back = score.stretched(factor).stretched(1 / factor)
-    for note, original in zip(back.notes, score.notes, strict=True):
-        assert note.start == pytest.approx(original.start, abs=1e-7)
-        assert note.end == pytest.approx(original.end, abs=1e-7)
+    for pitch in {note.pitch for note in score.notes}:
+        for time in ("start", "end"):
+            restored, original = (
+                sorted(getattr(note, time) for note in each.notes if note.pitch == pitch)
+                for each in (back, score)
+            )
+            assert restored == pytest.approx(original, abs=1e-7)
 
 
 @given(scores(), st.floats(0, 5))
