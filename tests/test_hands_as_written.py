@@ -55,8 +55,14 @@ def test_one_hand_plays_what_is_written_for_it(piano: Path) -> None:
     setup, said = set_up_with(piano, hands="right")
     assert played(setup) == [(RIGHT, 40), (RIGHT, 76)]
     assert any("2 notes are written for the right hand; without the other 1" in s for s in said)
-    setup, _ = set_up_with(piano, hands="left")
+    setup, said = set_up_with(piano, hands="left")
     assert played(setup) == [(LEFT, 47)]
+    assert any("1 note is written for the left hand; without the other 2" in s for s in said)
+
+
+def test_without_hands_nothing_is_played_as_written(piano: Path) -> None:
+    setup, _ = set_up_with(piano, hands="none", hands_as_written=True)
+    assert not played(setup)
 
 
 def test_one_hand_plays_all_notes_on_demand_or_where_nothing_says_whose_they_are(

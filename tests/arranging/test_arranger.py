@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cadenza.arranging.arranger import Arranger
+from cadenza.arranging.fidelity import Fidelity
 from cadenza.arranging.moments import beats_of
 from cadenza.fingering.search import find_fingering
 from cadenza.music.etudes.band import Band, band_score, make_band
@@ -79,6 +80,11 @@ def test_what_is_playable_is_kept_note_for_note_but_softer_inside(arranger: Arra
     assert [n.pitch for n in arranged.score.notes] == [n.pitch for n in Score(notes).notes]
     assert arranged.fidelity.others_kept == 1.0
     assert str(arranged.fidelity) == "melody and bass whole, 100% of the other notes"
+
+
+def test_a_fidelity_says_all_or_none_only_where_it_is_so() -> None:
+    one_hand = Fidelity(1.0, 0.0, 0.997, 1.0, 0, 0)
+    assert str(one_hand) == "all of the melody, none of the bass, 99% of the other notes"
 
 
 def test_an_empty_score_stays_empty(arranger: Arranger) -> None:

@@ -58,7 +58,7 @@ class Fidelity:
         said = f"{melody} of the melody, {bass} of the bass"
         if self.melody_kept == self.bass_kept == 1:
             said = "melody and bass whole"
-        said += f", {self.others_kept:.0%} of the other notes"
+        said += f", {_whole(self.others_kept)} of the other notes"
         if self.notes_moved:
             said += f", {self.notes_moved} moved by octaves"
         if self.notes_added:
@@ -70,7 +70,14 @@ NOTHING_LOST = Fidelity(1.0, 1.0, 1.0, 1.0, 0, 0)
 
 
 def _in_words(share: float) -> str:
-    return "all" if share == 1 else f"{int(1000 * share) / 1000:.1%}"  # never 100 %
+    if share in (0, 1):
+        return "all" if share else "none"
+    return f"{int(1000 * share) / 1000:.1%}"  # never 100 %
+
+
+def _whole(share: float) -> str:
+    percent = round(100 * share)
+    return f"{min(percent, 99) if share < 1 else percent}%"  # 100 % only where all are played
 
 
 def fates_of(song: Sequence[Source], struck: Iterable[Struck]) -> tuple[Fate, ...]:

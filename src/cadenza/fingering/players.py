@@ -63,6 +63,8 @@ class Players:
     def description(self) -> str:
         """The hands in words, such as "both hands"."""
         sides = [side for side, arm in zip(SIDES, self.forearms, strict=True) if arm]
+        if not sides:
+            return "no hands"
         return "both hands" if len(sides) == 2 else f"the {sides[0]} hand"
 
     @property

@@ -306,10 +306,8 @@ def _about_hands(track: GoalTrack, whole: Score, mine: Score) -> Iterator[str]:
     """
     if others := len(whole.notes) - len(mine.notes):
         (side,) = track.scene.sides
-        yield (
-            f"{len(mine.notes)} notes are written for the {side} hand; without the other "
-            f"{others} (all: --all-notes)"
-        )
+        what = "1 note is" if len(mine.notes) == 1 else f"{len(mine.notes)} notes are"
+        yield (f"{what} written for the {side} hand; without the other {others} (all: --all-notes)")
     if track.config.hands_as_written:
         notes = track.with_found_fingers().fingered().score.notes
         moved = sum(bool(n.finger and n.hands and n.finger.hand not in n.hands) for n in notes)
