@@ -694,7 +694,7 @@ def test_kept_performances_and_settings_are_found_after_a_restart(
         assert "My <b>song" in text(browser, "kept")
         chosen = """[...document.querySelectorAll(".options > label > :is(select, [type=number])")]
             .map((each) => each.value)"""
-        assert browser.evaluate(chosen) == ["sight", "allegro", "1.5", "0", "7", ""]
+        assert browser.evaluate(chosen) == ["sight", "allegro", "both", "1.5", "0", "7", ""]
         assert text(browser, "start") == "Play Ode to Joy"
         browser.evaluate("window.confirm = () => true")
         browser.evaluate("document.querySelector('#kept li button:last-child').click()")
