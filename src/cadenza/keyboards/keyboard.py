@@ -141,6 +141,12 @@ class Keyboard:
         return 2 * self.white.half_size[1] + self.gap
 
     @property
+    def bounds(self) -> NDArray[np.float64]:
+        """The least and the greatest x, y and z of all keys at rest, (2, 3) [m]."""
+        low, high = self.centre - self.half_size, self.centre + self.half_size
+        return np.stack([low.min(axis=0), high.max(axis=0)])
+
+    @property
     def half_length(self) -> float:
         """The distance from the middle to either end [m]."""
         whites = self._num_whites

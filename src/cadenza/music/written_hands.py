@@ -1,4 +1,4 @@
-"""Which hand plays a note as written, by the fingers of a score, its staves or its tracks."""
+"""The hand that a note is written for, by the fingers of a score, its staves or its tracks."""
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -104,7 +105,6 @@ class FilmRenderer(Canvas):
         self._palm_of_geom = {g: i for i, palm in enumerate(self._palms) for g in palm.geoms}
         self._aspect = look.width / look.height
         self._middle = _middle_of_hands(episode) if tall else None
-        self._opacity = self._opacity_of_palms()
 
     def frame(self, time: float) -> NDArray[np.uint8]:
         """Draws the picture (height, width, 3) at a time [s], larger than the film by `_SHARPER`.
@@ -125,7 +125,7 @@ class FilmRenderer(Canvas):
                 geom.emission = _GLOW
             elif palm is not None and opacity[palm] < _SOLID:
                 geom.rgba[3] = opacity[palm]
-        self._falling.add_to(self._drawn, time)
+        self._falling.add_to(self._drawn, time, sounding)
         return self._picture()
 
     def _camera(self, time: float) -> mujoco.MjvCamera:
@@ -140,7 +140,8 @@ class FilmRenderer(Canvas):
         box = np.array([[falling.end[0], left, 0.0], [front, right, falling.end[1]]])
         return camera_on(box, _ELEVATION, self._aspect)
 
-    def _opacity_of_palms(self) -> NDArray[np.float64]:
+    @cached_property  # only what draws needs it, and it takes a while
+    def _opacity(self) -> NDArray[np.float64]:
         """How opaque each palm is at the beginning of each control step, (T, palms).
 
         Palms fade while they hide a key that sounds, or should.
@@ -187,8 +188,7 @@ class _FallingNotes:
         y = keyboard.centre[[min(keys), max(keys)], 1]
         self.sides = float(y[0]) - _BESIDE, float(y[1]) + _BESIDE
         """The left and the right edge of the track [m]."""
-        low = (keyboard.centre - keyboard.half_size).min(axis=0)
-        high = (keyboard.centre + keyboard.half_size).max(axis=0)
+        low, high = keyboard.bounds
         self._origin = np.array([low[0] - _BEHIND, 0.0, high[2] + _OVER])
         self._back = np.array([-np.cos(_SLOPE), 0.0, np.sin(_SLOPE)])
         self.end = tuple((self._origin + self._length * self._back)[[0, 2]].tolist())
@@ -196,8 +196,8 @@ class _FallingNotes:
         side = np.array([0.0, 1.0, 0.0])
         self._frame = np.stack([self._back, side, np.cross(self._back, side)], axis=1)
 
-    def add_to(self, scene: mujoco.MjvScene, time: float) -> None:
-        """Adds the track and what is on it at a time [s]."""
+    def add_to(self, scene: mujoco.MjvScene, time: float, sounding: NDArray[Any]) -> None:
+        """Adds the track and what is on it at a time [s], while the keys of a mask (K,) sound."""
         left, right = self.sides
         middle, half = (left + right) / 2, (right - left) / 2
         self._add(scene, (0.0, self._length), middle, half, 0.001, -0.004, _TRACK)
@@ -207,18 +207,23 @@ class _FallingNotes:
         for note in self._notes[first : np.searchsorted(self._starts, time + self._ahead)]:
             near, far = max(note.start, time - _PAST), min(note.end, time + self._ahead)
             if near < far:
-                self._add_note(scene, note, (near - time + _PAST, far - time + _PAST), time)
+                span = near - time + _PAST, far - time + _PAST
+                hit = bool(sounding[note.pitch - self._keyboard.lowest_pitch])
+                self._add_note(scene, note, span, hit if note.start <= time < note.end else None)
 
     def _add_note(
-        self, scene: mujoco.MjvScene, note: Note, ahead: tuple[float, float], time: float
+        self, scene: mujoco.MjvScene, note: Note, ahead: tuple[float, float], hit: bool | None
     ) -> None:
-        """Adds a note that lies so many seconds from the lower edge."""
+        """Adds a note that lies so many seconds from the lower edge; `hit` says what it is now.
+
+        That is None for a note that is not to sound now.
+        """
         key = note.pitch - self._keyboard.lowest_pitch
-        black, sounds = bool(self._keyboard.is_black[key]), note.start <= time < note.end
-        colour = _HIT if sounds else _COMING[black]
+        black = bool(self._keyboard.is_black[key])
+        colour = _COMING[black] if hit is None else _HIT if hit else _MISSED
         span = ahead[0] * _SPEED, max(ahead[1] * _SPEED - 0.001, ahead[0] * _SPEED + 0.0005)
         y, width = float(self._keyboard.centre[key, 1]), _NOTE_WIDTH[black]
-        glow = _GLOW if sounds else 0.0
+        glow = 0.0 if hit is None else _GLOW
         self._add(
             scene, span, y, width, _NOTE_HEIGHT, 0.001 * black, colour, glow, self._finger(note)
         )

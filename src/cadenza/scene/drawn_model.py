@@ -46,10 +46,7 @@ def key_geoms(model: mujoco.MjModel, scene: Scene) -> dict[int, int]:
 
 
 def _furnish(spec: mujoco.MjSpec, keyboard: Keyboard) -> None:
-    low, high = (
-        (keyboard.centre - keyboard.half_size).min(0),
-        (keyboard.centre + keyboard.half_size).max(0),
-    )
+    low, high = keyboard.bounds
     depth, width = (high[0] - low[0]) / 2 + 0.01, (high[1] - low[1]) / 2 + _MARGIN
     middle, bottom = (low[0] + high[0]) / 2 + 0.004, low[2]
     box, plane = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_PLANE
@@ -57,13 +54,8 @@ def _furnish(spec: mujoco.MjSpec, keyboard: Keyboard) -> None:
     spec.visual.map.shadowscale = _SHADOW_SCALE
     spec.add_material(name="wood", rgba=_WOOD, specular=0.8, shininess=0.7)
     add = spec.worldbody.add_geom
-    add(
-        type=box,
-        material="wood",
-        pos=(middle, 0, bottom - 0.012),
-        size=(depth, width, 0.011),
-        **bare,
-    )
+    bed = (middle, 0, bottom - 0.012)
+    add(type=box, material="wood", pos=bed, size=(depth, width, 0.011), **bare)
     for end in (-1, 1):
         pos = (middle, end * (width - _CHEEK), bottom + 0.018)
         add(type=box, material="wood", pos=pos, size=(depth, _CHEEK, 0.019), **bare)

@@ -36,11 +36,11 @@ class Conventions:
     staccato: float = 0.5
     """The length of staccato notes, as a share of the written one; MuseScore's."""
     staccatissimo: float = 0.33
-    """That of notes with a wedge; MuseScore's."""
+    """The length of notes with a wedge, as a share of the written one; MuseScore's."""
     portato: float = 0.67
-    """That of staccato notes under a slur or with a line; MuseScore's."""
+    """The length of staccato notes under a slur or with a line, as such a share; MuseScore's."""
     marcato: float = 0.67
-    """That of notes with an upright wedge; MuseScore's."""
+    """The length of notes with an upright wedge, as such a share; MuseScore's."""
     phrase_lift: float = 0.05
     """How much earlier the last note under a slur ends [s], at most half of it; a choice."""
     breath: float = 0.15
@@ -50,11 +50,11 @@ class Conventions:
     """The velocity of notes with an accent, as a multiple of the velocity around them; a choice,
     below that of marcato."""
     strong_accent: float = 1.2
-    """That of notes with an upright wedge; MuseScore's."""
+    """The velocity of notes with an upright wedge, as such a multiple; MuseScore's."""
     sforzato: float = 1.5
-    """That of notes with sf, sfz and the like; MuseScore's."""
+    """The velocity of notes with sf, sfz and the like, as such a multiple; MuseScore's."""
     hairpin_step: int = 16
-    """By how much a hairpin without a goal changes the velocity: the distance of two dynamics."""
+    """The change of velocity over a hairpin without a goal: the distance of two dynamics."""
     hairpins: bool = True
     """Become louder or softer little by little under hairpins, and after cresc. and dim."""
     open_hairpin: float = 8.0
@@ -63,23 +63,23 @@ class Conventions:
     """How many times longer a note with a fermata is; MuseScore's, and as Türk says of slow pieces
     and long notes."""
     short_fermata: float = 1.5
-    """That for the angled sign; MuseScore's."""
+    """How many times longer a note with the angled sign is; MuseScore's."""
     long_fermata: float = 3.0
-    """That for the square sign; MuseScore's."""
+    """How many times longer a note with the square sign is; MuseScore's."""
     caesura: float = 0.5
     """The silence at a caesura [s]; a choice. MuseScore has 2 s."""
     ritardando: float = 0.75
     """The tempo at the end of a ritardando without a goal, as a share of that before it;
     MuseScore's."""
     accelerando: float = 1.33
-    """That of an accelerando; MuseScore's."""
+    """The tempo at the end of an accelerando without a goal, as such a share; MuseScore's."""
     open_ramp: float = 16.0
     """How far a change of tempo reaches that no mark ends [quarters], before the tempo is as it
     was; a choice."""
     meno_mosso: float = 0.85
     """The tempo after meno mosso or ritenuto, as a share of that before it; a choice."""
     piu_mosso: float = 1.15
-    """That after più mosso; a choice."""
+    """The tempo after più mosso, as such a share; a choice."""
     swing: bool = True
     """Play notes off the beat later where the score says swing."""
 

@@ -8,7 +8,7 @@ from fractions import Fraction
 
 @dataclass(frozen=True, slots=True)
 class Dynamic:
-    """From `onset` on notes have this `velocity`.
+    """Notes have a `velocity` from an `onset` on.
 
     With `then`, as of fp, it is that of the notes at `onset` alone, and those after have `then`.
     """
@@ -27,7 +27,7 @@ class Sforzato:
 
 @dataclass(frozen=True, slots=True)
 class Hairpin:
-    """From `onset` to `end` notes become louder (`step` 1) or softer (-1) little by little.
+    """Notes become louder (`step` 1) or softer (-1) little by little from `onset` to `end`.
 
     The end of a word such as cresc. is None: it goes on up to the next dynamic.
     """

@@ -1,4 +1,4 @@
-"""From places in a score to time: tempos, ramps between them, and waits."""
+"""Time from places in a score: tempos, ramps between them, and waits."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ class TempoMap:
 
 @dataclass(frozen=True, slots=True)
 class _Speed:
-    """From `place` on a quarter lasts `seconds` [s], and `slope` more for each quarter since."""
+    """A quarter lasts `seconds` [s] at a `place`, and `slope` more for each quarter since."""
 
     place: Fraction
     seconds: float

@@ -9,7 +9,7 @@ from fractions import Fraction
 
 @dataclass(frozen=True, slots=True)
 class Tempo:
-    """From `onset` on a quarter lasts `seconds` [s]."""
+    """A quarter lasts `seconds` [s] from an `onset` on."""
 
     onset: Fraction
     seconds: float
@@ -27,9 +27,9 @@ class Change(Enum):
     PIU_MOSSO = auto()
     """Faster at once."""
     A_TEMPO = auto()
-    """As before the last change."""
+    """The tempo before the last change."""
     TEMPO_PRIMO = auto()
-    """As at the beginning."""
+    """The tempo at the beginning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class Caesura:
 
 @dataclass(frozen=True, slots=True)
 class Swing:
-    """From `onset` on, the first and the second of two notes of `unit` last as `first : second`.
+    """Two notes of a `unit` last as `first : second` from an `onset` on.
 
     The unit is in quarters: 1/2 for eighths, 1/4 for sixteenths. With 1 : 1 notes are straight.
     `beat` is any place where the first of two may stand, such as the beginning of a full bar.

@@ -1,4 +1,4 @@
-"""Which hand plays what of a part on two staves."""
+"""The hands that play the notes of a part on two staves."""
 
 from __future__ import annotations
 
