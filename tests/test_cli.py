@@ -425,6 +425,8 @@ def test_a_film_is_made_of_what_was_played(
         greys = np.array([picture.mean(axis=2) for picture in pictures])
         assert greys[0].std() > 20  # there is something to see
         assert np.abs(np.diff(greys, axis=0)).max() > 40  # which moves
+        greener = max((each[..., 1].astype(int) - each[..., 0]).max() for each in pictures)
+        assert greener < 80  # as nothing was hit
 
 
 def test_play_leaves_what_it_promises(
