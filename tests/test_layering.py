@@ -13,7 +13,7 @@ import pytest
 import cadenza
 
 PACKAGE = Path(cadenza.__file__).parent
-EVERYWHERE = {"fingers", "errors", "files", "configs", "episode", "registry", "resumable"}
+EVERYWHERE = {"fingers", "errors", "files", "configs", "episode", "hub", "registry", "resumable"}
 # What a folder stands on; it may import that, and what that stands on.
 STANDS_ON: dict[str, set[str]] = {
     "music": set(),
@@ -50,6 +50,7 @@ LIBRARIES: dict[str, set[str]] = {
         "flax",
         "optax",
         "filelock",
+        "huggingface_hub",
         "msgspec",
         "threadpoolctl",
     },

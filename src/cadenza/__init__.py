@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cadenza.tasks.reward import Outcome
     from cadenza.tasks.view import TaskSpec, View
 
-__version__ = "0.3.0"
+__version__ = "1.0.0"
 
 __all__ = [
     "Agent",

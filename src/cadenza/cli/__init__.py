@@ -12,6 +12,7 @@ from contextlib import suppress
 from io import TextIOWrapper
 from typing import Any, NoReturn, get_args
 
+from cadenza import __version__
 from cadenza.cli import (
     arrange,
     bench,
@@ -26,6 +27,7 @@ from cadenza.cli import (
     plan,
     play,
     practice,
+    publish,
     results,
     songs,
     studio,
@@ -50,6 +52,7 @@ _COMMANDS: dict[str, Any] = {
     "results": (results.Results, results.results),
     "train": (train.Train, train.train),
     "clone": (clone.Clone, clone.clone),
+    "publish": (publish.Publish, publish.run),
     "curves": (train.Curves, train.curves),
     "songs": (songs.Songs, songs.songs),
     "libraries": (songs.Libraries, songs.libraries),
@@ -162,9 +165,7 @@ def _run_without_command(
     about += f'\n\nRun "{prog} COMMAND --help" for the options of a command.'
     match words:
         case ["--version"]:
-            from importlib.metadata import version
-
-            print(f"cadenza {version('cadenza')}")
+            print(f"cadenza {__version__}")
         case ["-h" | "--help" | "--help-all", *_]:
             print_commands(_kinds(commands), prog, about)
         case ["--completion", "bash" | "zsh" | "fish" as shell]:

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from cadenza import __version__
 from cadenza.agents.registry import AGENTS
 from cadenza.cli.console import counted, in_columns
 from cadenza.errors import CadenzaError
+from cadenza.hub import is_on_hub
 from cadenza.learning.learner import LEARNERS
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import note_name
@@ -45,7 +47,9 @@ def info(command: Info) -> None:
 
 
 def _score(song: str, arrangement: Arrangement) -> Score:
-    if os.path.isdir(song):  # heavy, so only where it may be what has learnt or practised a song
+    if os.path.isdir(song) or is_on_hub(
+        song
+    ):  # heavy, so only where it may be what has learnt or practised a song
         from cadenza.performing.source import is_own_folder, load_song
 
         if is_own_folder(song):
@@ -138,7 +142,6 @@ def usual_players() -> Players:
 
 def _installation_facts() -> dict[str, Any]:
     import platform
-    from importlib.metadata import version
 
     import mujoco
 
@@ -155,7 +158,7 @@ def _installation_facts() -> dict[str, Any]:
     except CadenzaError as error:
         drawing = f"no; {error}"
     return {
-        "cadenza": version("cadenza"),
+        "cadenza": __version__,
         "python": platform.python_version(),
         "mujoco": mujoco.__version__,
         "cores": available_cores(),

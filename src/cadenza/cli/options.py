@@ -15,6 +15,7 @@ from cadenza.agents.registry import AGENTS, agent_options, options_name
 from cadenza.cli.arguments import Advanced, Chosen, parse
 from cadenza.cli.progress import stages
 from cadenza.errors import CadenzaError
+from cadenza.hub import is_on_hub
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
@@ -30,8 +31,8 @@ Read = Callable[..., Command]
 TRAIN = "train:"  # what the name of an agent begins with that is trained first
 
 AGENTS_HELP = (
-    'Who plays: a name from "cadenza info", the folder of a policy, or module:Class. By default '
-    "the planner, or the policy whose folder is SONG."
+    'Who plays: a name from "cadenza info", the folder of a policy, hub:OWNER/NAME, or '
+    "module:Class. By default the planner, or the policy whose folder is SONG."
 )
 SETUP_HELP = 'Options by one name, such as allegro, see "cadenza info". Others override it.'
 
@@ -122,7 +123,8 @@ def with_options_of_agents(kind: type[Command], named: Sequence[str] = ()) -> ty
     agents = {options_name(agent): agent for agent in kind.agents_with_options}
     taken = {*dir(kind), *(each.name for each in fields(kind))}
     for agent in dict.fromkeys(named):
-        if agent.startswith(TRAIN) or os.path.isdir(agent) or agent_options(agent) is None:
+        policy = os.path.isdir(agent) or is_on_hub(agent)
+        if policy or agent.startswith(TRAIN) or agent_options(agent) is None:
             continue
         name = options_name(agent)
         if name in taken or not name.isidentifier() or iskeyword(name):

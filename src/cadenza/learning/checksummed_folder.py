@@ -29,7 +29,10 @@ from cadenza.files import (
 )
 
 MANIFEST, _FACTS, _ARRAYS = "manifest.json", "facts.json", "arrays.safetensors"
+FILES = (MANIFEST, _FACTS, _ARRAYS)
 _MOST_ARRAYS = 2**30  # bytes: policies take a few million, checkpoints ten times as many
+MOST_BYTES = _MOST_ARRAYS + 2 * MOST_JSON
+"""Bytes that all files of a folder may take."""
 
 
 class _Manifest(TypedDict):

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.demonstrations.dataset import Batch, Dataset, check_values, kept
+from cadenza.demonstrations.dataset import Batch, Dataset, check_values, dataset_folder, kept
 from cadenza.demonstrations.recorded_episode import RecordedEpisode
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import FLOATS, NUMBERS, ArrayOf, Expected
@@ -83,6 +83,7 @@ class Imitation(CheckpointedRun):
         config.check()
         super().__init__(folder, config.num_updates, config.checkpoint_interval, config.seed)
         self.config = config
+        demonstrations = dataset_folder(demonstrations)
         recorded = kept(demonstrations)
         manifest = self._manifest(demonstrations, recorded)
         episodes = {episode.folder.name: episode for episode in recorded}

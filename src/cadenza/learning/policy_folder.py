@@ -11,8 +11,14 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError, by_others
 from cadenza.files import FLOATS, NUMBERS, ArrayOf, check_arrays, checked
+from cadenza.hub import Kind, fetched
 from cadenza.learning.actions import Reference
-from cadenza.learning.checksummed_folder import read_checksummed, write_checksummed
+from cadenza.learning.checksummed_folder import (
+    FILES,
+    MOST_BYTES,
+    read_checksummed,
+    write_checksummed,
+)
 from cadenza.learning.learner import learner_config
 from cadenza.learning.observation import Inputs, ObservationSpec
 from cadenza.learning.policy import Activation, Perceptron, Policy
@@ -25,6 +31,8 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 _KIND = "policy"
+POLICY = Kind(_KIND, "model", FILES, MOST_BYTES)
+"""A policy as the hub keeps it."""
 _FORMAT = 3
 _REFERENCE, _RANGES, _POLICY = "reference/", "ranges/", "policy/"  # begin names of arrays
 _CHANGE_THE_REFERENCE = (
@@ -201,12 +209,13 @@ def check_is_no_run(folder: Path) -> None:
             )
 
 
-def load_policy(folder: Path) -> LearntPolicy:
-    """Reads the policy in a folder.
+def load_policy(folder: str | Path) -> LearntPolicy:
+    """Reads the policy in a folder, or one of the hub, see `cadenza.hub`.
 
     Raises:
         CadenzaError: there is no policy, or not one that this version wrote, unchanged.
     """
+    folder = fetched(folder, POLICY)
     check_is_no_run(folder)
     plain, arrays = read_checksummed(folder, _KIND)
     where = folder / "facts.json"

@@ -97,7 +97,9 @@ class Practising:
         if self._path.exists():
             self.practice.restore(self._path)
         settings, song = setup.settings, setup.settings["song"]
-        if os.path.isfile(song) or is_own_folder(song):  # it goes on from anywhere
+        if os.path.exists(song) and (
+            os.path.isfile(song) or is_own_folder(song)
+        ):  # it goes on from anywhere
             settings = settings | {"song": os.path.abspath(song)}
         folder.write_manifest(settings)
 

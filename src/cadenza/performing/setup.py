@@ -29,6 +29,7 @@ from cadenza.agents.registry import (
 )
 from cadenza.configs import MOST_SEED, as_config, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.hub import is_on_hub
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.arrangement import Arrangement
@@ -134,9 +135,9 @@ def select(
 
     Args:
         song: see `cadenza.load_song`; a score; or what `resolve` has made of it.
-        agent: a name of `cadenza.agents.registry`, the folder of a policy, `module:Class`, or an
-            agent. Where there is none, the policy or the practised plan plays whose folder is the
-            song, or the planner.
+        agent: a name of `cadenza.agents.registry`, the folder of a policy, which may lie on the
+            hub as `hub:OWNER/NAME`, `module:Class`, or an agent. Where there is none, the policy
+            or the practised plan plays whose folder is the song, or the planner.
         arrangement: which notes of a song that is a name or a path.
         configs: agent's name -> its options, see `make_agent`.
         plan: the file whose actions "playback" plays.
@@ -202,12 +203,12 @@ def _policy(agent: str, source: Source) -> LearntPolicy | None:
             f"{agent}: holds a song that was practised, not a policy; give it as the song, "
             "without an agent"
         )
-    return load_policy(Path(agent))
+    return load_policy(agent)
 
 
 def is_policy_folder(agent: str) -> bool:
-    """Returns whether an agent is named by the folder of a policy."""
-    return agent not in AGENTS.own and os.path.isdir(agent)
+    """Returns whether an agent is named by the folder of a policy, which may lie on the hub."""
+    return agent not in AGENTS.own and (os.path.isdir(agent) or is_on_hub(agent))
 
 
 def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:

@@ -11,8 +11,9 @@ from cadenza.agents.playback import SavedPlan, load_plan
 from cadenza.configs import as_config
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.files import TENSORS
+from cadenza.hub import fetched, is_on_hub
 from cadenza.learning.checksummed_folder import MANIFEST
-from cadenza.learning.policy_folder import LearntPolicy, check_is_no_run, load_policy
+from cadenza.learning.policy_folder import POLICY, LearntPolicy, check_is_no_run, load_policy
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.reading import name_without_ending
 from cadenza.music.libraries.bundled import songs
@@ -96,8 +97,9 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
 
     Args:
         song: a bundled song, see `cadenza.songs`; the path of a MIDI or MusicXML file; or the
-            folder of a policy or of a practised song, which hold theirs. A folder of the same name
-            as a bundled song wants a path with a separator, such as ``./OdeToJoy``.
+            folder of a policy or of a practised song, which hold theirs; a policy may lie on the
+            hub, as ``hub:OWNER/NAME``. A folder of the same name as a bundled song wants a path
+            with a separator, such as ``./OdeToJoy``.
         arrangement: which notes of it; all by default.
 
     Raises:
@@ -108,14 +110,19 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
 
 
 def is_own_folder(song: str | Path) -> bool:
-    """Returns whether a song is named by the folder of a policy or of practice, which has it."""
+    """Returns whether a song is named by the folder of a policy or of practice, which has it.
+
+    A policy may lie on the hub, see `cadenza.hub`.
+    """
     text = str(song)
     bundled = text.lower() in {piece.name.lower() for piece in songs()}
-    return os.path.isdir(song) and not (bundled and isinstance(song, str))
+    folder = os.path.isdir(song) or is_on_hub(song)
+    return folder and not (bundled and isinstance(song, str))
 
 
 def _own_song(folder: Path, name: str, arrangement: Arrangement) -> Source:
     """Loads the folder of a policy or of a practised song."""
+    folder = fetched(folder, POLICY)
     if arrangement.chosen:
         raise CadenzaError(
             f"{name}: plays its song as it was trained or practised; leave out --tracks, "

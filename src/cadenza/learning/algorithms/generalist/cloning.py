@@ -33,7 +33,7 @@ from cadenza.agents.planner.search.networks.weights import (
     Network,
     Weights,
 )
-from cadenza.demonstrations.dataset import Dataset, kept
+from cadenza.demonstrations.dataset import Dataset, dataset_folder, kept
 from cadenza.demonstrations.recorded_episode import RecordedEpisode, played_actions
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, ArrayOf, Expected, read_arrays, write_atomically
@@ -109,6 +109,7 @@ class GeneralistCloning(CheckpointedRun):
         super().__init__(folder, updates, config.checkpoint_interval, config.seed)
         start_jax()
         self.config = config
+        demonstrations = [dataset_folder(place) for place in demonstrations]
         episodes = [episode for place in demonstrations for episode in kept(place)]
         scene = Dataset(episodes).scene  # or says which do not go together
         self.folder.check_complete(self.has_checkpoint)

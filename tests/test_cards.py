@@ -1,0 +1,44 @@
+"""The cards of the networks that come with the package."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from huggingface_hub import ModelCard
+
+import cadenza
+from cadenza.cli import _COMMANDS
+from cadenza.report.bench_summary import METRICS
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = Path(cadenza.__file__).parent
+WEIGHTS = sorted(path for ending in ("npz", "safetensors") for path in PACKAGE.rglob(f"*.{ending}"))
+PAGES = "".join(page.read_text() for page in (ROOT / "docs").glob("*.md"))
+LINKS = re.compile(r"\]\((?:https://github\.com/cadenza-piano/cadenza/blob/main/)?([^):]+)\)")
+
+
+def test_there_are_networks() -> None:
+    assert len(WEIGHTS) >= 5
+
+
+@pytest.mark.parametrize("weights", WEIGHTS, ids=lambda path: path.parent.name)
+def test_shipped_networks_have_a_card_with_figures_that_were_measured(weights: Path) -> None:
+    path = weights.with_name("README.md")
+    card = ModelCard.load(path)
+    parts = re.findall(r"^## (.+)$", card.text, re.MULTILINE)
+    assert parts == ["Data", "Training", "Figures", "Limits"]
+    for command in re.findall(r"^    cadenza (\w+)", card.text, re.MULTILINE):
+        assert command in _COMMANDS
+    for target in LINKS.findall(card.text):
+        assert any((at / target).exists() for at in (ROOT, path.parent)), target
+    facts = weights.with_name("facts.json")
+    for result in card.data.eval_results or ():
+        assert result.metric_type in METRICS
+        assert f"{result.metric_value:.3f}" in card.text
+        assert f"{result.metric_value:.3f}" in PAGES
+        if facts.exists():
+            measured = json.loads(facts.read_text())["about"][f"eval/{result.metric_type}"]
+            assert result.metric_value == pytest.approx(measured, abs=5e-4)
