@@ -6,7 +6,7 @@ SONG ?= TwinkleTwinkleLittleStar
 # The shell takes it from its environment: make and the shell change nothing, whatever its characters.
 override export SONG := $(value SONG)
 
-.PHONY: play studio install test smoke test-ray check docs bench sb3 lock clean
+.PHONY: play studio install test smoke test-ray check docs bench sb3 lock licences release-check clean
 .DEFAULT_GOAL := help
 
 .PHONY: help
@@ -20,6 +20,7 @@ help:
 	@echo "make check   lint, formatting, types"
 	@echo "make docs    the documentation as a site, with the reference"
 	@echo "make bench   measure speed, as ratios in one run"
+	@echo "make release-check  all that must hold before a release; half an hour, and needs uv"
 	@echo "make sb3     test the environments with Stable-Baselines3, which installs gigabytes"
 
 # Two lock files, which agree, pin every version: of what playing and the studio need, and of everything.
@@ -92,6 +93,18 @@ sb3:
 lock:
 	uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --output-file requirements-dev.lock
 	uv pip compile pyproject.toml --extra studio --universal --python-version 3.11 --constraint requirements-dev.lock --output-file requirements.lock
+
+# What packages say of themselves. MPL and LGPL bind whoever changes those packages, not who uses them.
+LICENCES := 0BSD;AFL;Apache;BSD;CC0;ISC;LGPL;MIT;MPL;Mozilla Public License;PSF;Public Domain;Python Software;Zlib
+licences:
+	@mkdir -p build
+	uv tool run --quiet --python 3.11 --with-requirements requirements-dev.lock pip-licenses@5.5.5 --from mixed \
+		--format markdown --partial-match --allow-only '$(LICENCES)' --output-file build/table.md
+	sed '/^|/d' docs/licences.md | cat - build/table.md > build/licences.md
+	mv build/licences.md docs/licences.md
+
+release-check:
+	$(PYTHON) tools/release_check.py
 
 clean:
 	rm -rf $(VENV) .venv-sb3 .venv-3.* .pytest_cache .ruff_cache .mypy_cache

@@ -29,15 +29,6 @@ def test_every_page_is_in_the_contents() -> None:
     assert sorted([*listed, "index"]) == sorted(pages)
 
 
-@pytest.mark.parametrize(
-    "page", [ROOT / "CONTRIBUTING.md", *PAGES], ids=lambda page: str(page.relative_to(ROOT))
-)
-def test_links_between_files_lead_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
-        if not target.startswith("http"):
-            assert (page.parent / target).exists(), target
-
-
 def test_the_python_files_that_pages_name_exist() -> None:
     places = ("src", "tests", "tools", "benchmarks", "examples")
     files = {

@@ -70,12 +70,6 @@ def test_the_make_targets_exist() -> None:
     assert {"play", "test"} <= set(named) <= set(targets)
 
 
-def test_the_files_it_links_to_exist() -> None:
-    for target in re.findall(r"\]\(([^)#]+)\)", README):
-        if not target.startswith("http"):
-            assert (ROOT / target).exists(), target
-
-
 def test_its_links_are_absolute_on_pypi() -> None:
     hooks = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["metadata"][
         "hooks"
