@@ -13,6 +13,7 @@ import argparse
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tarfile
@@ -21,7 +22,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory, mkdtemp
 from urllib.parse import urlsplit
 
 ROOT = Path(__file__).parents[1]
@@ -118,7 +119,7 @@ def licences() -> None:
 @cache
 def built() -> tuple[Path, Path]:
     """Builds the wheel and the sdist; returns where they are."""
-    folder = Path(mkdtemp(prefix="cadenza-release-"))
+    folder = fresh()
     run("uv", "build", "--quiet", "--out-dir", folder)
     (wheel,), (sdist,) = folder.glob("*.whl"), folder.glob("*.tar.gz")
     return wheel, sdist
@@ -169,7 +170,7 @@ def installs() -> None:
 
 def try_package(package: Path, python: str, resolution: str) -> None:
     """Installs a package into a fresh environment, has it play, and imports what is in it."""
-    folder = Path(mkdtemp(prefix="cadenza-release-"))
+    folder = fresh()
     tell(f"  {package.suffix} on Python {python}, {resolution} versions of what it needs")
     run("uv", "venv", "--quiet", "--python", interpreter(python), folder / "venv")
     bounds = ["--resolution", resolution, "--requirements", ROOT / "pyproject.toml"]
@@ -195,17 +196,14 @@ def interpreter(python: str) -> str:
 
 def uvx() -> None:
     """Runs the line of the README that plays from the wheel alone."""
-    wheel, folder = built()[0], Path(mkdtemp(prefix="cadenza-release-"))
-    line = found(r"^uvx (.+)$", "README.md")
-    words = [word.replace(f"dist/{wheel.name}", str(wheel)) for word in shlex.split(line)]
-    if str(wheel) not in " ".join(words):
-        raise ReleaseError(f"uvx {line}: does not name {wheel.name}")
-    run("uvx", *words, at=folder)
+    folder = fresh()
+    shutil.copytree(built()[0].parent, folder / "dist")
+    run("uvx", *shlex.split(found(r"^uvx (.+)$", "README.md")), at=folder)
 
 
 def clone() -> None:
     """Runs both commands of the README in a fresh clone."""
-    folder = Path(mkdtemp(prefix="cadenza-release-")) / "cadenza"
+    folder = fresh() / "cadenza"
     run("git", "clone", "--quiet", ROOT, folder)
     for target in ("play", "test"):
         tell(f"  make {target}")
@@ -224,6 +222,17 @@ STEPS: tuple[Callable[[], None], ...] = (
     installs,
     clone,
 )
+
+
+@cache
+def scratch() -> TemporaryDirectory[str]:
+    """Makes the folder of all that is tried; it goes when Python ends."""
+    return TemporaryDirectory(prefix="cadenza-release-")
+
+
+def fresh() -> Path:
+    """Returns an empty folder."""
+    return Path(mkdtemp(dir=scratch().name))
 
 
 def found(pattern: str, name: str) -> str:
