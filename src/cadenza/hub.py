@@ -80,8 +80,13 @@ def fetched(place: str | Path, kind: Kind) -> Path:
 
 
 def pinned(place: str, folder: Path) -> str:
-    """Returns the name on the hub of exactly the commit that was `fetched` to `folder`."""
-    return f"{place.partition('@')[0]}@{folder.name}" if is_on_hub(place) else place
+    """Returns the name on the hub of the very commit that was `fetched` to `folder`, or its path.
+
+    Args:
+        place: what was fetched.
+        folder: where it lies.
+    """
+    return f"{place.partition('@')[0]}@{folder.name}" if is_on_hub(place) else str(folder)
 
 
 def upload(folder: Path, repo: str, kind: Kind, card: str) -> str:

@@ -12,7 +12,6 @@ from contextlib import suppress
 from io import TextIOWrapper
 from typing import Any, NoReturn, get_args
 
-from cadenza import __version__
 from cadenza.cli import (
     arrange,
     bench,
@@ -165,7 +164,9 @@ def _run_without_command(
     about += f'\n\nRun "{prog} COMMAND --help" for the options of a command.'
     match words:
         case ["--version"]:
-            print(f"cadenza {__version__}")
+            from importlib.metadata import version
+
+            print(f"cadenza {version('cadenza')}")
         case ["-h" | "--help" | "--help-all", *_]:
             print_commands(_kinds(commands), prog, about)
         case ["--completion", "bash" | "zsh" | "fish" as shell]:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from cadenza import __version__
 from cadenza.agents.registry import AGENTS
 from cadenza.cli.console import counted, in_columns
 from cadenza.errors import CadenzaError
@@ -47,9 +46,8 @@ def info(command: Info) -> None:
 
 
 def _score(song: str, arrangement: Arrangement) -> Score:
-    if os.path.isdir(song) or is_on_hub(
-        song
-    ):  # heavy, so only where it may be what has learnt or practised a song
+    if os.path.isdir(song) or is_on_hub(song):  # it may be what has learnt or practised a song
+        # Heavy, so only here.
         from cadenza.performing.source import is_own_folder, load_song
 
         if is_own_folder(song):
@@ -142,6 +140,7 @@ def usual_players() -> Players:
 
 def _installation_facts() -> dict[str, Any]:
     import platform
+    from importlib.metadata import version
 
     import mujoco
 
@@ -158,7 +157,7 @@ def _installation_facts() -> dict[str, Any]:
     except CadenzaError as error:
         drawing = f"no; {error}"
     return {
-        "cadenza": __version__,
+        "cadenza": version("cadenza"),
         "python": platform.python_version(),
         "mujoco": mujoco.__version__,
         "cores": available_cores(),
