@@ -92,7 +92,7 @@ def pinned(place: str, folder: Path) -> str:
 def upload(folder: Path, repo: str, kind: Kind, card: str) -> str:
     """Uploads the files of a folder to the hub, as one commit; returns where they are.
 
-    The repository is made if there is none, private as its owner has set it.
+    The repository is made if there is none, as visible as its owner's are by default.
 
     Args:
         folder: a folder of this kind. The card in it is uploaded, too.
