@@ -195,6 +195,11 @@ def test_what_cannot_be_arranged_is_told_in_a_line(
     assert said in refused(capsys, "arrange", "etudes/band-7", *options)
 
 
+def test_without_hands_no_level_is_ignored(capsys: pytest.CaptureFixture[str]) -> None:
+    said = refused(capsys, "play", "OdeToJoy", *QUICK, "--hands", "none", "--level", "2")
+    assert "without hands, nothing can be arranged" in said
+
+
 @pytest.mark.parametrize("option", [("--level", "3"), ("--arrange", "always")])
 def test_what_is_learnt_is_not_arranged(
     option: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -118,11 +118,14 @@ def arranged_for(source: Source, scene: Scene) -> HandArrangement | None:
 
     That is so with `arrange="off"`, and with "auto" and no level where the hands leave out few
     notes: 10 % of music for one instrument; 7 % of other music, and 1 % of its melody and bass.
+
+    Raises:
+        CadenzaError: the song is to be arranged, and the scene has no hands.
     """
     score, arrangement = source.score, source.arrangement
-    if arrangement.arrange == "off" or not scene.sides or not score.notes:
+    if arrangement.arrange == "off" or not score.notes:
         return None
-    if not arrangement.asks_for_hands and _is_playable(score, scene):
+    if not arrangement.asks_for_hands and (not scene.sides or _is_playable(score, scene)):
         return None
     return arrange_song(source, scene)
 
