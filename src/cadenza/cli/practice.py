@@ -188,7 +188,7 @@ def _practise(
             nonlocal num_printed
             played_first = not num_printed and bool(practice.history)
             for row in practice.history[num_printed:]:
-                print("effort {:.2g}: F1 {:.3f}, note onsets F1 {:.3f}".format(*row))
+                print(f"effort {row[0]:.2g}: {_scores(row)}")
             num_printed = len(practice.history)
             seconds = time.monotonic() - began
             stage, unit, done, total = _progress(practice, effort, minutes, seconds)
@@ -223,12 +223,18 @@ def _progress(
 def _remark(practice: Practice, score: Score) -> str:
     """Returns what stands beside the progress: the scores, what is practised, what is left."""
     passages = len(practice.passages_with_loss())
-    so_far = ""
-    if practice.history:
-        so_far = "F1 {1:.3f}, note onsets F1 {2:.3f}, ".format(*practice.history[-1])
+    so_far = f"{_scores(practice.history[-1])}, " if practice.history else ""
     how = "another take, " if practice.plays_variant else ""
     left = f"{passages} passage{'s'[: passages != 1]} left"
     return f"{so_far}{how}{_places(practice, score, practice.current_steps)}, {left}"
+
+
+def _scores(row: tuple[float, float, float]) -> str:
+    """Returns the scores of an entry of the history.
+
+    Practice counts onsets at control steps, `cadenza play` at physics steps: that is said.
+    """
+    return "F1 {1:.3f}, note onsets F1 by control steps {2:.3f}".format(*row)
 
 
 def _places(practice: Practice, score: Score, steps: Iterable[int]) -> str:
