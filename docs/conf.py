@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,8 @@ import cadenza
 
 REPOSITORY = "https://github.com/cadenza-piano/cadenza"
 README = Path(__file__).parents[1] / "README.md"
+GALLERY = "gallery"  # folder of the site
+PICTURE = r"!\[Two robot hands.*\n\n\*The hands play.*"  # and what is written below it
 
 project = "Cadenza"
 author = "The Cadenza authors"
@@ -37,6 +41,8 @@ NAPOLEON = Config(napoleon_use_ivar=True)  # what "Attributes:" lists has no ent
 
 html_theme = "sphinx_book_theme"
 html_title = "Cadenza"
+html_static_path = ["static"]
+html_css_files = ["gallery.css"]
 html_theme_options = {
     "repository_url": REPOSITORY,
     "path_to_docs": "docs",
@@ -47,15 +53,41 @@ html_theme_options = {
 }
 
 
-def read(_: Sphinx, page: str, source: list[str]) -> None:
+def read(app: Sphinx, page: str, source: list[str]) -> None:
     """The front page is the README; links to files outside this folder lead to the repository."""
     text, out = source[0], "../" * (page.count("/") + 1)
     if page == "index":
-        text = re.sub(r"\]\((?!\w+:|#|docs/)", "](../", README.read_text("utf-8")) + text
+        readme, listed = README.read_text("utf-8"), app.outdir / GALLERY / "gallery.json"
+        if listed.exists():  # what `gallery.py` has played takes the place of the picture
+            played = gallery(json.loads(listed.read_text("utf-8")))
+            readme = re.sub(PICTURE, lambda _: played, readme, count=1)
+        text = re.sub(r"\]\((?!\w+:|#|docs/)", "](../", readme) + text
         text = text.replace("](docs/", "](")
     text = text.replace(f"]({out}README.md)", "](/index.md)")
     text = text.replace(f"]({out}", f"]({REPOSITORY}/blob/main/")
     source[0] = re.sub(r"\]\((\w+/)\)", rf"]({REPOSITORY}/tree/main/docs/\1)", text)
+
+
+def gallery(listed: list[dict[str, Any]]) -> str:
+    """Returns the first of what `gallery.py` has played, which plays here, and the others."""
+    first, *others = listed
+    cards = "".join(
+        f'<a href="{GALLERY}/{each["name"]}.html">'
+        + f'<img src="{GALLERY}/{each["name"]}.webp" alt="">' * each["picture"]
+        + f"<b>{escape(each['who'])}</b>{about(each)}</a>"
+        for each in others
+    )
+    return f"""```{{raw}} html
+<iframe class="plays" src="{GALLERY}/{first["name"]}.html" title="{about(first)}"></iframe>
+<p>{escape(first["who"])} plays {about(first)} Press play to watch and hear it; drag to turn the
+picture. Others play, too:</p>
+<div class="plays">{cards}</div>
+```"""
+
+
+def about(played: dict[str, Any]) -> str:
+    """Returns what was played, and how well."""
+    return escape(f"{played['song']} ({played['composer']}), F1 {played['f1']:.3f}.")
 
 
 def parse(app: Sphinx, what: str, name: str, of: object, options: object, lines: list[str]) -> None:

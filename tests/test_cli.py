@@ -410,6 +410,13 @@ def test_a_film_is_made_of_what_was_played(
         capsys, *film[:2], "--fps", 0
     )
     assert "episode.npz" in refused_in_a_line(capsys, "film", tmp_path)
+    assert "choose a name with one of these endings" in refused_in_a_line(
+        capsys, *film, "-o", tmp_path / "a.png"
+    )
+    assert "nothing to show from 90 s" in refused_in_a_line(capsys, *film, "--start", 90)
+    main([*film, "-o", str(tmp_path / "a.flac"), "--start", "0.25", "--seconds", "0.5"])
+    with av.open(str(tmp_path / "a.flac")) as file:
+        assert file.duration / 1e6 == pytest.approx(0.5, abs=0.001)
     try:
         Renderer(build_scene()).close()
     except CadenzaError as error:

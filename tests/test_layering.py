@@ -58,6 +58,7 @@ LIBRARIES: dict[str, set[str]] = {
         "numpy",
         "scipy",
         "av",
+        "symusic",
         "jinja2",
         "markupsafe",
         "threadpoolctl",

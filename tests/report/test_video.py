@@ -10,7 +10,7 @@ from cadenza.errors import CadenzaError, explained
 from cadenza.files import TEMPORARY
 from cadenza.music.score import Note, Score
 from cadenza.report.sound import synthesize
-from cadenza.report.video import write_video
+from cadenza.report.video import write_animation, write_video
 
 
 def test_pictures_and_sound_are_read_back(tmp_path):
@@ -74,3 +74,26 @@ def test_a_full_disk_is_said_to_be_full(room, tmp_path, monkeypatch) -> None:
         write_video(tmp_path / "a.mp4", noise, 20, np.zeros(44100, np.int16))
     assert "the disk is full" in explained(raised.value)
     assert not any(name.startswith(TEMPORARY) for name in os.listdir(tmp_path))
+
+
+@pytest.mark.parametrize("kind", ["gif", "webp"])
+def test_a_moving_picture_has_all_pictures_in_their_colours(tmp_path, kind) -> None:
+    colours = np.array([[220, 30, 30], [30, 220, 30], [30, 30, 220]] * 10, np.uint8)
+    path = tmp_path / f"a.{kind}"
+    frames = (np.tile(colour, (90, 160, 1)) for colour in colours)
+    write_animation(path, frames, 20, (80, 44))
+    if kind == "webp":  # FFmpeg does not read animations of it
+        content = path.read_bytes()
+        assert (content[8:12], content.count(b"ANIM"), content.count(b"ANMF")) == (b"WEBP", 1, 30)
+        return
+    with av.open(str(path)) as file:
+        assert file.duration / 1e6 == pytest.approx(1.5)
+        pictures = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+    assert pictures[0].shape == (44, 80, 3)
+    assert np.array([p.mean(axis=(0, 1)) for p in pictures]) == pytest.approx(colours, abs=8)
+
+
+def test_a_moving_picture_of_nothing_is_refused(tmp_path) -> None:
+    with pytest.raises(CadenzaError, match="at least one picture"):
+        write_animation(tmp_path / "a.gif", [], 20, (80, 44))
+    assert not list(tmp_path.iterdir())

@@ -71,6 +71,12 @@ Quiet = Annotated[
 ]
 """The option of all commands that show their progress."""
 
+SoundFont = Annotated[
+    Path | None,
+    tyro.conf.arg(help="A sound font (SF2) in place of the built-in piano."),
+]
+"""The option of commands that make sound."""
+
 COMMON: dict[type, tuple[str, ...]] = {
     Arrangement: ("tracks", "plain", "level", "expression"),
     TaskConfig: ("stretch", "transpose"),
@@ -359,26 +365,30 @@ def _default_hint(default: str) -> str:
     return f"(default: {({'True': 'yes', 'False': 'no'}).get(default, default)})"
 
 
+def _given(kind: Any) -> Any:
+    """Returns the type of a value that is given: int for int | None."""
+    kinds = [k for k in get_args(kind) if k is not NoneType]
+    optional = get_origin(kind) in (Union, UnionType) and len(kinds) == 1
+    return kinds[0] if optional else kind
+
+
 def _single(kind: Any) -> Any:
     """Returns the type of a value or of each of several: int for int | None, tuple[int, ...]."""
-    kinds = [k for k in get_args(kind) if k not in (NoneType, ...)]
-    match get_origin(kind):
-        case origin if origin in (Union, UnionType) and len(kinds) == 1:
-            return _single(kinds[0])
-        case origin if origin is tuple and len({*kinds}) == 1:
-            return _single(kinds[0])
-    return kind
+    kind = _given(kind)
+    kinds = {k for k in get_args(kind) if k is not ...}
+    return kinds.pop() if get_origin(kind) is tuple and len(kinds) == 1 else kind
 
 
 def _metavar(kind: Any) -> str | None:
     """Returns PATH for Path | None, {a,b} ... for several choices; None for tyro's own text."""
-    single = _single(kind)
-    several = " ..." if ... in get_args(kind) else ""
+    single, given = _single(kind), _given(kind)
+    several = " ..." if ... in get_args(given) else ""
     if get_origin(single) is Literal:
         return "{" + ",".join(map(str, get_args(single))) + "}" + several
     if single is kind or (get_origin(kind) is tuple and not several):
         return None
-    return f"{single.__name__.upper()}{several}"
+    count = len(get_args(given)) if get_origin(given) is tuple and not several else 1
+    return " ".join([single.__name__.upper()] * count) + several
 
 
 def _wanted(kind: Any) -> str | None:
@@ -390,9 +400,10 @@ def _wanted(kind: Any) -> str | None:
         return "give a name, or . for this folder"
     if single not in _NUMBERS:
         return None
-    if get_origin(kind) is not tuple:
+    given = _given(kind)
+    if get_origin(given) is not tuple:
         return f"give a {_NUMBERS[single]}"
-    count = "" if ... in get_args(kind) else f"{len(get_args(kind))} "
+    count = "" if ... in get_args(given) else f"{len(get_args(given))} "
     return f"give {count}{_NUMBERS[single]}s"
 
 
@@ -403,7 +414,7 @@ def _read_value(
 
     Several whole numbers may stand in one word: 1,2 or 640x360.
     """
-    numbers = get_origin(kind) is tuple and _single(kind) is int
+    numbers = get_origin(_given(kind)) is tuple and _single(kind) is int
 
     def read(words: list[str]) -> Any:
         given = words

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from cadenza.agents.registry import PLANNER
-from cadenza.cli.arguments import Output, Quiet
+from cadenza.cli.arguments import Advanced, Output, Quiet, SoundFont
 from cadenza.cli.console import stop_on_signal
 from cadenza.cli.estimate import print_estimate
 from cadenza.cli.options import (
@@ -24,7 +24,7 @@ from cadenza.cli.options import (
 )
 from cadenza.cli.practice import practised
 from cadenza.cli.progress import stages
-from cadenza.cli.saving import check_writable, default_folder, save
+from cadenza.cli.saving import check_writable, default_folder, save, voice_of
 from cadenza.cli.studio import need_server
 from cadenza.files import folder_name
 
@@ -49,6 +49,7 @@ class PlayCommand(Performing):
     """For --agent playback: a plan, or any .npz file with an array "action" (T, A)."""
     video: bool = False
     """Make a film, too, as "cadenza film" does."""
+    sound_font: Advanced[SoundFont] = None
     watch: tyro.conf.FlagCreatePairsOff[bool] = False
     """Show it on a page while it is planned, until Ctrl-C."""
     quiet: Quiet = False
@@ -63,6 +64,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
     selection = select(source, command.agent, configs=command.configs, plan=command.plan)
     check_all_play(command, _playing_agents(selection))
     command = read(task=selection.task, scene=selection.scene)
+    voice_of(command.sound_font)  # says so before anything is played if it cannot be used
     folder = command.output or default_folder(selection) / _name_of(selection.name)
     if command.watch:
         need_server()
@@ -79,7 +81,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
                     performance = perform(setup, reporting, stop)
             if page:
                 page.finish(performance)
-            save(performance, folder, command.video)
+            save(performance, folder, command.video, command.sound_font)
             stopped = stop()
         if page and not stopped:
             print("Ctrl-C ends the page")

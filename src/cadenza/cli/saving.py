@@ -14,8 +14,10 @@ from cadenza.files import folder_name
 
 if TYPE_CHECKING:
     from cadenza.performing.film_renderer import Look
+    from cadenza.performing.filming import Excerpt
     from cadenza.performing.performance import Performance
     from cadenza.performing.setup import Selection
+    from cadenza.report.tone import Tone
 
 _MS_PER_SECOND = 1000
 _REWARDED = {
@@ -64,31 +66,53 @@ def default_folder(selection: Selection) -> Path:
     return Path("played") / folder_name(selection.source.short_name)
 
 
-def save(performance: Performance, folder: Path, video: bool) -> None:
+def voice_of(sound_font: Path | None) -> Tone:
+    """Returns what makes the notes: a sound font, or the built-in piano if there is none.
+
+    Raises:
+        CadenzaError: the file cannot be used as a sound font.
+    """
+    from cadenza.report.sound_font import font_tone
+    from cadenza.report.tone import tone
+
+    return tone if sound_font is None else font_tone(sound_font)
+
+
+def save(
+    performance: Performance, folder: Path, video: bool, sound_font: Path | None = None
+) -> None:
     """Writes the results of a performance, prints how well it was played, and makes its film."""
+    voice = voice_of(sound_font)
     with stages("playing") as progress:
-        performance.save(folder, progress)
+        performance.save(folder, progress, voice=voice)
     print_scores(performance)
     print_losses(performance)
     print(f"\nOpen {folder / 'report.html'}")
     if video:
         try:
-            film(folder)
+            film(folder, voice=voice)
         except CadenzaError as error:  # what was played is there all the same
             print(f"no film: {error}", file=sys.stderr)
 
 
-def film(folder: Path, look: Look | None = None) -> None:
-    """Makes the film of the performance in a folder, with progress.
+def film(
+    folder: Path,
+    path: Path | None = None,
+    look: Look | None = None,
+    excerpt: Excerpt | None = None,
+    voice: Tone | None = None,
+) -> None:
+    """Makes the film of the performance in a folder as `write_film` does, with progress.
 
     Raises:
-        CadenzaError: there is no performance, or this machine cannot draw.
+        CadenzaError: as `write_film` raises it.
     """
-    from cadenza.performing.filming import write_film
+    from cadenza.performing.filming import WHOLE, write_film
 
     with stages("drawing") as progress:
-        path = write_film(folder, look, progress)
-    print(f"Film {path}")
+        voice = voice_of(None) if voice is None else voice
+        written = write_film(folder, path, look, excerpt or WHOLE, voice, progress)
+    print(f"Written to {written}")
 
 
 def print_scores(performance: Performance) -> None:

@@ -1,4 +1,4 @@
-"""Makes the film of a performance from its folder, on all cores."""
+"""Makes films, animations and sound of a performance from its folder, on all cores."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -15,43 +16,131 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress, silent
-from cadenza.episode import load_episode
+from cadenza.episode import Episode, load_episode
+from cadenza.errors import CadenzaError
 from cadenza.files import checked, read_json
 from cadenza.music.formats.midi import read_midi
 from cadenza.music.performance import played_in
 from cadenza.performing.film_renderer import FilmRenderer, Look
-from cadenza.report.sound import SAMPLE_RATE, synthesize
-from cadenza.report.video import write_video
+from cadenza.report.sound import SAMPLE_RATE, Samples, synthesize
+from cadenza.report.sound_file import CODECS, write_sound
+from cadenza.report.tone import Tone, tone
+from cadenza.report.video import ANIMATIONS, write_animation, write_video
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from cadenza.sim.threads import available_cores
 
 FILM = "video.mp4"
 """The name of the film in the folder of a performance."""
+FILMS = (".mp4", *ANIMATIONS)
+"""Endings of the names of films; of animations, which have no sound, all but the first."""
+_ANIMATED = 6.0  # [s] that an animation lasts
 _LEAST = 64  # [px]
 _AT_ONCE = 24  # pictures that a process draws before it hands them over
 _WAITING = 2  # such pieces for each process, which bounds the memory
 
 
-def write_film(folder: Path, look: Look | None = None, progress: Progress = silent) -> Path:
-    """Writes the film of a performance into its folder; returns its path.
+@dataclass(frozen=True)
+class Excerpt:
+    """A part of a performance: from `start` [s] on, for so many seconds or to its end."""
+
+    start: float = 0.0
+    seconds: float | None = None
+
+    def of(self, length: float) -> tuple[float, float]:
+        """Returns from when to when it is, of a performance of a length, all in [s].
+
+        Raises:
+            CadenzaError: there is nothing of it.
+        """
+        end = length if self.seconds is None else min(self.start + self.seconds, length)
+        if not 0 <= self.start < end:
+            raise CadenzaError(
+                f"nothing to show from {self.start:g} s to {end:g} s: what was played lasts "
+                f"{length:.1f} s"
+            )
+        return self.start, end
+
+
+WHOLE = Excerpt()
+"""All of a performance."""
+
+
+def look_of(path: Path) -> Look:
+    """Returns the usual look of a film: that of an animation is smaller and has fewer pictures."""
+    return Look(640, 360, 20) if path.suffix.lower() in ANIMATIONS else Look()
+
+
+def check_film(path: Path) -> None:
+    """Checks the name of a film, an animation or a sound before it is made.
+
+    Raises:
+        CadenzaError: it has another ending, or is a folder.
+    """
+    if path.suffix.lower() not in (*FILMS, *CODECS):
+        raise CadenzaError(
+            f"{path}: a film is an {FILMS[0]}, a moving picture a {' or '.join(ANIMATIONS)}, and "
+            f"the sound alone a {', '.join(CODECS)} file; choose a name with one of these endings"
+        )
+    if path.is_dir():
+        raise CadenzaError(f"{path}: is a folder; choose another name")
+
+
+def write_film(
+    folder: Path,
+    path: Path | None = None,
+    look: Look | None = None,
+    excerpt: Excerpt = WHOLE,
+    voice: Tone = tone,
+    progress: Progress = silent,
+) -> Path:
+    """Writes the film of a performance, or what else the ending of a name asks for.
 
     Args:
         folder: what `Performance.save` wrote.
-        look: the size of the film and its pictures a second.
+        path: the file; `FILM` in the folder if there is none. See `check_film`.
+        look: the size of the pictures and how many a second; `look_of` the file if there is none.
+        excerpt: the part of the performance; an animation of it ends after six seconds unless
+            the excerpt says when.
+        voice: what makes the notes, see `synthesize`.
         progress: is told how many pictures are drawn.
 
+    Returns:
+        The file.
+
     Raises:
-        CadenzaError: it is not such a folder, or this machine cannot draw.
+        CadenzaError: the folder holds no performance, the file has another ending, there is
+            nothing of the excerpt, or this machine cannot draw.
     """
-    look = look or Look()
-    episode = load_episode(folder / "episode.npz")
+    path = folder / FILM if path is None else path
+    check_film(path)
+    kind, episode = path.suffix.lower(), load_episode(folder / "episode.npz")
+    if kind in ANIMATIONS and excerpt.seconds is None:
+        excerpt = replace(excerpt, seconds=_ANIMATED)
+    start, end = excerpt.of(episode.num_steps * episode.dt)
+    if kind in CODECS:
+        write_sound(path, _heard(episode, excerpt, voice), seconds=end - start)
+        return path
+    look = look or look_of(path)
+    size, times = (look.width, look.height), np.arange(int((end - start) * look.fps)) / look.fps
     _renderer_of(folder, Look(_LEAST, _LEAST)).close()  # says so here if this machine cannot draw
-    count = int(episode.num_steps * episode.dt * look.fps)
-    pictures = _drawn(folder, look, np.arange(count) / look.fps, progress)
-    size, audio = (look.width, look.height), synthesize(played_in(episode))
-    write_video(folder / FILM, pictures, look.fps, audio, SAMPLE_RATE, size)
-    return folder / FILM
+    pictures = _drawn(folder, look, start + times, progress)
+    if kind in ANIMATIONS:
+        write_animation(path, pictures, look.fps, size)
+    else:
+        audio = _heard(episode, excerpt, voice)
+        write_video(path, pictures, look.fps, audio, SAMPLE_RATE, size)
+    return path
+
+
+def _heard(episode: Episode, excerpt: Excerpt, voice: Tone) -> Samples:
+    """The sound of a part of an episode; the last notes of the whole ring on after its end."""
+    audio = synthesize(played_in(episode), voice=voice)
+    if excerpt == WHOLE:
+        return audio
+    start, end = excerpt.of(episode.num_steps * episode.dt)
+    last = len(audio) if excerpt.seconds is None else round(end * SAMPLE_RATE)
+    return audio[round(start * SAMPLE_RATE) : last]
 
 
 def _drawn(

@@ -27,6 +27,7 @@ from cadenza.performing.source import Song
 from cadenza.report.html_pages import iframe, write_page
 from cadenza.report.performance_page import performance_page
 from cadenza.report.sound import Sound, bit_rate_of, encode_opus, synthesize
+from cadenza.report.tone import Tone, tone
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene
 from cadenza.tasks.config import TaskConfig
@@ -121,13 +122,20 @@ class Performance:
         """Length of the music that was played [s]; less than all if the episode ended early."""
         return self.episode.num_steps * self.episode.dt
 
-    def save(self, folder: str | Path, progress: Progress = silent, page: bool = True) -> None:
+    def save(
+        self,
+        folder: str | Path,
+        progress: Progress = silent,
+        page: bool = True,
+        voice: Tone = tone,
+    ) -> None:
         """Writes what `cadenza play` leaves: report.html, metrics.json, episode.npz and so on.
 
         Args:
             folder: files of an earlier performance are replaced.
             progress: is told how far each stage is.
             page: report.html too.
+            voice: what makes the notes of its sound; the built-in piano unless it is another.
         """
         folder, played = Path(folder), self.played
         write_json(folder / "settings.json", self.settings)  # first: it says whose the others are
@@ -151,7 +159,7 @@ class Performance:
         if not page:
             return
         progress("making the sound", 0, 1)
-        add_page(folder, self.fingered_goal, synthesize(played))
+        add_page(folder, self.fingered_goal, synthesize(played, voice=voice), voice)
 
 
 def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
@@ -182,25 +190,26 @@ def _are_results(folder: Path) -> bool:
     return {"song", "agent", "task", "scene"} <= settings.keys()
 
 
-def add_page(folder: Path, goal: Score, audio: Sound | None = None) -> None:
+def add_page(folder: Path, goal: Score, audio: Sound | None = None, voice: Tone = tone) -> None:
     """Makes the page of a performance from its files.
 
     Args:
         folder: of the performance.
         goal: see `Performance`; what the page compares the sound with.
         audio: the sound of the performance; None synthesizes it.
+        voice: what makes the notes of what is synthesized.
 
     Raises:
         CadenzaError: a file is not there, or cannot be read.
     """
     episode = load_episode(folder / "episode.npz")
     seconds = episode.num_steps * episode.dt
-    sound = synthesize(goal.until(seconds))
+    sound = synthesize(goal.until(seconds), voice=voice)
     page = performance_page(
         episode,
         read_json(folder / "metrics.json", dict[str, Any]),
         read_json(folder / "settings.json", dict[str, Any]),
-        synthesize(played_in(episode)) if audio is None else audio,
+        synthesize(played_in(episode), voice=voice) if audio is None else audio,
         misses=_listed(folder / "misses.json"),
         arrangement=_listed(folder / "arrangement.json"),
         goal_sound=encode_opus(

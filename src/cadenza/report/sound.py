@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 
 from cadenza.music.goals import SUSTAIN_ON
 from cadenza.music.score import PITCHES, Note, Score
-from cadenza.report.tone import DAMPING, LAST_DAMPER, LOUDER, tone
+from cadenza.report.tone import DAMPING, LAST_DAMPER, LOUDER, Tone, tone
 
 SAMPLE_RATE = 44100  # [Hz]
 
@@ -79,8 +79,13 @@ Samples = NDArray[np.int16] | Sound
 """Samples (n,) or (n, 2), 16 bit."""
 
 
-def synthesize(score: Score, sample_rate: int = SAMPLE_RATE) -> Sound:
+def synthesize(score: Score, sample_rate: int = SAMPLE_RATE, voice: Tone = tone) -> Sound:
     """Returns the sound of `score`; without notes it has no samples.
+
+    Args:
+        score: the notes and the pedal.
+        sample_rate: of the sound [Hz].
+        voice: what makes the notes; the built-in piano unless it is another, such as `font_tone`.
 
     Louder notes are also brighter; while the pedal is down, notes ring on after their end. The
     whole has an integrated loudness of -18 LUFS (ITU-R BS.1770) and peaks below -1 dBFS, so that
@@ -97,7 +102,7 @@ def synthesize(score: Score, sample_rate: int = SAMPLE_RATE) -> Sound:
     meter = _LoudnessMeter(sample_rate)
     first = 0
     with threadpool_limits(1):  # small matrices
-        for block in _in_room(_blocks(notes, len(sound), sample_rate), sample_rate):
+        for block in _in_room(_blocks(notes, len(sound), sample_rate, voice), sample_rate):
             sound.write(first, block.T.astype(np.float16).view(np.int16))
             meter.add(block)
             first += block.shape[1]
@@ -191,7 +196,7 @@ class _LoudnessMeter:
 
 
 def _blocks(
-    notes: list[tuple[Note, float]], length: int, rate: int
+    notes: list[tuple[Note, float]], length: int, rate: int, voice: Tone
 ) -> Iterator[NDArray[np.float32]]:
     """Yields the sound of notes, sorted by start, with their releases [s], in blocks (2, n)."""
     loudest = max(note.velocity for note, _ in notes)
@@ -202,7 +207,7 @@ def _blocks(
     for begin in range(0, length, size):
         while done < len(notes) and round(notes[done][0].start * rate) < begin + size:
             note, release = notes[done]
-            sound = _damped(_tone_of(note, release, rate, tones), note, release, rate)
+            sound = _damped(_tone_of(note, release, rate, tones, voice), note, release, rate)
             first = round(note.start * rate) - begin
             mix = _at_least(first + len(sound), mix)
             gain = _LOUDEST * (note.velocity / loudest) ** LOUDER
@@ -223,6 +228,7 @@ def _tone_of(
     release: float,
     rate: int,
     tones: dict[tuple[int, int, int], NDArray[np.float32]],
+    voice: Tone,
 ) -> NDArray[np.float32]:
     """Returns the undamped tone of a note, at least as long as it is heard; `tones` caches it."""
     band = note.velocity // _VELOCITY_BAND * _VELOCITY_BAND + _VELOCITY_BAND // 2
@@ -232,7 +238,7 @@ def _tone_of(
     if key not in tones:
         if sum(tone.nbytes for tone in tones.values()) > _TONES_KEPT:
             tones.clear()
-        tones[key] = tone(note.pitch, band / 127, 2.0**doublings, rate)
+        tones[key] = voice(note.pitch, band / 127, 2.0**doublings, rate)
     return tones[key]
 
 

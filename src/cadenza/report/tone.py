@@ -9,10 +9,14 @@ JASA 62, 1977). The levels were set by ear and by common measurements of pianos.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+Tone = Callable[[int, float, float, int], NDArray[np.float32]]
+"""Makes notes from pitch, hardness, length and sample rate, as `tone` does."""
 
 LOUDER = 1.6  # power of the velocity that the amplitude grows with
 LAST_DAMPER = 88  # MIDI pitch; strings above have no damper and ring on

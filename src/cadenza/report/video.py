@@ -1,4 +1,4 @@
-"""A video file of a performance with its sound."""
+"""A video file of a performance with its sound, or a moving picture without."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import av
+import av.filter
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +17,11 @@ from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
 from cadenza.report.sound import SAMPLE_RATE, Samples, audio_frames
 
+ANIMATIONS: dict[str, tuple[str, str, dict[str, str]]] = {
+    ".gif": ("gif", "rgb24", {}),
+    ".webp": ("libwebp_anim", "yuv420p", {"quality": "70"}),
+}
+"""Encoder, its pixels and its options, by the ending of the name."""
 _MIN_SIZE = 16  # [px] that the encoder takes
 _THREADS = 2  # that encode; by default, x264 takes all cores
 
@@ -41,12 +47,8 @@ def write_video(
         CadenzaError: there are no frames, or they differ in size.
         OSError: the disk is full, or the file cannot be written for another reason.
     """
-    pictures = iter(frames)
-    first = next(pictures, None)
-    if first is None:
-        raise CadenzaError(f"{path}: a video needs at least one picture")
-    drawn_height, drawn_width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
-    width, height = (side // 2 * 2 for side in size or (drawn_width, drawn_height))
+    first, pictures = _begun(path, frames)
+    width, height = (side // 2 * 2 for side in size or first.shape[1::-1])
     if min(height, width) < _MIN_SIZE:
         raise CadenzaError(
             f"{path}: a video of {width} x {height} pixels cannot be encoded; "
@@ -65,16 +67,8 @@ def write_video(
         sound = container.add_stream("aac", rate=sample_rate, layout=layout)
 
         count = 0
-        for picture in itertools.chain([first], pictures):
-            if picture.shape != first.shape:
-                raise CadenzaError(
-                    f"{path}: picture {count} is {picture.shape}, the first is {first.shape}"
-                )
-            pixels = np.ascontiguousarray(picture[:drawn_height, :drawn_width])
-            drawn = av.VideoFrame.from_ndarray(pixels, format="rgb24")
-            container.mux(
-                video.encode(drawn.reformat(width, height, "yuv420p", interpolation="AREA"))
-            )
+        for picture in _scaled(path, pictures, (width, height), "yuv420p"):
+            container.mux(video.encode(picture))
             count += 1
         container.mux(video.encode(None))
 
@@ -82,6 +76,109 @@ def write_video(
         for frame in audio_frames(audio, sample_rate, length):
             container.mux(sound.encode(frame))
         container.mux(sound.encode(None))
+
+
+def write_animation(
+    path: Path, frames: Iterable[NDArray[np.uint8]], fps: float, size: tuple[int, int]
+) -> None:
+    """Writes pictures that go round and round, without sound: a GIF or WebP, as the name says.
+
+    A GIF has the 256 colours that the pictures have most, so all of them are kept in memory.
+
+    Args:
+        frames: pictures (H, W, 3), taken one at a time.
+        fps: pictures a second.
+        size: width and height [px] to which pictures are scaled.
+
+    Raises:
+        CadenzaError: there are no frames, or they differ in size.
+        OSError: the file cannot be written.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    codec, pixels, options = ANIMATIONS[f".{kind}"]
+    _, pictures = _begun(path, frames)
+    scaled = _scaled(path, pictures, size, pixels)
+    rate = Fraction(fps).limit_denominator(1001)
+    with (
+        write_atomically(path) as file,
+        _errors_of_files(),
+        av.open(file, "w", format=kind, options={"loop": "0"}) as container,
+    ):
+        stream = container.add_stream(codec, rate=rate, options=options)
+        assert isinstance(stream, av.VideoStream)
+        (stream.width, stream.height), stream.pix_fmt = size, pixels
+        if kind == "gif":
+            stream.pix_fmt = "pal8"
+            scaled = _in_256_colours(scaled, size, rate)
+        for picture in scaled:
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode(None))
+
+
+def _in_256_colours(
+    pictures: Iterable[av.VideoFrame], size: tuple[int, int], rate: Fraction
+) -> Iterator[av.VideoFrame]:
+    """Yields pictures in the palette that suits all of them best, by filters of FFmpeg."""
+    graph = av.filter.Graph()
+    source = graph.add_buffer(
+        width=size[0], height=size[1], format=av.VideoFormat("rgb24"), time_base=1 / rate
+    )
+    split, palette = graph.add("split"), graph.add("palettegen", "stats_mode=diff")
+    use, sink = (
+        graph.add("paletteuse", "dither=bayer:bayer_scale=4:diff_mode=rectangle"),
+        graph.add("buffersink"),
+    )
+    source.link_to(split)
+    split.link_to(palette, 0, 0)
+    split.link_to(use, 1, 0)
+    palette.link_to(use, 0, 1)
+    use.link_to(sink)
+    graph.configure()
+    for picture in pictures:
+        source.push(picture)
+    source.push(None)
+    while True:
+        try:
+            coloured = sink.pull()
+        except (av.EOFError, av.BlockingIOError):
+            return
+        assert isinstance(coloured, av.VideoFrame)
+        yield coloured
+
+
+def _begun(
+    path: Path, frames: Iterable[NDArray[np.uint8]]
+) -> tuple[NDArray[np.uint8], Iterator[NDArray[np.uint8]]]:
+    """Returns the first of some pictures, and all of them.
+
+    Raises:
+        CadenzaError: there are none.
+    """
+    pictures = iter(frames)
+    first = next(pictures, None)
+    if first is None:
+        raise CadenzaError(f"{path}: a video needs at least one picture")
+    return first, itertools.chain([first], pictures)
+
+
+def _scaled(
+    path: Path, pictures: Iterator[NDArray[np.uint8]], size: tuple[int, int], pixels: str
+) -> Iterator[av.VideoFrame]:
+    """Yields pictures of a size [px] and with pixels of a format; an odd row or column is left out.
+
+    Raises:
+        CadenzaError: they differ in size.
+    """
+    shape = None
+    for number, picture in enumerate(pictures):
+        shape = shape or picture.shape
+        if picture.shape != shape:
+            raise CadenzaError(f"{path}: picture {number} is {picture.shape}, the first is {shape}")
+        even = picture[: shape[0] // 2 * 2, : shape[1] // 2 * 2]
+        drawn = av.VideoFrame.from_ndarray(np.ascontiguousarray(even), format="rgb24")
+        scaled = drawn.reformat(*size, pixels, interpolation="AREA")
+        scaled.pts = number
+        yield scaled
 
 
 @contextmanager

@@ -1,0 +1,57 @@
+"""The tones of a sound font (SF2 or SF3) in place of the built-in piano's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError
+from cadenza.report.sound import SAMPLE_RATE
+from cadenza.report.tone import Tone
+
+_HARDEST = 127  # MIDI velocity
+_TRIED = 60  # the pitch that every piano has
+_QUALITY = 6  # of the resampling of symusic, 0 to 6
+
+
+def font_tone(path: Path) -> Tone:
+    """Returns the tones of a sound font's piano, its first program, as `synthesize` takes them.
+
+    A font chooses the wave by pitch and velocity; `synthesize` does all else, so that loudness,
+    dampers and pedal are those of the built-in piano.
+
+    Raises:
+        CadenzaError: the file cannot be read as a sound font with a piano, or symusic is not
+            installed.
+    """
+    try:
+        import symusic
+    except ImportError as error:
+        raise CadenzaError(
+            "sound fonts need symusic; install it with pip install 'cadenza[soundfont]'"
+        ) from error
+    if not path.is_file():
+        raise CadenzaError(f"{path}: there is no such file")
+    synthesizers = {}
+
+    def tone(pitch: int, hardness: float, seconds: float, rate: int) -> NDArray[np.float32]:
+        if rate not in synthesizers:
+            try:
+                synthesizers[rate] = symusic.Synthesizer(path, rate, _QUALITY)
+            except RuntimeError as error:
+                raise CadenzaError(f"{path}: is no sound font; choose an .sf2 file") from error
+        track = symusic.Track("", 0, False, ttype="second")
+        velocity = round(hardness * _HARDEST)
+        track.notes.append(symusic.Note(0.0, seconds, pitch, velocity, ttype="second"))
+        score = symusic.Score(ttype="second")
+        score.tracks.append(track)
+        sound = np.zeros(int(seconds * rate) + 1, np.float32)
+        rendered = synthesizers[rate].render(score, stereo=True).mean(axis=0)[: len(sound)]
+        sound[: len(rendered)] = rendered
+        return sound
+
+    if not tone(_TRIED, 1.0, 0.1, SAMPLE_RATE).any():
+        raise CadenzaError(f"{path}: has no sound for program 1, the piano; choose another file")
+    return tone
