@@ -74,20 +74,25 @@ def gallery(listed: list[dict[str, Any]]) -> str:
     cards = "".join(
         f'<a href="{GALLERY}/{each["name"]}.html">'
         + f'<img src="{GALLERY}/{each["name"]}.webp" alt="">' * each["picture"]
-        + f"<b>{escape(each['who'])}</b>{about(each)}</a>"
+        + f"<b>{escape(each['who'])}</b><span>{about(each)}</span><span>{f1(each)}</span></a>"
         for each in others
     )
     return f"""```{{raw}} html
 <iframe class="plays" src="{GALLERY}/{first["name"]}.html" title="{about(first)}"></iframe>
-<p>{escape(first["who"])} plays {about(first)} Press play to watch and hear it; drag to turn the
-picture. Others play, too:</p>
+<p>{escape(first["who"])} plays {about(first)}, with an {f1(first)}. Drag to turn the picture, or
+scroll in it for more about the performance. Others play, too:</p>
 <div class="plays">{cards}</div>
 ```"""
 
 
 def about(played: dict[str, Any]) -> str:
-    """Returns what was played, and how well."""
-    return escape(f"{played['song']} ({played['composer']}), F1 {played['f1']:.3f}.")
+    """Returns what was played."""
+    return escape(f"{played['song']} ({played['composer']})")
+
+
+def f1(played: dict[str, Any]) -> str:
+    """Returns how well it was played."""
+    return f"F1 {played['f1']:.3f}"
 
 
 def parse(app: Sphinx, what: str, name: str, of: object, options: object, lines: list[str]) -> None:

@@ -100,10 +100,18 @@ class Links(HTMLParser):
 
 
 @pytest.mark.slow
-def test_the_site_is_built_without_warnings_and_its_links_lead_somewhere(tmp_path: Path) -> None:
+def test_the_site_plays_is_built_without_warnings_and_its_links_lead_somewhere(
+    tmp_path: Path,
+) -> None:
+    subprocess.run([sys.executable, DOCS / "gallery.py", tmp_path / "gallery"], check=True)
     command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--quiet", DOCS, tmp_path]
     built = subprocess.run(command, capture_output=True, text=True)
     assert (built.returncode, built.stderr) == (0, "")
+    played = set((tmp_path / "gallery").glob("*.html"))
+    assert len(played) == 6
+    assert all(page.stat().st_size < 1_000_000 for page in played)
+    shown = {(tmp_path / target).resolve() for target in Links(tmp_path / "index.html").targets}
+    assert played <= shown
     found = (page for page in tmp_path.rglob("*.html") if "_static" not in page.parts)
     pages = {page: Links(page) for page in found}
     assert {tmp_path / page.relative_to(DOCS).with_suffix(".html") for page in PAGES} <= set(pages)

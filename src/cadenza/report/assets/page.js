@@ -96,11 +96,12 @@ for (const sound of sounds) {
     sound.addEventListener(event, () => {
       cadenza.playing = !audio.paused;
       showPlaying(!audio.paused);
+      if (cadenza.playing) $("first").hidden = true;
     });
   }
   sound.addEventListener("error", () => fail("the sound cannot be played (" + sound.error.message + ")"));
 }
-$("play").addEventListener("click", toggle);
+for (const id of ["play", "first"]) $(id).addEventListener("click", toggle);
 $("scrub").max = duration;
 $("length").textContent = minutes(duration);
 $("scrub").addEventListener("input", () => seek($("scrub").value));
