@@ -12,7 +12,7 @@ HANDS = Registry(
         "shadow": Entry("cadenza.hands.shadow:SHADOW", "the Shadow Dexterous Hand"),
         "allegro": Entry("cadenza.hands.allegro:ALLEGRO", "the Allegro Hand, four fingers"),
         "allegro-narrow": Entry(
-            "cadenza.hands.allegro:ALLEGRO_NARROW", "the Allegro hand with tips half as wide"
+            "cadenza.hands.allegro:ALLEGRO_NARROW", "the Allegro Hand with tips half as wide"
         ),
         "arm-allegro": Entry(
             "cadenza.hands.arm_allegro:ARM_ALLEGRO", "the Allegro Hand on a seven-joint arm"

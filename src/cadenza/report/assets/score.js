@@ -71,6 +71,7 @@ function placeAt(anchors, time) {
 function createScore(element, engraving, data, seek) {
   const systems = drawSystems(element, engraving), notes = drawnNotes(element, engraving, data.lowest);
   placeAnchors(systems, notes);
+  element.classList.toggle("short", systems.length === 1);
   element.prepend(...engraving.remarks.map((remark) => Object.assign(document.createElement("p"), { className: "remark", textContent: remark })));
   const cursor = Object.assign(document.createElement("div"), { className: "cursor" }), longest = longestOf(notes);
   element.append(cursor);
