@@ -110,6 +110,16 @@ def press(browser, key, code=None, text=""):
 
 
 @pytest.mark.slow
+def test_a_button_over_the_picture_begins_and_then_is_gone(browser, write):
+    browser.open(write(make_episode()))
+    first = "document.getElementById('first')"
+    assert browser.evaluate(f"{first}.textContent") == "▶ Play"
+    browser.evaluate(f"{first}.click()")
+    browser.wait("cadenza.playing")
+    assert not browser.evaluate(f"{first}.checkVisibility()")
+
+
+@pytest.mark.slow
 def test_every_key_does_what_the_page_says(browser, write):
     browser.open(write(make_episode(steps=400)))
     end = 400 * DT
@@ -278,7 +288,7 @@ def test_3d_that_turns_out_slow_gives_way_to_the_flat_view(browser, write):
 def test_notes_fall_onto_their_keys_and_take_the_colour_of_the_verdict(browser, write):
     browser.open(write(make_episode(hands=0)))
     browser.evaluate(
-        "document.querySelectorAll('#stage p, .looks').forEach(e => { e.hidden = true; })"
+        "document.querySelectorAll('#stage p, #first, .looks').forEach(e => { e.hidden = true; })"
     )
 
     def stretches(time):
@@ -430,7 +440,7 @@ def test_keys_light_up_where_they_are(browser, write):
     browser.open(write(make_episode(hands=0)))
     browser.evaluate("document.querySelector('[data-view=top]').click()")
     browser.evaluate(
-        "document.querySelectorAll('#stage p, .looks').forEach(e => { e.hidden = true; })"
+        "document.querySelectorAll('#stage p, #first, .looks').forEach(e => { e.hidden = true; })"
     )
 
     def place(time, colour, other):

@@ -137,7 +137,6 @@ class Studio(PageServer):
     async def lifespan(self, app: Starlette) -> AsyncIterator[None]:
         """Keeps a player ready from the start of the server to its end."""
         async with super().lifespan(app):
-            self._begin_opening()  # the first page is about to ask for it
             await self.jobs.start_player()
             try:
                 yield
@@ -155,15 +154,11 @@ class Studio(PageServer):
         learnt = {agent: (agent.replace("/", ": ", 1), _LEARNT) for agent in policies}
         return AGENTS | self._added | learnt
 
-    def _begin_opening(self) -> asyncio.Task[bytes]:
-        """Has the opening picture made, which is done once."""
-        if self._opening is None:
-            self._opening = asyncio.create_task(opening_picture(_FIRST_SONG))
-        return self._opening
-
     async def opening(self, _: Request) -> Response:
         """Answers the picture with which the page opens, of `_FIRST_SONG`; null if none is made."""
-        picture = await asyncio.shield(self._begin_opening())
+        if self._opening is None:  # made once
+            self._opening = asyncio.create_task(opening_picture(_FIRST_SONG))
+        picture = await asyncio.shield(self._opening)
         return Response(picture or b"null", media_type="application/json")
 
     async def upload(self, request: Request) -> Response:
