@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
@@ -18,7 +19,8 @@ from cadenza.agents.planner.config import PlannerConfig
 from cadenza.errors import CadenzaError
 from cadenza.files import write_json
 from cadenza.music.libraries.library import load_score
-from cadenza.performing.film_renderer import FilmRenderer, Look
+from cadenza.performing.film_renderer import Look
+from cadenza.performing.filming import renderer_of
 from cadenza.performing.performance import Performance
 from cadenza.report.video import write_animation
 from cadenza.sim.threads import available_cores
@@ -73,20 +75,17 @@ def add(played: Played, folder: Path) -> dict[str, Any]:
         What the front page says of it.
     """
     performance = played.play()
+    size = _PICTURE.width, _PICTURE.height
     with TemporaryDirectory() as results:
         performance.save(results)
         (folder / f"{played.name}.html").write_bytes((Path(results) / "report.html").read_bytes())
-    size = _PICTURE.width, _PICTURE.height
-    try:
-        renderer = FilmRenderer(
-            performance.scene, performance.episode, performance.fingered_goal, _PICTURE
-        )
-    except CadenzaError as error:
-        print(f"{played.name} without a picture: {error}", file=sys.stderr)
-    else:
-        frame = renderer.frame(_PICTURED)
-        renderer.close()
-        write_animation(folder / f"{played.name}.webp", [frame], 1, size)
+        try:
+            with closing(renderer_of(Path(results), _PICTURE)) as renderer:
+                frame = renderer.frame(_PICTURED)
+        except CadenzaError as error:
+            print(f"{played.name} without a picture: {error}", file=sys.stderr)
+        else:
+            write_animation(folder / f"{played.name}.webp", [frame], 1, size)
     (song,) = (song for song in cadenza.songs() if song.name == played.song)
     return {
         "name": played.name,

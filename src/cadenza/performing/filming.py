@@ -123,7 +123,7 @@ def write_film(
         return path
     look = look or look_of(path)
     size, times = (look.width, look.height), np.arange(int((end - start) * look.fps)) / look.fps
-    _renderer_of(folder, Look(_LEAST, _LEAST)).close()  # says so here if this machine cannot draw
+    renderer_of(folder, Look(_LEAST, _LEAST)).close()  # says so here if this machine cannot draw
     pictures = _drawn(folder, look, start + times, progress)
     if kind in ANIMATIONS:
         write_animation(path, pictures, look.fps, size)
@@ -170,11 +170,15 @@ _renderer: FilmRenderer | None = None  # of a process that draws
 def _begin(folder: Path, look: Look) -> None:
     global _renderer
     os.environ.setdefault("LP_NUM_THREADS", "1")  # Mesa's own threads would compete
-    _renderer = _renderer_of(folder, look)
+    _renderer = renderer_of(folder, look)
 
 
-def _renderer_of(folder: Path, look: Look) -> FilmRenderer:
-    """The renderer of the performance in a folder."""
+def renderer_of(folder: Path, look: Look) -> FilmRenderer:
+    """Returns what draws the performance in a folder.
+
+    Raises:
+        CadenzaError: it is not such a folder, or this machine cannot draw.
+    """
     path = folder / "settings.json"
     settings = read_json(path, dict[str, Any])
     scene = build_scene(checked(settings.get("scene"), SceneConfig, f"{path}, scene"))
