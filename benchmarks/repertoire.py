@@ -16,7 +16,7 @@ from typing import get_args
 import numpy as np
 
 from benchmarks.arguments import one_or_more
-from cadenza.agents.planner.config import PlannerConfig, SamplingMethod
+from cadenza.agents.planner.config import PlannerConfig, Refinement
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import errors_in_a_line
@@ -50,7 +50,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=one_or_more, default=5, help="0 to N - 1")
     parser.add_argument(
         "--method",
-        choices=("none", *get_args(SamplingMethod)),
+        choices=get_args(Refinement),
         default=PlannerConfig().method,
     )
     parser.add_argument("--initial-buffer-time", type=float, default=0.5, help="[s]")

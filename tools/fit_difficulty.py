@@ -26,7 +26,7 @@ from openings import add_options, add_row, drawn_songs, metrics_of, opening, row
 from scipy.optimize import nnls
 from scipy.stats import ConstantInputWarning, spearmanr
 
-from cadenza.agents.planner.config import PlannerConfig, SamplingMethod
+from cadenza.agents.planner.config import PlannerConfig, Refinement
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.results import read_results
 from cadenza.evaluation.summary import summarize
@@ -53,7 +53,7 @@ def main() -> None:
     playing.add_argument(
         "--method",
         default="none",
-        choices=("none", *get_args(SamplingMethod)),
+        choices=get_args(Refinement),
         help="--planner.method of cadenza play",
     )
     fitting = commands.add_parser("fit", help="fit the weights, and check them")

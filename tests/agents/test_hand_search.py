@@ -93,7 +93,7 @@ def rollouts_of(hand: OneHand, first: int) -> tuple[Rollouts, HorizonCost, np.nd
     as_planned = search_of(hand, method="none")
     for _ in range(first):
         play(hand, as_planned)
-    rollouts = Rollouts(hand.simulator, Threads(1), all_costs=False)
+    rollouts = Rollouts(hand.simulator, Threads(1))
     steps = np.arange(first, first + HORIZON)
     horizon = start_rollouts(hand.simulator, hand.simulation, hand.goals, steps, PIANO)
     rollouts.start(horizon)

@@ -55,10 +55,8 @@ def test_twinkle_is_played_at_other_control_steps(dt: float) -> None:
     assert play_episode(task, Planner()).metrics["f1"] > 0.97
 
 
-@pytest.mark.parametrize("method", ["none", "cross-entropy", "mppi"])
-def test_every_way_to_refine_plays_a_melody(method: str) -> None:
-    config = PlannerConfig(method=method)  # type: ignore[arg-type]
-    assert perform(melody(60, 62, 64, 65, 67), config).metrics["f1"] > 0.85
+def test_a_plan_that_is_not_refined_plays_a_melody() -> None:
+    assert perform(melody(60, 62, 64, 65, 67), PlannerConfig(method="none")).metrics["f1"] > 0.85
 
 
 @pytest.mark.parametrize("hands", ["left", "right"])

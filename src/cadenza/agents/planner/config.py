@@ -54,7 +54,7 @@ class ILQGConfig:
     """Use centred finite differences. They take twice as long as forward differences."""
 
 
-SamplingMethod = Literal["predictive-sampling", "cross-entropy", "mppi"]
+Refinement = Literal["predictive-sampling", "none"]
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ class PlannerConfig:
     fingering: Literal["found", "score"] = "found"
     """Fingering to plan with. found: what suits these hands. score: the score's, where it has
     any."""
-    method: SamplingMethod | Literal["none"] = "predictive-sampling"
-    """Sampling method that refines the plan. With none, the plan is executed with feedback only."""
+    method: Refinement = "predictive-sampling"
+    """How the plan is refined. With none, the plan is executed with feedback only."""
     num_candidates: int = 6
     """Candidate plans that are drawn per hand and iteration, where the plan makes mistakes. Some
     that are not drawn are tried as well."""

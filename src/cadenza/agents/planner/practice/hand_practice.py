@@ -104,7 +104,7 @@ class HandPractice:
         self._goals, self._losses = goals, Losses(plan, goals)
         self._perturbations = Perturbations(alone, tracking.expected[:, :, 0], dt)
         self._simulator = HandRollouts(alone, dt, plan.scene)
-        self._rollouts = Rollouts(self._simulator, threads, all_costs=False)
+        self._rollouts = Rollouts(self._simulator, threads)
         self._refinement = StrikeRefinement(self._servos, strike_model(alone, dt))
         self._keyboard, self._dt = plan.scene.keyboard, dt
         self._lead, self._horizon = steps_in(_LEAD, dt), steps_in(_HORIZON, dt)

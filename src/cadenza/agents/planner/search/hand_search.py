@@ -1,10 +1,10 @@
 """Receding-horizon sampling around the nominal trajectory of one hand.
 
 At each step, the nominal controls of the horizon, with the warm start that the step before has
-left, are rolled out. If keys go wrong, candidates around them are sampled and rolled out, and an
-update rule says where to sample next. The first controls are played; the others are the warm start
-of the next step. The nominal trajectory is rehearsed first, a second at a time, so that sampling is
-only needed where that fails.
+left, are rolled out. If keys go wrong, candidates around the best controls so far are drawn and
+rolled out, too: predictive sampling (Howell et al., 2022). The first controls are played; the
+others are the warm start of the next step. The nominal trajectory is rehearsed first, half a second
+at a time, so that sampling is only needed where that fails.
 
 The model is the hand alone, on the keys near it. It moves as in the whole scene unless the hands
 touch, and takes a third of the time.
@@ -30,11 +30,6 @@ from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal
 from cadenza.agents.planner.search.networks.inputs import sizes_of
 from cadenza.agents.planner.search.networks.weights import shipped
 from cadenza.agents.planner.search.rollouts import Rollout, Rollouts, roll_out, start_rollouts
-from cadenza.agents.planner.search.sampling import (
-    UPDATES,
-    SamplingDistribution,
-    predictive_sampling,
-)
 from cadenza.agents.planner.search.strike_refinement import StrikeRefinement
 from cadenza.agents.planner.search.strikes import HorizonStrikes
 from cadenza.fingers import Side
@@ -81,13 +76,12 @@ class HandSearch:
         config, dt = context.config, plan.track.config.control_timestep
         scene, self.servos, self.joints = hand_alone(plan.scene, side)
         self._rng, self._dt, self._servos, self._side = rng, dt, servos_of(scene), side
-        self._update = UPDATES[config.method] if config.method != "none" else None
+        self._searches = config.method != "none"
         self._num_candidates, self._iterations = config.num_candidates, config.iterations
         self._horizon = max(1, round(config.horizon / dt))
         self._escape_horizon = max(self._horizon, steps_in(_ESCAPE_HORIZON, dt))
         self._model, self._simulator = PlanningSimulation(scene, 1, dt), HandRollouts(scene, dt)
-        all_costs = self._update not in (None, predictive_sampling)
-        self._rollouts = Rollouts(self._simulator, context.threads, all_costs=all_costs)
+        self._rollouts = Rollouts(self._simulator, context.threads)
         self._keyboard = scene.keyboard
         self._escapes = EscapeMotions(self._servos, dt)
         self._rehearsal = HandRehearsal(scene, self._simulator, dt)
@@ -101,7 +95,7 @@ class HandSearch:
         # Budgets are whole numbers of control steps, so that sums are exact.
         self._income, self._granted = round(BUDGET_SHARE * full_search), 0
         self._rehearsed = 0
-        self._step, self._in_sync, self._rehearses = 0, True, self._update is not None
+        self._step, self._in_sync, self._rehearses = 0, True, self._searches
         weights = shipped().get(plan.scene.hand.name) if config.proposals == "learnt" else None
         fits = weights is not None and weights.sizes == sizes_of(plan.scene)
         self._weights = weights if fits else None  # else other hands have trained them
@@ -208,7 +202,7 @@ class HandSearch:
     def _optimise(self) -> Array:
         """(A,) the first controls of the best sequence that was found for the horizon."""
         steps, nominal = self._nominal(self._horizon)
-        if self._update is None:
+        if not self._searches:
             return self._servos.clip(nominal[0])
         if self._rehearsal.goes_as_rehearsed(self._step, self._model.state.hand_qpos[0]):
             self._warm_start[:], self._is_refined = 0.0, False
@@ -306,34 +300,27 @@ class HandSearch:
             steps: (H,) the steps of the horizon.
             caught: (F,) whether each finger is caught.
         """
-        assert self._update is not None
         if self._network and not caught.any():
             ctrl, candidate = self._network_candidate(self._network, rollout.cost)
             if candidate.cost < rollout.cost:
                 best, rollout = ctrl, candidate
                 if not rollout.mistakes:
                     return best
-        sigma = np.broadcast_to(self._sigma(steps), best.shape)
-        distribution = SamplingDistribution(best, sigma)
+        sigma = self._sigma(steps)
         for iteration in range(self._iterations):
             if self._budget <= iteration * self._num_candidates * self._horizon:
                 break
             guided = self._corrected(best, rollout)
             if iteration == 0:
                 guided = np.concatenate([guided, self._restarts(nominal, best, caught)])
-            candidates = np.concatenate([guided, self._draw(distribution)])
+            candidates = np.concatenate([guided, self._draw(best, sigma)])
             candidates, rollouts = self._simulate_with_crossover(candidates, best, rollout)
-            costs = np.array([each.cost for each in rollouts])
-            distribution = self._update(candidates, costs, distribution)
-            cheapest = int(np.argmin(costs))
-            if costs[cheapest] < rollout.cost:
+            cheapest = int(np.argmin([each.cost for each in rollouts]))
+            if rollouts[cheapest].cost < rollout.cost:
                 best, rollout = candidates[cheapest], rollouts[cheapest]
                 if not rollout.mistakes:
                     return best
-        mean = self._servos.clip(distribution.mean)
-        if (mean == best).all():
-            return best
-        return mean if self._rollouts.simulate(mean, rollout.cost).cost < rollout.cost else best
+        return best
 
     def _simulate_with_crossover(
         self, candidates: Array, best: Array, rollout: Rollout
@@ -345,15 +332,15 @@ class HandSearch:
         rollouts += self._rollouts.simulate_all(child, least)
         return np.concatenate([candidates, child]), rollouts
 
-    def _draw(self, distribution: SamplingDistribution) -> Array:
-        """(N, H, A) candidates: noise that changes linearly from the first step to the last."""
+    def _draw(self, best: Array, sigma: Array) -> Array:
+        """(N, H, A) `best` (H, A) with noise that changes linearly; `sigma` (A,) is its spread."""
         count, servos = self._num_candidates, len(self._servos.noise)
         ends = self._rng.standard_normal((count, 2, 1, servos))
         late = np.linspace(0.0, 1.0, self._horizon)[:, None]
         noise = (1 - late) * ends[:, 0] + late * ends[:, 1]
         sparse = self._rng.random((count, 1, servos)) < _SPARSITY
         sparse[: count // 2] = True
-        return self._servos.clip(distribution.mean + distribution.sigma * noise * sparse)
+        return self._servos.clip(best + sigma * noise * sparse)
 
     def _sigma(self, steps: Steps) -> Array:
         """(A,) the standard deviation of the noise."""

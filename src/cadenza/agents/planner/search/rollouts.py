@@ -133,13 +133,9 @@ class Rollouts:
         simulated: control steps in all rollouts so far.
     """
 
-    def __init__(self, simulator: HandRollouts, threads: Threads, *, all_costs: bool) -> None:
-        """Prepares rollouts, none of which are made before `start`.
-
-        Unless `all_costs` are of use, candidates that are not the cheapest are given up.
-        """
-        self._simulator, self._threads = simulator, threads
-        self._all_costs, self.simulated = all_costs, 0
+    def __init__(self, simulator: HandRollouts, threads: Threads) -> None:
+        """Prepares rollouts, none of which are made before `start`."""
+        self._simulator, self._threads, self.simulated = simulator, threads, 0
 
     def start(self, horizon: Cost[Any]) -> None:
         """Begins rollouts with this cost from the state that the simulator starts from."""
@@ -166,9 +162,8 @@ class Rollouts:
         """
         rollouts = list[Rollout]()
         for first in range(0, len(candidates), NUM_SLOTS):
-            useful = np.inf if self._all_costs else cutoff
             runs = [
-                partial(self._run, ctrl, useful, slot)
+                partial(self._run, ctrl, cutoff, slot)
                 for slot, ctrl in enumerate(candidates[first : first + NUM_SLOTS])
             ]
             for rollout in self._threads.together(runs):
