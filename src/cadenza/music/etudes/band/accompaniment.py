@@ -7,7 +7,6 @@ from itertools import count
 
 import numpy as np
 
-from cadenza.music.etudes.band.chords import SongChord
 from cadenza.music.etudes.band.passage import Passage, pick
 from cadenza.music.etudes.band.rhythm_section import MEDIUM, Pattern
 from cadenza.music.etudes.band.voicings import (
@@ -25,18 +24,17 @@ Rhythm = Sequence[tuple[float, float]]
 """Onset and length of notes, in quarters from the beginning of a bar."""
 _LIGHT = 64  # velocity off the beat
 
-# Voices of instruments: the lowest and highest pitch of each.
-CLOSE: Slots = ((55, 64), (59, 68), (63, 72))
-"""Three voices of a right hand around middle C."""
-HIGH_CLOSE: Slots = ((60, 69), (64, 73), (68, 77))
-ORGAN: Slots = ((53, 62), (58, 66), (62, 71), (67, 76))
-ROOTLESS: Slots = ((51, 58), (55, 62), (60, 67), (64, 71))
-"""Four voices of jazz pianists and guitarists, who leave the root to the bass."""
-STRINGS: Slots = ((36, 47), (48, 56), (55, 63), (64, 73), (74, 83))
-"""Five voices over three octaves."""
-FOUR_STRINGS: Slots = ((43, 54), (55, 63), (64, 72), (74, 84))
-HIGH_STRINGS: Slots = ((67, 76), (74, 84))
-BRASS: Slots = ((58, 67), (63, 71), (67, 77))
+VOICES: dict[str, Slots] = {
+    "close": ((55, 64), (59, 68), (63, 72)),  # of a right hand around middle C
+    "high_close": ((60, 69), (64, 73), (68, 77)),
+    "organ": ((53, 62), (58, 66), (62, 71), (67, 76)),
+    "rootless": ((51, 58), (55, 62), (60, 67), (64, 71)),  # of jazz: the bass has the root
+    "strings": ((36, 47), (48, 56), (55, 63), (64, 73), (74, 83)),
+    "four_strings": ((43, 54), (55, 63), (64, 72), (74, 84)),
+    "high_strings": ((67, 76), (74, 84)),
+    "brass": ((58, 67), (63, 71), (67, 77)),
+}
+"""Instrument -> the lowest and highest pitch of each of its voices."""
 _LEFT_ROOTS = 46  # [MIDI pitch] near which roots of pianists' left hands are
 _RIFF_TONES = 5  # tones of the chord that a riff is made of
 _STACCATO = 0.8  # sounding share of the notes of riffs
@@ -48,13 +46,14 @@ def voiced(slots: Slots) -> Callable[[Passage], list[Voicing]]:
     return lambda passage: list(led_voicings(passage.chords, slots))
 
 
-def with_guitar(shape: Callable[[SongChord], Voicing]) -> Callable[[Passage], list[Voicing]]:
-    """Voicings for the harmonies of a section with the hand shapes of a guitar."""
-    return lambda passage: [shape(chord) for chord in passage.chords]
+def open_chords(passage: Passage) -> list[Voicing]:
+    """The chords of a section as a guitar strums them."""
+    return list(map(guitar, passage.chords))
 
 
-open_chords = with_guitar(guitar)
-power_chords = with_guitar(power_chord)
+def power_chords(passage: Passage) -> list[Voicing]:
+    """Root, fifth and octave of the chords of a section on the low strings of a guitar."""
+    return list(map(power_chord, passage.chords))
 
 
 def chords(voicings: Callable[[Passage], list[Voicing]], *rhythms: Rhythm) -> Pattern:

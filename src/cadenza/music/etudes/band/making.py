@@ -13,7 +13,7 @@ from cadenza.music.etudes.band.parts import Band, Section
 from cadenza.music.etudes.band.passage import happens, pick
 from cadenza.music.etudes.band.plan import Plan, planned
 from cadenza.music.etudes.band.playing import played, random_hand
-from cadenza.music.etudes.band.styles import STYLES
+from cadenza.music.etudes.band.styles import styles
 from cadenza.music.etudes.sheet import Tone
 from cadenza.music.score import MIDI_PITCHES
 
@@ -34,8 +34,8 @@ def make_band(seed: int) -> Band:
     """
     seed = whole_number(seed, "seed", 0, MOST_SEED)
     rng = np.random.default_rng([zlib.crc32(b"band"), seed])
-    style = pick(rng, list(STYLES))
-    plan = planned(rng, STYLES[style])
+    style = pick(rng, list(styles()))
+    plan = planned(rng, styles()[style])
     cast = random_cast(rng, plan.style)
     who = give_melodies(rng, plan, cast)
     _accompany(rng, plan, cast)

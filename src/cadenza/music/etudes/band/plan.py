@@ -98,7 +98,7 @@ def _fitting_forms(style: Style, tempo: int) -> list[list[str]]:
 def _numerals(rng: np.random.Generator, style: Style, minor: bool, kind: str) -> str:
     if kind == "ending":
         return "i" if minor else "I"
-    known = style.progressions[minor]
+    known = style.progressions["minor" if minor else "major"]
     while kind not in known:
         kind = _INSTEAD[kind]
     return pick(rng, known[kind])

@@ -105,10 +105,26 @@ def _between(passage: Passage, chord: SongChord, pitch: int, start: int, goal: i
     return choice if _LOWEST <= choice <= _HIGHEST else nearest(classes, _ROOTS + 4)
 
 
-# Drums, by the numbers of General MIDI
+# Drums
 
-KICK, STICK, SNARE, CLAP, CLOSED_HAT, PEDAL_HAT, OPEN_HAT = 36, 37, 38, 39, 42, 44, 46
-CRASH, RIDE, TAMBOURINE, SHAKER, LOW_CONGA, HIGH_CONGA, CLAVES = 49, 51, 54, 70, 64, 63, 75
+DRUMS = {
+    "kick": 36,
+    "stick": 37,
+    "snare": 38,
+    "clap": 39,
+    "closed_hat": 42,
+    "pedal_hat": 44,
+    "open_hat": 46,
+    "crash": 49,
+    "ride": 51,
+    "tambourine": 54,
+    "low_conga": 64,
+    "high_conga": 63,
+    "shaker": 70,
+    "claves": 75,
+}
+"""Name of a drum -> its number in General MIDI."""
+_KICK, _SNARE, _CRASH = (DRUMS[name] for name in ("kick", "snare", "crash"))
 _TOMS = (50, 47, 45, 43)  # from the highest
 _STROKE = 0.2  # quarters that a note of a drum lasts
 _HITS = {"X": _ACCENT, "x": MEDIUM, "o": _LIGHT, ".": _GHOST}
@@ -117,7 +133,7 @@ _FILL_EVERY = 4  # bars; fills come at the end of a section and, at times, after
 _FILLS_SHARE = 30  # [%] of those times
 
 
-def drums(*patterns: Mapping[int, str]) -> Pattern:
+def drums(*patterns: Mapping[str, str]) -> Pattern:
     """Drums with one of these patterns, a crash where a section begins, and fills.
 
     A pattern has the steps of a bar for each drum, or of several bars with `|` between them: `X` is
@@ -126,10 +142,10 @@ def drums(*patterns: Mapping[int, str]) -> Pattern:
 
     def play(passage: Passage) -> Iterator[Tone]:
         if passage.final:
-            yield from (Tone(0, _STROKE, drum, _ACCENT) for drum in (KICK, CRASH))
+            yield from (Tone(0, _STROKE, drum, _ACCENT) for drum in (_KICK, _CRASH))
             return
         pattern = pick(passage.rng, patterns)
-        yield Tone(0, _STROKE, CRASH, MEDIUM)
+        yield Tone(0, _STROKE, _CRASH, MEDIUM)
         for bar in range(passage.bars):
             last = bar == passage.bars - 1
             turn = (bar + 1) % _FILL_EVERY == 0 and happens(passage.rng, _FILLS_SHARE)
@@ -141,7 +157,7 @@ def drums(*patterns: Mapping[int, str]) -> Pattern:
                 for i, sign in enumerate(signs):
                     at = i * passage.beats / len(signs)
                     if sign in _HITS and at < until:
-                        yield Tone(start + at, _STROKE, drum, _HITS[sign])
+                        yield Tone(start + at, _STROKE, DRUMS[drum], _HITS[sign])
             if until < passage.beats:
                 yield from _fill(passage, start + until)
 
@@ -150,7 +166,7 @@ def drums(*patterns: Mapping[int, str]) -> Pattern:
 
 def _fill(passage: Passage, start: float) -> Iterator[Tone]:
     """Yields a beat of strokes on snare and toms."""
-    struck = pick(passage.rng, ((SNARE,) * 4, (SNARE, SNARE, *_TOMS[1:3]), _TOMS))
+    struck = pick(passage.rng, ((_SNARE,) * 4, (_SNARE, _SNARE, *_TOMS[1:3]), _TOMS))
     for i, (drum, sign) in enumerate(zip(struck, pick(passage.rng, _FILLS), strict=True)):
         if sign in _HITS:
             yield Tone(start + i / 4, _STROKE, drum, _HITS[sign])
