@@ -343,7 +343,7 @@ def _option_names(kind: Any, default: Any, prefix: str = "", bare: bool = False)
         elif tyro.conf.Positional not in marks:
             yield f"--{name}"
             if value is bool and tyro.conf.FlagCreatePairsOff not in marks:
-                yield f"--no-{name}"
+                yield f"--{prefix}no-{name.removeprefix(prefix)}"
             for mark in marks:
                 yield from getattr(mark, "aliases", None) or ()
 
