@@ -2,8 +2,7 @@
 
     python -m benchmarks.planners SONG [--steps N] [--iterations I ...] [--budgets B ...]
 
-With --whole-song instead those that plan the whole song: the plan of `Planner` as it is and
-refined, and `TrackedPresses`.
+With --whole-song instead `Planner`, which plans the whole song: its plan as it is, and refined.
 
 Prints a table in Markdown.
 """
@@ -19,7 +18,6 @@ from benchmarks.arguments import one_or_more, parser_for
 from cadenza.agents.agent import Agent, PlannerPerEnv, ZeroAgent
 from cadenza.agents.baselines.ilqg import ILQG
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
-from cadenza.agents.baselines.tracked_presses import TrackedPresses
 from cadenza.agents.planner.config import (
     ILQGConfig,
     PlannerConfig,
@@ -114,7 +112,6 @@ def main() -> None:
     if options.whole_song:
         row("nominal plan", Planner(PlannerConfig(method="none")))
         row("nominal plan, refined", Planner(), options.seeds)
-        row("optimised presses, tracked", TrackedPresses())
         return
     row("hands at rest", ZeroAgent())
     for iterations in options.iterations:

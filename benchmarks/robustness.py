@@ -16,7 +16,6 @@ import numpy as np
 
 from benchmarks.arguments import one_or_more, parser_for
 from cadenza.agents.agent import Agent, Array
-from cadenza.agents.baselines.tracked_presses import TrackedPresses
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.playback import Playback
@@ -32,7 +31,6 @@ from cadenza.tasks.piano_task import PianoTask
 AGENTS: dict[str, Callable[[], Agent]] = {
     "refined": Planner,
     "nominal": lambda: Planner(PlannerConfig(method="none")),
-    "tracked": TrackedPresses,
 }
 
 

@@ -772,12 +772,12 @@ def test_half_a_plan_is_not_kept(
     assert not path.exists()
 
 
-def test_tracked_presses_play_and_say_what_they_miss(
+def test_a_baseline_plays_and_says_what_it_misses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_midi(Score((Note(0, 0.5, 72), Note(0.5, 1, 21))), tmp_path / "leap.mid")
-    options = ["--hands", "right", "--agent", "tracked-presses", "--no-video", *AT_ONCE]
-    options += ["--tracked-presses.iterations", "0", "-o", str(tmp_path)]
+    options = ["--hands", "right", "--agent", "icp", "--no-video", *AT_ONCE]
+    options += ["--icp.no-rehearse", "-o", str(tmp_path)]
     main(["play", str(tmp_path / "leap.mid"), *options])
     lost = json.loads((tmp_path / "misses.json").read_text())
     assert "A0" in {miss["note"] for miss in lost}

@@ -15,11 +15,9 @@ from cadenza.agents.agent import Agent, RandomAgent, ZeroAgent
 from cadenza.agents.baselines.icp import ICP
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling, SamplingPlanner
 from cadenza.agents.baselines.stitched.agent import Stitched
-from cadenza.agents.baselines.tracked_presses import TrackedPresses
 from cadenza.agents.planner.config import (
     ICPConfig,
     PredictiveSamplingConfig,
-    TrackedPressesConfig,
 )
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.playback import Playback, load_plan
@@ -58,7 +56,6 @@ AGENTS: dict[str, Callable[[], Agent]] = {
 
 PLANNERS: tuple[Callable[[], Agent], ...] = (
     AGENTS["planning"],
-    lambda: TrackedPresses(TrackedPressesConfig(iterations=0)),
     lambda: ICP(ICPConfig(rehearse=False)),
     Stitched,
     Planner,

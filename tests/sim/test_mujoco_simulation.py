@@ -75,13 +75,11 @@ def test_a_diverging_simulation_is_reported_once_and_harms_no_other(
 ) -> None:
     healthy = run(scene, 3, 1)
     simulation = PlanningSimulation(scene, 3, num_threads=num_threads)
-    rest = np.zeros((3, len(scene.hand_joint_names)))
-    far_too_fast = np.zeros_like(rest)
-    far_too_fast[1] = 1e9  # [m/s, rad/s]
+    far_away = np.full((1, len(scene.hand_joint_names)), 1e9)  # [m, rad]
     with caplog.at_level(logging.WARNING):
         for step, ctrl in enumerate(controls(scene, 3)):
             if step == 5:
-                simulation.displace_hands(rest, far_too_fast)
+                simulation.reset([1], far_away)
             simulation.step(ctrl)
     assert_array_equal(simulation.state.unstable, [False, True, False])
     logged = [r.message for r in caplog.records if "became unstable" in r.message]

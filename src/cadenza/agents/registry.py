@@ -16,7 +16,6 @@ from cadenza.agents.planner.config import (
     ILQGConfig,
     PlannerConfig,
     PredictiveSamplingConfig,
-    TrackedPressesConfig,
 )
 from cadenza.configs import as_config, check_kind
 from cadenza.errors import CadenzaError, by_others
@@ -49,11 +48,6 @@ AGENTS = Registry(
         ),
         "ilqg": Entry(
             f"{_BASELINES}.ilqg:ILQG", "the paper's planner with derivatives", ILQGConfig
-        ),
-        "tracked-presses": Entry(
-            f"{_BASELINES}.tracked_presses:TrackedPresses",
-            "key presses optimised beforehand and tracked with LQR",
-            TrackedPressesConfig,
         ),
         "stitched": Entry(
             f"{_BASELINES}.stitched.agent:Stitched",

@@ -100,21 +100,6 @@ class PlanningSimulation(MujocoSimulation):
         self._change(change)
 
     @synchronised
-    def displace_hands(self, hand_qpos: Array, hand_qvel: Array) -> None:
-        """Moves the hands of each simulation and leaves the keys as they are.
-
-        Args:
-            hand_qpos: (N, J) to add to their positions [m, rad].
-            hand_qvel: (N, J) to add to their speeds [m/s, rad/s].
-        """
-
-        def change(row: int, data: mujoco.MjData) -> None:
-            data.qpos[self.scene.hand_qpos] += hand_qpos[row]
-            data.qvel[self.scene.hand_qvel] += hand_qvel[row]
-
-        self._change(change)
-
-    @synchronised
     def set_physics_state(self, state: Array) -> None:
         """Puts every simulation of this batch into a state (S,) that `physics_state` returned.
 

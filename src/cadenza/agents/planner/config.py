@@ -91,11 +91,3 @@ class ICPConfig:
     rehearse: bool = True
     """Rehearse the plan in simulation first, each hand by itself, refined by the planner's
     sampling. Otherwise it is played as inverse kinematics made it."""
-
-
-@dataclass(frozen=True)
-class TrackedPressesConfig:
-    """Key presses optimised beforehand and tracked with time-varying LQR."""
-
-    iterations: int = 4
-    """Maximum iterations of trajectory optimisation per press. It stops when no key is wrong."""
