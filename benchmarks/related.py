@@ -27,7 +27,7 @@ from benchmarks.table import write_table
 from cadenza.agents.agent import Agent, Array
 from cadenza.agents.baselines.icp import ICP
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
-from cadenza.agents.baselines.stitched.agent import Stitched
+from cadenza.agents.baselines.stitched import Stitched
 from cadenza.agents.planner.config import ICPConfig, PlannerConfig
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.playback import Playback

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from cadenza.agents.agent import Agent, RandomAgent, ZeroAgent
 from cadenza.agents.baselines.icp import ICP
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling, SamplingPlanner
-from cadenza.agents.baselines.stitched.agent import Stitched
+from cadenza.agents.baselines.stitched import Stitched
 from cadenza.agents.planner.config import (
     ICPConfig,
     PredictiveSamplingConfig,

@@ -10,9 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.agents.agent import Agent
 from cadenza.agents.baselines.plan_follower import PlanFollower
-from cadenza.agents.baselines.stitched.agent import Stitched
-from cadenza.agents.baselines.stitched.motions import Change, Motions
-from cadenza.agents.baselines.stitched.stitching import changes_of, stitched
+from cadenza.agents.baselines.stitched import Change, Motions, Stitched, changes_of, stitched
 from cadenza.agents.planner.plan.presses import Press
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError

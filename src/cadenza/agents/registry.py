@@ -50,7 +50,7 @@ AGENTS = Registry(
             f"{_BASELINES}.ilqg:ILQG", "the paper's planner with derivatives", ILQGConfig
         ),
         "stitched": Entry(
-            f"{_BASELINES}.stitched.agent:Stitched",
+            f"{_BASELINES}.stitched:Stitched",
             "motions that are planned once, stitched together, and played open loop",
         ),
         "icp": Entry(

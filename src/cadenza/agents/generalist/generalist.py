@@ -18,16 +18,21 @@ from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, steps_in
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.generalist.receding_plan import RecedingPlanner
-from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
+from cadenza.agents.planner.plan.hand_goals import ABOUT_TO_PRESS, HandGoals
 from cadenza.agents.planner.plan.nominal_trajectory import MotionPlanner
 from cadenza.agents.planner.plan.song_plan import SongPlan, planning_scene, song_plans
 from cadenza.agents.planner.plan.strike_model import planned_strikes
 from cadenza.agents.planner.planner import PlanPlayer, SongPlanner
+from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal, RehearsalConfig
 from cadenza.agents.planner.search.networks.inputs import sizes_of
 from cadenza.agents.planner.search.networks.weights import Weights, shipped
 from cadenza.configs import check_ranges, whole_number
 from cadenza.errors import CadenzaError
-from cadenza.scene.scene import Scene
+from cadenza.fingers import Side
+from cadenza.scene.scene import Scene, hand_alone
+from cadenza.scene.servos import servos_of
+from cadenza.sim.hand_rollouts import HandRollouts
+from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 from cadenza.tasks.goal_track import GoalTrack, players_of
 from cadenza.tasks.view import View
@@ -158,3 +163,66 @@ class SightReader(EpisodePlanner):
 def shipped_for(scene: Scene) -> Weights | None:
     """The networks that come with the package for the hands of a scene, if any do."""
     return shipped(_LEARNT).get(scene.hand.name)
+
+
+_REHEARSAL = RehearsalConfig(
+    window=0.5, judged_after=0.5, corrected_after=0.7, max_mistakes=1.0, refinements=3
+)
+_AS_FORESEEN = 1e-3  # [rad] that a key may be off where the rehearsal had it, to be as fast
+
+
+class RehearsedHand:
+    """A hand that plays a plan.
+
+    It rehearses by itself, from the state that it is in when the half second begins. What it does
+    not foresee, such as that it touches the other hand, is left to feedback until then.
+
+    Attributes:
+        servos: the hand's servos among all of the scene.
+        joints: the hand's joints among all of the scene.
+        rehearsal: the rehearsal of the current half second.
+        lookahead: the number of steps of the plan that are needed.
+    """
+
+    def __init__(self, plan: SongPlan, side: Side, rehearsals: int) -> None:
+        """Follows a plan, each half second of which is changed `rehearsals` times at most."""
+        dt = plan.track.config.control_timestep
+        self._side = side
+        alone, self.servos, self.joints = hand_alone(plan.scene, side)
+        self._servos, self._simulation = servos_of(alone), PlanningSimulation(alone, 1, dt)
+        config = _REHEARSAL._replace(iterations=rehearsals + 1)
+        self.rehearsal = HandRehearsal(alone, HandRollouts(alone, dt), dt, config)
+        self.lookahead = self.rehearsal.lookahead + steps_in(ABOUT_TO_PRESS, dt)
+        self.follow(plan, 0)
+
+    def follow(self, plan: SongPlan, step: int) -> None:
+        """Changes the plan, from `step` on, to one that goes further."""
+        self._goals = HandGoals(plan, self._side)
+        tracking = plan.nominal.tracking.of(self.servos)
+        self._tracking = tracking._replace(ctrl=tracking.ctrl.copy())
+
+    def act(self, step: int, state: State) -> Array:
+        """(A,) the next controls."""
+        qpos, qvel = state.hand_qpos[0, self.joints], state.hand_qvel[0, self.joints]
+        if step >= self.rehearsal.end:
+            key_qpos = state.key_qpos[0]
+            self._simulation.set_joints(qpos, qvel, key_qpos, self._key_qvel(key_qpos))
+            self._rehearse(step)
+        feedback = self._tracking.feedback(step, self._servos.state(qpos, qvel))
+        return self._servos.clip(self.rehearsal.ctrl(step)[0] - feedback)
+
+    def _rehearse(self, step: int) -> None:
+        """Rehearses the steps from `step` on."""
+        last = min(step + self.rehearsal.lookahead, len(self._tracking.ctrl))
+        rows = np.arange(step, last)
+        if step == self.rehearsal.end:  # the one before has found how to begin
+            known = self.rehearsal.tail
+            self._tracking.ctrl[step : step + len(known)] = known
+        self.rehearsal.rehearse(self._goals, self._tracking, rows, self._simulation)
+
+    def _key_qvel(self, key_qpos: Array) -> Array:
+        """(K,) the speeds of keys at (K,), which are in no state, as far as they were foreseen."""
+        speeds, keys = np.zeros_like(key_qpos), self.rehearsal.keys
+        there, speed = self.rehearsal.keys_at_end
+        speeds[keys] = np.where(np.abs(key_qpos[keys] - there) < _AS_FORESEEN, speed, 0.0)
+        return speeds

@@ -12,7 +12,6 @@ import numpy as np
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import LEFT, RIGHT
-from cadenza.music.notation.hands import staves
 from cadenza.music.notation.marks import (
     BASS,
     TREBLE,
@@ -27,7 +26,7 @@ from cadenza.music.notation.metre import Measure, Metre, metre_of
 from cadenza.music.notation.note_values import Divisions, Value, tuplet_values, values
 from cadenza.music.notation.quantising import Stream, are_exact, quantised
 from cadenza.music.notation.spelling import Spelling, spelled
-from cadenza.music.notation.voices import LOWER, UPPER, Timed, voices
+from cadenza.music.notation.voices import LOWER, UPPER, Timed, staves, voices
 from cadenza.music.repair import counted_remarks
 from cadenza.music.score import Note, Score
 

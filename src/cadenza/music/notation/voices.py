@@ -1,12 +1,20 @@
-"""The voices of a staff: at most two, in each of which one chord follows the other."""
+"""The staff of each note, and its voice on it: at most two, each with one chord after the other.
+
+A staff is that of the hand of the finger, or for which a note is written, or by pitch. The upper
+and the lower one are numbered as hands are, `RIGHT` and `LEFT`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from cadenza.fingers import LEFT, RIGHT
 from cadenza.music.notation.metre import QUARTER
 from cadenza.music.score import Note, chords
+from cadenza.music.viterbi import cheapest_sequence
 
 UPPER, LOWER = 0, 1
 _LEGATO = QUARTER / 6  # ticks by which a chord may overlap the next: players connect them so
@@ -120,3 +128,47 @@ def _crossing(history: _History, upper: list[Timed], lower: list[Timed], onset: 
         return _CROSSED if lower[0].note.pitch > high.low else 0.0
     is_below = low.end > onset and upper[-1].note.pitch < low.high
     return _CROSSED if is_below else 0.0
+
+
+_SPLITS = np.arange(43, 80)  # lowest pitch of the right hand, G2 to G5
+_MIDDLE = 60  # the usual split, C4
+_SPAN = 12  # semitones that a hand plays at once with ease
+_TOO_WIDE = 2.0  # cost of each semitone beyond that
+_MOVE = 0.15  # cost of moving the split by a semitone
+_FAR = 0.01  # cost of each semitone of the split from the middle
+_CLOSE = 0.1  # cost of each semitone by which a split leaves less than `_ROOM` between hands
+_ROOM = 5  # semitones
+
+
+def staves(notes: Sequence[Note]) -> list[int]:
+    """The staff of each of the `notes`, by start.
+
+    Notes without a finger or a hand are split at a pitch that moves as little as it can while each
+    hand spans about an octave at most, found by dynamic programming over chords.
+    """
+    hands = [(note.finger.hand,) if note.finger else note.hands for note in notes]
+    chosen = [hand[0] if hand else RIGHT for hand in hands]
+    loose = [i for i, hand in enumerate(hands) if len(hand) != 1]
+    if not loose:
+        return chosen
+    groups = list(chords([notes[i] for i in loose]))
+    costs = [_cost(np.array([note.pitch for note in group])) for group in groups]
+    move = _MOVE * np.abs(_SPLITS[:, None] - _SPLITS)
+    splits = _SPLITS[cheapest_sequence(costs, [move] * (len(groups) - 1))].tolist()
+    place = iter(loose)
+    for group, split in zip(groups, splits, strict=True):
+        for note in group:
+            chosen[next(place)] = RIGHT if note.pitch >= split else LEFT
+    return chosen
+
+
+def _cost(pitches: np.ndarray) -> np.ndarray:
+    """The cost of each split for a chord."""
+    upper = pitches >= _SPLITS[:, None]
+    high, low = np.where(upper, pitches, 999), np.where(upper, -999, pitches)
+    right = np.where(upper.any(1), pitches.max() - high.min(1), 0)
+    left = np.where((~upper).any(1), low.max(1) - pitches.min(), 0)
+    wide = np.maximum(right - _SPAN, 0) + np.maximum(left - _SPAN, 0)
+    gap = np.abs(pitches - (_SPLITS[:, None] - 0.5)).min(1)
+    close = np.maximum(_ROOM / 2 - gap, 0)
+    return np.asarray(_TOO_WIDE * wide + _CLOSE * close + _FAR * np.abs(_SPLITS - _MIDDLE))

@@ -1,14 +1,16 @@
-"""Presses: each is a finger that holds a key down for some time."""
+"""Presses: each is a finger that holds a key down, until it or its hand is needed elsewhere."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import Ids, steps_in
+from cadenza.agents.agent import Array, Ids, Mask, steps_in
 from cadenza.fingers import NO_FINGER, SIDES, Fingers, Side
+from cadenza.hands.hand import Hand
 from cadenza.hands.reach import JumpTimes
 
 Key = int | Ids
@@ -78,3 +80,139 @@ def steps_between(
     """
     climbs = is_black[other] & ~is_black[key]
     return np.where(climbs, steps_in(times.climb, dt), steps_in(RISE, dt))
+
+
+_JUMP_TIME = 0.1  # [s] between two presses that is spent on the way, if the hand has to jump
+_MIN_LENGTH = 0.05  # [s] that a press lasts
+_MIN_HEARD = 0.1  # [s] that it lasts if it can, so that its key sounds before its finger leaves it
+_DIGITS = 9  # to which times are rounded, so that whole steps are not rounded up to the next
+
+
+def release_in_time(
+    presses: list[Press], places: Array, is_black: Mask, dt: float, hand: Hand
+) -> list[Press]:
+    """Cuts presses short where finger or hand must be elsewhere soon after, and marks jumps.
+
+    A press lasts `_MIN_LENGTH` at least. One that the hand can hold together with all that it
+    strikes is not cut.
+
+    Args:
+        presses: presses by time; those that begin together are by key.
+        places: (K, F) positions of a forearm, from its mount, when one of its fingers presses a key
+            at rest [m].
+        is_black: (K,) whether keys are black.
+        dt: control step [s].
+        hand: the kind of both hands.
+    """
+    if not presses:
+        return []
+    line = _TimeLine(presses, places, is_black, dt, hand)
+    line.release_for_jumps()
+    line.release_for_other_keys()
+    result = list(presses)
+    for i, last, jumps_off, jumps_to in line.rows():
+        result[i] = result[i]._replace(last=last, jumps_off=jumps_off, jumps_to=jumps_to)
+    return result
+
+
+class _TimeLine:
+    """P presses by hand, then by time, then by key.
+
+    Both hands are on one line, on which the left one begins long after the right one is done. So
+    what is found out for each hand by itself is found out for both at once.
+    """
+
+    def __init__(
+        self, presses: list[Press], places: Array, is_black: Mask, dt: float, hand: Hand
+    ) -> None:
+        self._dt, self._is_black = dt, is_black
+        self._reach, self._times = hand.reach, hand.jump_times
+        widest = self._times.seconds(np.ptp(places), 2, 2)
+        self._ahead, self._least = self._steps(widest), steps_in(_MIN_LENGTH, dt)
+        rows = np.array([(p.finger, p.key, p.first, p.last, p.release_delay) for p in presses])
+        left = rows[:, 0] >= len(hand.fingers)
+        self._index = np.argsort(left, kind="stable")
+        self._number, self._key, first, last, delay = rows[self._index].T
+        left = left[self._index]
+        self._since = left * (last.max() + self._ahead + 1)  # where the line of a hand begins
+        self._first, self._last = first + self._since, last + self._since
+        self._place = places[self._key, self._number]
+        self._finger = self._number % len(hand.fingers)
+        self._outwards = places[self._key, 0] * np.where(left, -1, 1)
+        # Chords: what a hand strikes at once, be it a single key.
+        self._strikes = np.append(True, self._first[1:] != self._first[:-1])
+        self._heads = np.flatnonzero(self._strikes)
+        self._chord = np.cumsum(self._strikes) - 1
+        self._sizes = np.diff(self._heads, append=len(rows))
+        self._begins, self._delay = self._first[self._heads], delay[self._heads]
+
+    def release_for_jumps(self) -> None:
+        """Cuts presses where the hand is to strike what it does not reach from there."""
+        heads, chord, begins, sizes = self._heads, self._chord, self._begins, self._sizes
+        until = np.maximum.reduceat(self._last, heads) + self._ahead
+        ends = np.append(heads, len(chord))
+        after = begins.searchsorted(until, "right")
+        press, other = _pairs(ends[chord + 1], ends[after[chord]])
+        if not len(press):
+            return
+        spans = self._reach.spans(
+            self._finger[press],
+            self._finger[other],
+            self._outwards[other] - self._outwards[press],
+        )
+        struck = np.flatnonzero(self._strikes[other])
+        spanned = np.logical_and.reduceat(spans, struck)
+        press, struck = press[struck], chord[other[struck]]
+        here, first, last = chord[press], begins[struck], self._last[press]
+        holding = last > first + self._least  # while the hand plays on
+        means = np.add.reduceat(self._place, heads) / sizes
+        distance = np.abs(means[struck] - np.where(holding, self._place[press], means[here]))
+        jump = self._steps(self._times.seconds(distance, sizes[here], sizes[struck], holding))
+        in_time = np.maximum(
+            first - np.maximum(jump - self._delay[struck], 1), begins[here] + self._least
+        )
+        too_late = (jump > 0) & ~spanned & (first <= last + self._ahead)
+        np.minimum.at(self._last, press[too_late], in_time[too_late])
+
+    def _steps(self, seconds: Array) -> Ids:
+        """Control steps that last `seconds` at least."""
+        return np.ceil(np.round(seconds / self._dt, _DIGITS)).astype(np.intp)
+
+    def release_for_other_keys(self) -> None:
+        """Cuts presses whose finger presses another key next."""
+        order = np.lexsort((self._key, self._first, self._number))
+        press, following = order[:-1], order[1:]
+        moves = self._number[press] == self._number[following]
+        moves &= self._key[press] != self._key[following]
+        press, following = press[moves], following[moves]
+        first, begins = self._first[press], self._first[following]
+        rise, delay = steps_in(RISE, self._dt), self._delay[self._chord[following]]
+        key, other = self._key[press], self._key[following]
+        steps = steps_between(key, other, self._is_black, self._times, self._dt)
+        spare = begins - first - steps_in(_MIN_HEARD, self._dt)
+        risen = begins - np.maximum(np.minimum(spare, steps - delay), rise)
+        in_time = np.maximum(risen, first + self._least)
+        self._last[press] = np.minimum(self._last[press], in_time)
+
+    def rows(self) -> Iterator[tuple[int, int, bool, bool]]:
+        """Each press: its index, its end, and whether the hand jumps off it, and to it.
+
+        A hand jumps between presses at most `_JUMP_TIME` apart and beyond reach; to single keys
+        only.
+        """
+        first, last, place = self._first, self._last, self._place
+        soon = last + steps_in(_JUMP_TIME, self._dt)
+        press, other = _pairs(*(first.searchsorted(time, "right") for time in (last, soon)))
+        far = np.abs(place[other] - place[press]) > self._times.within_reach
+        left, reached = (np.zeros(len(first), bool) for _ in range(2))
+        left[press[far]], reached[other[far]] = True, True
+        reached &= self._sizes[self._chord] == 1
+        columns = self._index, last - self._since, left, reached
+        return zip(*(column.tolist() for column in columns), strict=True)
+
+
+def _pairs(first: Ids, last: Ids) -> tuple[Ids, Ids]:
+    """All pairs i and j with first[i] <= j < last[i], (N,) each, by i."""
+    counts = last - first
+    i = np.repeat(np.arange(len(counts)), counts)
+    return i, np.arange(len(i)) + (first - np.cumsum(counts) + counts)[i]

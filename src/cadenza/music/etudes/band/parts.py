@@ -1,12 +1,16 @@
-"""A song for a band: its parts, its sections, and the role of every note."""
+"""A song for a band: its parts, its sections, the role of every note, and its MIDI file."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Literal, get_args
 
-from cadenza.music.score import Note, PedalEvent
+from cadenza.files import write_atomically
+from cadenza.music.score import Note, PedalEvent, Score
 
 Role = Literal["melody", "bass", "harmony", "doubling", "drums"]
 """What a note is in the song; `doubling` are notes that play along with the melody in unison or in
@@ -80,3 +84,40 @@ def seconds(ticks: int, tempo: int) -> float:
 def ticks(seconds: float, tempo: int) -> int:
     """The number of ticks that is nearest to a time [s]."""
     return round(seconds * TICKS_PER_BEAT * 1_000_000 / microseconds_per_beat(tempo))
+
+
+def write_band(band: Band, path: str | Path) -> None:
+    """Writes a song as a MIDI file of format 1: a track for title, tempo and metre, then the parts.
+
+    Read back by `cadenza.music.formats.midi.read_midi`, notes and bars have the same times to the
+    bit. Notes of equal pitch that parts play at once are merged there, as on one piano.
+    """
+    import mido  # here, so that the names of etudes can be had without it
+
+    from cadenza.music.formats.midi import messages
+
+    file = mido.MidiFile(type=1, ticks_per_beat=TICKS_PER_BEAT, charset="utf-8")
+    heading = file.add_track(band.title)
+    heading.append(mido.MetaMessage("set_tempo", tempo=microseconds_per_beat(band.tempo)))
+    heading.append(mido.MetaMessage("time_signature", numerator=band.beats, denominator=4))
+    on_tick = partial(ticks, tempo=band.tempo)
+    for part in band.parts:
+        track, channel = file.add_track(part.name or None), part.channel - 1
+        track.append(mido.Message("program_change", program=part.program, channel=channel))
+        track += messages(part.notes, part.pedal, on_tick, channel)
+    with write_atomically(Path(path)) as out:
+        file.save(file=out)
+
+
+def band_score(band: Band, tracks: Collection[int] = ()) -> Score:
+    """The piano score of all parts but the drums, or of `tracks`, as it is read from the file.
+
+    Raises:
+        CadenzaError: there is no such track.
+    """
+    from cadenza.music.formats.midi import read_midi  # which needs mido, too
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, f"{band.title}.mid")
+        write_band(band, path)
+        return read_midi(path, tracks)

@@ -1,0 +1,277 @@
+"""Plays songs open loop, from motions of each hand that are planned once and stitched together."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from cadenza.agents.agent import Array, PlannerPerEnv, Progress, silent, steps_in
+from cadenza.agents.baselines.plan_follower import PlanFollower
+from cadenza.agents.planner.plan.fingertip_targets import Targets, targets_of
+from cadenza.agents.planner.plan.inverse_kinematics import solve_postures
+from cadenza.agents.planner.plan.nominal_trajectory import MotionPlanner, PostureTrajectory
+from cadenza.agents.planner.plan.presses import RISE, Press
+from cadenza.agents.planner.plan.rest_poses import forearm_places, rest_posture
+from cadenza.agents.planner.plan.song_plan import SongPlan
+from cadenza.errors import CadenzaError
+from cadenza.hands.reach import JumpTimes
+from cadenza.scene.kinematics import Kinematics
+from cadenza.scene.scene import Scene, build_scene, hand_alone
+from cadenza.scene.servos import servos_of
+from cadenza.tasks.goal_track import GoalTrack
+from cadenza.tasks.view import View
+
+# Shares of the acceleration with which the planner's hands jump, and of how far they reach without
+# a jump: the planner can correct landings that fail.
+_ACCELERATION, _REACH = 0.125, 0.7
+# Times the force that a white key takes. A fingertip would slip off a black one.
+_WHITE_KEY_FORCE = 1.5
+
+
+class Stitched(PlannerPerEnv[PlanFollower]):
+    """Plans everything when an episode begins, and plays it without feedback.
+
+    Nothing is random. It reports the progress of "fingers" and "motions".
+    """
+
+    def begin(self, view: View, rng: np.random.Generator) -> PlanFollower:
+        (track,) = view.tracks
+        with threadpool_limits(1):  # small matrices, and the same bits everywhere
+            plan = _plan(track, view.state.hand_qpos[0], self.progress)
+        tracking = plan.nominal.tracking
+        return PlanFollower(plan, tracking._replace(gain=np.zeros_like(tracking.gain)))
+
+
+def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
+    """The plan of a song for hands whose joints begin at `start` (J,) [m, rad].
+
+    Raises:
+        CadenzaError: there are no hands in the scene, or they do not slide along the keyboard.
+    """
+    if not track.scene.sides:
+        raise CadenzaError("cannot plan: this scene has no hands")
+    track = track.with_found_fingers().fingered(partial(progress, "fingers"))
+    goals, dt, scene = track.goals, track.config.control_timestep, build_scene(track.scene.config)
+    if not servos_of(scene).along_keyboard:
+        raise CadenzaError(
+            "agent stitched moves hands along the keyboard, which these cannot: "
+            "add tx to --forearm-dofs, or choose another agent"
+        )
+    planner = MotionPlanner(scene, dt, _slower(scene.hand.jump_times))
+    presses = planner.presses(goals.fingers)
+    before, states = planner.still(start, 0), goals.num_steps + 1
+    postures = np.empty((states, len(scene.actuator_names)))
+    for side in scene.sides:
+        hand = hand_alone(scene, side)
+        mine = [press for press in presses if press.side == side]
+        motions = Motions(hand.scene, dt, progress)
+        postures[:, hand.servos] = stitched(mine, motions, before.postures[0, hand.servos], states)
+    targets = targets_of(scene, presses, states, dt)
+    for press in presses:
+        if not scene.keyboard.is_black[press.key]:
+            targets.force[press.first : press.last, press.finger] *= _WHITE_KEY_FORCE
+    found = PostureTrajectory(postures, postures, targets)
+    return SongPlan(scene, track, goals, planner.track(before, presses, found))
+
+
+def _slower(times: JumpTimes) -> JumpTimes:
+    """Jump times of hands that play open loop, given those of the planner's hands."""
+    slower = times.accelerated(_ACCELERATION)
+    # Onto black keys no sooner: that has cost more than it gained.
+    return replace(slower, within_reach=_REACH * slower.within_reach, climb=RISE)
+
+
+Held = tuple[tuple[int, int], ...]
+"""Pairs of finger and key, of each finger that is down."""
+
+_BEFORE = 0.2  # [s] of a motion before the keys change, in which fingers get over the next ones
+_AFTER = 0.15  # [s] after it, in which the others get off theirs
+_GAP = 0.3  # [s] from letting go to striking, at most
+_AT_REST = 10.0  # [s] between two postures, so that the speed of the motion costs nothing
+_OCTAVE = 12
+
+
+class Change(NamedTuple):
+    """A change of held keys: some are released, and others struck at once or soon after."""
+
+    held_before: Held
+    """All keys that are held before."""
+    kept: Held
+    """The keys that were held before and are not released."""
+    held_after: Held
+    """All keys that are held at the end."""
+    gap: int
+    """The number of states from releasing to striking."""
+
+    def lowered(self, keys: int) -> Change:
+        """This change, moved `keys` down the keyboard."""
+        before, kept, after = (
+            tuple((finger, key - keys) for finger, key in held) for held in self[:3]
+        )
+        return Change(before, kept, after, self.gap)
+
+
+class Motions:
+    """Postures of one hand around each change of the keys that it holds.
+
+    A motion is planned when it is first asked for, by inverse kinematics of this change alone: the
+    hand is at rest before it. It is the same in every octave but for the place of the forearm, and
+    does not depend on what else was asked for.
+
+    Attributes:
+        before: the number of states of a motion before the one in which keys have been released.
+        after: the number of states after the one in which others have been struck.
+        longest_gap: the maximum number of states between both.
+    """
+
+    def __init__(self, scene: Scene, dt: float, progress: Progress = silent) -> None:
+        """Begins without any motions, for a hand alone in a scene and control steps of `dt` [s].
+
+        It reports the number of "motions" that have been planned.
+        """
+        self._scene, self._dt, self._keyboard = scene, dt, scene.keyboard
+        self._progress = progress
+        self._servos = servos_of(scene)
+        self._kinematics = Kinematics(scene)
+        self._rest = rest_posture(self._servos)
+        self._places = forearm_places(self._kinematics)
+        (self._side,) = scene.sides
+        (self._slide,) = self._servos.along_keyboard
+        self.before, self.after = steps_in(_BEFORE, dt), steps_in(_AFTER, dt)
+        self.longest_gap = steps_in(_GAP, dt)
+        self._known: dict[Change, Array] = {}
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    def of(self, change: Change) -> Array:
+        """(N, A) postures of a change: row 0 holds its first keys, which row `before` releases."""
+        pressed = [key for _, key in change.held_before + change.held_after]
+        up = self._octaves(pressed)
+        lowered = change.lowered(up)
+        if lowered not in self._known:
+            self._known[lowered] = self._planned(lowered)
+            self._progress("motions", len(self), len(self))
+        key, centre = pressed[0], self._keyboard.centre[:, 1]
+        motion = self._known[lowered].copy()
+        motion[:, self._slide] += centre[key] - centre[key - up]
+        return motion
+
+    def _octaves(self, keys: list[int]) -> int:
+        """The distance, in keys, of `keys` above those for which their motion is planned.
+
+        Motions are planned about the middle of the keyboard.
+        """
+        lowest = min(keys)
+        room = self._keyboard.num_keys - (max(keys) - lowest)
+        first = lowest % _OCTAVE
+        return lowest - first - max((room // 2 - first) // _OCTAVE, 0) * _OCTAVE
+
+    def _planned(self, change: Change) -> Array:
+        """(N, A) postures of a change, by inverse kinematics of its presses."""
+        before, kept, after, gap = change
+        release, strike = self.before, self.before + gap
+        end = strike + self.after + 1
+        here, there = self._place(before or after), self._place(after or before)
+        jumps = gap > 0 and abs(there - here) > self._scene.hand.jump_times.within_reach
+        presses = []
+        for finger, key in before:
+            stays = (finger, key) in kept
+            last = release if not stays else end if (finger, key) in after else strike
+            presses.append(Press(self._side, finger, key, 1, last, jumps_off=jumps))
+        for finger, key in after:
+            if (finger, key) not in kept:
+                jumps_to = jumps and len(after) == 1
+                presses.append(Press(self._side, finger, key, strike, end, jumps_to=jumps_to))
+        targets = targets_of(self._scene, presses, end, self._dt)
+        guess = np.tile(self._rest, (end, 1))
+        guess[:, self._slide] = np.interp(np.arange(end), [0, strike], [here, there])
+        guess[0] = self._holding(before, guess[0])
+        return self._postures(targets, guess, self._dt)
+
+    def _holding(self, held: Held, guess: Array) -> Array:
+        """(A,) posture at rest with keys down."""
+        presses = [Press(self._side, finger, key, 1, 2) for finger, key in held]
+        targets = targets_of(self._scene, presses, 2, self._dt)
+        return self._postures(targets, np.stack([guess, guess]), _AT_REST)[1]
+
+    def _postures(self, targets: Targets, guess: Array, dt: float) -> Array:
+        """(S, A) postures, `dt` [s] apart, of a hand that was at rest before."""
+        return solve_postures(self._kinematics, targets, guess, guess[0], dt)
+
+    def _place(self, held: Held) -> float:
+        """Mean position of the forearm at which fingers press their keys in their rest pose [m]."""
+        return float(np.mean([self._places[key, finger] for finger, key in held]))
+
+
+_Down = set[tuple[int, int]]
+"""Pairs of finger and key, of each finger that is down."""
+
+
+def stitched(presses: Sequence[Press], motions: Motions, start: Array, num_states: int) -> Array:
+    """(S, A) postures of a hand that begins at `start` (A,), with these presses.
+
+    Between two changes, the end of one motion is blended with the beginning of the next.
+    """
+    postures = np.empty((num_states, len(start)))
+    ending, since = start[None], 0
+    for leaves, change in changes_of(presses, num_states, motions.longest_gap):
+        motion = motions.of(change)
+        states = np.arange(since, leaves)
+        blended = max(leaves - motions.before, min(since + motions.after, leaves - 1))
+        share = np.minimum((states - since) / max(blended - since, 1), 1.0)[:, None]
+        coming = motion[np.maximum(states - leaves + motions.before, 0)]
+        postures[states] = (1 - share) * _row(ending, states - since) + share * coming
+        since = leaves + change.gap
+        postures[leaves:since] = motion[motions.before :][: change.gap]
+        ending = motion[motions.before + change.gap :]
+    postures[since:] = _row(ending, np.arange(num_states - since))
+    return postures
+
+
+def _row(motion: Array, states: NDArray[np.intp]) -> Array:
+    """Postures of a motion in `states`; after its end, the last one."""
+    return motion[np.minimum(states, len(motion) - 1)]
+
+
+def changes_of(
+    presses: Sequence[Press], num_states: int, longest_gap: int
+) -> Iterator[tuple[int, Change]]:
+    """The changes of what one hand holds, and the states in which they begin, by time.
+
+    Releasing, and striking at most `longest_gap` states later, are one change.
+    """
+    held = list(_held(presses, num_states))
+    before: Held = ()
+    while held:
+        state, then = held.pop(0)
+        later, after = state, then
+        if set(then) < set(before) and held and held[0][0] - state <= longest_gap:
+            later, after = held.pop(0)
+        kept = tuple(one for one in before if one in then)
+        yield state, Change(before, kept, after, later - state)
+        before = after
+
+
+def _held(presses: Sequence[Press], num_states: int) -> Iterator[tuple[int, Held]]:
+    """Each state in which one hand begins to hold other keys, by time, and these keys."""
+    struck, left = defaultdict[int, _Down](set), defaultdict[int, _Down](set)
+    for press in presses:
+        if press.first < press.last:
+            struck[press.first].add((press.finger, press.key))
+            left[press.last].add((press.finger, press.key))
+    down: _Down = set()
+    before: Held = ()
+    for state in sorted(struck.keys() | left.keys()):
+        down = (down - left[state]) | struck[state]
+        held = tuple(sorted(down))
+        if held != before and state < num_states:
+            yield state, held
+        before = held

@@ -1,1 +1,0 @@
-"""Plays songs open loop, from motions that are planned once and stitched together."""
