@@ -15,8 +15,14 @@ from scipy.optimize import lsq_linear
 from threadpoolctl import threadpool_limits
 
 from cadenza.agents.agent import Agent, ZeroAgent
-from cadenza.agents.baselines.box_ddp import FeedbackLaw, Model, backward_pass, box_qp
-from cadenza.agents.baselines.ilqg import ILQG, ILQGPlanner
+from cadenza.agents.baselines.ilqg import (
+    ILQG,
+    FeedbackLaw,
+    ILQGPlanner,
+    Model,
+    backward_pass,
+    box_qp,
+)
 from cadenza.agents.planner.config import ILQGConfig
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError

@@ -14,7 +14,7 @@ import pytest
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episodes
 from cadenza.cli import main
-from cadenza.demonstrations import lerobot_export, lerobot_videos, minari_export
+from cadenza.demonstrations import lerobot_export, minari_export
 from cadenza.demonstrations.dataset import Dataset, open_dataset
 from cadenza.demonstrations.recorded_episode import played_actions
 from cadenza.demonstrations.replay import task_of
@@ -207,7 +207,7 @@ def test_lerobot_files_hold_what_cameras_see(
 ) -> None:
     export = ["dataset", "export", str(made), "--format", "lerobot", "--video-size", "64", "48"]
     main([*export, "--video-cameras", "back", "left", "-o", str(tmp_path / "one")])
-    monkeypatch.setattr(lerobot_videos, "FILE_BYTES", 0)
+    monkeypatch.setattr(lerobot_export, "FILE_BYTES", 0)
     main([*export, "--video-cameras", "back", "left", "-o", str(tmp_path / "several")])
     dataset = open_dataset(made)
     shown = np.concatenate([pictures_of(dataset, number) for number in range(2)])
@@ -303,7 +303,7 @@ def test_half_of_an_export_is_never_seen(
     def fails(*_: object) -> None:
         raise CadenzaError("damaged")
 
-    monkeypatch.setattr("cadenza.demonstrations.lerobot_statistics.Statistics.of", fails)
+    monkeypatch.setattr("cadenza.demonstrations.lerobot_export.Statistics.of", fails)
     with pytest.raises(SystemExit, match="2"):
         main(["dataset", "export", str(made), "--format", "lerobot", "-o", str(tmp_path / "new")])
     assert list(tmp_path.iterdir()) == []

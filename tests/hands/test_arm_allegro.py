@@ -20,8 +20,7 @@ from cadenza.fingers import Side
 from cadenza.hands.arm_allegro import ARM_ALLEGRO
 from cadenza.hands.body import prefix
 from cadenza.music.score import Note, Score
-from cadenza.performing.hand_episodes import hand_episodes
-from cadenza.performing.performance import Performance, play
+from cadenza.performing.performance import Performance, hand_episodes, play
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import Scene, build_scene

@@ -10,9 +10,8 @@ from itertools import pairwise
 
 from cadenza.arranging.fidelity import NOTHING_LOST, Fate, Fidelity, fates_of, fidelity_of
 from cadenza.arranging.moments import SHORTEST, TOGETHER, Moment, beats_of, merged, moments_of
-from cadenza.arranging.one_hand import OneHand
 from cadenza.arranging.parts import parts_of
-from cadenza.arranging.reduction import EarlyEnd, Struck, reduced
+from cadenza.arranging.reduction import EarlyEnd, OneHand, Struck, reduced
 from cadenza.fingering.difficulty import EASIEST, FITTED, HARDEST, features_of
 from cadenza.fingering.players import Players
 from cadenza.fingering.search import find_fingering

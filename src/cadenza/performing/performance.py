@@ -9,19 +9,20 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planner.misses import Miss, misses_of
 from cadenza.agents.rollout import play_episode
 from cadenza.arranging.fidelity import Fate
-from cadenza.episode import Episode, load_episode
+from cadenza.episode import KEY_EVENTS, Episode, load_episode
 from cadenza.errors import CadenzaError
 from cadenza.files import content_of, read_json, write_json
-from cadenza.fingers import SIDES
+from cadenza.fingers import NO_FINGER, SIDES, Side
 from cadenza.music.formats.finger_numbers import written
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.performance import played_in
 from cadenza.music.score import Score
-from cadenza.performing.hand_episodes import hand_episodes
 from cadenza.performing.setup import Setup, SomeAgent, select, set_up
 from cadenza.performing.source import Song
 from cadenza.report.html_pages import iframe, write_page
@@ -29,9 +30,11 @@ from cadenza.report.performance_page import performance_page
 from cadenza.report.sound import Sound, bit_rate_of, encode_opus, synthesize
 from cadenza.report.tone import Tone, tone
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import Scene
+from cadenza.scene.drawing import body_poses, drawing
+from cadenza.scene.scene import Scene, hand_alone
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
+from cadenza.tasks.reward import key_activation
 from cadenza.tasks.setups import NamedSetup, setup_named
 
 RESULTS = (
@@ -307,3 +310,46 @@ def perform(
         misses=None if plan is None else misses_of(result.episode, plan),
         fates=fates,
     )
+
+
+def hand_episodes(episode: Episode, scene: Scene) -> dict[Side, Episode]:
+    """Returns side -> the episode of that hand in its own scene; empty if they play together."""
+    apart = f"{SIDES[0]}_key_qpos" in episode.arrays
+    return {side: _hand_episode(episode, scene, side) for side in scene.sides} if apart else {}
+
+
+def _hand_episode(episode: Episode, scene: Scene, side: Side) -> Episode:
+    alone, servos, joints = hand_alone(scene, side)
+    hand, key_qpos = scene.fingers.of_hand(SIDES.index(side)), episode[f"{side}_key_qpos"]
+    number = episode["goal_fingers"]
+    mine = (number >= hand.start) & (number < hand.stop)
+    tips = np.zeros_like(episode["fingertip_xpos"])
+    tips[:, hand] = episode["fingertip_xpos"][:, hand]
+    hand_qpos = episode["hand_qpos"][:, joints]
+    xpos, xquat = body_poses(alone, hand_qpos)
+    pedal = episode["action"].shape[1] - 1
+    actions = np.r_[servos, pedal]
+    arrays = {
+        "action": episode["action"][:, actions],
+        "action_min": episode["action_min"][actions],
+        "action_max": episode["action_max"][actions],
+        "actuator_names": episode["actuator_names"][servos],
+        "hand_joint_names": episode["hand_joint_names"][joints],
+        "hand_qpos0": episode["hand_qpos0"][joints],
+        "hand_qpos": hand_qpos,
+        "hand_qvel": episode["hand_qvel"][:, joints],
+        "fingertip_xpos": tips,
+        "key_qpos": key_qpos,
+        "key_activation": key_activation(key_qpos, scene.keyboard.sounds_from),
+        "sustain_activation": episode["sustain_activation"],
+        "goal_keys": episode["goal_keys"] & mine,
+        "goal_fingers": np.where(mine, number, np.int8(NO_FINGER)),
+        "goal_sustain": episode["goal_sustain"],
+        "lowest_pitch": episode["lowest_pitch"],
+        "body_xpos": xpos,
+        "body_xquat": xquat,
+    }
+    arrays |= {  # not in older recordings
+        name: episode[f"{side}_{name}"] for name in KEY_EVENTS if f"{side}_{name}" in episode.arrays
+    }
+    return Episode(f"{episode.song} ({side} hand)", episode.dt, arrays, drawing(alone))
