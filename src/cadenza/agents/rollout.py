@@ -44,9 +44,7 @@ class EpisodeResult:
 def begin_episodes(task: PianoTask, seeds: Sequence[int]) -> list[np.random.Generator]:
     """Begins an episode in every environment of `task`.
 
-    Args:
-        task: the task to play.
-        seeds: seeds of everything random in the task and in the agent, one for each environment.
+    Everything random in the task and in the agent follows from the seed of each environment.
 
     Returns:
         A generator for each environment, which the agent draws from.

@@ -129,12 +129,7 @@ def held_as_possible(score: Score, players: Players, times: JumpTimes) -> Score:
     """A score with fingers, of which notes end where their hand has to go to others.
 
     A hand leaves keys for those that it does not reach from there as early as the jump takes; a
-    finger leaves its key for another.
-
-    Args:
-        score: the notes; those without a finger stay as they are.
-        players: the hands.
-        times: how long the hands take to jump.
+    finger leaves its key for another. Notes without a finger stay as they are.
     """
     notes = list(score.notes)
     for hand in range(len(SIDES)):

@@ -81,12 +81,7 @@ def _whole(share: float) -> str:
 
 
 def fates_of(song: Sequence[Source], struck: Iterable[Struck]) -> tuple[Fate, ...]:
-    """What became of each note of a song, and the notes that were struck again, by their start.
-
-    Args:
-        song: all notes of the song.
-        struck: the notes of the arrangement, as they are struck.
-    """
+    """What became of each note of a song, and the notes that were struck again, by their start."""
     played = {each.source: each.pitch for each in struck}
     again = [source for source in played if source.added]
     notes = sorted((*song, *again), key=lambda note: (note.start, note.pitch))
@@ -94,13 +89,7 @@ def fates_of(song: Sequence[Source], struck: Iterable[Struck]) -> tuple[Fate, ..
 
 
 def fidelity_of(fates: Sequence[Fate], arranged: Score, beats: Sequence[float]) -> Fidelity:
-    """Compares an arrangement with the song.
-
-    Args:
-        fates: what became of each note of the song.
-        arranged: the score of the arrangement.
-        beats: when beats begin [s].
-    """
+    """Compares an arrangement with the song, whose beats begin at these times [s]."""
     song = [fate for fate in fates if not fate.note.added]
     written = [fate.note for fate in song]
     sounding, played = pitch_classes(written, beats), pitch_classes(arranged.notes, beats)

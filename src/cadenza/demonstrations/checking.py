@@ -27,10 +27,8 @@ def problems(
 ) -> Iterator[str]:
     """Yields every problem of the episodes in a folder, as a line of text.
 
-    Args:
-        folder: The folder of the demonstrations.
-        replays: The number of episodes, spread evenly over all, that are played again and compared.
-        progress: The function that is told how many of how many episodes have been looked at.
+    So many episodes as `replays`, spread evenly over all, are played again and compared.
+    `progress` is told how many of how many episodes have been looked at.
 
     Raises:
         CadenzaError: it holds no demonstrations.

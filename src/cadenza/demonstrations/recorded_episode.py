@@ -312,14 +312,9 @@ def _impossible_value(facts: EpisodeFacts) -> str | None:
 def write(
     folder: Path, facts: EpisodeFacts, song: Score, score: Score, arrays: Mapping[str, Array]
 ) -> None:
-    """Writes an episode that is kept.
+    """Writes an episode that is kept, whose facts do not name its files yet.
 
-    Args:
-        folder: The folder of the episode.
-        facts: without its files.
-        song: The song as it was chosen.
-        score: The part of it that was to be played.
-        arrays: The arrays of STEPS and PLAN.
+    The `score` is the part of the `song` that was to be played; `arrays` are STEPS and PLAN.
     """
     for name, array in arrays.items():
         content = io.BytesIO()

@@ -27,10 +27,8 @@ class OnlineFingering:
     def __init__(self, players: Players, moments: int | None = None) -> None:
         """Sees no notes yet.
 
-        Args:
-            players: the hands that are there, and the keyboard.
-            moments: the horizon: the number of moments ahead of what is settled for which fingers
-                are found; by default all.
+        `moments` is the horizon: the number of moments ahead of what is settled for which fingers
+        are found; by default all.
         """
         self._horizon = moments
         self._space, self._num_fingers = state_space(players), players.reach.num_fingers

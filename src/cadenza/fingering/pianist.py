@@ -67,10 +67,8 @@ def pianist_fingering(
 
     Each hand plays what is written for it as far as it can, or what `find_fingering` gives to it.
 
-    Args:
-        score: a score, of which no fingers are kept.
-        players: the hands that are there, and the keyboard.
-        progress: receives the number of notes that are done, and of all.
+    No fingers of the score are kept. `progress` receives the number of notes that are done, and of
+    all.
 
     Returns:
         The score, and the dropped notes in their order.

@@ -206,11 +206,7 @@ class _Limits:
     def with_finger_on(self, sets: int, n: int, stroke: Stroke, given: bool = True) -> int:
         """`sets`, each with one more finger, the `n`-th, which reaches the key of `stroke`.
 
-        Args:
-            sets: a set of sets of fingers.
-            n: the place of `stroke` among the notes, from the lowest.
-            stroke: the note.
-            given: whether it has to be the finger, or the hand, that `stroke` gives, if any.
+        `given` says whether it has to be the finger, or the hand, that `stroke` gives, if any.
         """
         fingers = self.reaching[stroke.key]
         if given and stroke.finger is not None:

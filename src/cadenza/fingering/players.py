@@ -119,9 +119,7 @@ class Players:
 
         Forearms that are mounted too close to each other may be as close as that.
 
-        Args:
-            right: the place of the right one then [m].
-            left: the place of the left one, as if it were the right one [m].
+        Their places are `right` and, as if it were the right one, `left` [m].
         """
         room = sum(arm.high for arm in map(self.forearm, range(2)) if arm)
         return np.asarray(np.add(right, left) < min(self.reach.forearm_width, room))
@@ -159,15 +157,10 @@ def players_at(
     slides: bool,
     arm: Forearm | None = None,
 ) -> Players:
-    """Hands at a keyboard.
+    """Hands of such a reach at a keyboard, on these sides.
 
-    Args:
-        reach: the reach of either hand.
-        keyboard: the keyboard.
-        sides: the sides of the hands that are there.
-        hand_spacing: distance between the mounts of their forearms [m].
-        slides: whether the forearms slide along the whole keyboard.
-        arm: the range of a right hand on an arm, instead of a forearm that slides.
+    Their forearms are mounted `hand_spacing` [m] apart, and may slide along the whole keyboard;
+    `arm` is the range of a right hand on an arm instead.
     """
     end = keyboard.half_length  # as in the scene, see `cadenza.hands.forearm.joint_range`
 

@@ -109,13 +109,9 @@ def _penalised_changes(num_fingers: int) -> Array:
 def _costs_of_relations(
     relations: tuple[int, ...], gaps: tuple[float, ...], reach: Reach, costs: Costs
 ) -> tuple[Array, Array]:
-    """The costs of `finger_change_costs`.
+    """The costs of `finger_change_costs`, by relations (m' m,) of m notes to each of m' before.
 
-    Args:
-        relations: (m' m,) relations of each of m notes to each of m' before.
-        gaps: (m',) times from the ends of the notes before to now [s].
-        reach: the reach of the hands.
-        costs: the weights.
+    `gaps` (m',) are the times from the ends of the notes before to now [s].
     """
     relation = np.array(relations).reshape(len(gaps), -1)
     gap = np.array(gaps)[:, None]

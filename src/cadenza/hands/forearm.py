@@ -58,11 +58,8 @@ def mount_y(side: Side, hand_spacing: float) -> float:
 
 
 def joint_range(name: str, y: float, half_length: float) -> tuple[float, float]:
-    """The range of a forearm's joint [m, rad]; "tx" reaches all of the keyboard.
+    """The range of a forearm's joint [m, rad], by its name in `JOINTS`.
 
-    Args:
-        name: a key of `JOINTS`.
-        y: the place along the keyboard at which the forearm is mounted [m].
-        half_length: half the length of the keyboard [m].
+    "tx" reaches all of a keyboard of twice the `half_length`, from a mount at `y` [m].
     """
     return (-half_length - y, half_length - y) if name == "tx" else JOINTS[name].range

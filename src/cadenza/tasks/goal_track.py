@@ -179,13 +179,7 @@ class EpisodeGoals:
     """
 
     def __init__(self, num_envs: int, config: TaskConfig, scene: Scene) -> None:
-        """Allocates the goals of N environments, which begin with a reset.
-
-        Args:
-            num_envs: N.
-            config: the task's options.
-            scene: the hands and the keys.
-        """
+        """Allocates the goals of N environments, which begin with a reset."""
         self.tracks = [GoalTrack(Score(()), None, config, scene)] * num_envs
         self.num_steps = np.ones(num_envs, np.intp)
         self.steps_done = np.zeros(num_envs, np.intp)

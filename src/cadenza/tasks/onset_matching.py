@@ -39,13 +39,7 @@ class OnsetMatching:
     """
 
     def __init__(self, num_envs: int, keyboard: Keyboard, control_timestep: float) -> None:
-        """Waits for episodes to begin.
-
-        Args:
-            num_envs: N.
-            keyboard: the keys, and how loud they sound.
-            control_timestep: time of a control step [s].
-        """
+        """Waits for episodes to begin in N environments, in steps of `control_timestep` [s]."""
         self._keyboard, self._control_timestep = keyboard, control_timestep
         self._played = np.zeros((num_envs, len(_STEPS), keyboard.num_keys), bool)
 
@@ -60,13 +54,10 @@ class OnsetMatching:
         sounded: Mask,
         moving: NDArray[np.intp] | slice,
     ) -> OnsetErrors:
-        """Matches the onsets of the step that has been taken.
+        """Matches the onsets of the step that the environments `moving` have taken.
 
-        Args:
-            due: the notes, as they were upcoming before the step.
-            state: the simulations after the step.
-            sounded: (N, K) which keys sounded before the step.
-            moving: the environments that took the step.
+        `due` are the notes as they were upcoming before it, when the keys `sounded` (N, K), and
+        `state` is that after it.
         """
         took_it = np.zeros((len(sounded), 1), bool)
         took_it[moving] = True

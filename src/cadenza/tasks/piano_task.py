@@ -100,9 +100,6 @@ class PianoTask:
 
         Args:
             scores: the songs to draw from, one per episode.
-            config: the task's options.
-            scene: the scene or its options.
-            num_envs: N.
             num_threads: threads that share the simulation.
             reward_terms: name -> function of a `cadenza.Outcome` that returns (N,); they are added
                 to the reward, and one of the same name takes the place of the task's own.
@@ -176,12 +173,9 @@ class PianoTask:
         env_ids: Sequence[int],
         starts: Sequence[EpisodeStart] | None = None,
     ) -> None:
-        """Begins new episodes.
+        """Begins new episodes in environments, with a generator for each.
 
-        Args:
-            rngs: a generator for each of `env_ids`.
-            env_ids: in which environments.
-            starts: what is fixed about each of them; nothing by default.
+        `starts` say what is fixed about each episode; nothing by default.
         """
         starts = [EpisodeStart()] * len(env_ids) if starts is None else starts
         hand_qpos = np.tile(self.scene.hand_start, (len(env_ids), 1))

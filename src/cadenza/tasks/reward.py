@@ -81,11 +81,9 @@ def press_offset(key_half_size: Array) -> Array:
 
 
 def key_state(key_qpos: Array, travel: Array) -> Array:
-    """`(..., K)` how far the keys are down, 0..1.
+    """`(..., K)` how far keys at `key_qpos` (..., K) [rad] are down, 0..1.
 
-    Args:
-        key_qpos: (..., K) angles of the keys [rad].
-        travel: (K,) from rest to stop [rad].
+    `travel` (K,) is from rest to stop [rad].
     """
     xp = key_qpos.__array_namespace__()
     return xp.minimum(xp.maximum(key_qpos / travel, 0.0), 1.0)
@@ -273,12 +271,9 @@ class Reward:
     def __init__(
         self, config: TaskConfig, scene: Scene, more_terms: Mapping[str, RewardTerm] | None
     ) -> None:
-        """Chooses the terms by the options of a task, and adds those of the user.
+        """Chooses the terms by the options of a task.
 
-        Args:
-            config: which terms there are, and their options.
-            scene: the hands and the keys.
-            more_terms: terms that are added, or take the place of the task's of the same name.
+        `more_terms` are added, or take the place of the task's of the same name.
 
         Raises:
             CadenzaError: `more_terms` are not functions by name.

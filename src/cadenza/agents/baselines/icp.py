@@ -71,15 +71,8 @@ def rehearsed(
 ) -> Tracking:
     """Controls and states of a rehearsal, in which the planner's search refined the plan.
 
-    Each hand rehearses by itself. What disturbs it only in the performance, such as another arm,
-    is left to feedback.
-
-    Args:
-        plan: the plan of the whole song.
-        start: (J,) initial joint positions of the hands [m, rad].
-        rng: source of randomness of the search.
-        num_threads: the number of threads that share the search.
-        progress: receives the stage "rehearsing".
+    Each hand rehearses by itself, from joint positions `start` (J,) [m, rad]. What disturbs it only
+    in the performance, such as another arm, is left to feedback.
     """
     tracking = plan.nominal.tracking
     ctrl, expected = tracking.ctrl.copy(), tracking.expected.copy()
@@ -122,13 +115,7 @@ def with_nearest_fingers(track: GoalTrack) -> GoalTrack:
 
 
 def nearest_fingers(notes: Sequence[Note], hand: int, players: Players) -> list[int | None]:
-    """The finger of one hand for each of its notes, None for one that none is free for.
-
-    Args:
-        notes: the notes of one hand, by time.
-        hand: 0 for the right hand, 1 for the left.
-        players: the hands at their keyboard.
-    """
+    """The finger of one hand for each of its notes by time, None for one that none is free for."""
     forearm, lowest = players.forearm(hand), players.keyboard.lowest_pitch
     if forearm is None:
         return [None] * len(notes)

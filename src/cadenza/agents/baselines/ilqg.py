@@ -307,12 +307,7 @@ def box_qp(
 ) -> tuple[Array, Mask]:
     """Minimises x'Hx / 2 + g'x over low <= x <= high by projected Newton steps (Tassa 2014, III-B).
 
-    Args:
-        hessian: (m, m).
-        gradient: (m,).
-        low: (m,).
-        high: (m,).
-        start: (m,) initial guess.
+    The Hessian is (m, m), all others (m,); `start` is the initial guess.
 
     Returns:
         The solution (m,), and which of its elements are free (m,), not held at a limit.
@@ -361,12 +356,8 @@ def backward_pass(
 ) -> FeedbackLaw:
     """The feedback law that minimises the quadratic model within the limits (Tassa 2014, III-C).
 
-    Args:
-        model: the model of K steps; there is no terminal cost.
-        controls: (K, m) nominal controls.
-        low: (m,) limits of the controls.
-        high: (m,).
-        regularisation: added to the diagonal of the control Hessian (Levenberg-Marquardt).
+    The nominal `controls` (K, m) have the limits `low` and `high` (m,); there is no terminal cost.
+    `regularisation` is added to the diagonal of the control Hessian (Levenberg-Marquardt).
 
     Raises:
         np.linalg.LinAlgError: it takes more regularisation.

@@ -128,12 +128,8 @@ class RecedingPlanner:
     ) -> list[Press]:
         """The presses; those whose fingers are caught elsewhere begin again, from above.
 
-        Args:
-            presses: presses by time.
-            step: the step of the song.
-            now: the state before it, as presses count them.
-            tips: (F, 3) positions of the fingertips [m].
-            planned: (F', 3) planned positions of the tips of the present fingers [m].
+        `now` is the state before the step, as presses count them. Fingertips are at `tips` (F, 3),
+        and those that are there were to be at `planned` (F', 3) [m].
         """
         there, off = self._scene.present_fingers, np.zeros(len(tips))
         off[there] = np.hypot(*(tips[there] - planned)[:, :2].T)

@@ -99,11 +99,7 @@ class SongPlanner(EpisodePlanner):
         plans: Iterator[SongPlan],
         hands_for: Callable[[SongPlan], Sequence[PlanPlayer]],
     ) -> None:
-        """Plans the first window.
-
-        Args:
-            plans: plans of the song, of which each goes further than the one before.
-            hands_for: makes the hands that begin with a plan.
+        """Plans the first window; each of the `plans` goes further than the one before.
 
         Raises:
             CadenzaError: there are no hands in the scene.

@@ -208,13 +208,7 @@ def _melody(
     """Yields the notes of a melody over a chord a bar: (at, length) in steps, degree, chord.
 
     Bars begin with a tone of the chord. Other notes are tones of the chord, too, or are reached and
-    left by step.
-
-    Args:
-        sheet: the sheet of the etude.
-        chords: a chord for each bar.
-        low, high: the degrees between which the melody moves.
-        slow: whether to do without halves of beats.
+    left by step. It moves between the degrees `low` and `high`, if `slow` without halves of beats.
     """
     notes = list(_melody_rhythm(sheet, chords, slow))
     degrees = np.arange(low, high + 1)

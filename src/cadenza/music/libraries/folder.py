@@ -62,11 +62,8 @@ def import_folder(
 
     Files that cannot be read are left out.
 
-    Args:
-        folder: the folder, see `folder_library`.
-        name: the name of the library.
-        progress: is called with the number of files read, and of all.
-        replace, grade: see `new_library`.
+    `progress` is called with the number of files read, and of all; the rest is as in
+    `folder_library` and `new_library`.
 
     Raises:
         CadenzaError: nothing can be read, the index is damaged, or there is such a library.

@@ -89,12 +89,9 @@ class NewLibrary:
     """A line for each thing that looks wrong but could be read."""
 
     def add(self, file: str, score: Score, facts: Facts) -> None:
-        """Adds a piece to the index.
+        """Adds a piece to the index, by the name of its file in the folder.
 
-        Args:
-            file: the name of its file in the folder; without the ending, that of the piece.
-            score: its score, from which come length, notes, hands and difficulty.
-            facts: other facts about it.
+        Length, notes, hands and difficulty come from the score, other facts from `facts`.
         """
         counted = {
             "seconds": round(score.total_time, 2),
@@ -125,10 +122,7 @@ def new_library(
 ) -> Iterator[NewLibrary]:
     """Yields a library to add pieces to, and saves it when the block ends without an error.
 
-    Args:
-        name: the name of the library.
-        replace: whether it may replace a library of this name.
-        grade: grades the pieces; without it their difficulty is unknown.
+    It may `replace` a library of this name. Without a `grade` the difficulty of pieces is unknown.
 
     Raises:
         CadenzaError: the name is not allowed, there is such a library, nothing has been added, or

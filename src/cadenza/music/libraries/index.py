@@ -65,12 +65,8 @@ def read_table(
 ) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     """The names of the columns of a CSV file in lower case, and its lines with their numbers.
 
-    Empty lines are left out, and so are cells that no column has a name for.
-
-    Args:
-        text: of the file.
-        where: named in errors, with the line.
-        strict: whether quotation marks in the middle of a cell are an error.
+    Empty lines are left out, and so are cells that no column has a name for. If `strict`, quotation
+    marks in the middle of a cell are an error. Errors name `where` and the line.
 
     Raises:
         CadenzaError: it is no CSV.

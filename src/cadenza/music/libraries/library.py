@@ -123,12 +123,7 @@ def find_song(name_or_path: str | Path) -> Song:
 def load_score(
     name_or_path: str | Path, tracks: Collection[int] = (), plain: bool = False
 ) -> Score:
-    """The score of a song, see `find_song`.
-
-    Args:
-        name_or_path: the song or file.
-        tracks: the numbers of the tracks to be played, as in `Score.tracks`; all by default.
-        plain: plays notes as they stand, whatever signs they have.
+    """The score of a song or file, see `find_song` and `Song.load`.
 
     Raises:
         CadenzaError: no such song or track, a format that is not read, or a file that

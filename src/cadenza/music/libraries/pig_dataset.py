@@ -62,10 +62,8 @@ def import_pig(
 ) -> NewLibrary:
     """Imports the dataset as the library `repertoire-150`; damaged pieces are left out.
 
-    Args:
-        source: its folder, or the ZIP file, as downloaded.
-        progress: is called with the number of pieces read, and of all.
-        replace, grade: see `new_library`.
+    The source is its folder, or the ZIP file, as downloaded. `progress` is called with the number
+    of pieces read, and of all; for the rest see `new_library`.
 
     Raises:
         CadenzaError: it is not the dataset, nothing in it can be read, or it was imported before.
@@ -218,11 +216,8 @@ def _pieces(content: bytes, where: str, left_out: list[str]) -> list[_Piece]:
 def read_fingered(content: bytes, where: str) -> Score:
     """The notes in a file, with their fingers; `Score.remarks` says what looks wrong.
 
-    What cannot be played on one piano is repaired as by `read_midi`, and a remark, too.
-
-    Args:
-        content: of the file.
-        where: how errors call it; the number of a line follows.
+    What cannot be played on one piano is repaired as by `read_midi`, and a remark, too. Errors call
+    the file `where`, with the number of a line.
 
     Raises:
         CadenzaError: it is no text or has no notes, it lasts over an hour, or a line is wrong.

@@ -131,13 +131,9 @@ link_collisions = lru_cache(maxsize=8)(LinkCollisions)  # plans that are short a
 def _closest(between: Array, along_a: Array, along_b: Array) -> Array:
     """(2, ...) the points of segments that are nearest to each other, as shares of their lengths.
 
-    Source: Ericson, Real-Time Collision Detection (2005), 5.1.9. Parallel segments may give any of
-    their nearest points.
-
-    Args:
-        between: (..., 3) the vector from the second segment's beginning to the first one's.
-        along_a: (..., 3) the first segment, from its beginning to its end.
-        along_b: (..., 3) the second segment.
+    Both are (..., 3), from beginning to end, and `between` leads from the second one's beginning to
+    the first one's. Source: Ericson, Real-Time Collision Detection (2005), 5.1.9. Parallel segments
+    may give any of their nearest points.
     """
     aa, bb = np.vecdot(along_a, along_a), np.vecdot(along_b, along_b)
     ab = np.vecdot(along_a, along_b)

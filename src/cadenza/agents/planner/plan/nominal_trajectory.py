@@ -233,14 +233,8 @@ class MotionPlanner:
     ) -> PostureTrajectory:
         """Finds the postures before the steps from `first` to `last`, and after the last.
 
-        Args:
-            plan: the plan of the steps before, with one posture or more.
-            presses: the presses that concern these steps.
-            first: the first step, as presses count them.
-            last: the step after the last one.
-            progress: receives the stage "postures".
-            warm_start: (N, A) the `correction` that was found before for the first N postures.
-            options: parameters of the solver.
+        The `presses` count steps so. The `plan` of the steps before has one posture or more, and
+        `warm_start` (N, A) is the `correction` found before for the first N postures.
         """
         dt = self._dt
         targets = targets_of(self._scene, presses, last + 1, dt).part(first, last + 1)
@@ -261,14 +255,10 @@ class MotionPlanner:
         found: PostureTrajectory,
         played: int | None = None,
     ) -> NominalTrajectory:
-        """Finds the controls that lead the hands along postures.
+        """Finds the controls that lead the hands along postures, after the steps of `plan`.
 
-        Args:
-            plan: the plan of the steps before.
-            presses: the presses of the trajectory.
-            found: the trajectory.
-            played: the number of steps that will be played by this plan, all by default. The
-                controls of the steps after those do without what makes up for forces.
+        The controls of steps after the first `played`, all by default, do without what makes up for
+        forces.
         """
         servos, postures, start = self._servos, found.postures, plan.tracking.expected[-1]
         steps = len(postures) - 1 if played is None else played

@@ -96,13 +96,8 @@ def release_in_time(
     A press lasts `_MIN_LENGTH` at least. One that the hand can hold together with all that it
     strikes is not cut.
 
-    Args:
-        presses: presses by time; those that begin together are by key.
-        places: (K, F) positions of a forearm, from its mount, when one of its fingers presses a key
-            at rest [m].
-        is_black: (K,) whether keys are black.
-        dt: control step [s].
-        hand: the kind of both hands.
+    The presses are by time, then by key. `places` (K, F) are the positions of a forearm, from its
+    mount, when one of its fingers presses a key at rest [m]; `dt` is the control step [s].
     """
     if not presses:
         return []

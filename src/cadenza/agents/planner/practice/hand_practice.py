@@ -120,13 +120,8 @@ class HandPractice:
     ) -> Attempt:
         """Tries to lower the loss at a step that is drawn.
 
-        Args:
-            trajectory: the trajectory of all hands.
-            first: the earliest step that may change.
-            weight: (L,) probabilities to draw each step from there on, not normalised.
-            last: the step up to which changes may be evaluated.
-            scene_before: returns the whole scene before a step of the trajectory.
-            rng: source of randomness.
+        Steps from `first` on may change, and are drawn by `weight` (L,), which need not sum to 1;
+        changes may be evaluated up to `last`.
         """
         step = first + int(rng.choice(len(weight), p=weight / weight.sum()))
         if rng.random() < 0.5:  # where a key went wrong, as often as where it still is
@@ -296,14 +291,7 @@ class Perturbations:
 
         Half are noise, interpolated from the first step to the last or constant. The others move
         earlier or later, go some of the way to the plan, stay where they are, or lift the hand and
-        bring it down again.
-
-        Args:
-            path: (T, A) positions before each step.
-            first: the first step.
-            last: the step after the last one.
-            count: N, the number of candidates.
-            rng: source of randomness.
+        bring it down again. `path` (T, A) are the positions before each step.
         """
         kinds = (
             self._noise,

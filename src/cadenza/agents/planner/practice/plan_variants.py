@@ -206,14 +206,8 @@ def spliced(
 ) -> Trajectory:
     """A copy of a trajectory with some steps of each hand from another one.
 
-    Its costs are those of the first: costs are of all hands at once.
-
-    Args:
-        trajectory: T steps.
-        other: another trajectory of the same song.
-        where: (T, H) the steps of each hand that come from there.
-        goals: the goals of the H hands in the other trajectory.
-        servos: the servos of each hand among those of all.
+    Its costs are those of the first: costs are of all hands at once. `where` (T, H) are the steps
+    of each hand that come from the other, in which the hands have these `goals`.
     """
     result = trajectory.copied()
     for hand, (each, own) in enumerate(zip(goals, servos, strict=True)):
@@ -228,13 +222,9 @@ def spliced(
 
 
 def better_windows(loss: Array, other: Array, excluded: Mask, window: int) -> Mask:
-    """(T, H) the windows of each hand in which another trajectory has a lower loss.
+    """(T, H) the windows of each hand, of so many steps, in which an `other` loss (T, H) is lower.
 
-    Args:
-        loss: (T, H) loss of a trajectory.
-        other: (T, H) loss of the other one.
-        excluded: (T, H) steps whose windows are never taken from the other one.
-        window: length of a window in steps.
+    Windows with steps that are `excluded` (T, H) are not among them.
     """
     begins = np.arange(0, len(loss), window)
     mine, others = (np.add.reduceat(each, begins) for each in (loss, other))

@@ -123,8 +123,6 @@ class WholeScene:
         Args:
             trajectory: the trajectory, with what was played before these steps.
             known: the snapshots of its scene, one of them of the step `first` or before.
-            first: the first step.
-            last: the step after the last one.
             every: steps between new snapshots; there is one at the end too if it falls there.
             act: returns the controls (A,) of a step in a state; by default those of the trajectory,
                 with feedback, are played.

@@ -38,13 +38,9 @@ class EscapeMotions:
         return self._servos.clip(ctrl + self._lift(self._servos.lift, seconds, len(ctrl)))
 
     def of_one_duration(self, ctrl: Array, caught: Mask, posture: Array, step: int) -> Array:
-        """(3, H, A) `ctrl` with the fingers lifted that are caught; with the hand; with all.
+        """(3, H, A) `ctrl` (H, A) with the fingers lifted that are caught; with the hand; with all.
 
-        Args:
-            ctrl: (H, A) controls.
-            caught: (F,) whether each finger is caught.
-            posture: (A,) the present posture of the hand.
-            step: the first step of the horizon.
+        `caught` (F,) says which these are, and `posture` (A,) is that of the hand now.
         """
         return self._lifted(ctrl, caught, posture, 0.0)[step % len(_LIFTS) :: len(_LIFTS)]
 
@@ -113,12 +109,8 @@ class NetworkCandidate:
     ) -> Iterator[Array]:
         """The controls (A,) of each of H steps, for a rollout in slot 0 that is made with them.
 
-        Args:
-            simulator: the simulator of this hand.
-            step: the first of the steps.
-            planned: (H, A) the controls of the plan, without feedback.
-            previous: (A,) the correction of the controls of the step before.
-            key_qpos: (K,) the angles of all keys before the first step [rad].
+        They correct those `planned` (H, A) from `step` on, before which the correction was
+        `previous` (A,) and all keys at `key_qpos` (K,) [rad].
         """
         key_qpos, output = key_qpos.copy(), self._corrections.output(previous[None])
         for row, ctrl in enumerate(planned, step):

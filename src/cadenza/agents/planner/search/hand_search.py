@@ -293,12 +293,8 @@ class HandSearch:
         Stops when controls make no mistakes. Iterations after the first must leave a budget for the
         first ones of later steps, which gain the most.
 
-        Args:
-            nominal: (H, A)
-            best: (H, A) the cheapest controls so far.
-            rollout: the rollout of these.
-            steps: (H,) the steps of the horizon.
-            caught: (F,) whether each finger is caught.
+        `best` (H, A) are the cheapest controls so far, and `rollout` is theirs. `caught` (F,) says
+        which fingers are caught.
         """
         if self._network and not caught.any():
             ctrl, candidate = self._network_candidate(self._network, rollout.cost)

@@ -100,11 +100,8 @@ class HorizonCost:
     def by_finger(self, key_qpos: Array, fingertips: Array) -> Array:
         """(L, F) the cost of each of the first L steps, by finger.
 
-        The cost of a key goes to the finger that should press it, or to the nearest one.
-
-        Args:
-            key_qpos: (L, K) after each step [rad].
-            fingertips: (L, F, 3) after each step [m].
+        The cost of a key goes to the finger that should press it, or to the nearest one. After each
+        step keys are at `key_qpos` (L, K) [rad] and `fingertips` at (L, F, 3) [m].
         """
         steps = len(key_qpos)
         sounding = key_qpos >= self._sounds_from
@@ -134,11 +131,8 @@ class HorizonCost:
         """Fingertip errors, clipped, with targets that are moved where a key sounded wrong.
 
         A target is deeper where a key should have sounded and did not, and higher where a fingertip
-        came down on a key that should not have sounded.
-
-        Args:
-            fingertips: (H, F, 3) after each step [m].
-            key_qpos: (H, K) after each step [rad].
+        came down on a key that should not have sounded. After each step `fingertips` are at
+        (H, F, 3) [m] and keys at `key_qpos` (H, K) [rad].
 
         Returns:
             (H, F, 3) errors [m] and (H, F) weights, 1 for fingers that play.

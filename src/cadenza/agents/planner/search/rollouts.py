@@ -96,14 +96,8 @@ def roll_out(
 ) -> Rollout:
     """Simulates controls (H, A), whose rows may depend on the state that was reached.
 
-    Args:
-        simulator: the simulator of the hand, started.
-        horizon: the cost.
-        ctrl: (H, A)
-        slot: the slot of the simulator.
-        judged: the number of steps that count in the cost and the mistakes; all by default.
-        cutoff: the expected cost at which a rollout is given up.
-        cost_to_go: (H,) the cost that is expected after each step; without it, nothing is given up.
+    The first `judged` steps count in the cost and the mistakes, all by default. With `cost_to_go`
+    (H,), which is expected after each step, a rollout that is to cost `cutoff` is given up.
     """
     cost, mistakes, costs = 0.0, 0, list[float]()
     tips, hand_qpos, key_qvel, key_paths = (list[Array]() for _ in range(4))

@@ -66,15 +66,10 @@ class StrikeRefinement:
         roll_out: Callable[[Array], Rollout],
         iterations: int,
     ) -> Refined:
-        """Finds the cheapest controls, with no more mistakes.
+        """Finds the cheapest controls with no more mistakes than `ctrl` (H, A), and their rollout.
 
-        Args:
-            ctrl: (H, A) the controls to begin with.
-            rollout: the rollout of these.
-            strikes: the strikes to refine.
-            jacobian: gives derivatives (S, F, 3, A) of fingertips by servos at joints (S, J).
-            roll_out: simulates controls (H, A).
-            iterations: the maximum number of rollouts.
+        `jacobian` gives derivatives (S, F, 3, A) of fingertips by servos at joints (S, J), and
+        `roll_out` simulates controls (H, A), in so many `iterations` at most.
         """
         if not len(strikes):
             return Refined(ctrl, rollout, 0)
@@ -132,11 +127,9 @@ class _Search:
         self._iteration = 0
 
     def update(self, outcome: Array, faults: Array) -> None:
-        """Takes the outcome of what was tried last.
+        """Takes the outcome (N, 2) of what was tried last, times and log2 of speeds.
 
-        Args:
-            outcome: (N, 2) times, and log2 of speeds.
-            faults: (N,) keys and onsets near the strikes that are wrong.
+        `faults` (N,) are the keys and onsets near the strikes that are wrong.
         """
         self._update_jacobian(outcome)
         error = (outcome - self._wanted) / UNIT

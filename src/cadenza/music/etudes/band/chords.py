@@ -105,12 +105,9 @@ _BLUES = (0, 3, 4, 5, 6, 7, 10)
 
 
 def melody_scale(key: Key, chord: SongChord, colour: str) -> frozenset[int]:
-    """The pitch classes that a melody has over a chord.
+    """The pitch classes that a melody has over a chord: a "scale", "pentatonic" or "blues".
 
-    Args:
-        key: the key of the song.
-        chord: tones of it that the key has not replace those next to them.
-        colour: "scale", "pentatonic" or "blues".
+    Tones of the chord that the key has not replace those next to them.
     """
     tonic = key.pitch(0)
     if colour == "blues":

@@ -127,9 +127,7 @@ _LATE_RHYTHM = 25  # bass and drums come in after the intro
 def make_band(seed: int) -> Band:
     """A song of one to three minutes for a band: melody, chords, bass, drums and more.
 
-    Args:
-        seed: the seed of style, key, tempo, form, chords, melody and instruments; the same seed
-            gives the same song.
+    The same seed gives the same song.
 
     Raises:
         CadenzaError: `seed` is no such number.

@@ -134,13 +134,9 @@ class _Slot:
 def melody(
     passage: Passage, singing: Singing, pickups: bool, before: int | None = None
 ) -> list[Tone]:
-    """The melody of a section, one note at a time.
+    """The melody of a section, one note at a time, by a player whose last pitch was `before`.
 
-    Args:
-        passage: the section.
-        singing: range, rhythm and scale.
-        pickups: whether phrases may begin before their first bars; the first of the section, too.
-        before: the pitch that the same player had last, or None.
+    With `pickups`, phrases may begin before their first bars; the first of the section, too.
     """
     rng = passage.rng
     count = max(passage.bars // _PHRASE, 1)
@@ -199,15 +195,10 @@ def _pitches(
     before: int | None,
     last: bool,
 ) -> list[int]:
-    """Pitches of a phrase.
+    """Pitches of a phrase after the pitch `before`, if any.
 
-    Args:
-        passage: the section.
-        singing: range and scale.
-        slots: the notes.
-        model: the pitches of an earlier phrase that this one resembles, or none.
-        before: the last pitch of the phrase before, or None.
-        last: whether it is the last phrase of the section, which may end unlike its model.
+    It resembles the pitches of an earlier one, its `model`, if there is one; the `last` phrase of a
+    section may end in another way.
     """
     candidates = [_candidates(passage, singing, slot) for slot in slots]
     targets = _line(passage.rng, singing, len(slots))

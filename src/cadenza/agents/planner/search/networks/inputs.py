@@ -228,14 +228,10 @@ class HandInputs:
     def at(
         self, step: int, posture: Array, previous: Array, tips: Array, key_qpos: Array
     ) -> Floats:
-        """(H, D) the inputs at a step.
+        """(H, D) the inputs at a step of the song.
 
-        Args:
-            step: the step of the song.
-            posture: (H, A, 2) position and velocity of the servos.
-            previous: (H, A) the outputs of the step before.
-            tips: (H F, 3) fingertips [m].
-            key_qpos: (K,) [rad]
+        Servos are in a `posture` (H, A, 2), fingertips at `tips` (H F, 3) [m] and keys at
+        `key_qpos` (K,) [rad]; `previous` (H, A) are the outputs of the step before.
         """
         row, sign = step - self._first, self._sign
         error = (posture - self._tracking.expected[step]) * self._mirror.servos[..., None]
