@@ -8,15 +8,12 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.metrics import ONSET_TOLERANCE
+from cadenza.music.metrics import ONSET_TOLERANCE, Pair, matched_notes
 from cadenza.music.performance import SAME_NOTE
 from cadenza.music.score import Note, Score
 
-Pair = tuple[Note, Note]  # a note that was written, and the note played for it
-
 _LOUDEST = 127  # MIDI velocity
 _VELOCITY_TOLERANCE = 0.1  # of the range of the written velocities; the default of mir_eval
-_DECIMALS = 4  # to which mir_eval rounds differences in time [s]
 _TAIL = 90  # percentile that says how large errors become, beside the median
 
 
@@ -67,27 +64,6 @@ def expressive_metrics(played: Score, written: Score) -> dict[str, float | None]
         **_loudness(pairs, written),
         **_note_f1(close, written, played),
     }
-
-
-def matched_notes(written: Iterable[Note], played: Iterable[Note], tolerance: float) -> list[Pair]:
-    """A largest matching of notes of one pitch that begin within `tolerance` [s] of each other.
-
-    Both are in order of time. It takes a time that grows with the number of notes.
-    """
-    unmatched: dict[int, list[Note]] = defaultdict(list)
-    for note in played:
-        unmatched[note.pitch].append(note)
-    for notes in unmatched.values():
-        notes.reverse()  # the first is then taken from the end
-    pairs: list[Pair] = []
-    for note in written:
-        waiting = unmatched[note.pitch]
-        # What begins too early for this note is too early for all later ones.
-        while waiting and round(note.start - waiting[-1].start, _DECIMALS) > tolerance:
-            waiting.pop()
-        if waiting and round(waiting[-1].start - note.start, _DECIMALS) <= tolerance:
-            pairs.append((note, waiting.pop()))
-    return pairs
 
 
 def _without(notes: Iterable[Note], others: Iterable[Note]) -> list[Note]:

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from bisect import bisect_left, bisect_right
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.performance import SAME_NOTE, key_runs
-from cadenza.music.score import LOWEST_PITCH, Score
+from cadenza.music.performance import SAME_NOTE, performed_score
+from cadenza.music.score import LOWEST_PITCH, Note, Score
+
+Pair = tuple[Note, Note]
+"""A note that was written, and the note played for it."""
 
 # The defaults of mir_eval
 ONSET_TOLERANCE = 0.05  # [s]
@@ -88,106 +96,102 @@ def playing_metrics(
         "sustain_recall": float(pedal[1].mean()),
         "sustain_f1": float(pedal[2].mean()),
         **_note_metrics(
-            _Notes.of_score(score, seconds := len(key_activation) * dt, lowest_pitch),
-            _Notes.of_roll(key_activation, dt)
-            if played is None
-            else _Notes.of_score(played, seconds, lowest_pitch),
+            _beginning(score, seconds := len(key_activation) * dt),
+            _beginning(
+                performed_score(key_activation, sustain_activation, dt, None, lowest_pitch)
+                if played is None
+                else played,
+                seconds,
+            ),
         ),
     }
 
 
-def _note_metrics(reference: _Notes, estimated: _Notes) -> dict[str, float]:
-    """Metrics of whole notes: those of the score are the reference, those played the estimate."""
-    if not len(reference.key) or not len(estimated.key):
+def _note_metrics(written: list[Note], played: list[Note]) -> dict[str, float]:
+    """Metrics of whole notes, which are by pitch and then time."""
+    if not written or not played:
         # Silence where nothing was to sound is right, though mir_eval gives it a score of 0.
-        f1 = float(len(reference.key) == len(estimated.key))
-        return {"note_onset_f1": f1, "note_onset_offset_f1": f1, "timing_error": math.nan}
-    near = reference.near(estimated, ONSET_TOLERANCE)
-    ends = near[:, reference.ends_with(estimated, near)]
-    pairs = _matched_in_order(reference.near(estimated, SAME_NOTE))
-    errors = [abs(reference.start[i] - estimated.start[j]) for i, j in pairs]
+        right = float(len(written) == len(played))
+        return {"note_onset_f1": right, "note_onset_offset_f1": right, "timing_error": math.nan}
+
+    def f1(pairs: int) -> float:
+        precision, recall = pairs / len(played), pairs / len(written)
+        return 2 * precision * recall / (precision + recall) if pairs else 0.0
+
+    pairs = matched_notes(written, played, SAME_NOTE)
+    errors = [abs(note.start - mine.start) for note, mine in pairs]
     return {
-        "note_onset_f1": _f1(len(_matched_in_order(near)), reference, estimated),
-        "note_onset_offset_f1": _f1(_matching_size(ends), reference, estimated),
+        "note_onset_f1": f1(len(matched_notes(written, played, ONSET_TOLERANCE))),
+        "note_onset_offset_f1": f1(_matching_size(_alike(written, played))),
         "timing_error": float(np.mean(errors)) if errors else math.nan,
     }
 
 
-class _Notes(NamedTuple):
-    """N notes by key and then time: starts (N,), ends (N,) [s], and keys (N,)."""
+def _beginning(score: Score, seconds: float) -> list[Note]:
+    """The notes that begin in the first `seconds`, by pitch and then time, cut off there."""
+    latest = round(seconds, 9)
+    notes = (
+        note if note.end <= latest else replace(note, end=latest)
+        for note in score.notes
+        if note.start < latest
+    )
+    return sorted(notes, key=attrgetter("pitch", "start", "end"))
 
-    start: NDArray[np.floating[Any]]
-    end: NDArray[np.floating[Any]]
-    key: NDArray[np.intp]
 
-    @classmethod
-    def of_score(cls, score: Score, seconds: float, lowest_pitch: int) -> _Notes:
-        """The notes of `score` that begin in its first `seconds`, cut off there."""
-        latest = round(seconds, 9)
-        notes = [
-            (n.pitch - lowest_pitch, n.start, min(n.end, latest))
-            for n in score.notes
-            if n.start < latest
+def matched_notes(written: Iterable[Note], played: Iterable[Note], tolerance: float) -> list[Pair]:
+    """A largest matching of notes of one pitch that begin within `tolerance` [s] of each other.
+
+    Those of a pitch are in order of time, and the first is matched with the first. It takes a time
+    that grows with the number of notes.
+    """
+    unmatched: dict[int, list[Note]] = defaultdict(list)
+    for note in played:
+        unmatched[note.pitch].append(note)
+    for notes in unmatched.values():
+        notes.reverse()  # the first is then taken from the end
+    pairs: list[Pair] = []
+    for note in written:
+        waiting = unmatched[note.pitch]
+        # What begins too early for this note is too early for all later ones.
+        while waiting and round(note.start - waiting[-1].start, _DECIMALS) > tolerance:
+            waiting.pop()
+        if waiting and round(waiting[-1].start - note.start, _DECIMALS) <= tolerance:
+            pairs.append((note, waiting.pop()))
+    return pairs
+
+
+def _alike(written: Sequence[Note], played: Sequence[Note]) -> list[tuple[int, int]]:
+    """Pairs of indices of notes of one pitch that begin and end together."""
+    by_pitch: dict[int, tuple[list[float], list[int]]] = defaultdict(lambda: ([], []))
+    for j, note in enumerate(played):
+        starts, indices = by_pitch[note.pitch]
+        starts.append(note.start)
+        indices.append(j)
+    pairs = []
+    for i, note in enumerate(written):
+        starts, indices = by_pitch[note.pitch]
+        room = ONSET_TOLERANCE + 10.0**-_DECIMALS
+        low, high = note.start - room, note.start + room
+        near = slice(bisect_left(starts, low), bisect_right(starts, high))
+        tolerance = max(_OFFSET_RATIO * (note.end - note.start), ONSET_TOLERANCE)
+        pairs += [
+            (i, j)
+            for j in indices[near]
+            if round(abs(note.start - played[j].start), _DECIMALS) <= ONSET_TOLERANCE
+            and round(abs(note.end - played[j].end), _DECIMALS) <= tolerance
         ]
-        key, start, end = np.array(sorted(notes)).reshape(-1, 3).T
-        return cls(start, end, key.astype(np.intp))
-
-    @classmethod
-    def of_roll(cls, roll: NDArray[Any], dt: float) -> _Notes:
-        """The notes of a roll (T, K) of steps of `dt` [s]."""
-        first, last, key = key_runs(roll)
-        return cls(first * dt, last * dt, key)
-
-    def near(self, others: _Notes, tolerance: float) -> NDArray[np.intp]:
-        """(2, P) indices of pairs, of these notes and `others`, with one key and near starts.
-
-        `tolerance` is how far apart they may start [s].
-        """
-        # All keys share one axis, on which they are further apart than notes that are near.
-        apart = max(self.start.max(), others.start.max()) + 1.0 + 2 * tolerance
-        mine, theirs = self.key * apart + self.start, others.key * apart + others.start
-        room = tolerance + 10.0**-_DECIMALS
-        low, high = (np.searchsorted(mine, theirs + side) for side in (-room, room))
-        count = high - low
-        j = np.repeat(np.arange(len(theirs)), count)
-        i = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - low, count)
-        return np.stack([i, j])[:, _is_within(self.start[i] - others.start[j], tolerance)]
-
-    def ends_with(self, others: _Notes, pairs: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """(P,) whether the notes of each of `pairs` (2, P) also end together."""
-        i, j = pairs
-        tolerance = np.maximum(_OFFSET_RATIO * (self.end[i] - self.start[i]), ONSET_TOLERANCE)
-        return _is_within(self.end[i] - others.end[j], tolerance)
+    return pairs
 
 
-def _is_within(difference: NDArray[Any], tolerance: Any) -> NDArray[np.bool_]:
-    return np.asarray(np.around(np.abs(difference), _DECIMALS) <= tolerance)
-
-
-def _matched_in_order(near: NDArray[np.intp]) -> list[tuple[int, int]]:
-    """A largest matching among the pairs `near` (2, P), the first note with the first."""
-    taken: dict[int, int] = {}
-    done = -1
-    for i, j in near.T.tolist():
-        if j > done and i not in taken:
-            taken[i] = done = j
-    return sorted(taken.items())
-
-
-def _matching_size(edges: NDArray[np.intp]) -> int:
-    """The size of a largest matching in the bipartite graph of `edges` (2, P)."""
+def _matching_size(edges: Sequence[tuple[int, int]]) -> int:
+    """The size of a largest matching in the bipartite graph of these edges."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import maximum_bipartite_matching
 
-    if not edges.size:
+    if not edges:
         return 0
-    graph = coo_array((np.ones(edges.shape[1]), tuple(edges))).tocsr()
+    graph = coo_array((np.ones(len(edges)), tuple(np.array(edges).T))).tocsr()
     return int((maximum_bipartite_matching(graph) >= 0).sum())
-
-
-def _f1(pairs: int, reference: _Notes, estimated: _Notes) -> float:
-    precision, recall = pairs / len(estimated.key), pairs / len(reference.key)
-    return 2 * precision * recall / (precision + recall) if pairs else 0.0
 
 
 def _ratio(part: NDArray[Any], whole: NDArray[Any]) -> NDArray[np.float64]:
