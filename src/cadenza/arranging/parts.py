@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from cadenza.arranging.likeness import CALLED_BASS, Line, likeness_by_name
 from cadenza.music.score import CHORD_TOLERANCE, RELEASE_TIME, Note, Score, chords
+from cadenza.music.viterbi import cheapest_sequence
 
 Array = NDArray[np.float64]
 
@@ -169,13 +170,5 @@ def _activity(parts: Sequence[Part], edges: Sequence[float]) -> Array:
 
 def _best_parts(likeness: Array) -> list[int]:
     """The best sequence of parts over the stretches (P, S), with a cost for each change."""
-    total, backpointers = likeness[:, 0], []
-    for column in likeness.T[1:]:
-        best = int(np.argmax(total))
-        stay = total >= total[best] - _CHANGE
-        backpointers.append(np.where(stay, np.arange(len(total)), best))
-        total = np.where(stay, total, total[best] - _CHANGE) + column
-    path = [int(np.argmax(total))]
-    for before in reversed(backpointers):
-        path.append(int(before[path[-1]]))
-    return path[::-1]
+    change = _CHANGE * (1 - np.eye(len(likeness)))
+    return cheapest_sequence(list(-likeness.T), [change] * (likeness.shape[1] - 1))

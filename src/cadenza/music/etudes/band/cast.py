@@ -11,12 +11,11 @@ from cadenza.music.etudes.band.melody import Singing
 from cadenza.music.etudes.band.parts import DRUM_CHANNEL, Role
 from cadenza.music.etudes.band.passage import happens, pick
 from cadenza.music.etudes.band.styles import (
-    RANGES,
-    USUAL_RANGE,
     VOICE_PROGRAMS,
     VOICE_RANGES,
     Chair,
     Style,
+    range_of,
 )
 from cadenza.music.etudes.keys import OCTAVE
 from cadenza.music.etudes.sheet import Tone
@@ -152,7 +151,7 @@ def random_cast(rng: np.random.Generator, style: Style) -> Cast:
 
 def _singing(rng: np.random.Generator, program: int, cells: str, colour: str) -> Singing:
     sung = program in VOICE_PROGRAMS
-    low, high = pick(rng, VOICE_RANGES) if sung else RANGES.get(program, USUAL_RANGE)
+    low, high = pick(rng, VOICE_RANGES) if sung else range_of(program)
     return Singing(low, high, cells, colour)
 
 

@@ -13,8 +13,7 @@ from cadenza.music.etudes.band.cast import Cast, Player, random_cast
 from cadenza.music.etudes.band.melody import Singing, answers, melody, second_voice
 from cadenza.music.etudes.band.parts import Band, Section
 from cadenza.music.etudes.band.passage import Passage, happens, pick
-from cadenza.music.etudes.band.plan import Plan, planned
-from cadenza.music.etudes.band.playing import played, random_hand
+from cadenza.music.etudes.band.plan import Plan, planned, played, random_hand
 from cadenza.music.etudes.band.styles import styles
 from cadenza.music.etudes.band.voicings import nearest
 from cadenza.music.etudes.keys import OCTAVE

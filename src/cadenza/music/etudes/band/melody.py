@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cadenza.music.etudes.band.chords import SongChord, melody_scale
 from cadenza.music.etudes.band.passage import Passage, happens, one_at_a_time, pick
+from cadenza.music.etudes.band.styles import tables
 from cadenza.music.etudes.keys import OCTAVE
 from cadenza.music.etudes.sheet import Tone
 from cadenza.music.etudes.voice_leading import (
@@ -26,54 +27,6 @@ Rhythm = tuple[float, ...]
 Phrase = tuple[tuple[float, float], ...]
 """Onset and length of the notes of a phrase, in quarters from its beginning."""
 
-# Rhythms of bars within a phrase. Each is (the calm, the lively).
-CELLS: dict[str, tuple[Rhythm, ...]] = {
-    "straight": (
-        (0, 1, 2, 3),
-        (0, 2, 3),
-        (0, 1.5, 2, 3),
-        (0, 0.5, 1, 2, 3),
-        (1, 1.5, 2, 3),
-        (0, 1, 1.5, 2, 3),
-        (0.5, 1, 1.5, 2, 3),
-        (0, 0.5, 1, 1.5, 2, 3),
-    ),
-    "syncopated": (
-        (0, 1, 1.5, 2.5, 3),
-        (0, 1.5, 2.5, 3.5),
-        (0.5, 1, 1.5, 2.5, 3),
-        (0, 0.5, 1.5, 2, 3.5),
-        (0.5, 1, 1.5, 2, 2.5, 3.5),
-        (0, 0.5, 1, 1.5, 2.5, 3),
-        (1, 1.5, 2.5, 3, 3.5),
-    ),
-    "sixteenths": (
-        (0, 0.5, 0.75, 1.5, 2, 3),
-        (0.5, 0.75, 1, 1.5, 2.5, 2.75, 3),
-        (0, 0.75, 1.5, 2, 2.75, 3.5),
-        (0, 1.5, 2, 2.5, 3, 3.5),
-        (0.5, 1, 1.25, 1.5, 2, 3),
-        (0, 2, 2.5, 2.75, 3),
-    ),
-    "swing": (
-        (0, 1.5, 2, 3.5),
-        (0.5, 1, 1.5, 2, 3),
-        (0, 1, 1.5, 2.5),
-        (1, 1.5, 2, 2.5, 3.5),
-        (0, 0.5, 1, 1.5, 2, 3.5),
-        (0, 2, 2.5, 3, 3.5),
-        (0, 1.5, 3),
-    ),
-    "solo": (
-        (0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5),
-        (0.5, 1, 1.5, 2, 2.5, 3),
-        (0, 0.5, 1, 1.5, 2.5, 3, 3.5),
-        (0, 1, 1.5, 2, 2.5, 3),
-        (1, 1.5, 2, 2.5, 3, 3.5),
-    ),
-    "waltz": ((0, 1, 2), (0, 2), (0, 1.5, 2), (0, 0.5, 1, 2), (0, 1, 1.5, 2), (0, 2, 2.5)),
-    "waltz solo": ((0, 0.5, 1, 1.5, 2, 2.5), (0.5, 1, 1.5, 2), (0, 1, 1.5, 2, 2.5)),
-}
 _ENDS: tuple[Rhythm, ...] = ((0,), (0, 1), (0, 0.5, 1), (0, 1.5), (0, 0.5), (0, 0.5, 1, 1.5))
 """Rhythms of the last bars of phrases, after whose last notes the singer breathes."""
 _PICKUPS: tuple[Rhythm, ...] = ((), (), (-0.5,), (-1, -0.5), (-1,), (-1.5, -1, -0.5))
@@ -165,7 +118,8 @@ def _phrase_rhythm(passage: Passage, singing: Singing, bars: int, pickup: Rhythm
     rng, beats = passage.rng, passage.beats
     until = beats - _BREATH + min(pickup, default=0)  # so that there is time before the next one
     ends = [end for end in _ENDS if end[-1] < until]
-    first, second = pick(rng, CELLS[singing.cells]), pick(rng, CELLS[singing.cells])
+    known: list[Rhythm] = tables()["cells"][singing.cells]
+    first, second = pick(rng, known), pick(rng, known)
     cells = [*(first, second, first, second)[: bars - 1], pick(rng, ends)]
     ending_bars = [bars - 1]
     if bars >= _PHRASE and happens(rng, _BREATHS_IN_MIDDLE):

@@ -42,30 +42,7 @@ SECTIONS = {
 """Letter of a form -> kind of section."""
 _BARS = {"intro": 4, "verse": 8, "chorus": 8, "bridge": 8, "solo": 8, "outro": 4, "ending": 1}
 
-USUAL_RANGE = (60, 84)
-RANGES: dict[int, tuple[int, int]] = {
-    22: (60, 81),
-    24: (55, 79),
-    25: (55, 79),
-    26: (55, 79),
-    27: (55, 81),
-    29: (55, 84),
-    30: (55, 84),
-    40: (60, 88),
-    110: (60, 86),
-    56: (58, 79),
-    57: (48, 69),
-    59: (58, 77),
-    62: (60, 81),
-    65: (56, 77),
-    66: (50, 71),
-    68: (60, 81),
-    71: (55, 79),
-    73: (65, 89),
-    87: (57, 81),
-    105: (55, 79),
-}
-"""Program of an instrument -> the lowest and highest pitch of its melodies, if not as usual."""
+_USUAL_RANGE = (60, 84)
 VOICE_RANGES = ((57, 76), (55, 74), (48, 67), (52, 71), (60, 79))
 """The ranges of voices: of women, of men, and of men written an octave higher."""
 VOICE_PROGRAMS = frozenset((52, 53, 54, 85))
@@ -117,45 +94,55 @@ class Style:
 
 
 @cache
+def tables() -> dict[str, Any]:
+    """Name -> table of styles.toml."""
+    return tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+
+
+@cache
 def styles() -> dict[str, Style]:
-    """Name -> style, as styles.toml has it."""
-    text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
-    tables = tomllib.loads(text)
-    return {name: _style(about, tables) for name, about in tables["styles"].items()}
+    """Name -> style."""
+    return {name: _style(about) for name, about in tables()["styles"].items()}
 
 
-def _style(about: dict[str, Any], tables: Mapping[str, Any]) -> Style:
+def range_of(program: int) -> tuple[int, int]:
+    """The lowest and the highest pitch of melodies of an instrument, by its program."""
+    low, high = tables()["ranges"].get(str(program), _USUAL_RANGE)
+    return low, high
+
+
+def _style(about: dict[str, Any]) -> Style:
     low, high = about["tempi"]
     return Style(
         **about
         | {
             "tempi": range(low, high + 1),
-            "forms": tables["forms"][about["forms"]].split(),
+            "forms": tables()["forms"][about["forms"]].split(),
             "bars": _BARS | about.get("bars", {}),
-            "progressions": tables["progressions"][about["progressions"]],
-            "bass": [_bass(said, tables) for said in about["bass"]],
+            "progressions": tables()["progressions"][about["progressions"]],
+            "bass": list(map(_bass, about["bass"])),
             "drums": drums(*about["drums"]),
-            "chairs": [_chair(chair, tables) for chair in about["chairs"]],
+            "chairs": list(map(_chair, about["chairs"])),
         }
     )
 
 
-def _chair(about: dict[str, Any], tables: Mapping[str, Any]) -> Chair:
-    names = tables["names"].get(about["names"], about["names"]).split(", ")
-    plays = tuple(_pattern(said, tables) for said in about["plays"].split("; "))
+def _chair(about: dict[str, Any]) -> Chair:
+    names = tables()["names"].get(about["names"], about["names"]).split(", ")
+    plays = tuple(map(_pattern, about["plays"].split("; ")))
     return Chair(**about | {"names": names, "plays": plays})
 
 
-def _bass(said: str, tables: Mapping[str, Any]) -> Pattern:
+def _bass(said: str) -> Pattern:
     """A bass by its name, with the percentage of roots that are approached, if any."""
     name, *percent = said.split()
     if name == "walking":
         return walking_bass
-    play = patterned_bass(tables["basses"][name])
+    play = patterned_bass(tables()["basses"][name])
     return approached(play, int(percent[0])) if percent else play
 
 
-def _pattern(said: str, tables: Mapping[str, Any]) -> Pattern:
+def _pattern(said: str) -> Pattern:
     """What an accompaniment plays: a function of `accompaniment` and its arguments."""
     match said.split():
         case ["picked"]:
@@ -165,12 +152,12 @@ def _pattern(said: str, tables: Mapping[str, Any]) -> Pattern:
         case ["held", voices]:
             return held(VOICES[voices])
         case ["riff", lowest]:
-            return riff(int(lowest), *tables["riffs"])
+            return riff(int(lowest), *tables()["riffs"])
         case ["broken", lowest, step, *orders]:
             tones = (tuple(map(int, order.split("-"))) for order in orders)
             return broken(int(lowest), float(step), *tones)
         case [kind, voices, *names]:
-            rhythms = [tables["rhythms"][name] for name in names]
+            rhythms = [tables()["rhythms"][name] for name in names]
             if kind == "piano":
                 return piano(VOICES[voices], *rhythms)
             guitar = {"open_chords": open_chords, "power_chords": power_chords}
