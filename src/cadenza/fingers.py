@@ -85,7 +85,3 @@ class Fingers:
     def hand_of(self, number: Any) -> Any:
         """The hand, 0 right or 1 left, of a number or an array of numbers without `NO_FINGER`."""
         return number // self.per_hand
-
-    def index_of(self, number: Any) -> Any:
-        """The index on its hand, 0 for the thumb, of a number or an array of numbers."""
-        return number % self.per_hand
