@@ -15,6 +15,7 @@ from typing import Any, NoReturn, get_args
 from cadenza.cli import (
     arrange,
     bench,
+    benchmark,
     clone,
     compare,
     dataset,
@@ -49,6 +50,10 @@ _COMMANDS: dict[str, Any] = {
     "compare": (compare.Compare, compare.compare),
     "bench": (bench.Bench, bench.run),
     "results": (results.Results, results.results),
+    "benchmark": (benchmark.Benchmark, benchmark.benchmark),
+    "enter": (benchmark.Enter, benchmark.enter),
+    "verify": (benchmark.Verify, benchmark.verify),
+    "leaderboard": (benchmark.Leaderboard, benchmark.leaderboard),
     "train": (train.Train, train.train),
     "clone": (clone.Clone, clone.clone),
     "publish": (publish.Publish, publish.run),

@@ -27,7 +27,7 @@ def write_tables(folder: Path, summary: BenchSummary, results: Sequence[Result])
         "runs": list(_runs(summary, results, folder)),
     }
     for name, rows in tables.items():
-        _write_csv(folder / f"{name}.csv", rows)
+        write_csv(folder / f"{name}.csv", rows)
     content = {
         "format": FORMAT,
         "title": summary.title,
@@ -106,7 +106,8 @@ def _ends(name: str, estimate: Estimate) -> dict[str, float]:
     return {name: value, f"{name}_low": low, f"{name}_high": high}
 
 
-def _write_csv(path: Path, rows: Sequence[Row]) -> None:
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """Writes rows as a CSV file; its columns are all names that any row has."""
     text = io.StringIO(newline="")
     names = list(dict.fromkeys(name for row in rows for name in row))
     writer = csv.DictWriter(text, names, restval="", lineterminator="\n")

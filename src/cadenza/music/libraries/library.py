@@ -29,6 +29,9 @@ LIBRARIES = Registry(
     "song library",
     "cadenza.songs",
     {
+        "benchmark": Entry(
+            "cadenza.music.libraries.benchmark:benchmark_sets", "etudes and songs of the benchmark"
+        ),
         "bundled": Entry(
             "cadenza.music.libraries.bundled:bundled", "the pieces that come with Cadenza"
         ),

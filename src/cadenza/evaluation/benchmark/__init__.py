@@ -1,0 +1,1 @@
+"""The benchmark: its frozen tasks, entries that anybody can verify, and the table of them."""

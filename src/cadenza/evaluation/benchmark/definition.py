@@ -1,0 +1,233 @@
+"""Version 1 of the benchmark: its task, its tracks and its sets of songs.
+
+All of it is frozen. `frozen.json` beside this file has hashes of the scene and of what every song
+asks for in each control step, so that a change to a generator, a reader or a hand is found out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.agent import ZeroAgent
+from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.files import read_json
+from cadenza.fingers import NO_FINGER, Finger
+from cadenza.music.arrangement import Arrangement
+from cadenza.music.libraries.benchmark import BENCHMARK
+from cadenza.music.libraries.imported import is_imported
+from cadenza.music.libraries.library import LIBRARIES, open_library
+from cadenza.music.libraries.songs import Library, Song
+from cadenza.performing.setup import Selection, Setup, set_up
+from cadenza.performing.source import Source
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import Scene
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.goal_track import GoalTrack
+
+VERSION: Literal[1] = 1
+MUJOCO = "3.17.0"
+"""The version of MuJoCo on which entries are ranked."""
+TASK = TaskConfig(
+    control_timestep=0.05,
+    trim_silence=True,
+    stretch=1.0,
+    transpose=0,
+    initial_buffer_time=0.5,
+    repeats="shortened",
+)
+"""The task. What an agent observes and is rewarded for is up to the agent."""
+SCENE = SceneConfig()
+"""The scene: two Shadow Hands with the paper's reduced actions at a piano, published physics."""
+METRICS = (
+    *("f1", "precision", "recall", "pooled_f1", "note_onset_f1"),
+    *("onset_delay", "onset_error_median", "velocity_error", "velocity_error_with_misses"),
+)
+"""Metrics of every run, see `cadenza.music.metrics` and `cadenza.music.expressive_metrics`."""
+TRACKS = {
+    "one-song": "A policy or plan for each song, learnt or practised on that song itself.",
+    "at-sight": "An agent that is finished before it meets the songs, and simulates nothing.",
+    "planning": "An agent that plans with a model of hands and piano, with its time stated.",
+}
+"""What an agent may know -> what that means."""
+_OWN_TRACKS = {
+    "generalist": "at-sight",
+    "pretrained": "one-song",
+    **dict.fromkeys(
+        ("planner", "predictive-sampling", "ilqg", "tracked-presses", "stitched", "icp"),
+        "planning",
+    ),
+}
+_TRAINED = "train:"  # what the names of agents begin with that are trained on each song
+_HASH = 16  # hexadecimal digits
+_DIGITS = 6  # significant, of a number of the scene: engines differ in the last ones
+
+
+@dataclass(frozen=True)
+class _Frozen:
+    """Content of frozen.json."""
+
+    scene: str
+    songs: dict[str, str]
+
+
+@cache
+def frozen() -> _Frozen:
+    """The hashes of the scene and of the songs, by name, that version 1 has for good."""
+    return read_json(Path(__file__).with_name("frozen.json"), _Frozen)
+
+
+# Tracks
+
+
+def own_track(agent: str, options: dict[str, Any]) -> str | None:
+    """The track of an agent that comes with Cadenza; None for others, and where any will do."""
+    if agent.startswith(_TRAINED):
+        return "one-song"
+    if agent == "generalist" and options.get("rehearsals"):
+        return "planning"  # they are simulated
+    return _OWN_TRACKS.get(agent)
+
+
+# Sets
+
+
+PUBLIC_SETS = (
+    "bundled",
+    *(
+        f"{BENCHMARK}:{kind}-{split}"
+        for kind in ("etudes", "band")
+        for split in ("train", "valid", "test")
+    ),
+)
+"""Sets that everybody has."""
+PAPER_SETS = {"repertoire-150": 150, "etude-12": 12}
+"""Sets of the paper, to be imported, and how many songs they have."""
+
+
+def open_set(name: str) -> Library:
+    """The songs of a set: a public one, one of the paper, or a library that has been imported.
+
+    Folders of music are none: what is in one may come with the entry that names it.
+
+    Raises:
+        CadenzaError: there is no such set, or it has not been imported.
+    """
+    library = name.partition(":")[0]
+    named = name in (*PUBLIC_SETS, *PAPER_SETS) or (
+        is_imported(library) and library not in LIBRARIES.own
+    )
+    if not named:
+        raise CadenzaError(
+            f"set {name:.100}: choose from {', '.join((*PUBLIC_SETS, *PAPER_SETS))}, or import a "
+            "library of your own (cadenza import)"
+        )
+    songs = open_library(name)
+    if len(songs.songs) != (wanted := PAPER_SETS.get(name, len(songs.songs))):
+        raise CadenzaError(
+            f"set {name}: has {len(songs.songs)} of {wanted} songs here; import the whole dataset"
+        )
+    return songs
+
+
+# The task
+
+
+@contextmanager
+def set_up_song(song: Song) -> Iterator[Setup]:
+    """Yields a song in the task of the benchmark, without a search for fingers.
+
+    Raises:
+        CadenzaError: it cannot be read, or is not the one that version 1 has frozen.
+    """
+    source = Source(song.name, song.load(), Arrangement())
+    task = replace(TASK, fingering="off")  # of which keys and metrics do not depend
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CadenzaWarning)  # on what cannot be played
+        with set_up(Selection(source, "zero", ZeroAgent(), task=task, scene=SCENE)) as setup:
+            yield setup
+
+
+def check_frozen(song: Song, setup: Setup) -> str:
+    """Returns the hash of a song as the task plays it.
+
+    Raises:
+        CadenzaError: the song or the scene is not as version 1 has frozen it.
+    """
+    if (scene := scene_digest(setup.task.scene)) != frozen().scene:
+        raise CadenzaError(
+            f"this version of Cadenza has another scene ({scene}) than version {VERSION} of the "
+            "benchmark; install the one that the entry names"
+        )
+    digest = song_digest(setup.task.tracks[0])
+    if digest != frozen().songs.get(song.name, digest):
+        raise CadenzaError(
+            f"{song.name}: has other notes here ({digest}) than in version {VERSION} of the "
+            "benchmark; install the version of Cadenza that the entry names"
+        )
+    return digest
+
+
+def song_digest(track: GoalTrack) -> str:
+    """A hash of all that a song asks for: its notes with given fingers, and its goals by step."""
+    notes = [
+        (n.start, n.end, n.pitch, n.velocity, *_numbers(n.finger))
+        for n in track.delayed_score.notes
+    ]
+    digest = hashlib.sha256(np.array(notes, "<f8").tobytes())
+    digest.update(np.packbits(track.goals.keys).tobytes())
+    digest.update(np.packbits(track.goals.sustain).tobytes())
+    return digest.hexdigest()[:_HASH]
+
+
+def _numbers(finger: Finger | None) -> tuple[int, int]:
+    return (NO_FINGER, NO_FINGER) if finger is None else (finger.hand, finger.index)
+
+
+_MODEL = {
+    "body": "parentid pos quat mass ipos iquat inertia gravcomp",
+    "jnt": "type bodyid pos axis range limited stiffness margin solref solimp actfrcrange",
+    "dof": "armature damping frictionloss solref solimp",
+    "qpos": "spring",
+    "tendon": "adr num range limited stiffness damping frictionloss armature margin lengthspring",
+    "wrap": "type objid prm",
+    "exclude": "signature",
+    "actuator": "trntype trnid gaintype gainprm biastype biasprm dyntype dynprm ctrllimited "
+    "ctrlrange forcelimited forcerange gear",
+}
+"""Prefix -> arrays of a MuJoCo model that decide how bodies move."""
+_COLLIDING = "type bodyid condim contype conaffinity size pos quat friction solref solimp solmix"
+_COLLIDING += " margin gap priority"  # of geoms that collide; the others are only seen
+_OPTIONS = "timestep gravity integrator cone solver iterations ls_iterations tolerance impratio"
+_OPTIONS += " ls_tolerance noslip_iterations disableflags enableflags sleep_tolerance"
+
+
+def scene_digest(scene: Scene) -> str:
+    """A hash of all numbers of a scene that decide how it moves, to six significant digits."""
+    model, digest = scene.model, hashlib.sha256()
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    names = [f"{kind}_{name}" for kind, several in _MODEL.items() for name in several.split()]
+    arrays = [getattr(model, name) for name in names]
+    arrays += [getattr(model, f"geom_{name}")[collides] for name in _COLLIDING.split()]
+    arrays += [getattr(model.opt, name) for name in _OPTIONS.split()]
+    arrays += [scene.hand_start, scene.keyboard.sounds_from, TASK.control_timestep]
+    for values in arrays:
+        digest.update(_rounded(np.asarray(values, np.float64)).tobytes())
+    return digest.hexdigest()[:_HASH]
+
+
+def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns an array (...) to `_DIGITS` significant digits, with one zero."""
+    with np.errstate(divide="ignore"):
+        size = np.floor(np.log10(np.abs(values)))
+    scale = 10.0 ** np.clip(_DIGITS - 1 - size, -300, 300)
+    return np.where(np.abs(values) < 1e-12, 0.0, np.round(values * scale) / scale) + 0.0

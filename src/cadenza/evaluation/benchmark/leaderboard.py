@@ -1,0 +1,210 @@
+"""The table of entries: as a page, as CSV and in Markdown.
+
+Its figures are those that were computed here, from the actions; those on cards are never shown.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cadenza.errors import CadenzaError
+from cadenza.evaluation.benchmark.card import CARD, Card, entry_digest, read_card
+from cadenza.evaluation.benchmark.verification import Verified, verify
+from cadenza.evaluation.statistics import bootstrap_interval, mean
+from cadenza.evaluation.tables import write_csv
+from cadenza.files import write_atomically
+from cadenza.report.leaderboard_page import write_leaderboard_page
+
+_MS_PER_SECOND = 1000
+_SEED = 0  # of the bootstrap: the same entries have the same intervals
+_DECIMALS = {"f1": 3, "note_onset_f1": 3, "onset_error_ms": 1, "velocity_error": 1}
+_DECIMALS |= {"cpu_per_music": 2, "gpu_hours": 1, "cpu_hours": 1}
+COLUMNS = {
+    "name": "entry",
+    "by": "by",
+    "fingering": "fingering",
+    "seeds": "seeds",
+    "f1": "F1",
+    "f1_interval": "95 % interval",
+    "note_onset_f1": "note onset F1",
+    "onset_error_ms": "onset error [ms]",
+    "velocity_error": "velocity error",
+    "cpu_per_music": "CPU time / music",
+    "training_steps": "training steps",
+    "cpu_hours": "CPU hours",
+    "gpu_hours": "GPU hours",
+    "data": "learnt from",
+    "verified": "verified",
+}
+"""Columns of the page and of Markdown, with their titles; the CSV file has more."""
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """An entry as the table has it."""
+
+    folder: Path
+    card: Card | None
+    """Its card; None if that cannot be read."""
+    verified: Verified | None
+    """What was computed; None if it could not be played again."""
+    why: str = ""
+    """Why not, in a line."""
+
+
+def standing(entry: Path) -> Standing:
+    """Plays an entry again."""
+    card = None
+    try:
+        card = read_card(entry)
+        return Standing(entry, card, verify(entry))
+    except CadenzaError as error:
+        return Standing(entry, card, None, " ".join(str(error).split()))
+
+
+def entries_in(folders: Iterable[Path]) -> list[Path]:
+    """The folders of entries: those with a card, or else those in them with one."""
+    found: list[Path] = []
+    for folder in folders:
+        if (folder / CARD).exists() or not folder.is_dir():
+            found.append(folder)
+        else:
+            found += sorted(path.parent for path in folder.glob(f"*/{CARD}"))
+    return list(dict.fromkeys(found))
+
+
+def write_leaderboard(folder: Path, standings: Sequence[Standing]) -> list[Path]:
+    """Writes index.html, leaderboard.csv and leaderboard.md; returns their paths."""
+    rows = leaderboard(standings)
+    page = folder / "index.html"
+    table, text = (folder / f"leaderboard.{suffix}" for suffix in ("csv", "md"))
+    write_csv(table, [_without_formulas(row) for row in rows])
+    shown = {
+        title: [[_text(row, name) for name in COLUMNS] for row in section]
+        for title, section in _sections(rows).items()
+    }
+    with write_atomically(text) as file:
+        file.write(_markdown(shown).encode())
+    write_leaderboard_page(page, list(COLUMNS.values()), shown)
+    return [page, table, text]
+
+
+def leaderboard(standings: Sequence[Standing]) -> list[Row]:
+    """The rows: by set and track, the best F1 first, and entries without figures last."""
+    played = Counter(entry_digest(s.card.runs) for s in standings if s.card is not None)
+    rows = [_row(standing, played) for standing in standings]
+    return sorted(
+        rows, key=lambda row: (row["songs"], row["track"], -_or_zero(row["f1"]), row["name"])
+    )
+
+
+def _row(standing: Standing, played: Mapping[str, int]) -> Row:
+    card, verified = standing.card, standing.verified
+    row: Row = dict.fromkeys(("songs", "track", *COLUMNS), "")
+    row |= {"folder": str(standing.folder), "f1": math.nan}
+    if card is not None:
+        effort = {"training_steps": card.effort.steps, "cpu_hours": card.effort.cpu_hours}
+        effort |= {"gpu_hours": card.effort.gpu_hours}
+        row |= {name: getattr(card, name) for name in ("songs", "track", "name", "by", "fingering")}
+        row |= {name: getattr(card, name) for name in ("agent", "data", "hardware")} | effort
+        row |= {"seeds": len(card.seeds), "mujoco": card.versions.get("mujoco", "")}
+        row |= {"cadenza": card.versions.get("cadenza", "")}
+    else:
+        row["name"] = standing.folder.name
+    if card is None or verified is None or verified.problems:
+        why = verified.words if verified is not None else standing.why
+        return row | {"verified": f"no: {why}"}
+    row |= figures(verified)
+    copies = played[entry_digest(card.runs)] > 1
+    return row | {"verified": verified.words + "; same actions as another entry" * copies}
+
+
+def figures(verified: Verified) -> Row:
+    """Means over the songs of the means over the seeds."""
+    card = verified.card
+    songs = list(dict.fromkeys(run.song for run in card.runs))
+
+    def scores(name: str) -> Any:
+        """The values (seeds, songs) of a metric."""
+        rows = [[verified.metrics[song, seed][name] for song in songs] for seed in card.seeds]
+        return np.array(rows, np.float64)
+
+    f1 = scores("f1")
+    low, high = bootstrap_interval(mean, f1, np.random.default_rng(_SEED))
+    cpu = [run.cpu_seconds for run in card.runs]
+    known = [seconds for seconds in cpu if seconds is not None]
+    return {
+        "f1": float(mean(f1)),
+        "f1_low": float(low),
+        "f1_high": float(high),
+        "note_onset_f1": float(mean(scores("note_onset_f1"))),
+        "precision": float(mean(scores("precision"))),
+        "recall": float(mean(scores("recall"))),
+        "pooled_f1": float(mean(scores("pooled_f1"))),
+        "onset_error_ms": _MS_PER_SECOND * _mean_of_known(scores("onset_error_median")),
+        "velocity_error": _mean_of_known(scores("velocity_error")),
+        "cpu_per_music": math.fsum(known) / verified.seconds
+        if len(known) == len(cpu)
+        else math.nan,
+    }
+
+
+def _mean_of_known(scores: Any) -> float:
+    """The mean of values (seeds, songs), but for songs of which no note was played."""
+    there = ~np.isnan(scores)
+    return float(scores[there].mean()) if there.any() else math.nan
+
+
+def _sections(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        title = f"{row['songs']}, {row['track']}" if row["songs"] else "Not read"
+        found.setdefault(title, []).append(row)
+    return found
+
+
+def _without_formulas(row: Row) -> Row:
+    """Returns a row of which no spreadsheet takes a text for a formula."""
+    begin = ("=", "+", "-", "@")
+    texts = ((name, value) for name, value in row.items() if isinstance(value, str))
+    return row | {name: f"'{text}" for name, text in texts if text.startswith(begin)}
+
+
+def _text(row: Row, name: str) -> str:
+    if name == "f1_interval":
+        low, high = row.get("f1_low", math.nan), row.get("f1_high", math.nan)
+        return "" if math.isnan(low) else f"{low:.3f}–{high:.3f}"
+    value = row[name]
+    if isinstance(value, float):
+        return "–" if math.isnan(value) else f"{value:.{_DECIMALS[name]}f}"
+    return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _markdown(sections: Mapping[str, Sequence[Sequence[str]]]) -> str:
+    """Returns a table for each section; what entries say can neither end a cell nor mark up."""
+    lines: list[str] = []
+    for title, rows in sections.items():
+        lines += [f"## {_plain(title)}", ""]
+        lines += [_line(list(COLUMNS.values())), f"|{' --- |' * len(COLUMNS)}"]
+        lines += [*(_line(row) for row in rows), ""]
+    return "\n".join(lines)
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(map(_plain, cells))} |"
+
+
+def _plain(text: str) -> str:
+    return "".join(f"\\{c}" if c in "\\`*_[]<>|#~&" else c for c in " ".join(text.split()))
+
+
+def _or_zero(value: Any) -> float:
+    return 0.0 if not isinstance(value, float) or math.isnan(value) else value
