@@ -210,6 +210,16 @@ def test_what_is_no_set(name: str) -> None:
         open_set(name)
 
 
+def test_an_imported_library_cannot_pass_for_a_public_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CADENZA_DATA", str(tmp_path))
+    import_songs(PITCHES)
+    (tmp_path / "libraries" / MINE).rename(tmp_path / "libraries" / "bundled")
+    with pytest.raises(CadenzaError, match="an imported library has its name"):
+        open_set("bundled")
+
+
 # Honest entries
 
 
@@ -288,6 +298,11 @@ FORGED_CARDS: dict[str, tuple[Callable[[Card], object], str]] = {
     "folder as set": (lambda c: c.update(songs="."), "choose from bundled"),
     "no such track": (lambda c: c.update(track="telepathy"), "choose from one-song"),
     "other track": (lambda c: c.update(track="at-sight"), "belongs to the track planning"),
+    "other name": (
+        lambda c: c.update(track="at-sight", agent="cadenza.agents.planner.planner:Planner"),
+        "belongs to the track planning",
+    ),
+    "control characters": (lambda c: run_of(c).update(song="\x1b[2J"), "on one line"),
     "untrained": (lambda c: c.update(track="one-song", agent="m:A"), "how many steps"),
     "other version": (lambda c: c.update(benchmark=2), "Invalid"),
     "task of its own": (lambda c: c.update(task={"stretch": 4.0}), "Unknown field"),

@@ -74,11 +74,11 @@ class Enter:
     """What it has learnt from."""
     hardware: str = ""
     """Processor, and GPU if one was used. By default this processor."""
-    training_steps: int = 0
+    training_steps: int | None = None
     """Control steps of training or practice, for all songs together. Known of train:PRESET."""
-    cpu_hours: float = 0.0
+    cpu_hours: float | None = None
     """Core hours of training or practice. Known of train:PRESET."""
-    gpu_hours: float = 0.0
+    gpu_hours: float | None = None
     """Hours of a GPU."""
     quiet: Quiet = False
 

@@ -57,13 +57,13 @@ class RecordedRun:
 
 @dataclass(frozen=True)
 class Effort:
-    """What was spent before the songs were played, on all of them together."""
+    """What was spent before the songs were played, for all of them together; None if not said."""
 
-    steps: int = 0
+    steps: int | None = None
     """Control steps of training or practice."""
-    cpu_hours: float = 0.0
+    cpu_hours: float | None = None
     """Hours of a core."""
-    gpu_hours: float = 0.0
+    gpu_hours: float | None = None
     """Hours of a GPU."""
 
 
@@ -122,6 +122,8 @@ def _check(card: Card) -> None:
         ("agent", card.agent, _MOST_TEXT),
         ("data", card.data, _MOST_TEXT),
         ("hardware", card.hardware, _MOST_TEXT),
+        ("songs", card.songs, _MOST_NAME),
+        *(("song", run.song, _MOST_TEXT) for run in card.runs),
     ):
         if not text.strip() or len(text) > most or not text.isprintable():
             raise CadenzaError(f"{what}: give 1 to {most} characters on one line")
@@ -137,9 +139,8 @@ def _check(card: Card) -> None:
         )
     effort = card.effort
     times = [effort.steps, effort.cpu_hours, effort.gpu_hours]
-    times += [run.wall_seconds for run in card.runs]
-    times += [run.cpu_seconds or 0.0 for run in card.runs]
-    if min(times) < 0:
+    times += [seconds for run in card.runs for seconds in (run.wall_seconds, run.cpu_seconds)]
+    if any(time is not None and time < 0 for time in times):
         raise CadenzaError("a time or a number of steps is negative")
     for run in card.runs:
         if run.metrics.keys() != set(METRICS):

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import ZeroAgent
+from cadenza.agents.registry import AGENTS
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.files import read_json
 from cadenza.fingers import NO_FINGER, Finger
@@ -91,6 +92,7 @@ def frozen() -> _Frozen:
 
 def own_track(agent: str, options: dict[str, Any]) -> str | None:
     """The track of an agent that comes with Cadenza; None for others, and where any will do."""
+    agent = {entry.place: name for name, entry in AGENTS.own.items()}.get(agent, agent)
     if agent.startswith(_TRAINED):
         return "one-song"
     if agent == "generalist" and options.get("rehearsals"):
@@ -132,6 +134,8 @@ def open_set(name: str) -> Library:
             "library of your own (cadenza import)"
         )
     songs = open_library(name)
+    if name in PUBLIC_SETS and not frozen().songs.keys() >= {song.name for song in songs.songs}:
+        raise CadenzaError(f"set {name}: an imported library has its name; remove that library")
     if len(songs.songs) != (wanted := PAPER_SETS.get(name, len(songs.songs))):
         raise CadenzaError(
             f"set {name}: has {len(songs.songs)} of {wanted} songs here; import the whole dataset"

@@ -183,6 +183,8 @@ def _text(row: Row, name: str) -> str:
         low, high = row.get("f1_low", math.nan), row.get("f1_high", math.nan)
         return "" if math.isnan(low) else f"{low:.3f}–{high:.3f}"
     value = row[name]
+    if value is None:
+        return "–"
     if isinstance(value, float):
         return "–" if math.isnan(value) else f"{value:.{_DECIMALS[name]}f}"
     return f"{value:,}" if isinstance(value, int) else str(value)
