@@ -41,16 +41,11 @@ def titled(found: Results, pieces: Pieces) -> Results:
     Raises:
         CadenzaError: the table has no such piece.
     """
-    results = [
-        replace(
-            result,
-            song=replace(
-                result.song,
-                **{name: about_piece(result, pieces)[name] for name in ("title", "composer")},
-            ),
-        )
-        for result in found.results
-    ]
+    results = []
+    for result in found.results:
+        about = about_piece(result, pieces)
+        song = replace(result.song, title=about["title"], composer=about["composer"])
+        results.append(replace(result, song=song))
     return replace(found, results=tuple(results))
 
 
