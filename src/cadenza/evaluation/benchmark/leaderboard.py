@@ -40,8 +40,8 @@ COLUMNS = {
     "training_steps": "training steps",
     "cpu_hours": "CPU hours",
     "gpu_hours": "GPU hours",
-    "data": "learnt from",
     "verified": "verified",
+    "data": "learnt from",
 }
 """Columns of the page and of Markdown, with their titles; the CSV file has more."""
 Row = dict[str, Any]
