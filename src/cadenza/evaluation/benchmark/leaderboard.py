@@ -109,7 +109,8 @@ def leaderboard(standings: Sequence[Standing]) -> list[Row]:
 def _row(standing: Standing, played: Mapping[str, int]) -> Row:
     card, verified = standing.card, standing.verified
     row: Row = dict.fromkeys(("songs", "track", *COLUMNS), "")
-    row |= {"folder": str(standing.folder), "f1": math.nan}
+    del row["f1_interval"]  # made of `f1_low` and `f1_high` where it is shown
+    row |= {"folder": standing.folder.name, "f1": math.nan}
     if card is not None:
         effort = {"training_steps": card.effort.steps, "cpu_hours": card.effort.cpu_hours}
         effort |= {"gpu_hours": card.effort.gpu_hours}
