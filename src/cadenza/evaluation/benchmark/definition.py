@@ -64,7 +64,7 @@ _OWN_TRACKS = {
     "generalist": "at-sight",
     "pretrained": "one-song",
     **dict.fromkeys(
-        ("planner", "predictive-sampling", "ilqg", "tracked-presses", "stitched", "icp"),
+        ("planner", "predictive-sampling", "ilqg", "stitched", "icp"),
         "planning",
     ),
 }
