@@ -40,6 +40,7 @@ def order(score):
     return "".join(str(bar.number) for bar in score.bars)
 
 
+MIDDLE = '<barline location="middle"><bar-style>light-light</bar-style></barline>'
 SEGNO, CODA = direction("<segno/>"), direction("<coda/>")
 
 
@@ -48,6 +49,7 @@ SEGNO, CODA = direction("<segno/>"), direction("<coda/>")
     [
         (("", words("Fine"), words("D.C. al Fine")), "12312"),
         (("", words(" FINE "), words("Da Capo al Fine")), "12312"),
+        (("", words("Fin."), words("D.C.")), "12312"),
         (("", words("To Coda"), words("D. C. al Coda"), (words("Coda"), "")), "123124"),
         (("", words("to \U0001d10c"), words("D.C."), (words("\U0001d10c"), "")), "123124"),
         (("", direction("<words>To</words><coda/>"), words("D.C."), (CODA, "")), "123124"),
@@ -77,6 +79,25 @@ def test_jumps_may_be_words_or_signs(signs, expected, saved):
 )
 def test_a_da_capo_is_of_its_movement(signs, expected, saved):
     assert order(load_score(saved(bars(*signs)))) == expected
+
+
+@pytest.mark.parametrize(
+    ("signs", "expected"),
+    [
+        ((jump('dacapo="yes" time-only="1"', "D.C."), AGAIN, ""), "11223"),
+        (("", jump('dacapo="yes" time-only="3"', "D.C.") + AGAIN, ""), "12123"),
+        (("", jump('tocoda="c" time-only="2"') + AGAIN, "", (CODA, "")), "12124"),
+    ],
+)
+def test_a_jump_may_say_when_it_is_taken(signs, expected, saved):
+    assert order(load_score(saved(bars(*signs)))) == expected
+
+
+@pytest.mark.parametrize("fine", ['<sound fine="8"/>', words("Fine") + MIDDLE])
+def test_a_fine_may_be_within_a_bar(fine, saved):
+    end = note("D4", 8) + fine + note("E4", 8)
+    measures = [TEMPO + note("C4", 16), end, note("F4", 16) + words("D.C.")]
+    assert played(load_score(saved(document(measures))))[4:] == [(12, 16, 60), (16, 18, 62)]
 
 
 def test_a_bar_with_too_much_in_one_part_is_as_long_as_in_others(saved):
@@ -191,9 +212,30 @@ def test_a_metronome_mark_counts_after_a_tempo_for_playback(saved):
     assert played(score) == [(0.0, 4.0, 60), (4.0, 6.0, 62)]
 
 
+def shown(name, inside=""):
+    return f"<metronome-note><metronome-type>{name}</metronome-type>{inside}</metronome-note>"
+
+
+@pytest.mark.parametrize(
+    ("mark", "seconds"),
+    [
+        (unit("quarter") + unit("quarter", "<beat-unit-dot/>"), 8 / 3),
+        (unit("eighth") + unit("quarter"), 2),
+        (shown("half") + "<metronome-relation>equals</metronome-relation>" + shown("quarter"), 8),
+    ],
+)
+def test_a_note_may_be_as_long_as_another_was(mark, seconds, saved):
+    equal = direction(f"<metronome>{mark}</metronome>") + note("D4", 16)
+    score = load_score(saved(document([TEMPO + note("C4", 16), equal])))
+    assert score.total_time - 4 == pytest.approx(seconds)
+    told = equal.replace("</direction>", '<sound tempo="30"/></direction>', 1)
+    score = load_score(saved(document([TEMPO + note("C4", 16), told])))
+    assert score.total_time - 4 == 8
+
+
 def test_a_metronome_mark_that_gives_no_tempo_is_told(saved):
-    equal = direction(f"<metronome>{unit('quarter')}{unit('half')}</metronome>")
-    score = load_score(saved(document([FOUR_QUARTERS + equal + note("C4", 16)])))
+    unclear = metronome(unit("quarter"), per_minute="fast")
+    score = load_score(saved(document([FOUR_QUARTERS + unclear + note("C4", 16)])))
     assert score.remarks == ("1 metronome mark without a tempo left out",)
 
 
@@ -202,6 +244,24 @@ def test_swing_and_what_is_plain(saved):
     path = saved(document([TEMPO + f"<sound>{swing}</sound>" + note("C4", 2) + note("D4", 2)]))
     assert [n.start for n in read_musicxml(path).notes] == pytest.approx([0, 2 / 3])
     assert [n.start for n in read_musicxml(path, plain=True).notes] == [0.0, 0.5]
+
+
+def test_a_metronome_mark_may_show_swing(saved):
+    bracket = "<metronome-tuplet type='{}'><actual-notes>3</actual-notes>"
+    bracket += "<normal-notes>2</normal-notes></metronome-tuplet>"
+    of_three = shown("quarter", bracket.format("start")) + shown("eighth", bracket.format("stop"))
+    two = shown("eighth") + shown("eighth") + "<metronome-relation>equals</metronome-relation>"
+    mark = direction(f"<metronome>{two}{of_three}</metronome>")
+    score = load_score(saved(document([TEMPO + mark + note("C4", 2) + note("D4", 2)])))
+    assert [each.start for each in score.notes] == pytest.approx([0, 2 / 3])
+
+
+def test_fermatas_at_the_ends_of_lines_of_a_chorale_are_not_held(saved):
+    held = note("C4", 16, inside="<notations><fermata/></notations>")
+    line = [note("D4", 16), held]
+    few = load_score(saved(document([TEMPO + note("B3", 16), *line * 3])))
+    chorale = load_score(saved(document([TEMPO + note("B3", 16), *line * 4])))
+    assert (few.total_time, chorale.total_time) == (7 * 4 + 3 * 4, 9 * 4)
 
 
 def test_signs_at_notes_are_played_unless_plain(saved):
@@ -221,7 +281,10 @@ def moves(score):
 def test_the_pedal_may_be_for_playback_only(saved):
     down, half, up = (f'<sound damper-pedal="{value}"/>' for value in ("yes", "50", "no"))
     bar = TEMPO + down + note("C4", 4) + half + note("D4", 4) + up + note("E4", 8)
-    assert moves(load_score(saved(document([bar])))) == [(0, 127), (1, 64), (2, 0)]
+    later = half.replace("/>", "><offset>4</offset></sound>")
+    early = TEMPO + down + later + note("C4", 8) + up + note("E4", 8)
+    for music in (bar, early):
+        assert moves(load_score(saved(document([music])))) == [(0, 127), (1, 64), (2, 0)]
 
 
 def test_a_pedal_without_a_stop_stays_down_and_may_be_pressed_again(saved):
@@ -235,6 +298,40 @@ def test_the_pedal_is_down_while_any_part_holds_it(saved):
     one = TEMPO + start + note("C4", 8) + stop + note("D4", 8)
     other = FOUR_QUARTERS + note("C4", 4) + start + note("D4", 8) + stop + note("E4", 4)
     assert moves(load_score(saved(document([one], [other])))) == [(0, 127), (3, 0)]
+
+
+def test_the_sostenuto_pedal_holds_what_sounds_when_it_goes_down(saved):
+    sign, stop = direction('<pedal type="sostenuto"/>'), direction('<pedal type="stop"/>')
+    sustain, lifted = sign.replace("sostenuto", "start"), stop.replace("/", ' number="2"/', 1)
+    second = sign.replace("/", ' number="2"/', 1)
+    told = direction("<words>sost. ped.</words>").replace(
+        "</direction>", '<sound sostenuto-pedal="{}"/></direction>'
+    )
+    notes = note("C4", 4), note("D4", 4), note("E4", 8)
+    for down, up in ((sign, stop), (told.format("yes"), told.format("no"))):
+        music = [TEMPO + down + notes[0] + notes[1] + up + notes[2]]
+        score = load_score(saved(document(music)))
+        assert played(score) == [(0, 2, 60), (1, 2, 62), (2, 4, 64)]
+        assert (score.pedal, score.remarks) == ((), ())
+    both = [TEMPO + sustain + second + notes[0] + lifted + notes[1] + stop + notes[2]]
+    assert [(each.time, each.value) for each in load_score(saved(document(both))).pedal] == [
+        (0, 127),
+        (2, 0),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("sign", "remark"),
+    [
+        (words("Una corda"), "the soft pedal is left out"),
+        ('<sound soft-pedal="yes"/>', "the soft pedal is left out"),
+        (words("Sost. Ped."), "1 sostenuto pedal left out, as only words tell of it"),
+        ('<sound tempo="90" time-only="2"/>', "1 sound for single passes left out"),
+    ],
+)
+def test_what_no_key_or_pedal_does_is_told(sign, remark, saved):
+    score = load_score(saved(document([TEMPO + sign + note("C4", 16) + AGAIN])))
+    assert (played(score), score.remarks) == ([(0, 4, 60), (4, 8, 60)], (remark,))
 
 
 def test_a_voice_keeps_its_hand_on_the_other_staff(saved):
@@ -263,11 +360,12 @@ def test_a_percussion_clef_means_drums(saved):
 
 def test_parts_of_drums_are_left_out(saved):
     text = document([FOUR_QUARTERS + note("C4", 16)], [FOUR_QUARTERS + note("C3", 16)])
-    drums = '<midi-instrument id="P2-I1"><midi-channel>10</midi-channel></midi-instrument>'
     name = "<part-name>Part 2</part-name>"
-    score = load_score(saved(text.replace(name, name + drums)))
-    assert (pitches(score), len(score.tracks)) == ([60], 1)
-    assert score.remarks == ("1 note of drums left out",)
+    for said in ("<midi-channel>10</midi-channel>", "<midi-unpitched>37</midi-unpitched>"):
+        drums = f'<midi-instrument id="P2-I1">{said}</midi-instrument>'
+        score = load_score(saved(text.replace(name, name + drums)))
+        assert (pitches(score), len(score.tracks)) == ([60], 1)
+        assert score.remarks == ("1 note of drums left out",)
 
 
 def test_a_key_held_by_one_voice_and_struck_by_another_is_held_on(saved):
@@ -315,9 +413,20 @@ def test_an_empty_bar_is_as_long_as_its_metre(saved):
     assert played(score) == [(0.0, 0.5, 60), (2.5, 3.0, 62)]
 
 
-def test_a_document_may_be_named_from_its_folder(saved):
+@pytest.mark.parametrize(
+    "named",
+    [
+        "./a b/score.xml",
+        "/a%20b/Score.xml",
+        "a b\\score.xml",
+        'a.pdf"/><rootfile full-path="a b/score.xml',
+        '"/><!-- full-path="a.xml" --><rootfile full-path="a b/score.xml',
+        "lost.xml",
+    ],
+)
+def test_programs_differ_in_how_they_name_a_document(named, saved):
     text = document([FOUR_QUARTERS + note("C4", 16)])
-    path = saved(compressed(text, named="./score.xml"), "song.mxl")
+    path = saved(compressed(text, name="a b/score.xml", named=named), "song.mxl")
     assert pitches(load_score(path)) == [60]
 
 

@@ -17,7 +17,7 @@ SHEET = ".musicxml"
 _MUSICXML = (SHEET, ".xml", ".mxl")
 _HUMDRUM, _MEI = ".krn", ".mei"
 _BEGINS_MIDI = (b"MThd", b"RIFF")
-_IS_MEI = re.compile(rb"<(\w+:)?mei[\s>/]")
+_IS_MEI = re.compile(rb"<(\w+:)?mei(Corpus)?[\s>/]")
 _BEGINNING = 1 << 12  # bytes of a file, among which an MEI file says what it is
 MUSIC = (*_MIDI, *_MUSICXML, _HUMDRUM, _MEI)
 """The endings of music files."""

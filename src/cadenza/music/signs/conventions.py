@@ -66,6 +66,9 @@ class Conventions:
     """How many times longer a note with the angled sign is; MuseScore's."""
     long_fermata: float = 3.0
     """How many times longer a note with the square sign is; MuseScore's."""
+    chorale_fermata: float = 1.0
+    """How many times longer a note with a fermata is in a chorale, where it only shows that a line
+    ends; a choice. In a chorale, four fermatas or more are 1.5 to 6 bars apart in the mean."""
     caesura: float = 0.5
     """The silence at a caesura [s]; a choice. MuseScore has 2 s."""
     ritardando: float = 0.75
@@ -105,6 +108,7 @@ class Conventions:
             fermata=1.0,
             short_fermata=1.0,
             long_fermata=1.0,
+            chorale_fermata=1.0,
             caesura=0.0,
             ritardando=1.0,
             accelerando=1.0,

@@ -17,12 +17,13 @@ from cadenza.music.signs.tempo_marks import (
     Change,
     Fermata,
     FermataLength,
+    Modulation,
     Tempo,
+    TempoMark,
     TempoWord,
 )
 
 Floats = NDArray[np.float64]
-TempoMark = Tempo | TempoWord | Fermata | Caesura
 
 _SECONDS_PER_QUARTER = 0.5  # until the score says otherwise, as in MIDI
 _AT_BARLINE = Fraction(1)  # [quarters]: over a barline, a fermata is as long as over a quarter
@@ -156,16 +157,17 @@ def _tempos(
 ) -> list[TempoPiece]:
     """The pieces of a map without waits."""
     tempos = {mark.onset: mark for mark in marks if isinstance(mark, Tempo)}
-    changes: list[Tempo | TempoWord] = list(tempos.values())
+    changes: list[Tempo | TempoWord | Modulation] = list(tempos.values())
     words = {(mark.onset, mark.change): mark for mark in marks if isinstance(mark, TempoWord)}
-    changes += words.values()  # once, if every staff has them
+    equal = {mark.onset: mark for mark in marks if isinstance(mark, Modulation)}
+    changes += [*words.values(), *equal.values()]  # once, if every staff has them
     changes.sort(key=lambda mark: mark.onset)  # at one place, tempos first
     primo = next((mark.seconds for mark in changes if isinstance(mark, Tempo)), None)
     speeds = [_Speed(Fraction(0), _SECONDS_PER_QUARTER)]
     before, gradual = _SECONDS_PER_QUARTER, False  # what "a tempo" leads back to; whether in a ramp
     for mark, following in zip_longest(changes, changes[1:]):
         now = speeds[-1].seconds
-        if isinstance(mark, TempoWord) and mark.onset in tempos and _is_said(mark, speeds):
+        if mark.onset in tempos and not isinstance(mark, Tempo) and _is_said(mark, speeds):
             continue
         if isinstance(mark, TempoWord) and mark.change in _GRADUAL:
             before, gradual = before if gradual else now, True
@@ -173,6 +175,8 @@ def _tempos(
             continue
         if isinstance(mark, Tempo):
             seconds = mark.seconds
+        elif isinstance(mark, Modulation):
+            seconds = now * float(mark.slower)
         else:
             seconds = {
                 Change.MENO_MOSSO: now / conventions.meno_mosso,
@@ -186,12 +190,12 @@ def _tempos(
     return _timed(speeds)
 
 
-def _is_said(word: TempoWord, speeds: Sequence[_Speed]) -> bool:
-    """Whether the tempo at the place of a word, the last of `speeds`, is what the word means.
+def _is_said(word: TempoWord | Modulation, speeds: Sequence[_Speed]) -> bool:
+    """Whether the tempo at the place of a mark, the last of `speeds`, is what the mark means.
 
     A tempo from which a gradual change begins is not.
     """
-    if word.change not in _GRADUAL:
+    if isinstance(word, Modulation) or word.change not in _GRADUAL:
         return True
     before = [speed.seconds for speed in speeds[-2:] if speed.place < word.onset]
     slower = word.change is Change.RITARDANDO
@@ -202,7 +206,7 @@ def _ramp(
     word: TempoWord,
     now: float,
     before: float,
-    following: Tempo | TempoWord | None,
+    following: Tempo | TempoWord | Modulation | None,
     conventions: Conventions,
     end: Fraction | None,
 ) -> list[_Speed]:
@@ -257,6 +261,7 @@ def _waits(
         FermataLength.SHORT: conventions.short_fermata,
         FermataLength.USUAL: conventions.fermata,
         FermataLength.LONG: conventions.long_fermata,
+        FermataLength.END_OF_LINE: conventions.chorale_fermata,
     }
     waits: dict[Fraction, tuple[float, float]] = {}
     groups: list[list[Fermata]] = []

@@ -45,6 +45,16 @@ class TempoWord:
     end: Fraction | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Modulation:
+    """A quarter lasts `slower` times as long from `onset` on as before: a note is as long as
+    another was.
+    """
+
+    onset: Fraction
+    slower: Fraction
+
+
 class FermataLength(Enum):
     """How long a fermata is by its shape."""
 
@@ -54,6 +64,8 @@ class FermataLength(Enum):
     """Round."""
     LONG = auto()
     """Square."""
+    END_OF_LINE = auto()
+    """At the end of each line of a chorale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +85,9 @@ class Caesura:
     """Two strokes at `onset`: what sounds ends there, and all parts pause."""
 
     onset: Fraction
+
+
+TempoMark = Tempo | TempoWord | Modulation | Fermata | Caesura
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -30,6 +30,11 @@ class Signs:
     to_coda: str | None = None
     da_capo: bool = False
     fine: bool = False
+    returns_on: frozenset[int] = frozenset()
+    """The times that the bar is played at which the player goes back from it; empty for once, after
+    the repeats of its section."""
+    to_coda_on: frozenset[int] = frozenset()
+    """The times at which the player goes to the coda; empty for the first after a jump back."""
 
     @property
     def returns(self) -> bool:
@@ -40,10 +45,10 @@ class Signs:
 def played_order(bars: Sequence[Signs]) -> Iterator[tuple[int, int]]:
     """Yields bars from 0 as they are played, and the passes through their sections, from 1.
 
-    A jump is taken once, on the last pass through its bar. From where it leads to up to the bar
-    where it stood, repeats are not taken again, unless they say so; the first sign to the coda
-    leads there, and a fine to what follows the jump, which is another movement, if anything. A sign
-    whose goal is missing has no effect, see `without_goal`.
+    A jump is taken once, on the last pass through its bar, unless it says when. From where it leads
+    to up to the bar where it stood, repeats are not taken again, unless they say so; the first sign
+    to the coda leads there, and a fine to what follows the jump, which is another movement, if
+    anything. A sign whose goal is missing has no effect, see `without_goal`.
     """
     jumps, sections = _Jumps(bars), _sections(bars)
     at, turn = 0, 1  # the bar, and the how-manieth pass through its section
@@ -55,13 +60,13 @@ def played_order(bars: Sequence[Signs]) -> Iterator[tuple[int, int]]:
             turn = turns
         if not signs.ending or turn in signs.ending:
             yield at, turn
-            if turn == max(signs.ending, default=turns):
-                if signs.fine and jumps.returned >= 0:
-                    at, turn = jumps.end(at), 1
-                    continue
-                if (goal := jumps.goal(at)) is not None:
-                    at, turn = goal, 1
-                    continue
+            is_last = turn == max(signs.ending, default=turns)
+            if is_last and signs.fine and jumps.returned >= 0:
+                at, turn = jumps.end(at), 1
+                continue
+            if (goal := jumps.goal(at, is_last)) is not None:
+                at, turn = goal, 1
+                continue
             bracket_ends = signs.ending and (at + 1 == end or bars[at + 1].ending != signs.ending)
             if turn < turns and (signs.times > 1 or bracket_ends):
                 at, turn = begin, turn + 1
@@ -85,17 +90,28 @@ class _Jumps:
 
     def __init__(self, bars: Sequence[Signs]) -> None:
         self.returned = -1
+        self._bars = bars
         self._goals = _Goals(bars)
         self._to_coda = False  # whether a sign to the coda is followed
         self._taken: set[int] = set()  # bars whose jump back was
+        self._played = Counter[int]()  # how often bars were
         self._begin, self._end = 0, len(bars)  # of the movement, and of all
 
-    def goal(self, at: int) -> int | None:
-        """Takes the jump at the end of a bar; None if there is none to be taken now."""
-        if self._to_coda and (coda := self._goals.of_coda(at)) is not None:
+    def goal(self, at: int, is_last: bool) -> int | None:
+        """Takes the jump at the end of a bar; None if there is none to be taken now.
+
+        Args:
+            at: the bar.
+            is_last: whether this is the last pass through its section.
+        """
+        self._played[at] += 1
+        signs, time = self._bars[at], self._played[at]
+        is_on = time in signs.to_coda_on if signs.to_coda_on else is_last and self._to_coda
+        if is_on and (coda := self._goals.of_coda(at)) is not None:
             self._to_coda = False
             return coda
-        if at in self._taken:
+        is_on = time in signs.returns_on if signs.returns_on else is_last and at not in self._taken
+        if not is_on:
             return None
         self._taken.add(at)
         goal = self._goals.of_return(at, self._begin)

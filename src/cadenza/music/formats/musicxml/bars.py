@@ -22,7 +22,7 @@ _MOST_BEATS = 64  # of a bar; a longer one has no metre
 class WrittenBar:
     """A measure, or the part of one up to or from a repeat sign within it, in quarters.
 
-    A beat is `1 / beat_type` of a whole note.
+    A beat is `1 / beat_type` of a whole note. At a fine within the bar, the music ends at `cut`.
     """
 
     measure: int
@@ -31,6 +31,7 @@ class WrittenBar:
     number: int
     beat_type: int
     signs: Signs = field(default_factory=Signs)
+    cut: Fraction | None = None
 
     @property
     def beats(self) -> list[Fraction]:

@@ -9,12 +9,12 @@ from xml.etree.ElementTree import Element
 
 from cadenza.music.formats.musicxml.bar_order import Signs
 from cadenza.music.formats.musicxml.bars import WrittenBar, bar_at
-from cadenza.music.formats.musicxml.timeline import Placed
+from cadenza.music.formats.musicxml.timeline import Placed, exact, number, passes_of
 
 _DA_CAPO = re.compile(r"\bd\. ?c\b|^dc\b|\bda ?capo\b")
 _DAL_SEGNO = re.compile(r"\bd\. ?s\b|^ds\b|\bdal? segno\b")
 _TO_CODA = re.compile(r"^\W*(to|al|alla) (the )?coda\b")
-_FINE = re.compile(r"^\W*(il )?fine\W*$")
+_FINE = re.compile(r"^\W*(il )?(fine?|ende|schlu(ss|ß))\W*$")
 _WORD = re.compile(r"[a-zäöüéè]{5,}")
 _TRIO = re.compile(r"^\W*trio\b")
 _GOALS = {kind: re.compile(rf"^\W*{kind}( {kind})?\W*\d?$") for kind in ("segno", "coda")}
@@ -22,6 +22,8 @@ _GLYPHS = {"\U0001d10b": " segno ", "\U0001d10c": " coda ", "⊕": " coda "}
 _HEADING = "heading"
 _UNNAMED = ""  # leads to the nearest goal of its kind
 _SOUNDS = ("dacapo", "dalsegno", "tocoda", "fine", "segno", "coda")
+JUMPS = frozenset((*_SOUNDS, "time-only"))
+"""The attributes of a sound for playback that only say in which order bars are played."""
 
 
 def read_jumps(
@@ -29,7 +31,8 @@ def read_jumps(
 ) -> None:
     """Adds the jumps in all parts, and their goals, to the signs of bars.
 
-    Words and signs count where no sound for playback stands with them. A coda sign up to the last
+    Words and signs count where no sound for playback stands with them. A fine is within a bar if it
+    stands at a line there, or says how long the note before it is. A coda sign up to the last
     jump back sends the player to the coda, one after it is the coda.
 
     Args:
@@ -55,21 +58,36 @@ class _Reader:
         self._segnos: set[int] = set()
         self._trios: set[int] = set()  # bars before trios
         self._headings: dict[str, int] = {}  # bars by the words that stand over them
+        self._fines: dict[int, Fraction] = {}  # places of a fine by bar
+        self._lines: set[Fraction] = set()  # places of lines within bars
+        self._note: Placed | None = None  # the latest
 
     def read(self, placed: Placed, is_end: bool) -> None:
         """Reads an element, which may stand at the end of its measure."""
-        if placed.element.tag not in ("direction", "sound", "barline"):
+        element = placed.element
+        if element.tag == "note" and element.find("grace") is None:
+            self._note = placed
+        if element.tag not in ("direction", "sound", "barline"):
             return
+        if element.get("location") == "middle":
+            self._lines.add(placed.quarter)
         at = bar_at(self._bars, placed.measure, placed.quarter)
         begun = min(at + is_end, len(self._bars) - 1)  # the bar that begins there
         bar = self._bars[at]
         if at and self._bars[at - 1].measure == bar.measure and placed.quarter == bar.begin:
             at -= 1  # at a repeat sign within a measure
-        sounds = [placed.element] if placed.element.tag == "barline" else placed.sounds
+        sounds = [element] if element.tag == "barline" else placed.all_sounds
         for sound in sounds:
             _read_sound(sound, self._bars[at].signs, self._bars[begun].signs)
+            length, before = number(sound.get("fine")), self._note
+            if length and before is not None and before.measure == placed.measure:
+                end = exact(before.quarter + length / before.divisions)
+                self._fines[at] = end
+                self._lines.add(end)
         if not any(sound.get(name) for sound in sounds for name in _SOUNDS):
-            self._read_text(_text(placed.element), at, begun)
+            self._read_text(_text(element), at, begun)
+        if self._bars[at].signs.fine:
+            self._fines.setdefault(at, placed.quarter)
 
     def _read_text(self, text: str, at: int, begun: int) -> None:
         signs = self._bars[at].signs
@@ -99,7 +117,10 @@ class _Reader:
             self._headings[word[0]] = begun
 
     def read_signs(self) -> None:
-        """Reads the segno, trio and coda signs, now that all jumps are known."""
+        """Reads the segno, trio and coda signs, now that all jumps are known, and ends of fines."""
+        for at, quarter in self._fines.items():
+            if quarter in self._lines and self._bars[at].begin < quarter < self._bars[at].end:
+                self._bars[at].cut = quarter
         signs = [bar.signs for bar in self._bars]
         is_known = ends = False  # whether there is a segno; and an end of what is repeated
         last_jump = -1
@@ -123,6 +144,10 @@ class _Reader:
 def _read_sound(sound: Element, here: Signs, begun: Signs) -> None:
     here.da_capo |= sound.get("dacapo", "no") != "no"
     here.fine |= sound.get("fine", "no") != "no"
+    if (passes := passes_of(sound)) and sound.get("tocoda"):
+        here.to_coda_on = passes
+    elif passes:
+        here.returns_on = passes
     here.dal_segno = sound.get("dalsegno", here.dal_segno)
     here.to_coda = sound.get("tocoda", here.to_coda)
     begun.segno = sound.get("segno", begun.segno)

@@ -21,6 +21,7 @@ from cadenza.music.formats.musicxml.timeline import (
     attribute,
     exact,
     number,
+    passes_of,
 )
 from cadenza.music.signs.conventions import Conventions
 from cadenza.music.signs.signed_note import Grace, SignedNote
@@ -77,10 +78,10 @@ def notes_of(
     loudness = PartLoudness(part, conventions)
     key = attribute(part, "key", lambda each: int(number(each.findtext("fifths"))), 0)
     transposition = attribute(part, "transpose", _transposition, _Transposition(0, 0))
-    graces, hands = _graces(written), hands_of(part)
+    graces, hand_of = _graces(written), hands_of(part)
     found: list[WrittenNote] = []
     for index, placed in enumerate(written):
-        note, hand, grace = placed.element, hands[index], graces.get(index)
+        note, hand, grace = placed.element, hand_of[index], graces.get(index)
         pitch = _sounding_pitch(note, is_drum, counts)
         if pitch is None:
             continue
@@ -106,10 +107,8 @@ def notes_of(
             **signs_of(note),
         )
         tied, ties = _ties(note)
-        passes = frozenset(map(int, re.findall(r"\d{1,3}", note.get("time-only", ""))))
-        found.append(
-            WrittenNote(placed.measure, signed, () if hand is None else (hand,), tied, ties, passes)
-        )
+        hands = () if hand is None else (hand,)
+        found.append(WrittenNote(placed.measure, signed, hands, tied, ties, passes_of(note)))
     return found
 
 

@@ -1,8 +1,10 @@
-"""The sustain pedal, by its signs and by what is said for playback."""
+"""The pedals, by their signs and by what is said for playback."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
 from typing import NamedTuple, TypeVar
@@ -11,9 +13,14 @@ from xml.etree.ElementTree import Element
 from cadenza.music.formats.musicxml.timeline import Placed, number
 
 _T = TypeVar("_T")
+SUSTAIN, SOSTENUTO = "damper-pedal", "sostenuto-pedal"
+"""The pedals that are played, as sounds for playback call them."""
+_SOFT = "soft-pedal"
+_SOFT_IN_WORDS = re.compile(r"\b(una corda|u\. ?c\.|due corde)", re.IGNORECASE)
+_SOSTENUTO_IN_WORDS = re.compile(r"\bsost(enuto|\.)? ?ped", re.IGNORECASE)
 _DOWN, _UP = 127, 0
 _SIGNS = {
-    **dict.fromkeys(("start", "resume"), (_DOWN,)),
+    **dict.fromkeys(("start", "sostenuto", "resume"), (_DOWN,)),
     **dict.fromkeys(("stop", "discontinue"), (_UP,)),
     "change": (_UP, _DOWN),
 }
@@ -27,22 +34,27 @@ class Move(NamedTuple):
     value: int
 
 
-def pedal_moves(part: Iterable[Placed], begins: Sequence[Fraction]) -> list[Move]:
-    """The motions of the pedal of a part, in the order of their times.
+def pedal_moves(
+    part: Iterable[Placed], begins: Sequence[Fraction], pedal: str = SUSTAIN
+) -> list[Move]:
+    """The motions of a pedal of a part, in the order of their times.
 
     A sign moves by its offset for playback, as far as its measure reaches. A pedal that is pressed
-    again without having been lifted is lifted before.
+    again without having been lifted is lifted before. A sign that lifts a pedal is for the one that
+    went down last.
 
     Args:
         part: the elements of the part.
         begins: the quarters at which measures begin, and the end of the last.
+        pedal: which pedal.
     """
     moves: list[Move] = []
+    down = defaultdict[str, list[str]](list)  # pedals, by the numbers of their signs
     for placed in part:
         if placed.element.tag in ("direction", "sound"):
             begin, end = begins[placed.measure : placed.measure + 2]
-            quarter = min(max(placed.sounds_at(), begin), end)
-            moves += (Move(placed.measure, quarter, value) for value in _values(placed))
+            for quarter, value in _values(placed, pedal, down):
+                moves.append(Move(placed.measure, min(max(quarter, begin), end), value))
     moves.sort(key=lambda move: move[:2])
     again = [
         after._replace(value=_UP)
@@ -52,20 +64,44 @@ def pedal_moves(part: Iterable[Placed], begins: Sequence[Fraction]) -> list[Move
     return sorted([*again, *moves], key=lambda move: move[:2])
 
 
-def _values(placed: Placed) -> list[int]:
-    """The values that an element moves the pedal to, one after the other."""
-    signs = [
-        value
-        for sign in placed.element.iterfind("direction-type/pedal")
-        for value in _SIGNS.get(sign.get("type", ""), ())
+def has_soft_pedal(root: Element) -> bool:
+    """Whether a soft pedal goes down, in words or for playback."""
+    words = (_SOFT_IN_WORDS.search(each.text or "") for each in root.iter("words"))
+    return any(words) or any(_value(sound.get(_SOFT)) for sound in root.iter("sound"))
+
+
+def sostenuto_words(root: Element) -> int:
+    """The number of words for the sostenuto pedal, which do not say how long; 0 beside signs."""
+    signs = (sign.get("type") == "sostenuto" for sign in root.iter("pedal"))
+    if any(signs) or any(sound.get(SOSTENUTO) for sound in root.iter("sound")):
+        return 0
+    words = (_SOSTENUTO_IN_WORDS.search(each.text or "") for each in root.iter("words"))
+    return sum(each is not None for each in words)
+
+
+def _values(
+    placed: Placed, pedal: str, down: Mapping[str, list[str]]
+) -> list[tuple[Fraction, int]]:
+    """The quarters at which an element moves a pedal, and to which values."""
+    signs: list[tuple[Fraction, int]] = []
+    for sign in placed.element.iterfind("direction-type/pedal"):
+        kind, others = sign.get("type", ""), down[sign.get("number", "1")]
+        if kind in ("start", "sostenuto"):
+            others.append(SUSTAIN if kind == "start" else SOSTENUTO)
+        if pedal == (others[-1] if others else SUSTAIN):
+            signs += ((placed.sounds_at(), value) for value in _SIGNS.get(kind, ()))
+        if kind == "stop" and others:
+            others.pop()
+    said = [
+        (placed.sounds_at(sound), value)
+        for sound in placed.sounds
+        if (value := _value(sound.get(pedal))) is not None
     ]
-    said = [value for sound in placed.sounds if (value := _damper(sound)) is not None]
     return [*signs[:-1], *said] if said else signs
 
 
-def _damper(sound: Element) -> int | None:
-    """The value of the sustain pedal for playback: yes, no, or in percent."""
-    said = sound.get("damper-pedal")
+def _value(said: str | None) -> int | None:
+    """The value of a pedal for playback: yes, no, or in percent."""
     if said is None:
         return None
     percent = {"yes": 100, "no": 0}.get(said) if said in ("yes", "no") else number(said)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import islice
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -15,11 +17,19 @@ import numpy as np
 from cadenza.errors import CadenzaError
 from cadenza.music.formats.musicxml.bar_order import without_goal
 from cadenza.music.formats.musicxml.bars import WrittenBar, bars_of
-from cadenza.music.formats.musicxml.jumps import read_jumps
+from cadenza.music.formats.musicxml.jumps import JUMPS, read_jumps
 from cadenza.music.formats.musicxml.notes import WrittenNote, notes_of
-from cadenza.music.formats.musicxml.pedal import Move, pedal_moves, together
+from cadenza.music.formats.musicxml.pedal import (
+    SOSTENUTO,
+    SUSTAIN,
+    Move,
+    has_soft_pedal,
+    pedal_moves,
+    sostenuto_words,
+    together,
+)
 from cadenza.music.formats.musicxml.tempo import tempo_marks
-from cadenza.music.formats.musicxml.timeline import timeline
+from cadenza.music.formats.musicxml.timeline import passes_of, timeline
 from cadenza.music.formats.musicxml.tree import tree_of
 from cadenza.music.formats.musicxml.unrolling import (
     Passage,
@@ -110,13 +120,30 @@ def _played(
         )
         for note in realised(signed, tempo, conventions, swings)
     ]
+    for part in parts:
+        _hold(found, part.track.number, _timed(played_pedal(part.sostenuto, bars, passages), tempo))
     pedal = together(played_pedal(part.pedal, bars, passages) for part in parts)
-    times = [(tempo.onsets if value else tempo.ends)([place])[0] for place, value in pedal]
-    moves = [
+    return found, _timed(pedal, tempo), _bars(passages, tempo)
+
+
+def _timed(moves: Sequence[tuple[Fraction, int]], tempo: TempoMap) -> list[tuple[float, int]]:
+    """The motions of a pedal in seconds."""
+    times = [(tempo.onsets if value else tempo.ends)([place])[0] for place, value in moves]
+    return [
         (round(float(time), _DECIMALS), value)
-        for time, (_, value) in zip(times, pedal, strict=True)
+        for time, (_, value) in zip(times, moves, strict=True)
     ]
-    return found, moves, _bars(passages, tempo)
+
+
+def _hold(notes: Iterable[RawNote], track: int, moves: Sequence[tuple[float, int]]) -> None:
+    """Has the sostenuto pedal of a track hold the notes that sound when it goes down."""
+    down = [time for time, value in moves if value]
+    up = [time for time, value in moves if not value]
+    for note in notes if down else ():
+        before = bisect_left(down, note.end) - 1
+        if track in note.tracks and before >= 0 and down[before] >= note.start:
+            end = bisect_right(up, down[before])
+            note.end = max(note.end, up[end] if end < len(up) else note.end)
 
 
 def _bars(passages: Sequence[Passage], tempo: TempoMap) -> list[Bar]:
@@ -136,11 +163,12 @@ def _bars(passages: Sequence[Passage], tempo: TempoMap) -> list[Bar]:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A part with notes: these and the motions of its pedal, of each bar."""
+    """A part with notes: these and the motions of its pedals, of each bar."""
 
     track: Track
     notes: list[WrittenNote]
     pedal: list[Move]
+    sostenuto: list[Move]
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +201,8 @@ def _sheet(root: Element, conventions: Conventions) -> _Sheet:
         first += sum(each.element.tag == "note" for each in elements)
         if notes:
             track = _track(len(parts) + 1, printable(listed.findtext("part-name", "")), notes)
-            parts.append(_Part(track, notes, pedal_moves(elements, begins)))
+            pedals = (pedal_moves(elements, begins, pedal) for pedal in (SUSTAIN, SOSTENUTO))
+            parts.append(_Part(track, notes, *pedals))
     found = tempo_marks(placed, begins)
     title = next((text for each in _TITLES if (text := printable(root.findtext(each, "")))), "")
     tempo = TempoMap.of(found.marks, conventions, begins[-1])
@@ -186,12 +215,13 @@ def _sheet(root: Element, conventions: Conventions) -> _Sheet:
             (found.unclear, "metronome mark without a tempo", "left out"),
             (counts["microtone"], "microtone", "rounded to a semitone"),
             (counts["unpitched"], "unpitched note", "left out"),
-            (_signs(root, "measure-repeat", "start"), "bar-repeat sign", "left out"),
-            (_signs(root, "pedal", "sostenuto"), "sostenuto pedal mark", "left out"),
+            *_unread(root),
             (lost, "jump", "without a segno or coda to go to left out"),
             (unplayed, "bar", "passed over by all repeats and jumps"),
         )
     )
+    if has_soft_pedal(root):
+        remarks.append("the soft pedal is left out")
     return _Sheet(title, parts, bars, passages, tempo, found.swings, counts["drums"], remarks)
 
 
@@ -215,10 +245,11 @@ def _listed(root: Element, parts: Iterable[Element]) -> list[Element]:
 def _drums(listed: Element, part: Element) -> Callable[[Element], bool]:
     """A function that says whether a note of a part is played by drums.
 
-    The channel for MIDI says so, or where there is none, the first clef.
+    What is said for MIDI tells it, or where there is nothing, the first clef.
     """
     channels = {
         each.get("id", ""): each.findtext("midi-channel", "").strip() == _DRUM_CHANNEL
+        or each.find("midi-unpitched") is not None
         for each in listed.iterfind("midi-instrument")
     }
     is_clef = part.findtext("measure/attributes/clef/sign", "").strip() == "percussion"
@@ -231,6 +262,11 @@ def _drums(listed: Element, part: Element) -> Callable[[Element], bool]:
     return is_drum
 
 
-def _signs(root: Element, tag: str, kind: str) -> int:
-    """The number of signs of a type."""
-    return sum(sign.get("type") == kind for sign in root.iter(tag))
+def _unread(root: Element) -> Iterator[tuple[int, str, str]]:
+    """Yields the numbers of signs that are left out, what they are, and that they are."""
+    repeats = sum(sign.get("type") == "start" for sign in root.iter("measure-repeat"))
+    yield repeats, "bar-repeat sign", "left out"
+    yield sostenuto_words(root), "sostenuto pedal", "left out, as only words tell of it"
+    of_passes = (sound for sound in root.iter("sound") if passes_of(sound))
+    count = sum(len(sound) > 0 or not JUMPS.issuperset(sound.keys()) for sound in of_passes)
+    yield count, "sound", "for single passes left out"

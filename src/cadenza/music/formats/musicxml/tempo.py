@@ -2,31 +2,33 @@
 
 from __future__ import annotations
 
-import re
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from xml.etree.ElementTree import Element
 
+from cadenza.music.formats.musicxml.metronome import is_possible, metronome_of
 from cadenza.music.formats.musicxml.timeline import NOTE_VALUES, ZERO, Placed, number
 from cadenza.music.signs.tempo_marks import (
     Caesura,
     Change,
     Fermata,
     FermataLength,
+    Modulation,
     Swing,
     Tempo,
+    TempoMark,
     TempoWord,
 )
 from cadenza.music.signs.words import swing, tempo_change
 
 _MINUTE = 60  # seconds
-_SLOWEST, _FASTEST = 1, 10_000  # quarters a minute
 _FERMATAS = {
     **dict.fromkeys(("angled", "double-angled"), FermataLength.SHORT),
     **dict.fromkeys(("square", "double-square"), FermataLength.LONG),
 }
+_LEAST_LINES = 4  # of a chorale
+_LINE = 1.5, 6.0  # bars of its lines, in the mean
 _MOST_SWING = 16  # times as long as the other note of a pair
 
 
@@ -38,7 +40,7 @@ class TempoMarks:
     tempo.
     """
 
-    marks: list[Tempo | TempoWord | Fermata | Caesura] = field(default_factory=list)
+    marks: list[TempoMark] = field(default_factory=list)
     swings: list[Swing] = field(default_factory=list)
     impossible: int = 0
     unclear: int = 0
@@ -69,10 +71,16 @@ class _Reader:
         self._found = TempoMarks()
         self._for_playback: dict[Fraction, Fraction] = {}  # quarters a minute
         self._metronome: dict[Fraction, Fraction] = {}
+        self._fermatas: list[Fermata] = []
         self._words: list[tuple[Fraction, Change, str | None]] = []  # with numbers of their lines
         self._lines: dict[str, list[Fraction]] = {}  # the ends of dashed lines by their numbers
 
     def finished(self) -> TempoMarks:
+        is_chorale = self._is_chorale([fermata.end for fermata in self._fermatas])
+        for fermata in self._fermatas:
+            if is_chorale and fermata.length is FermataLength.USUAL:
+                fermata = replace(fermata, length=FermataLength.END_OF_LINE)
+            self._found.marks.append(fermata)
         tempos = self._metronome | self._for_playback
         for onset, speed in tempos.items():
             self._found.marks.append(Tempo(max(ZERO, onset), _MINUTE / float(speed)))
@@ -85,20 +93,35 @@ class _Reader:
             self._found.marks.append(TempoWord(onset, change, end))
         return self._found
 
+    def _is_chorale(self, ends: Iterable[Fraction]) -> bool:
+        """Whether fermatas that end at these places [quarters] are those of lines of a chorale.
+
+        Then there are some, a few bars apart, up to the end.
+        """
+        bars = sorted({bisect_left(self._begins, end) for end in ends})
+        if len(bars) < _LEAST_LINES or len(self._begins) - 1 - bars[-1] > _LINE[1]:
+            return False
+        return _LINE[0] <= bars[-1] / len(bars) <= _LINE[1]
+
     def read_direction(self, placed: Placed) -> None:
         element, sounds = placed.element, placed.sounds
         spoken = [sound for sound in sounds if sound.get("tempo") is not None]
         for sound in spoken:
             speed = number(sound.get("tempo"))
-            if _SLOWEST <= speed <= _FASTEST:
+            if is_possible(speed):
                 self._for_playback[placed.sounds_at(sound)] = speed
             else:
                 self._found.impossible += 1
         for metronome in element.iterfind("direction-type/metronome"):
-            shown = _quarters_a_minute(metronome)
-            self._found.unclear += not spoken and shown is None
-            if shown is not None:
-                self._metronome[placed.sounds_at()] = shown
+            mark, where = metronome_of(metronome), placed.sounds_at()
+            if (shown := mark.quarters_a_minute) is not None:
+                self._metronome[where] = shown
+            elif mark.swing is not None:
+                self._swing(placed, *mark.swing, mark.before[0])
+            elif mark.slower is not None:
+                self._found.marks.append(Modulation(where, mark.slower))
+            else:
+                self._found.unclear += not spoken
         for sound in sounds:
             for sign in sound.iterfind("swing"):
                 unit = NOTE_VALUES.get(
@@ -133,22 +156,6 @@ class _Reader:
         end = onset + placed.duration
         for fermata in (*element.iterfind("fermata"), *element.iterfind("notations/fermata")):
             length = _FERMATAS.get((fermata.text or "").strip(), FermataLength.USUAL)
-            self._found.marks.append(Fermata(onset, end, length))
+            self._fermatas.append(Fermata(onset, end, length))
         if element.find("notations/articulations/caesura") is not None:
             self._found.marks.append(Caesura(end))
-
-
-def _quarters_a_minute(metronome: Element) -> Fraction | None:
-    """The tempo of a metronome mark that gives a number for a note; None for another."""
-    found = re.search(r"\d{1,5}([.,]\d{1,3})?", metronome.findtext("per-minute", ""))
-    length = unit = ZERO
-    for each in (*metronome, *metronome.iterfind("beat-unit-tied/*")):
-        if each.tag == "beat-unit":
-            unit = NOTE_VALUES.get((each.text or "").strip(), ZERO)
-        elif each.tag == "beat-unit-dot":
-            unit /= 2
-        else:
-            continue
-        length += unit
-    speed = length * number(found[0].replace(",", ".")) if found else ZERO
-    return speed if _SLOWEST <= speed <= _FASTEST else None

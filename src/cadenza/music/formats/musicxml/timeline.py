@@ -20,6 +20,7 @@ _FINEST = 10**6  # parts of a quarter that are told apart; more would make sums 
 _UNIT = 10_000  # parts of a whole number that are told apart, so that 1.3333333 is 4/3
 _T = TypeVar("_T")
 _REMEMBERED = 4096  # numbers, as a file has few different ones
+_PASS = re.compile(r"\d{1,3}")
 _NUMBER = re.compile(r"[+-]?\d{1,12}(\.\d{0,12})?")
 _TYPES = "maxima long breve whole half quarter eighth 16th 32nd 64th 128th 256th 512th 1024th"
 NOTE_VALUES = {name: Fraction(32, 2**i) for i, name in enumerate(_TYPES.split())}
@@ -51,11 +52,16 @@ class Placed(NamedTuple):
         return _staff(self.element.findtext("staff")) or None
 
     @property
-    def sounds(self) -> list[Element]:
+    def all_sounds(self) -> list[Element]:
         """What a direction says for playback, or an element outside of any."""
         if self.element.tag == "direction":
             return self.element.findall("sound")
         return [self.element] if self.element.tag == "sound" else []
+
+    @property
+    def sounds(self) -> list[Element]:
+        """What is said for playback on all passes."""
+        return [sound for sound in self.all_sounds if not passes_of(sound)]
 
     def sounds_at(self, sound: Element | None = None) -> Fraction:
         """The quarter of the sheet at which the element, or a `sound` in it, takes effect."""
@@ -67,6 +73,11 @@ class Placed(NamedTuple):
         if offset is None:
             return self.quarter
         return exact(self.quarter + number(offset.text) / self.divisions)
+
+
+def passes_of(element: Element) -> frozenset[int]:
+    """The passes through its section on which a note or sound is played; empty for all."""
+    return frozenset(map(int, _PASS.findall(element.get("time-only", ""))))
 
 
 def timeline(parts: Sequence[Element]) -> tuple[list[list[Placed]], list[Fraction]]:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import html
 import io
 import posixpath
-import re
 from pathlib import Path
+from urllib.parse import unquote
 from xml.etree.ElementTree import Element, SubElement, TreeBuilder
 from xml.parsers import expat
 from zipfile import ZipFile
@@ -22,9 +21,9 @@ MOST_NOTES = 40_000
 DEEPEST = 64  # elements within each other; MusicXML has a dozen
 _CONTENTS = "META-INF/container.xml"
 _MAX_CONTENTS = 2**16  # bytes
+_ENDINGS = (".xml", ".musicxml")
 _PARTWISE, _TIMEWISE = "score-partwise", "score-timewise"
 _ADVICE = "open it in a notation program such as MuseScore, and export it as MusicXML"
-_MEI = ("mei", "meiCorpus")
 _MARKS = b"\xef\xbb\xbf\xff\xfe"  # of the encoding, before the document
 
 
@@ -102,8 +101,6 @@ def _by_parts(root: Element) -> Element:
     """The root of a score, of which measures that hold parts become parts that hold measures."""
     if root.tag == _PARTWISE:
         return root
-    if root.tag in _MEI:
-        raise CadenzaError(f"is MEI, which is not read; {_ADVICE}")
     if root.tag != _TIMEWISE:
         raise CadenzaError(f"cannot be read as MusicXML (it is <{root.tag:.40}>); {_ADVICE}")
     parts: dict[str, Element] = {}
@@ -131,15 +128,20 @@ def _name_of_document(archive: ZipFile) -> str:
     """The first document that the table of contents names; without one, the only document."""
     names = archive.namelist()
     if _CONTENTS in names:
-        contents = unpacked(archive, _CONTENTS, _MAX_CONTENTS).decode("utf-8", "replace")
-        named = re.search(r"""full-path\s*=\s*["']([^"']+)""", contents)
-        if named is None:
-            raise CadenzaError("its table of contents names no document")
-        name, there = html.unescape(named[1]), {posixpath.normpath(each): each for each in names}
-        if (found := there.get(posixpath.normpath(name.lstrip("/")))) is None:
-            raise CadenzaError(f"its table of contents names {name!r:.100}, which is not in it")
-        return found
-    documents = [name for name in names if name.lower().endswith((".xml", ".musicxml"))]
+        there = {_plain(name): name for name in names}
+        contents = _Reader().root_of(unpacked(archive, _CONTENTS, _MAX_CONTENTS))
+        listed = [_plain(each.get("full-path", "")) for each in contents.iter("rootfile")]
+        found = [there[name] for name in listed if name in there]
+        if found:
+            return min(found, key=lambda name: not name.lower().endswith(_ENDINGS))
+    documents = [n for n in names if n.lower().endswith(_ENDINGS) and n != _CONTENTS]
     if len(documents) != 1:
-        raise CadenzaError(f"{len(documents)} documents and no table of contents {_CONTENTS}")
+        raise CadenzaError(
+            f"{len(documents)} documents, and no table of contents ({_CONTENTS}) that names one"
+        )
     return documents[0]
+
+
+def _plain(path: str) -> str:
+    """A path in an archive, as programs differ in how they write it."""
+    return posixpath.normpath(unquote(path).replace("\\", "/").lstrip("/")).lower()

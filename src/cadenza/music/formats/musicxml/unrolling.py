@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import islice
+from itertools import islice, pairwise
 from operator import attrgetter, itemgetter
 from typing import TypeVar
 
@@ -30,7 +30,7 @@ class Passage:
     """A bar, by its index, as it is played on a pass through its section.
 
     It is `later` by so many quarters than on the sheet, and `jumps` is whether the bar before it on
-    the sheet is not the one that was played before.
+    the sheet is not the one that was played before. Where it `is_fine`, the music ends in it.
     """
 
     index: int
@@ -38,6 +38,15 @@ class Passage:
     turn: int
     later: Fraction
     jumps: bool
+    is_fine: bool = False
+
+    def cut(self, note: SignedNote) -> SignedNote | None:
+        """A note of the bar as it is played in this passage, up to a fine; None if after it."""
+        end = self.bar.cut if self.is_fine else None
+        if end is not None and note.onset >= end:
+            return None
+        length = note.duration if end is None else min(note.duration, end - note.onset)
+        return replace(note, onset=note.onset + self.later, duration=length)
 
 
 def unrolled(bars: Sequence[WrittenBar]) -> list[Passage]:
@@ -53,6 +62,11 @@ def unrolled(bars: Sequence[WrittenBar]) -> list[Passage]:
         passages.append(Passage(index, bar, turn, now - bar.begin, index != before + 1))
         now, before = now + bar.end - bar.begin, index
     _check(len(passages), "bars")
+    for at, (passage, following) in enumerate(pairwise([*passages, None])):
+        assert passage is not None
+        # A repeat leads back, but a fine to the end or to another movement.
+        if following is None or (following.jumps and following.index > passage.index):
+            passages[at] = replace(passage, is_fine=passage.bar.signs.fine)
     return passages
 
 
@@ -90,7 +104,9 @@ def played_notes(
             if note.signed.pitch not in PITCHES:
                 counts["outside"] += not note.tied
                 continue
-            now = replace(note.signed, onset=note.signed.onset + passage.later)
+            now = passage.cut(note.signed)
+            if now is None:
+                continue
             before = tied.get((now.pitch, now.onset))
             if before is None or not (note.tied or found[before].voice == now.voice):
                 before = len(found)
