@@ -285,6 +285,19 @@ def test_a_pickup_precedes_the_first_bar(tmp_path):
     assert [len(measure.findall("note/pitch")) for measure in others] == [3, 3, 3]
 
 
+@pytest.mark.parametrize(
+    ("song", "metre", "pickup"),
+    [("FurEliseOpening", ("3", "8"), 2), ("Greensleeves", ("6", "8"), 1)],
+)
+def test_the_metre_of_a_file_is_kept(song, metre, pickup, tmp_path):
+    root = written(load_score(song), tmp_path)
+    (time,) = root.iter("time")
+    assert (time.findtext("beats"), time.findtext("beat-type")) == metre
+    first = next(root.iter("measure"))
+    assert (first.get("implicit"), len(first.findall("note/pitch"))) == ("yes", pickup)
+    assert root.find(".//miscellaneous-field") is None
+
+
 def test_a_pickup_that_the_file_does_not_tell_is_found(tmp_path):
     tune = [67, *[72, 74, 76] * 8]
     bass = [

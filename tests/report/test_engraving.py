@@ -116,8 +116,7 @@ def test_the_page_knows_the_notes_and_has_the_sheet_music(score):
 
 
 def test_music_without_a_metre_has_a_score_only_where_it_fits_one():
-    song = load_score("MinuetInG")
-    assert not song.bars
+    song = replace(load_score("MinuetInG"), bars=())
     assert "estimated" in read(engraving_of(song))["remarks"][0]
     rng = np.random.default_rng(0)
     free = [
