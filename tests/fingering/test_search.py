@@ -212,10 +212,15 @@ def test_what_the_written_hand_cannot_play_goes_to_the_other() -> None:
     too_wide = written_for(chord(40, 62, 67), [RIGHT])
     found, dropped = find_fingering(too_wide, as_written=True)
     assert [n.finger.hand for n in found.notes] == [LEFT, RIGHT, RIGHT]
-    crossed = written_for(chord(40, 60, 64), [RIGHT, LEFT, LEFT])
-    found, also_dropped = find_fingering(crossed, as_written=True)
     assert not dropped
-    assert not also_dropped
+
+
+def test_where_written_hands_cross_the_notes_are_shared() -> None:
+    together = written_for(chord(40, 60, 64), [RIGHT, LEFT, LEFT])
+    assert not find_fingering(together, as_written=True)[1]
+    held = [Note(0, 4, pitch, hands=(RIGHT,)) for pitch in (60, 64, 67)]
+    over = Score((*held, Note(1, 2, 84, hands=(LEFT,))))
+    assert not find_fingering(over, as_written=True)[1]
 
 
 # What pianists play

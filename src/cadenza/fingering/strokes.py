@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
 
-from cadenza.fingers import Finger
-from cadenza.music.score import Score, chords
+from cadenza.fingers import LEFT, RIGHT, Finger
+from cadenza.music.score import RELEASE_TIME, Note, Score, chords
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +36,8 @@ def onsets(
     Args:
         score: the notes.
         lowest_pitch: the MIDI number of key 0.
-        as_written: whether strokes have the hands that notes are written for.
+        as_written: whether strokes have the hands that notes are written for, but where these
+            cross, which ours cannot.
     """
     moments: list[tuple[float, dict[int, list[int]]]] = []
     index = count()
@@ -52,6 +53,7 @@ def onsets(
             end = max(score.notes[i].end for i in indices)
             ends[indices[0]] = min(end, struck_again.get(key, end))
             struck_again[key] = time
+    crossing = _crossing(score.notes) if as_written else set()
     for time, keys in moments:
         strokes = []
         for key, indices in keys.items():
@@ -59,11 +61,25 @@ def onsets(
             finger = next((n.finger for n in notes if n.finger is not None), None)
             loudest = max(note.velocity for note in notes)
             written = {hand for note in notes for hand in note.hands}
-            held_to = as_written and finger is None and len(written) == 1
-            hand = written.pop() if held_to else None
+            held_to = as_written and finger is None and crossing.isdisjoint(indices)
+            hand = written.pop() if held_to and len(written) == 1 else None
             end = ends[indices[0]]
             strokes.append(Stroke(key, time, end, loudest, finger, tuple(indices), hand))
         yield time, strokes
+
+
+def _crossing(notes: Sequence[Note]) -> set[int]:
+    """The indices of notes that sound while one for the other hand is on the wrong side of them."""
+    crossing: set[int] = set()
+    sounding: list[int] = []
+    for i, note in enumerate(notes):
+        sounding = [k for k in sounding if notes[k].end > note.start + RELEASE_TIME]
+        for k in sounding:
+            lower, upper = sorted((note, notes[k]), key=lambda each: each.pitch)
+            if (lower.hands, upper.hands) == ((RIGHT,), (LEFT,)) and lower.pitch < upper.pitch:
+                crossing |= {i, k}
+        sounding.append(i)
+    return crossing
 
 
 def outer_first(begin: Sequence[Stroke], held: Sequence[Stroke]) -> list[Stroke]:
