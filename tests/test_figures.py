@@ -66,7 +66,7 @@ ALLOWED = {
     ("report/sound.py", 88): "the seed of the room's noise",
     ("report/tone.py", 88): "the pitch of the last damper",
     ("scene/scene.py", 10): "MuJoCo's ratio of frictional to normal impedance",
-    ("studio/engraver.py", 5): "how nice a process is to others",
+    ("report/engraver.py", 5): "how nice a process is to others",
     ("studio/practice_process.py", 10): "how nice a process is to others",
     ("studio/page_server.py", 5): "seconds that a connection is kept",
     ("tasks/config.py", 10): "steps of the lookahead",

@@ -396,6 +396,14 @@ def test_a_grace_note_tied_to_its_note_is_that_note(saved):
     assert played(load_score(saved(document([TEMPO + grace + tied])))) == [(0.0, 4.0, 60)]
 
 
+@pytest.mark.parametrize("pitch", [("<octave>4", "<octave>four"), ("<step>C", "<step>H")])
+def test_a_pitch_that_cannot_be_read_is_told(pitch, saved):
+    unreadable = note("C4", 8).replace(*pitch)
+    score = load_score(saved(document([TEMPO + unreadable + note("D4", 8)])))
+    assert pitches(score) == [62]
+    assert score.remarks == ("1 note with an unreadable <step> or <octave> left out",)
+
+
 def test_an_accidental_shows_and_an_alteration_sounds(saved):
     shown = note("A4", 8, inside="<accidental>sharp</accidental>")
     sounds = note("A4", 8).replace("<octave>", "<alter>1</alter><octave>")

@@ -285,6 +285,14 @@ def test_a_pickup_precedes_the_first_bar(tmp_path):
     assert [len(measure.findall("note/pitch")) for measure in others] == [3, 3, 3]
 
 
+def test_a_bar_of_minutes_can_be_read_again(tmp_path):
+    song = Score((Note(0, 1, 60), Note(501, 502, 62)), bars=(Bar(0.0, 1), Bar(502.0, 2)))
+    write_musicxml(song, tmp_path / "song.musicxml")
+    found = read_musicxml(tmp_path / "song.musicxml")
+    assert [note.start for note in found.notes] == pytest.approx([0, 501], abs=0.2)
+    assert not found.remarks
+
+
 @pytest.mark.parametrize(
     ("song", "metre", "pickup"),
     [("FurEliseOpening", ("3", "8"), 2), ("Greensleeves", ("6", "8"), 1)],

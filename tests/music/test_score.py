@@ -165,5 +165,5 @@ def test_the_beginning_counts_from_the_first_note_and_ends_what_goes_on():
     beginning = Score(notes, pedal, "song").beginning(1.0)
     assert beginning == Score((Note(2, 3, 60), Note(2.5, 3, 64)), pedal[:2], "song")
     assert Score(()).beginning(1.0) == Score(())
-    with pytest.raises(CadenzaError, match="the first 0"):
+    with pytest.raises(CadenzaError, match="--first-seconds 0"):
         Score(notes).beginning(0)

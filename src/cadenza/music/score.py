@@ -330,7 +330,7 @@ def check_beginning(seconds: float) -> None:
         CadenzaError: it is not positive or not finite.
     """
     if not 0 < seconds < float("inf"):
-        raise CadenzaError(f"the first {seconds} s: give a positive number")
+        raise CadenzaError(f"--first-seconds {seconds:g}: give a positive number")
 
 
 def check_length(seconds: float, what: str, advice: str = "") -> None:

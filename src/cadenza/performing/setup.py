@@ -41,7 +41,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.threads import MOST_THREADS
 from cadenza.tasks.config import TaskConfig, task_identity, with_time_to_begin
-from cadenza.tasks.goal_track import GoalTrack
+from cadenza.tasks.goal_track import GoalTrack, check_written_hands
 from cadenza.tasks.piano_task import PianoTask
 
 SomeAgent = str | Path | Agent
@@ -252,6 +252,7 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
     if not _is_learnt(selection):
         selection = replace(selection, source=selection.source.written_for(scene.hands))
         mine = selection.score
+    check_written_hands(task, mine, selection.source.name)
     arranged = _arranged(selection, built)
     if arranged is not None:
         selection = selection.with_score(arranged.arranged.score)

@@ -14,7 +14,7 @@ import numpy as np
 from cadenza.configs import flat
 from cadenza.episode import Episode
 from cadenza.music.score import Score
-from cadenza.report.engraving import engraving_of
+from cadenza.report.engraver import Engraver
 from cadenza.report.html_pages import render
 from cadenza.report.recording import recording_of
 from cadenza.report.sound import SAMPLE_RATE, Samples, bit_rate_of, encode_opus
@@ -45,6 +45,7 @@ _ARRANGEMENT = {
     "notes_added": ("Notes added", "Struck again while they sound."),
 }
 """The same of a song that was arranged for the hands."""
+_PATIENCE = 10.0  # [s] with the engraving of a score
 _IN_SECONDS = "timing_error", "onset_delay", "onset_error_", "ioi_", "chord_spread_", "duration_"
 """Beginnings of the names of metrics that are times."""
 
@@ -79,10 +80,13 @@ def performance_page(
         midi: a MIDI file of what was played, to download.
         wanted_midi: one of what was to be played.
         written: what was to be played, on the clock of the episode; with it, the page shows how
-            loudness and timing differ, and a score, see `engraving_of`.
+            loudness and timing differ, and a score, see `engraving_of`, if it is made in 10 s.
     """
     metrics, remarks = _shown_metrics(episode, metrics), settings.get("remarks") or ()
     settings = {name: value for name, value in settings.items() if name != "remarks"}
+    engraving = Engraver(written).engraving(_PATIENCE) if written else ""
+    if engraving is None:
+        remarks = [*remarks, f"no sheet music here: engraving took over {_PATIENCE:g} s"]
     # At least as long as the episode: the page's clock is this sound.
     seconds = episode.num_steps * episode.dt
     sound = encode_opus(audio, sample_rate, bit_rate_of(seconds), seconds=seconds)
@@ -99,7 +103,7 @@ def performance_page(
         wanted_midi=base64.b64encode(wanted_midi).decode(),
         roll_description=_roll_description(episode),
         recording=recording_of(episode, written, misses, arrangement),
-        engraving=engraving_of(written) if written else "",
+        engraving=engraving or "",
         has_expression=written is not None,
         sounds={"sound": sound} | ({"goal": goal_sound} if goal_sound else {}),
         styles=STYLES,

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from cadenza.music.performance import SoundedNotes, key_events
 from cadenza.performing.setup import Setup
+from cadenza.report.engraver import Engraver
 from cadenza.report.recording import arranged_notes, lost_notes, packed
 from cadenza.scene.drawing import drawing
-from cadenza.studio.engraver import Engraver
 from cadenza.studio.messages import (
     ROWS,
     SOUNDS,

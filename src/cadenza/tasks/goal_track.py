@@ -117,11 +117,7 @@ class GoalTrack:
         if self.dropped is not None:
             return self
         score, players = self.score, players_of(self.scene)
-        if self.config.hands_as_written and not score.has_written_hands:
-            raise CadenzaError(
-                f"{score.title or 'the score'}: nothing says which hand plays what (two staves, "
-                "tracks named right and left, fingers); leave out --hands-as-written"
-            )
+        check_written_hands(self.config, score, score.title or "the score")
         if self.config.fingering in ("robot", "human"):
             score = score.without_fingers()
         if self.config.fingering == "human":
@@ -134,6 +130,19 @@ class GoalTrack:
     def with_found_fingers(self) -> GoalTrack:
         """The track without the fingers that the song gives, if it gives any."""
         return self if self.found else self.with_score(self.score.without_fingers())
+
+
+def check_written_hands(config: TaskConfig, score: Score, name: str) -> None:
+    """Checks that a score says which hand plays what, if that is asked for.
+
+    Raises:
+        CadenzaError: it does not; the message begins with the `name` of the song.
+    """
+    if config.hands_as_written and not score.has_written_hands:
+        raise CadenzaError(
+            f"{name}: nothing says which hand plays what (two staves, tracks named right and left, "
+            "fingers); leave out --hands-as-written"
+        )
 
 
 def players_of(scene: Scene) -> Players:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ WHOLE = 4 * QUARTER
 _UNKNOWN_BEATS = 4  # in a bar whose beats are unknown
 _USUAL_BEAT = 0.5  # [s] of a quarter, where a single beat is all that is known
 _SHORTEST = 1e-3  # [s] of a beat; less is a rounding error
+_LONGEST = 8.0  # [s] of a bar whose beats are unknown
 _LATE = 0.25  # of a beat: what ends so much after the last bar has another
 _MOST_ADDED = 10_000  # bars before the first or after the last
 _PICKUP_STEP = QUARTER // 4  # a 16th; a grace note that begins a file may shift it by one
@@ -117,7 +119,7 @@ class _TimedBar:
 def _timed(bars: Sequence[Bar]) -> list[_TimedBar]:
     timed: list[_TimedBar] = []
     beat = _USUAL_BEAT
-    for bar, following in pairwise([*bars, None]):
+    for bar, following in pairwise([*_without_long(bars), None]):
         assert bar is not None
         end = following.time if following else None
         beats = bar.beats or _even_beats(bar.time, end)
@@ -131,6 +133,15 @@ def _timed(bars: Sequence[Bar]) -> list[_TimedBar]:
         timed.append(_TimedBar(bar.number, (*starts, end), bar.beat_type))
         beat = timed[-1].last_beat
     return timed
+
+
+def _without_long(bars: Sequence[Bar]) -> Iterator[Bar]:
+    """Yields the bars, and several in place of one of unknown beats that no tempo could fill."""
+    for bar, following in pairwise([*bars, None]):
+        assert bar is not None
+        length = 0.0 if bar.beats or following is None else following.time - bar.time
+        parts = max(1, ceil(length / _LONGEST))
+        yield from (replace(bar, time=bar.time + length * k / parts) for k in range(parts))
 
 
 def _even_beats(start: float, end: float | None) -> tuple[float, ...]:

@@ -29,6 +29,7 @@ from cadenza.music.signs.signed_note import Grace, SignedNote
 _STEPS = {step: i for i, step in enumerate("CDEFGAB")}
 _WHITE = (0, 2, 4, 5, 7, 9, 11)  # semitones from C
 _OCTAVE = 12  # semitones
+_OCTAVES = re.compile(r"-?\d{1,2}")
 _FINGERS = "12345"
 _MOST_DOTS = 4
 
@@ -115,7 +116,7 @@ def notes_of(
 def _sounding_pitch(
     note: Element, is_drum: Callable[[Element], bool], counts: Counter[str]
 ) -> Element | None:
-    """The pitch of a note that is played; None for a rest, a cue and what has none."""
+    """The pitch of a note that is played; None for a rest, a cue and what has none to be read."""
     if note.find("cue") is not None or note.find("rest") is not None:
         return None
     if is_drum(note):
@@ -123,15 +124,21 @@ def _sounding_pitch(
         return None
     counts["unpitched"] += note.find("unpitched") is not None
     pitch = note.find("pitch")
-    if pitch is not None:
-        counts["microtone"] += number(pitch.findtext("alter")).denominator > 1
+    if pitch is None:
+        return None
+    if pitch.findtext("step", "").strip() not in _STEPS or not _OCTAVES.fullmatch(
+        pitch.findtext("octave", "").strip()
+    ):
+        counts["unreadable"] += 1
+        return None
+    counts["microtone"] += number(pitch.findtext("alter")).denominator > 1
     return pitch
 
 
 def _step_and_semitones(pitch: Element) -> tuple[int, int]:
     """The number of a written pitch among the white keys, C0 being 0, and its MIDI pitch."""
     octave = int(number(pitch.findtext("octave")))
-    step = _STEPS.get(pitch.findtext("step", "").strip(), 0) + len(_STEPS) * octave
+    step = _STEPS[pitch.findtext("step", "").strip()] + len(_STEPS) * octave
     return step, _natural(step) + round(number(pitch.findtext("alter")))
 
 

@@ -215,6 +215,7 @@ def _sheet(root: Element, conventions: Conventions) -> _Sheet:
             (found.unclear, "metronome mark without a tempo", "left out"),
             (counts["microtone"], "microtone", "rounded to a semitone"),
             (counts["unpitched"], "unpitched note", "left out"),
+            (counts["unreadable"], "note", "with an unreadable <step> or <octave> left out"),
             *_unread(root),
             (lost, "jump", "without a segno or coda to go to left out"),
             (unplayed, "bar", "passed over by all repeats and jumps"),

@@ -1,6 +1,6 @@
-"""Engraves a score as a process of its own, so that the hands need not wait for it.
+"""Engraves a score as a process of its own, so that nothing need wait for it.
 
-`python -m cadenza.studio.engraver` reads a score on stdin, as `WrittenScore` has it, and prints
+`python -m cadenza.report.engraver` reads a score on stdin, as `WrittenScore` has it, and prints
 what `engraving_of` makes of it.
 """
 
@@ -10,7 +10,6 @@ import json
 import os
 import subprocess
 import sys
-from contextlib import suppress
 from dataclasses import asdict
 from tempfile import TemporaryFile
 
@@ -28,7 +27,7 @@ class Engraver:
     def __init__(self, score: Score) -> None:
         """Begins to engrave a score."""
         self._output = TemporaryFile()  # noqa: SIM115  # closed with this
-        command = [sys.executable, "-P", "-m", "cadenza.studio.engraver"]
+        command = [sys.executable, "-P", "-m", "cadenza.report.engraver"]
         with TemporaryFile() as file:
             file.write(json.dumps(asdict(WrittenScore.of(score))).encode())
             file.seek(0)
@@ -38,13 +37,14 @@ class Engraver:
         self._process.kill()
         self._process.wait()
 
-    def engraving(self, patience: float = 0.0) -> str:
-        """Returns the engraving; "" where there is none, or not yet after `patience` [s]."""
-        with suppress(subprocess.TimeoutExpired):
-            if self._process.wait(patience) == 0:
-                self._output.seek(0)
-                return self._output.read().decode()
-        return ""
+    def engraving(self, patience: float = 0.0) -> str | None:
+        """Returns the engraving; "" where there is none, None if not yet after `patience` [s]."""
+        try:
+            failed = self._process.wait(patience) != 0
+        except subprocess.TimeoutExpired:
+            return None
+        self._output.seek(0)
+        return "" if failed else self._output.read().decode()
 
 
 def main() -> None:
