@@ -9,6 +9,7 @@ import pytest
 from made_up_episode import make_episode
 
 from cadenza.episode import Episode
+from cadenza.music.score import Note, Score
 from cadenza.report.html_pages import asset, write_page
 from cadenza.report.performance_page import performance_page
 
@@ -224,3 +225,10 @@ def test_colours_contrast_enough(scheme):
         for pair in pairs:
             low, high = sorted(luminance(name) for name in pair)
             assert (high + 0.05) / (low + 0.05) >= enough, (scheme, pair)
+
+
+def test_sheet_music_that_takes_too_long_is_left_out_and_told(monkeypatch):
+    monkeypatch.setattr("cadenza.report.performance_page._PATIENCE", 0.0)
+    written = Score((Note(0.0, 1.0, 60),))
+    page = "".join(performance_page(make_episode(), {}, {}, SILENCE, written=written))
+    assert "no sheet music here: engraving took over 0 s" in page
