@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from cadenza.hands.shell import Shell, across, ring, rounded_box, surface
+from cadenza.hands.shell import Shell, across, bevelled, ring, rounded_box, surface
 
 HULLS = {
     "rod": across(0.02, 0.01, 0.008),
@@ -34,6 +34,17 @@ def test_a_surface_is_that_of_the_convex_hull(name: str) -> None:
     outside = hull.equations[:, :3] @ vertices.T + hull.equations[:, 3:]
     assert outside.max() < 2e-4
     assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0)
+
+
+def test_a_bevelled_box_is_the_hull_of_its_corners() -> None:
+    vertices, normals, triangles = bevelled((0.02, 0.03, 0.04), 0.004)
+    hull = ConvexHull(vertices)
+    a, b, c = vertices[triangles].transpose(1, 0, 2)
+    across = np.cross(b - a, c - a)
+    assert np.einsum("ij,ij->i", a, across).sum() / 6 == pytest.approx(hull.volume)
+    assert np.linalg.norm(across, axis=1).sum() / 2 == pytest.approx(hull.area)
+    assert (vertices * normals).sum(axis=1) == pytest.approx(np.abs(normals) @ [0.02, 0.03, 0.04])
+    assert np.abs(vertices).max(axis=0) == pytest.approx([0.02, 0.03, 0.04])
 
 
 def test_the_left_shell_is_the_mirror_image() -> None:

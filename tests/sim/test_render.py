@@ -26,9 +26,10 @@ def test_a_camera_sees_all_of_a_box_and_comes_as_near_as_that_allows(
 ) -> None:
     """By MuJoCo's own camera."""
     box = np.array([[-0.3, -0.2, 0.0], [0.2, 0.5, 0.1]])
+    corners = np.array(list(itertools.product(*box.T)))
     drawn, data = mujoco.MjvScene(scene.model, maxgeom=1000), mujoco.MjData(scene.model)
     mujoco.mj_forward(scene.model, data)
-    camera = camera_on(box, elevation, aspect)
+    camera = camera_on(corners, elevation, aspect)
     mujoco.mjv_updateScene(
         scene.model, data, mujoco.MjvOption(), None, camera, mujoco.mjtCatBit.mjCAT_ALL, drawn
     )
@@ -36,7 +37,6 @@ def test_a_camera_sees_all_of_a_box_and_comes_as_near_as_that_allows(
     mujoco.mjv_cameraInModel(eye, forward, up, drawn)
     np.testing.assert_allclose(eye_of(camera), eye, atol=1e-6)
     slope = np.tan(np.deg2rad(scene.model.vis.global_.fovy) / 2)
-    corners = np.array(list(itertools.product(*box.T)))
     depth = (corners - eye) @ forward
     upwards = np.abs((corners - eye) @ up) / (depth * slope)
     across = np.abs((corners - eye) @ np.cross(forward, up)) / (depth * slope * aspect)

@@ -136,20 +136,35 @@ _FOREARM = Link(
     "forearm", "", (0, 0, 0), 3.0, (0, 0, 0.09), (0.0138, 0.0138, 0.00744),
     geoms=(Geom("cylinder", (0.07434, 0.0914), (0, 0, 0.0914)),),
     drawn=(
-        Shell(((0.0, 0.0, 0.045, 0.045), (0.0, 0.0, 0.15, 0.038)), SLEEVE),
-        Shell(ring(0.043, 0.165, 0.005), TRIM),
-        Shell((*ring(0.034, 0.16, 0.006), *ring(0.026, 0.255, 0.004)), METAL),
+        Shell((*ring(0.046, 0.008, 0.006), *ring(0.040, 0.165, 0.004)), SLEEVE),
+        Shell(ring(0.048, 0.006, 0.003), METAL),
+        Shell(ring(0.0425, 0.166, 0.0035), TRIM),
+        Shell((*ring(0.038, 0.168, 0.005), *ring(0.030, 0.262, 0.005)), METAL),
     ),
 )  # fmt: skip
 
-_BACK_PLATE = Shell(rounded_box((0.003, 0.044, 0.034), (-0.0287, 0.0, -0.0475), 0.0025), SLEEVE)
-_EDGE = Shell(((-0.0285, -0.040, -0.0105, 0.0022), (-0.0285, 0.040, -0.0105, 0.0022)), TRIM)
+# The palm is narrower at the wrist, and has a foot where the forearm holds it.
+_PALM = Shell(
+    (
+        *rounded_box((0.0190, 0.0545, 0.0100), (-0.0093, 0.0, -0.0140), 0.0090),
+        *rounded_box((0.0170, 0.0400, 0.0100), (-0.0093, 0.0, -0.0830), 0.0090),
+    )
+)
+_FOOT = Shell(ring(0.0330, -0.0935, 0.0050), METAL)
+_BACK_PLATE = Shell(
+    (
+        *rounded_box((0.0030, 0.0430, 0.0040), (-0.0275, 0.0, -0.0200), 0.0025),
+        *rounded_box((0.0030, 0.0330, 0.0040), (-0.0250, 0.0, -0.0740), 0.0025),
+    ),
+    SLEEVE,
+)
+_EDGE = Shell(((-0.0275, -0.040, -0.0125, 0.0022), (-0.0275, 0.040, -0.0125, 0.0022)), TRIM)
 
 
 def _palm() -> Link:
     box = _box((0.0204, 0.0565, 0.0475), (-0.0093, 0, -0.0475))
     palm = _link("palm", "forearm", _PALM_POS, box, quat=_PALM_QUAT)
-    return replace(palm, drawn=(*palm.drawn, _BACK_PLATE, _EDGE))
+    return replace(palm, drawn=(_PALM, _FOOT, _BACK_PLATE, _EDGE))
 
 
 _FINGERS = ("ff", "mf", "rf", "th")

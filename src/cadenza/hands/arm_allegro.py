@@ -29,7 +29,7 @@ from cadenza.hands.body import (
     Vector,
 )
 from cadenza.hands.servo import Servo
-from cadenza.hands.shell import METAL, SLEEVE, Shell, ring
+from cadenza.hands.shell import SLEEVE, Shell, ring
 
 _DAMPING = 0.5  # [N m s/rad]
 _TORQUE = 300.0  # [N m], the limit of the motors
@@ -107,6 +107,9 @@ _FLANGE_TO_PALM: Vector = (0, 0, 0.145)
 # Two arms have room side by side, and either reaches past the middle of the keyboard.
 _MOUNT = Mount(pos=(0.72, 0.2, 0.0), quat=(_HALF, 0.0, 0.0, _HALF), home=0.2, low=-0.42, high=0.62)
 
+# Of what is drawn, in radii of a link
+_BAND, _CAP, _PROUD = 0.75, 0.72, 1.035  # where a band begins, the radius of caps; how far both go
+
 _BASE = "arm0"
 _LINKS = (*(f"arm{number}" for number in range(1, 7)), forearm.FOREARM)
 _JOINTS = tuple(f"armJ{number}" for number in range(1, 8))
@@ -137,14 +140,20 @@ def _link(name: str, parent: str, joint: str, part: _Part) -> Link:
 
 
 def _shells(part: _Part) -> tuple[Shell, ...]:
-    """A cover along the link, and a ring around its joint."""
+    """A cover along the link, and what one sees of its motor: a band around it, or two caps."""
     (geom,) = part.geoms
     radius, half_length = geom.size
     along = np.zeros(3)
     mujoco.mju_rotVecQuat(along, np.array([0.0, 0.0, half_length]), np.array(geom.quat))
     first, last = np.array(geom.pos) - along, np.array(geom.pos) + along
     cover = Shell(((*first.tolist(), radius), (*last.tolist(), 0.94 * radius)))
-    return cover, Shell(ring(1.025 * radius, 0.0, 0.008), METAL)
+    if abs(along[2]) > abs(along[1]):  # it turns about its length
+        at = float(first[2]) + _BAND * radius
+        return cover, Shell(
+            (*ring(_PROUD * radius, at, 0.006), *ring(_PROUD * radius, at + 0.012, 0.006)), SLEEVE
+        )
+    caps = (ring(_CAP * radius, end * _PROUD * radius, 0.008) for end in (-1, 1))
+    return cover, Shell(tuple(ball for cap in caps for ball in cap), SLEEVE)
 
 
 def _principal(moments: Vector, products: Vector) -> tuple[Vector, Quaternion]:

@@ -15,34 +15,42 @@ from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Side
 from cadenza.hands.body import prefix
+from cadenza.hands.shell import METAL
 from cadenza.music.score import Note, Score
+from cadenza.performing.titles import Titles
 from cadenza.scene.cameras import camera_on, eye_of
 from cadenza.scene.drawn_model import drawn_model
+from cadenza.scene.furniture import SLOPE, board_half_width, board_origin
 from cadenza.scene.scene import Scene
 from cadenza.sim.graphics import Canvas
 
 # As pages colour them
 _HIT, _WRONG, _MISSED = (0.0, 0.62, 0.45), (0.84, 0.37, 0.0), (0.56, 0.42, 0.85)
-_COMING = {False: (0.80, 0.83, 0.88), True: (0.55, 0.59, 0.66)}  # for black keys or not
+# Of the right hand, of the left, of an unknown one: on white keys, on black ones.
+_COMING = (
+    ((0.62, 0.72, 0.96), (0.44, 0.56, 0.88)),
+    ((0.94, 0.69, 0.83), (0.78, 0.47, 0.66)),
+    ((0.80, 0.83, 0.88), (0.55, 0.59, 0.66)),
+)
 _GLOW = 0.35  # of what sounds, so that its colour is the same in shadow
-_ELEVATION = np.deg2rad(47.0)  # of the camera over the keys
+# Of the camera over the keys: before hands, and over arms, which stand before the keys
+_ELEVATION, _OVER_ARMS = np.deg2rad(47.0), np.deg2rad(78.0)
 _LEAST_SIDE, _MOST_SIDE = 64, 2160  # [px]
 _MOST_FPS = 120
-_SHARPER = 1.5  # times the size at which pictures are drawn, which smooths their edges
-_SHADOW_MAP = 1024  # [px]
+_SHARPER = 1.25  # times the size at which pictures are drawn, which smooths their edges
+_SHADOW_MAP = 768  # [px]; what it costs grows with its area
+_TALL_SHADOWS = 0.6  # how far shadows reach in a tall picture, compared with a wide one
 
 # The track on which notes fall: as that of pages.
 _AHEAD, _PAST = 2.4, 0.35  # [s] of the score that it shows
 _AHEAD_IF_TALL = 5.0  # [s]
 _SPEED = 0.075  # [m/s]
-_SLOPE = 0.5  # [rad]
-_BEHIND, _OVER = 0.012, 0.016  # [m] from the keys to its lower edge
 _NOTE_WIDTH = {False: 0.0065, True: 0.0045}  # [m], halves
 _NOTE_HEIGHT = 0.0015  # [m], half
-_BESIDE = 0.03  # [m] in view beside the keys of the song
+_BESIDE = 0.035  # [m] in view beside the keys
 _BEFORE = 0.16  # [m] in view before the keys, for the hands
 _TALL = 1.2  # height over width from which the camera follows the hands
-_NARROW = 0.42  # [m] that it then shows of the keyboard
+_NARROW = 0.42  # [m] that it then shows of the keyboard, if the hands are no farther apart
 _STEADY = 1.0  # [s] over which it averages where the hands are
 
 _FADED = 0.28  # opacity of a palm that hides a key which sounds
@@ -50,7 +58,20 @@ _FADING = 0.15  # [s] that it takes to fade, and to be solid again
 _SOLID = 0.92  # opacity of a palm that is drawn solid
 _TURN = np.linspace(0, 2 * np.pi, 12, endpoint=False)
 _COSINES, _SINES = np.cos(_TURN), np.sin(_TURN)
-_TRACK, _NOW = (0.14, 0.155, 0.185), (0.84, 0.86, 0.90)  # colours of the track, and of its line
+_TRACK, _NOW = (0.085, 0.09, 0.10), (0.84, 0.86, 0.90)  # colours of the track, and of its line
+# Numbers from 1 on, made of strokes: the middle upwards and to the right, the length, whether it
+# stands, in parts of their height and their width.
+_STROKES = (
+    ((0.5, 0, 1, True),),
+    ((1, 0, 1, False), (0.75, 0.5, 0.5, True), (0.5, 0, 1, False), (0.25, -0.5, 0.5, True),
+     (0, 0, 1, False)),
+    ((1, 0, 1, False), (0.5, 0.5, 1, True), (0.5, 0, 1, False), (0, 0, 1, False)),
+    ((0.75, -0.5, 0.5, True), (0.5, 0.5, 1, True), (0.5, 0, 1, False)),
+    ((1, 0, 1, False), (0.75, -0.5, 0.5, True), (0.5, 0, 1, False), (0.25, 0.5, 0.5, True),
+     (0, 0, 1, False)),
+)  # fmt: skip
+_HIGH, _WIDE, _STROKE, _EDGE = 0.0075, 0.0042, 0.0011, 0.0018  # [m] of numbers
+_INK = (0.06, 0.08, 0.11)
 _ALONG_KEY = np.array([-0.4, 0.0, 0.4, 0.8])  # halves of a key's length from its middle
 
 
@@ -81,7 +102,9 @@ class Look:
 class FilmRenderer(Canvas):
     """Draws an episode at any time. Holds a graphics context of this thread until `close`."""
 
-    def __init__(self, scene: Scene, episode: Episode, goal: Score, look: Look) -> None:
+    def __init__(
+        self, scene: Scene, episode: Episode, goal: Score, look: Look, titles: Titles
+    ) -> None:
         """Opens a graphics context.
 
         Args:
@@ -89,13 +112,14 @@ class FilmRenderer(Canvas):
             episode: what was played.
             goal: what was to be played, on its clock.
             look: the size of the pictures.
+            titles: what the film begins with.
 
         Raises:
             CadenzaError: this machine cannot draw.
         """
-        self._episode = episode
+        self._episode, self._titles = episode, titles
         width, height = round(look.width * _SHARPER), round(look.height * _SHARPER)
-        model = drawn_model(scene, furniture=True)
+        model = drawn_model(scene)
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         model.vis.quality.shadowsize, model.vis.quality.offsamples = _SHADOW_MAP, 0
         super().__init__(scene, model, width, height)
@@ -104,7 +128,11 @@ class FilmRenderer(Canvas):
         self._palms = [_Palm(model, scene, side) for side in scene.sides]
         self._palm_of_geom = {g: i for i, palm in enumerate(self._palms) for g in palm.geoms}
         self._aspect = look.width / look.height
-        self._middle = _middle_of_hands(episode) if tall else None
+        self._shown = None
+        if tall:
+            self._shown = _around_hands(episode)
+            model.vis.map.shadowclip *= _TALL_SHADOWS
+        self._light = float(model.light_pos[0, 1])
 
     def frame(self, time: float) -> NDArray[np.uint8]:
         """Draws the picture (height, width, 3) at a time [s], larger than the film by `_SHARPER`.
@@ -118,27 +146,32 @@ class FilmRenderer(Canvas):
         hands, keys = (
             _at(episode[name], time - episode.dt, episode.dt) for name in ("hand_qpos", "key_qpos")
         )
+        if self._shown is not None:  # shadows are where one looks
+            self._model.light_pos[0, 1] = self._light + _at(self._shown, time, episode.dt).mean()
         for geom, key in self._show(hands, keys, self._camera(time)):
             palm = self._palm_of_geom.get(geom.objid)
             if key is not None and (sounding[key] or goal[key]):
                 geom.rgba[:3] = _MISSED if not sounding[key] else _HIT if goal[key] else _WRONG
                 geom.emission = _GLOW
             elif palm is not None and opacity[palm] < _SOLID:
-                geom.rgba[3] = opacity[palm]
+                geom.rgba[3] = self._palms[palm].seen(geom.objid, opacity[palm])
         self._falling.add_to(self._drawn, time, sounding)
-        return self._picture()
+        picture = self._picture()
+        self._titles.draw_on(picture, time)
+        return picture
 
     def _camera(self, time: float) -> mujoco.MjvCamera:
-        """The camera, which sees the keys of the song, or in a tall picture goes with the hands."""
-        keyboard, falling = self._scene.keyboard, self._falling
-        left, right = falling.sides
-        if self._middle is not None:
-            middle = float(_at(self._middle, time, self._episode.dt))
-            left, right = middle - _NARROW / 2, middle + _NARROW / 2
+        """The camera, which sees the whole keyboard, or in a tall picture goes with the hands."""
+        keyboard, end = self._scene.keyboard, self._falling.end
+        half = board_half_width(keyboard) + _BESIDE
+        left, right = -half, half
+        if self._shown is not None and 2 * half > _NARROW:
+            left, right = _at(self._shown, time, self._episode.dt).tolist()
         white = keyboard.white
         front = white.centre_x + white.half_size[0] + _BEFORE
-        box = np.array([[falling.end[0], left, 0.0], [front, right, falling.end[1]]])
-        return camera_on(box, _ELEVATION, self._aspect)
+        corners = [(x, y, z) for x, z in ((front, 0.0), end) for y in (left, right)]
+        elevation = _OVER_ARMS if self._scene.hand.body.mount else _ELEVATION
+        return camera_on(np.array(corners), elevation, self._aspect)
 
     @cached_property  # only what draws needs it, and it takes a while
     def _opacity(self) -> NDArray[np.float64]:
@@ -168,13 +201,22 @@ def _at(rows: NDArray[Any], time: float, dt: float) -> NDArray[Any]:
     return rows[row] + (at - row) * (rows[min(row + 1, len(rows) - 1)] - rows[row])
 
 
-def _middle_of_hands(episode: Episode) -> NDArray[np.float64]:
-    """The place along the keyboard of all fingertips [m], averaged over time, (T,)."""
-    return gaussian_filter1d(episode["fingertip_xpos"][:, :, 1].mean(axis=1), _STEADY / episode.dt)
+def _around_hands(episode: Episode) -> NDArray[np.float64]:
+    """From where to where along the keyboard a tall picture shows it [m], (T, 2).
+
+    All fingertips are in it now and for a while before and after, and it moves slowly.
+    """
+    tips, steady = episode["fingertip_xpos"][:, :, 1], _STEADY / episode.dt
+    edges = np.stack([-tips.min(axis=1), tips.max(axis=1)], axis=1) + _BESIDE
+    left, right = gaussian_filter1d(
+        maximum_filter1d(edges, 1 + 2 * int(steady), axis=0), steady, axis=0
+    ).T
+    middle, half = (right - left) / 2, np.maximum(right + left, _NARROW) / 2
+    return np.stack([middle - half, middle + half], axis=1)
 
 
 class _FallingNotes:
-    """The notes of a score, sliding down a track behind the keyboard onto their keys."""
+    """The notes of a score, sliding down the fall board onto their keys."""
 
     def __init__(self, scene: Scene, score: Score, episode: Episode, ahead: float) -> None:
         self._keyboard = keyboard = scene.keyboard
@@ -184,13 +226,10 @@ class _FallingNotes:
         self._notes = [n for n in score.notes if n.pitch in keyboard.pitches]
         self._longest = max((n.end - n.start for n in self._notes), default=0.0)
         self._starts = np.array([n.start for n in self._notes])
-        keys = [n.pitch - keyboard.lowest_pitch for n in self._notes] or [0, keyboard.num_keys - 1]
-        y = keyboard.centre[[min(keys), max(keys)], 1]
-        self.sides = float(y[0]) - _BESIDE, float(y[1]) + _BESIDE
-        """The left and the right edge of the track [m]."""
-        low, high = keyboard.bounds
-        self._origin = np.array([low[0] - _BEHIND, 0.0, high[2] + _OVER])
-        self._back = np.array([-np.cos(_SLOPE), 0.0, np.sin(_SLOPE)])
+        self._half_width = board_half_width(keyboard)
+        x, z = board_origin(keyboard)
+        self._origin = np.array([x, 0.0, z])
+        self._back = np.array([-np.cos(SLOPE), 0.0, np.sin(SLOPE)])
         self.end = tuple((self._origin + self._length * self._back)[[0, 2]].tolist())
         """How far the track goes back, x, and up, z [m]."""
         side = np.array([0.0, 1.0, 0.0])
@@ -198,11 +237,9 @@ class _FallingNotes:
 
     def add_to(self, scene: mujoco.MjvScene, time: float, sounding: NDArray[Any]) -> None:
         """Adds the track and what is on it at a time [s], while the keys of a mask (K,) sound."""
-        left, right = self.sides
-        middle, half = (left + right) / 2, (right - left) / 2
-        self._add(scene, (0.0, self._length), middle, half, 0.001, -0.004, _TRACK)
+        self._add(scene, (0.0, self._length), 0.0, self._half_width, 0.001, -0.0035, _TRACK)
         now = _PAST * _SPEED
-        self._add(scene, (now - 0.0015, now + 0.0015), middle, half, 0.001, -0.0025, _NOW)
+        self._add(scene, (now - 0.0010, now + 0.0010), 0.0, self._half_width, 0.001, -0.002, _NOW)
         first = np.searchsorted(self._starts, time - _PAST - self._longest)
         for note in self._notes[first : np.searchsorted(self._starts, time + self._ahead)]:
             near, far = max(note.start, time - _PAST), min(note.end, time + self._ahead)
@@ -219,59 +256,74 @@ class _FallingNotes:
         That is None for a note that is not to sound now.
         """
         key = note.pitch - self._keyboard.lowest_pitch
-        black = bool(self._keyboard.is_black[key])
-        colour = _COMING[black] if hit is None else _HIT if hit else _MISSED
-        span = ahead[0] * _SPEED, max(ahead[1] * _SPEED - 0.001, ahead[0] * _SPEED + 0.0005)
-        y, width = float(self._keyboard.centre[key, 1]), _NOTE_WIDTH[black]
-        glow = 0.0 if hit is None else _GLOW
-        self._add(
-            scene, span, y, width, _NOTE_HEIGHT, 0.001 * black, colour, glow, self._finger(note)
-        )
+        black, finger = bool(self._keyboard.is_black[key]), self._finger(note)
+        hand = finger // self._of_a_hand
+        colour = _COMING[hand][black] if hit is None else _HIT if hit else _MISSED
+        near, far = ahead[0] * _SPEED, max(ahead[1] * _SPEED - 0.001, ahead[0] * _SPEED + 0.0005)
+        y, width, over = float(self._keyboard.centre[key, 1]), _NOTE_WIDTH[black], 0.001 * black
+        glow = _GLOW * (hit is not None)
+        self._add(scene, (near, far), y, width, _NOTE_HEIGHT, over, colour, glow)
+        high = min(_HIGH, far - near - 2 * _EDGE)
+        if finger < 0 or high < _HIGH / 2:
+            return
+        for up, right, length, stands in _STROKES[finger % self._of_a_hand]:
+            half = (length * (high if stands else _WIDE) + _STROKE) / 2
+            along, across = (half, _STROKE / 2) if stands else (_STROKE / 2, half)
+            x = near + _EDGE + up * high
+            span = x - along, x + along
+            self._add(scene, span, y + right * _WIDE, across, 3e-4, over + _NOTE_HEIGHT, _INK)
 
-    def _finger(self, note: Note) -> str:
-        """The number of the finger of a note, as pianists count; nothing where there is none."""
+    def _finger(self, note: Note) -> int:
+        """The number of the finger that is to play a note among all; less than 0 for none."""
         row = min(int(note.start / self._dt + 1e-6), len(self._fingers) - 1)
-        finger = int(self._fingers[row, note.pitch - self._keyboard.lowest_pitch])
-        return "" if finger < 0 else str(finger % self._of_a_hand + 1)
+        return int(self._fingers[row, note.pitch - self._keyboard.lowest_pitch])
 
     def _add(
         self, scene: mujoco.MjvScene, span: tuple[float, float], y: float, half_width: float,
-        half_height: float, height: float, colour: tuple[float, float, float],
-        glow: float = 0.0, label: str = "",
+        half_height: float, height: float, colour: tuple[float, float, float], glow: float = 0.0,
     ) -> None:  # fmt: skip
         """Adds a box to the track, from and to so far from its lower edge [m]."""
         if scene.ngeom >= scene.maxgeom:
             return
         x = (span[0] + span[1]) / 2
-        pos = self._origin + self._frame @ [x, y, 0.0] - height * self._frame[:, 2]
         mujoco.mjv_initGeom(
             scene.geoms[scene.ngeom],
             mujoco.mjtGeom.mjGEOM_BOX,
             np.array([(span[1] - span[0]) / 2, half_width, half_height]),
-            pos,
+            self._origin + self._frame @ [x, y, -height],
             self._frame.ravel(),
             np.array([*colour, 1.0], np.float32),
         )
         geom = scene.geoms[scene.ngeom]
-        geom.emission, geom.specular, geom.label = glow, 0.0, label
+        geom.emission, geom.specular = glow, 0.0
         scene.ngeom += 1
 
 
 class _Palm:
-    """The palm of a hand, as the hulls that hide keys."""
+    """The palm of a hand, as the hulls that hide keys. Its joints stay as they are."""
 
     def __init__(self, model: mujoco.MjModel, scene: Scene, side: Side) -> None:
-        links = [link for link in scene.hand.body.links if link.hides_keys]
-        bodies = [model.body(prefix(side) + link.name).id for link in links]
-        self.geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies)).tolist()
-        self._hulls = [
-            (body, np.array(shell.mirrored(side).balls))
-            for body, link in zip(bodies, links, strict=True)
-            for shell in link.drawn
-        ]
+        self._hulls: list[tuple[int, NDArray[np.float64]]] = []
+        self._covers: set[int] = set()
+        self.geoms: list[int] = []
+        for link in (link for link in scene.hand.body.links if link.hides_keys):
+            body = model.body(prefix(side) + link.name)
+            first = int(body.geomadr[0] + body.geomnum[0]) - len(link.drawn)
+            for number, shell in enumerate(link.drawn):
+                if shell.material != METAL:
+                    self.geoms.append(first + number)
+                    self._hulls.append((body.id, np.array(shell.mirrored(side).balls)))
+            self._covers.add(first)
+
+    def seen(self, geom: int, opacity: float) -> float:
+        """How opaque a geom is while the palm is: of each link only the first cover stays in sight.
+
+        What lies over another would add up.
+        """
+        return opacity if geom in self._covers else max(opacity - _FADED, 0.0)
 
     def hides(self, data: mujoco.MjData, points: NDArray[Any], eye: NDArray[Any]) -> bool:
-        """Whether more than one point of any key (K, P, 3) is behind it, seen from an eye (3,)."""
+        """Whether most points of any key (K, P, 3) are behind it, seen from an eye (3,)."""
         hidden = np.zeros(points.shape[:2], bool)
         ray = eye - points
         ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
@@ -287,4 +339,4 @@ class _Palm:
             reach = x[..., None] * _COSINES + y[..., None] * _SINES + balls[:, 3, None]
             # Seen along the line from a point to the eye, the hull is around it on all sides.
             hidden |= (np.where(depth[..., None] > 0, reach, -1.0).max(axis=2) > 0).all(axis=-1)
-        return bool((hidden.sum(axis=1) > 1).any())
+        return bool((hidden.sum(axis=1) > points.shape[1] / 2).any())

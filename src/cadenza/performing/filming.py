@@ -5,8 +5,9 @@ from __future__ import annotations
 import multiprocessing
 import os
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -20,8 +21,10 @@ from cadenza.episode import Episode, load_episode
 from cadenza.errors import CadenzaError
 from cadenza.files import checked, read_json
 from cadenza.music.formats.midi import read_midi
+from cadenza.music.libraries.library import find_song
 from cadenza.music.performance import played_in
 from cadenza.performing.film_renderer import FilmRenderer, Look
+from cadenza.performing.titles import Titles
 from cadenza.report.sound import SAMPLE_RATE, Samples, synthesize
 from cadenza.report.sound_file import CODECS, write_sound
 from cadenza.report.tone import Tone, tone
@@ -183,7 +186,16 @@ def renderer_of(folder: Path, look: Look) -> FilmRenderer:
     settings = read_json(path, dict[str, Any])
     scene = build_scene(checked(settings.get("scene"), SceneConfig, f"{path}, scene"))
     episode, goal = load_episode(folder / "episode.npz"), read_midi(folder / "wanted.mid")
-    return FilmRenderer(scene, episode, goal, look)
+    return FilmRenderer(scene, episode, goal, look, _titles(episode, settings))
+
+
+def _titles(episode: Episode, settings: Mapping[str, Any]) -> Titles:
+    """Names the song, who wrote it if a library says so, and who plays."""
+    by = ""
+    with suppress(CadenzaError):  # a file, or a library that is not here
+        by = find_song(str(settings.get("song"))).composer
+    player = f"played by the {settings['agent']}" if settings.get("agent") else ""
+    return Titles((episode.song, *filter(None, (by, player))))
 
 
 def _draw(times: NDArray[np.float64]) -> list[NDArray[np.uint8]]:

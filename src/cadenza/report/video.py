@@ -23,6 +23,8 @@ ANIMATIONS: dict[str, tuple[str, str, dict[str, str]]] = {
 }
 """Encoder, its pixels and its options, by the ending of the name."""
 _MIN_SIZE = 16  # [px] that the encoder takes
+# As large a file as x264's default makes of crf 20, in half of the time, and hardly worse.
+_QUALITY = {"crf": "19", "preset": "veryfast"}
 _THREADS = 2  # that encode; by default, x264 takes all cores
 
 
@@ -60,7 +62,7 @@ def write_video(
         av.open(file, "w", format="mp4") as container,
     ):
         rate = Fraction(fps).limit_denominator(1001)
-        video = container.add_stream("libx264", rate=rate, options={"crf": "20"})
+        video = container.add_stream("libx264", rate=rate, options=_QUALITY)
         video.width, video.height, video.pix_fmt = width, height, "yuv420p"
         video.thread_count = _THREADS
         layout = "mono" if audio.ndim == 1 else "stereo"

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -22,22 +20,24 @@ CAMERAS = {
 }
 MAX_WIDTH, MAX_HEIGHT = 1920, 1080  # [px] of a picture
 
+_LIGHT = (0.62, 0.4, 1.6)  # [m]; it points at the keys
 _FOVY = np.deg2rad(45.0)  # MuJoCo's for cameras that are not fixed
 
 
-def camera_on(box: NDArray[np.float64], elevation: float, aspect: float) -> mujoco.MjvCamera:
-    """The camera on the player's side that is as near to a box as keeps all of it in the picture.
+def camera_on(points: NDArray[np.float64], elevation: float, aspect: float) -> mujoco.MjvCamera:
+    """The camera on the player's side that is as near as keeps all points in the picture.
+
+    It looks at the middle of the box around them.
 
     Args:
-        box: (2, 3), the least and the greatest x, y and z [m].
-        elevation: of the camera over the box [rad].
+        points: (N, 3) [m].
+        elevation: of the camera over that middle [rad].
         aspect: width of the picture over its height.
     """
-    centre = box.mean(axis=0)
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
     towards = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
     up = np.array([-np.sin(elevation), 0.0, np.cos(elevation)])
-    corners = np.array(list(itertools.product(*box.T)))
-    across, upwards, nearer = np.stack([[0, 1, 0], up, towards]) @ (corners - centre).T
+    across, upwards, nearer = np.stack([[0, 1, 0], up, towards]) @ (points - centre).T
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.azimuth, camera.elevation = 180.0, -np.rad2deg(elevation)
@@ -60,9 +60,13 @@ def add_cameras(spec: mujoco.MjSpec) -> None:
     world = spec.worldbody
     for name, (pos, quat, fovy) in CAMERAS.items():
         world.add_camera(name=name, pos=pos, quat=quat, fovy=fovy)
-    world.add_light(pos=(0.5, 0.3, 1.6), dir=(-0.3, -0.2, -1.0), diffuse=(0.55, 0.55, 0.55))
-    spec.visual.headlight.ambient = (0.35, 0.35, 0.35)
-    spec.visual.headlight.diffuse = (0.25, 0.25, 0.25)
+    world.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=_LIGHT, dir=(-0.35, -0.25, -1.0),
+        diffuse=(0.60, 0.59, 0.57), specular=(0.5, 0.5, 0.5),
+    )  # fmt: skip
+    spec.visual.headlight.ambient = (0.38, 0.39, 0.41)
+    spec.visual.headlight.diffuse = (0.13, 0.13, 0.14)
+    spec.visual.headlight.specular = (0.15, 0.15, 0.15)
     spec.visual.quality.shadowsize = 2048
     spec.visual.global_.offwidth, spec.visual.global_.offheight = MAX_WIDTH, MAX_HEIGHT
     spec.add_texture(

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.hands.body import GEOM_TYPES, prefix
-from cadenza.hands.shell import as_json
+from cadenza.hands.shell import METAL, as_json
 from cadenza.keyboards.keyboard import Keyboard
+from cadenza.scene.furniture import IVORY, LACQUER, Piece, furniture
 from cadenza.scene.scene import Scene
 
 # MuJoCo's type of a geom -> its name, and how many numbers its size has.
@@ -30,7 +31,9 @@ def drawing(scene: Scene) -> dict[str, Any]:
         [m] and quat (w x y z) in the body's frame, rgba, finger (number of a fingertip, or None),
         and whether it is part of a palm, which hides keys.
     shells: what is drawn of bodies in place of geoms: body, finger and palm as above, and what
-        `hands.shell.as_json` says of it.
+        `hands.shell.as_json` says of it. Metal hides little, and is no part of a palm.
+    furniture: the case: boxes with size, pos, quat and material as above.
+    key_materials: those of white and of black keys.
     keys: for each its box at rest, pos and half size [m], a point on the hinge, the
         hinge's axis, travel [rad], and whether it is black.
     """
@@ -52,14 +55,20 @@ def drawing(scene: Scene) -> dict[str, Any]:
         for link in scene.hand.body.links
         for shell in link.drawn
     ]
-    covered, keys = {body for body, _ in shells}, range(model.ngeom)[scene.key_geoms]
+    keys = range(model.ngeom)[scene.key_geoms]
+    covered = {body for body, _ in shells} | {model.body("base").id}
     bodies = model.geom_bodyid.tolist()
     geoms = [g for g, body in enumerate(bodies) if g not in keys and body not in covered]
     return {
         "bodies": [model.body(b).name for b in scene.hand_bodies],
         "skeleton": [_body(scene, int(b), index) for b in scene.hand_bodies],
         "geoms": [part(bodies[g]) | _shape(model, g, fixed=bodies[g] not in index) for g in geoms],
-        "shells": [part(body) | as_json(shell) for body, shell in shells],
+        "shells": [
+            part(body) | as_json(shell) | ({"palm": False} if shell.material == METAL else {})
+            for body, shell in shells
+        ],
+        "furniture": [_piece(piece) for piece in furniture(scene.keyboard)],
+        "key_materials": [IVORY.as_json(), LACQUER.as_json()],
         "keys": [_key(scene.keyboard, k) for k in range(scene.keyboard.num_keys)],
     }
 
@@ -112,6 +121,12 @@ def _shape(model: mujoco.MjModel, g: int, fixed: bool) -> dict[str, Any]:
         "quat": _rounded(model.geom_quat[g]),
         "rgba": _rounded(model.geom_rgba[g]),
     }
+
+
+def _piece(piece: Piece) -> dict[str, Any]:
+    size, pos, quat = (np.array(a) for a in (piece.half_size, piece.pos, piece.quat))
+    place = {"size": _rounded(size), "pos": _rounded(pos), "quat": _rounded(quat)}
+    return place | piece.material.as_json()
 
 
 def _key(keyboard: Keyboard, k: int) -> dict[str, Any]:

@@ -20,7 +20,6 @@ from cadenza.scene.scene import Scene
 
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 _RENDERED_IN: set[int] = set()  # this process, or the one that it was forked from
-_FONT = mujoco.mjtFontScale.mjFONTSCALE_200  # of labels
 _MOST_GEOMS = 2000
 
 
@@ -97,7 +96,7 @@ def _opened(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco
         try:
             gl = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
             gl.make_current()
-            context = mujoco.MjrContext(model, _FONT)
+            context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         except Exception as error:  # missing libraries show in many ways
             reason, *_ = (str(error) or repr(error)).splitlines()
             reasons.append(f"{backend}: {reason}")

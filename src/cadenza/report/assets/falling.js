@@ -25,23 +25,23 @@ function addFingers(goal, { fingers = [], dt }) {
   }
 }
 
-/** Behind those `keys` of the scene that lie from number `low` to `high` of the `keyboard`. */
-function createFallingNotes(data, keys, keyboard, [low, high], colours) {
+/** Behind the `keys` of the scene, which fill the box `keyboard`. */
+function createFallingNotes(data, keys, keyboard, colours) {
   const goal = notes(data, wanted), longest = longestOf(goal);
   addFingers(goal, data);
   const track = new THREE.Group();
   track.position.set(keyboard.min.x - 0.012, 0, keyboard.max.z + 0.016);
   track.quaternion.setFromAxisAngle(new THREE.Vector3(0, 1, 0), Math.PI + TRACK.slope); // x is away
-  const [left, right] = [keys[low].pos[1] - 0.03, keys[high].pos[1] + 0.03];
+  const [left, right] = [keyboard.min.y - 0.015, keyboard.max.y + 0.015];
   const strip = (from, length, colour, height) => {
-    const solid = mesh("box", [length / 2, (right - left) / 2, 0.001], new THREE.Color(colour), 0.8);
+    const solid = mesh("box", [length / 2, (right - left) / 2, 0.001], { colour: new THREE.Color(colour), roughness: 0.8 });
     solid.position.set(from + length / 2, (left + right) / 2, height);
     solid.castShadow = false;
-    solid.renderOrder = 0.5;
+    solid.userData.order = 0.5;
     track.add(solid);
   };
-  strip(0, TRACK_LENGTH, 0x23272f, 0.004);
-  strip(TRACK.past * TRACK.speed - 0.0015, 0.003, 0xd5dbe6, 0.0025);
+  strip(0, TRACK_LENGTH, 0x15171b, 0.004);
+  strip(TRACK.past * TRACK.speed - 0.001, 0.002, 0xd5dbe6, 0.0025);
 
   const coming = COMING_NOTES.map((colours) => colours.map((colour) => new THREE.Color(colour)));
   const ink = new THREE.Color(0x10141c);
@@ -52,9 +52,9 @@ function createFallingNotes(data, keys, keyboard, [low, high], colours) {
     return {
       next() {
         if (used === solids.length) {
-          const solid = mesh("box", [0.5, 0.5, 0.5], ink.clone(), 0.6);
+          const solid = mesh("box", [0.5, 0.5, 0.5], { colour: ink.clone(), roughness: 0.6 });
           solid.castShadow = false;
-          solid.renderOrder = order;
+          solid.userData.order = order;
           solids.push(solid);
           track.add(solid);
         }

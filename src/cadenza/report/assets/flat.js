@@ -45,7 +45,7 @@ function createFlatRenderer(canvas) {
     if (!record) {
       const { type, size, balls } = solid.userData;
       const half = balls ? [0, 0, 0] : type === "box" || type === "ellipsoid" ? size : type === "sphere" ? [size[0], size[0], size[0]] : [size[0], size[0], size[1]];
-      record = { solid, type, half, axes: new Float64Array(12), homogeneous: new Float64Array(12), corners: new Float64Array(16), balls, circles: new Float64Array(3 * (balls?.length ?? 0)), depth: 0, order: solid.renderOrder, shades: [], r: -1, g: -1, b: -1 };
+      record = { solid, type, half, axes: new Float64Array(12), homogeneous: new Float64Array(12), corners: new Float64Array(16), balls, circles: new Float64Array(3 * (balls?.length ?? 0)), depth: 0, order: solid.userData.order ?? 0, shades: [], r: -1, g: -1, b: -1 };
       records.set(solid, record);
     }
     return record;

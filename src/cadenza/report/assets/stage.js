@@ -6,7 +6,7 @@ const VIEWS = { // from where the camera looks
 };
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 const FADED = 0.28; // opacity of a palm while it hides a key that sounds
-const ALONG_KEY = [-0.4, 0, 0.4, 0.8]; // halves of a key's length from its middle; two of these are to be seen
+const ALONG_KEY = [-0.4, 0, 0.4, 0.8]; // halves of a key's length from its middle; half of these are to be seen
 const FADING = 0.15, APPEARING = 0.8; // [s] that a palm takes to fade, and to be solid again
 
 /** What draws WebGL here, such as the name of a graphics card; null where nothing does. */
@@ -48,19 +48,20 @@ function createStage(canvas, data, colours) {
   }
   for (const geom of parts.geoms) {
     const colour = new THREE.Color().setRGB(...geom.rgba.slice(0, 3), "srgb");
-    const solid = mesh(geom.type, geom.size, colour, geom.finger === null ? 0.45 : 0.35);
+    const solid = mesh(geom.type, geom.size, { colour, roughness: geom.finger === null ? 0.45 : 0.35 });
     solid.position.fromArray(geom.pos);
     solid.quaternion.copy(quaternion(geom.quat));
-    solid.renderOrder = geom.body < 0 ? 0 : 3;
+    solid.userData.order = geom.body < 0 ? 0 : 3;
     put(solid, geom);
   }
   for (const shell of parts.shells ?? []) put(hull(shell), shell); // earlier recordings have none
+  const [white, black] = (parts.key_materials ?? [{ rgba: [0.95, 0.93, 0.88] }, { rgba: [0.05, 0.05, 0.05] }]).map(look);
   const keys = parts.keys.map((key) => {
     const hinge = new THREE.Group();
     hinge.position.fromArray(key.hinge);
-    const solid = mesh("box", key.size, new THREE.Color(key.black ? 0x17181b : 0xf4f1ea), key.black ? 0.25 : 0.35);
+    const solid = mesh("box", key.size, key.black ? black : white);
     solid.position.fromArray(key.pos).sub(hinge.position);
-    solid.renderOrder = key.black ? 2 : 1;
+    solid.userData.order = key.black ? 2 : 1;
     scene.add(hinge.add(solid));
     const marked = key.black ? 0.85 : 1;
     return {
@@ -71,9 +72,15 @@ function createStage(canvas, data, colours) {
   scene.updateMatrixWorld();
   const keyboard = new THREE.Box3();
   for (const key of keys) keyboard.expandByObject(key.solid);
-  scene.add(...furniture(keyboard));
+  for (const piece of parts.furniture ?? []) { // earlier recordings have none
+    const solid = mesh("box", piece.size, look(piece));
+    solid.position.fromArray(piece.pos);
+    solid.quaternion.copy(quaternion(piece.quat));
+    scene.add(solid);
+  }
+  scene.add(floor(keyboard.min.z - 0.026));
   const inUse = range(data).map((key, i) => Math.min(Math.max(key + (i ? 3 : -3), 0), parts.keys.length - 1));
-  const falling = createFallingNotes(data, parts.keys, keyboard, inUse, colours.map((c) => new THREE.Color(c)));
+  const falling = createFallingNotes(data, parts.keys, keyboard, colours.map((c) => new THREE.Color(c)));
   falling.track.visible = false;
   scene.add(falling.track);
 
@@ -159,7 +166,7 @@ function createStage(canvas, data, colours) {
     for (const palm of palms.values()) {
       const hidden = sounding.some(({ solid, half }) => {
         surface.forEach((point, i) => solid.localToWorld(point.set(ALONG_KEY[i] * half[0], 0, half[2])));
-        return surface.filter((point) => palm.hides(point, camera.position)).length > 1;
+        return surface.filter((point) => palm.hides(point, camera.position)).length > ALONG_KEY.length / 2;
       });
       stale = palm.fade(hidden, seconds) || stale;
     }
@@ -271,7 +278,11 @@ function createFollower(data) {
   };
 }
 
-function mesh(type, size, colour, roughness) {
+/** A material as pages have it, of one as recordings have it. */
+const look = ({ rgba, roughness = 0.3, metalness = 0.05 }) => ({ colour: new THREE.Color().setRGB(...rgba.slice(0, 3), "srgb"), roughness, metalness });
+const materialOf = ({ colour, roughness, metalness = 0.05 }) => new THREE.MeshStandardMaterial({ color: colour, roughness, metalness });
+
+function mesh(type, size, material) {
   const [a, b, c] = size;
   const geometry = {
     box: () => new THREE.RoundedBoxGeometry(2 * a, 2 * b, 2 * c, 2, Math.min(0.0015, 0.3 * Math.min(a, b, c))),
@@ -280,7 +291,7 @@ function mesh(type, size, colour, roughness) {
     sphere: () => new THREE.SphereGeometry(a, 24, 16),
     ellipsoid: () => new THREE.SphereGeometry(1, 24, 16).scale(a, b, c),
   }[type]();
-  const solid = new THREE.Mesh(geometry, new THREE.MeshStandardMaterial({ color: colour, roughness, metalness: 0.05 }));
+  const solid = new THREE.Mesh(geometry, materialOf(material));
   solid.castShadow = solid.receiveShadow = true;
   solid.userData = { type, size };
   return solid;
@@ -290,20 +301,19 @@ function mesh(type, size, colour, roughness) {
  * The convex hull of a shell's balls: of a globe's grid of directions, each vertex is the point
  * that lies farthest in its direction, which is also its normal.
  */
-function hull({ balls, rgba, roughness, metalness }) {
-  const geometry = new THREE.SphereGeometry(1, 28, 18);
+function hull({ balls, ...material }) {
+  const geometry = new THREE.SphereGeometry(1, 24, 16);
   const { position } = geometry.attributes, direction = new THREE.Vector3(), centre = new THREE.Vector3();
   for (let i = 0; i < position.count; i++) {
     direction.fromBufferAttribute(position, i);
+    if (Math.abs(direction.y) > 0.999999) direction.set(0, Math.sign(direction.y), 0); // else a flat end has a hole
     const far = balls.map(([x, y, z, radius]) => direction.dot(centre.set(x, y, z)) + radius);
     const [x, y, z, radius] = balls[far.indexOf(Math.max(...far))];
     position.setXYZ(i, x + radius * direction.x, y + radius * direction.y, z + radius * direction.z);
   }
-  const colour = new THREE.Color().setRGB(...rgba.slice(0, 3), "srgb");
-  const solid = new THREE.Mesh(geometry, new THREE.MeshStandardMaterial({ color: colour, roughness, metalness }));
+  const solid = new THREE.Mesh(geometry, materialOf(look(material)));
   solid.castShadow = solid.receiveShadow = true;
-  solid.renderOrder = 3;
-  solid.userData = { type: "hull", balls };
+  solid.userData = { type: "hull", balls, order: 3 };
   return solid;
 }
 
@@ -342,7 +352,7 @@ function createPalm() {
         const transparent = opacity < 1;
         const needsUpdate = transparent !== solid.material.transparent; // another shader
         Object.assign(solid.material, { transparent, opacity, needsUpdate });
-        solid.renderOrder = transparent ? 5 : 3;
+        solid.renderOrder = transparent ? 5 : 0;
         solid.castShadow = !transparent;
         veil.visible = transparent;
       }
@@ -352,22 +362,12 @@ function createPalm() {
 }
 const DIRECTIONS = Array.from({ length: 12 }, (_, i) => [Math.cos((Math.PI * i) / 6), Math.sin((Math.PI * i) / 6)]);
 
-/** What the simulation leaves out: the bed under the keys, two cheeks, and a floor for shadows. */
-function furniture(keyboard) {
-  const wood = new THREE.Color(0x1c1d21);
-  const { min, max } = keyboard;
-  const width = (max.y - min.y) / 2 + 0.022, depth = (max.x - min.x) / 2 + 0.01;
-  const bed = mesh("box", [depth, width, 0.011], wood, 0.3);
-  bed.position.set((min.x + max.x) / 2 + 0.004, 0, min.z - 0.012);
-  const cheeks = [-1, 1].map((side) => {
-    const cheek = mesh("box", [depth, 0.009, 0.019], wood, 0.3);
-    cheek.position.set(bed.position.x, side * (width - 0.009), min.z + 0.018);
-    return cheek;
-  });
-  const floor = new THREE.Mesh(new THREE.PlaneGeometry(6, 6), new THREE.ShadowMaterial({ opacity: 0.28 }));
-  floor.position.z = min.z - 0.024;
-  floor.receiveShadow = true;
-  return [bed, ...cheeks, floor];
+/** A floor that is seen by the shadows on it. */
+function floor(height) {
+  const plane = new THREE.Mesh(new THREE.PlaneGeometry(6, 6), new THREE.ShadowMaterial({ opacity: 0.28 }));
+  plane.position.z = height;
+  plane.receiveShadow = true;
+  return plane;
 }
 
 function light(scene, renderer) {
