@@ -34,7 +34,9 @@ def test_the_case_is_around_the_whole_keyboard() -> None:
         assert keyboard.half_length < max(ends) < keyboard.half_length + 0.06
 
 
-@pytest.mark.parametrize("options", [{}, {"hand": "allegro", "keyboard": "mini", "hands": "right"}])
+@pytest.mark.parametrize(
+    "options", [{}, {"hand": "allegro", "keyboard": "mini", "hands": "right", "hand_spacing": 0}]
+)
 def test_what_is_only_drawn_touches_nothing(options: dict) -> None:
     scene = build_scene(SceneConfig(**options))
     drawn = drawn_model(scene)

@@ -38,7 +38,7 @@ _ELEVATION, _OVER_ARMS = np.deg2rad(47.0), np.deg2rad(78.0)
 _LEAST_SIDE, _MOST_SIDE = 64, 2160  # [px]
 _MOST_FPS = 120
 _SHARPER = 1.25  # times the size at which pictures are drawn, which smooths their edges
-_SHADOW_MAP = 768  # [px]; what it costs grows with its area
+_SHADOW_MAP = 640  # [px]; what it costs grows with its area
 _TALL_SHADOWS = 0.6  # how far shadows reach in a tall picture, compared with a wide one
 
 # The track on which notes fall: as that of pages.
@@ -132,6 +132,7 @@ class FilmRenderer(Canvas):
         if tall:
             self._shown = _around_hands(episode)
             model.vis.map.shadowclip *= _TALL_SHADOWS
+        self._drawn.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 0  # the floor fills the picture
         self._light = float(model.light_pos[0, 1])
 
     def frame(self, time: float) -> NDArray[np.uint8]:

@@ -22,7 +22,7 @@ _SHADOWED = 0.55  # [m] to either side of where the light points, that has shado
 # [m] that is drawn. MuJoCo moves shadows by a part of it, without which surfaces shade themselves.
 _FARTHEST = 3000.0
 # Meridians and parallels of shells, wider than so much [m] from their middle or not
-_LARGE, _FINE, _COARSE = 0.028, (24, 14), (12, 8)
+_LARGE, _FINE, _COARSE = 0.028, (20, 12), (12, 8)
 _BARE: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0.0}
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]
