@@ -6,6 +6,7 @@ Writes src/cadenza/performing/lettering.npz: `letters`, in the order of the colu
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ LETTERS = "".join(map(chr, (*range(0x20, 0x7F), *range(0xA1, 0x180)))) + "–—
 
 def main() -> None:
     """Writes the file."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     font = ImageFont.truetype(FONT, SIZE)
     letters = [letter for letter in LETTERS if letter != "\xad"]
     widths = [round(font.getlength(letter)) for letter in letters]
