@@ -67,7 +67,7 @@ def add_cameras(spec: mujoco.MjSpec) -> None:
     spec.visual.headlight.ambient = (0.38, 0.39, 0.41)
     spec.visual.headlight.diffuse = (0.13, 0.13, 0.14)
     spec.visual.headlight.specular = (0.15, 0.15, 0.15)
-    spec.visual.quality.shadowsize = 2048
+    spec.visual.quality.shadowsize = 1024
     spec.visual.global_.offwidth, spec.visual.global_.offheight = MAX_WIDTH, MAX_HEIGHT
     spec.add_texture(
         name="background",
