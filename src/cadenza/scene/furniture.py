@@ -37,7 +37,7 @@ _CHEEK, _ARM = 0.013, 0.011  # half widths
 _SLIT = 0.002  # between moving keys and what stands still
 _BED = 0.011  # half of the key bed's height
 _SLIP = 0.006  # half of the key slip's depth
-_SLIP_BELOW = 0.0125  # its upper edge, under the tops of the white keys: these go down by 0.01
+_SLIP_BELOW = 0.0025  # its upper edge, under the tops of white keys that are down
 _FELT_HALF = (0.003, 0.0024)  # its depth and height
 _NAME_BOARD_OVER = 0.008  # its upper edge, over the black keys
 
@@ -96,7 +96,9 @@ def furniture(keyboard: Keyboard) -> tuple[Piece, ...]:
     return (
         # The key bed and the key slip
         _box((back, slip), width, (under, bottom - _SLIT / 2)),
-        _box((front + _SLIT, slip), width, (bottom - _SLIT, white - _SLIP_BELOW)),
+        _box(
+            (front + _SLIT, slip), width, (bottom - _SLIT, white - keyboard.white.dip - _SLIP_BELOW)
+        ),
         _box((behind, rear + _SLIT), (-inside, inside), (white - _FELT_HALF[1], felt), FELT),
         # What stands behind the keys, with a strip of bronze on its edge
         _box((back, behind), width, (bottom - _SLIT, name_board)),
