@@ -16,7 +16,7 @@ from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.protocol import State
-from cadenza.tasks.config import DomainRandomization, TaskConfig
+from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.env import PianoVectorEnv
 from cadenza.tasks.piano_task import EpisodeStart, PianoTask
 
@@ -172,11 +172,24 @@ def test_gymnasium_makes_environments_on_the_device() -> None:
     assert lengths == [False, False, False, False, True] * 2
     with pytest.raises(CadenzaError, match=r"actions of shape \(3, 39\): give \(2, 39\)"):
         envs.step(np.zeros((3, 39)))
-    with pytest.raises(CadenzaError, match="engine 'cuda': choose from mujoco, warp"):
+    with pytest.raises(CadenzaError, match="engine 'cuda': choose from c, warp"):
         gym.make_vec("cadenza/Piano-v0", engine="cuda", **options)
-    noisy = DomainRandomization(joint_noise=0.1)
-    with pytest.raises(CadenzaError, match="no randomization: leave it out"):
-        gym.make_vec("cadenza/Piano-v0", engine="warp", randomization=noisy, **options)
+
+
+def test_the_first_unstable_simulation_is_told_and_all_are_counted(caplog: Any) -> None:
+    envs = gym.make_vec("cadenza/Piano-v0", 3, song=ONE_NOTE, engine="warp", make_physics=Failing)
+    envs.reset(seed=0)
+    counts = []
+    for _ in range(3):
+        *_, infos = envs.step(np.zeros((3, 39), np.float32))
+        counts.append((int(infos["unstable_count"]), int(infos["overflow_count"])))
+    jax.effects_barrier()
+    assert counts == [(2, 1), (4, 2), (6, 3)]
+    (told,) = caplog.messages
+    assert told.startswith("simulations became unstable: 2 in this step, 1 of them without room")
+    envs.reset(seed=0)
+    *_, infos = envs.step(np.zeros((3, 39), np.float32))
+    assert infos["unstable_count"] == 2
 
 
 class StillPhysics(RecordedPhysics):
@@ -184,3 +197,12 @@ class StillPhysics(RecordedPhysics):
 
     def step(self, data: Data, ctrl: Any) -> tuple[Data, State]:
         return data, jax.tree.map(jax.numpy.asarray, single_precision(self.zeros))
+
+
+class Failing(StillPhysics):
+    """All simulations but the last become unstable in each step, the first by lost contacts."""
+
+    def step(self, data: Data, ctrl: Any) -> tuple[Data, State]:
+        _, state = super().step(data, ctrl)
+        unstable = jax.numpy.asarray([True, True, False])
+        return Data(jax.numpy.asarray([1, 0, 0])), state._replace(unstable=unstable)

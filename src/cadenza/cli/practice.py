@@ -54,7 +54,7 @@ class PracticeCommand(Performing):
     quiet: Quiet = False
 
     agents_with_options = (PLANNER,)
-    refused = ("randomization", "wrong_press_termination")
+    refused = ("engine", "randomization", "wrong_press_termination")
 
 
 def run(command: PracticeCommand, read: Read[PracticeCommand]) -> None:
@@ -131,6 +131,11 @@ def _check(command: PracticeCommand) -> None:
         raise CadenzaError(
             "--wrong-press-termination: a song that ends early cannot be played as it was "
             "practised; leave it out"
+        )
+    if command.scene.engine != "c":
+        raise CadenzaError(
+            f"--engine {command.scene.engine}: hands practise in the engine c; give it to "
+            '"cadenza play FOLDER", to hear what becomes of what was practised'
         )
     if command.task.randomization.is_on:
         raise CadenzaError(

@@ -14,6 +14,7 @@ from cadenza.registry import module_of
 ForearmDof = Literal["tx", "ty", "tz", "roll", "pitch", "yaw"]
 Hands = Literal["both", "apart", "right", "left", "none"]
 Physics = Literal["published", "fast"]
+Engine = Literal["c", "warp"]
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,9 @@ class SceneConfig:
     physics: Physics = "published"
     """The published dynamics, or faster ones for training: twice the physics timestep, no dry
     friction in joints. See docs/speed.md for the difference."""
+    engine: Engine = "c"
+    """What simulates: MuJoCo in C on threads, or MuJoCo Warp on a GPU, see docs/gpu.md. Planners
+    always plan in C."""
 
     __repr__ = in_short
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import mujoco
 import numpy as np
@@ -25,6 +25,7 @@ SCALED_FIELDS = {
 }
 """Name of a scaled quantity -> the fields of `mujoco.MjModel` that its factors multiply."""
 _INERTIAL = {"mass", "armature"}  # MuJoCo has computed other fields from these
+_COMPUTED = "body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_invweight0"
 
 
 def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
@@ -67,6 +68,15 @@ def scale(model: mujoco.MjModel, scene: Scene, factors: Factors, data: mujoco.Mj
             getattr(model, field)[rows] = (nominal.T * factor).T
     if factors.keys() & _INERTIAL:
         mujoco.mj_setConst(model, data)
+
+
+def affected_fields(names: Collection[str]) -> tuple[str, ...]:
+    """The fields of a model that differ where quantities of these names are scaled.
+
+    Those on which no motion depends are left out.
+    """
+    computed = _COMPUTED if _INERTIAL & set(names) else ()
+    return (*(field for name in names for field in SCALED_FIELDS[name]), *computed)
 
 
 def sliding(scene: Scene) -> NDArray[np.bool_]:

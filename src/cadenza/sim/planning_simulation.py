@@ -28,7 +28,10 @@ def as_mujoco(simulation: Simulation) -> MujocoSimulation:
         )
     if not isinstance(simulation, MujocoSimulation):
         kind = type(simulation).__name__
-        raise CadenzaError(f"this agent plans in MuJoCo and cannot start from a {kind}")
+        raise CadenzaError(
+            f"this agent plans in MuJoCo and cannot start from a {kind}: choose the engine c, or "
+            "another agent"
+        )
     return simulation
 
 

@@ -7,9 +7,10 @@ interface of `protocol.Simulation`, and arrays of NumPy.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import partial
 from inspect import Parameter, Signature
 from typing import Any, NamedTuple
 
@@ -19,22 +20,25 @@ from numpy.typing import NDArray
 
 from cadenza.configs import whole_number
 from cadenza.errors import extra_packages
+from cadenza.scene.randomization import Factors, affected_fields, scale
 from cadenza.scene.scene import Scene
 from cadenza.sim.key_crossings import dense_key_events
 from cadenza.sim.mujoco_simulation import MujocoSimulation, physics_steps
-from cadenza.sim.protocol import State
+from cadenza.sim.protocol import Held, State
 
 with extra_packages("gpu", "the engine warp"):
     import jax
     import jax.numpy as jnp
-    import mujoco_warp as mjw
     import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING  # or the next import greets on standard output
+    import mujoco_warp as mjw
 
 _LOG = logging.getLogger(__name__)
 
 MOST_WORLDS = 65_536
 _LOST = mjw.OverflowType.ALL & ~(mjw.OverflowType.ITERATIONS | mjw.OverflowType.LS_ITERATIONS)
-"""Overflows in which contacts or constraints are left out."""
+"""Overflows by which contacts or constraints are left out."""
 _DIVERGED = 1e10
 """The position or velocity from which on MuJoCo takes a simulation for diverged (mjMAXVAL)."""
 
@@ -67,7 +71,8 @@ class Physics(NamedTuple):
     unstable: Any
     """(N,) bool, whether a world has diverged, or lost contacts, since it was reset."""
     overflow: Any
-    """(N,) int32, bits of `mujoco_warp.OverflowType` since it was reset."""
+    """(N,) int32, which buffers had no room for contacts since it was reset, bits of
+    `mujoco_warp.OverflowType`."""
 
 
 class WarpPhysics:
@@ -87,6 +92,7 @@ class WarpPhysics:
         control_timestep: float = 0.05,
         watch_forearms: bool = False,
         buffers: Buffers | None = None,
+        scaled: Collection[str] = (),
     ) -> None:
         """Allocates N worlds on JAX's device. The first step compiles for up to a minute or two.
 
@@ -96,6 +102,8 @@ class WarpPhysics:
             control_timestep: time of a control step [s], a multiple of the physics step.
             watch_forearms: whether `State.forearm_contact` is wanted.
             buffers: the room for contacts.
+            scaled: names of the quantities that each world has scaled by factors of its own, see
+                `cadenza.scene.randomization.shapes`.
 
         Raises:
             CadenzaError: a number makes no sense.
@@ -108,6 +116,7 @@ class WarpPhysics:
         self._watch_forearms = watch_forearms and len(scene.sides) == 2
         self._velocities = _servo_velocities(scene.model)
         self._on_gpu = jax.default_backend() == "gpu"
+        self._fields = affected_fields(scaled)
         self._simulate = self._make_simulate()
 
     def start(self, hand_qpos: Any) -> Physics:
@@ -119,22 +128,42 @@ class WarpPhysics:
         none = jnp.zeros(self.num_envs, jnp.int32)
         return Physics(qpos, still, still, jnp.zeros(self.num_envs, bool), none)
 
-    def step(self, physics: Physics, ctrl: Any) -> tuple[Physics, State]:
-        """The worlds after a control step with controls (N, A), in actuator units."""
+    def step(
+        self,
+        physics: Physics,
+        ctrl: Any,
+        held: Held | None = None,
+        models: Mapping[str, Any] | None = None,
+    ) -> tuple[Physics, State]:
+        """The worlds after a control step with controls (N, A), in actuator units.
+
+        Args:
+            physics: the worlds before the step.
+            ctrl: the controls.
+            held: the controls until these arrive, if they are late.
+            models: name of a field of `mujoco.MjModel` -> (N, ...), its values in each world; all
+                of `affected_fields(scaled)`.
+        """
         ctrl = jnp.asarray(ctrl, jnp.float32)
-        result = self._simulate(physics.qpos, physics.qvel, physics.warmstart, ctrl)
+        path: Any = jnp.broadcast_to(ctrl, (self.num_substeps, *ctrl.shape))
+        if held is not None:
+            before = jnp.asarray(held.ctrl, jnp.float32)
+            late = jnp.arange(self.num_substeps)[:, None] < held.substeps
+            path = jnp.where(late[..., None], before, path)
+        fields = [jnp.asarray((models or {})[name], jnp.float32) for name in self._fields]
+        result = self._simulate(physics.qpos, physics.qvel, physics.warmstart, path, *fields)
         qpos, qvel, warmstart, after, overflow, geoms, sites, force, sensors, *contacts = result
-        overflow = physics.overflow | overflow
+        overflow = physics.overflow | (overflow & int(_LOST))
         sound = (abs(qpos) < _DIVERGED).all(-1) & (abs(qvel) < _DIVERGED).all(-1)
-        sound &= jnp.isfinite(ctrl).all(-1)
-        unstable = physics.unstable | ~sound | (overflow & int(_LOST) != 0)
+        sound &= jnp.isfinite(path).all((0, -1))
+        unstable = physics.unstable | ~sound | (overflow != 0)
         rest = self.start(jnp.asarray(self.scene.hand_start, jnp.float32))
         reached = Physics(qpos, qvel, warmstart, unstable, overflow)
         kept = where(unstable, rest, reached)._replace(unstable=unstable, overflow=overflow)
         keys = self.scene.key_qpos
-        path: Any = jnp.concatenate([physics.qpos[:, None, keys], after], axis=1)
+        key_path: Any = jnp.concatenate([physics.qpos[:, None, keys], after], axis=1)
         sounds_from = self.scene.keyboard.sounds_from
-        onset, offset, speed = dense_key_events(path, sounds_from, self._substep)
+        onset, offset, speed = dense_key_events(key_path, sounds_from, self._substep)
         num_fingers, there = self.scene.fingers.count, self.scene.present_fingers
         tips: Any = jnp.zeros((self.num_envs, num_fingers, 3))
         touch: Any = jnp.zeros((self.num_envs, num_fingers))
@@ -188,14 +217,17 @@ class WarpPhysics:
                 nccdmax=buffers.convex,
             )
 
-        def simulate(qpos, qvel, warmstart, ctrl, *out):
+        def simulate(qpos, qvel, warmstart, ctrl, *others):
+            fields, out = others[: len(self._fields)], others[len(self._fields) :]
+            for name, values in zip(self._fields, fields, strict=True):
+                setattr(m, name, values)
             wp.copy(d.qpos, qpos)
             wp.copy(d.qvel, qvel)
             wp.copy(d.qacc_warmstart, warmstart)
-            wp.copy(d.ctrl, ctrl)
             d.overflow.zero_()
             path = out[3]
             for substep in range(num_substeps):
+                wp.copy(d.ctrl, ctrl[substep])
                 mjw.step(m, d)
                 wp.copy(path[:, substep], d.qpos[:, keys])
             # Positions belong to the new state, forces to the step that led there.
@@ -209,6 +241,10 @@ class WarpPhysics:
                 if values is not None:
                     wp.copy(to, values)
 
+        states = "qpos", "qvel", "warmstart"
+        kinds: dict[str, Any] = {name: wp.array2d(dtype=float) for name in states}
+        kinds |= {"ctrl": wp.array3d(dtype=float)}
+        kinds |= {name: wp.array2d(dtype=getattr(m, name).dtype) for name in self._fields}
         shapes: dict[str, tuple[Any, tuple[int, ...]]] = {
             "qpos_after": (wp.array2d(dtype=float), (num_envs, model.nq)),
             "qvel_after": (wp.array2d(dtype=float), (num_envs, model.nv)),
@@ -224,18 +260,20 @@ class WarpPhysics:
             shapes["geom"] = (wp.array(dtype=wp.vec2i), (d.naconmax,))
             shapes["world"] = (wp.array(dtype=int), (d.naconmax,))
             shapes["count"] = (wp.array(dtype=int), (1,))
-        return _callable(simulate, shapes, self._on_gpu)
+        return _callable(simulate, kinds, shapes, self._on_gpu)
 
 
-def _callable(simulate: Any, shapes: dict[str, tuple[Any, tuple[int, ...]]], on_gpu: bool) -> Any:
-    """Lets JAX call `simulate`, a function of four float arrays (N, ...) and of its outputs.
+def _callable(
+    simulate: Any,
+    inputs: dict[str, Any],
+    outputs: dict[str, tuple[Any, tuple[int, ...]]],
+    on_gpu: bool,
+) -> Any:
+    """Lets JAX call `simulate`, a function of arrays: inputs of these types, and outputs of these.
 
     Warp reads the number and the types of arguments off a function's signature.
     """
-    kinds: dict[str, Any] = {
-        name: wp.array2d(dtype=float) for name in ("qpos", "qvel", "warmstart", "ctrl")
-    }
-    kinds |= {name: kind for name, (kind, _) in shapes.items()}
+    kinds = inputs | {name: kind for name, (kind, _) in outputs.items()}
 
     def named(*arrays: Any) -> None:
         simulate(*arrays)
@@ -247,8 +285,8 @@ def _callable(simulate: Any, shapes: dict[str, tuple[Any, tuple[int, ...]]], on_
     )
     # Staged, because JAX may give other buffers in each call and a graph remembers addresses.
     mode = wp.JaxCallableGraphMode.WARP_STAGED if on_gpu else wp.JaxCallableGraphMode.NONE
-    dims = {name: shape for name, (_, shape) in shapes.items()}
-    return wp.jax_callable(named, num_outputs=len(shapes), graph_mode=mode, output_dims=dims)
+    dims = {name: shape for name, (_, shape) in outputs.items()}
+    return wp.jax_callable(named, num_outputs=len(outputs), graph_mode=mode, output_dims=dims)
 
 
 def _awake(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -278,7 +316,7 @@ def where(mask: Any, first: Any, second: Any) -> Any:
 
 
 class WarpSimulation:
-    """N simulations on JAX's device; implements `protocol.Simulation` with arrays of NumPy.
+    """N simulations on JAX's device; implements `protocol.RandomizableSimulation` with NumPy.
 
     Each step copies its state to the host. What is to stay on the device calls `WarpPhysics`.
 
@@ -300,12 +338,16 @@ class WarpSimulation:
             CadenzaError: a number makes no sense.
         """
         self.scene = scene
-        self.physics = WarpPhysics(scene, num_envs, control_timestep, watch_forearms)
+        self._make = partial(WarpPhysics, scene, num_envs, control_timestep, watch_forearms)
+        self._use(self._make())
         self._at_start = MujocoSimulation(scene, 1, control_timestep, 1, watch_forearms)
-        self._step = jax.jit(self.physics.step)
+        self._model, self._models = copy(scene.model), dict[str, NDArray[np.float32]]()
         self._physics = self.physics.start(np.zeros(len(scene.hand_joint_names)))
         self.state = State.zeros(scene, num_envs)
         self.reset(range(num_envs), np.zeros((num_envs, len(scene.hand_joint_names))))
+
+    def _use(self, physics: WarpPhysics) -> None:
+        self.physics, self._step = physics, jax.jit(physics.step)
 
     def reset(self, env_ids: Sequence[int], hand_qpos: NDArray[np.float64]) -> None:
         start, chosen = np.array(self._physics.qpos[:, self.scene.hand_qpos]), list(env_ids)
@@ -320,8 +362,26 @@ class WarpSimulation:
                 values[env] = start_values[0]
         self.state = state
 
-    def step(self, ctrl: NDArray[np.float64], env_ids: Sequence[int] | None = None) -> None:
-        physics, state = self._step(self._physics, np.asarray(ctrl, np.float32))
+    def randomize(self, env_id: int, factors: Factors) -> None:
+        fields = affected_fields(factors)
+        if not self._models:
+            self._use(self._make(scaled=factors))
+            for name in fields:
+                nominal = getattr(self.scene.model, name).astype(np.float32)
+                self._models[name] = np.tile(
+                    nominal, (len(self.state.unstable), *[1] * nominal.ndim)
+                )
+        scale(self._model, self.scene, factors, mujoco.MjData(self.scene.model))
+        for name in fields:
+            self._models[name][env_id] = getattr(self._model, name)
+
+    def step(
+        self,
+        ctrl: NDArray[np.float64],
+        env_ids: Sequence[int] | None = None,
+        held: Held | None = None,
+    ) -> None:
+        physics, state = self._step(self._physics, ctrl, held, self._models)
         mask = np.ones(len(ctrl), bool)
         if env_ids is not None:
             mask[:] = False
@@ -336,7 +396,7 @@ class WarpSimulation:
         self.state = new
 
     def _why(self, env: int) -> str:
-        lost = mjw.OverflowType(int(self._physics.overflow[env])) & _LOST
+        lost = mjw.OverflowType(int(self._physics.overflow[env]))
         return f": no room for contacts ({lost!r}); give it more, see Buffers" if lost else ""
 
     def close(self) -> None:

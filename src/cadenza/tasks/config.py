@@ -187,6 +187,7 @@ _PLAYED_ALIKE = {
     "sustain_term",
     "forearm_term",
     "touch",
+    "engine",  # up to 1e-4 rad
     "randomization",  # plans are tried against it
 }
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,8 @@ with extra_packages("gpu", "the engine warp"):
     import jax
     import jax.numpy as jnp
 
+_LOG = logging.getLogger(__name__)
+
 
 class DevicePianoVectorEnv(VectorEnv):
     """N environments of the task on JAX's device.
@@ -33,6 +37,7 @@ class DevicePianoVectorEnv(VectorEnv):
     `gymnasium.vector.AutoresetMode.SAME_STEP`. `infos` holds what `PianoState` has as `metrics` and
     as `info`; "final_obs" (N, D) are the observations after the step, of all environments. Unlike
     Gymnasium's own, infos have no masks: which environments have ended is only known on the device.
+    The first environment that becomes unstable after a reset is logged; infos count them all.
     """
 
     def __init__(
@@ -71,6 +76,7 @@ class DevicePianoVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._state: PianoState | None = None
+        self._step = jax.jit(self._told_step)
 
     @property
     def observation_layout(self) -> dict[str, slice]:
@@ -98,6 +104,15 @@ class DevicePianoVectorEnv(VectorEnv):
         self._state = self.task.reset(key)
         return self._state.obs, dict(self._state.info)
 
+    def _told_step(self, state: PianoState, action: Any) -> PianoState:
+        """A step of the task, which calls the host only when a simulation is the first to fail."""
+        after = self.task.step(state, action)
+        counts = [each.info["unstable_count"] for each in (state, after)]
+        lost = after.info["unstable_count"], after.info["overflow_count"]
+        told = partial(jax.debug.callback, _log_unstable)
+        jax.lax.cond((counts[0] == 0) & (counts[1] > 0), told, lambda *_: None, *lost)
+        return after
+
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Takes a control step with actions (N, A) in every environment.
 
@@ -111,7 +126,17 @@ class DevicePianoVectorEnv(VectorEnv):
                 f"actions of shape {tuple(actions.shape)}: give {self.action_space.shape}"
             )
         on_device = actions if isinstance(actions, np.ndarray) else jnp.from_dlpack(actions)
-        self._state = state = self.task.step(self._state, jnp.asarray(on_device, jnp.float32))
+        self._state = state = self._step(self._state, jnp.asarray(on_device, jnp.float32))
         truncated = state.info["truncation"]
         infos = state.metrics | state.info
         return state.obs, state.reward, state.done & ~truncated, truncated, infos
+
+
+def _log_unstable(unstable: Any, overflow: Any) -> None:
+    why = f", {overflow} of them without room for contacts (Buffers)" if overflow else ""
+    _LOG.warning(
+        "simulations became unstable: %d in this step%s; their episodes have ended. "
+        "infos count all from now on: unstable_count, overflow_count",
+        unstable,
+        why,
+    )

@@ -20,6 +20,7 @@ from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.protocol import State
 from cadenza.tasks.augmentation import draws_variation, prepare_tracks
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.device_randomization import DeviceRandomization
 from cadenza.tasks.piano_task import PEDAL_DOWN, offset_joints
 from cadenza.tasks.reward import Outcome, Reward, key_activation, key_state
 from cadenza.tasks.view import observed_touch, task_spec
@@ -59,6 +60,8 @@ class Episodes(NamedTuple):
     """(N,) bool, whether the pedal was not a number since its reset."""
     sums: Array
     """(N, 3) sums over its steps of precision, recall and F1."""
+    draws: Any
+    """What domain randomization has drawn, `Draws`; None if it is off."""
 
 
 class Transition(NamedTuple):
@@ -94,16 +97,19 @@ class PianoState(NamedTuple):
     one that has just ended, as the mean over its steps."""
     info: dict[str, Array]
     """Name -> array: `state`, the simulations after the step, see `State`; `final_obs` (N, D), the
-    observations after the step, before any episode began; and (N,) `truncation`, whether the song
-    was over; `unstable`, whether the simulation diverged or lost contacts; `overflow`, see
-    `Physics`; `song`, the song that `obs` is of."""
+    observations after the step, before any episode began; (N,) `truncation`, whether the song was
+    over; `unstable`, whether the simulation diverged or lost contacts; `overflow`, see `Physics`;
+    `song`, the song that `obs` is of; and `randomization/seed`, from which its models and latencies
+    follow. And () `unstable_count` and `overflow_count`, how many episodes have become unstable
+    since `reset`, and how many of them by lost contacts."""
 
 
 class FunctionalPianoTask:
     """N environments of the task, whose state is passed in and returned.
 
     `reset` and `step` are compiled, and move nothing to the host. All songs and options of
-    `PianoTask` are there, except for those that the constructor refuses.
+    `PianoTask` are there, except for those that the constructor refuses. Domain randomization draws
+    from `cadenza.tasks.device_randomization.VARIANTS` seeds.
 
     Attributes:
         spec: what is the same in all environments and episodes.
@@ -140,8 +146,14 @@ class FunctionalPianoTask:
         self.spec = task_spec(self.config, self.scene)
         self._offset_joints = offset_joints(self.config, self.scene)
         self._reward = Reward(self.config, self.scene, None)
+        timestep, scaled = self.config.control_timestep, {}
+        self._randomization = None
+        if self.config.randomization.is_on:
+            drawing = self.config.randomization, self.scene, timestep, num_envs
+            self._randomization = DeviceRandomization(*drawing)
+            scaled = {"scaled": self._randomization.scaled}
         self.physics = (make_physics or _warp())(
-            self.scene, num_envs, self.config.control_timestep, self.config.forearm_term
+            self.scene, num_envs, timestep, self.config.forearm_term, **scaled
         )
         self.reset, self.step = jax.jit(self._reset), jax.jit(self._step)
 
@@ -155,17 +167,23 @@ class FunctionalPianoTask:
         nothing = jnp.zeros(self.num_envs)
         _, result = jax.eval_shape(self.advance, episodes, state, self._no_action())
         names = [*(f"reward/{name}" for name in result.terms), *METRICS]
-        no = jnp.zeros(self.num_envs, bool)
+        no, none = jnp.zeros(self.num_envs, bool), jnp.zeros((), jnp.int32)
         info = {"state": state, "final_obs": observation, "truncation": no, "unstable": no}
-        info |= {"overflow": data.overflow, "song": episodes.song}
+        info |= {"overflow": data.overflow, "unstable_count": none, "overflow_count": none}
+        info |= _about(episodes)
         metrics = dict.fromkeys(names, nothing)
         return PianoState(data, episodes, key, observation, nothing, no, metrics, info)
 
     def _step(self, state: PianoState, action: Array) -> PianoState:
         """Takes a control step with actions (N, A + 1) in [-1, 1], the pedal last."""
-        ctrl = self.spec.scale_action(action)
-        data, simulated = self.physics.step(state.data, ctrl[:, :-1])
-        episodes, result = self.advance(state.episodes, simulated, ctrl)
+        key, of_begin, of_noise = jax.random.split(state.key, 3)
+        ctrl = arrived = self.spec.scale_action(action)
+        episodes, others = state.episodes, dict[str, Any]()
+        if self._randomization is not None:
+            draws, arrived, others = self._randomization.send(episodes.draws, ctrl, of_noise)
+            episodes = episodes._replace(draws=draws)
+        data, simulated = self.physics.step(state.data, arrived[:, :-1], **others)
+        episodes, result = self.advance(episodes, simulated, ctrl, arrived)
         final = self.observation(episodes, simulated)
         done = result.terminated | result.truncated
         means = (episodes.sums / episodes.steps_done[:, None]).T
@@ -173,14 +191,15 @@ class FunctionalPianoTask:
         metrics |= dict(zip(METRICS, means, strict=True))
         overflow = data.overflow
 
-        key, drawn = jax.random.split(state.key)
-        fresh, start = self.begin(drawn)
+        fresh, start = self.begin(of_begin)
         first = self.observation(fresh, self._resting(start))
         data = _where(done, self.physics.start(start), data)
         episodes = _where(done, fresh, episodes)
         observation = _where(done, first, final)
         info = {"state": simulated, "final_obs": final, "truncation": result.truncated}
-        info |= {"unstable": result.unstable, "overflow": overflow, "song": episodes.song}
+        info |= {"unstable": result.unstable, "overflow": overflow, **_about(episodes)}
+        lost = {"unstable_count": result.unstable, "overflow_count": overflow != 0}
+        info |= {name: state.info[name] + worlds.sum() for name, worlds in lost.items()}
         return PianoState(data, episodes, key, observation, result.reward, done, metrics, info)
 
     def begin(self, key: Array) -> tuple[Episodes, Array]:
@@ -189,7 +208,7 @@ class FunctionalPianoTask:
         Returns:
             The episodes, and the joint positions (N, J) at which the hands start [m, rad].
         """
-        of_song, of_hands = jax.random.split(key)
+        of_song, of_hands, of_draws = jax.random.split(key, 3)
         shape, most = (self.num_envs,), self.config.random_hand_position
         start = jnp.tile(jnp.asarray(self.scene.hand_start), (self.num_envs, 1))
         if most:
@@ -198,7 +217,9 @@ class FunctionalPianoTask:
         zeros = jnp.zeros(shape, jnp.int32)
         song = jax.random.randint(of_song, shape, 0, len(self.tracks), jnp.int32)
         sums = jnp.zeros((*shape, len(METRICS)))
-        return Episodes(song, zeros, jnp.zeros(shape), jnp.zeros(shape, bool), sums), start
+        random = self._randomization
+        draws = None if random is None else random.begin(of_draws, start)
+        return Episodes(song, zeros, jnp.zeros(shape), jnp.zeros(shape, bool), sums, draws), start
 
     def _resting(self, start: Array) -> State:
         """What is observed of worlds that have been reset; fingertips and forces are not."""
@@ -212,18 +233,22 @@ class FunctionalPianoTask:
         """(N,) the step that comes next; after the last, the last."""
         return jnp.minimum(episodes.steps_done, self.songs.num_steps[episodes.song] - 1)
 
-    def advance(self, episodes: Episodes, state: State, ctrl: Array) -> tuple[Episodes, Transition]:
+    def advance(
+        self, episodes: Episodes, state: State, ctrl: Array, arrived: Array | None = None
+    ) -> tuple[Episodes, Transition]:
         """What a control step has led to, as `PianoTask.step`.
 
         Args:
             episodes: before the step.
             state: the simulations after it.
             ctrl: (N, A + 1) the actions in actuator units, the pedal last.
+            arrived: those that hold at the end of the step, if they are others.
         """
+        pressed: Any = (ctrl if arrived is None else arrived)[:, -1]
         song, row = episodes.song, self._row(episodes)
         goal, fingers = self.songs.goal[song, row], self.songs.fingers[song, row]
-        lost = episodes.lost | ~jnp.isfinite(ctrl[:, -1])
-        pedal: Any = jnp.fmin(jnp.fmax(ctrl[:, -1], 0.0), 1.0)
+        lost = episodes.lost | ~jnp.isfinite(pressed)
+        pedal: Any = jnp.fmin(jnp.fmax(pressed, 0.0), 1.0)
         keyboard = self.scene.keyboard
         sounding = key_activation(state.key_qpos, keyboard.sounds_from)
         outcome = Outcome(
@@ -243,7 +268,7 @@ class FunctionalPianoTask:
         done = episodes.steps_done + 1
         over = done >= self.songs.num_steps[song]
         sums = episodes.sums + jnp.stack(step_metrics(sounding, goal[:, :-1]), axis=1)
-        after = Episodes(song, done, pedal, lost, sums)
+        after = Episodes(song, done, pedal, lost, sums, episodes.draws)
         total = sum(terms.values(), jnp.zeros(len(ctrl)))
         return after, Transition(total, terms, terminated, over & ~terminated, unstable)
 
@@ -251,15 +276,25 @@ class FunctionalPianoTask:
         """(N, D) observations, see `PianoTask.observation`."""
         song, row = episodes.song[:, None], self._row(episodes)[:, None]
         ahead = jnp.arange(self.config.lookahead_steps + 1)
+        keys, joints = key_state(state.key_qpos, self.scene.keyboard.travel), state.hand_qpos
+        if self._randomization is not None:
+            keys = self._randomization.observed_keys(episodes.draws, keys)
+            joints = self._randomization.observed_joints(episodes.draws, joints)
         parts = {
             "goal": self.songs.goal[song, row + ahead],
             "fingering": self.songs.fingers_wanted[song, row],
-            "key_state": key_state(state.key_qpos, self.scene.keyboard.travel),
+            "key_state": keys,
             "pedal": episodes.pedal,
-            "joints": state.hand_qpos,
+            "joints": joints,
             "touch": observed_touch(state.touch[:, self.scene.present_fingers]),
         }
         return self.spec.observation(parts)
+
+
+def _about(episodes: Episodes) -> dict[str, Array]:
+    """Infos on the episodes that environments are in."""
+    drawn = {} if episodes.draws is None else {"randomization/seed": episodes.draws.seed}
+    return {"song": episodes.song, **drawn}
 
 
 def _warp() -> Any:
@@ -303,7 +338,6 @@ def _check(config: TaskConfig, scene: Scene) -> None:
         "fingering transport": config.fingering == "transport",
         "onset_goals": config.onset_goals,
         "random_stretch, random_pitch_shift or random_octave_shift": draws_variation(config),
-        "randomization": config.randomization.is_on,
     }
     for what, asked in missing.items():
         if asked:

@@ -104,8 +104,8 @@ class PianoTask:
             reward_terms: name -> function of a `cadenza.Outcome` that returns (N,); they are added
                 to the reward, and one of the same name takes the place of the task's own.
             progress: is told for how many notes fingers have been looked for, and their number.
-            make_simulation: makes the physics; MuJoCo by default, one for each hand if they play
-                apart.
+            make_simulation: makes the physics; by default the scene's engine, with one simulation
+                for each hand if they play apart.
 
         Raises:
             CadenzaError: a score has no notes, or an option makes no sense.
@@ -115,10 +115,7 @@ class PianoTask:
         self.num_envs = num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
         self.draw_from(scores, progress)
         self._offset_joints = offset_joints(self.config, self.scene)
-        if make_simulation is None:
-            apart = self.scene.config.hands == "apart"
-            make_simulation = HandsApart if apart else MujocoSimulation
-        self.simulation = make_simulation(
+        self.simulation = (make_simulation or _engine(self.scene.config))(
             scene=self.scene,
             num_envs=num_envs,
             control_timestep=self.config.control_timestep,
@@ -376,6 +373,18 @@ class PianoTask:
     def close(self) -> None:
         """Stops the threads."""
         self.simulation.close()
+
+
+def _engine(config: SceneConfig) -> MakeSimulation:
+    """What makes the simulations of a scene with these options."""
+    apart = config.hands == "apart"
+    if config.engine == "c":
+        return HandsApart if apart else MujocoSimulation
+    if apart:
+        raise CadenzaError("the engine warp has no hands apart: choose the engine c")
+    from cadenza.sim.warp import WarpSimulation  # needs more packages than the rest
+
+    return WarpSimulation
 
 
 def offset_joints(config: TaskConfig, scene: Scene) -> NDArray[np.intp]:

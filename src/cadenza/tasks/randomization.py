@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,24 +22,89 @@ Ids = NDArray[np.intp]
 
 _LEAST_FACTOR = {"mass": 0.01}  # MuJoCo refuses bodies without mass; 0 for all others
 _MOST_FACTOR = 100.0
-_MOST_LATENCY = 1.0  # [s]
+_MOSTLATENCY = 1.0  # [s]
 _MOST_NOISE = {
     "joint_noise": math.pi,  # [rad], half a turn
     "slide_noise": 1.0,  # [m], nearly the keyboard
     "key_noise": 1.0,  # all the way down
     "control_noise": 1.0,  # half the range
 }
-_LATENCY, _SEED = "latency", "seed"
+LATENCY, SEED = "latency", "seed"
 _PREFIX = "randomization."  # the field of `TaskConfig`
 _CONTROL, _OBSERVATION = "control", "observation"
-_OTHERS = (_LATENCY, _CONTROL, _OBSERVATION)  # draws, beside the factors, with own generators
+_OTHERS = (LATENCY, _CONTROL, _OBSERVATION)  # draws, beside the factors, with own generators
+
+
+class Ranges:
+    """The ranges of a task in its scene. All draws of an episode follow from them and from a seed.
+
+    Each field has a generator of its own, so that it does not depend on what else is on.
+
+    Attributes:
+        config: the ranges and standard deviations.
+        shapes: name -> shape of the factors of all that is scaled.
+        control_noise: (A,) standard deviations of noise on controls, in actuator units.
+        observation_noise: (J + K,) standard deviations of noise on observed joints [m, rad], then
+            on key states.
+        has_latency: whether actions may be late.
+        kept: how many actions are kept, so that even the latest arrives, and one before it.
+    """
+
+    def __init__(self, config: DomainRandomization, scene: Scene, control_timestep: float) -> None:
+        """Takes the nominal scene and the time between two actions [s].
+
+        Raises:
+            CadenzaError: a range makes no sense.
+        """
+        known = shapes(scene)
+        _check(config, list(known))
+        self.config, self._scene = config, scene
+        self.physics_timestep = scene.model.opt.timestep
+        self.substeps = round(control_timestep / self.physics_timestep)
+        self.shapes = {n: shape for n, shape in known.items() if getattr(config, n) != SAME}
+        self._streams = {name: stream for stream, name in enumerate([*known, *_OTHERS])}
+        self.low, self.high = scene.action_low[:-1], scene.action_high[:-1]
+        self.control_noise = config.control_noise * (self.high - self.low) / 2
+        joints = np.where(sliding(scene), config.slide_noise, config.joint_noise)
+        keys = np.full(scene.keyboard.num_keys, config.key_noise)
+        self.observation_noise = np.concatenate([joints, keys])
+        self.has_latency = bool(config.latency[1])
+        self.kept = self._steps_of(config.latency[1]) // self.substeps + 2
+
+    def generator(self, seed: int, name: str) -> np.random.Generator:
+        """The generator of a field, or of noise, in an episode with this seed."""
+        return np.random.default_rng([seed, self._streams[name]])
+
+    def factors(self, seed: int) -> dict[str, Array]:
+        """The factors of all that is scaled."""
+        drawn: dict[str, Array] = {}
+        for name, shape in self.shapes.items():
+            low, high = getattr(self.config, name)
+            drawn[name] = np.asarray(self.generator(seed, name).uniform(low, high, shape))
+        return drawn
+
+    def late(self, seed: int) -> int:
+        """After how many physics steps actions arrive."""
+        return self._steps_of(self.generator(seed, LATENCY).uniform(*self.config.latency))
+
+    def _steps_of(self, latency: float) -> int:
+        """The physics steps of a latency, rounded half to even."""
+        return round(latency / self.physics_timestep)
+
+    def resting_ctrl(self, start: Any) -> Any:
+        """(N, A) the controls that keep the joints (N, J) at their start, of NumPy or JAX."""
+        if not self._scene.sides:  # keys, which are up
+            start, of_joints = start[:, :0], np.zeros((0, len(self.low)))
+        else:
+            of_joints = servos_of(self._scene).of_joints
+        return (start @ of_joints).clip(self.low, self.high)
 
 
 class Randomization:
     """The randomization of the physics, actions and observations of N environments.
 
-    At each reset an environment draws a seed. All that is random in its episode follows from that,
-    by a generator for each field, so that a field does not depend on what else is on.
+    At each reset an environment draws a seed, from which all that is random in its episode follows,
+    see `Ranges`.
 
     Attributes:
         drawn: name -> (N, ...) draws for the episode of each environment: "seed"; "latency" [s];
@@ -66,34 +132,21 @@ class Randomization:
         Raises:
             CadenzaError: a range makes no sense, or the simulation cannot be randomized.
         """
-        known = shapes(scene)
-        _check(config, list(known))
-        self._config, self._scene, self._simulation = config, scene, simulation
-        self._physics_timestep = scene.model.opt.timestep
-        self._substeps = round(control_timestep / self._physics_timestep)
+        self._ranges = ranges = Ranges(config, scene, control_timestep)
+        self._simulation = simulation
         self._env_ids = np.arange(num_envs)
-        self._shapes = {n: shape for n, shape in known.items() if getattr(config, n) != SAME}
-        self._streams = {name: stream for stream, name in enumerate([*known, *_OTHERS])}
         self.drawn: dict[str, NDArray[np.float64] | NDArray[np.int64]] = {}
         if config.is_on:
-            self.drawn = {name: np.ones((num_envs, *s)) for name, s in self._shapes.items()}
-            self.drawn[_SEED] = np.zeros(num_envs, np.int64)
-        # Actions
-        self._low, self._high = scene.action_low[:-1], scene.action_high[:-1]
-        self._control_noise = config.control_noise * (self._high - self._low) / 2
+            self.drawn = {name: np.ones((num_envs, *s)) for name, s in ranges.shapes.items()}
+            self.drawn[SEED] = np.zeros(num_envs, np.int64)
         self._control_rngs: dict[int, np.random.Generator] = {}
         self._late = np.zeros(num_envs, np.intp)  # in physics steps
-        if config.latency[1]:
-            self.drawn[_LATENCY] = np.zeros(num_envs)
-            most = self._steps_of(config.latency[1]) // self._substeps
-            self._sent = np.zeros((num_envs, most + 2, len(scene.action_low)))
-        # Observations: joints, then keys
-        joints = np.where(sliding(scene), config.slide_noise, config.joint_noise)
-        keys = np.full(scene.keyboard.num_keys, config.key_noise)
-        self._noise = np.concatenate([joints, keys])
-        self._offset = np.zeros((num_envs, len(self._noise)))
+        if ranges.has_latency:
+            self.drawn[LATENCY] = np.zeros(num_envs)
+            self._sent = np.zeros((num_envs, ranges.kept, len(scene.action_low)))
+        self._offset = np.zeros((num_envs, len(ranges.observation_noise)))
         self._observation_rngs: dict[int, np.random.Generator] = {}
-        asked = [*self._shapes, *({_LATENCY} & self.drawn.keys())]
+        asked = [*ranges.shapes, *({LATENCY} & self.drawn.keys())]
         if asked and not isinstance(simulation, RandomizableSimulation):
             kind = type(simulation).__name__
             raise CadenzaError(f"{_PREFIX}{asked[0]}: a {kind} cannot be randomized; leave it out")
@@ -119,45 +172,26 @@ class Randomization:
             return
         for env, rng, seed in zip(env_ids, rngs, seeds, strict=True):
             if seed is None:
-                seed = self._config.seed
+                seed = self._ranges.config.seed
             factors = self._draw(env, int(rng.integers(MOST_COUNT)) if seed is None else seed)
             if factors and isinstance(self._simulation, RandomizableSimulation):
                 self._simulation.randomize(env, factors)
-        if _LATENCY in self.drawn:
-            self._sent[list(env_ids), :, :-1] = self._resting_ctrl(start)[:, None]
+        if LATENCY in self.drawn:
+            self._sent[list(env_ids), :, :-1] = self._ranges.resting_ctrl(start)[:, None]
             self._sent[list(env_ids), :, -1] = 0.0  # the pedal is up
         self._draw_noise(np.asarray(env_ids, np.intp))
 
     def _draw(self, env: int, seed: int) -> Factors:
-        config = self._config
-
-        def generator(name: str) -> np.random.Generator:
-            return np.random.default_rng([seed, self._streams[name]])
-
-        factors: dict[str, Array] = {}
-        for name, shape in self._shapes.items():
-            low, high = getattr(config, name)
-            factors[name] = np.asarray(generator(name).uniform(low, high, shape))
-            self.drawn[name][env] = factors[name]
-        self.drawn[_SEED][env] = seed
-        if _LATENCY in self.drawn:
-            latency = generator(_LATENCY).uniform(*config.latency)
-            self._late[env] = self._steps_of(latency)
-            self.drawn[_LATENCY][env] = self._late[env] * self._physics_timestep
-        self._control_rngs[env] = generator(_CONTROL)
-        self._observation_rngs[env] = generator(_OBSERVATION)
+        factors = self._ranges.factors(seed)
+        for name, values in factors.items():
+            self.drawn[name][env] = values
+        self.drawn[SEED][env] = seed
+        if LATENCY in self.drawn:
+            self._late[env] = self._ranges.late(seed)
+            self.drawn[LATENCY][env] = self._late[env] * self._ranges.physics_timestep
+        self._control_rngs[env] = self._ranges.generator(seed, _CONTROL)
+        self._observation_rngs[env] = self._ranges.generator(seed, _OBSERVATION)
         return factors
-
-    def _steps_of(self, latency: float) -> int:
-        """The physics steps of a latency, rounded half to even."""
-        return round(latency / self._physics_timestep)
-
-    def _resting_ctrl(self, start: Array) -> Array:
-        """(N, A) the controls that keep the joints at their start."""
-        if not self._scene.sides:  # keys, which are up
-            return np.tile(np.clip(0.0, self._low, self._high), (len(start), 1))
-        servos = servos_of(self._scene)
-        return np.asarray(servos.clip(start @ servos.of_joints))
 
     # In each step
 
@@ -175,9 +209,9 @@ class Randomization:
             (N, A + 1) the actions that hold at the end of the step.
         """
         env_ids = None if isinstance(moving, slice) else moving.tolist()
-        if self._config.control_noise:
+        if self._ranges.config.control_noise:
             ctrl = self._with_noise(ctrl, moving)
-        if _LATENCY in self.drawn and isinstance(self._simulation, RandomizableSimulation):
+        if LATENCY in self.drawn and isinstance(self._simulation, RandomizableSimulation):
             ctrl, held = self._arriving(ctrl, moving)
             self._simulation.step(ctrl[:, :-1], env_ids, held)
         else:
@@ -190,41 +224,43 @@ class Randomization:
         sent = self._sent
         sent[moving, 1:] = sent[moving, :-1]
         sent[moving, 0] = ctrl[moving]
-        steps, substeps = np.divmod(self._late, self._substeps)
+        steps, substeps = np.divmod(self._late, self._ranges.substeps)
         before = sent[self._env_ids, steps + 1]
         return sent[self._env_ids, steps], Held(before[:, :-1], substeps)
 
     def _with_noise(self, ctrl: Array, moving: slice | Ids) -> Array:
-        noisy = ctrl.copy()
+        noisy, ranges = ctrl.copy(), self._ranges
         for env in self._env_ids[moving].tolist():
-            noise = self._control_rngs[env].standard_normal(len(self._control_noise))
-            noisy[env, :-1] += self._control_noise * noise
-        noisy[:, :-1] = np.clip(noisy[:, :-1], self._low, self._high)
+            noise = self._control_rngs[env].standard_normal(len(ranges.control_noise))
+            noisy[env, :-1] += ranges.control_noise * noise
+        noisy[:, :-1] = np.clip(noisy[:, :-1], ranges.low, ranges.high)
         return noisy
 
     def _draw_noise(self, moving: slice | Ids) -> None:
         """Draws the noise of the next observations."""
-        if not self._noise.any():
+        noise = self._ranges.observation_noise
+        if not noise.any():
             return
         for env in self._env_ids[moving].tolist():
-            normal = self._observation_rngs[env].standard_normal(len(self._noise))
-            self._offset[env] = self._noise * normal
+            normal = self._observation_rngs[env].standard_normal(len(noise))
+            self._offset[env] = noise * normal
 
     def observed_joints(self, hand_qpos: Array) -> Array:
         """(N, J) joint positions with noise."""
         joints = slice(0, hand_qpos.shape[1])
-        return hand_qpos + self._offset[:, joints] if self._noise[joints].any() else hand_qpos
+        noisy = self._ranges.observation_noise[joints].any()
+        return hand_qpos + self._offset[:, joints] if noisy else hand_qpos
 
     def observed_keys(self, key_state: Array) -> Array:
         """(N, K) key states with noise, 0 to 1."""
-        if not self._config.key_noise:
+        if not self._ranges.config.key_noise:
             return key_state
         return np.clip(key_state + self._offset[:, -key_state.shape[1] :], 0.0, 1.0)
 
 
 def _check(config: DomainRandomization, factors: Sequence[str]) -> None:
     limits = {name: (_LEAST_FACTOR.get(name, 0.0), _MOST_FACTOR) for name in factors}
-    for name, (least, most) in (limits | {_LATENCY: (0.0, _MOST_LATENCY)}).items():
+    for name, (least, most) in (limits | {LATENCY: (0.0, _MOSTLATENCY)}).items():
         low, high = getattr(config, name)
         if not least <= low <= high <= most:
             raise CadenzaError(
@@ -233,5 +269,5 @@ def _check(config: DomainRandomization, factors: Sequence[str]) -> None:
             )
     numbers = {name: (0.0, most) for name, most in _MOST_NOISE.items()}
     if config.seed is not None:
-        numbers[_SEED] = (0, MOST_COUNT)
+        numbers[SEED] = (0, MOST_COUNT)
     check_ranges(config, numbers, _PREFIX)

@@ -13,7 +13,7 @@ from cadenza.music.libraries.bundled import songs
 
 _DRILLS = {"MiniNote": "notes-1", "MiniNotes": "notes-6", "MiniDyads": "dyads-3"}
 _ENGINES = {
-    "mujoco": ("cadenza.tasks.env", "PianoVectorEnv"),
+    "c": ("cadenza.tasks.env", "PianoVectorEnv"),
     "warp": ("cadenza.tasks.device_env", "DevicePianoVectorEnv"),
 }
 _NUM_DRILLS = 20
@@ -34,8 +34,8 @@ def register_envs() -> None:
         _register(f"cadenza/{name}-v0", {"song": songs_of_it, **_MINI})
 
 
-def make_vector_env(engine: str = "mujoco", **options: Any) -> VectorEnv:
-    """N environments, by the physics of an `engine`: "mujoco", or "warp" for GPUs.
+def make_vector_env(engine: str = "c", **options: Any) -> VectorEnv:
+    """N environments, by an `engine`: "c", or "warp" for GPUs, whose arrays stay on the device.
 
     The options are those of `PianoVectorEnv`, or of `DevicePianoVectorEnv`.
 

@@ -1,0 +1,133 @@
+"""Domain randomization as pure functions of JAX's arrays, for `FunctionalPianoTask`."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from cadenza.errors import extra_packages
+from cadenza.scene.randomization import affected_fields, scale
+from cadenza.scene.scene import Scene
+from cadenza.sim.protocol import Held
+from cadenza.tasks.config import DomainRandomization
+from cadenza.tasks.randomization import Ranges
+
+with extra_packages("gpu", "the engine warp"):
+    import jax
+    import jax.numpy as jnp
+
+Array = Any  # of JAX
+
+VARIANTS = 4096
+"""How many seeds episodes draw from, with 12 kB each for a model. MuJoCo computes models on the
+host, in 0.6 ms, so that they are there before the first step."""
+
+
+class Draws(NamedTuple):
+    """What is random in the episodes of N environments."""
+
+    seed: Array
+    """(N,) int32, the seed from which models and latencies follow, as in `Ranges`."""
+    sent: Array
+    """(N, L, A + 1) the last actions in actuator units, the newest first."""
+    offset: Array
+    """(N, J + K) noise on observed joints [m, rad] and key states."""
+
+
+class DeviceRandomization:
+    """The randomization of the physics, actions and observations of N environments.
+
+    The same seed draws the same models and latencies as in `Randomization`; noise has other bits.
+
+    Attributes:
+        scaled: names of the quantities that are scaled.
+    """
+
+    def __init__(
+        self, config: DomainRandomization, scene: Scene, control_timestep: float, num_envs: int
+    ) -> None:
+        """Computes the models that episodes draw from.
+
+        Args:
+            config: the ranges and standard deviations.
+            scene: the nominal scene.
+            control_timestep: time between two actions [s].
+            num_envs: N.
+
+        Raises:
+            CadenzaError: a range makes no sense.
+        """
+        self._ranges = ranges = Ranges(config, scene, control_timestep)
+        self._num_envs, self.scaled = num_envs, tuple(ranges.shapes)
+        self._first, count = (0, VARIANTS) if config.seed is None else (config.seed, 1)
+        self._count = count if self.scaled or ranges.has_latency else 1
+        seeds = range(self._first, self._first + self._count)
+        self._models = _models(ranges, scene, seeds) if self.scaled else {}
+        self._late: Any = jnp.asarray([ranges.late(seed) for seed in seeds], jnp.int32)
+
+    def begin(self, key: Array, start: Array) -> Draws:
+        """Draws for episodes in which the hands start at joint positions (N, J) [m, rad]."""
+        of_seed, of_noise = jax.random.split(key)
+        seed = self._first + jax.random.randint(of_seed, (self._num_envs,), 0, self._count)
+        kept = self._ranges.kept if self._ranges.has_latency else 0
+        rest = jnp.pad(self._ranges.resting_ctrl(start), ((0, 0), (0, 1)))  # the pedal is up
+        sent = jnp.tile(rest[:, None], (1, kept, 1))
+        return Draws(seed, sent, self._offset(of_noise))
+
+    def _offset(self, key: Array) -> Array:
+        noise = jnp.asarray(self._ranges.observation_noise)
+        return noise * jax.random.normal(key, (self._num_envs, len(noise)))
+
+    def send(self, draws: Draws, ctrl: Array, key: Array) -> tuple[Draws, Array, dict[str, Any]]:
+        """Sends actions at the beginning of a control step, see `Randomization.step`.
+
+        Args:
+            draws: the draws for the episodes.
+            ctrl: (N, A + 1) the actions of the agent, in actuator units, the pedal last.
+            key: the key of the noise.
+
+        Returns:
+            The draws, the actions (N, A + 1) that hold at the end of the step, and what else the
+            physics takes, see `cadenza.sim.warp.WarpPhysics.step`.
+        """
+        of_control, of_observation = jax.random.split(key)
+        draws = draws._replace(offset=self._offset(of_observation))
+        ranges, others = self._ranges, dict[str, Any]()
+        variant = draws.seed - self._first
+        if ranges.config.control_noise:
+            noise = ranges.control_noise * jax.random.normal(of_control, ctrl[:, :-1].shape)
+            noisy = (ctrl[:, :-1] + noise).clip(ranges.low, ranges.high)
+            ctrl = jnp.concatenate([noisy, ctrl[:, -1:]], axis=1)
+        if ranges.has_latency:
+            sent: Any = jnp.concatenate([ctrl[:, None], draws.sent[:, :-1]], axis=1)
+            draws = draws._replace(sent=sent)
+            steps, substeps = divmod(self._late[variant], ranges.substeps)
+            envs = jnp.arange(self._num_envs)
+            ctrl = sent[envs, steps]
+            others["held"] = Held(sent[envs, steps + 1, :-1], substeps)
+        if self._models:
+            others["models"] = {name: values[variant] for name, values in self._models.items()}
+        return draws, ctrl, others
+
+    def observed_joints(self, draws: Draws, hand_qpos: Array) -> Array:
+        """(N, J) joint positions with noise."""
+        return hand_qpos + draws.offset[:, : hand_qpos.shape[1]]
+
+    def observed_keys(self, draws: Draws, key_state: Array) -> Array:
+        """(N, K) key states with noise, 0 to 1."""
+        return (key_state + draws.offset[:, -key_state.shape[1] :]).clip(0.0, 1.0)
+
+
+def _models(ranges: Ranges, scene: Scene, seeds: range) -> dict[str, Array]:
+    """Name of a field of `mujoco.MjModel` -> its values for each of the seeds."""
+    model, data = copy(scene.model), mujoco.MjData(scene.model)
+    fields = affected_fields(ranges.shapes)
+    values: dict[str, list[Any]] = {name: [] for name in fields}
+    for seed in seeds:
+        scale(model, scene, ranges.factors(seed), data)
+        for name in fields:
+            values[name].append(getattr(model, name).astype(np.float32))
+    return {name: jnp.asarray(np.stack(rows)) for name, rows in values.items()}

@@ -1,0 +1,192 @@
+"""Domain randomization on the device draws what the CPU's draws, and differs by world and episode."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from test_functional import ONE_NOTE, Data, RecordedPhysics
+
+from cadenza.errors import CadenzaError
+from cadenza.scene.randomization import SCALED_FIELDS, scale
+from cadenza.scene.scene import Scene, build_scene
+from cadenza.sim.protocol import State
+from cadenza.tasks.config import DomainRandomization, TaskConfig
+from cadenza.tasks.piano_task import EpisodeStart, PianoTask
+from cadenza.tasks.randomization import Randomization, Ranges
+
+jax = pytest.importorskip("jax")
+
+from cadenza.tasks.device_randomization import DeviceRandomization  # noqa: E402
+from cadenza.tasks.functional import FunctionalPianoTask, PianoState  # noqa: E402
+
+DT = 0.05  # [s]
+FACTORS: Any = dict.fromkeys(SCALED_FIELDS, (0.7, 1.4))
+NOISE: Any = dict.fromkeys(("joint_noise", "slide_noise", "key_noise", "control_noise"), 0.02)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return build_scene()
+
+
+class Following(RecordedPhysics):
+    """Joints are where the first of the controls are, scaled by the heaviness of the bodies."""
+
+    def __init__(self, scene: Scene, num_envs: int, *_: Any, scaled: Any = ()) -> None:
+        super().__init__(scene, num_envs)
+        self.joints = self.zeros.hand_qpos.shape[1]
+
+    def step(
+        self, data: Data, ctrl: Any, held: Any = None, models: Any = None
+    ) -> tuple[Data, State]:
+        state = jax.tree.map(jax.numpy.asarray, self.zeros)
+        if models:
+            ctrl = ctrl * models["body_mass"].sum(axis=1, keepdims=True)
+        padded = jax.numpy.pad(ctrl, ((0, 0), (0, self.joints - ctrl.shape[1])))
+        return data, state._replace(hand_qpos=padded)
+
+
+def played(
+    randomization: DomainRandomization, seed: int = 0, num_envs: int = 3
+) -> list[PianoState]:
+    """More than an episode of the same actions in all environments."""
+    config = TaskConfig(randomization=randomization)
+    task = FunctionalPianoTask([ONE_NOTE], config, None, num_envs, Following)
+    states = [task.reset(jax.random.key(seed))]
+    rng = np.random.default_rng(0)
+    for _ in range(7):
+        states.append(task.step(states[-1], np.tile(rng.uniform(-1, 1, 39), (num_envs, 1))))
+    return states
+
+
+def seen(states: list[PianoState]) -> Any:
+    """(steps, N, D) observations."""
+    return np.array([state.obs for state in states])
+
+
+@pytest.mark.parametrize(
+    "on",
+    [{"mass": (0.7, 1.4)}, {"latency": (0.0, 0.3)}, *({name: 0.02} for name in NOISE)],
+    ids=str,
+)
+def test_worlds_and_episodes_differ_by_the_seed(on: Any) -> None:
+    first, again, other = (played(DomainRandomization(**on), seed) for seed in (0, 0, 1))
+    assert_array_equal(seen(first), seen(again))
+    assert (seen(first) != seen(other)).any(axis=(0, 2)).all()
+    assert len({row.tobytes() for row in np.moveaxis(seen(first), 1, 0)}) == 3
+    seeds = [state.info["randomization/seed"] for state in first]
+    if on.keys() & {"mass", "latency"}:
+        assert (seeds[0] != seeds[-1]).all()  # of the next episode
+
+
+def test_ranges_without_width_change_no_bit() -> None:
+    same: Any = dict.fromkeys(SCALED_FIELDS, (1.0, 1.0))
+    off, on = played(DomainRandomization()), played(DomainRandomization(**same, latency=(0, 0)))
+    assert_array_equal(seen(on), seen(off))
+    fixed = played(DomainRandomization(mass=(1.2, 1.2)))
+    assert_array_equal(seen(fixed)[:, 1:], seen(fixed)[:, :-1])
+
+
+def test_models_are_those_of_the_cpu(scene: Scene) -> None:
+    config = DomainRandomization(**FACTORS, seed=5)
+    random = DeviceRandomization(config, scene, DT, 2)
+    key = jax.random.key(0)
+    draws = random.begin(key, np.tile(scene.hand_start, (2, 1)))
+    _, _, others = random.send(draws, np.zeros((2, len(scene.action_low))), key)
+    import mujoco
+
+    model = mujoco.MjModel.__copy__(scene.model)
+    scale(model, scene, Ranges(config, scene, DT).factors(5), mujoco.MjData(scene.model))
+    for name, values in others["models"].items():
+        assert_array_equal(values[1], getattr(model, name).astype(np.float32), err_msg=name)
+    changed = {name for fields in SCALED_FIELDS.values() for name in fields}
+    assert changed < others["models"].keys()
+
+
+class Listening:
+    """A simulation that keeps what arrives."""
+
+    def reset(self, *_: Any) -> None: ...
+    def randomize(self, *_: Any) -> None: ...
+    def close(self) -> None: ...
+
+    state = None
+
+    def step(self, ctrl: Any, env_ids: Any, held: Any = None) -> None:
+        self.arrived = ctrl, held
+
+
+@pytest.mark.parametrize("latency", [0.005, 0.015, 0.05, 0.1, 0.12])
+def test_actions_arrive_when_they_do_on_the_cpu(scene: Scene, latency: float) -> None:
+    """After exactly so many control steps, and physics steps within one."""
+    config = DomainRandomization(latency=(latency, latency), seed=1)
+    listening, start = Listening(), np.tile(scene.hand_start, (2, 1))
+    host = Randomization(config, scene, DT, 2, listening)  # type: ignore[arg-type]
+    host.begin([0, 1], np.random.default_rng(0).spawn(2), start, [None, None])
+    device, key = DeviceRandomization(config, scene, DT, 2), jax.random.key(0)
+    draws, rng, sent = device.begin(key, start), np.random.default_rng(0), []
+    for step in range(6):
+        sent.append(rng.uniform(scene.action_low, scene.action_high, (2, len(scene.action_low))))
+        arrived = host.step(sent[-1], slice(None))
+        draws, ours, others = device.send(draws, sent[-1].astype(np.float32), key)
+        assert_allclose(ours, arrived, atol=1e-6)
+        _, held = listening.arrived
+        assert_allclose(others["held"].ctrl, held.ctrl, atol=1e-6)
+        assert_array_equal(others["held"].substeps, held.substeps)
+        whole, part = divmod(round(latency / scene.model.opt.timestep), 10)
+        assert_array_equal(held.substeps, part)
+        if step >= whole:
+            assert_allclose(ours, sent[step - whole], atol=1e-6)
+
+
+def test_noise_is_as_wide_as_it_says_and_the_state_has_none(scene: Scene) -> None:
+    noise = DomainRandomization(joint_noise=0.03, slide_noise=0.002, key_noise=0.05)
+    states, layout = played(noise, num_envs=16), None
+    task = FunctionalPianoTask([ONE_NOTE], None, scene, 1, Following)
+    layout = task.spec.observation_layout
+    off = np.array(
+        [s.info["final_obs"][:, layout["joints"]] - s.info["state"].hand_qpos for s in states]
+    )
+    slides = np.isin(np.arange(off.shape[-1]), scene.slide_joints)
+    turning = [not name.split("forearm")[-1] in ("_tx", "_ty") for name in scene.hand_joint_names]
+    assert_allclose(off[..., slides].std(), 0.002, rtol=0.2)
+    assert_allclose(off[..., turning].std(), 0.03, rtol=0.05)
+    keys = seen(states)[..., layout["key_state"]]
+    assert keys.min() == 0.0
+    assert 0.05 < keys.max() < 0.5
+
+
+def test_says_what_makes_no_sense() -> None:
+    with pytest.raises(CadenzaError, match=r"randomization.mass 1.2 0.8: give the least"):
+        played(DomainRandomization(mass=(1.2, 0.8)))
+
+
+@pytest.mark.slow  # it compiles for a minute
+def test_randomized_worlds_move_as_on_the_cpu(scene: Scene) -> None:
+    """Each as the environment of the CPU that begins with the same seed, and not as another one."""
+    pytest.importorskip("mujoco_warp")
+    ranges = DomainRandomization(**FACTORS, latency=(0.0, 0.12))
+    config = TaskConfig(randomization=ranges, initial_buffer_time=1.0)
+    device = FunctionalPianoTask([ONE_NOTE], config, scene, 3)
+    state, rng = device.reset(jax.random.key(0)), np.random.default_rng(0)
+    cpu = PianoTask([ONE_NOTE], config, scene, 3)
+    seeds = state.info["randomization/seed"].tolist()
+    starts = [EpisodeStart(randomization=seed) for seed in seeds]
+    cpu.reset(rng.spawn(3), range(3), starts)
+    for step in range(12):
+        action = np.tile(rng.uniform(-0.5, 0.5, 39), (3, 1)).astype(np.float32)
+        state = device.step(state, action)
+        result = cpu.step(cpu.spec.scale_action(action))
+        ours, theirs = state.info["state"], cpu.state
+        assert_allclose(ours.hand_qpos, theirs.hand_qpos, atol=1e-3, err_msg=str(step))
+        assert_allclose(ours.key_qpos, theirs.key_qpos, atol=1e-3, err_msg=str(step))
+        assert_allclose(state.info["final_obs"], cpu.observation(), atol=0.02)
+        assert_allclose(state.reward, result.reward, atol=0.02)
+    assert np.ptp(theirs.hand_qpos, axis=0).max() > 0.05
+    heavy = DomainRandomization(mass=(2.0, 2.0))
+    assert replace(ranges, seed=1) != heavy
+    cpu.close()
