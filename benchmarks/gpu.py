@@ -17,17 +17,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.arguments import one_or_more, parser_for
 from benchmarks.table import write_table
 from cadenza.agents.playback import load_plan
-from cadenza.errors import CadenzaError, errors_in_a_line
+from cadenza.errors import CadenzaError, errors_in_a_line, extra_packages
 from cadenza.music.libraries.library import load_score
-from cadenza.tasks.functional import FunctionalPianoTask, PianoState
+
+with errors_in_a_line(), extra_packages("gpu", "this benchmark"):
+    import jax
+    import jax.numpy as jnp
+
+    from cadenza.sim.warp import WarpPhysics
+    from cadenza.tasks.functional import FunctionalPianoTask, PianoState
 
 SONG = "CMajorScaleTwoHands"  # of the recorded performance
 EPISODE = Path(__file__).parents[1] / "tests/data/episode_d.npz"
@@ -110,7 +114,8 @@ def main() -> None:
     options = parser.parse_args()
     begin, rows = time.perf_counter(), []
     for num_envs in options.worlds:
-        task = FunctionalPianoTask([load_score(SONG)], num_envs=num_envs)
+        song = [load_score(SONG)]
+        task = FunctionalPianoTask(song, num_envs=num_envs, make_physics=WarpPhysics)
         recorded = task.spec.unscale_action(load_plan(EPISODE).actions).astype(np.float32)
         if len(recorded) != int(task.songs.num_steps[0]):
             raise CadenzaError(f"{EPISODE}: {len(recorded)} steps, not those of {SONG}")

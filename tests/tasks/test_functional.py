@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -143,6 +144,45 @@ def test_episodes_begin_anew() -> None:
             ends += 1
     assert ends >= 4
     envs.close()
+
+
+def test_songs_of_any_length_one_after_the_other() -> None:
+    """Against the task of the CPU, whose episodes begin with the songs that were drawn here."""
+    lengths = (1, 2, 5, 7, 12)  # control steps
+    scores = [Score((Note(0.0, 0.05 * n, 60 + n),), title=str(n)) for n in lengths]
+    config, rng, num_envs = TaskConfig(n_steps_lookahead=3), np.random.default_rng(0), 6
+    cpu = PianoTask(scores, config, None, num_envs)
+    states: deque[State] = deque()
+    RecordedPhysics.states = iter(states.popleft, None)
+    task = FunctionalPianoTask(scores, config, cpu.scene, num_envs, RecordedPhysics)
+    state = task.reset(jax.random.key(0))
+
+    def begin(ended: np.ndarray) -> None:
+        starts = [EpisodeStart(int(state.info["song"][env])) for env in ended]
+        cpu.reset(rng.spawn(len(ended)), ended.tolist(), starts)
+
+    begin(np.arange(num_envs))
+    ends = np.zeros(len(scores), int)
+    for _ in range(40):
+        songs = np.asarray(state.info["song"])
+        action = rng.uniform(-1, 1, (num_envs, 39)).astype(np.float32)
+        result = cpu.step(cpu.spec.scale_action(action))
+        states.append(cpu.state)
+        state = task.step(state, action)
+        assert_allclose(state.reward, result.reward, atol=1e-4)
+        assert_array_equal(state.done, result.terminated | result.truncated)
+        assert_array_equal(state.info["truncation"], result.truncated)
+        assert_allclose(state.info["final_obs"], cpu.observation(), atol=1e-6)
+        for env in (ended := np.flatnonzero(state.done)):
+            expected = cpu.episode_metrics(env)
+            for name in ("precision", "recall", "f1"):
+                assert_allclose(state.metrics[name][env], expected[name], atol=1e-6)
+            ends[songs[env]] += 1
+        if len(ended):
+            begin(ended)
+        assert_allclose(state.obs, cpu.observation(), atol=1e-6)
+    assert (ends > 0).all()
+    cpu.close()
 
 
 def on_device(state: State) -> State:
