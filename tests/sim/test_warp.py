@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from cadenza.scene.randomization import shapes
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.mujoco_simulation import MujocoSimulation
+from cadenza.sim.protocol import Held, RandomizableSimulation
 
 pytestmark = pytest.mark.slow  # it compiles for a minute
 pytest.importorskip("mujoco_warp")
@@ -80,3 +83,25 @@ def test_contacts_without_room_are_told(scene: Scene, ctrl: np.ndarray) -> None:
     state, read = physics.step(state, ctrl[:1])
     assert_array_equal(read.unstable, [True])
     assert state.overflow[0]
+
+
+def test_randomized_worlds_with_late_controls(scene: Scene, ctrl: np.ndarray) -> None:
+    """Each as in C with the same factors, and not as another one."""
+    from cadenza.sim.warp import WarpSimulation
+
+    ours, theirs = WarpSimulation(scene, 2), MujocoSimulation(scene, 2)
+    assert isinstance(ours, RandomizableSimulation)
+    for env in range(2):
+        rng = np.random.default_rng(env)
+        factors = {n: np.asarray(rng.uniform(0.7, 1.4, s)) for n, s in shapes(scene).items()}
+        for each in (ours, theirs):
+            each.randomize(env, factors)
+            each.reset([env], scene.hand_start[None])
+    late = np.array([3, 9])
+    for before, row in itertools.pairwise(ctrl[:9]):
+        for each in (ours, theirs):
+            each.step(np.tile(row, (2, 1)), None, Held(np.tile(before, (2, 1)), late))
+        for name in ("key_qpos", "hand_qpos", "fingertip_xpos"):
+            found, expected = getattr(ours.state, name), getattr(theirs.state, name)
+            assert_allclose(found, expected, atol=POSITIONS, err_msg=name)
+    assert abs(theirs.state.hand_qpos[0] - theirs.state.hand_qpos[1]).max() > 0.01

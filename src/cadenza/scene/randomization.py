@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping
+from copy import copy
 
 import mujoco
 import numpy as np
@@ -77,6 +79,20 @@ def affected_fields(names: Collection[str]) -> tuple[str, ...]:
     """
     computed = _COMPUTED if _INERTIAL & set(names) else ()
     return (*(field for name in names for field in SCALED_FIELDS[name]), *computed)
+
+
+def scaled_fields(scene: Scene, each: Iterable[Factors]) -> dict[str, NDArray[np.float32]]:
+    """Name of a field that differs -> its values (M, ...) in M models, with `each` their factors.
+
+    All have factors of the same names.
+    """
+    model, data = copy(scene.model), mujoco.MjData(scene.model)
+    values: defaultdict[str, list[NDArray[np.float32]]] = defaultdict(list)
+    for factors in each:
+        scale(model, scene, factors, data)
+        for name in affected_fields(factors):
+            values[name].append(getattr(model, name).astype(np.float32))
+    return {name: np.stack(rows) for name, rows in values.items()}
 
 
 def sliding(scene: Scene) -> NDArray[np.bool_]:

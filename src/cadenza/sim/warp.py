@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cadenza.configs import whole_number
 from cadenza.errors import extra_packages
-from cadenza.scene.randomization import Factors, affected_fields, scale
+from cadenza.scene.randomization import Factors, affected_fields, scaled_fields
 from cadenza.scene.scene import Scene
 from cadenza.sim.key_crossings import dense_key_events
 from cadenza.sim.mujoco_simulation import MujocoSimulation, physics_steps
@@ -341,7 +341,7 @@ class WarpSimulation:
         self._make = partial(WarpPhysics, scene, num_envs, control_timestep, watch_forearms)
         self._use(self._make())
         self._at_start = MujocoSimulation(scene, 1, control_timestep, 1, watch_forearms)
-        self._model, self._models = copy(scene.model), dict[str, NDArray[np.float32]]()
+        self._models: dict[str, NDArray[np.float32]] = {}
         self._physics = self.physics.start(np.zeros(len(scene.hand_joint_names)))
         self.state = State.zeros(scene, num_envs)
         self.reset(range(num_envs), np.zeros((num_envs, len(scene.hand_joint_names))))
@@ -363,17 +363,13 @@ class WarpSimulation:
         self.state = state
 
     def randomize(self, env_id: int, factors: Factors) -> None:
-        fields = affected_fields(factors)
-        if not self._models:
+        model = scaled_fields(self.scene, [factors])
+        if not self._models:  # all are randomized before they are stepped
             self._use(self._make(scaled=factors))
-            for name in fields:
-                nominal = getattr(self.scene.model, name).astype(np.float32)
-                self._models[name] = np.tile(
-                    nominal, (len(self.state.unstable), *[1] * nominal.ndim)
-                )
-        scale(self._model, self.scene, factors, mujoco.MjData(self.scene.model))
-        for name in fields:
-            self._models[name][env_id] = getattr(self._model, name)
+            num_envs = self.physics.num_envs
+            self._models = {name: v.repeat(num_envs, axis=0) for name, v in model.items()}
+        for name, (values,) in model.items():
+            self._models[name][env_id] = values
 
     def step(
         self,

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from copy import copy
 from typing import Any, NamedTuple
 
-import mujoco
-import numpy as np
-
 from cadenza.errors import extra_packages
-from cadenza.scene.randomization import affected_fields, scale
+from cadenza.scene.randomization import scaled_fields
 from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import Held
 from cadenza.tasks.config import DomainRandomization
@@ -65,7 +61,8 @@ class DeviceRandomization:
         self._first, count = (0, VARIANTS) if config.seed is None else (config.seed, 1)
         self._count = count if self.scaled or ranges.has_latency else 1
         seeds = range(self._first, self._first + self._count)
-        self._models = _models(ranges, scene, seeds) if self.scaled else {}
+        models = scaled_fields(scene, map(ranges.factors, seeds)) if self.scaled else {}
+        self._models: dict[str, Any] = {n: jnp.asarray(values) for n, values in models.items()}
         self._late: Any = jnp.asarray([ranges.late(seed) for seed in seeds], jnp.int32)
 
     def begin(self, key: Array, start: Array) -> Draws:
@@ -119,15 +116,3 @@ class DeviceRandomization:
     def observed_keys(self, draws: Draws, key_state: Array) -> Array:
         """(N, K) key states with noise, 0 to 1."""
         return (key_state + draws.offset[:, -key_state.shape[1] :]).clip(0.0, 1.0)
-
-
-def _models(ranges: Ranges, scene: Scene, seeds: range) -> dict[str, Array]:
-    """Name of a field of `mujoco.MjModel` -> its values for each of the seeds."""
-    model, data = copy(scene.model), mujoco.MjData(scene.model)
-    fields = affected_fields(ranges.shapes)
-    values: dict[str, list[Any]] = {name: [] for name in fields}
-    for seed in seeds:
-        scale(model, scene, ranges.factors(seed), data)
-        for name in fields:
-            values[name].append(getattr(model, name).astype(np.float32))
-    return {name: jnp.asarray(np.stack(rows)) for name, rows in values.items()}
