@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import platform
 import time
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -90,6 +91,21 @@ def measure(
     }
 
 
+def measured(worlds: Sequence[int], steps: int, minutes: float) -> Iterator[dict[str, Any]]:
+    """The rows of these numbers of worlds, as far as they begin within some minutes."""
+    begin, song = time.perf_counter(), [load_score(SONG)]
+    for num_envs in worlds:
+        task = FunctionalPianoTask(song, num_envs=num_envs, make_physics=WarpPhysics)
+        recorded = task.spec.unscale_action(load_plan(EPISODE).actions).astype(np.float32)
+        if len(recorded) != int(task.songs.num_steps[0]):
+            raise CadenzaError(f"{EPISODE}: {len(recorded)} steps, not those of {SONG}")
+        for plan in (None, recorded):
+            if (time.perf_counter() - begin) / 60 > minutes:
+                print(f"no time for {num_envs} worlds or more: give more --minutes")
+                return
+            yield measure(task, plan, steps)
+
+
 def device_name() -> str:
     """The card, or the CPU's kind."""
     device = jax.devices()[0]
@@ -112,21 +128,13 @@ def main() -> None:
     parser.add_argument("--steps", type=one_or_more, default=STEPS)
     parser.add_argument("--minutes", type=float, default=MINUTES)
     options = parser.parse_args()
-    begin, rows = time.perf_counter(), []
-    for num_envs in options.worlds:
-        song = [load_score(SONG)]
-        task = FunctionalPianoTask(song, num_envs=num_envs, make_physics=WarpPhysics)
-        recorded = task.spec.unscale_action(load_plan(EPISODE).actions).astype(np.float32)
-        if len(recorded) != int(task.songs.num_steps[0]):
-            raise CadenzaError(f"{EPISODE}: {len(recorded)} steps, not those of {SONG}")
-        for plan in (None, recorded):
-            if (time.perf_counter() - begin) / 60 > options.minutes:
-                print(f"no time for {num_envs} worlds: give more --minutes")
-                break
-            rows.append(measure(task, plan, options.steps))
-            print(rows[-1], flush=True)
-            write_table(options.output, rows)
-    print_table(rows)
+    rows: list[dict[str, Any]] = []
+    for row in measured(options.worlds, options.steps, options.minutes):
+        rows.append(row)
+        print(row, flush=True)
+        write_table(options.output, rows)
+    if rows:
+        print_table(rows)
 
 
 if __name__ == "__main__":

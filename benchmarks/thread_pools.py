@@ -5,13 +5,15 @@
 All step the same scene by the same controls, one control step per call, as an environment has to:
 our thread pool, which also reads states and finds when keys sound; `mujoco.rollout`; and, where it
 is installed, `mjbatch`, which refuses models with sleep, so that each is measured without, too.
-They take turns in each of several rounds, and the median counts. "random" draws controls uniformly,
-for each simulation its own; "skilled" replays the recorded performance in all.
+They take turns in each of several rounds, and medians count: of steps per second, and per second of
+CPU time of all threads, which other work on the machine disturbs less. "random" draws controls
+uniformly, for each simulation its own; "skilled" replays the recorded performance in all.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,6 @@ from mujoco.rollout import Rollout
 from numpy.typing import NDArray
 
 from benchmarks.arguments import one_or_more, parser_for
-from benchmarks.speed import Contestant, medians
 from cadenza.agents.playback import load_plan
 from cadenza.errors import errors_in_a_line
 from cadenza.scene.config import SceneConfig
@@ -31,16 +32,19 @@ from cadenza.sim.mujoco_simulation import MujocoSimulation, physics_steps
 CONTROL_TIMESTEP = 0.05  # [s]
 STATES = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
+Contestant = Callable[[], NDArray[np.float64]]  # control steps a second, and a second of CPU time
+
 
 def timed(ctrl: NDArray[np.float64], reset: Any, step: Any) -> Contestant:
-    """Steps through controls (T, N, A) after a reset; control steps of all a second."""
+    """Steps through controls (T, N, A) after a reset."""
 
-    def run() -> float:
+    def run() -> NDArray[np.float64]:
         reset()
-        start = time.perf_counter()
+        start = np.array([time.perf_counter(), time.process_time()])
         for each in ctrl:
             step(each)
-        return ctrl.shape[0] * ctrl.shape[1] / (time.perf_counter() - start)
+        seconds = np.array([time.perf_counter(), time.process_time()]) - start
+        return ctrl.shape[0] * ctrl.shape[1] / seconds
 
     return run
 
@@ -116,13 +120,17 @@ def main() -> None:
     shape, low, high = (len(skilled), options.envs, 1), scene.action_low, scene.action_high
     drawn = np.random.default_rng(0).uniform(low, high, (*shape[:2], len(low)))[..., :-1]
     for title, ctrl in ("random", drawn), ("skilled", np.tile(skilled[:, None], shape)):
-        speeds = medians(contestants(ctrl, options.threads), options.rounds)
-        print(
-            f"\n{title} controls, N = {options.envs}, {options.threads} thread(s), MuJoCo ", end=""
-        )
-        print(f"{mujoco.__version__}\n\n| | steps/s | of ours |\n| --- | --- | --- |")
-        for name, speed in speeds.items():
-            print(f"| {name} | {speed:.0f} | {speed / speeds['ours']:.2f} |", flush=True)
+        entered = contestants(ctrl, options.threads)
+        rounds = [{name: run() for name, run in entered.items()} for _ in range(options.rounds)]
+        speeds = {name: np.median([each[name] for each in rounds], axis=0) for name in entered}
+        what = f"{title} controls, N = {options.envs}, {options.threads} thread(s)"
+        print(f"\n{what}, MuJoCo {mujoco.__version__}\n")
+        print("| | steps/s | of ours | steps per CPU second | of ours |")
+        print("| --- | --- | --- | --- | --- |")
+        for name, (speed, of_cpu) in speeds.items():
+            ratio, ratio_of_cpu = speeds[name] / speeds["ours"]
+            figures = f"{speed:.0f} | {ratio:.2f} | {of_cpu:.0f} | {ratio_of_cpu:.2f}"
+            print(f"| {name} | {figures} |", flush=True)
 
 
 if __name__ == "__main__":
