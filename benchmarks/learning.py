@@ -184,7 +184,7 @@ def training(config: TrainingConfig, score: Score, folder: Path, rounds: int) ->
         checkpoint_interval=math.inf,
     )
     folder.mkdir()
-    run = Training(config, score, RunFolder(folder))
+    run = Training(config, [score], RunFolder(folder))
 
     def run_for(rounds: int) -> float:
         seen: list[tuple[float, int]] = []  # asked between rounds; the save at the end is outside

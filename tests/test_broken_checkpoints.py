@@ -49,7 +49,7 @@ def _compiled_once() -> Iterator[None]:
 def go_on(path: Path, rounds: int = 2) -> int:
     """The step from which a run goes on; it does some rounds more."""
     left = iter(range(rounds))
-    with closing(Training(CONFIG, SONG, RunFolder(path))) as run:
+    with closing(Training(CONFIG, [SONG], RunFolder(path))) as run:
         first = run.step
         run.run(lambda: next(left, None) is not None)
     return first
@@ -118,11 +118,11 @@ def test_another_end_and_since_when_it_holds_is_kept(
 ) -> None:
     """Learning rates that fall know where they are: the learner is told all ends of the run."""
     longer = replace(CONFIG, num_steps=128)
-    with closing(Training(longer, SONG, RunFolder(copy))) as run:
+    with closing(Training(longer, [SONG], RunFolder(copy))) as run:
         run.run(lambda: run.step < 80)
     told, make = list[object](), DroQConfig.make
     monkeypatch.setattr(DroQConfig, "make", lambda *given: told.append(given[-1]) or make(*given))
-    with closing(Training(longer, SONG, RunFolder(copy))):
+    with closing(Training(longer, [SONG], RunFolder(copy))):
         pass
     assert told == [tuple(tuple(map(longer.updates_by, end)) for end in ((0, 64), (40, 128)))]
 

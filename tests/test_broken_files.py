@@ -168,7 +168,7 @@ def test_policies(number: int, song: str, tmp_path: Path) -> None:
 @many(100, 3000)
 def test_runs(number: int, tmp_path: Path) -> None:
     run = RunFolder(tmp_path)
-    run.begin(TrainingConfig(), SONG)
+    run.begin(TrainingConfig(), [SONG])
     whole = (tmp_path / "run.json").read_bytes()
     for seed, rng in draws(number):
         if seed % 4:

@@ -284,7 +284,7 @@ def test_a_run_that_is_stopped_at_once_can_go_on(
     said = capsys.readouterr().err
     assert f"to continue: cadenza train --resume {folder}" in said
     assert "figures" not in said
-    assert RunFolder(folder).settings()[1].notes == load_score(str(tune)).notes
+    assert RunFolder(folder).settings()[1][0].notes == load_score(str(tune)).notes
 
 
 def test_a_run_with_a_hand_of_ones_own_goes_on_where_that_is_given_again(

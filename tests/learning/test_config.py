@@ -83,8 +83,8 @@ def test_comes_back_from_the_folder_of_a_run(name: str, tmp_path: Path) -> None:
     )
     assert config.residual
     run = RunFolder(tmp_path)
-    run.begin(config, melody(60))
-    assert run.settings() == (config, melody(60))
+    run.begin(config, [melody(60)])
+    assert run.settings() == (config, (melody(60),))
 
 
 def test_naming_the_options_does_not_load_what_learning_needs() -> None:

@@ -20,7 +20,6 @@ from cadenza.learning.algorithms.generalist.config import (
     GeneralistCloningConfig,
     GeneralistStrikingConfig,
 )
-from cadenza.learning.algorithms.generalist.reinforcement import Rollout, gae
 from cadenza.learning.algorithms.generalist.striking import GeneralistStriking
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
@@ -157,15 +156,3 @@ def test_too_few_songs_are_refused(tmp_path: Path) -> None:
     collected(tmp_path / "made", Variation(noise=0.2, mirror=False))
     with pytest.raises(CadenzaError, match=r"1 songs with episodes .*; 3 are needed"):
         GeneralistCloning(GeneralistCloningConfig(), [tmp_path / "made"], tmp_path / "run")
-
-
-def test_advantages_are_those_of_td_errors() -> None:
-    """This holds at lambda 0; no value is carried over the end of an excerpt."""
-    rng = np.random.default_rng(0)
-    rewards, values = rng.normal(size=(3, 1, 2)), rng.normal(size=(4, 1, 2))
-    ends = np.array([[False], [True], [False]])
-    rollout = Rollout(np.zeros((4, 1, 1)), np.zeros((3, 1, 1)), rewards, ends)
-    td_errors = rewards + 0.9 * ~ends[..., None] * values[1:] - values[:-1]
-    np.testing.assert_allclose(gae(rollout, values, 0.9, 0.0), td_errors)
-    expected = td_errors[0] + 0.9 * 0.5 * td_errors[1]
-    np.testing.assert_allclose(gae(rollout, values, 0.9, 0.5)[0], expected)

@@ -206,7 +206,7 @@ def test_a_learner_may_make_policies_of_another_kind(
         capsys, "play", whole / "last"
     )
     (package / "regression-1.0.dist-info" / "entry_points.txt").write_text("")
-    assert f"{whole / 'best'}: no learner 'linear': choose from droq, or give" in refused(
+    assert f"{whole / 'best'}: no learner 'linear': choose from droq, ppo, or give" in refused(
         capsys, "play", whole / "best"
     )
 
@@ -286,7 +286,7 @@ def test_a_run_of_a_learner_that_is_not_installed_says_so(
     sys.path.insert(0, str(package))
     from regression import RegressionConfig  # type: ignore[import-not-found]
 
-    run.begin(TrainingConfig(learner=RegressionConfig()), melody(60))
+    run.begin(TrainingConfig(learner=RegressionConfig()), [melody(60)])
     sys.path.remove(str(package))
     (package / "regression-1.0.dist-info" / "entry_points.txt").write_text("")
     assert "no learner 'regression'" in refused(capsys, "train", "--resume", run.path)

@@ -98,31 +98,31 @@ def test_a_run_knows_what_was_asked_for(tmp_path: Path) -> None:
         seed=2**40,
     )
     score = replace(melody(60, 64, length=1 / 3, pedal=True), title="Für", remarks=("mended",))
-    RunFolder(tmp_path / "new" / "run").begin(config, score)
-    assert RunFolder(tmp_path / "new" / "run").settings() == (config, score)
+    RunFolder(tmp_path / "new" / "run").begin(config, [score])
+    assert RunFolder(tmp_path / "new" / "run").settings() == (config, (score,))
     about = json.loads((tmp_path / "new" / "run" / "run.json").read_bytes())
     assert about["versions"]["numpy"] == np.__version__
 
 
 def test_a_run_is_begun_once(run: RunFolder) -> None:
-    run.begin(TrainingConfig(), melody(60))
+    run.begin(TrainingConfig(), [melody(60)])
     with pytest.raises(CadenzaError, match="already holds a run; continue it with --resume"):
-        run.begin(TrainingConfig(seed=1), melody(60))
+        run.begin(TrainingConfig(seed=1), [melody(60)])
     assert run.settings()[0].seed == 0
 
 
 def test_what_is_left_of_a_run_is_not_taken_for_a_new_one(run: RunFolder) -> None:
-    run.begin(TrainingConfig(), melody(60))
+    run.begin(TrainingConfig(), [melody(60)])
     Saving(run).at(10)
     (run.path / "run.json").unlink()
     with pytest.raises(CadenzaError, match=r"run\.json: missing, but there are checkpoints"):
-        run.begin(TrainingConfig(seed=1), melody(62))
+        run.begin(TrainingConfig(seed=1), [melody(62)])
 
 
 def test_no_two_runs_have_the_same_id(tmp_path: Path) -> None:
     runs = [RunFolder(tmp_path / name / "run") for name in "ab"]
     for run in runs:
-        run.begin(TrainingConfig(), melody(60))
+        run.begin(TrainingConfig(), [melody(60)])
     a, b = (run.id for run in runs)
     assert a != b
     runs[0].set_end(TrainingConfig(num_steps=7))
@@ -130,22 +130,22 @@ def test_no_two_runs_have_the_same_id(tmp_path: Path) -> None:
 
 
 def test_only_its_end_can_change(run: RunFolder) -> None:
-    run.begin(config := TrainingConfig(num_steps=100), melody(60))
+    run.begin(config := TrainingConfig(num_steps=100), [melody(60)])
     run.set_end(config)
-    assert run.settings() == (config, melody(60))
+    assert run.settings() == (config, (melody(60),))
     run.set_end(longer := replace(config, num_steps=200))
-    assert run.settings() == (longer, melody(60))
+    assert run.settings() == (longer, (melody(60),))
     with pytest.raises(CadenzaError, match="leave out all but --num-steps"):
         run.set_end(replace(longer, num_steps=300, seed=1))
     with pytest.raises(CadenzaError, match="num_steps 0: choose 1 or more"):
         run.set_end(replace(longer, num_steps=0))
-    assert run.settings() == (longer, melody(60))
+    assert run.settings() == (longer, (melody(60),))
 
 
 def test_a_folder_without_a_run_or_with_half_of_one_is_refused(run: RunFolder) -> None:
     with pytest.raises(CadenzaError, match="holds no run to resume"):
         run.settings()
-    run.begin(TrainingConfig(), melody(60))
+    run.begin(TrainingConfig(), [melody(60)])
     content = (run.path / "run.json").read_text()
     (run.path / "run.json").write_text('{"command": "cadenza clone"}')
     with pytest.raises(CadenzaError, match="holds a run of cadenza clone, which that"):

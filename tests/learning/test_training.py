@@ -85,7 +85,7 @@ def train(config: TrainingConfig, run: RunFolder, *stops: int) -> None:
     """Trains to the end, closed and opened again after these numbers of rounds."""
     for rounds in (*stops, 10**9):
         left = iter(range(rounds))
-        with closing(Training(config, SONG, run)) as one:
+        with closing(Training(config, [SONG], run)) as one:
             one.run(lambda left=left: next(left, None) is not None)  # type: ignore[misc]
 
 
@@ -206,7 +206,7 @@ def test_a_policy_that_diverges_is_not_kept(runs: Callable[[], RunFolder]) -> No
 
 def test_the_policy_is_trained(undisturbed: Callable[[str], RunFolder]) -> None:
     run = undisturbed("in turn")
-    with closing(Training(CONFIG, SONG, RunFolder(run.path / "unused"))) as fresh:
+    with closing(Training(CONFIG, [SONG], RunFolder(run.path / "unused"))) as fresh:
         begun = fresh.learnt().policy.weights
     for name, array in load_policy(run.path / "last").policy.weights.items():
         assert (array != begun[name]).any(), name
@@ -325,7 +325,7 @@ def test_a_run_that_is_killed_at_any_write_of_its_end_goes_on(
 ) -> None:
     """The last evaluation, the best policy, the last checkpoint, what it drops, the last policy."""
     begun = runs()
-    with closing(Training(WAYS[way], SONG, begun)) as one:
+    with closing(Training(WAYS[way], [SONG], begun)) as one:
         one.run(lambda: one.step < 176)
     for calls in count():
         killed = runs()
@@ -360,7 +360,7 @@ def test_a_run_that_is_to_end_where_it_is_has_a_best_policy(
 ) -> None:
     """This also holds if it has not been evaluated before."""
     run = runs()
-    with closing(Training(CONFIG, SONG, run)) as one:
+    with closing(Training(CONFIG, [SONG], run)) as one:
         one.run(lambda: one.step < 8)
     assert not (run.path / "best").exists()
     train(replace(CONFIG, num_steps=one.step), run)
@@ -372,7 +372,7 @@ def test_a_damaged_checkpoint_costs_only_time(
     runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
 ) -> None:
     run = runs()
-    with closing(Training(replace(CONFIG, checkpoint_interval=0.0), SONG, run)) as one:
+    with closing(Training(replace(CONFIG, checkpoint_interval=0.0), [SONG], run)) as one:
         one.run(lambda: one.step < 200)
     (newest(run) / "arrays.safetensors").write_bytes(b"")
     train(CONFIG, run)
@@ -385,7 +385,7 @@ def test_a_best_policy_that_is_lost_is_made_up_for(
 ) -> None:
     """The best of the evaluations to come makes up for it."""
     run = runs()
-    with closing(Training(CONFIG, SONG, run)) as one:
+    with closing(Training(CONFIG, [SONG], run)) as one:
         one.run(lambda: one.step < 100)
         one.best["eval/f1"] = 2.0  # none is better
         one.run(lambda: one.step < 120)
@@ -472,7 +472,7 @@ def test_a_run_that_is_killed_at_any_moment_goes_on(
     whole, killed = runs(), runs()
     config = replace(WAYS[way], num_steps=480, checkpoint_interval=0.0)
     for run in (whole, killed):
-        run.begin(config, SONG)
+        run.begin(config, [SONG])
     process, began = started(cache, whole), time.monotonic()
     assert process.wait() == 0
     longest = (time.monotonic() - began) / 6  # of which some went into compiling

@@ -118,7 +118,7 @@ def test_what_was_practised_is_played(tmp_path: Path, monkeypatch: pytest.Monkey
 def run_of(folder: Path, steps: int = 2000) -> None:
     folder.mkdir(parents=True)
     run = RunFolder(folder)
-    run.begin(preset("fast"), SCORE)
+    run.begin(preset("fast"), [SCORE])
     for step in range(1000, steps + 1, 1000):
         f1 = (step - 1000) / 1000
         run.add_row({"step": step, "seconds": 1.0, "eval_step": step, "eval/f1": f1})

@@ -6,7 +6,7 @@ import re
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -32,6 +32,7 @@ from cadenza.tasks.setups import NamedSetup, setup_named
 if TYPE_CHECKING:
     from cadenza.learning.run_folder import RunFolder
     from cadenza.learning.training import Training
+    from cadenza.music.score import Score
     from cadenza.report.training_page import Curve
 
 PLAYS_WELL = {False: 50_000, True: 30_000}
@@ -41,24 +42,25 @@ Au Clair and Twinkle."""
 
 @dataclass(frozen=True)
 class Train:
-    """Train a policy on a song. Ctrl-C stops the run, --resume continues it.
+    """Train a policy on songs. Ctrl-C stops the run, --resume continues it.
 
     Example: cadenza train TwinkleTwinkleLittleStar -o twinkle; cadenza train --resume twinkle
     """
 
-    song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
-    """A song by its name (see "cadenza songs") or the path of a MIDI or MusicXML file."""
+    songs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="[SONG...]")] = ()
+    """Songs by their names (see "cadenza songs") or the paths of MIDI or MusicXML files. Of
+    several, each episode plays one."""
     preset: Preset = "fast"
     """Hyperparameters to start from: fast for few cores, paper for the paper's table, published for
     the published run script."""
     learner: Advanced[str] = DROQ
-    """The algorithm: droq, one that another package adds, or module:NAME. --help-all shows its
-    options."""
+    """The algorithm: droq; ppo, for many environments and for --engine warp; one that another
+    package adds, or module:NAME. --help-all shows its options."""
     resume: Path | None = None
     """Continue the run in this folder, with its own options. --num-steps changes its end. A hand,
     keyboard or learner given as module:NAME has to be given again."""
     output: Output[Path | None] = None
-    """Folder of the run; runs/SONG by default."""
+    """Folder of the run; runs/SONG by default, runs/SONG_and_2_more for three."""
     num_cores: int = 2
     """CPU cores to use. Cores that other runs have claimed are left out."""
     wandb: Advanced[str | None] = None
@@ -108,7 +110,7 @@ def default(chosen: Chosen) -> Train:
 def train(command: Train) -> None:
     from cadenza.learning.cpu_affinity import claimed_cores
 
-    if (command.song is None) == (command.resume is None):
+    if bool(command.songs) == (command.resume is not None):
         raise CadenzaError("give a song to learn, or the folder of a run with --resume")
     if command.resume is not None:
         learners = Train.learner, name_of(command.training.learner)
@@ -129,15 +131,26 @@ def train(command: Train) -> None:
         )
     if command.num_cores < 1:
         raise CadenzaError(f"num_cores {command.num_cores}: choose 1 or more")
-    name = name_without_ending(str(command.song))
-    folder = command.resume or command.output or Path("runs") / folder_name(name)
+    folder = command.resume or command.output or Path("runs") / _name_of(command.songs)
     with claimed_cores(command.num_cores):
         _train(command, folder)
 
 
+def _name_of(songs: Sequence[str]) -> str:
+    """Returns the name of the folder of a run, and what its pages are called."""
+    first, *more = songs
+    return folder_name(name_without_ending(first)) + (f"_and_{len(more)}_more" if more else "")
+
+
+def _title(scores: Sequence[Score]) -> str:
+    """Returns what a run learns, for its page."""
+    first, *more = scores
+    return first.title + (f" and {len(more)} more" if more else "")
+
+
 def _train(command: Train, folder: Path) -> None:
     from cadenza.learning.run_folder import RunFolder
-    from cadenza.learning.training import Training, begin
+    from cadenza.learning.start import begin, resume
     from cadenza.performing.performance import play
     from cadenza.performing.source import load_song
     from cadenza.report.scalars import need_wandb
@@ -145,27 +158,31 @@ def _train(command: Train, folder: Path) -> None:
     run = RunFolder(folder)
     if command.wandb:
         need_wandb()  # before a run begins for it
-    if command.song is not None:
-        whole = load_song(command.song, command.arrangement)
-        score = command.arrangement.written_for(command.training.scene.hands, whole)
+    if command.songs:
+        hands = command.training.scene.hands
+        whole = [load_song(song, command.arrangement) for song in command.songs]
+        scores = tuple(command.arrangement.written_for(hands, score) for score in whole)
         check_writable(folder)
     with run.locked(), _prints_how_to_resume(folder, command.training):
-        if command.song is not None:
+        if command.songs:
             config = command.training
-            training = begin(config, score, run)
+            training = begin(config, scores, run)
             _print_when_it_plays_well(command)
         else:
             run.set_end(command.training)
-            config, score = run.settings()
-            training = Training(config, score, run)
+            config, scores = run.settings()
+            training = resume(config, scores, run)
+        title = _title(scores)
         with closing(training):
-            finished = _train_until_stopped(training, command, run, score.title)
+            finished = _train_until_stopped(training, command, run, title)
         if finished:
             with stages("playing") as reporter:
-                performance = play(folder / "best", progress=reporter)
+                best = folder / "best"  # which holds its song, if it is only one
+                song = best if len(scores) == 1 else scores[0]
+                performance = play(song, best, progress=reporter)
             save(performance, folder / "best_played", command.video)
         if run.metrics.rows():
-            _write_curves(folder, score.title, config)
+            _write_curves(folder, title, config)
             print(f"Learning curves in {folder / 'report.html'}")
         if not finished:
             raise KeyboardInterrupt
@@ -303,7 +320,7 @@ def _title_and_settings(run: Path) -> list[str]:
 
     if not (run / "run.json").exists():
         return [re.sub(r"[ _-]*\d+$", "", run.name) or run.name]
-    config, score = RunFolder(run).description()
+    config, scores = RunFolder(run).description()
 
     def differences(name: Preset) -> list[str]:
         usual_config = preset(name, config.residual, name_of(config.learner))
@@ -315,7 +332,7 @@ def _title_and_settings(run: Path) -> list[str]:
         ]
 
     nearest = min(get_args(Preset), key=lambda name: len(differences(name)))
-    return [score.title, nearest, *differences(nearest)]
+    return [_title(scores), nearest, *differences(nearest)]
 
 
 def _curve(run: Path) -> Curve:

@@ -146,15 +146,15 @@ def _train(
     stop: Callable[[], bool],
 ) -> Trained | None:
     """Trains a policy or resumes its training; returns None where it is stopped before the end."""
-    from cadenza.learning.training import Training  # heavy
+    from cadenza.learning.start import resume  # heavy
 
     run = RunFolder(folder)
     with claimed_cores(num_threads), run.locked():
         if not run.begun:
             whole = spec.arrangement.score(spec.song)
-            run.begin(config, spec.arrangement.written_for(config.scene.hands, whole))
-        config, score = run.settings()
-        with closing(Training(config, score, run)) as training:
+            run.begin(config, [spec.arrangement.written_for(config.scene.hands, whole)])
+        config, scores = run.settings()
+        with closing(resume(config, scores, run)) as training:
 
             def should_continue() -> bool:
                 training.rows.clear()  # they are in the folder

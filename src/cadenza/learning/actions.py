@@ -42,9 +42,12 @@ def reference_of(task: PianoTask) -> Reference:
     """Plans the only score of a task.
 
     Raises:
-        CadenzaError: the task changes the score or the start at random, or has no hands.
+        CadenzaError: the task has several scores, changes one or the start at random, or has no
+            hands.
     """
     check_one_score(task.config)
+    if len(task.tracks) > 1:
+        raise CadenzaError("a residual policy corrects the plan of one song: give one, not several")
     (track,) = task.tracks
     plan = plan_song(track, task.scene.hand_start)  # before any reset
     reach = servos_of(task.scene).correction

@@ -1,4 +1,4 @@
-"""Collects experience in N environments for the replay buffer."""
+"""Steps N environments, and collects experience in them for the replay buffer."""
 
 from __future__ import annotations
 
@@ -23,6 +23,28 @@ class Finished(NamedTuple):
     total_reward: float
 
 
+class Step(NamedTuple):
+    """The result of a control step of N environments."""
+
+    reward: Array
+    """(N,)"""
+    terminated: NDArray[np.bool_]
+    """(N,)"""
+    truncated: NDArray[np.bool_]
+    """(N,) whether the song was over."""
+    unstable: NDArray[np.bool_]
+    """(N,) whether the simulation diverged."""
+    final_observation: Floats
+    """(N, D) after the step, before the next episode began where one has ended."""
+    finished: list[Finished]
+    """The episodes that ended."""
+
+    @property
+    def ended(self) -> NDArray[np.bool_]:
+        """(N,) whether the episode ended."""
+        return self.terminated | self.truncated
+
+
 class Collector:
     """Gathers experience in N environments.
 
@@ -37,7 +59,7 @@ class Collector:
         task: PianoTask,
         goals: GoalTable,
         observer: Observer,
-        replay: ReplayBuffer,
+        replay: ReplayBuffer | None,
         mapping: ActionMapping,
         rng: np.random.Generator,
     ) -> None:
@@ -47,7 +69,7 @@ class Collector:
             task: The task with N environments.
             goals: the table of goals, to which scores of episodes are added.
             observer: The maker of the observations.
-            replay: The buffer to which experience is added.
+            replay: The buffer to which experience is added, if it is kept.
             mapping: The map from the policy's actions to controls.
             rng: The source of randomness of the actions and of each environment.
         """
@@ -79,22 +101,36 @@ class Collector:
                 action = self._rng.uniform(-1, 1, self._action.shape).astype(np.float32)
             else:
                 action = np.asarray(policy.sample(self.observation, self._rng), np.float32)
-            finished += self._step(action)
+            finished += self.step(action).finished
         return finished
 
-    def _step(self, action: Floats) -> list[Finished]:
+    def step(self, action: Floats) -> Step:
+        """Takes a control step with actions (N, A) in [-1, 1] in every environment.
+
+        Where an episode has ended, the next one begins.
+        """
         result = self._step_task(action)
-        self._replay.act(action, self._reward, result.terminated)
+        if self._replay is not None:
+            self._replay.act(action, self._reward, result.terminated)
         ended = np.flatnonzero(result.terminated | result.truncated)
         finished = [
             Finished(self._task.episode_metrics(env)["f1"], float(self._return[env]))
             for env in ended.tolist()
         ]
+        final = None
         if finished:
             self._observe(ended)  # the last of an episode, then the first of the next
+            final = self.observation
             self._reset(ended)
         self._observe(self._env_ids)
-        return finished
+        return Step(
+            result.reward,
+            result.terminated,
+            result.truncated,
+            result.unstable,
+            self.observation if final is None else final,
+            finished,
+        )
 
     def _step_task(self, action: Floats, env_ids: list[int] | None = None) -> Transition:
         task = self._task
@@ -121,7 +157,8 @@ class Collector:
         goals = self._task.goals
         row, first = self._first_row + goals.row, goals.steps_done == 0
         proprioception = self._observer.proprioception(self._task.observation())
-        self._replay.observe(env_ids, proprioception[env_ids], row[env_ids], first[env_ids])
+        if self._replay is not None:
+            self._replay.observe(env_ids, proprioception[env_ids], row[env_ids], first[env_ids])
         self.observation = self._observer.observation(
             row, proprioception, self._action, self._reward, first
         )

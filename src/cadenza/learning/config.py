@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from cadenza.configs import MOST_COUNT, check_ranges, in_short
+from cadenza.errors import CadenzaError
 from cadenza.learning.algorithms.cloning.config import CloningConfig
 from cadenza.learning.learner import DROQ, LearnerConfig, Preset, learner_config
 from cadenza.scene.config import SceneConfig
@@ -16,7 +17,7 @@ from cadenza.tasks.config import TaskConfig
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """The options of training a policy for one song."""
+    """The options of training a policy for a song, or for several."""
 
     learner: LearnerConfig = field(default_factory=lambda: learner_config(DROQ)())
     task: TaskConfig = field(default_factory=TaskConfig)
@@ -85,7 +86,9 @@ def preset(
     config = replace(
         config, learner=learner_config(learner).preset(name, residual), residual=residual
     )
-    return _with(otherwise or {}, config) if name == "fast" and not residual else config
+    if name == "fast" and not residual:
+        config = _with(otherwise or {}, config)
+    return replace(config, **config.learner.training)
 
 
 def _with(options: Mapping[str, Any], config: TrainingConfig) -> TrainingConfig:
@@ -138,11 +141,29 @@ _RANGES: dict[str, tuple[float, float]] = {
     "seed": (0, MOST_COUNT),
 }
 
+_OFF_POLICY = {
+    "learning_starts": 0,
+    "parallel": False,
+    "buffer_size": TrainingConfig.buffer_size,
+}
+"""Options that an on-policy learner has no use for, as they then have to be."""
+
 
 def check(config: TrainingConfig) -> None:
     """Checks the options; raises a CadenzaError if one makes no sense."""
     check_ranges(config, _RANGES)
     config.learner.check()
+    if config.learner.on_policy:
+        for name, unused in _OFF_POLICY.items():
+            if (value := getattr(config, name)) != unused:
+                raise CadenzaError(
+                    f"{name} {value}: this learner learns from rollouts of its own policy only; "
+                    "leave that out"
+                )
+    elif config.scene.engine == "warp":
+        raise CadenzaError("engine warp: this learner learns on CPU cores; choose --learner ppo")
+    if config.scene.engine == "warp" and config.residual:
+        raise CadenzaError("engine warp: plans are corrected on CPU cores; leave out --residual")
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, TypeVar
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from cadenza.learning.observation import Inputs
     from cadenza.learning.policy import Policy
     from cadenza.learning.replay_buffer import Batch
+    from cadenza.learning.rollout import Decision, Rollout
 
 State = TypeVar("State")
 Preset = Literal["fast", "paper", "published"]
@@ -28,6 +30,7 @@ Ends = tuple[tuple[int, int], ...]
 """Pairs of updates: since the first, 0 or a change of the end, the run was to end at the second."""
 
 DROQ = "droq"
+PPO = "ppo"
 LEARNERS = Registry(
     "learner",
     "cadenza.learners",
@@ -35,13 +38,17 @@ LEARNERS = Registry(
         DROQ: Entry(
             "cadenza.learning.algorithms.droq.config:DroQConfig",
             "soft actor-critic with dropout in the critics",
-        )
+        ),
+        PPO: Entry(
+            "cadenza.learning.algorithms.ppo.config:PPOConfig",
+            "proximal policy optimisation, for many environments at once",
+        ),
     },
 )
 
 
-class Learner(Protocol[State]):
-    """Improves a policy by batches of transitions.
+class AnyLearner(Protocol[State]):
+    """Improves a policy.
 
     All that learning changes is in a state, so that a run can be stopped and resumed.
     """
@@ -51,13 +58,6 @@ class Learner(Protocol[State]):
 
     def init(self, seed: int) -> State:
         """Draws the state before the first update."""
-
-    def update(self, state: State, batches: Batch) -> tuple[State, dict[str, NDArray[Any]]]:
-        """Makes one update for each of the batches (U, B, ...); `state` may be used up.
-
-        Returns:
-            The new state, and by name metrics (U,) of each update, NaN where an update has none.
-        """
 
     def policy(self, state: State) -> Policy:
         """Returns the policy that is evaluated and saved."""
@@ -76,6 +76,41 @@ class Learner(Protocol[State]):
         """
 
 
+class Learner(AnyLearner[State], Protocol[State]):
+    """Improves a policy by batches of transitions, whichever policy they come from."""
+
+    def update(self, state: State, batches: Batch) -> tuple[State, dict[str, NDArray[Any]]]:
+        """Makes one update for each of the batches (U, B, ...); `state` may be used up.
+
+        Returns:
+            The new state, and by name metrics (U,) of each update, NaN where an update has none.
+        """
+
+
+class OnPolicyLearner(AnyLearner[State], Protocol[State]):
+    """Improves a policy by rollouts of that policy; its arrays are those of JAX."""
+
+    def act(self, state: State, observation: Any, key: Any) -> Decision:
+        """Decides what to do for observations (N, D); what is random follows from `key`.
+
+        It may be called in functions that JAX compiles.
+        """
+
+    def value(self, state: State, observation: Any) -> Any:
+        """Returns the values (N,) of observations (N, D); see `act`."""
+
+    def update(
+        self, state: State, rollout: Rollout, rows: Any
+    ) -> tuple[State, dict[str, NDArray[Any]]]:
+        """Makes one update for each of `rows` (U, B) of the T * N transitions of a rollout.
+
+        Those of a step stand side by side. `state` may be used up.
+
+        Returns:
+            See `Learner.update`.
+        """
+
+
 MOST_BATCH = 2**16  # transitions, which fit into the memory of a small machine
 
 
@@ -86,6 +121,10 @@ class LearnerConfig:
     learner: ClassVar[str] = ""
     """The place of the learner as `module:Name`, which is imported when it is made: help shows the
     options without it."""
+    on_policy: ClassVar[bool] = False
+    """Whether it makes an `OnPolicyLearner`."""
+    training: ClassVar[Mapping[str, Any]] = {}
+    """What presets change for this learner: fields of `TrainingConfig`."""
     batch_size: int = 256
     """Transitions per update."""
 
@@ -98,8 +137,8 @@ class LearnerConfig:
         """Checks the options; raises a CadenzaError if one makes no sense."""
         check_ranges(self, {"batch_size": (1, MOST_BATCH)})
 
-    def make(self, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)) -> Learner[Any]:
-        """Returns the learner that these options describe.
+    def make(self, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)) -> Any:
+        """Returns the `Learner` that these options describe, or the `OnPolicyLearner`.
 
         Args:
             inputs: The entries that its policy observes.
@@ -114,8 +153,7 @@ class LearnerConfig:
         module, _, name = self.learner.partition(":")
         with extra_packages("train", "training"):
             learner = getattr(importlib.import_module(module), name)
-        made: Learner[Any] = learner(self, inputs, action_size, ends)
-        return made
+        return learner(self, inputs, action_size, ends)
 
     @classmethod
     def policy_of(cls, facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Policy:

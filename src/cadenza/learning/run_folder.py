@@ -14,7 +14,7 @@ import re
 import secrets
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from itertools import count, pairwise
@@ -61,7 +61,7 @@ class _Manifest:
     """The content of run.json."""
 
     config: TrainingConfig
-    score: WrittenScore
+    songs: tuple[WrittenScore, ...]
     versions: dict[str, str]
     id: str
     """A random name, which no other run has."""
@@ -127,7 +127,7 @@ class RunFolder(ResumableFolder):
 
     # What was asked for
 
-    def begin(self, config: TrainingConfig, score: Score) -> None:
+    def begin(self, config: TrainingConfig, scores: Sequence[Score]) -> None:
         """Writes down what is asked for.
 
         Raises:
@@ -139,9 +139,9 @@ class RunFolder(ResumableFolder):
                 "choose another folder with --output"
             )
         self.check_complete(bool(self._saved()))
-        song, learner = WrittenScore.of(score), name_of(config.learner)
+        songs, learner = tuple(map(WrittenScore.of, scores)), name_of(config.learner)
         manifest = _Manifest(
-            config, song, installed_versions(_VERSIONS), secrets.token_hex(8), learner
+            config, songs, installed_versions(_VERSIONS), secrets.token_hex(8), learner
         )
         self.write_manifest(asdict(manifest))
 
@@ -174,26 +174,26 @@ class RunFolder(ResumableFolder):
         learner = checked(options, learner_config(manifest.learner), self.manifest)
         return replace(manifest, config=replace(manifest.config, learner=learner))
 
-    def settings(self) -> tuple[TrainingConfig, Score]:
-        """Returns the config and the score, to go on with them.
+    def settings(self) -> tuple[TrainingConfig, tuple[Score, ...]]:
+        """Returns the config and the scores, to go on with them.
 
         Raises:
             CadenzaError: the folder holds no run, or one whose hand or keyboard is of a module that
                 nobody has imported.
         """
-        config, score = self.description()
+        config, scores = self.description()
         check_modules(config.scene, self.manifest)
-        return config, score
+        return config, scores
 
-    def description(self) -> tuple[TrainingConfig, Score]:
-        """Returns the config and the score, to be shown.
+    def description(self) -> tuple[TrainingConfig, tuple[Score, ...]]:
+        """Returns the config and the scores, to be shown.
 
         Raises:
             CadenzaError: the folder holds no run.
         """
         manifest = self._read()
         try:
-            return manifest.config, manifest.score.score
+            return manifest.config, tuple(song.score for song in manifest.songs)
         except CadenzaError as error:
             raise CadenzaError(f"{self.manifest}: {error}") from error
 

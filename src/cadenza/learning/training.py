@@ -1,14 +1,15 @@
-"""Trains a policy for one song, to be stopped and resumed at any moment."""
+"""Trains a policy for a song or for several, to be stopped and resumed at any moment."""
 
 from __future__ import annotations
 
 import math
 import sys
 import time
-from collections import deque
-from collections.abc import Callable
+from collections import defaultdict, deque
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig, check
 from cadenza.learning.learner import name_of
 from cadenza.learning.metrics_log import finite
-from cadenza.learning.observation import GoalTable, ObservationSpec, Observer, pruned
+from cadenza.learning.observation import GoalTable, Inputs, ObservationSpec, Observer, pruned
 from cadenza.learning.policy import Perceptron
 from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
 from cadenza.learning.ranges import ranges_of
@@ -39,14 +40,14 @@ Row = dict[str, float]
 _EPISODES_AVERAGED = 100  # in a row of metrics
 _EXPECTED = {  # arrays of a checkpoint; whoever restores them checks their sizes
     "learner:*": ArrayOf(NUMBERS, None),
-    "collector:*": ArrayOf(FLOATS, None),
+    "collector:*": ArrayOf(NUMBERS, None),
     "scores:*": ArrayOf(NUMBERS, None),
     "metrics:*": ArrayOf(FLOATS, ("updates",)),
 }
 
 
 class Training:
-    """A run of training.
+    """A run of training by experience that is kept in a replay buffer.
 
     Attributes:
         step: control steps so far, of all environments together.
@@ -54,24 +55,26 @@ class Training:
         rows: metrics since the last look, oldest first; whoever shows them takes them out.
     """
 
-    def __init__(self, config: TrainingConfig, score: Score, folder: RunFolder) -> None:
+    def __init__(self, config: TrainingConfig, scores: Sequence[Score], folder: RunFolder) -> None:
         """Resumes from the newest checkpoint in `folder`, if there is one.
 
         Args:
             config: The options of the run.
-            score: the song to learn.
+            scores: the songs to learn, of which each episode draws one.
             folder: The folder of the run.
 
         Raises:
-            CadenzaError: the song cannot be played, an option makes no sense, or the checkpoints
+            CadenzaError: a song cannot be played, an option makes no sense, or the checkpoints
                 are damaged.
         """
         check(config)
         self.config, self._folder = config, folder
         self.step, self.best, self.rows = 0, Row(), deque[Row]()
         self._updates = 0
-        self._score = score.without_fingers() if config.residual else score
-        self._task = self._new_task(config.num_envs)
+        # What is learnt on a GPU is evaluated in C, and plays there.
+        self._scene = replace(config.scene, engine="c")
+        self._scores = [s.without_fingers() for s in scores] if config.residual else list(scores)
+        self._task = self._new_task()
         self._rewarded = {"rewarded_fingers": self._task.tracks[0].rewarded_fingers}
         self._goals = GoalTable(self._task.spec)
         self._goals.add_all(self._task)
@@ -82,18 +85,18 @@ class Training:
         self._observation = ObservationSpec.of(self._task.spec, config.residual)
         prune = config.prune_inputs and not draws_pitch(config.task)  # asks for the same keys
         inputs = pruned(self._observation, self._goals) if prune else self._observation.inputs
-        observer = Observer(self._task.spec, self._goals, inputs, mapping.reference, self._ranges)
-        actions = self._task.spec.action_size
-        self._inputs = inputs
-        self._replay = ReplayBuffer(observer, config.num_envs, config.buffer_size, actions)
+        self._inputs = self._kept(inputs)
         rng, self._sample_rng = np.random.default_rng(config.seed).spawn(2)
-        self._collector = Collector(self._task, self._goals, observer, self._replay, mapping, rng)
-        checkpoint = folder.load(_EXPECTED, self._replay.num_bytes)
+        observer = Observer(
+            self._task.spec, self._goals, self._inputs, mapping.reference, self._ranges
+        )
+        self._worlds = self._make_worlds(observer, mapping, rng)
+        checkpoint = folder.load(_EXPECTED, self._most_experience)
         self._ends = _ends(config, checkpoint)
         ends = tuple(
             (config.updates_by(since), config.updates_by(end)) for since, end in self._ends
         )
-        self._learner = config.learner.make(inputs, actions, ends)
+        self._learner = config.learner.make(self._inputs, self._task.spec.action_size, ends)
         self._state = self._learner.init(config.seed)
         self._policy = self._learner.behavior_policy(self._state)
         self._background = ThreadPoolExecutor(1)
@@ -105,13 +108,38 @@ class Training:
         self._seconds = 0.0
         with threadpool_limits(1):
             if checkpoint is None:
-                self._collector.begin()
+                self._worlds.begin()
                 return
             with errors_of_resuming(folder.path):
                 self._restore(checkpoint)
 
-    def _new_task(self, num_envs: int) -> PianoTask:
-        return PianoTask([self._score], self.config.task, self.config.scene, num_envs)
+    def _new_task(self) -> PianoTask:
+        """Returns the task of the environments that learn."""
+        return self._task_of(self._scores, self.config.num_envs)
+
+    def _task_of(
+        self, scores: Sequence[Score], num_envs: int = 1, num_threads: int = 1
+    ) -> PianoTask:
+        return PianoTask(scores, self.config.task, self._scene, num_envs, num_threads)
+
+    # Where experience comes from
+
+    def _kept(self, inputs: Inputs) -> Inputs:
+        """Returns the entries of the observation that are learnt from, of those worth it."""
+        return inputs
+
+    def _make_worlds(
+        self, observer: Observer, mapping: ActionMapping, rng: np.random.Generator
+    ) -> Any:
+        """Returns the environments, before `begin` or `restore`."""
+        config, actions = self.config, self._task.spec.action_size
+        self._replay = ReplayBuffer(observer, config.num_envs, config.buffer_size, actions)
+        return Collector(self._task, self._goals, observer, self._replay, mapping, rng)
+
+    @property
+    def _most_experience(self) -> int | None:
+        """The bytes that the experience of one file may take."""
+        return self._replay.num_bytes
 
     # The loop
 
@@ -162,7 +190,7 @@ class Training:
     def _collect(self, random: bool) -> None:
         config = self.config
         policy = None if random else self._policy
-        self._finished += self._collector.collect(policy, config.train_freq)
+        self._finished += self._worlds.collect(policy, config.train_freq)
         self.step += config.train_freq * config.num_envs
 
     def _batches(self) -> Any:
@@ -200,8 +228,8 @@ class Training:
             reference=self._reference,
             ranges=self._ranges,
             task=config.task,
-            scene=config.scene,
-            score=self._score,
+            scene=self._scene,
+            score=self._scores[0] if len(self._scores) == 1 else None,
             learner=None if type(policy) is Perceptron else name_of(config.learner),
         )
 
@@ -232,10 +260,15 @@ class Training:
         self._evaluation = self._background.submit(self._play_episode, self.learnt(), self.step)
 
     def _play_episode(self, learnt: LearntPolicy, step: int) -> tuple[Row, LearntPolicy]:
-        with closing(self._new_task(1)) as task:
-            metrics = play_episode(task, learnt.agent, self.config.seed).metrics
-        numbers = {n: v for n, v in metrics.items() if isinstance(v, int | float)}
-        row = {f"eval/{name}": float(value) for name, value in numbers.items()}
+        """Plays every song once; its row has the means over them."""
+        values = defaultdict[str, list[float]](list)
+        for score in self._scores:
+            with closing(self._task_of([score])) as task:
+                metrics = play_episode(task, learnt.agent, self.config.seed).metrics
+            for name, value in metrics.items():
+                if isinstance(value, int | float):
+                    values[name].append(float(value))
+        row = {f"eval/{name}": float(np.mean(of_songs)) for name, of_songs in values.items()}
         return {"eval_step": step} | row, learnt
 
     def _finish_evaluation(self) -> None:
@@ -253,12 +286,8 @@ class Training:
 
     def _save(self) -> None:
         self._finish_evaluation()
-        since = np.array(self._chunks[-1].to) if self._chunks else 0
-        experience = self._replay.since(since)
-        name = self._folder.save_experience(self.step, experience)
-        chunk = Chunk(name, tuple(experience["to"].tolist()))
-        self._chunks = [c for c in self._chunks if self._replay.holds(np.array(c.to))] + [chunk]
-        plain, arrays = self._collector.state()
+        self._save_experience()
+        plain, arrays = self._worlds.state()
         facts = Facts(
             step=self.step,
             seconds=self._seconds,
@@ -276,6 +305,14 @@ class Training:
         self._folder.save(facts, _with_prefixes(parts))
         self._save_last()
 
+    def _save_experience(self) -> None:
+        """Writes what no file has yet of the replay buffer."""
+        since = np.array(self._chunks[-1].to) if self._chunks else 0
+        experience = self._replay.since(since)
+        name = self._folder.save_experience(self.step, experience)
+        chunk = Chunk(name, tuple(experience["to"].tolist()))
+        self._chunks = [c for c in self._chunks if self._replay.holds(np.array(c.to))] + [chunk]
+
     def _save_last(self) -> None:
         save_policy(self._folder.path / "last", self.learnt(), {"step": self.step} | self._rewarded)
 
@@ -291,8 +328,8 @@ class Training:
         self._policy = self._learner.behavior_policy(self._state)
         self._goals.restore(parts["scores"])
         self._metrics = [parts["metrics"]] if "metrics" in parts else []
-        self._restore_replay(checkpoint)
-        self._collector.restore(facts.collector, parts["collector"])
+        self._restore_experience(checkpoint)
+        self._worlds.restore(facts.collector, parts["collector"])
         self._save_last()  # a kill may have come before it
 
     def _best_is_there(self) -> bool:
@@ -304,7 +341,7 @@ class Training:
             return False
         return True
 
-    def _restore_replay(self, checkpoint: Checkpoint) -> None:
+    def _restore_experience(self, checkpoint: Checkpoint) -> None:
         for chunk, gathered in zip(checkpoint.facts.replay, checkpoint.replay, strict=True):
             if gathered is None:
                 continue
@@ -322,20 +359,6 @@ class Training:
             stack.callback(self._task.close)
             stack.callback(self._background.shutdown)
             stack.callback(self._learning.shutdown)
-
-
-def begin(config: TrainingConfig, score: Score, folder: RunFolder) -> Training:
-    """Begins a run in a folder, which holds none if it cannot be made.
-
-    Raises:
-        CadenzaError: see `Training`, or the folder holds a run already.
-    """
-    folder.begin(config, score)
-    try:
-        return Training(config, score, folder)
-    except CadenzaError:
-        folder.forget()
-        raise
 
 
 def _ends(config: TrainingConfig, checkpoint: Checkpoint | None) -> tuple[tuple[int, int], ...]:

@@ -1,7 +1,8 @@
-"""Trains a policy on a song."""
+"""Trains a policy on a song or on several."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -10,27 +11,27 @@ from typing import Any
 from cadenza.agents.agent import Progress, silent
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.run_folder import RunFolder
-from cadenza.learning.training import begin
+from cadenza.learning.start import begin
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Score
 from cadenza.performing.source import Song, load_song
 
 
 def train(
-    song: Song,
+    song: Song | Sequence[Song],
     folder: str | Path,
     config: TrainingConfig | None = None,
     *,
     progress: Progress = silent,
     **options: Any,
 ) -> Path:
-    """Trains a policy for a song, as `cadenza train` does::
+    """Trains a policy for a song or for several, as `cadenza train` does::
 
         best = cadenza.train("TwinkleTwinkleLittleStar", "run", num_steps=200_000)
         print(cadenza.play(best).metrics["f1"])
 
     Args:
-        song: see `cadenza.play`.
+        song: see `cadenza.play`; of several, each episode plays one.
         folder: of the run; nothing else may be in it. If the run is killed,
             `cadenza train --resume` continues it from the last checkpoint.
         config: how to train; by default the command's preset "fast".
@@ -45,10 +46,11 @@ def train(
             already, or JAX is not installed.
     """
     config = replace(config or preset("fast"), **options)
-    whole = song if isinstance(song, Score) else load_song(song)
-    score = Arrangement().written_for(config.scene.hands, whole)
+    songs = [song] if isinstance(song, Score | str | Path) else song
+    whole = [each if isinstance(each, Score) else load_song(each) for each in songs]
+    scores = [Arrangement().written_for(config.scene.hands, score) for score in whole]
     run = RunFolder(Path(folder))
-    with run.locked(), closing(begin(config, score, run)) as training:
+    with run.locked(), closing(begin(config, scores, run)) as training:
 
         def should_continue() -> bool:
             training.rows.clear()  # they are in the run's folder

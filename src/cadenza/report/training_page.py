@@ -36,15 +36,21 @@ _TITLES = {
     "episodes/return": "Return of training episodes",
     "train/critic_loss": "Critic loss",
     "train/actor_loss": "Actor loss",
+    "train/policy_loss": "Policy loss",
+    "train/value_loss": "Value loss",
     "train/value": "Value",
     "train/entropy": "Entropy",
     "train/temperature": "Temperature",
+    "train/kl": "Divergence of the policy in an update",
+    "train/learning_rate": "Learning rate",
 }
 """Columns -> titles of their charts; each term of the reward has one."""
 _UNITS: dict[str, Literal["number", "share", "log"]] = {
     "episodes/f1": "share",
     "train/critic_loss": "log",
+    "train/value_loss": "log",
     "train/temperature": "log",
+    "train/learning_rate": "log",
 }
 """Columns -> what their axes measure, if not just numbers."""
 _MAX_POINTS = 1200  # of all runs together in a chart, so that the page stays small

@@ -29,8 +29,8 @@ def to_range(action: NDArray[Any], low: Array, high: Array) -> Array:
 
 def from_range(ctrl: NDArray[Any], low: Array, high: Array) -> Array:
     """Maps [low, high] to [-1, 1], `(..., A)`: the inverse of `to_range`."""
-    action = (np.asarray(ctrl, np.float64) - (low + high) / 2) / ((high - low) / 2)
-    return np.minimum(np.maximum(action, -1.0), 1.0)
+    action: Array = (ctrl - (low + high) / 2) / ((high - low) / 2)
+    return action.clip(-1.0, 1.0)
 
 
 TOUCH_RANGE = 5.0

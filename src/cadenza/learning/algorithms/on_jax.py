@@ -65,34 +65,41 @@ def _thread_name(thread: Path) -> str:
         return ""
 
 
-class JaxLearner(ABC, Generic[State]):
-    """A `Learner` whose state is a named tuple of JAX's arrays."""
+class StateOnJax(ABC, Generic[State]):
+    """The part of a learner that draws and writes its state, a named tuple of JAX's arrays."""
 
     def __init__(self) -> None:
         self.num_threads = start_jax()
-        # One programme compiles sooner than many small ones.
         self._draw = jax.jit(self._draw_state)
-        self._update_all = jax.jit(partial(jax.lax.scan, self._update), donate_argnums=0)
 
     @abstractmethod
     def _draw_state(self, key: jax.Array) -> State:
         """Draws the state before the first update."""
 
-    @abstractmethod
-    def _update(self, state: State, batch: Any) -> tuple[State, dict[str, Any]]:
-        """Returns the state after an update by a batch (B, ...), and the update's metrics."""
-
     def init(self, seed: int) -> State:
         return self._draw(jax.random.key(seed))
-
-    def update(self, state: State, batches: Any) -> tuple[State, dict[str, Any]]:
-        return self._update_all(state, batches)
 
     def to_arrays(self, state: State) -> dict[str, NDArray[Any]]:
         return to_arrays(state)
 
     def from_arrays(self, arrays: dict[str, NDArray[Any]]) -> State:
         return from_arrays(arrays, jax.eval_shape(self._draw_state, jax.random.key(0)))
+
+
+class JaxLearner(StateOnJax[State]):
+    """A `Learner` whose state is a named tuple of JAX's arrays."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        # One programme compiles sooner than many small ones.
+        self._update_all = jax.jit(partial(jax.lax.scan, self._update), donate_argnums=0)
+
+    @abstractmethod
+    def _update(self, state: State, batch: Any) -> tuple[State, dict[str, Any]]:
+        """Returns the state after an update by a batch (B, ...), and the update's metrics."""
+
+    def update(self, state: State, batches: Any) -> tuple[State, dict[str, Any]]:
+        return self._update_all(state, batches)
 
 
 def learning_rate_schedule(

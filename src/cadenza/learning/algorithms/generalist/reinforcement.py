@@ -29,6 +29,7 @@ from cadenza.learning.algorithms.generalist.hand_networks import (
     with_layers,
 )
 from cadenza.learning.algorithms.on_jax import from_arrays, to_arrays
+from cadenza.learning.algorithms.ppo.learner import clipped_objective, gae
 from cadenza.learning.checkpointed_run import Arrays
 from cadenza.scene.scene import Scene, hand_alone
 from cadenza.scene.servos import servos_of
@@ -107,7 +108,9 @@ class HandPPO:
         inputs = rollout.inputs.reshape(-1, rollout.inputs.shape[-1])
         values = np.asarray(self._jitted_values(state.values, inputs))
         values = values.reshape(-1, *rollout.rewards[0].shape)
-        finger_advantages = gae(rollout, values, config.discount, config.gae_lambda)
+        finger_advantages = np.asarray(
+            gae(rollout.rewards, values, rollout.ends, config.discount, config.gae_lambda)
+        )
         returns = (finger_advantages + values[:-1]).reshape(-1, self._num_fingers)
         advantages = _normalised(finger_advantages).reshape(len(returns), -1)
         inputs = inputs[: len(returns)]
@@ -169,27 +172,12 @@ class HandPPO:
         advantages: Any,
     ) -> Any:
         """Returns the negative clipped surrogate objective, summed over the parts of a hand."""
-        clip = self._config.clip
-        ratio = jnp.exp(self._log_prob(policy, inputs, corrections) - old_log_prob)
-        clipped = jnp.clip(ratio, 1 - clip, 1 + clip)
-        return -jnp.minimum(ratio * advantages, clipped * advantages).sum(axis=1).mean()
+        log_ratio = self._log_prob(policy, inputs, corrections) - old_log_prob
+        objective = clipped_objective(log_ratio, advantages, self._config.clip)
+        return -objective.sum(axis=1).mean()
 
     def _value_loss(self, layers: list[Layers], inputs: Any, returns: Any) -> Any:
         return jnp.square(self._values(layers, inputs) - returns).mean()
-
-
-def gae(rollout: Rollout, values: Array, discount: float, gae_lambda: float) -> Array:
-    """Returns generalised advantage estimates (T, N, F) from values (T + 1, N, F).
-
-    Schulman et al., High-Dimensional Continuous Control Using Generalized Advantage Estimation,
-    2016.
-    """
-    advantages, advantage = np.zeros_like(rollout.rewards), np.zeros_like(values[0])
-    for t in reversed(range(len(advantages))):
-        not_done = ~rollout.ends[t][:, None]
-        td_error = rollout.rewards[t] + discount * not_done * values[t + 1] - values[t]
-        advantages[t] = advantage = td_error + discount * gae_lambda * not_done * advantage
-    return advantages
 
 
 def _normalised(advantages: Array) -> Array:

@@ -1,0 +1,139 @@
+"""Collects rollouts of the task on JAX's device; no array crosses to the host within one."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.learning.algorithms.on_jax import from_arrays, to_arrays
+from cadenza.learning.collector import Finished
+from cadenza.learning.learner import OnPolicyLearner
+from cadenza.learning.observation import Inputs
+from cadenza.learning.ranges import Ranges
+from cadenza.learning.rollout import Rollout
+from cadenza.tasks.functional import FunctionalPianoTask, PianoState
+
+Array = Any  # of JAX
+
+
+class _Progress(NamedTuple):
+    """N environments, and what their episodes have earned so far."""
+
+    worlds: PianoState
+    returns: Array
+    """(N,)"""
+
+
+class _Ends(NamedTuple):
+    """How T steps of N environments ended, (T, N) each."""
+
+    ended: Array
+    f1: Array
+    returns: Array
+    unstable: Array
+
+
+class DeviceWorlds:
+    """Environments of `FunctionalPianoTask`, which are `worlds.Worlds`."""
+
+    def __init__(
+        self, task: FunctionalPianoTask, inputs: Inputs, ranges: Ranges | None, seed: int
+    ) -> None:
+        """Begins no episode yet.
+
+        Args:
+            task: the task with N environments.
+            inputs: the entries of `ObservationSpec` that are observed, all of them the task's own.
+            ranges: the scale of joints and actions, if not the task's.
+            seed: what is random in the environments follows from it.
+        """
+        self._task, self._ranges = task, ranges
+        self._kept = np.array(inputs.kept)
+        self._joints = task.spec.observation_layout.get("joints", slice(0, 0))
+        self._key = jax.random.key(seed)
+        self._collect = jax.jit(
+            self._rollout, static_argnames=("learner", "num_steps"), donate_argnames="progress"
+        )
+
+    def begin(self) -> None:
+        """Begins an episode in every environment."""
+        self._progress = self._begun(self._key)
+
+    def _begun(self, key: Array) -> _Progress:
+        return _Progress(self._task.reset(key), jnp.zeros(self._task.num_envs))
+
+    def rollout(
+        self, learner: OnPolicyLearner[Any], state: Any, num_steps: int, seed: int
+    ) -> tuple[Rollout, list[Finished], dict[str, float]]:
+        """Takes steps in every environment, see `Worlds`."""
+        self._progress, rollout, ends = self._collect(
+            learner, state, self._progress, num_steps, jax.random.key(seed)
+        )
+        ended, f1, returns, unstable = (np.asarray(values) for values in ends)
+        finished = [
+            Finished(f1_of_one, return_of_one)
+            for f1_of_one, return_of_one in zip(
+                f1[ended].tolist(), returns[ended].tolist(), strict=True
+            )
+        ]
+        return rollout, finished, {"unstable": float(unstable.mean())}
+
+    def _rollout(
+        self,
+        learner: OnPolicyLearner[Any],
+        state: Any,
+        progress: _Progress,
+        num_steps: int,
+        key: Array,
+    ) -> tuple[_Progress, Rollout, _Ends]:
+        def step(progress: _Progress, key: Array) -> tuple[_Progress, tuple[Any, _Ends]]:
+            observation = self._observed(progress.worlds.obs)
+            decision = learner.act(state, observation, key)
+            worlds = self._task.step(progress.worlds, self._action(jnp.tanh(decision.action)))
+            info, ended = worlds.info, worlds.done
+            value = learner.value(state, self._observed(info["final_obs"]))
+            value_at_end = jnp.where(info["truncation"], value, 0.0)
+            returns = progress.returns + worlds.reward
+            part = (observation, *decision, worlds.reward, ended, value_at_end)
+            ends = _Ends(ended, worlds.metrics["f1"], returns, info["unstable"])
+            return _Progress(worlds, jnp.where(ended, 0.0, returns)), (part, ends)
+
+        progress, (parts, ends) = jax.lax.scan(step, progress, jax.random.split(key, num_steps))
+        last = learner.value(state, self._observed(progress.worlds.obs))
+        return progress, Rollout._make([*parts, last]), ends
+
+    def _observed(self, observation: Array) -> Array:
+        """What the policy observes of the task's observations (N, D)."""
+        if self._ranges is not None:
+            joints = self._ranges.scaled(observation[:, self._joints])
+            observation = observation.at[:, self._joints].set(joints)
+        return observation[:, self._kept]
+
+    def _action(self, action: Array) -> Array:
+        """The task's actions from those of the policy, both (N, A) in [-1, 1]."""
+        if self._ranges is None:
+            return action
+        return self._task.spec.unscale_action(self._ranges.ctrl(action))
+
+    # To go on later
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Returns the state as JSON and arrays, for `restore`."""
+        return {}, to_arrays(_with_key_data(self._progress))
+
+    def restore(self, plain: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+        """Goes on from a state."""
+        like = jax.eval_shape(lambda: _with_key_data(self._begun(self._key)))
+        progress = from_arrays(arrays, like)
+        key = jax.random.wrap_key_data(progress.worlds.key)
+        self._progress = progress._replace(worlds=progress.worlds._replace(key=key))
+
+
+def _with_key_data(progress: _Progress) -> _Progress:
+    """The same with a key that can be written to a file."""
+    data = jax.random.key_data(progress.worlds.key)
+    return progress._replace(worlds=progress.worlds._replace(key=data))
