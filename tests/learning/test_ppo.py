@@ -250,7 +250,10 @@ def assert_trees_close(one: Any, other: Any) -> None:
     [
         ({"learning_starts": 5}, "learning_starts 5: this learner learns from rollouts"),
         ({"parallel": True}, "parallel True: this learner learns from rollouts"),
-        ({"scene": SceneConfig(engine="warp"), "residual": True}, "engine warp: plans are corrected on CPU cores"),
+        (
+            {"scene": SceneConfig(engine="warp"), "residual": True},
+            "engine warp: plans are corrected on CPU cores",
+        ),
         ({"learner": replace(TINY, clip=0.0)}, "clip 0.0: choose more than 0"),
         ({"residual": True, "song_range": False}, "residual policy corrects the plan of one song"),
     ],
