@@ -56,7 +56,7 @@ test: $(ALL)
 SMOKE := api configs registry layering docs release cards errors cli_estimate cli_etude tasks/env tasks/env_in_threads \
 	tasks/piano_task tasks/reward tasks/parity music/midi music/score music/goals music/playing_metrics \
 	music/tracks music/bars agents/misses agents/iterative_learning_control learning/networks learning/policy \
-	learning/replay_buffer demonstrations/dataset demonstrations/mirror evaluation/statistics \
+	learning/replay_buffer demonstrations/dataset evaluation/statistics \
 	evaluation/results report/performance_page report/results_pages studio/requests
 SMOKE_TESTS := tests/hands tests/keyboards tests/scene tests/sim tests/fingering $(foreach name,$(SMOKE),$(dir tests/$(name))test_$(notdir $(name)).py)
 

@@ -535,7 +535,7 @@ def test_the_episode_has_the_arrays_of_the_published_recordings(tune: Path, tmp_
             assert ours.ndim == published.ndim, name
             assert ours.dtype.kind == published.dtype.kind, name
     assert len(episode.arrays["key_qpos"]) == 13
-    assert episode.scene["geoms"]
+    assert episode.scene["shells"]
 
 
 def test_a_recorded_episode_is_a_plan(tune: Path, tmp_path: Path) -> None:
