@@ -117,9 +117,10 @@ def main() -> None:
     options = parser.parse_args()
     scene = build_scene()
     skilled = load_plan(options.episode).actions[:, :-1]
-    shape, low, high = (len(skilled), options.envs, 1), scene.action_low, scene.action_high
-    drawn = np.random.default_rng(0).uniform(low, high, (*shape[:2], len(low)))[..., :-1]
-    for title, ctrl in ("random", drawn), ("skilled", np.tile(skilled[:, None], shape)):
+    low, high = scene.action_low[:-1], scene.action_high[:-1]
+    replayed = np.repeat(skilled[:, None], options.envs, axis=1)
+    drawn = np.random.default_rng(0).uniform(low, high, replayed.shape)
+    for title, ctrl in ("random", drawn), ("skilled", replayed):
         entered = contestants(ctrl, options.threads)
         rounds = [{name: run() for name, run in entered.items()} for _ in range(options.rounds)]
         speeds = {name: np.median([each[name] for each in rounds], axis=0) for name in entered}
