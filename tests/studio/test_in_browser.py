@@ -782,6 +782,7 @@ def test_an_arrangement_is_chosen_and_explained(
     assert "as written" in text(browser, "facts")
     assert "arranged" not in text(browser, "facts")
     assert browser.evaluate("document.getElementById('changes').closest('.card').hidden")
+    assert browser.evaluate("cadenza.live.fingers.length") > 0  # numbers in the roll
     missed = browser.evaluate(rows.format("misses"))
     assert any("no finger for it" in row for row in missed)
     # Watched again, the same is said, in the words of the report.

@@ -34,7 +34,9 @@ def test_the_rows_hold_the_episode(task: TaskConfig) -> None:
     about = json.loads(sent[0].content)
     episode, joints = played.episode, about["joints"]
     rows = [message.content for message in sent if message.kind == ROWS]
-    assert (states.header, bytes(states.rows)) == (sent[0].content, b"".join(rows))
+    kept = json.loads(states.header)
+    assert {number for *_, number in kept.pop("fingers")} <= set(range(1, 6))
+    assert (kept, bytes(states.rows)) == (about, b"".join(rows))
     assert sent[0].kind == JSON
     assert about["steps"] == len(rows) == episode.num_steps
     assert {len(row) for row in rows} == {about["row"]}
@@ -81,4 +83,9 @@ def test_what_an_arrangement_left_out_and_what_was_missed_is_sent() -> None:
     assert len(explained["misses"]) == len(played.misses or ())
     kept = json.loads(states.header)
     kept.pop("engraving", None)  # there as soon as a process of its own has made it
+    fingers = kept.pop("fingers")
     assert kept == about | explained
+    kept_notes = [note for note in became if note[3] is not None]
+    assert sorted(key for key, *_ in fingers) == sorted(note[3] for note in kept_notes)
+    assert {hand for _, _, hand, _ in fingers} == {0, 1}
+    assert {number for *_, number in fingers} <= set(range(1, 6))

@@ -18,7 +18,7 @@ from cadenza.episode import Episode
 from cadenza.music.formats.finger_numbers import finger_from
 from cadenza.music.metrics import matched_notes
 from cadenza.music.performance import SAME_NOTE, played_in
-from cadenza.music.score import Score
+from cadenza.music.score import Note, Score
 
 _MS_PER_SECOND = 1000
 _UNIT = 5e-5  # [m, rad] of a joint's position; a fingertip is then less than 0.1 mm off
@@ -65,16 +65,7 @@ def recording_of(
             for note in played.notes
         ],
         "written": [[note.start, note.velocity] for note in wanted],
-        "fingers": [
-            [
-                note.pitch - episode.lowest_pitch,
-                round(note.start, 3),
-                note.finger.hand,
-                note.finger.index + 1,
-            ]
-            for note in wanted
-            if note.finger is not None
-        ],
+        "fingers": finger_numbers(wanted, episode.lowest_pitch),
         "onsetErrors": [
             [note.start, round(_MS_PER_SECOND * (mine.start - note.start), 2)]
             for note, mine in matched_notes(wanted, played.notes, SAME_NOTE)
@@ -85,6 +76,23 @@ def recording_of(
         "arrangement": arranged_notes(arrangement, episode.lowest_pitch),
         "rewards": dict(sorted(rewards.items(), key=lambda item: item[0] != "total")),
     }
+
+
+def finger_numbers(notes: Iterable[Note], lowest: int) -> list[list[float]]:
+    """Returns the fingers of notes, as `recording.js` reads them.
+
+    Args:
+        notes: some of them with fingers.
+        lowest: the pitch of the lowest key.
+
+    Returns:
+        Of each note with a finger its key, its onset [s], the hand, and the number from 1.
+    """
+    return [
+        [note.pitch - lowest, round(note.start, 3), note.finger.hand, note.finger.index + 1]
+        for note in notes
+        if note.finger is not None
+    ]
 
 
 def lost_notes(misses: Iterable[Mapping[str, Any]]) -> list[list[Any]]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cadenza.music.performance import SoundedNotes, key_events
 from cadenza.performing.setup import Setup
 from cadenza.report.engraver import Engraver
-from cadenza.report.recording import arranged_notes, lost_notes, packed
+from cadenza.report.recording import arranged_notes, finger_numbers, lost_notes, packed
 from cadenza.scene.drawing import drawing
 from cadenza.studio.messages import (
     ROWS,
@@ -36,8 +36,8 @@ class StateStream:
     """Sends messages as `cadenza.studio.messages` describes them.
 
     Attributes:
-        header: what is to be played, its engraved score once there is one and, once it is over,
-            why notes were missed, as JSON.
+        header: what is to be played, its fingers once it begins, its engraved score once there is
+            one and, once it is over, why notes were missed, as JSON.
         rows: the states of all steps so far.
     """
 
@@ -84,9 +84,12 @@ class StateStream:
 
     def explain(self, misses: Iterable[Mapping[str, Any]]) -> None:
         """Sends why notes were missed, as `misses.json` has it."""
-        message = json_message(misses=lost_notes(misses))
-        self._send(message)
-        self.header = json.dumps(json.loads(self.header) | json.loads(message.content)).encode()
+        self._add(misses=lost_notes(misses))
+
+    def _add(self, **known: Any) -> None:
+        """Sends what has become known, and keeps it in the header."""
+        self._send(json_message(**known))
+        self.header = json_message(**json.loads(self.header) | known).content
 
     def step(self) -> None:
         """Sends the state after the step that was just taken, and the score when it is engraved."""
@@ -95,8 +98,10 @@ class StateStream:
             self._send_header(task.goals.tracks[0])
         if not self.rows:
             plan = self._setup.agent.song_plan(0)  # has the fingers, unless the song gives them
-            track = task.goals.tracks[0] if plan is None else plan.track
-            self._engraver = Engraver(track.delayed_score)
+            score = (task.goals.tracks[0] if plan is None else plan.track).delayed_score
+            if fingers := finger_numbers(score.notes, self._lowest):
+                self._add(fingers=fingers)
+            self._engraver = Engraver(score)
         self._send_score()
         depth = reward.key_state(state.key_qpos[0], self._travel)
         sounds, times = self._sounds()
@@ -121,8 +126,7 @@ class StateStream:
         if self._engraver is None or not (engraving := self._engraver.engraving(patience)):
             return
         self._engraver = None
-        self._send(json_message(engraving=engraving))
-        self.header = json.dumps(json.loads(self.header) | {"engraving": engraving}).encode()
+        self._add(engraving=engraving)
 
     def _sounds(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """What sounds and the times in the step at which that changed, as rows have them."""

@@ -28,7 +28,6 @@ function addFingers(goal, { fingers = [], dt }) {
 /** Behind the `keys` of the scene, which fill the box `keyboard`. */
 function createFallingNotes(data, keys, keyboard, colours) {
   const goal = notes(data, wanted), longest = longestOf(goal);
-  addFingers(goal, data);
   const track = new THREE.Group();
   track.position.set(keyboard.min.x - 0.012, 0, keyboard.max.z + 0.016);
   track.quaternion.setFromAxisAngle(new THREE.Vector3(0, 1, 0), Math.PI + TRACK.slope); // x is away
@@ -89,11 +88,14 @@ function createFallingNotes(data, keys, keyboard, colours) {
     }
   }
 
+  let numbered = null; // the fingers that notes have; in the studio they come later
   return {
     track,
     /** How far the track goes back and up [m]. */
     end: [TRACK_LENGTH * Math.cos(TRACK.slope), TRACK_LENGTH * Math.sin(TRACK.slope)],
     move(time) {
+      if (numbered !== data.fingers) addFingers(goal, data);
+      numbered = data.fingers;
       solids.begin();
       strokes.begin();
       const end = time + TRACK.ahead, start = time - TRACK.past;

@@ -112,7 +112,7 @@ function bringIntoView() { // the picture, and what is above it where there is r
 }
 const showLink = () => history.replaceState(null, "", `#job=${shown.map(({ id }) => id).join()}`);
 
-/** Shows what has changed of a performance: its "status", "request", "recording", "engraving" or "misses". */
+/** Shows what has changed of a performance: its "status", "request", "recording", "engraving", "fingers" or "misses". */
 function changed(performance, what) {
   if (what === "misses" && performance === current) showExplanations();
   if (what === "status") showStatus(performance);

@@ -40,6 +40,7 @@ function createPerformance(id, changed) {
     if (cadenza.error === serverError) clearError();
     if (message.state) [performance.status, what] = [message, "status"];
     else if (message.misses && !message.dt) [performance.recording.misses, what] = [message.misses, "misses"];
+    else if (message.fingers && !message.dt) [performance.recording.fingers, what] = [message.fingers, "fingers"];
     else if (message.request) [what] = ["request", Object.assign(performance, message)];
     else if (message.engraving && !message.dt) [performance.recording.engraving, what] = [message.engraving, "engraving"];
     else if (performance.recording) return performance.recording.restart(); // sent again
@@ -98,6 +99,8 @@ async function createStreamedRecording(about) {
     engraving: about.engraving ?? null,
     /** What of the song is not played, what became of each note, and why notes were missed, once that is known. */
     remarks: about.remarks ?? [], arrangement: about.arrangement ?? [], misses: about.misses ?? [],
+    /** As in `recording.js`, once they are known. */
+    fingers: about.fingers ?? [],
     /** Rows that have come. */
     get rows() { return rows(); },
     /** Up to when it can be played [s]. */
