@@ -203,7 +203,7 @@ def _at(rows: NDArray[Any], time: float, dt: float) -> NDArray[Any]:
 
 
 def _around_hands(episode: Episode) -> NDArray[np.float64]:
-    """From where to where along the keyboard a tall picture shows it [m], (T, 2).
+    """Returns where along the keyboard a tall picture begins and ends [m], (T, 2).
 
     All fingertips are in it now and for a while before and after, and it moves slowly.
     """

@@ -25,7 +25,7 @@ FLOOR = Material((0.74, 0.755, 0.78, 1.0), 1.0)
 SLOPE = 0.5
 """How far the fall board rises towards the back [rad]."""
 BOARD_LENGTH = 0.21
-"""From the fall board's lower edge to its upper one [m]."""
+"""The fall board has this length from its lower edge to its upper one [m]."""
 _BOARD_BEHIND, _BOARD_OVER = 0.012, 0.016  # [m] its lower edge lies, from the keys
 _BOARD_BELOW = 0.005  # [m] its face lies below the notes that fall on it
 _BOARD_HALF = 0.004  # [m] half of its thickness
@@ -42,7 +42,7 @@ _FELT_HALF = (0.003, 0.0024)  # its depth and height
 _NAME_BOARD_OVER = 0.008  # its upper edge, over the black keys
 
 Ends = tuple[float, float]
-"""From where to where something reaches along an axis [m]."""
+"""Something begins at the first and ends at the second position along an axis [m]."""
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,8 @@ with extra_packages("gpu", "the engine warp"):
     import jax.numpy as jnp
     import warp as wp
 
+    from cadenza.sim.rows import rows_of, where
+
     wp.config.log_level = wp.LOG_WARNING  # or the next import greets on standard output
     import mujoco_warp as mjw
 
@@ -183,7 +185,7 @@ class WarpPhysics:
             unstable=unstable,
         )
         numbers: dict[str, Any] = {
-            name: jnp.where(_rows_of(unstable, values), 0.0, values)
+            name: jnp.where(rows_of(unstable, values), 0.0, values)
             for name, values in state._asdict().items()
             if name in ("key_xpos", "fingertip_xpos", "actuator_force", "touch")
         }
@@ -306,15 +308,6 @@ def _servo_velocities(model: mujoco.MjModel) -> NDArray[np.float32]:
     return moment.T.astype(np.float32)
 
 
-def _rows_of(mask: Any, values: Any) -> Any:
-    return mask.reshape(mask.shape + (1,) * (values.ndim - 1))
-
-
-def where(mask: Any, first: Any, second: Any) -> Any:
-    """Rows of the first of two trees of arrays (N, ...) where the mask (N,) is set."""
-    return jax.tree.map(lambda a, b: jnp.where(_rows_of(mask, a), a, b), first, second)
-
-
 class WarpSimulation:
     """N simulations on JAX's device; implements `protocol.RandomizableSimulation` with NumPy.
 
@@ -384,7 +377,7 @@ class WarpSimulation:
             mask[list(env_ids)] = True
         self._physics = where(mask, physics, self._physics)
         new = State._make(
-            np.where(_rows_of(mask, after), np.asarray(after, before.dtype), before)
+            np.where(rows_of(mask, after), np.asarray(after, before.dtype), before)
             for after, before in zip(state, self.state, strict=True)
         )
         for env in np.flatnonzero(new.unstable & ~self.state.unstable).tolist():

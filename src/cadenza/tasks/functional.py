@@ -29,6 +29,8 @@ with extra_packages("gpu", "the engine warp"):
     import jax
     import jax.numpy as jnp
 
+    from cadenza.sim.rows import where
+
 Array = Any  # of JAX
 
 METRICS = "precision", "recall", "f1"
@@ -193,9 +195,9 @@ class FunctionalPianoTask:
 
         fresh, start = self.begin(of_begin)
         first = self.observation(fresh, self._resting(start))
-        data = _where(done, self.physics.start(start), data)
-        episodes = _where(done, fresh, episodes)
-        observation = _where(done, first, final)
+        data = where(done, self.physics.start(start), data)
+        episodes = where(done, fresh, episodes)
+        observation = where(done, first, final)
         info = {"state": simulated, "final_obs": final, "truncation": result.truncated}
         info |= {"unstable": result.unstable, "overflow": overflow, **_about(episodes)}
         lost = {"unstable_count": result.unstable, "overflow_count": overflow != 0}
@@ -301,15 +303,6 @@ def _warp() -> Any:
     from cadenza.sim.warp import WarpPhysics  # needs more packages than the rest of this module
 
     return WarpPhysics
-
-
-def _where(mask: Array, first: Any, second: Any) -> Any:
-    """Rows of the first of two trees of arrays (N, ...) where the mask (N,) is set."""
-
-    def choose(a: Array, b: Array) -> Array:
-        return jnp.where(mask.reshape(mask.shape + (1,) * (b.ndim - 1)), a, b)
-
-    return jax.tree.map(choose, first, second)
 
 
 def _padded(goals: Sequence[Goals], lookahead: int) -> Songs:

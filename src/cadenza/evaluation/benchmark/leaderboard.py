@@ -44,6 +44,8 @@ COLUMNS = {
     "data": "learnt from",
 }
 """Columns of the page and of Markdown, with their titles; the CSV file has more."""
+_SAID = ("songs", "track", "name", "by", "fingering", "agent", "data", "hardware")  # on a card
+_SCORES = ("note_onset_f1", "precision", "recall", "pooled_f1")  # beside F1
 Row = dict[str, Any]
 
 
@@ -112,12 +114,14 @@ def _row(standing: Standing, played: Mapping[str, int]) -> Row:
     del row["f1_interval"]  # made of `f1_low` and `f1_high` where it is shown
     row |= {"folder": standing.folder.name, "f1": math.nan}
     if card is not None:
-        effort = {"training_steps": card.effort.steps, "cpu_hours": card.effort.cpu_hours}
-        effort |= {"gpu_hours": card.effort.gpu_hours}
-        row |= {name: getattr(card, name) for name in ("songs", "track", "name", "by", "fingering")}
-        row |= {name: getattr(card, name) for name in ("agent", "data", "hardware")} | effort
-        row |= {"seeds": len(card.seeds), "mujoco": card.versions.get("mujoco", "")}
-        row |= {"cadenza": card.versions.get("cadenza", "")}
+        row |= {name: getattr(card, name) for name in _SAID}
+        row |= {
+            "training_steps": card.effort.steps,
+            "cpu_hours": card.effort.cpu_hours,
+            "gpu_hours": card.effort.gpu_hours,
+            "seeds": len(card.seeds),
+            **{name: card.versions.get(name, "") for name in ("mujoco", "cadenza")},
+        }
     else:
         row["name"] = standing.folder.name
     if card is None or verified is None or verified.problems:
@@ -146,10 +150,7 @@ def figures(verified: Verified) -> Row:
         "f1": float(mean(f1)),
         "f1_low": float(low),
         "f1_high": float(high),
-        "note_onset_f1": float(mean(scores("note_onset_f1"))),
-        "precision": float(mean(scores("precision"))),
-        "recall": float(mean(scores("recall"))),
-        "pooled_f1": float(mean(scores("pooled_f1"))),
+        **{name: float(mean(scores(name))) for name in _SCORES},
         "onset_error_ms": _MS_PER_SECOND * _mean_of_known(scores("onset_error_median")),
         "velocity_error": _mean_of_known(scores("velocity_error")),
         "cpu_per_music": math.fsum(known) / verified.seconds

@@ -35,7 +35,7 @@ from cadenza.resumable import installed_versions
 Metrics = dict[str, float | None]
 
 BOUND = 0.01
-"""By how much the mean F1 of an entry may differ on another engine than it was recorded on."""
+"""The mean F1 of an entry may differ by this much on another engine than it was recorded on."""
 _HEADER = 4096  # bytes that a file of actions may take beside them
 _SHARES = ("f1", "note_onset_f1")
 _ROUNDING = 1e-9  # of sums of many numbers; a key in another state in one step is far more

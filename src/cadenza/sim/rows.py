@@ -1,0 +1,20 @@
+"""Chooses between the rows of arrays on JAX's device, of which each environment has one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+Array = Any  # of NumPy or of JAX
+
+
+def rows_of(mask: Array, values: Array) -> Array:
+    """Returns a mask (N,) in the shape (N, 1, ...), which has the dimensions of `values`."""
+    return mask.reshape(mask.shape + (1,) * (values.ndim - 1))
+
+
+def where(mask: Array, first: Any, second: Any) -> Any:
+    """Returns the rows of the first of two trees of arrays (N, ...) where the mask (N,) is set."""
+    return jax.tree.map(lambda a, b: jnp.where(rows_of(mask, b), a, b), first, second)
