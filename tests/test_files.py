@@ -322,7 +322,9 @@ def test_what_is_too_large_is_not_read(huge: Path) -> None:
         for read in (content_of, lambda path: read_json(path, dict), lambda p: read_arrays(p, ANY)):
             with pytest.raises(CadenzaError):
                 read(huge)
-        with pytest.raises(CadenzaError, match=r"takes 3,072 MiB, .* needs no more than 1 MiB"):
+        with pytest.raises(
+            CadenzaError, match=r"takes 3,221,225,472 bytes, .* no more than 1,048,576"
+        ):
             sha256_of(huge, most=2**20)
 
 
@@ -393,7 +395,7 @@ def test_tensors_come_back_with_what_there_is_to_know(tmp_path: Path) -> None:
         ({"a": np.zeros(3), "b": np.zeros(3)}, "b is float64"),
         ({"a": np.array([np.inf])}, "not finite"),
         ({"a\n": np.zeros(3)}, "names that cannot be printed"),
-        ({"a": np.zeros(2**18)}, "takes 2 MiB, .* no more than 1 MiB"),
+        ({"a": np.zeros(2**18)}, "takes 2,097,232 bytes, .* no more than 1,048,576"),
     ],
 )
 def test_tensors_of_something_else_are_refused(

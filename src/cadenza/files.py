@@ -197,8 +197,8 @@ def _readable(path: Path, most: int | None) -> Iterator[IO[bytes]]:
             size = os.fstat(file.fileno()).st_size
             if most is not None and size > most:
                 raise CadenzaError(
-                    f"{path}: takes {size >> 20:,} MiB, but such a file needs no more than "
-                    f"{most >> 20:,} MiB; {_ANOTHER}"
+                    f"{path}: takes {size:,} bytes, but such a file needs no more than "
+                    f"{most:,}; {_ANOTHER}"
                 )
             yield file
     except FileNotFoundError as error:
@@ -308,10 +308,20 @@ def parsed_json(content: bytes | str, kind: type[T], where: object) -> T:
         CadenzaError: it is no JSON, or holds something else.
     """
     try:
-        value = json.loads(content)
+        value = json.loads(content, object_pairs_hook=_named_once)
+    except CadenzaError as error:
+        raise CadenzaError(f"{where}: {error}; {_ANOTHER}") from error
     except (ValueError, RecursionError) as error:
         raise CadenzaError(f"{where}: not JSON; {_ANOTHER}") from error
     return checked(value, kind, where)
+
+
+def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Refuses an object with a name twice, of which each reader may take another value."""
+    value = dict(pairs)
+    if len(value) < len(pairs):
+        raise CadenzaError("has a name twice")
+    return value
 
 
 def checked(value: Any, kind: type[T], where: object) -> T:

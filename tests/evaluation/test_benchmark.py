@@ -307,6 +307,11 @@ FORGED_CARDS: dict[str, tuple[Callable[[Card], object], str]] = {
     "other version": (lambda c: c.update(benchmark=2), "Invalid"),
     "task of its own": (lambda c: c.update(task={"stretch": 4.0}), "Unknown field"),
     "negative time": (lambda c: run_of(c).update(cpu_seconds=-1.0), "negative"),
+    "times beyond any sum": (
+        lambda c: [run.update(cpu_seconds=1e308) for run in c["runs"]],
+        "or over 1e+12",
+    ),
+    "steps that fill a page": (lambda c: c["effort"].update(steps=10**100), "or over 1e+12"),
     "two lines": (lambda c: c.update(name="a\nb"), "on one line"),
     "right to left": (lambda c: c.update(by="\u202e1.000"), "on one line"),
     "long name": (lambda c: c.update(name="x" * 100), "characters"),
@@ -379,7 +384,7 @@ def test_files_of_any_size_are_refused_at_once(entry: Path, large: str) -> None:
     path = entry / CARD if large == "card" else first_actions(entry)
     with path.open("r+b") as file:
         file.truncate(2**40)  # a terabyte of nothing
-    assert "MiB, but such a file needs no more" in refusal(entry)
+    assert "bytes, but such a file needs no more" in refusal(entry)
 
 
 def test_a_pipe_is_refused(entry: Path) -> None:
@@ -413,6 +418,13 @@ def test_whatever_is_wrong_is_refused_or_changes_no_figure(entry: Path, seed: in
             found.metrics[run["song"], run["seed"]] == run["metrics"] for run in said
         )
         assert honest is None or found.problems or found.metrics == honest
+
+
+def test_a_card_that_says_two_things_is_refused(entry: Path) -> None:
+    """Since readers of JSON differ in which one they take."""
+    path = entry / CARD
+    path.write_text(path.read_text().replace('"track":', '"track": "at-sight", "track":', 1))
+    assert "has a name twice" in refusal(entry)
 
 
 # Entries of runs in another task
@@ -453,25 +465,38 @@ def test_runs_that_hide_their_scene_are_found_out(tmp_path: Path) -> None:
 
 def test_runs_of_several_agents_or_with_one_missing(bench: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(bench, tmp_path / "bench"))
-    with pytest.raises(CadenzaError, match="zero has not played"):
+    with pytest.raises(CadenzaError, match=r"were played by planner; name one"):
         enter(copy, tmp_path / "entry", replace(ABOUT, agent="zero"))
     shutil.rmtree(next((copy / RUNS).iterdir()))
     with pytest.raises(CadenzaError, match="is missing, as 1 of 4 runs"):
         enter(copy, tmp_path / "entry", ABOUT)
 
 
+@pytest.mark.usefixtures("bench")
+def test_an_agent_observes_the_same_in_all_songs(tmp_path: Path) -> None:
+    """Or else a card could say that nobody gave it fingers, which were given in some songs."""
+    bench = played(tmp_path / "bench", replace(TASK, fingering="robot"))
+    for path in bench.glob(f"{RUNS}/{MINE}-high--*"):
+        shutil.rmtree(path)
+    played(tmp_path / "other")
+    for path in (tmp_path / "other").glob(f"{RUNS}/{MINE}-high--*"):
+        path.rename(bench / RUNS / path.name)
+    with pytest.raises(CadenzaError, match="has other options than in other runs"):
+        enter(bench, tmp_path / "entry", ABOUT)
+
+
 # The table
 
 
 def test_the_table_has_what_was_computed_and_says_what_was_not(made: Path, tmp_path: Path) -> None:
-    for name in "b", "c":
+    for name in "a", "b", "c":
         shutil.copytree(made, tmp_path / "entries" / name)
     change(tmp_path / "entries" / "b", lambda c: run_of(c)["metrics"].update(f1=1.5))
     (tmp_path / "entries" / "d").mkdir()
     (tmp_path / "entries" / "d" / CARD).write_text("{}")
     rows = leaderboard([standing(folder) for folder in entries_in([tmp_path / "entries"])])
     verified = {Path(row["folder"]).name: row["verified"] for row in rows}
-    assert verified["c"] == "to the bit; same actions as another entry"
+    assert verified["a"] == verified["c"] == "to the bit; same actions as another entry"
     assert "f1 is" in verified["b"]
     assert verified["b"].startswith("no: ")
     assert verified["d"].startswith("no: ")
@@ -480,15 +505,84 @@ def test_the_table_has_what_was_computed_and_says_what_was_not(made: Path, tmp_p
     assert np.isnan([figures["b"], figures["d"]]).all()
 
 
+def test_nobody_passes_for_a_copy_by_the_card_of_another(made: Path, tmp_path: Path) -> None:
+    """A card alone, with the hashes of what others played, says nothing about these others."""
+    (tmp_path / "card").mkdir()
+    shutil.copy(made / CARD, tmp_path / "card")
+    rows = leaderboard([standing(made), standing(tmp_path / "card")])
+    assert [row["verified"][:10] for row in rows] == ["to the bit", "no: " + str(tmp_path)[:6]]
+    assert "same actions" not in rows[0]["verified"]
+
+
+def test_actions_of_one_seed_given_out_as_those_of_five_are_marked(
+    entry: Path, tmp_path: Path
+) -> None:
+    one, five = (Path(shutil.copytree(entry, tmp_path / name)) for name in ("one", "five"))
+    for folder, seeds in (one, [0]), (five, list(range(5))):
+        runs = [run for run in card_of(folder)["runs"] if run["seed"] == 0]
+        for seed in range(1, 5):
+            for run in runs:
+                path = actions_path(folder, run["song"], seed)
+                path.unlink(missing_ok=True)
+                if seed in seeds:
+                    shutil.copy(actions_path(folder, run["song"], 0), path)
+        copies = [run | {"seed": seed} for run in runs for seed in seeds]
+        change(folder, lambda c, copies=copies, seeds=seeds: c.update(runs=copies, seeds=seeds))
+    rows = leaderboard([standing(one), standing(five)])
+    assert [row["verified"] for row in rows] == ["to the bit; same actions as another entry"] * 2
+    assert all(np.isnan(row["f1_low"]) for row in rows)
+
+
+def test_entries_are_found_however_deep(made: Path, tmp_path: Path) -> None:
+    """As in a folder of clones, each with an entry beside files of its own."""
+    deep = Path(shutil.copytree(made, tmp_path / "others" / "ada" / "entry"))
+    (deep.parent / ".git").mkdir()
+    near = Path(shutil.copytree(made, tmp_path / "others" / "bob"))
+    assert entries_in([tmp_path / "others"]) == [deep, near]
+
+
+@pytest.mark.parametrize("command", ["verify", "leaderboard"])
+def test_a_folder_without_an_entry_is_named(
+    command: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match="2"):
+        main([command, "missing"])
+    assert "missing: holds no entry" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", [b"\x1b[2J", b"\xff"])
+def test_names_of_files_do_nothing_to_a_terminal(
+    entry: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: bytes
+) -> None:
+    renamed = entry.rename(tmp_path / os.fsdecode(name))
+    (renamed / os.fsdecode(name)).write_bytes(b"")
+    main(["leaderboard", str(renamed), "-o", str(tmp_path / "out")])
+    with pytest.raises(SystemExit, match="1"):
+        main(["verify", str(renamed)])
+    said = capsys.readouterr()
+    assert "does not belong to an entry" in said.out
+    assert all(line.isprintable() for line in (said.out + said.err).splitlines())
+    assert said.err.count("\n") == 1
+    table = (tmp_path / "out" / "leaderboard.csv").read_text()
+    assert all(line.isprintable() for line in table.splitlines())
+
+
 def test_the_files_of_the_table_take_text_as_text(
     entry: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     change(entry, lambda c: c.update(name="a|b <script>alert(1)</script>", by="=1+1"))
+    change(entry, lambda c: c["effort"].update(cpu_hours=-0.0))
     main(["leaderboard", str(entry), "-o", str(tmp_path / "out")])
     page = (tmp_path / "out" / "index.html").read_text()
     assert "<script>" not in page
     text = (tmp_path / "out" / "leaderboard.md").read_text()
     assert "a\\|b \\<script\\>" in text
+    assert "-0.0" not in text
     assert text in capsys.readouterr().out
     (row,) = (tmp_path / "out" / "leaderboard.csv").read_text().splitlines()[1:]
     assert "a|b" in row

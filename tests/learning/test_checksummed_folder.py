@@ -67,7 +67,7 @@ def test_can_be_moved_and_copied(folder: Path, tmp_path: Path) -> None:
 def test_a_file_that_is_far_too_large_is_not_read(folder: Path, name: str) -> None:
     os.truncate(folder / name, 3 * 2**30)  # takes no room
     tracemalloc.start()
-    assert_refused(folder, "takes 3,072 MiB, but such a file needs no more")
+    assert_refused(folder, "takes 3,221,225,472 bytes, but such a file needs no more")
     assert tracemalloc.get_traced_memory()[1] < 2**23
     tracemalloc.stop()
 

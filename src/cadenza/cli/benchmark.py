@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import tyro
 
 from cadenza.cli.arguments import Output, Quiet
-from cadenza.cli.console import counted, in_columns
+from cadenza.cli.console import counted, in_columns, on_one_line
 from cadenza.cli.progress import progress
 from cadenza.cli.saving import check_writable
 from cadenza.errors import CadenzaError
@@ -130,10 +130,11 @@ class Verify:
 
 
 def verify(command: Verify) -> None:
+    from cadenza.evaluation.benchmark.leaderboard import entries_in
     from cadenza.evaluation.benchmark.verification import verify as play_again
 
-    if not command.entry.is_dir():
-        raise CadenzaError(f"{command.entry}: there is no such folder")
+    if command.entry not in (found := entries_in([command.entry])):
+        raise CadenzaError(f"{command.entry}: is no entry, but holds one: give {found[0]}")
     try:
         with progress("playing again", "runs") as advance:
             verified = play_again(command.entry, advance)
@@ -142,7 +143,7 @@ def verify(command: Verify) -> None:
         problems = [str(error)]
     if problems:
         print(
-            *(f"refused: {' '.join(problem.split())}" for problem in problems),
+            *(f"refused: {on_one_line(problem)}" for problem in problems),
             sep="\n",
             file=sys.stderr,
         )
@@ -179,10 +180,8 @@ class Leaderboard:
 def leaderboard(command: Leaderboard) -> None:
     from cadenza.evaluation.benchmark.leaderboard import entries_in, standing, write_leaderboard
 
-    check_writable(command.output)
     entries = entries_in(command.folders)
-    if not entries:
-        raise CadenzaError("there is no entry in these folders: make one with cadenza enter")
+    check_writable(command.output)
     standings = []
     with progress("verifying", "entries") as advance:
         for entry in entries:

@@ -10,13 +10,13 @@ from cadenza.report.html_pages import render, write_page
 
 
 def write_leaderboard_page(
-    path: Path, titles: Sequence[str], sections: Mapping[str, Sequence[Sequence[str]]]
+    path: Path, titles: Mapping[str, bool], sections: Mapping[str, Sequence[Sequence[str]]]
 ) -> None:
     """Writes a page with a table for each section.
 
     Args:
         path: where it goes.
-        titles: the titles of the columns.
+        titles: the titles of the columns, and whether they hold text, of any length, or figures.
         sections: title -> the rows, each a text for every column; all of it is escaped.
     """
     page = render(

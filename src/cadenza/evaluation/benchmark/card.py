@@ -34,6 +34,7 @@ _MOST_CARD = 2**24  # bytes: a thousand songs with twenty seeds take 10 MB
 _MOST_NAME = 80  # characters
 _MOST_TEXT = 400
 _MOST_OPTIONS = 4000
+_MOST_EFFORT = 1e12  # steps, seconds or hours: more than anybody has spent
 
 
 @dataclass(frozen=True)
@@ -140,8 +141,8 @@ def _check(card: Card) -> None:
     effort = card.effort
     times = [effort.steps, effort.cpu_hours, effort.gpu_hours]
     times += [seconds for run in card.runs for seconds in (run.wall_seconds, run.cpu_seconds)]
-    if any(time is not None and time < 0 for time in times):
-        raise CadenzaError("a time or a number of steps is negative")
+    if any(time is not None and not 0 <= time <= _MOST_EFFORT for time in times):
+        raise CadenzaError(f"a time or a number of steps is negative, or over {_MOST_EFFORT:g}")
     for run in card.runs:
         if run.metrics.keys() != set(METRICS):
             raise CadenzaError(f"{run.song:.100}: its metrics are not {', '.join(METRICS)}")
@@ -160,7 +161,9 @@ def check_track(
     if (own := own_track(agent, options)) not in (None, track):
         raise CadenzaError(f"track {track}: {agent:.60} belongs to the track {own}")
     if track == "one-song" and not effort.steps:
-        raise CadenzaError("track one-song: say how many steps of training or practice it took")
+        raise CadenzaError(
+            "track one-song: say how many steps of training or practice it took (--training-steps)"
+        )
     if track == "at-sight" and songs in (f"{BENCHMARK}:etudes-train", f"{BENCHMARK}:band-train"):
         raise CadenzaError(f"track at-sight: {songs} is there to learn from; choose another set")
 
@@ -224,6 +227,6 @@ def actions_digest(actions: NDArray[np.float64]) -> str:
 
 
 def entry_digest(runs: Sequence[RecordedRun]) -> str:
-    """A hash of all that was played, whoever says that it is theirs."""
-    played = sorted((run.song, run.actions) for run in runs)
+    """A hash of all that was played, whoever says so, and with however many seeds."""
+    played = sorted({(run.song, run.actions) for run in runs})
     return hashlib.sha256(repr(played).encode()).hexdigest()

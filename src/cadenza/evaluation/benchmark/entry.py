@@ -124,17 +124,18 @@ def _results(bench: Path, songs: set[str], agent: str | None) -> list[Result]:
     """Returns the runs of one agent on these songs, all with the same options, in the task."""
     results = [result for result in read_results(bench).results if result.song.name in songs]
     agents = sorted({result.agent for result in results})
-    if agent is None and len(agents) != 1:
+    if not agents:
+        raise CadenzaError(f"{bench}: nobody has played these songs; do so with cadenza bench")
+    if agent is None and len(agents) == 1:
+        agent = agents[0]
+    if agent not in agents:
         raise CadenzaError(
-            f"{bench}: {'nobody has' if not agents else ', '.join(agents) + ' have'} played these "
-            "songs; name one with --agent"
+            f"{bench}: these songs were played by {', '.join(agents)}; name one with --agent"
         )
-    results = [result for result in results if agent in (None, result.agent)]
-    if not results:
-        raise CadenzaError(f"{bench}: {agent} has not played these songs")
+    results = [result for result in results if result.agent == agent]
     for result in results:
         _check_task(result)
-        for what in "config", "agent_digest":
+        for what in "config", "agent_digest", "task":
             if not _is_same(result, results[0], what):
                 raise CadenzaError(
                     f"{result.folder}: {result.agent} has other options than in other runs; "

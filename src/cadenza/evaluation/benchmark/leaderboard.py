@@ -20,6 +20,7 @@ from cadenza.evaluation.benchmark.verification import Verified, verify
 from cadenza.evaluation.statistics import bootstrap_interval, mean
 from cadenza.evaluation.tables import write_csv
 from cadenza.files import write_atomically
+from cadenza.music.formats.titles import printable
 from cadenza.report.leaderboard_page import write_leaderboard_page
 
 _MS_PER_SECOND = 1000
@@ -45,6 +46,7 @@ COLUMNS = {
 }
 """Columns of the page and of Markdown, with their titles; the CSV file has more."""
 _SAID = ("songs", "track", "name", "by", "fingering", "agent", "data", "hardware")  # on a card
+_WORDS = ("name", "by", "verified", "data")  # columns of text, not of figures
 _SCORES = ("note_onset_f1", "precision", "recall", "pooled_f1")  # beside F1
 Row = dict[str, Any]
 
@@ -69,17 +71,23 @@ def standing(entry: Path) -> Standing:
         card = read_card(entry)
         return Standing(entry, card, verify(entry))
     except CadenzaError as error:
-        return Standing(entry, card, None, " ".join(str(error).split()))
+        return Standing(entry, card, None, printable(str(error)))
 
 
 def entries_in(folders: Iterable[Path]) -> list[Path]:
-    """The folders of entries: those with a card, or else those in them with one."""
+    """The folders of entries: those with a card, or else all in them, however deep, with one.
+
+    Raises:
+        CadenzaError: there is no entry in one of them.
+    """
     found: list[Path] = []
     for folder in folders:
-        if (folder / CARD).exists() or not folder.is_dir():
-            found.append(folder)
-        else:
-            found += sorted(path.parent for path in folder.glob(f"*/{CARD}"))
+        cards = [folder / CARD] if (folder / CARD).exists() else sorted(folder.rglob(CARD))
+        if not cards:
+            raise CadenzaError(
+                f"{folder}: holds no entry, which has a {CARD}; make one with cadenza enter"
+            )
+        found += [card.parent for card in cards]
     return list(dict.fromkeys(found))
 
 
@@ -95,13 +103,14 @@ def write_leaderboard(folder: Path, standings: Sequence[Standing]) -> list[Path]
     }
     with write_atomically(text) as file:
         file.write(_markdown(shown).encode())
-    write_leaderboard_page(page, list(COLUMNS.values()), shown)
+    write_leaderboard_page(page, {title: name in _WORDS for name, title in COLUMNS.items()}, shown)
     return [page, table, text]
 
 
 def leaderboard(standings: Sequence[Standing]) -> list[Row]:
     """The rows: by set and track, the best F1 first, and entries without figures last."""
-    played = Counter(entry_digest(s.card.runs) for s in standings if s.card is not None)
+    verified = (s.verified for s in standings if s.verified is not None)
+    played = Counter(entry_digest(v.card.runs) for v in verified if not v.problems)
     rows = [_row(standing, played) for standing in standings]
     return sorted(
         rows, key=lambda row: (row["songs"], row["track"], -_or_zero(row["f1"]), row["name"])
@@ -112,7 +121,7 @@ def _row(standing: Standing, played: Mapping[str, int]) -> Row:
     card, verified = standing.card, standing.verified
     row: Row = dict.fromkeys(("songs", "track", *COLUMNS), "")
     del row["f1_interval"]  # made of `f1_low` and `f1_high` where it is shown
-    row |= {"folder": standing.folder.name, "f1": math.nan}
+    row |= {"folder": printable(standing.folder.name), "f1": math.nan}
     if card is not None:
         row |= {name: getattr(card, name) for name in _SAID}
         row |= {
@@ -123,7 +132,7 @@ def _row(standing: Standing, played: Mapping[str, int]) -> Row:
             **{name: card.versions.get(name, "") for name in ("mujoco", "cadenza")},
         }
     else:
-        row["name"] = standing.folder.name
+        row["name"] = row["folder"]
     if card is None or verified is None or verified.problems:
         why = verified.words if verified is not None else standing.why
         return row | {"verified": f"no: {why}"}
@@ -188,7 +197,7 @@ def _text(row: Row, name: str) -> str:
     if value is None:
         return "–"
     if isinstance(value, float):
-        return "–" if math.isnan(value) else f"{value:.{_DECIMALS[name]}f}"
+        return "–" if math.isnan(value) else f"{value:z.{_DECIMALS[name]}f}"
     return f"{value:,}" if isinstance(value, int) else str(value)
 
 
