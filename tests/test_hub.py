@@ -116,7 +116,7 @@ def test_what_cannot_be_had_is_one_line(
     hub.commit("models", REPO, files_of(ODE))
     hub.pretended_sizes["arrays.safetensors"] = 2**40
     refused(capsys, f"{place}: its files take 1,048,576 MiB", "play", place)
-    refused(capsys, "holds no manifest.json, so it is no policy; name", "publish", str(ODE.parent), REPO)
+    refused(capsys, "so it is no policy; name another", "publish", str(ODE.parent), REPO)
     hub.commit("datasets", REPO, {"runs/../../../../../elsewhere/result.json": b"{}"})
     refused(capsys, f"{place}: the hub says: ", "dataset", "info", place)
     ask(monkeypatch, "http://127.0.0.1:1")

@@ -210,14 +210,15 @@ def test_what_is_no_set(name: str) -> None:
         open_set(name)
 
 
+@pytest.mark.parametrize("name", ["bundled", "benchmark:etudes-valid"])
 def test_an_imported_library_cannot_pass_for_a_public_set(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     monkeypatch.setenv("CADENZA_DATA", str(tmp_path))
     import_songs(PITCHES)
-    (tmp_path / "libraries" / MINE).rename(tmp_path / "libraries" / "bundled")
+    (tmp_path / "libraries" / MINE).rename(tmp_path / "libraries" / name.partition(":")[0])
     with pytest.raises(CadenzaError, match="an imported library has its name"):
-        open_set("bundled")
+        open_set(name)
 
 
 # Honest entries
@@ -576,6 +577,7 @@ def test_the_files_of_the_table_take_text_as_text(
     entry: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     change(entry, lambda c: c.update(name="a|b <script>alert(1)</script>", by="=1+1"))
+    change(entry, lambda c: c.update(data="\uff1d1+1"))  # as wide as Chinese, and a formula there
     change(entry, lambda c: c["effort"].update(cpu_hours=-0.0))
     main(["leaderboard", str(entry), "-o", str(tmp_path / "out")])
     page = (tmp_path / "out" / "index.html").read_text()
@@ -587,6 +589,7 @@ def test_the_files_of_the_table_take_text_as_text(
     (row,) = (tmp_path / "out" / "leaderboard.csv").read_text().splitlines()[1:]
     assert "a|b" in row
     assert "'=1+1" in row
+    assert "'\uff1d1+1" in row
 
 
 # The command line

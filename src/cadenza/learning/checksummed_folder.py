@@ -106,7 +106,7 @@ def read_checksummed(
     """
     folder = _current(folder)
     if not (folder / MANIFEST).exists():
-        raise CadenzaError(f"{folder}: holds no {MANIFEST}, so it is no {kind}; name the folder of one")
+        raise CadenzaError(f"{folder}: holds no {MANIFEST}, so it is no {kind}; name another")
     manifest = read_json(folder / MANIFEST, _Manifest)
     if manifest["kind"] != kind:
         raise CadenzaError(f"{folder}: is not a {kind} written by Cadenza")

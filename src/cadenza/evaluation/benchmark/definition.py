@@ -130,9 +130,9 @@ def open_set(name: str) -> Library:
             f"set {name:.100}: choose from {', '.join((*PUBLIC_SETS, *PAPER_SETS))}, or import a "
             "library of your own (cadenza import)"
         )
-    songs = open_library(name)
-    if name in PUBLIC_SETS and not frozen().songs.keys() >= {song.name for song in songs.songs}:
+    if name in PUBLIC_SETS and is_imported(library):
         raise CadenzaError(f"set {name}: an imported library has its name; remove that library")
+    songs = open_library(name)
     if len(songs.songs) != (wanted := PAPER_SETS.get(name, len(songs.songs))):
         raise CadenzaError(
             f"set {name}: has {len(songs.songs)} of {wanted} songs here; import the whole dataset"

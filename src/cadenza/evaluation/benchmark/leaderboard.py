@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unicodedata import normalize
 
 import numpy as np
 
@@ -184,9 +185,11 @@ def _sections(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 def _without_formulas(row: Row) -> Row:
     """Returns a row of which no spreadsheet takes a text for a formula."""
-    begin = ("=", "+", "-", "@")
+    begin = ("=", "+", "-", "@")  # also in their full-width forms
     texts = ((name, value) for name, value in row.items() if isinstance(value, str))
-    return row | {name: f"'{text}" for name, text in texts if text.startswith(begin)}
+    return row | {
+        name: f"'{text}" for name, text in texts if normalize("NFKC", text).startswith(begin)
+    }
 
 
 def _text(row: Row, name: str) -> str:
