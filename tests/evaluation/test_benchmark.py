@@ -299,6 +299,7 @@ FORGED_CARDS: dict[str, tuple[Callable[[Card], object], str]] = {
     "folder as set": (lambda c: c.update(songs="."), "choose from bundled"),
     "no such track": (lambda c: c.update(track="telepathy"), "choose from one-song"),
     "other track": (lambda c: c.update(track="at-sight"), "belongs to the track planning"),
+    "name with a space": (lambda c: c.update(track="at-sight", agent="planner "), "belongs to"),
     "other name": (
         lambda c: c.update(track="at-sight", agent="cadenza.agents.planner.planner:Planner"),
         "belongs to the track planning",

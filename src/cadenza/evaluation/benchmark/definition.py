@@ -89,6 +89,7 @@ def frozen() -> _Frozen:
 
 def own_track(agent: str, options: dict[str, Any]) -> str | None:
     """The track of an agent that comes with Cadenza; None for others, and where any will do."""
+    agent = agent.strip()  # as a reader sees it
     agent = {entry.place: name for name, entry in AGENTS.own.items()}.get(agent, agent)
     if agent.startswith(_TRAINED):
         return "one-song"
