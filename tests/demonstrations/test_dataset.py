@@ -25,7 +25,7 @@ def test_a_batch_is_what_a_plain_loop_reads(made: Path) -> None:
     for i, number in enumerate(steps.tolist()):
         episode, t = numbered[number]
         row, goals, last = episode.steps[t], episode.goals(dataset.scene), len(episode.steps) - 1
-        for name in ("hand_qpos", "hand_qvel", "fingertip_xpos", "key_state", "tracked", "action"):
+        for name in ("hand_qpos", "hand_qvel", "fingertip_xpos", "key_state", "action"):
             assert (getattr(batch, name)[i] == row[name]).all()
         played = played_actions(episode.steps, dataset.scene)
         before = played[t - 1].astype(np.float32) if t else 0
@@ -35,7 +35,6 @@ def test_a_batch_is_what_a_plain_loop_reads(made: Path) -> None:
         for j, later in enumerate(ahead):
             plan = episode.plan[min(t + later, last)]
             assert (batch.reference[i, j] == plan["reference"]).all()
-            assert (batch.reference_fingertips[i, j] == plan["fingertips"]).all()
         for j in range(lookahead + 1):
             asked, wanted = batch.goal[i, j], batch.fingers[i, j]
             if t + j >= goals.num_steps:

@@ -16,6 +16,7 @@ from cadenza.cli.progress import stages
 from cadenza.cli.saving import check_writable
 from cadenza.errors import extra_packages
 from cadenza.learning.algorithms.generalist.config import (
+    ExcerptConfig,
     GeneralistCloningConfig,
     GeneralistReinforcementConfig,
     GeneralistStrikingConfig,
@@ -132,9 +133,7 @@ def _train(command: ReinforceGeneralist | StrikeGeneralist, kind: type[ExcerptRu
     _print_how_to_play(command.output)
 
 
-def _excerpts(
-    library: str, config: GeneralistReinforcementConfig | GeneralistStrikingConfig
-) -> list[Score]:
+def _excerpts(library: str, config: ExcerptConfig) -> list[Score]:
     """Returns excerpts of songs of a library, with velocities of all kinds."""
     from cadenza.evaluation.collecting.variation import excerpt
     from cadenza.learning.algorithms.generalist.excerpts import with_dynamics

@@ -76,16 +76,12 @@ class Batch(NamedTuple):
     """Reward of the previous action (B,)."""
     action: Floats
     """Action that the demonstrator chose (B, A + 1)."""
-    tracked: Floats
-    """Action of the nominal trajectory and its feedback alone (B, A)."""
     goal: NDArray[np.bool_]
     """Keys and pedal that should sound after the step and after the L next (B, L + 1, K + 1)."""
     fingers: NDArray[np.int8]
     """Key that each finger should press in these steps (B, L + 1, F), -1 for none."""
     reference: Floats
     """Position and speed of each servo in the plan, S steps ahead (B, S, A, 2)."""
-    reference_fingertips: Floats
-    """Fingertips in the plan (B, S, F, 3) [m]."""
 
     @property
     def fingering(self) -> NDArray[np.bool_]:
@@ -179,11 +175,9 @@ class Dataset:
             previous_action=self._in_units(rows["played"], step),
             previous_reward=rows["previous_reward"].astype(np.float32),
             action=rows["action"],
-            tracked=rows["tracked"],
             goal=goal,
             fingers=fingers,
             reference=plan["reference"],
-            reference_fingertips=plan["fingertips"],
         )
 
     def actions(self, steps: Ids, count: int) -> Floats:

@@ -67,8 +67,8 @@ class Scene:
     """The numbers of fingers in arrays over the F places of both hands."""
     present_fingers: slice
     """The numbers of the fingers of the hands in the scene."""
-    forearm_geoms: dict[Side, Ids]
-    """Geoms of the links that the reward for forearms keeps apart."""
+    forearm_geoms: NDArray[np.bool_]
+    """(H, G) which geoms of each hand are of links that the reward for forearms keeps apart."""
     hand_bodies: Ids
     """(B,) the bodies that move with the hands."""
     palm_bodies: Ids
@@ -330,10 +330,7 @@ def _resolve(
         fingertip_sites=as_ids(model.site(name).id for name in fingertip_sites),
         fingers=fingers,
         present_fingers=_joined([fingers.of_hand(SIDES.index(side)) for side in sides]),
-        forearm_geoms={
-            side: _geoms_of(model, [prefix(side) + name for name in hand.kept_apart])
-            for side in sides
-        },
+        forearm_geoms=np.array([_geoms_of(model, p, hand.kept_apart) for p in prefixes], bool),
         hand_bodies=as_ids(bodies),
         palm_bodies=as_ids(model.body(p + name).id for p in prefixes for name in hand.palm_links),
         slide_joints=as_ids(row for row, j in enumerate(joints) if model.joint(j).name in slides),
@@ -344,9 +341,9 @@ def _ids_with_prefix(count: int, named: Callable[[int], Any], prefix: str) -> li
     return [i for i in range(count) if named(i).name.startswith(prefix)]
 
 
-def _geoms_of(model: mujoco.MjModel, bodies: Sequence[str]) -> Ids:
-    """The geoms of these bodies."""
-    return np.flatnonzero(np.isin(model.geom_bodyid, [model.body(name).id for name in bodies]))
+def _geoms_of(model: mujoco.MjModel, prefix: str, links: Sequence[str]) -> NDArray[np.bool_]:
+    """(G,) which geoms are of these links of the hand with a prefix."""
+    return np.isin(model.geom_bodyid, [model.body(prefix + link).id for link in links])
 
 
 def _as_slice(addresses: Sequence[int]) -> slice:

@@ -76,9 +76,6 @@ class MujocoSimulation:
         self._models = [scene.model] * num_envs  # the nominal one until it is randomized
         self._factors: dict[int, Factors] = {}
         self._watch_forearms = watch_forearms and len(scene.sides) == 2
-        self._is_forearm = np.zeros((2, scene.model.ngeom), bool)
-        for row, geoms in zip(self._is_forearm, scene.forearm_geoms.values(), strict=False):
-            row[geoms] = True
         self.state = State.zeros(scene, num_envs)
         self.reset()
 
@@ -180,7 +177,7 @@ class MujocoSimulation:
         out.actuator_force[row] = data.actuator_force
         out.actuator_velocity[row] = data.actuator_velocity
         if self._watch_forearms:
-            touched = self._is_forearm[:, data.contact.geom].any(axis=2)  # (2, contacts)
+            touched = scene.forearm_geoms[:, data.contact.geom].any(axis=2)  # (2, contacts)
             out.forearm_contact[row] = touched.all(axis=0).any()
         if scene.config.touch:
             out.touch[row][scene.present_fingers] = data.sensordata

@@ -196,10 +196,8 @@ class WarpPhysics:
         nowhere = jnp.zeros(self.num_envs, bool)
         if geom is None:
             return nowhere
-        sides = np.zeros((2, self.scene.model.ngeom), bool)
-        for row, geoms in zip(sides, self.scene.forearm_geoms.values(), strict=True):
-            row[geoms] = True
-        both = jnp.asarray(sides)[:, geom].any(-1).all(0) & (jnp.arange(len(geom)) < count)
+        touched = jnp.asarray(self.scene.forearm_geoms)[:, geom].any(-1)  # (2, C)
+        both = touched.all(0) & (jnp.arange(len(geom)) < count)
         return nowhere.at[world].max(both)
 
     def _make_simulate(self) -> Any:

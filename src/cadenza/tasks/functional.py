@@ -21,7 +21,7 @@ from cadenza.sim.protocol import State
 from cadenza.tasks.augmentation import draws_variation, prepare_tracks
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.device_randomization import DeviceRandomization
-from cadenza.tasks.piano_task import PEDAL_DOWN, offset_joints
+from cadenza.tasks.piano_task import PEDAL_DOWN, Transition, offset_joints
 from cadenza.tasks.reward import Outcome, Reward, key_activation, key_state
 from cadenza.tasks.view import observed_touch, task_spec
 
@@ -64,16 +64,6 @@ class Episodes(NamedTuple):
     """(N, 3) sums over its steps of precision, recall and F1."""
     draws: Any
     """What domain randomization has drawn, `Draws`; None if it is off."""
-
-
-class Transition(NamedTuple):
-    """The result of a control step of N environments, see `piano_task.Transition`."""
-
-    reward: Array
-    terms: dict[str, Array]
-    terminated: Array
-    truncated: Array
-    unstable: Array
 
 
 class PianoState(NamedTuple):
@@ -271,7 +261,7 @@ class FunctionalPianoTask:
         over = done >= self.songs.num_steps[song]
         sums = episodes.sums + jnp.stack(step_metrics(sounding, goal[:, :-1]), axis=1)
         after = Episodes(song, done, pedal, lost, sums, episodes.draws)
-        total = sum(terms.values(), jnp.zeros(len(ctrl)))
+        total: Any = sum(terms.values(), jnp.zeros(len(ctrl)))
         return after, Transition(total, terms, terminated, over & ~terminated, unstable)
 
     def observation(self, episodes: Episodes, state: State) -> Array:

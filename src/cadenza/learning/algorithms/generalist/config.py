@@ -7,9 +7,36 @@ from dataclasses import dataclass
 
 from cadenza.configs import MOST_COUNT, check_ranges
 
+_COUNTS = "num_songs", "num_rounds", "num_envs", "rollout_steps", "batch_size", "num_epochs"
+_SHARES = "weight_decay", "previous_dropout", "discount", "gae_lambda", "clip", "ema"
+_RANGES = {
+    **dict.fromkeys((*_COUNTS, "patience"), (1, MOST_COUNT)),
+    **dict.fromkeys((*_SHARES, "learning_rate", "value_learning_rate"), (0, 1)),
+    "dropout": (0, 0.99),
+    "noise": (0.001, 1),
+    "seconds": (1, 3600),
+    "value_warmup": (0, MOST_COUNT),
+    "checkpoint_interval": (0, math.inf),
+    "seed": (0, MOST_COUNT),
+}
+
 
 @dataclass(frozen=True)
-class GeneralistCloningConfig:
+class _RunConfig:
+    """The options of every run."""
+
+    checkpoint_interval: float = 60.0
+    """Time between checkpoints [s]."""
+    seed: int = 0
+    """Random seed, also of which songs are drawn."""
+
+    def check(self) -> None:
+        """Checks the options; raises a CadenzaError if one makes no sense."""
+        check_ranges(self, {name: r for name, r in _RANGES.items() if hasattr(self, name)})
+
+
+@dataclass(frozen=True)
+class GeneralistCloningConfig(_RunConfig):
     """The options of fitting the networks to the planner's corrections."""
 
     hidden_sizes: tuple[int, int] = (128, 64)
@@ -28,31 +55,11 @@ class GeneralistCloningConfig:
     """Epochs at most."""
     patience: int = 4
     """Epochs without improvement on held-out songs before a network stops."""
-    checkpoint_interval: float = 60.0
-    """Time between checkpoints [s]."""
-    seed: int = 0
-    """Random seed."""
-
-    def check(self) -> None:
-        """Checks the options; raises a CadenzaError if one makes no sense."""
-        counts = ("batch_size", "num_epochs", "patience")
-        check_ranges(
-            self,
-            {
-                **dict.fromkeys(counts, (1, MOST_COUNT)),
-                "learning_rate": (0, 1),
-                "weight_decay": (0, 1),
-                "dropout": (0, 0.99),
-                "previous_dropout": (0, 1),
-                "checkpoint_interval": (0, math.inf),
-                "seed": (0, MOST_COUNT),
-            },
-        )
 
 
 @dataclass(frozen=True)
-class GeneralistReinforcementConfig:
-    """The options of proximal policy optimisation over many songs."""
+class ExcerptConfig(_RunConfig):
+    """The options of training on excerpts of songs, which are played many at once."""
 
     num_songs: int = 160
     """Songs of the library to learn from, drawn at random."""
@@ -64,6 +71,16 @@ class GeneralistReinforcementConfig:
     """Excerpts played in parallel."""
     rollout_steps: int = 64
     """Control steps of each excerpt per rollout."""
+    batch_size: int = 512
+    """Steps of a hand per update."""
+    num_epochs: int = 2
+    """Passes over each rollout."""
+
+
+@dataclass(frozen=True)
+class GeneralistReinforcementConfig(ExcerptConfig):
+    """The options of proximal policy optimisation over many songs."""
+
     noise: float = 0.2
     """Standard deviation of the exploration noise, as a fraction of the largest correction."""
     discount: float = 0.9
@@ -76,75 +93,27 @@ class GeneralistReinforcementConfig:
     """Initial learning rate of the networks (Adam). It decays linearly to 0."""
     value_learning_rate: float = 5e-4
     """Learning rate of the value functions (Adam)."""
-    batch_size: int = 512
-    """Steps of a hand per update."""
-    num_epochs: int = 2
-    """Passes over each rollout."""
     value_warmup: int = 8
     """Rounds in which only the value functions are updated."""
     ema: float = 0.04
     """Update rate per round of the average of the networks, which is saved."""
-    checkpoint_interval: float = 60.0
-    """Time between checkpoints [s]."""
-    seed: int = 0
-    """Random seed, of which songs and of the noise."""
-
-    def check(self) -> None:
-        """Checks the options; raises a CadenzaError if one makes no sense."""
-        counts = ("num_songs", "num_rounds", "num_envs", "rollout_steps", "batch_size")
-        rates = ("learning_rate", "value_learning_rate", "discount", "gae_lambda", "clip", "ema")
-        check_ranges(
-            self,
-            {
-                **dict.fromkeys((*counts, "num_epochs"), (1, MOST_COUNT)),
-                **dict.fromkeys(rates, (0, 1)),
-                "seconds": (1, 3600),
-                "noise": (0.001, 1),
-                "value_warmup": (0, MOST_COUNT),
-                "checkpoint_interval": (0, math.inf),
-                "seed": (0, MOST_COUNT),
-            },
-        )
 
 
 @dataclass(frozen=True)
-class GeneralistStrikingConfig:
+class GeneralistStrikingConfig(ExcerptConfig):
     """The options of learning how fingers strike."""
 
     num_songs: int = 200
     """Songs of the library to learn from, drawn at random."""
-    seconds: float = 12.0
-    """Length of the excerpt of each song [s]."""
     num_rounds: int = 6
     """Rounds of playing, each followed by a fit to all that was played."""
-    num_envs: int = 32
-    """Excerpts played in parallel."""
     rollout_steps: int = 1000
     """Control steps of each excerpt per round."""
-    hidden_sizes: tuple[int, int] = (32, 32)
-    """Hidden layer widths of the networks for touches."""
-    learning_rate: float = 2e-3
-    """Initial learning rate of these networks (AdamW, cosine decay)."""
     batch_size: int = 256
     """Strikes per update."""
     num_epochs: int = 14
     """Epochs of each fit."""
-    checkpoint_interval: float = 60.0
-    """Time between checkpoints [s]."""
-    seed: int = 0
-    """Random seed, of which songs and of touches."""
-
-    def check(self) -> None:
-        """Checks the options; raises a CadenzaError if one makes no sense."""
-        counts = ("num_songs", "num_rounds", "num_envs", "batch_size", "num_epochs")
-        check_ranges(
-            self,
-            {
-                **dict.fromkeys(counts, (1, MOST_COUNT)),
-                "rollout_steps": (3, MOST_COUNT),
-                "learning_rate": (0, 1),
-                "seconds": (1, 3600),
-                "checkpoint_interval": (0, math.inf),
-                "seed": (0, MOST_COUNT),
-            },
-        )
+    hidden_sizes: tuple[int, int] = (32, 32)
+    """Hidden layer widths of the networks for touches."""
+    learning_rate: float = 2e-3
+    """Initial learning rate of these networks (AdamW, cosine decay)."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -15,31 +16,36 @@ from cadenza.agents.generalist.generalist import shipped_for
 from cadenza.agents.planner.search.networks.inputs import sizes_of
 from cadenza.agents.planner.search.networks.weights import Weights
 from cadenza.errors import CadenzaError
-from cadenza.files import NUMBERS, ArrayOf, Expected, sha256_of
-from cadenza.learning.algorithms.generalist.config import (
-    GeneralistReinforcementConfig,
-    GeneralistStrikingConfig,
-)
+from cadenza.files import NUMBERS, ArrayOf, Expected, plain, sha256_of
+from cadenza.learning.algorithms.generalist.config import ExcerptConfig
 from cadenza.learning.algorithms.generalist.excerpts import ExcerptEnvs, planned_excerpts
 from cadenza.learning.algorithms.on_jax import start_jax
 from cadenza.learning.checkpointed_run import CheckpointedRun
 from cadenza.music.score import Score
 from cadenza.scene.scene import Scene, build_scene
 
-Config = GeneralistReinforcementConfig | GeneralistStrikingConfig
+
+@dataclass(frozen=True)
+class _Manifest:
+    """The content of run.json."""
+
+    config: dict[str, Any]
+    library: str
+    weights: str
+    """SHA-256 of the networks to begin with; empty for those of Cadenza."""
 
 
 class ExcerptRun(CheckpointedRun):
-    """A run of training on excerpts; when it is resumed, they begin anew."""
+    """A run of training on excerpts; when it is resumed, they begin anew.
+
+    Another `num_rounds` changes its end.
+    """
 
     expected: ClassVar[Expected] = {"*": ArrayOf(NUMBERS, None)}
-    manifest: ClassVar[type]
-    """The content of run.json: the configuration, the library, and the SHA-256 of the networks to
-    begin with, which is empty for those of Cadenza."""
 
     def __init__(
         self,
-        config: Config,
+        config: ExcerptConfig,
         library: str,
         scores: Sequence[Score],
         folder: Path,
@@ -67,9 +73,12 @@ class ExcerptRun(CheckpointedRun):
         start_jax()
         self.config, scene = config, build_scene()
         initial = _initial_weights(scene, weights)
-        manifest = self.manifest(config, library, "" if weights is None else sha256_of(weights))
+        digest = "" if weights is None else sha256_of(weights)
+        manifest = _Manifest(plain(asdict(config)), library, digest)
         self.folder.check_complete(self.has_checkpoint)
-        self.folder.begin_or_continue(manifest, self._known())
+        if (known := self.folder.known(_Manifest)) is not None:
+            known = replace(known, config=known.config | {"num_rounds": config.num_rounds})
+        self.folder.begin_or_continue(manifest, known)
         self._prepare(initial, scene)
         self.resume()
         if not self.finished:
@@ -79,10 +88,6 @@ class ExcerptRun(CheckpointedRun):
     @abstractmethod
     def _prepare(self, initial: Weights, scene: Scene) -> None:
         """Begins with these networks, before a checkpoint is restored."""
-
-    def _known(self) -> Any:
-        """Returns the manifest of the run that is in the folder, None if there is none."""
-        return self.folder.known(self.manifest)
 
 
 def _initial_weights(scene: Scene, path: Path | None) -> Weights:

@@ -9,7 +9,6 @@ RUN/weights.npz     the average of the networks of all rounds
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -190,36 +189,15 @@ def _normalised(advantages: Array) -> Array:
     return parts / (parts.std(axis=(0, 1)) + np.finfo(np.float32).eps)
 
 
-@dataclass(frozen=True)
-class _Manifest:
-    """The content of run.json."""
-
-    config: GeneralistReinforcementConfig
-    library: str
-    weights: str
-    """SHA-256 of the networks to begin with; empty for those of Cadenza."""
-
-
 class GeneralistReinforcement(ExcerptRun):
-    """A run of reinforcement learning; an update is a round of playing and learning.
-
-    Another `num_rounds` changes its end.
-    """
+    """A run of reinforcement learning; an update is a round of playing and learning."""
 
     command: ClassVar[str] = "cadenza generalist reinforce"
-    manifest: ClassVar[type] = _Manifest
     config: GeneralistReinforcementConfig
 
     def _prepare(self, initial: Weights, scene: Scene) -> None:
         self._ppo = HandPPO(self.config, initial, scene, self._rng)
         self._state = self._ppo.init()
-
-    def _known(self) -> _Manifest | None:
-        known: _Manifest | None = super()._known()
-        if known is None:
-            return None
-        config = replace(known.config, num_rounds=self.config.num_rounds)  # its end may be moved
-        return replace(known, config=config)
 
     def _learn(self) -> dict[str, Any]:
         config = self.config

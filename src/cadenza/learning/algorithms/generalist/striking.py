@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
@@ -283,21 +282,10 @@ def _touch_loss(critics: Layers, policy: Layers, part: _Part) -> Any:
     return (strikes + _MISSED * missed).mean() + effort.mean()
 
 
-@dataclass(frozen=True)
-class _Manifest:
-    """The content of run.json."""
-
-    config: GeneralistStrikingConfig
-    library: str
-    weights: str
-    """SHA-256 of the networks to begin with; empty for those of Cadenza."""
-
-
 class GeneralistStriking(ExcerptRun):
     """A run that learns touches; an update is a round of playing and fitting."""
 
     command: ClassVar[str] = "cadenza generalist strike"
-    manifest: ClassVar[type] = _Manifest
     config: GeneralistStrikingConfig
 
     def _prepare(self, initial: Weights, scene: Scene) -> None:
