@@ -28,7 +28,7 @@ from cadenza.errors import errors_in_a_line
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.policy_folder import LearntPolicy
 from cadenza.learning.run_folder import RunFolder
-from cadenza.learning.start import begin
+from cadenza.learning.training import begin
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score

@@ -21,14 +21,14 @@ from cadenza.learning.algorithms.ppo.config import PPOConfig
 from cadenza.learning.algorithms.ppo.learner import PPO, Normalisation, clipped_objective, gae
 from cadenza.learning.collector import Collector
 from cadenza.learning.config import TrainingConfig, preset
-from cadenza.learning.device_worlds import DeviceWorlds
+from cadenza.learning.device_rollouts import DeviceRollouts
 from cadenza.learning.observation import GoalTable, Inputs, ObservationSpec, Observer
+from cadenza.learning.on_policy import HostRollouts
 from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.rollout import Rollout
 from cadenza.learning.run_folder import RunFolder
-from cadenza.learning.start import begin, resume
-from cadenza.learning.worlds import HostWorlds
+from cadenza.learning.training import Training, begin
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.mujoco_simulation import MujocoSimulation
@@ -63,7 +63,7 @@ def train(config: TrainingConfig, songs: list[Score], folder: Path, *stops: int)
     run.begin(config, songs)
     for rounds in (*stops, 10**9):
         left = iter(range(rounds))
-        with closing(resume(config, songs, run)) as one:
+        with closing(Training(config, songs, run)) as one:
             one.run(lambda left=left: next(left, None) is not None)  # type: ignore[misc]
     return run
 
@@ -183,16 +183,16 @@ def single_precision(state: State) -> State:
     return State._make(v.astype(np.float32) if v.dtype == float else v for v in state)
 
 
-class Worlds(NamedTuple):
+class Both(NamedTuple):
     """The same environments on the host and on the device."""
 
-    host: HostWorlds
-    device: DeviceWorlds
+    host: HostRollouts
+    device: DeviceRollouts
     learner: PPO
 
 
 @pytest.fixture
-def worlds() -> Worlds:
+def both() -> Both:
     config, num_envs = replace(CONFIG.task, n_steps_lookahead=3), 2
     task = PianoTask([SONGS[1]], config, ONE_HAND, num_envs)
     goals, ranges = GoalTable(task.spec), ranges_of(task)
@@ -202,20 +202,20 @@ def worlds() -> Worlds:
     observer = Observer(task.spec, goals, inputs, ranges=ranges)
     mapping = ActionMapping(task.spec, ranges=ranges)
     rng = np.random.default_rng(0)
-    host = HostWorlds(Collector(task, goals, observer, None, mapping, rng))
+    host = HostRollouts(CONFIG, Collector(task, goals, observer, None, mapping, rng), rng)
     on_device = FunctionalPianoTask(
         [SONGS[1]], config, task.scene, num_envs, make_physics=MujocoPhysics
     )
-    device = DeviceWorlds(on_device, inputs, ranges, seed=0)
+    device = DeviceRollouts(CONFIG, on_device, inputs, ranges, rng, rng)
     host.begin()
     device.begin()
-    return Worlds(host, device, PPO(TINY, inputs, task.spec.action_size))
+    return Both(host, device, PPO(TINY, inputs, task.spec.action_size))
 
 
-def test_both_engines_give_the_same_rollouts_and_updates(worlds: Worlds) -> None:
+def test_both_engines_give_the_same_rollouts_and_updates(both: Both) -> None:
     """Over ends of episodes, as long as the worlds are in the same states."""
-    learner, states = worlds.learner, []
-    for kind in (worlds.host, worlds.device):
+    learner, states = both.learner, []
+    for kind in (both.host, both.device):
         state = learner.init(1)
         rows = np.arange(24).reshape(3, 8)
         rollouts = []
@@ -230,12 +230,12 @@ def test_both_engines_give_the_same_rollouts_and_updates(worlds: Worlds) -> None
     assert (rollout.value_at_end != 0).tolist() == rollout.ended.tolist()
 
 
-def test_worlds_on_a_device_go_on_where_they_were_stopped(worlds: Worlds) -> None:
-    state, device = worlds.learner.init(1), worlds.device
-    device.rollout(worlds.learner, state, 3, 0)
+def test_environments_on_a_device_go_on_where_they_were_stopped(both: Both) -> None:
+    state, device = both.learner.init(1), both.device
+    device.rollout(both.learner, state, 3, 0)
     plain, arrays = device.state()
     device.begin()
-    device.restore(plain, arrays)
+    device.restore(plain, arrays, [])
     for name, array in device.state()[1].items():
         assert_array_equal(array, arrays[name], err_msg=name)
 

@@ -150,7 +150,7 @@ def _title(scores: Sequence[Score]) -> str:
 
 def _train(command: Train, folder: Path) -> None:
     from cadenza.learning.run_folder import RunFolder
-    from cadenza.learning.start import begin, resume
+    from cadenza.learning.training import Training, begin
     from cadenza.performing.performance import play
     from cadenza.performing.source import load_song
     from cadenza.report.scalars import need_wandb
@@ -171,7 +171,7 @@ def _train(command: Train, folder: Path) -> None:
         else:
             run.set_end(command.training)
             config, scores = run.settings()
-            training = resume(config, scores, run)
+            training = Training(config, scores, run)
         title = _title(scores)
         with closing(training):
             finished = _train_until_stopped(training, command, run, title)

@@ -146,7 +146,7 @@ def _train(
     stop: Callable[[], bool],
 ) -> Trained | None:
     """Trains a policy or resumes its training; returns None where it is stopped before the end."""
-    from cadenza.learning.start import resume  # heavy
+    from cadenza.learning.training import Training  # heavy
 
     run = RunFolder(folder)
     with claimed_cores(num_threads), run.locked():
@@ -154,7 +154,7 @@ def _train(
             whole = spec.arrangement.score(spec.song)
             run.begin(config, [spec.arrangement.written_for(config.scene.hands, whole)])
         config, scores = run.settings()
-        with closing(resume(config, scores, run)) as training:
+        with closing(Training(config, scores, run)) as training:
 
             def should_continue() -> bool:
                 training.rows.clear()  # they are in the folder

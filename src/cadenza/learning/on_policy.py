@@ -1,86 +1,103 @@
-"""Trains a policy by rollouts of its own, which are not kept."""
+"""Experience of the latest policy only: each round learns from a rollout of its own."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any
 
+import jax
 import numpy as np
+from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError, extra_packages
-from cadenza.learning.actions import ActionMapping
-from cadenza.learning.algorithms.on_jax import start_jax
-from cadenza.learning.collector import Collector
-from cadenza.learning.observation import Inputs, Observer
-from cadenza.learning.run_folder import Checkpoint
-from cadenza.learning.training import Training
-from cadenza.learning.worlds import HostWorlds, Worlds
-from cadenza.sim.threads import available_cores
-from cadenza.tasks.piano_task import PianoTask
+from cadenza.learning.collector import Collector, Finished
+from cadenza.learning.config import TrainingConfig
+from cadenza.learning.experience import Round
+from cadenza.learning.learner import OnPolicyLearner
+from cadenza.learning.policy import Policy
+from cadenza.learning.rollout import Rollout
+from cadenza.learning.run_folder import Arrays, Chunk, RunFolder
 
-_MOST_SEED = 2**31
+Array = Any  # of NumPy or of JAX
+
+MOST_SEED = 2**31
 
 
-class OnPolicyTraining(Training):
-    """A run of training by rollouts, on CPU cores or all on one device."""
+class RolloutExperience(ABC):
+    """`Experience` by rollouts, on CPU cores or all on one device."""
 
-    def _new_task(self) -> PianoTask:
-        """Returns the task of the environments that learn; those on a device have their own."""
-        if self.config.scene.engine == "warp":
-            return self._task_of(self._scores)
-        return self._task_of(self._scores, self.config.num_envs, available_cores())
+    most_bytes = None
 
-    def _kept(self, inputs: Inputs) -> Inputs:
-        """Leaves out the previous action and its reward: the state has what follows from them."""
-        layout = self._observation.layout
-        left_out = range(layout["previous_action"].start, layout["previous_reward"].stop)
-        return Inputs(tuple(i for i in inputs.kept if i not in left_out), inputs.total)
+    def __init__(self, config: TrainingConfig, sample_rng: np.random.Generator) -> None:
+        """Takes the options of the run, and what decides on seeds and on the order of learning."""
+        self._config, self._sample_rng = config, sample_rng
 
-    def _make_worlds(
-        self, observer: Observer, mapping: ActionMapping, rng: np.random.Generator
-    ) -> Worlds:
-        start_jax()  # before the device's task does, with as many threads as there are
-        if self.config.scene.engine == "c":
-            return HostWorlds(Collector(self._task, self._goals, observer, None, mapping, rng))
-        with extra_packages("gpu", "the engine warp"):
-            from cadenza.learning.device_worlds import DeviceWorlds
-            from cadenza.tasks.functional import FunctionalPianoTask
-        task = FunctionalPianoTask(
-            self._scores, self.config.task, self._task.scene, self.config.num_envs
-        )
-        seed = int(rng.integers(_MOST_SEED))
-        return DeviceWorlds(task, self._inputs, self._ranges, seed)
+    @abstractmethod
+    def rollout(
+        self, learner: OnPolicyLearner[Any], state: Any, num_steps: int, seed: int
+    ) -> tuple[Rollout, list[Finished], dict[str, float]]:
+        """Takes steps in every environment, with the policy of a learner's `state`.
 
-    @property
-    def _most_experience(self) -> None:
-        return None
+        Returns:
+            The rollout; the episodes that ended in it; and metrics by name.
+        """
 
-    def _round(self) -> None:
-        config = self.config
-        seed = int(self._sample_rng.integers(_MOST_SEED))
-        rollout, finished, metrics = self._worlds.rollout(
-            self._learner, self._state, config.train_freq, seed
-        )
-        self._state, updates = self._learner.update(self._state, rollout, self._rows())
-        each = {name: np.asarray(values) for name, values in updates.items()}
-        each |= {name: np.full(config.gradient_steps, value) for name, value in metrics.items()}
-        self._metrics.append(each)
-        self._finished += finished
-        self._updates += config.gradient_steps
-        self.step += config.train_freq * config.num_envs
-        self._update_policy()
+    def round(self, learner: OnPolicyLearner[Any], state: Any, policy: Policy, step: int) -> Round:
+        config = self._config
+        seed = int(self._sample_rng.integers(MOST_SEED))
+        rollout, finished, more = self.rollout(learner, state, config.train_freq, seed)
+        state, metrics = learner.update(state, rollout, self._rows())
+        metrics |= {name: np.full(config.gradient_steps, value) for name, value in more.items()}
+        return state, metrics, finished
 
-    def _rows(self) -> Any:
+    def _rows(self) -> NDArray[np.int32]:
         """Returns rows (U, B) of a rollout, each as often as the others but for once."""
-        config = self.config
+        config = self._config
         steps = config.train_freq * config.num_envs
         wanted = config.gradient_steps * config.learner.batch_size
         passes = -(-wanted // steps)
         orders = np.concatenate([self._sample_rng.permutation(steps) for _ in range(passes)])
         return orders[:wanted].reshape(config.gradient_steps, -1).astype(np.int32)
 
-    def _save_experience(self) -> None:
-        """A rollout has been learnt from before a checkpoint is written."""
+    def save(self, folder: RunFolder, step: int) -> tuple[Chunk, ...]:
+        """Writes nothing: the rollout has been learnt from."""
+        return ()
 
-    def _restore_experience(self, checkpoint: Checkpoint) -> None:
-        if checkpoint.facts.replay:
-            raise CadenzaError(f"{self._folder.path}: holds experience of another kind of learner")
+
+class HostRollouts(RolloutExperience):
+    """Rollouts in the C engine, as a `Collector` steps its environments."""
+
+    def __init__(
+        self, config: TrainingConfig, collector: Collector, sample_rng: np.random.Generator
+    ) -> None:
+        super().__init__(config, sample_rng)
+        self._collector = collector
+        self.begin, self.state = collector.begin, collector.state
+
+    def rollout(
+        self, learner: OnPolicyLearner[Any], state: Any, num_steps: int, seed: int
+    ) -> tuple[Rollout, list[Finished], dict[str, float]]:
+        collector = self._collector
+        finished: list[Finished] = []
+        steps: list[tuple[Array, ...]] = []
+        unstable = 0.0
+        for key in jax.random.split(jax.random.key(seed), num_steps):
+            observation = collector.observation
+            decision = learner.act(state, observation, key)
+            step = collector.step(np.tanh(np.asarray(decision.action)))
+            value_at_end = np.zeros(len(observation), np.float32)
+            if step.truncated.any():
+                values = np.asarray(learner.value(state, step.final_observation))
+                value_at_end = np.where(step.truncated, values, np.float32(0))
+            reward = step.reward.astype(np.float32)
+            steps.append((observation, *decision, reward, step.ended, value_at_end))
+            finished += step.finished
+            unstable += float(step.unstable.mean()) / num_steps
+        parts = [np.stack([np.asarray(p) for p in part]) for part in zip(*steps, strict=True)]
+        last = learner.value(state, collector.observation)
+        return Rollout._make([*parts, last]), finished, {"unstable": unstable}
+
+    def restore(
+        self, plain: dict[str, Any], arrays: Arrays, saved: Sequence[tuple[Chunk, Arrays | None]]
+    ) -> None:
+        self._collector.restore(plain, arrays)

@@ -8,7 +8,7 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, closing
+from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -17,21 +17,23 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cadenza.agents.rollout import play_episode
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import FLOATS, NUMBERS, ArrayOf
 from cadenza.learning.actions import ActionMapping, reference_of
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig, check
+from cadenza.learning.experience import Experience, ReplayExperience
 from cadenza.learning.learner import name_of
 from cadenza.learning.metrics_log import finite
-from cadenza.learning.observation import GoalTable, Inputs, ObservationSpec, Observer, pruned
+from cadenza.learning.observation import GoalTable, ObservationSpec, Observer, pruned
 from cadenza.learning.policy import Perceptron
 from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.replay_buffer import ReplayBuffer
-from cadenza.learning.run_folder import Checkpoint, Chunk, Facts, RunFolder
+from cadenza.learning.run_folder import Checkpoint, Facts, RunFolder
 from cadenza.music.score import Score
 from cadenza.resumable import errors_of_resuming
+from cadenza.sim.threads import available_cores
 from cadenza.tasks.augmentation import draws_pitch
 from cadenza.tasks.piano_task import PianoTask
 
@@ -46,8 +48,22 @@ _EXPECTED = {  # arrays of a checkpoint; whoever restores them checks their size
 }
 
 
+def begin(config: TrainingConfig, scores: Sequence[Score], folder: RunFolder) -> Training:
+    """Begins a run in a folder, which holds none if it cannot be made.
+
+    Raises:
+        CadenzaError: see `Training`, or the folder holds a run already.
+    """
+    folder.begin(config, scores)
+    try:
+        return Training(config, scores, folder)
+    except CadenzaError:
+        folder.forget()
+        raise
+
+
 class Training:
-    """A run of training by experience that is kept in a replay buffer.
+    """A run of training.
 
     Attributes:
         step: control steps so far, of all environments together.
@@ -74,7 +90,9 @@ class Training:
         # What is learnt on a GPU is evaluated in C, and plays there.
         self._scene = replace(config.scene, engine="c")
         self._scores = [s.without_fingers() for s in scores] if config.residual else list(scores)
-        self._task = self._new_task()
+        on_policy, on_device = config.learner.on_policy, config.scene.engine == "warp"
+        num_envs = 1 if on_device else config.num_envs  # those on a device have a task of their own
+        self._task = self._task_of(self._scores, num_envs, available_cores() if on_policy else 1)
         self._rewarded = {"rewarded_fingers": self._task.tracks[0].rewarded_fingers}
         self._goals = GoalTable(self._task.spec)
         self._goals.add_all(self._task)
@@ -85,13 +103,17 @@ class Training:
         self._observation = ObservationSpec.of(self._task.spec, config.residual)
         prune = config.prune_inputs and not draws_pitch(config.task)  # asks for the same keys
         inputs = pruned(self._observation, self._goals) if prune else self._observation.inputs
-        self._inputs = self._kept(inputs)
+        if on_policy:  # rollouts need not tell what an action led to: the state does
+            layout = self._observation.layout
+            previous = range(layout["previous_action"].start, layout["previous_reward"].stop)
+            inputs = inputs.without(previous)
+        self._inputs = inputs
         rng, self._sample_rng = np.random.default_rng(config.seed).spawn(2)
         observer = Observer(
             self._task.spec, self._goals, self._inputs, mapping.reference, self._ranges
         )
-        self._worlds = self._make_worlds(observer, mapping, rng)
-        checkpoint = folder.load(_EXPECTED, self._most_experience)
+        self._experience = self._make_experience(observer, mapping, rng)
+        checkpoint = folder.load(_EXPECTED, self._experience.most_bytes)
         self._ends = _ends(config, checkpoint)
         ends = tuple(
             (config.updates_by(since), config.updates_by(end)) for since, end in self._ends
@@ -100,46 +122,43 @@ class Training:
         self._state = self._learner.init(config.seed)
         self._policy = self._learner.behavior_policy(self._state)
         self._background = ThreadPoolExecutor(1)
-        self._learning = ThreadPoolExecutor(1)
         self._evaluation: Future[tuple[Row, LearntPolicy]] | None = None
         self._metrics: list[dict[str, NDArray[Any]]] = []
         self._finished = deque[Finished](maxlen=_EPISODES_AVERAGED)
-        self._chunks: list[Chunk] = []
         self._seconds = 0.0
         with threadpool_limits(1):
             if checkpoint is None:
-                self._worlds.begin()
+                self._experience.begin()
                 return
             with errors_of_resuming(folder.path):
                 self._restore(checkpoint)
-
-    def _new_task(self) -> PianoTask:
-        """Returns the task of the environments that learn."""
-        return self._task_of(self._scores, self.config.num_envs)
 
     def _task_of(
         self, scores: Sequence[Score], num_envs: int = 1, num_threads: int = 1
     ) -> PianoTask:
         return PianoTask(scores, self.config.task, self._scene, num_envs, num_threads)
 
-    # Where experience comes from
-
-    def _kept(self, inputs: Inputs) -> Inputs:
-        """Returns the entries of the observation that are learnt from, of those worth it."""
-        return inputs
-
-    def _make_worlds(
+    def _make_experience(
         self, observer: Observer, mapping: ActionMapping, rng: np.random.Generator
-    ) -> Any:
-        """Returns the environments, before `begin` or `restore`."""
-        config, actions = self.config, self._task.spec.action_size
-        self._replay = ReplayBuffer(observer, config.num_envs, config.buffer_size, actions)
-        return Collector(self._task, self._goals, observer, self._replay, mapping, rng)
-
-    @property
-    def _most_experience(self) -> int | None:
-        """The bytes that the experience of one file may take."""
-        return self._replay.num_bytes
+    ) -> Experience:
+        config, task, goals = self.config, self._task, self._goals
+        if not config.learner.on_policy:
+            actions = task.spec.action_size
+            replay = ReplayBuffer(observer, config.num_envs, config.buffer_size, actions)
+            collector = Collector(task, goals, observer, replay, mapping, rng)
+            return ReplayExperience(config, collector, replay, goals, self._sample_rng)
+        with extra_packages("train", "training"):
+            from cadenza.learning.algorithms.on_jax import start_jax
+            from cadenza.learning.on_policy import HostRollouts
+        start_jax()  # before the device's task does, with as many threads as there are
+        if config.scene.engine == "c":
+            collector = Collector(task, goals, observer, None, mapping, rng)
+            return HostRollouts(config, collector, self._sample_rng)
+        with extra_packages("gpu", "the engine warp"):
+            from cadenza.learning.device_rollouts import DeviceRollouts
+            from cadenza.tasks.functional import FunctionalPianoTask
+        own = FunctionalPianoTask(self._scores, config.task, task.scene, config.num_envs)
+        return DeviceRollouts(config, own, self._inputs, self._ranges, rng, self._sample_rng)
 
     # The loop
 
@@ -174,42 +193,21 @@ class Training:
         return before // interval != self.step // interval
 
     def _round(self) -> None:
-        config = self.config
-        if self.step < config.learning_starts or not len(self._replay):
-            self._collect(random=self.step < config.learning_starts)
-            return
-        if config.parallel:
-            learning = self._learning.submit(self._learn, self._batches())
-            self._collect(random=False)
-            learning.result()
-        else:
-            self._collect(random=False)
-            self._learn(self._batches())
-        self._update_policy()
-
-    def _collect(self, random: bool) -> None:
-        config = self.config
-        policy = None if random else self._policy
-        self._finished += self._worlds.collect(policy, config.train_freq)
-        self.step += config.train_freq * config.num_envs
-
-    def _batches(self) -> Any:
-        config = self.config
-        return self._replay.sample(
-            self._sample_rng, (config.gradient_steps, config.learner.batch_size)
-        )
-
-    def _learn(self, batches: Any) -> None:
-        self._state, metrics = self._learner.update(self._state, batches)
-        self._metrics.append({name: np.asarray(values) for name, values in metrics.items()})
-        self._updates += self.config.gradient_steps
-
-    def _update_policy(self) -> None:
-        """Acts by the new policy, once it is checked.
+        """Collects experience, and learns from it.
 
         Raises:
-            CadenzaError: it is not finite.
+            CadenzaError: the policy is no longer finite.
         """
+        config = self.config
+        self._state, metrics, finished = self._experience.round(
+            self._learner, self._state, self._policy, self.step
+        )
+        self._finished += finished
+        self.step += config.train_freq * config.num_envs
+        if not metrics:
+            return
+        self._metrics.append({name: np.asarray(values) for name, values in metrics.items()})
+        self._updates += config.gradient_steps
         self._policy = self._learner.behavior_policy(self._state)
         _, arrays = self._policy.state()
         if not all(np.isfinite(array).all() for array in arrays.values()):
@@ -286,8 +284,8 @@ class Training:
 
     def _save(self) -> None:
         self._finish_evaluation()
-        self._save_experience()
-        plain, arrays = self._worlds.state()
+        replay = self._experience.save(self._folder, self.step)
+        plain, arrays = self._experience.state()
         facts = Facts(
             step=self.step,
             seconds=self._seconds,
@@ -295,7 +293,7 @@ class Training:
             sample_rng=dict(self._sample_rng.bit_generator.state),
             collector=plain,
             finished=tuple((finite(f1), finite(total)) for f1, total in self._finished),
-            replay=tuple(self._chunks),
+            replay=replay,
             ends=self._ends,
             threads=self._learner.num_threads,
             updates=self._updates,
@@ -304,14 +302,6 @@ class Training:
         parts |= {"scores": self._goals.arrays(), "metrics": _concatenated(self._metrics)}
         self._folder.save(facts, _with_prefixes(parts))
         self._save_last()
-
-    def _save_experience(self) -> None:
-        """Writes what no file has yet of the replay buffer."""
-        since = np.array(self._chunks[-1].to) if self._chunks else 0
-        experience = self._replay.since(since)
-        name = self._folder.save_experience(self.step, experience)
-        chunk = Chunk(name, tuple(experience["to"].tolist()))
-        self._chunks = [c for c in self._chunks if self._replay.holds(np.array(c.to))] + [chunk]
 
     def _save_last(self) -> None:
         save_policy(self._folder.path / "last", self.learnt(), {"step": self.step} | self._rewarded)
@@ -328,8 +318,8 @@ class Training:
         self._policy = self._learner.behavior_policy(self._state)
         self._goals.restore(parts["scores"])
         self._metrics = [parts["metrics"]] if "metrics" in parts else []
-        self._restore_experience(checkpoint)
-        self._worlds.restore(facts.collector, parts["collector"])
+        saved = list(zip(facts.replay, checkpoint.replay, strict=True))
+        self._experience.restore(facts.collector, parts["collector"], saved)
         self._save_last()  # a kill may have come before it
 
     def _best_is_there(self) -> bool:
@@ -341,24 +331,10 @@ class Training:
             return False
         return True
 
-    def _restore_experience(self, checkpoint: Checkpoint) -> None:
-        for chunk, gathered in zip(checkpoint.facts.replay, checkpoint.replay, strict=True):
-            if gathered is None:
-                continue
-            rows = gathered["row"]
-            if len(rows) and not 0 <= rows.min() <= rows.max() < self._goals.num_rows:
-                raise CadenzaError(f"{self._folder.path}: {chunk.file} belongs to other scores")
-            self._replay.restore(gathered)
-            self._chunks.append(chunk)
-        if checkpoint.facts.replay:
-            self._replay.skip(np.array(checkpoint.facts.replay[-1].to))
-
     def close(self) -> None:
         """Stops the threads."""
-        with ExitStack() as stack:
-            stack.callback(self._task.close)
-            stack.callback(self._background.shutdown)
-            stack.callback(self._learning.shutdown)
+        self._background.shutdown()
+        self._task.close()
 
 
 def _ends(config: TrainingConfig, checkpoint: Checkpoint | None) -> tuple[tuple[int, int], ...]:

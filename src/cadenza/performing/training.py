@@ -11,7 +11,7 @@ from typing import Any
 from cadenza.agents.agent import Progress, silent
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.run_folder import RunFolder
-from cadenza.learning.start import begin
+from cadenza.learning.training import begin
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Score
 from cadenza.performing.source import Song, load_song

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from cadenza.learning.algorithms.on_jax import from_arrays, to_arrays
 from cadenza.learning.collector import Finished
+from cadenza.learning.config import TrainingConfig
 from cadenza.learning.learner import OnPolicyLearner
 from cadenza.learning.observation import Inputs
+from cadenza.learning.on_policy import MOST_SEED, RolloutExperience
 from cadenza.learning.ranges import Ranges
 from cadenza.learning.rollout import Rollout
+from cadenza.learning.run_folder import Arrays, Chunk
 from cadenza.tasks.functional import FunctionalPianoTask, PianoState
 
 Array = Any  # of JAX
@@ -37,30 +40,38 @@ class _Ends(NamedTuple):
     unstable: Array
 
 
-class DeviceWorlds:
-    """Environments of `FunctionalPianoTask`, which are `worlds.Worlds`."""
+class DeviceRollouts(RolloutExperience):
+    """Rollouts in the environments of a `FunctionalPianoTask`."""
 
     def __init__(
-        self, task: FunctionalPianoTask, inputs: Inputs, ranges: Ranges | None, seed: int
+        self,
+        config: TrainingConfig,
+        task: FunctionalPianoTask,
+        inputs: Inputs,
+        ranges: Ranges | None,
+        rng: np.random.Generator,
+        sample_rng: np.random.Generator,
     ) -> None:
         """Begins no episode yet.
 
         Args:
+            config: the options of the run.
             task: the task with N environments.
             inputs: the entries of `ObservationSpec` that are observed, all of them the task's own.
             ranges: the scale of joints and actions, if not the task's.
-            seed: what is random in the environments follows from it.
+            rng: what is random in the environments follows from it.
+            sample_rng: see `RolloutExperience`.
         """
+        super().__init__(config, sample_rng)
         self._task, self._ranges = task, ranges
         self._kept = np.array(inputs.kept)
         self._joints = task.spec.observation_layout.get("joints", slice(0, 0))
-        self._key = jax.random.key(seed)
+        self._key = jax.random.key(int(rng.integers(MOST_SEED)))
         self._collect = jax.jit(
             self._rollout, static_argnames=("learner", "num_steps"), donate_argnames="progress"
         )
 
     def begin(self) -> None:
-        """Begins an episode in every environment."""
         self._progress = self._begun(self._key)
 
     def _begun(self, key: Array) -> _Progress:
@@ -69,7 +80,6 @@ class DeviceWorlds:
     def rollout(
         self, learner: OnPolicyLearner[Any], state: Any, num_steps: int, seed: int
     ) -> tuple[Rollout, list[Finished], dict[str, float]]:
-        """Takes steps in every environment, see `Worlds`."""
         self._progress, rollout, ends = self._collect(
             learner, state, self._progress, num_steps, jax.random.key(seed)
         )
@@ -121,12 +131,12 @@ class DeviceWorlds:
 
     # To go on later
 
-    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Returns the state as JSON and arrays, for `restore`."""
+    def state(self) -> tuple[dict[str, Any], Arrays]:
         return {}, to_arrays(_with_key_data(self._progress))
 
-    def restore(self, plain: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-        """Goes on from a state."""
+    def restore(
+        self, plain: dict[str, Any], arrays: Arrays, saved: Sequence[tuple[Chunk, Arrays | None]]
+    ) -> None:
         like = jax.eval_shape(lambda: _with_key_data(self._begun(self._key)))
         progress = from_arrays(arrays, like)
         key = jax.random.wrap_key_data(progress.worlds.key)
