@@ -144,20 +144,3 @@ def test_hopeless_music_is_searched_within_bounds(monkeypatch: pytest.MonkeyPatc
     share = sum(simulated) / steps / (5 * 8 * HORIZON)
     refined = (hand_search.REFINEMENTS + 1) * hand_search.REFINED_HORIZON / (5 * 8 * HORIZON)
     assert 0.5 < share / hand_search.BUDGET_SHARE < 1.05 + refined / hand_search.BUDGET_SHARE
-
-
-def test_a_replayed_search_goes_on_as_it_did() -> None:
-    hand = OneHand(melody(60, 79, 61, 78, 58, length=0.15))  # too fast, so that it samples
-    search = search_of(hand)
-    played, states = [], []
-    for _ in range(24):
-        state, joints = search.state, hand.joint_state
-        states.append(state)
-        played.append((joints, search.act(*joints)))
-        hand.simulation.step(played[-1][1][None])
-    again = search_of(hand)
-    for joints, ctrl in played[:16]:
-        again.replay(*joints, ctrl)
-    again.restore(states[16])
-    for joints, ctrl in played[16:]:
-        np.testing.assert_array_equal(again.act(*joints), ctrl)

@@ -22,7 +22,7 @@ from rl_examples import TINY, melody
 from cadenza.errors import CadenzaError
 from cadenza.files import TEMPORARY
 from cadenza.learning.config import TrainingConfig
-from cadenza.learning.metrics_log import read_rows
+from cadenza.learning.metrics_log import MetricsLog
 from cadenza.learning.run_folder import Chunk, Facts, RunFolder
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -184,7 +184,7 @@ def test_half_a_row_is_left_out_and_rows_after_the_checkpoint_are_dropped(run: R
     run.add_row({"step": 12, "seconds": 1.2})
     with open(run.path / "metrics.jsonl", "a") as file:
         file.write('{"step": 1')
-    assert [row["step"] for row in read_rows(run.path)] == [10, 12]
+    assert [row["step"] for row in MetricsLog(run.path).rows()] == [10, 12]
     assert loaded_step(run) == 10
     run.add_row({"step": 11, "seconds": 1.1})
     assert [row["step"] for row in run.metrics.rows()] == [10, 11]

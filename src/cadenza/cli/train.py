@@ -336,10 +336,10 @@ def _title_and_settings(run: Path) -> list[str]:
 
 
 def _curve(run: Path) -> Curve:
-    from cadenza.learning.metrics_log import read_rows
+    from cadenza.learning.metrics_log import MetricsLog
     from cadenza.report.training_page import Curve
 
-    rows = read_rows(run)
+    rows = MetricsLog(run).rows()
     if not rows:
         raise CadenzaError(f"{run}: holds no metrics of a run; give the folder of a run")
     return Curve(run.name, rows)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -12,12 +11,13 @@ import numpy as np
 from cadenza.learning.algorithms.on_jax import from_arrays, to_arrays
 from cadenza.learning.collector import Finished
 from cadenza.learning.config import TrainingConfig
+from cadenza.learning.experience import Saved
 from cadenza.learning.learner import OnPolicyLearner
 from cadenza.learning.observation import Inputs
 from cadenza.learning.on_policy import MOST_SEED, RolloutExperience
 from cadenza.learning.ranges import Ranges
 from cadenza.learning.rollout import Rollout
-from cadenza.learning.run_folder import Arrays, Chunk
+from cadenza.learning.run_folder import Arrays
 from cadenza.tasks.functional import FunctionalPianoTask, PianoState
 
 Array = Any  # of JAX
@@ -134,9 +134,7 @@ class DeviceRollouts(RolloutExperience):
     def state(self) -> tuple[dict[str, Any], Arrays]:
         return {}, to_arrays(_with_key_data(self._progress))
 
-    def restore(
-        self, plain: dict[str, Any], arrays: Arrays, saved: Sequence[tuple[Chunk, Arrays | None]]
-    ) -> None:
+    def restore(self, plain: dict[str, Any], arrays: Arrays, saved: Saved) -> None:
         like = jax.eval_shape(lambda: _with_key_data(self._begun(self._key)))
         progress = from_arrays(arrays, like)
         key = jax.random.wrap_key_data(progress.worlds.key)

@@ -20,6 +20,8 @@ from cadenza.learning.run_folder import Arrays, Chunk, RunFolder
 Round = tuple[Any, dict[str, Any], list[Finished]]
 """The learner's state after a round; metrics (U,) by name of each update, empty if there was none;
 and the episodes that ended."""
+Saved = Sequence[tuple[Chunk, Arrays | None]]
+"""Files of experience, and what is in them; None where it is lost."""
 
 
 class Experience(Protocol):
@@ -48,10 +50,8 @@ class Experience(Protocol):
     def state(self) -> tuple[dict[str, Any], Arrays]:
         """Returns the state of the environments as JSON and arrays, for `restore`."""
 
-    def restore(
-        self, plain: dict[str, Any], arrays: Arrays, saved: Sequence[tuple[Chunk, Arrays | None]]
-    ) -> None:
-        """Goes on from `state`, and from what was `saved`, of which some may be lost.
+    def restore(self, plain: dict[str, Any], arrays: Arrays, saved: Saved) -> None:
+        """Goes on from `state` and from experience that was `saved`.
 
         Raises:
             CadenzaError: they are of another run.
@@ -107,9 +107,7 @@ class ReplayExperience:
         self._chunks = [c for c in self._chunks if self._replay.holds(np.array(c.to))] + [chunk]
         return tuple(self._chunks)
 
-    def restore(
-        self, plain: dict[str, Any], arrays: Arrays, saved: Sequence[tuple[Chunk, Arrays | None]]
-    ) -> None:
+    def restore(self, plain: dict[str, Any], arrays: Arrays, saved: Saved) -> None:
         for chunk, frames in saved:
             if frames is None:
                 continue

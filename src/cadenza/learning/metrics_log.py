@@ -21,10 +21,10 @@ _Row = dict[str, Annotated[int, Meta(ge=-(2**53), le=2**53)] | float | None]
 
 
 class MetricsLog:
-    """Appends rows for the one process that trains the run."""
+    """The rows of a run; only the process that trains it appends some."""
 
     def __init__(self, run: Path) -> None:
-        self._run, self._path = run, run / "metrics.jsonl"
+        self._path = run / "metrics.jsonl"
 
     def add(self, row: Mapping[str, float]) -> None:
         """Appends a row; a number that is not finite becomes null."""
@@ -36,8 +36,25 @@ class MetricsLog:
             os.fsync(file.fileno())  # a checkpoint counts on all rows before it
 
     def rows(self) -> list[dict[str, Any]]:
-        """Returns all rows, see `read_rows`."""
-        return read_rows(self._run)
+        """Returns the rows so far, each with `step` and `seconds`.
+
+        Half a row at the end is left out, and with a remark on standard error what is no row.
+        """
+        path, rows, others = self._path, [], 0
+        if not path.exists():
+            return []
+        for line in content_of(path, _MOST_BYTES).split(b"\n")[:-1]:
+            try:
+                row = parsed_json(line.strip(b"\0"), _Row, path)
+            except CadenzaError:
+                row = {}
+            if {"step", "seconds"} <= {name for name, value in row.items() if value is not None}:
+                rows.append(row)
+            else:
+                others += 1
+        if others:
+            print(f"{path}: skipped lines that are not rows of metrics: {others}", file=sys.stderr)
+        return rows
 
     @property
     def size(self) -> int:
@@ -57,28 +74,6 @@ class MetricsLog:
     def delete(self) -> None:
         """Deletes the file."""
         self._path.unlink(missing_ok=True)
-
-
-def read_rows(run: Path) -> list[dict[str, Any]]:
-    """Returns the rows of metrics of a run so far, each with `step` and `seconds`.
-
-    Half a row at the end is left out, and with a remark on standard error what is no row.
-    """
-    path, rows, others = run / "metrics.jsonl", [], 0
-    if not path.exists():
-        return []
-    for line in content_of(path, _MOST_BYTES).split(b"\n")[:-1]:
-        try:
-            row = parsed_json(line.strip(b"\0"), _Row, path)
-        except CadenzaError:
-            row = {}
-        if {"step", "seconds"} <= {name for name, value in row.items() if value is not None}:
-            rows.append(row)
-        else:
-            others += 1
-    if others:
-        print(f"{path}: skipped lines that are not rows of metrics: {others}", file=sys.stderr)
-    return rows
 
 
 def finite(value: float) -> float | None:

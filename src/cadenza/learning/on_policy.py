@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig
-from cadenza.learning.experience import Round
+from cadenza.learning.experience import Round, Saved
 from cadenza.learning.learner import OnPolicyLearner
 from cadenza.learning.policy import Policy
 from cadenza.learning.rollout import Rollout
@@ -97,7 +96,5 @@ class HostRollouts(RolloutExperience):
         last = learner.value(state, collector.observation)
         return Rollout._make([*parts, last]), finished, {"unstable": unstable}
 
-    def restore(
-        self, plain: dict[str, Any], arrays: Arrays, saved: Sequence[tuple[Chunk, Arrays | None]]
-    ) -> None:
+    def restore(self, plain: dict[str, Any], arrays: Arrays, saved: Saved) -> None:
         self._collector.restore(plain, arrays)

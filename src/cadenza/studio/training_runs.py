@@ -12,7 +12,7 @@ from typing import Any
 
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name, modification_times
-from cadenza.learning.metrics_log import read_rows
+from cadenza.learning.metrics_log import MetricsLog
 from cadenza.learning.run_folder import RunFolder
 from cadenza.studio.processes import kill, start_bound_process, suspend
 from cadenza.studio.request import PlayRequest
@@ -156,7 +156,7 @@ class TrainingRuns:
         size = metrics.stat().st_size if metrics.is_file() else 0
         if self._figures.get(run, (-1, {}))[0] != size:
             config, _ = RunFolder(run).description()
-            rows = read_rows(run) if size else []
+            rows = MetricsLog(run).rows() if size else []
             evaluated = [r for r in rows if None not in (r.get("eval_step"), r.get("eval/f1"))]
             best: dict[str, Any] = max(evaluated, key=lambda row: row["eval/f1"], default={})
             points = [(row["eval_step"], row["eval/f1"]) for row in evaluated]

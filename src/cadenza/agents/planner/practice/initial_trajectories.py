@@ -25,7 +25,6 @@ from cadenza.agents.planner.practice.plan_variants import (
 )
 from cadenza.agents.planner.practice.practised_planner import PracticeResult, PractisedPlan
 from cadenza.agents.planner.practice.trajectory import Snapshots, Trajectory, WholeScene
-from cadenza.agents.planner.search.hand_search import SearchState
 from cadenza.agents.planner.search.hands_in_scene import HandsInScene
 from cadenza.fingering.transitions import Costs
 from cadenza.fingers import NO_FINGER
@@ -293,19 +292,15 @@ class InitialTrajectories:
 
     # Saving and restoring
 
-    def parts(self, *, everything: bool = False) -> Parts:
-        """All arrays of the state beside the best trajectory; or all that there may ever be."""
+    def parts(self) -> Parts:
+        """All arrays of the state beside the best trajectory."""
         planned, _ = self.best
         numbers = {"numbers": [self.num_played, self._num_tried]}
-        parts: Parts = {"initial": numbers | planned.variant._asdict()}
-        if self.is_playing or everything:
-            states = self._planned.search.search_states
-            for side, state in zip(planned.plan.scene.sides, states, strict=True):
-                parts[side] = state._asdict()
-        if self._best_before or everything:
-            parts["other"] = self._planned.variant._asdict() | self._trajectory._asdict()
         _, variant, trajectory = self._spliced
-        return parts | {"spliced": variant._asdict() | trajectory._asdict()}
+        return {
+            "initial": numbers | planned.variant._asdict(),
+            "spliced": variant._asdict() | trajectory._asdict(),
+        }
 
     @property
     def limits(self) -> Limits:
@@ -319,32 +314,24 @@ class InitialTrajectories:
         }
 
     def restore(self, parts: Mapping[str, dict[str, Any]], best: Trajectory) -> None:
-        """Goes on from the `parts` of the same trajectories, of which `best` was the best."""
+        """Goes on from the `parts` of the same trajectories, of which `best` was the best.
+
+        What was being played is played again up to where it was left, and is the same to the bit.
+        """
         initial, spliced = parts["initial"], parts["spliced"]
         num_played, self._num_tried = initial["numbers"].tolist()
+        was_playing = num_played < len(best.ctrl)
         self._spliced = SplicedTrajectory(
             self._spliced.track, _fields(Variant, spliced), _fields(Trajectory, spliced)
         )
-        self._begin(self._planned_as(_fields(Variant, initial)))
-        self._trajectory = best
-        if other := parts.get("other"):
-            self._best_before = self._planned, best
-            self._begin(self._planned_as(_fields(Variant, other)))
-            self._trajectory = _fields(Trajectory, other)
-        self.num_played = num_played
-        if self.is_playing:
-            sides = self._planned.plan.scene.sides
-            self._resume([SearchState(**parts[side]) for side in sides])
-
-    def _resume(self, states: list[SearchState]) -> None:
-        """Plays the trajectory again up to where it was left, without a search."""
-        (simulation,) = self._snapshots.values()
-        search = self._planned.search
-        for ctrl in self._trajectory.ctrl[: self.num_played]:
-            search.replay(simulation.state, ctrl)
-            simulation.step(ctrl[None])
-        search.restore(states)
-        self._snapshots = {self.num_played: simulation}
+        if self._num_tried or not was_playing:
+            self._begin(self._planned_as(_fields(Variant, initial)))
+            self._trajectory, self.num_played = best, len(best.ctrl)
+            if was_playing:
+                self._num_tried -= 1
+                self._begin_next()
+        while self.num_played < num_played:
+            self.advance()
 
 
 def _fields(kind: type[T], part: Mapping[str, Any]) -> T:

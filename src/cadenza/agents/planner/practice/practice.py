@@ -62,7 +62,7 @@ _WINDOW = 4  # intervals that are worked on at a time
 _STRIDE = 3  # intervals from one window to the next
 _CONSEQUENCES = 2  # intervals after a window whose cost counts too
 _AROUND = 0.15  # [s] before and after a step that share its failed attempts
-_ALWAYS_SAVED = ("practice", "best", "initial", "spliced")  # parts of a state
+_OF_A_SWEEP = "sweep", "before"  # parts of a state, saved only within one
 _MOST_BYTES = 2**32  # of a file: hours of music
 
 
@@ -408,7 +408,7 @@ class Practice:
     def _expected(self) -> Expected:
         """The arrays that `state` may hold."""
         sweep = _Sweep(0, np.zeros(self.num_steps), self.trajectory)
-        everything = _named(self._parts(sweep) | self._initial.parts(everything=True))
+        everything = _named(self._parts(sweep) | self._initial.parts())
         limits: Limits = {
             "practice/numbers": (0, np.inf),
             "practice/num_failed": (0, np.inf),
@@ -419,7 +419,7 @@ class Practice:
             name: ArrayOf(
                 kind := values.dtype.kind,
                 values.shape,
-                needed=name.partition("/")[0] in _ALWAYS_SAVED,
+                needed=name.partition("/")[0] not in _OF_A_SWEEP,
                 finite=kind in FLOATS,
                 within=first_fitting(name, limits),
             )

@@ -13,7 +13,6 @@ touch, and takes a third of the time.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,24 +137,6 @@ class HandSearch:
         return self._granted - self._rollouts.simulated
 
     @property
-    def state(self) -> SearchState:
-        """The state of the search, without that of the model, which `replay` restores."""
-        return SearchState(
-            self._warm_start.copy(),
-            self._refined.copy(),
-            np.array(float(self._is_refined)),
-            np.array(float(self._budget)),
-            rng_state(self._rng),
-        )
-
-    def restore(self, state: SearchState) -> None:
-        """Goes on as the search that had this `state`."""
-        self._warm_start, self._refined = state.warm_start.copy(), state.refined.copy()
-        self._is_refined = bool(state.is_refined)
-        self._granted = self._rollouts.simulated + int(state.budget)
-        self._rng = rng_from(state.rng)
-
-    @property
     def lookahead(self) -> int:
         """The number of steps of the plan that are needed, with presses that begin soon after."""
         rehearsed = self._rehearsal.lookahead if self._rehearses else 0
@@ -169,12 +150,6 @@ class HandSearch:
         ctrl = self._optimise()
         self._advance(ctrl)
         return ctrl
-
-    def replay(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array, ctrl: Array) -> None:
-        """Repeats a step without a search, with the controls (A,) that `act` returned for it."""
-        self._synchronise(hand_qpos, hand_qvel, key_qpos)
-        self._rehearse()
-        self._advance(ctrl)
 
     def _synchronise(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
         """Puts the model into the state of the scene, unless it is there."""
@@ -423,40 +398,3 @@ class HandSearch:
         self._start_rollouts(steps)
         costs = [each.cost for each in self._rollouts.simulate_all(candidates)]
         return candidates[int(np.argmin(costs)), : len(best)]
-
-
-class SearchState(NamedTuple):
-    """The state of a `HandSearch`, without that of the hand."""
-
-    warm_start: Array
-    """(H, A) the deviation from the nominal controls of the horizon."""
-    refined: Array
-    """(A,) the controls of the next step, if its strikes are refined."""
-    is_refined: Array
-    """() 1 if they are, else 0."""
-    budget: Array
-    """() the number of control steps that may be simulated."""
-    rng: NDArray[np.uint64]
-    """(6,) the state of the random generator, see `rng_state`."""
-
-
-def rng_state(rng: np.random.Generator) -> NDArray[np.uint64]:
-    """(6,) the state of a default generator, in words of 64 bits."""
-    state: Any = rng.bit_generator.state
-    numbers = [state["state"]["state"], state["state"]["inc"]]
-    words = [word for number in numbers for word in divmod(number, 2**64)]
-    return np.array([*words, state["has_uint32"], state["uinteger"]], np.uint64)
-
-
-def rng_from(words: NDArray[np.uint64]) -> np.random.Generator:
-    """The generator whose `rng_state` are these words (6,)."""
-    state_high, state_low, inc_high, inc_low, has_uint32, uinteger = words.tolist()
-    numbers = {"state": state_high * 2**64 + state_low, "inc": inc_high * 2**64 + inc_low}
-    rng = np.random.default_rng(0)
-    state: Any = rng.bit_generator.state
-    rng.bit_generator.state = state | {
-        "state": numbers,
-        "has_uint32": has_uint32,
-        "uinteger": uinteger,
-    }
-    return rng

@@ -11,7 +11,7 @@ from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.tracking import Tracking
-from cadenza.agents.planner.search.hand_search import HandSearch, SearchState
+from cadenza.agents.planner.search.hand_search import HandSearch
 from cadenza.sim.protocol import State
 
 
@@ -41,15 +41,11 @@ class HandsInScene:
 
         def act(i: int) -> None:
             hand = self._hands[i]
-            ctrl[hand.servos] = hand.act(*_joint_state(hand, state))
+            qpos, qvel = state.hand_qpos[0, hand.joints], state.hand_qvel[0, hand.joints]
+            ctrl[hand.servos] = hand.act(qpos, qvel, state.key_qpos[0])
 
         self._threads.for_each(range(len(self._hands)), act)
         return ctrl
-
-    def replay(self, state: State, ctrl: Array) -> None:
-        """Repeats a step, with the controls (A,) that `act` returned for it."""
-        for hand in self._hands:
-            hand.replay(*_joint_state(hand, state), ctrl[hand.servos])
 
     @property
     def lookahead(self) -> int:
@@ -76,22 +72,6 @@ class HandsInScene:
             hand.restart(part, tracking.of(hand.servos), step, rng)
 
     @property
-    def search_states(self) -> list[SearchState]:
-        """The state of each hand's search, see `HandSearch.state`."""
-        return [hand.state for hand in self._hands]
-
-    def restore(self, states: Sequence[SearchState]) -> None:
-        """Goes on as hands that had these `search_states`."""
-        for hand, state in zip(self._hands, states, strict=True):
-            hand.restore(state)
-
-    @property
     def simulated(self) -> int:
         """Control steps in rollouts since the hands began or were restarted."""
         return sum(hand.simulated for hand in self._hands)
-
-
-def _joint_state(hand: HandSearch, state: State) -> tuple[Array, Array, Array]:
-    """Positions and velocities of a hand's joints, and positions of all keys."""
-    qpos, qvel = state.hand_qpos[0, hand.joints], state.hand_qvel[0, hand.joints]
-    return qpos, qvel, state.key_qpos[0]

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from numpy.typing import NDArray
 
 from cadenza.learning.algorithms.cloning.config import CloningConfig
 from cadenza.learning.algorithms.on_jax import (
@@ -21,20 +20,14 @@ from cadenza.learning.algorithms.on_jax import (
     xavier,
 )
 from cadenza.learning.learner import Ends
-from cadenza.learning.observation import Floats, Inputs
+from cadenza.learning.observation import Inputs
 from cadenza.learning.policy import Perceptron
 
 _LOG_STD = -20.0  # of a clone's actions, which are deterministic
 
 
-class Examples(Protocol):
-    """Arrays (U, B, D) and (U, B, A) to learn from; a `Batch` of transitions has them, too."""
-
-    @property
-    def observation(self) -> Floats: ...
-
-    @property
-    def action(self) -> Floats: ...
+Examples = tuple[Any, Any]
+"""Observations (..., D), and the demonstrator's actions (..., A)."""
 
 
 class CloningState(NamedTuple):
@@ -82,15 +75,9 @@ class Cloning(JaxLearner[CloningState]):
         params = self._actor.init(key, jnp.zeros((1, self._num_inputs)))["params"]
         return CloningState(params, self._optimizer.init(params))
 
-    def update(
-        self, state: CloningState, batches: Examples
-    ) -> tuple[CloningState, dict[str, NDArray[Any]]]:
-        """Makes one update for each of the batches (U, B, ...); see `Learner.update`."""
-        return super().update(state, (batches.observation, batches.action))
-
     def error(self, state: CloningState, examples: Examples) -> float:
         """Returns the mean squared error on examples (B, ...)."""
-        return float(self._loss(state.params, (examples.observation, examples.action)))
+        return float(self._loss(state.params, examples))
 
     def policy(self, state: CloningState) -> Perceptron:
         """Returns the policy, whose samples are its modes."""
@@ -102,13 +89,13 @@ class Cloning(JaxLearner[CloningState]):
     behavior_policy = policy
 
     @partial(jax.jit, static_argnums=0)
-    def _loss(self, params: Any, examples: tuple[jax.Array, jax.Array]) -> jax.Array:
+    def _loss(self, params: Any, examples: Examples) -> jax.Array:
         observation, action = examples
         predicted: Any = self._actor.apply({"params": params}, observation)
         return ((predicted - action) ** 2).mean()
 
     def _update(
-        self, state: CloningState, examples: tuple[jax.Array, jax.Array]
+        self, state: CloningState, examples: Examples
     ) -> tuple[CloningState, dict[str, Any]]:
         loss, gradient = jax.value_and_grad(self._loss)(state.params, examples)
         updates, opt_state = self._optimizer.update(gradient, state.opt_state)

@@ -31,8 +31,6 @@ class PPOConfig(LearnerConfig):
         "eval_interval": 50_000,
         "log_interval": 10_000,
     }
-    batch_size: int = 256
-    """Transitions per update."""
     hidden_sizes: tuple[int, ...] = (256, 256)
     """Hidden layer widths of the policy and of the value function."""
     activation: Activation = "relu"
