@@ -10,6 +10,8 @@ Prints a table in Markdown.
 from __future__ import annotations
 
 import time
+from cProfile import Profile
+from pstats import Stats
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +32,13 @@ from cadenza.music.libraries.library import load_score
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
+# Parts of iLQG -> the functions that make them.
+_PARTS = {
+    "derivatives": "approximate",
+    "backward pass": "backward_pass",
+    "line search": "line_search",
+}
+
 
 class Result(NamedTuple):
     """Figures of the first steps of a song."""
@@ -41,7 +50,7 @@ class Result(NamedTuple):
     ratio: float
     """Planning time over the music's; what is done beforehand is shared out over the song."""
     parts: dict[str, float]
-    """The share of it that went to each part of the planner, if it keeps account."""
+    """The share of it that went to each part of iLQG; empty for others."""
 
 
 def perform(agent: Agent, task: PianoTask, num_steps: int, seed: int) -> Result:
@@ -53,22 +62,30 @@ def perform(agent: Agent, task: PianoTask, num_steps: int, seed: int) -> Result:
         agent.planners[0] = agent.begin(task.view(), agent_rng)
     beforehand = time.perf_counter() - started
     planning = beforehand * num_steps / int(task.goals.num_steps[0])
-    fingering = 0.0
+    fingering, profile = 0.0, Profile()
     for _ in range(num_steps):
         started = time.perf_counter()
-        action = agent.act(task.view())
+        if isinstance(agent, ILQG):
+            action = profile.runcall(agent.act, task.view())
+        else:
+            action = agent.act(task.view())
         planning += time.perf_counter() - started
         fingering += float(task.step(action).terms["fingering"][0])
     music = num_steps * task.config.control_timestep
-    parts = agent.planners[0].seconds if isinstance(agent, ILQG) else {}
     scores = task.episode_metrics(0)
     return Result(
         scores["f1"],
         scores["note_onset_f1"],
         fingering / num_steps,
         planning / music,
-        {name: seconds / music for name, seconds in parts.items()},
+        {part: value / music for part, value in _seconds_of(profile).items()},
     )
+
+
+def _seconds_of(profile: Profile) -> dict[str, float]:
+    """The time in each of `_PARTS`, with all that they call [s]; empty if nothing was profiled."""
+    stats = Stats(profile).get_stats_profile().func_profiles if profile.getstats() else {}
+    return {part: stats[name].cumtime for part, name in _PARTS.items() if name in stats}
 
 
 def line(name: str, results: list[Result]) -> str:

@@ -356,14 +356,6 @@ def test_plans_for_other_hands(hands: Any) -> None:
     assert (action <= task.spec.action_high).all()
 
 
-def test_keeps_account_of_its_time(right_hand: Scene) -> None:
-    planner = ILQG(SHORT)
-    planner.act(begun(planner, right_hand).view())
-    seconds = planner.planners[0].seconds
-    assert set(seconds) == {"derivatives", "backward pass", "line search"}
-    assert min(seconds.values()) > 0
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

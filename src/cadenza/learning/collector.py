@@ -26,23 +26,11 @@ class Finished(NamedTuple):
 class Step(NamedTuple):
     """The result of a control step of N environments."""
 
-    reward: Array
-    """(N,)"""
-    terminated: NDArray[np.bool_]
-    """(N,)"""
-    truncated: NDArray[np.bool_]
-    """(N,) whether the song was over."""
-    unstable: NDArray[np.bool_]
-    """(N,) whether the simulation diverged."""
+    transition: Transition
     final_observation: Floats
     """(N, D) after the step, before the next episode began where one has ended."""
     finished: list[Finished]
     """The episodes that ended."""
-
-    @property
-    def ended(self) -> NDArray[np.bool_]:
-        """(N,) whether the episode ended."""
-        return self.terminated | self.truncated
 
 
 class Collector:
@@ -123,14 +111,7 @@ class Collector:
             final = self.observation
             self._reset(ended)
         self._observe(self._env_ids)
-        return Step(
-            result.reward,
-            result.terminated,
-            result.truncated,
-            result.unstable,
-            self.observation if final is None else final,
-            finished,
-        )
+        return Step(result, self.observation if final is None else final, finished)
 
     def _step_task(self, action: Floats, env_ids: list[int] | None = None) -> Transition:
         task = self._task

@@ -83,15 +83,15 @@ class HostRollouts(RolloutExperience):
         for key in jax.random.split(jax.random.key(seed), num_steps):
             observation = collector.observation
             decision = learner.act(state, observation, key)
-            step = collector.step(np.tanh(np.asarray(decision.action)))
+            result, final, ended = collector.step(np.tanh(np.asarray(decision.action)))
             value_at_end = np.zeros(len(observation), np.float32)
-            if step.truncated.any():
-                values = np.asarray(learner.value(state, step.final_observation))
-                value_at_end = np.where(step.truncated, values, np.float32(0))
-            reward = step.reward.astype(np.float32)
-            steps.append((observation, *decision, reward, step.ended, value_at_end))
-            finished += step.finished
-            unstable += float(step.unstable.mean()) / num_steps
+            if result.truncated.any():
+                values = np.asarray(learner.value(state, final))
+                value_at_end = np.where(result.truncated, values, np.float32(0))
+            reward, over = result.reward.astype(np.float32), result.terminated | result.truncated
+            steps.append((observation, *decision, reward, over, value_at_end))
+            finished += ended
+            unstable += float(result.unstable.mean()) / num_steps
         parts = [np.stack([np.asarray(p) for p in part]) for part in zip(*steps, strict=True)]
         last = learner.value(state, collector.observation)
         return Rollout._make([*parts, last]), finished, {"unstable": unstable}

@@ -9,9 +9,6 @@ complex behaviors through online trajectory optimization", IROS 2012; Tassa, Man
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -79,8 +76,6 @@ class ILQGPlanner(EpisodePlanner):
         nominal: (K, A) the plan of K control steps, in half ranges of the controls from their
             middle.
         rest: (A,) the controls at rest, likewise.
-        seconds: wall-clock time spent so far in "derivatives", "backward pass" and
-            "line search".
     """
 
     def __init__(self, view: View, config: ILQGConfig, num_threads: int) -> None:
@@ -106,7 +101,6 @@ class ILQGPlanner(EpisodePlanner):
         self.rest = (np.clip(0.0, low, high) - self._centre) / self._half_range
         self.nominal = np.tile(self.rest, (steps, 1))
         self._damping = _Damping()
-        self.seconds = dict.fromkeys(("derivatives", "backward pass", "line search"), 0.0)
 
     def act(self, view: View) -> Array:
         with threadpool_limits(1):  # small matrices, and the same bits everywhere
@@ -119,20 +113,11 @@ class ILQGPlanner(EpisodePlanner):
         improved = True
         for _ in range(self.config.iterations):
             if improved:
-                with self._timed("derivatives"):
-                    model = self.approximate(start)
+                model = self.approximate(start)
             improved = self.improve(model, start)
         action = self._ctrl(self.nominal[0])
         self.nominal = np.concatenate([self.nominal[1:], self.nominal[-1:]])
         return np.append(action, float(self._goals.sustain[now]))
-
-    @contextmanager
-    def _timed(self, part: str) -> Iterator[None]:
-        started = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[part] += time.perf_counter() - started
 
     def _ctrl(self, controls: Array) -> Array:
         """Converts controls in half ranges to actuator units."""
@@ -155,16 +140,14 @@ class ILQGPlanner(EpisodePlanner):
         """Takes the best step of one backward pass, and returns whether it is an improvement."""
         limit = np.ones(len(self.rest))
         try:
-            with self._timed("backward pass"):
-                law = backward_pass(model, self.nominal, -limit, limit, self._damping.value)
+            law = backward_pass(model, self.nominal, -limit, limit, self._damping.value)
         except np.linalg.LinAlgError:
             self._damping.increase()
             return False
         if np.abs(law.offset).max() < _NO_CHANGE:
             self._damping.decrease()  # or it would be the reason
             return False
-        with self._timed("line search"):
-            candidates, cost = self.line_search(law, start)
+        candidates, cost = self.line_search(law, start)
         best = int(np.argmin(cost))
         self.nominal = candidates[best]
         if self._step_sizes[best] >= _TRUSTED_STEP:
