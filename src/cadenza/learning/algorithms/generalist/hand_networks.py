@@ -56,8 +56,8 @@ def hand_outputs(layers: Layers, network: Network, inputs: Any) -> Any:
     `layers` take the place of the network's own.
     """
     inputs = jnp.concatenate([inputs, jnp.tile(CONSTANTS, (len(inputs), 1))], axis=1)
-    normalised = (inputs[:, network.inputs] - network.middle) / network.spread
-    x = jnp.clip(normalised, -INPUT_LIMIT, INPUT_LIMIT).reshape(1, -1, len(network.middle))
+    normalised = (inputs[:, network.inputs] - network.mean) / network.std
+    x = jnp.clip(normalised, -INPUT_LIMIT, INPUT_LIMIT).reshape(1, -1, len(network.mean))
     mean = forward(layers, x).mean(axis=0)
     return mean.reshape(len(inputs), len(network.inputs), -1)
 

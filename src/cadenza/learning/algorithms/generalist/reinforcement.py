@@ -90,8 +90,7 @@ class HandPPO:
         networks = self._weights.networks
         policy = [list(zip(each.kernels, each.biases, strict=True)) for each in networks]
         values = [
-            initial_layers((len(each.middle), *_VALUE_HIDDEN, 1), self._rng)
-            for each in networks[1:]
+            initial_layers((len(each.mean), *_VALUE_HIDDEN, 1), self._rng) for each in networks[1:]
         ]
         opt_states = self._policy_optimizer.init(policy), self._value_optimizer.init(values)
         return PPOState(policy, policy, values, *opt_states)

@@ -41,6 +41,7 @@ from cadenza.learning.algorithms.generalist.hand_networks import (
     Layers,
     forward,
     initial_layers,
+    with_layers,
 )
 from cadenza.learning.checkpointed_run import Arrays
 from cadenza.scene.scene import Scene, hand_alone
@@ -49,7 +50,7 @@ from cadenza.sim.protocol import State
 
 _ENSEMBLE = 3  # networks whose touches are averaged, and critics
 _CRITIC_HIDDEN = (128, 64)
-_JUDGED = 2 + 3  # values of a critic: the outcome, and whether the key sounds in three steps
+_CRITIC_OUTPUTS = 2 + 3  # the outcome, and whether the key sounds in three steps
 _CRITIC_RATE, _CRITIC_DECAY = 2e-3, 0.03  # AdamW
 _HIDDEN_INPUTS = 0.1  # of a critic's, in training
 _LEAST_STD = 1e-3  # of an input that is normalised
@@ -183,18 +184,17 @@ class TouchFit:
             fingers: (M,) the fingers.
             strikes: Strikes of all fingers.
         """
-        part, middle, spread = _part(of, fingers, strikes)
+        part, mean, std = _part(of, fingers, strikes)
         sizes = (part.seen.shape[1], *self._config.hidden_sizes, 2)
         policy = _ensemble(sizes, self._rng, 0.01)
         policy[-1][1][..., 1] = _FIRST_LESS
-        critics = _ensemble((sizes[0] + 2, *_CRITIC_HIDDEN, _JUDGED), self._rng, 0.1)
+        critics = _ensemble((sizes[0] + 2, *_CRITIC_HIDDEN, _CRITIC_OUTPUTS), self._rng, 0.1)
         critics = self._descend(critics, _critic_loss, part, _CRITIC_RATE, _CRITIC_DECAY, hide=True)
         loss = partial(_touch_loss, critics)
         policy = self._descend(policy, loss, part, self._config.learning_rate, 0.0)
-        kernels, biases = (tuple(map(np.asarray, each)) for each in zip(*policy, strict=True))
         numbers = 2 * fingers[:, None] + np.arange(2)
-        cost = float(loss(policy, part))
-        return Network(of.inputs, numbers, middle, spread, kernels, biases), cost
+        network = of._replace(servos=numbers, mean=mean, std=std)
+        return with_layers(network, policy), float(loss(policy, part))
 
     def _descend(
         self, layers: Layers, loss: Any, part: _Part, rate: float, decay: float, hide: bool = False
@@ -226,20 +226,20 @@ class TouchFit:
 
 
 def _part(of: Network, fingers: Array, strikes: Strikes) -> tuple[_Part, Array, Array]:
-    """Returns the strikes of some fingers, and the middle and spread (I,) of what they see."""
+    """Returns the strikes of some fingers, and mean and standard deviation (I,) of their inputs."""
     mine = np.isin(strikes.finger, fingers)
     own = Strikes._make(values[mine] for values in strikes)
     constants = np.broadcast_to(CONSTANTS, (len(own.inputs), len(CONSTANTS)))
     inputs = np.concatenate([own.inputs, constants], axis=1)
     seen = np.take_along_axis(inputs, of.inputs[np.searchsorted(fingers, own.finger)], axis=1)
-    middle, spread = seen.mean(axis=0), seen.std(axis=0)
-    spread = np.where(spread < _LEAST_STD, 1.0, spread)
-    seen = np.clip((seen - middle) / spread, -INPUT_LIMIT, INPUT_LIMIT)
+    mean, std = seen.mean(axis=0), seen.std(axis=0)
+    std = np.where(std < _LEAST_STD, 1.0, std)
+    seen = np.clip((seen - mean) / std, -INPUT_LIMIT, INPUT_LIMIT)
     time = np.nan_to_num(own.outcome[:, 0], nan=_LATEST)
     outcome = np.stack([np.clip(time, _EARLIEST, _LATEST), own.outcome[:, 1]], axis=1)
     arrays = seen, own.touch, outcome, own.wanted, own.sounding
     part = _Part._make(values.astype(np.float32) for values in arrays)
-    return part, middle.astype(np.float32), spread.astype(np.float32)
+    return part, mean.astype(np.float32), std.astype(np.float32)
 
 
 def _ensemble(sizes: Sequence[int], rng: np.random.Generator, scale: float) -> Layers:
@@ -251,15 +251,15 @@ def _ensemble(sizes: Sequence[int], rng: np.random.Generator, scale: float) -> L
     return layers
 
 
-def _judged(critics: Layers, seen: Any, touch: Any) -> Any:
+def _predicted(critics: Layers, seen: Any, touch: Any) -> Any:
     """Returns (C, R, 5) outcomes, normalised, and logits of whether keys sound, by C critics."""
     return forward(critics, jnp.concatenate([seen, touch], axis=1)[None])
 
 
 def _critic_loss(critics: Layers, part: _Part) -> Any:
-    judged = _judged(critics, part.seen, part.touch)
-    error = judged[..., :2] - (part.outcome - _MIDDLE) / _SCALE
-    known, logit, sounds = jnp.isfinite(error), judged[..., 2:], part.sounding
+    predicted = _predicted(critics, part.seen, part.touch)
+    error = predicted[..., :2] - (part.outcome - _MIDDLE) / _SCALE
+    known, logit, sounds = jnp.isfinite(error), predicted[..., 2:], part.sounding
     size = jnp.abs(jnp.where(known, error, 0.0))
     huber = jnp.where(size < 1, size * size / 2, size - 0.5)
     entropy = jax.nn.softplus(logit) - jnp.nan_to_num(sounds) * logit
@@ -269,12 +269,12 @@ def _critic_loss(critics: Layers, part: _Part) -> Any:
 def _touch_loss(critics: Layers, policy: Layers, part: _Part) -> Any:
     raw = forward(policy, part.seen[None]).mean(axis=0)
     touch = jnp.clip(raw, jnp.array([-MOST_LOWER, 0.0]), jnp.array([MOST_LOWER, 1.0]))
-    judged = _judged(critics, part.seen, touch)
-    outcome = judged[..., :2] * _SCALE + _MIDDLE
+    predicted = _predicted(critics, part.seen, touch)
+    outcome = predicted[..., :2] * _SCALE + _MIDDLE
     error = jnp.abs(outcome - part.wanted) / UNIT
     error = error.at[..., 0].min(_LATE)
     strikes = (jnp.sqrt(1 + error * error) - 1) @ WEIGHT
-    sounds = jax.nn.sigmoid(judged[..., 2:])
+    sounds = jax.nn.sigmoid(predicted[..., 2:])
     held = jnp.isfinite(part.sounding[:, 2])
     missed = sounds[..., 0] + (1 - sounds[..., 1]) + held * (1 - sounds[..., 2])
     beyond = jnp.square(raw - touch)[:, 1]

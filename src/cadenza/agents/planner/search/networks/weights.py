@@ -55,10 +55,10 @@ class Network(NamedTuple):
     """(M, I) the inputs of each part, among those of the hand and `CONSTANTS`."""
     servos: Ids
     """(M, O) the servos of each part; of touches, the numbers among those of all fingers."""
-    middle: Floats
-    """(I,) the middle of the inputs in training."""
-    spread: Floats
-    """(I,) the spread of the inputs in training, by which they are normalised."""
+    mean: Floats
+    """(I,) the mean of the inputs in training."""
+    std: Floats
+    """(I,) the standard deviation of the inputs in training, by which they are normalised."""
     kernels: tuple[Floats, ...]
     """(N, I, H), ... (N, H, O)"""
     biases: tuple[Floats, ...]
@@ -66,8 +66,8 @@ class Network(NamedTuple):
 
     def __call__(self, inputs: Floats) -> Floats:
         """(H, M, O) the outputs for the inputs of H hands (H, D + 2), with `CONSTANTS`."""
-        rows = inputs[:, self.inputs].reshape(-1, len(self.middle))
-        hidden = clip((rows - self.middle) / self.spread, -INPUT_LIMIT, INPUT_LIMIT)
+        rows = inputs[:, self.inputs].reshape(-1, len(self.mean))
+        hidden = clip((rows - self.mean) / self.std, -INPUT_LIMIT, INPUT_LIMIT)
         for kernel, bias in zip(self.kernels[:-1], self.biases[:-1], strict=True):
             hidden = np.maximum(hidden @ kernel + bias, 0.0)
         outputs: Floats = (hidden @ self.kernels[-1] + self.biases[-1]).mean(axis=0)
@@ -123,7 +123,7 @@ class Weights(NamedTuple):
         for of, network in zip((*NETWORKS, *STRIKING), every, strict=False):
             arrays[f"{of}:inputs"] = network.inputs.astype(np.int16)
             arrays[f"{of}:servos"] = network.servos.astype(np.int16)
-            arrays[f"{of}:middle"], arrays[f"{of}:spread"] = network.middle, network.spread
+            arrays[f"{of}:middle"], arrays[f"{of}:spread"] = network.mean, network.std
             for kind, layers in (("kernel", network.kernels), ("bias", network.biases)):
                 for i, layer in enumerate(layers):
                     arrays[f"{of}:{kind}{i}"] = layer.astype(np.float16)
