@@ -176,10 +176,7 @@ class _Recorder:
         return {f"{name}_obs": observation[layout[name]].astype(np.uint8) for name in names}
 
     def add(
-        self,
-        action: NDArray[np.float64],
-        transition: Transition,
-        observation: NDArray[np.float32],
+        self, action: NDArray[np.float64], transition: Transition, observation: NDArray[np.float32]
     ) -> None:
         task, state, env = self._task, self._task.state, self._env
         row = {

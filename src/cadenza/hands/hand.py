@@ -15,16 +15,7 @@ import numpy as np
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Side
 from cadenza.hands import forearm
-from cadenza.hands.body import (
-    GEOM_TYPES,
-    Body,
-    BodyBuilder,
-    Geom,
-    Link,
-    Options,
-    mirrored,
-    prefix,
-)
+from cadenza.hands.body import GEOM_TYPES, Body, BodyBuilder, Geom, Link, Options, mirrored, prefix
 from cadenza.hands.reach import JumpTimes, Reach
 from cadenza.hands.servo import Servo
 

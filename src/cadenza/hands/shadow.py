@@ -12,16 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from cadenza.hands import forearm
-from cadenza.hands.body import (
-    Actuator,
-    Body,
-    Coupling,
-    Geom,
-    Joint,
-    Link,
-    Quaternion,
-    Vector,
-)
+from cadenza.hands.body import Actuator, Body, Coupling, Geom, Joint, Link, Quaternion, Vector
 from cadenza.hands.hand import FingerChain, Hand
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo

@@ -57,10 +57,7 @@ def write_checksummed(
     new, old = _beside(folder, "new"), _beside(folder, "old")
     _remove(new)
     new.mkdir(parents=True)  # nobody else's
-    files = {
-        _FACTS: (json.dumps(facts, indent=1) + "\n").encode(),
-        _ARRAYS: tensor_bytes(arrays),
-    }
+    files = {_FACTS: (json.dumps(facts, indent=1) + "\n").encode(), _ARRAYS: tensor_bytes(arrays)}
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
     files[MANIFEST] = json.dumps({"kind": kind, "sha256": digests}, indent=1).encode()
     try:

@@ -148,10 +148,7 @@ class Collector:
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Returns the state as JSON and arrays, for `restore`."""
-        plain = {
-            "action_rng": self._rng.bit_generator.state,
-            "began": self._rng_states,
-        }
+        plain = {"action_rng": self._rng.bit_generator.state, "began": self._rng_states}
         taken = [np.array(actions, np.float32) for actions in self._actions_so_far]
         return plain, {f"taken_{env}": actions for env, actions in enumerate(taken)}
 

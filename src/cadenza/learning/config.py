@@ -141,11 +141,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "seed": (0, MOST_COUNT),
 }
 
-_OFF_POLICY = {
-    "learning_starts": 0,
-    "parallel": False,
-    "buffer_size": TrainingConfig.buffer_size,
-}
+_OFF_POLICY = {"learning_starts": 0, "parallel": False, "buffer_size": TrainingConfig.buffer_size}
 """Options that an on-policy learner has no use for, as they then have to be."""
 
 

@@ -27,14 +27,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.files import (
-    ANY,
-    Expected,
-    checked,
-    read_arrays,
-    remove_half_written,
-    write_atomically,
-)
+from cadenza.files import ANY, Expected, checked, read_arrays, remove_half_written, write_atomically
 from cadenza.learning.checkpointed_run import LOCKED_OUT
 from cadenza.learning.checksummed_folder import read_checksummed, write_checksummed
 from cadenza.learning.config import TrainingConfig, check

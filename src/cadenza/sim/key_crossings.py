@@ -83,11 +83,7 @@ def dense_key_events(key_paths: Any, sounds_from: Any, substep: float) -> tuple[
     steps = xp.arange(before.shape[-2])[:, None]
     time, speed = (steps + (sounds_from - before) / moved) * substep, moved / substep
     begins, ceases = sounds & ~sounded, sounded & ~sounds
-    return (
-        _last(xp, time, begins),
-        _last(xp, time, ceases),
-        _last(xp, speed, begins),
-    )
+    return _last(xp, time, begins), _last(xp, time, ceases), _last(xp, speed, begins)
 
 
 def _last(xp: Any, values: Any, happened: Any) -> Any:

@@ -73,9 +73,7 @@ class _Locked(Protocol):
 _S = TypeVar("_S", bound=_Locked)
 
 
-def synchronised(
-    method: Callable[Concatenate[_S, _P], _T],
-) -> Callable[Concatenate[_S, _P], _T]:
+def synchronised(method: Callable[Concatenate[_S, _P], _T]) -> Callable[Concatenate[_S, _P], _T]:
     """Has threads that call this and other such methods of one object wait for each other."""
 
     @wraps(method)

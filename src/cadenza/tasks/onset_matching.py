@@ -48,11 +48,7 @@ class OnsetMatching:
         self._played[env] = False
 
     def match(
-        self,
-        due: UpcomingOnsets,
-        state: State,
-        sounded: Mask,
-        moving: NDArray[np.intp] | slice,
+        self, due: UpcomingOnsets, state: State, sounded: Mask, moving: NDArray[np.intp] | slice
     ) -> OnsetErrors:
         """Matches the onsets of the step that the environments `moving` have taken.
 

@@ -197,11 +197,7 @@ class _Hand:
         return np.logical_and.reduce(self.reach.spans(each, others, at - keys[:, None]), axis=-1)
 
     def _matched(
-        self,
-        keys: Array,
-        free: Sequence[int],
-        penalty: Array,
-        held: dict[int, float],
+        self, keys: Array, free: Sequence[int], penalty: Array, held: dict[int, float]
     ) -> dict[int, int]:
         """Key -> finger, by matching the nearest points and moving the hand onto them in turn.
 

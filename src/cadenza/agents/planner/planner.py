@@ -95,9 +95,7 @@ class SongPlanner(EpisodePlanner):
     plan: SongPlan
 
     def __init__(
-        self,
-        plans: Iterator[SongPlan],
-        hands_for: Callable[[SongPlan], Sequence[PlanPlayer]],
+        self, plans: Iterator[SongPlan], hands_for: Callable[[SongPlan], Sequence[PlanPlayer]]
     ) -> None:
         """Plans the first window; each of the `plans` goes further than the one before.
 

@@ -209,12 +209,7 @@ class PostureProblem:
     """The terms of postures 1 to S - 1 of H hands with A servos each."""
 
     def __init__(
-        self,
-        kinematics: Kinematics,
-        targets: Targets,
-        guess: Array,
-        before: Array,
-        dt: float,
+        self, kinematics: Kinematics, targets: Targets, guess: Array, before: Array, dt: float
     ) -> None:
         """Sets up the problem of `solve_postures`."""
         self._kinematics, scene, servos = kinematics, kinematics.scene, kinematics.servos

@@ -151,9 +151,7 @@ class _TimeLine:
         if not len(press):
             return
         spans = self._reach.spans(
-            self._finger[press],
-            self._finger[other],
-            self._outwards[other] - self._outwards[press],
+            self._finger[press], self._finger[other], self._outwards[other] - self._outwards[press]
         )
         struck = np.flatnonzero(self._strikes[other])
         spanned = np.logical_and.reduceat(spans, struck)

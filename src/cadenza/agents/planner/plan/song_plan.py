@@ -7,11 +7,7 @@ from functools import lru_cache, partial
 from typing import NamedTuple
 
 from cadenza.agents.agent import Array, Progress, silent
-from cadenza.agents.planner.plan.nominal_trajectory import (
-    Delays,
-    MotionPlanner,
-    NominalTrajectory,
-)
+from cadenza.agents.planner.plan.nominal_trajectory import Delays, MotionPlanner, NominalTrajectory
 from cadenza.agents.planner.plan.strike_model import NO_STRIKES, PlannedStrikes, planned_strikes
 from cadenza.errors import CadenzaError
 from cadenza.music.goals import Goals

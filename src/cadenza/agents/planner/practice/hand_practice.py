@@ -168,12 +168,7 @@ class HandPractice:
         self._rollouts.simulated = 0
 
     def _best_change(
-        self,
-        offsets: Array,
-        trajectory: Trajectory,
-        first: int,
-        end: int,
-        rng: np.random.Generator,
+        self, offsets: Array, trajectory: Trajectory, first: int, end: int, rng: np.random.Generator
     ) -> Change | None:
         """Rolls out `offsets` (N, L, A) and corrections from the step `first` up to `end`.
 

@@ -140,11 +140,7 @@ class InitialTrajectories:
     """
 
     def __init__(
-        self,
-        track: GoalTrack,
-        start: Array,
-        rng: np.random.Generator,
-        context: PlanningContext,
+        self, track: GoalTrack, start: Array, rng: np.random.Generator, context: PlanningContext
     ) -> None:
         """Plans the first trajectory of a song, from joint positions (J,) of the hands [m, rad].
 

@@ -89,12 +89,7 @@ class Practice:
             each variant and each sweep.
     """
 
-    def __init__(
-        self,
-        view: View,
-        rng: np.random.Generator,
-        context: PlanningContext,
-    ) -> None:
+    def __init__(self, view: View, rng: np.random.Generator, context: PlanningContext) -> None:
         """Plans the song, from the view before the first step of one environment.
 
         Raises:

@@ -19,11 +19,7 @@ from numpy.typing import NDArray
 
 from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.algorithms.droq.networks import Actor, Critic
-from cadenza.learning.algorithms.on_jax import (
-    JaxLearner,
-    learning_rate_schedule,
-    named_weights,
-)
+from cadenza.learning.algorithms.on_jax import JaxLearner, learning_rate_schedule, named_weights
 from cadenza.learning.learner import Ends
 from cadenza.learning.observation import Inputs
 from cadenza.learning.policy import Perceptron

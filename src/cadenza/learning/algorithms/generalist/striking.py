@@ -22,20 +22,12 @@ import numpy as np
 import optax
 
 from cadenza.agents.generalist.corrected_hands import MOST_LOWER
-from cadenza.agents.planner.search.networks.weights import (
-    CONSTANTS,
-    INPUT_LIMIT,
-    Network,
-    Weights,
-)
+from cadenza.agents.planner.search.networks.weights import CONSTANTS, INPUT_LIMIT, Network, Weights
 from cadenza.agents.planner.search.strikes import UNIT, WEIGHT, as_heard
 from cadenza.errors import CadenzaError
 from cadenza.learning.algorithms.generalist.config import GeneralistStrikingConfig
 from cadenza.learning.algorithms.generalist.excerpt_run import ExcerptRun
-from cadenza.learning.algorithms.generalist.excerpts import (
-    ExcerptEnvs,
-    Player,
-)
+from cadenza.learning.algorithms.generalist.excerpts import ExcerptEnvs, Player
 from cadenza.learning.algorithms.generalist.hand_networks import (
     Array,
     Layers,
@@ -204,8 +196,7 @@ class TouchFit:
         batches = max(len(part.seen) // config.batch_size, 1)
         schedule = optax.cosine_decay_schedule(rate, config.num_epochs * batches)
         optimizer = optax.chain(
-            optax.clip_by_global_norm(_MAX_GRADIENT_NORM),
-            optax.adamw(schedule, weight_decay=decay),
+            optax.clip_by_global_norm(_MAX_GRADIENT_NORM), optax.adamw(schedule, weight_decay=decay)
         )
 
         @jax.jit

@@ -23,11 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from cadenza.learning.algorithms.on_jax import (
-    ACTIVATIONS,
-    StateOnJax,
-    named_weights,
-)
+from cadenza.learning.algorithms.on_jax import ACTIVATIONS, StateOnJax, named_weights
 from cadenza.learning.algorithms.ppo.config import PPOConfig
 from cadenza.learning.learner import Ends
 from cadenza.learning.observation import Inputs
@@ -116,11 +112,7 @@ class PPO(StateOnJax[PPOState]):
     """An `OnPolicyLearner` that updates a `PPOState` by rollouts."""
 
     def __init__(
-        self,
-        config: PPOConfig,
-        inputs: Inputs,
-        action_size: int,
-        ends: Ends = ((0, 1),),
+        self, config: PPOConfig, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
     ) -> None:
         """Builds the network and its optimiser; nothing is drawn yet.
 
@@ -134,8 +126,7 @@ class PPO(StateOnJax[PPOState]):
         self._config, self._num_inputs = config, len(inputs.kept)
         self._network = ActorCritic(config, action_size)
         self._optimizer = optax.chain(
-            optax.clip_by_global_norm(config.max_gradient_norm),
-            optax.scale_by_adam(eps=_ADAM_EPS),
+            optax.clip_by_global_norm(config.max_gradient_norm), optax.scale_by_adam(eps=_ADAM_EPS)
         )
         self.act, self.value = jax.jit(self._act), jax.jit(self._value)
         self._learn_all = jax.jit(self._learn, donate_argnums=0)
