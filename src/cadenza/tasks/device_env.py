@@ -76,7 +76,7 @@ class DevicePianoVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._state: PianoState | None = None
-        self._step = jax.jit(self._told_step)
+        self._step = jax.jit(self._logged_step)
 
     @property
     def observation_layout(self) -> dict[str, slice]:
@@ -104,7 +104,7 @@ class DevicePianoVectorEnv(VectorEnv):
         self._state = self.task.reset(key)
         return self._state.obs, dict(self._state.info)
 
-    def _told_step(self, state: PianoState, action: Any) -> PianoState:
+    def _logged_step(self, state: PianoState, action: Any) -> PianoState:
         """A step of the task, which calls the host only when a simulation is the first to fail."""
         after = self.task.step(state, action)
         counts = [each.info["unstable_count"] for each in (state, after)]

@@ -166,7 +166,7 @@ def shipped_for(scene: Scene) -> Weights | None:
 
 
 _REHEARSAL = RehearsalConfig(
-    window=0.5, judged_after=0.5, corrected_after=0.7, max_mistakes=1.0, refinements=3
+    window=0.5, cost_after=0.5, updated_after=0.7, max_mistakes=1.0, refinements=3
 )
 _AS_FORESEEN = 1e-3  # [rad] that a key may be off where the rehearsal had it, to be as fast
 

@@ -35,9 +35,9 @@ class RehearsalConfig(NamedTuple):
 
     window: float = 0.5
     """The time that is played as it was rehearsed [s]."""
-    judged_after: float = 0.2
+    cost_after: float = 0.2
     """The time after the window that counts in the cost: the hand should be able to go on [s]."""
-    corrected_after: float = 0.4
+    updated_after: float = 0.4
     """The time after the window whose controls are updated, too [s]."""
     iterations: int = 5
     """The maximum number of rollouts."""
@@ -70,8 +70,8 @@ class HandRehearsal:
         self._servos, self._keyboard = servos_of(scene), scene.keyboard
         self._window = steps_in(config.window, dt)
         self._refinement = StrikeRefinement(self._servos, strike_model(scene, dt))
-        self._judged = self._window + steps_in(config.judged_after, dt)
-        self.lookahead = self._window + steps_in(config.corrected_after, dt)
+        self._cost_steps = self._window + steps_in(config.cost_after, dt)
+        self.lookahead = self._window + steps_in(config.updated_after, dt)
         self.reset()
 
     def reset(self) -> None:
@@ -122,9 +122,9 @@ class HandRehearsal:
             simulated += len(steps)
             if rollout.cost < best.cost and rollout.mistakes <= max_mistakes:
                 kept, best = ctrl, rollout
-        seen = steps[: self._judged + 1]  # strikes of the last one judged may be late
+        seen = steps[: self._cost_steps + 1]  # strikes of the last that counts may be late
         keys = self._simulator.keys
-        strikes = HorizonStrikes(goals, seen, self._keyboard, keys, self._judged)
+        strikes = HorizonStrikes(goals, seen, self._keyboard, keys, self._cost_steps)
         refined = self._refinement.refine(
             kept,
             best,
@@ -155,7 +155,7 @@ class HandRehearsal:
                 feedback = tracking.feedback(step, self._simulator.servo_state())
                 yield self._servos.clip(planned - feedback)
 
-        return roll_out(self._simulator, horizon, with_feedback(), judged=self._judged)
+        return roll_out(self._simulator, horizon, with_feedback(), cost_steps=self._cost_steps)
 
     def _update(self, rollout: Rollout, feedback: Array, horizon: HorizonCost) -> Array:
         """(S, A) the update of the controls of a rollout of all S steps."""

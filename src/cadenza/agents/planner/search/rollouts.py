@@ -90,22 +90,22 @@ def roll_out(
     ctrl: Iterable[Array],
     slot: int = 0,
     *,
-    judged: int | None = None,
+    cost_steps: int | None = None,
     cutoff: float = np.inf,
     cost_to_go: Array | None = None,
 ) -> Rollout:
     """Simulates controls (H, A), whose rows may depend on the state that was reached.
 
-    The first `judged` steps count in the cost and the mistakes, all by default. With `cost_to_go`
+    The first `cost_steps` count in the cost and the mistakes, all by default. With `cost_to_go`
     (H,), which is expected after each step, a rollout that is to cost `cutoff` is given up.
     """
     cost, mistakes, costs = 0.0, 0, list[float]()
     tips, hand_qpos, key_qvel, key_paths = (list[Array]() for _ in range(4))
     keys, given_up = horizon.start, False
-    judged = horizon.num_steps if judged is None else judged
+    cost_steps = horizon.num_steps if cost_steps is None else cost_steps
     for k, state in enumerate(simulator.run(islice(ctrl, horizon.num_steps), slot)):
         more, wrong, keys = horizon.step_cost(k, state[0], state[1], keys)
-        if k < judged:
+        if k < cost_steps:
             cost, mistakes = cost + more, mistakes + wrong
         costs.append(more)
         tips.append(state[1])

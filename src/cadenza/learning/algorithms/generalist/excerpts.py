@@ -176,8 +176,8 @@ def with_dynamics(score: Score, rng: np.random.Generator) -> Score:
     return replace(score, notes=tuple(replace(note, velocity=own) for note, own in notes))
 
 
-class Player:
-    """Plays one excerpt in one of the simulations.
+class ExcerptEpisode:
+    """An episode in which one excerpt is played in one of the simulations.
 
     Attributes:
         excerpt: the excerpt.
@@ -237,7 +237,7 @@ class ExcerptEnvs:
     """Simulations that play excerpts: the more often, the more they cost when last played.
 
     Attributes:
-        players: what plays in each of the E simulations.
+        episodes: the present one in each of the E simulations.
     """
 
     def __init__(
@@ -248,7 +248,7 @@ class ExcerptEnvs:
         self._last_cost = np.ones(len(excerpts))
         self._simulation = MujocoSimulation(scene, num_envs)
         self._playing = [0] * num_envs  # indices of excerpts
-        self.players = [self._next_player(i) for i in range(num_envs)]
+        self.episodes = [self._next_episode(i) for i in range(num_envs)]
 
     def rollout(self, policy: Callable[[Array], Array], steps: int, noise: float) -> Rollout:
         """Plays the next steps, with Gaussian noise added to the policy's corrections (N, A)."""
@@ -265,7 +265,7 @@ class ExcerptEnvs:
 
     def inputs(self) -> Array:
         """Returns the inputs (N, D) of the networks for the hands of all simulations."""
-        return np.concatenate([p.inputs(self._state(i)) for i, p in enumerate(self.players)])
+        return np.concatenate([e.inputs(self._state(i)) for i, e in enumerate(self.episodes)])
 
     def step(self, corrections: Array, touch: Array | None = None) -> tuple[State, Array, Array]:
         """Takes a step with corrections (N, A), and touches (N, F, 2) of fingers that strike.
@@ -274,24 +274,24 @@ class ExcerptEnvs:
             The state after it, costs (N, F) of the fingers, and which excerpts (E,) are over. Other
             excerpts then begin.
         """
-        count = len(self.players)
+        count = len(self.episodes)
         touches = [None] * count if touch is None else np.split(touch, count)
-        each = zip(self.players, np.split(corrections, count), touches, strict=True)
-        self._simulation.step(np.stack([player.ctrl(own, how) for player, own, how in each]))
+        each = zip(self.episodes, np.split(corrections, count), touches, strict=True)
+        self._simulation.step(np.stack([episode.ctrl(own, how) for episode, own, how in each]))
         state = self._simulation.state
-        costs = [player.costs(self._state(i)) for i, player in enumerate(self.players)]
-        over = np.array([player.over for player in self.players]) | state.unstable
+        costs = [episode.costs(self._state(i)) for i, episode in enumerate(self.episodes)]
+        over = np.array([episode.over for episode in self.episodes]) | state.unstable
         for i in np.flatnonzero(over).tolist():
-            self._last_cost[self._playing[i]] = self.players[i].mean_cost
-            self.players[i] = self._next_player(i)
+            self._last_cost[self._playing[i]] = self.episodes[i].mean_cost
+            self.episodes[i] = self._next_episode(i)
         return state, np.concatenate(costs), over
 
-    def _next_player(self, env: int) -> Player:
+    def _next_episode(self, env: int) -> ExcerptEpisode:
         index = self._unplayed.pop() if self._unplayed else self._draw()
         self._playing[env] = index
-        player = Player(self._excerpts[index])
-        self._simulation.reset([env], player.excerpt.start[None])
-        return player
+        episode = ExcerptEpisode(self._excerpts[index])
+        self._simulation.reset([env], episode.excerpt.start[None])
+        return episode
 
     def _draw(self) -> int:
         p = self._last_cost / self._last_cost.sum()

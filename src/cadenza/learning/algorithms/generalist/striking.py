@@ -27,7 +27,7 @@ from cadenza.agents.planner.search.strikes import UNIT, WEIGHT, as_heard
 from cadenza.errors import CadenzaError
 from cadenza.learning.algorithms.generalist.config import GeneralistStrikingConfig
 from cadenza.learning.algorithms.generalist.excerpt_run import ExcerptRun
-from cadenza.learning.algorithms.generalist.excerpts import ExcerptEnvs, Player
+from cadenza.learning.algorithms.generalist.excerpts import ExcerptEnvs, ExcerptEpisode
 from cadenza.learning.algorithms.generalist.hand_networks import (
     Array,
     Layers,
@@ -85,7 +85,7 @@ class Strikes(NamedTuple):
 class _Step(NamedTuple):
     """A step of all excerpts."""
 
-    players: list[Player]
+    episodes: list[ExcerptEpisode]
     steps: list[int]
     inputs: Array
     touch: Array
@@ -100,11 +100,11 @@ def play(envs: ExcerptEnvs, weights: Weights, steps: int, rng: np.random.Generat
     """
     played, strikes = deque[_Step](maxlen=3), []
     for _ in range(steps):
-        inputs, players = envs.inputs(), list(envs.players)
-        touch = _drawn(weights, inputs, players[0].hands.striking(inputs), rng)
-        numbers = [player.step for player in players]
+        inputs, episodes = envs.inputs(), list(envs.episodes)
+        touch = _drawn(weights, inputs, episodes[0].hands.striking(inputs), rng)
+        numbers = [episode.step for episode in episodes]
         state, *_ = envs.step(weights(inputs), touch)
-        played.append(_Step(players, numbers, inputs, touch, state))
+        played.append(_Step(episodes, numbers, inputs, touch, state))
         if len(played) == played.maxlen:
             strikes += _strikes(*played)
     if not strikes:
@@ -129,11 +129,11 @@ def _drawn(weights: Weights, inputs: Array, striking: Array, rng: np.random.Gene
 
 def _strikes(before: _Step, now: _Step, after: _Step) -> list[Any]:
     """Returns the strikes of a step, as the rows of `Strikes`."""
-    rows, hands, near = [], len(now.touch) // len(now.players), (before, now, after)
-    for i, player in enumerate(now.players):
-        if any(each.players[i] is not player for each in near):
+    rows, hands, near = [], len(now.touch) // len(now.episodes), (before, now, after)
+    for i, episode in enumerate(now.episodes):
+        if any(each.episodes[i] is not episode for each in near):
             continue  # the excerpt has begun or ended
-        keyboard, plan = player.excerpt.costs.keyboard, player.excerpt.costs
+        keyboard, plan = episode.excerpt.costs.keyboard, episode.excerpt.costs
         for key, finger, wanted in plan.strikes.at(now.steps[i]):
             hand, own = divmod(finger, now.touch.shape[1])
             row = hands * i + hand
