@@ -207,26 +207,23 @@ class _Recorder:
         self._done += 1
 
     def result(self, plan: SongPlan | None) -> EpisodeResult:
-        scores = self._task.episode_metrics(self._env)
+        task, env = self._task, self._env
+        scores = task.episode_metrics(env)
         metrics: dict[str, Any] = {  # JSON has no NaN
             name: None if math.isnan(value) else value for name, value in scores.items()
         }
-        metrics = self._expressive_metrics() | metrics | self._sums()
+        written = task.score(env).until(self._done * task.config.control_timestep)
+        metrics = expressive_metrics(task.played(env), written) | metrics | self._sums()
         metrics |= {
-            "rewarded_fingers": self._task.goals.tracks[self._env].rewarded_fingers,
+            "rewarded_fingers": task.goals.tracks[env].rewarded_fingers,
             "steps": self._done,
             "planning_seconds": self.planning_seconds,
             "playing_seconds": self.playing_seconds,
             "unstable": self._unstable,
         }
-        if isinstance(self._task.simulation, HandsApart):
+        if isinstance(task.simulation, HandsApart):
             metrics["combined"] = True
         return EpisodeResult(self._episode(metrics), metrics, plan)
-
-    def _expressive_metrics(self) -> dict[str, float | None]:
-        seconds = self._done * self._task.config.control_timestep
-        written = self._task.score(self._env).until(seconds)
-        return expressive_metrics(self._task.played(self._env), written)
 
     def _sums(self) -> dict[str, float]:
         rewards = {n: rows for n, rows in self._rows.items() if n.startswith("reward_")}

@@ -84,12 +84,7 @@ class DeviceRollouts(RolloutExperience):
             learner, state, self._progress, num_steps, jax.random.key(seed)
         )
         ended, f1, returns, unstable = (np.asarray(values) for values in ends)
-        finished = [
-            Finished(f1_of_one, return_of_one)
-            for f1_of_one, return_of_one in zip(
-                f1[ended].tolist(), returns[ended].tolist(), strict=True
-            )
-        ]
+        finished = list(map(Finished, f1[ended].tolist(), returns[ended].tolist()))
         return rollout, finished, {"unstable": float(unstable.mean())}
 
     def _rollout(

@@ -58,12 +58,9 @@ class ObservationSpec:
     def of(cls, task: TaskSpec, residual: bool = False) -> ObservationSpec:
         """Returns the observation of a task."""
         sizes = {name: part.stop - part.start for name, part in task.observation_layout.items()}
-        return cls(
-            **{name: sizes.get(name, 0) for name in _OF_THE_TASK},
-            previous_action=task.action_size,
-            previous_reward=1,
-            reference=task.action_size * residual,
-        )
+        own = {"previous_action": task.action_size, "previous_reward": 1}
+        own["reference"] = task.action_size * residual
+        return cls(**{field.name: (sizes | own).get(field.name, 0) for field in fields(cls)})
 
     @property
     def size(self) -> int:
@@ -88,20 +85,6 @@ class ObservationSpec:
     def inputs(self) -> Inputs:
         """The inputs that keep all entries."""
         return Inputs(tuple(range(self.size)), self.size)
-
-
-_OF_THE_TASK = (
-    "goal",
-    "fingering",
-    "goal_onset",
-    "goal_velocity",
-    "key_state",
-    "pedal",
-    "joints",
-    "touch",
-    "key_onset",
-    "key_velocity",
-)
 
 
 @dataclass(frozen=True)

@@ -144,7 +144,11 @@ class FunctionalPianoTask:
             drawing = self.config.randomization, self.scene, timestep, num_envs
             self._randomization = DeviceRandomization(*drawing)
             scaled = {"scaled": self._randomization.scaled}
-        self.physics = (make_physics or _warp())(
+        if make_physics is None:
+            from cadenza.sim.warp import WarpPhysics  # needs more packages than the rest
+
+            make_physics = WarpPhysics
+        self.physics = make_physics(
             self.scene, num_envs, timestep, self.config.forearm_term, **scaled
         )
         self.reset, self.step = jax.jit(self._reset), jax.jit(self._step)
@@ -157,7 +161,8 @@ class FunctionalPianoTask:
         state = self._resting(start)
         observation = self.observation(episodes, state)
         nothing = jnp.zeros(self.num_envs)
-        _, result = jax.eval_shape(self.advance, episodes, state, self._no_action())
+        no_action = jnp.zeros((self.num_envs, self.spec.action_size))
+        _, result = jax.eval_shape(self.advance, episodes, state, no_action)
         names = [*(f"reward/{name}" for name in result.terms), *METRICS]
         no, none = jnp.zeros(self.num_envs, bool), jnp.zeros((), jnp.int32)
         info = {"state": state, "final_obs": observation, "truncation": no, "unstable": no}
@@ -217,9 +222,6 @@ class FunctionalPianoTask:
         """What is observed of worlds that have been reset; fingertips and forces are not."""
         zeros = State.zeros(self.scene, self.num_envs)
         return jax.tree.map(jnp.asarray, zeros)._replace(hand_qpos=start)
-
-    def _no_action(self) -> Array:
-        return jnp.zeros((self.num_envs, self.spec.action_size))
 
     def _row(self, episodes: Episodes) -> Array:
         """(N,) the step that comes next; after the last, the last."""
@@ -287,12 +289,6 @@ def _about(episodes: Episodes) -> dict[str, Array]:
     """Infos on the episodes that environments are in."""
     drawn = {} if episodes.draws is None else {"randomization/seed": episodes.draws.seed}
     return {"song": episodes.song, **drawn}
-
-
-def _warp() -> Any:
-    from cadenza.sim.warp import WarpPhysics  # needs more packages than the rest of this module
-
-    return WarpPhysics
 
 
 def _padded(goals: Sequence[Goals], lookahead: int) -> Songs:
