@@ -101,10 +101,6 @@ class Inputs:
         if any(a >= b for a, b in pairwise((-1, *self.kept, self.total))):
             raise CadenzaError("inputs must be ascending indices below their total")
 
-    def without(self, part: range) -> Inputs:
-        """Returns the inputs but for a part of the observation."""
-        return Inputs(tuple(i for i in self.kept if i not in part), self.total)
-
 
 class GoalTable:
     """Goals of scores by row: of each score its control steps and, silent, the lookahead after.

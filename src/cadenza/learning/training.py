@@ -25,7 +25,7 @@ from cadenza.learning.config import TrainingConfig, check
 from cadenza.learning.experience import Experience, ReplayExperience
 from cadenza.learning.learner import name_of
 from cadenza.learning.metrics_log import finite
-from cadenza.learning.observation import GoalTable, ObservationSpec, Observer, pruned
+from cadenza.learning.observation import GoalTable, Inputs, ObservationSpec, Observer, pruned
 from cadenza.learning.policy import Perceptron
 from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
 from cadenza.learning.ranges import ranges_of
@@ -106,7 +106,8 @@ class Training:
         if on_policy:  # rollouts need not tell what an action led to: the state does
             layout = self._observation.layout
             previous = range(layout["previous_action"].start, layout["previous_reward"].stop)
-            inputs = inputs.without(previous)
+            kept = tuple(i for i in inputs.kept if i not in previous)
+            inputs = Inputs(kept, inputs.total)
         self._inputs = inputs
         rng, self._sample_rng = np.random.default_rng(config.seed).spawn(2)
         observer = Observer(

@@ -236,15 +236,17 @@ class MujocoSimulation:
 
 
 def physics_steps(control_timestep: float, physics_timestep: float) -> int:
-    """The number of physics steps in a control step, both [s].
+    """The number of physics steps in a control step, see `steps_of`."""
+    return steps_of(control_timestep, physics_timestep, "control_timestep", "the physics step")
+
+
+def steps_of(whole: float, part: float, name: str, part_name: str) -> int:
+    """The number of steps of length `part` in a time that is called `name`, both [s].
 
     Raises:
         CadenzaError: it is not a whole number.
     """
-    substeps = round(control_timestep / physics_timestep)
-    if substeps < 1 or abs(substeps * physics_timestep - control_timestep) > 1e-9:
-        raise CadenzaError(
-            f"control_timestep {control_timestep} s is not a multiple of the physics step "
-            f"{physics_timestep} s"
-        )
-    return substeps
+    steps = round(whole / part)
+    if steps < 1 or abs(steps * part - whole) > 1e-9:
+        raise CadenzaError(f"{name} {whole} s is not a multiple of {part_name} {part} s")
+    return steps

@@ -23,6 +23,7 @@ from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.scene.scene import build_scene, in_steps_of
 from cadenza.sim.linearisation import Linearisation, Lineariser
+from cadenza.sim.mujoco_simulation import steps_of
 from cadenza.sim.planning_simulation import PlanningSimulation, as_mujoco
 from cadenza.sim.protocol import State
 from cadenza.tasks.view import View
@@ -86,8 +87,8 @@ class ILQGPlanner(EpisodePlanner):
         """
         task = self._task = view.task
         self.config, hold, planning = config, task.config.control_timestep, config.planning_timestep
-        steps = _times(config.horizon, hold, "horizon", "control_timestep")
-        self._substeps = _times(hold, planning, "control_timestep", "planning_timestep")
+        steps = steps_of(config.horizon, hold, "horizon", "control_timestep")
+        self._substeps = steps_of(hold, planning, "control_timestep", "planning_timestep")
         # MuJoCo has no derivatives of a scene in which keys sleep.
         waking = build_scene(replace(task.scene.config, sleeping_keys=False))
         scene = in_steps_of(waking, planning)
@@ -249,13 +250,6 @@ class _Damping:
         self._change = min(1 / self._FACTOR, self._change / self._FACTOR)
         value = self.value * self._change
         self.value = value if value >= self._LEAST else 0.0
-
-
-def _times(whole: float, part: float, name: str, part_name: str) -> int:
-    times = round(whole / part)
-    if times < 1 or abs(times * part - whole) > 1e-9:
-        raise CadenzaError(f"{name} {whole} s is not a multiple of {part_name} {part} s")
-    return times
 
 
 _TOLERANCE = 1e-9  # norm of the free gradient, relative to the gradient at the start

@@ -97,13 +97,6 @@ class PlannedVariant:
             for side, goals in zip(self.plan.scene.sides, self.goals, strict=True)
         ]
 
-    def unplayed(self) -> Trajectory:
-        """The trajectory as planned, of which nothing has been played."""
-        plan = self.plan
-        return Trajectory.unplayed(
-            plan.nominal.tracking, plan.scene.keyboard.num_keys, len(plan.scene.sides)
-        )
-
     def follow(
         self, trajectory: Trajectory, step: int, rngs: Sequence[np.random.Generator]
     ) -> None:
@@ -169,7 +162,8 @@ class InitialTrajectories:
 
     def _begin(self, planned: PlannedVariant) -> None:
         """Goes over to a variant of which nothing has been played."""
-        self._planned, self._trajectory, self.num_played = planned, planned.unplayed(), 0
+        self._planned, self._trajectory = planned, Trajectory.unplayed(planned.plan)
+        self.num_played = 0
         self._snapshots = {0: planned.scene.at_start()}
 
     @property

@@ -38,17 +38,15 @@ class Trajectory(NamedTuple):
     """(T,) the cost of all hands after the step."""
 
     @classmethod
-    def unplayed(cls, tracking: Tracking, num_keys: int, num_hands: int) -> Trajectory:
+    def unplayed(cls, plan: SongPlan) -> Trajectory:
         """The planned trajectory before any of it has been played: no loss is known yet."""
-        steps = len(tracking.ctrl)
-        return cls(
-            tracking.ctrl.copy(),
-            tracking.expected[:-1].copy(),
-            np.zeros((steps, num_keys), bool),
-            np.zeros((steps, num_hands)),
-            np.zeros((steps, num_hands)),
-            np.zeros(steps),
+        ctrl, _, expected = plan.nominal.tracking
+        sounding, loss = (
+            np.zeros_like(plan.goals.keys),
+            np.zeros((len(ctrl), len(plan.scene.sides))),
         )
+        cost = np.zeros(len(ctrl))
+        return cls(ctrl.copy(), expected[:-1].copy(), sounding, loss, loss.copy(), cost)
 
     @property
     def all_loss(self) -> Array:
