@@ -79,7 +79,7 @@ class ActionMapping:
         self._reference, self.reference = reference, None
         self._scaled = ranges.ctrl if ranges else task.scale_action
         if reference is not None:
-            self._to_posture = servos_of(task.scene).of_joints
+            self._servos = servos_of(task.scene)
             self._low, self._high = task.action_low, task.action_high
             action = np.concatenate([reference.ctrl, reference.pedal[:, None]], axis=1)
             centre, scale = (self._high + self._low) / 2, (self._high - self._low) / 2
@@ -98,8 +98,7 @@ class ActionMapping:
         reference = self._reference
         if reference is None:
             return self._scaled(action)
-        position, speed = state.hand_qpos @ self._to_posture, state.hand_qvel @ self._to_posture
-        measured = np.stack([position, speed], axis=-1)
+        measured = self._servos.state(state.hand_qpos, state.hand_qvel)
         feedback = (reference.gain[steps] * (measured - reference.expected[steps])).sum(axis=-1)
         hands = reference.ctrl[steps] - feedback + reference.reach * action[:, :-1]
         ctrl = np.concatenate([hands, reference.pedal[steps, None]], axis=1)

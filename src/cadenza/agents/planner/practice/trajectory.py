@@ -131,16 +131,13 @@ class WholeScene:
         simulation, history = scene_before(first, trajectory, known), trajectory.key_history(first)
         played, snapshots = trajectory.segment(first, last), Snapshots()
         last = first + len(played.ctrl)
+        tracking = Tracking(played.ctrl, self._gain[first:last], played.expected)
         for k, step in enumerate(range(first, last)):
             if step % every == 0:
                 snapshots[step] = copy(simulation)
             state = simulation.state
             here = self._servos.state(state.hand_qpos[0], state.hand_qvel[0])
-            if act:
-                ctrl = act(step, state)
-            else:
-                feedback = (self._gain[step] * (here - played.expected[k])).sum(axis=1)
-                ctrl = self._servos.clip(played.ctrl[k] - feedback)
+            ctrl = act(step, state) if act else tracking.controls(self._servos, k, here)
             simulation.step(ctrl[None])
             (loss, strikes), cost, history = self._evaluated(simulation.state, step, history)
             sounding = history.sounding[None]
