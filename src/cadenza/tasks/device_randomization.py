@@ -63,15 +63,16 @@ class DeviceRandomization:
         seeds = range(self._first, self._first + self._count)
         models = scaled_fields(scene, map(ranges.factors, seeds)) if self.scaled else {}
         self._models: dict[str, Any] = {n: jnp.asarray(values) for n, values in models.items()}
-        self._late: Any = jnp.asarray([ranges.late(seed) for seed in seeds], jnp.int32)
+        late = list(map(ranges.latency_steps, seeds))
+        self._latency_steps: Any = jnp.asarray(late, jnp.int32)
 
     def begin(self, key: Array, start: Array) -> Draws:
         """Draws for episodes in which the hands start at joint positions (N, J) [m, rad]."""
         of_seed, of_noise = jax.random.split(key)
         seed = self._first + jax.random.randint(of_seed, (self._num_envs,), 0, self._count)
-        kept = self._ranges.kept if self._ranges.has_latency else 0
+        num_sent = self._ranges.num_sent if self._ranges.has_latency else 0
         rest = jnp.pad(self._ranges.resting_ctrl(start), ((0, 0), (0, 1)))  # the pedal is up
-        sent = jnp.tile(rest[:, None], (1, kept, 1))
+        sent = jnp.tile(rest[:, None], (1, num_sent, 1))
         return Draws(seed, sent, self._offset(of_noise))
 
     def _offset(self, key: Array) -> Array:
@@ -101,7 +102,7 @@ class DeviceRandomization:
         if ranges.has_latency:
             sent: Any = jnp.concatenate([ctrl[:, None], draws.sent[:, :-1]], axis=1)
             draws = draws._replace(sent=sent)
-            steps, substeps = divmod(self._late[variant], ranges.substeps)
+            steps, substeps = divmod(self._latency_steps[variant], ranges.substeps)
             envs = jnp.arange(self._num_envs)
             ctrl = sent[envs, steps]
             others["held"] = Held(sent[envs, steps + 1, :-1], substeps)

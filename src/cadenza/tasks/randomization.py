@@ -22,7 +22,7 @@ Ids = NDArray[np.intp]
 
 _LEAST_FACTOR = {"mass": 0.01}  # MuJoCo refuses bodies without mass; 0 for all others
 _MOST_FACTOR = 100.0
-_MOSTLATENCY = 1.0  # [s]
+_MOST_LATENCY = 1.0  # [s]
 _MOST_NOISE = {
     "joint_noise": math.pi,  # [rad], half a turn
     "slide_noise": 1.0,  # [m], nearly the keyboard
@@ -47,7 +47,7 @@ class Ranges:
         observation_noise: (J + K,) standard deviations of noise on observed joints [m, rad], then
             on key states.
         has_latency: whether actions may be late.
-        kept: how many actions are kept, so that even the latest arrives, and one before it.
+        num_sent: how many actions are kept, so that even the latest arrives, and one before it.
     """
 
     def __init__(self, config: DomainRandomization, scene: Scene, control_timestep: float) -> None:
@@ -69,7 +69,7 @@ class Ranges:
         keys = np.full(scene.keyboard.num_keys, config.key_noise)
         self.observation_noise = np.concatenate([joints, keys])
         self.has_latency = bool(config.latency[1])
-        self.kept = self._steps_of(config.latency[1]) // self.substeps + 2
+        self.num_sent = self._steps_of(config.latency[1]) // self.substeps + 2
 
     def generator(self, seed: int, name: str) -> np.random.Generator:
         """The generator of a field, or of noise, in an episode with this seed."""
@@ -83,7 +83,7 @@ class Ranges:
             drawn[name] = np.asarray(self.generator(seed, name).uniform(low, high, shape))
         return drawn
 
-    def late(self, seed: int) -> int:
+    def latency_steps(self, seed: int) -> int:
         """After how many physics steps actions arrive."""
         return self._steps_of(self.generator(seed, LATENCY).uniform(*self.config.latency))
 
@@ -140,10 +140,10 @@ class Randomization:
             self.drawn = {name: np.ones((num_envs, *s)) for name, s in ranges.shapes.items()}
             self.drawn[SEED] = np.zeros(num_envs, np.int64)
         self._control_rngs: dict[int, np.random.Generator] = {}
-        self._late = np.zeros(num_envs, np.intp)  # in physics steps
+        self._latency_steps = np.zeros(num_envs, np.intp)  # in physics steps
         if ranges.has_latency:
             self.drawn[LATENCY] = np.zeros(num_envs)
-            self._sent = np.zeros((num_envs, ranges.kept, len(scene.action_low)))
+            self._sent = np.zeros((num_envs, ranges.num_sent, len(scene.action_low)))
         self._offset = np.zeros((num_envs, len(ranges.observation_noise)))
         self._observation_rngs: dict[int, np.random.Generator] = {}
         asked = [*ranges.shapes, *({LATENCY} & self.drawn.keys())]
@@ -187,8 +187,8 @@ class Randomization:
             self.drawn[name][env] = values
         self.drawn[SEED][env] = seed
         if LATENCY in self.drawn:
-            self._late[env] = self._ranges.late(seed)
-            self.drawn[LATENCY][env] = self._late[env] * self._ranges.physics_timestep
+            self._latency_steps[env] = self._ranges.latency_steps(seed)
+            self.drawn[LATENCY][env] = self._latency_steps[env] * self._ranges.physics_timestep
         self._control_rngs[env] = self._ranges.generator(seed, _CONTROL)
         self._observation_rngs[env] = self._ranges.generator(seed, _OBSERVATION)
         return factors
@@ -224,7 +224,7 @@ class Randomization:
         sent = self._sent
         sent[moving, 1:] = sent[moving, :-1]
         sent[moving, 0] = ctrl[moving]
-        steps, substeps = np.divmod(self._late, self._ranges.substeps)
+        steps, substeps = np.divmod(self._latency_steps, self._ranges.substeps)
         before = sent[self._env_ids, steps + 1]
         return sent[self._env_ids, steps], Held(before[:, :-1], substeps)
 
@@ -260,7 +260,7 @@ class Randomization:
 
 def _check(config: DomainRandomization, factors: Sequence[str]) -> None:
     limits = {name: (_LEAST_FACTOR.get(name, 0.0), _MOST_FACTOR) for name in factors}
-    for name, (least, most) in (limits | {LATENCY: (0.0, _MOSTLATENCY)}).items():
+    for name, (least, most) in (limits | {LATENCY: (0.0, _MOST_LATENCY)}).items():
         low, high = getattr(config, name)
         if not least <= low <= high <= most:
             raise CadenzaError(
