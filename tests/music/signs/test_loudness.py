@@ -2,15 +2,14 @@
 
 from fractions import Fraction as Q
 
-from cadenza.music.signs.conventions import Conventions
 from cadenza.music.signs.loudness import Loudness
 from cadenza.music.signs.loudness_marks import Dynamic, Hairpin, Sforzato
 
 P, MF, F_ = 49, 80, 96
 
 
-def velocities(*marks, conventions=None):
-    loudness = Loudness(marks, conventions or Conventions(), unmarked=MF)
+def velocities(*marks):
+    loudness = Loudness(marks, unmarked=MF)
     return [loudness.at(Q(k)) for k in range(9)]
 
 
@@ -49,7 +48,3 @@ def test_velocities_stay_within_midi():
     loudest = velocities(Dynamic(Q(0), 120), Hairpin(Q(0), Q(4), 1), Sforzato(Q(1)))
     assert min(softest) == 1
     assert max(loudest) == 127
-
-
-def test_plain_has_no_hairpins():
-    assert velocities(Hairpin(Q(0), Q(4), 1), conventions=Conventions.plain()) == [80] * 9

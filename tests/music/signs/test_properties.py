@@ -7,7 +7,6 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cadenza.music.signs.conventions import Conventions
 from cadenza.music.signs.realising import realised
 from cadenza.music.signs.signed_note import (
     Arpeggio,
@@ -23,7 +22,6 @@ from cadenza.music.signs.signed_note import (
 from cadenza.music.signs.tempo_map import TempoMap
 from cadenza.music.signs.tempo_marks import Caesura, Change, Fermata, Swing, Tempo, TempoWord
 
-USUAL, PLAIN = Conventions(), Conventions.plain()
 END = Q(16)
 places = st.integers(0, 48).map(lambda k: Q(k, 3))
 lengths = st.sampled_from([Q(1, 12), Q(1, 8), Q(1, 4), Q(1, 3), Q(1, 2), Q(3, 4), Q(1), Q(4)])
@@ -78,10 +76,10 @@ scores = st.lists(notes, min_size=1, max_size=12)
 @settings(deadline=None)
 @given(scores, marks, st.booleans())
 def test_every_note_sounds_and_stays_within_its_neighbourhood(score, tempos, swing):
-    tempo = TempoMap.of(tempos, USUAL, END)
+    tempo = TempoMap.of(tempos, END)
     swings = [Swing(Q(0))] if swing else []
     score = [replace(note, written=index) for index, note in enumerate(score)]
-    sounding = realised(score, tempo, USUAL, swings)
+    sounding = realised(score, tempo, swings)
     assert {note.of.written for note in sounding} == set(range(len(score)))
     assert all(note.end > note.start for note in sounding)
     assert all(1 <= note.velocity <= 127 for note in sounding)
@@ -92,9 +90,9 @@ def test_every_note_sounds_and_stays_within_its_neighbourhood(score, tempos, swi
 @settings(deadline=None)
 @given(scores, marks)
 def test_without_signs_times_are_those_of_the_tempo_map_to_the_bit(score, tempos):
-    tempo = TempoMap.of(tempos, USUAL, END)
+    tempo = TempoMap.of(tempos, END)
     bare = [SignedNote(n.onset, n.duration, n.pitch, n.velocity) for n in score]
-    got = sorted((n.start, n.end, n.pitch, n.velocity) for n in realised(bare, tempo, USUAL))
+    got = sorted((n.start, n.end, n.pitch, n.velocity) for n in realised(bare, tempo))
     starts = tempo.onsets([n.onset for n in bare]).tolist()
     ends = tempo.ends([n.end for n in bare]).tolist()
     rest = [(n.pitch, n.velocity) for n in bare]
@@ -104,16 +102,16 @@ def test_without_signs_times_are_those_of_the_tempo_map_to_the_bit(score, tempos
 @settings(deadline=None)
 @given(scores)
 def test_plain_is_as_if_there_were_no_signs_but_grace_notes(score):
-    tempo = TempoMap.of([], PLAIN)
-    written = [note for note in score if note.grace is None]
-    got = {(n.start, n.end, n.pitch, n.velocity) for n in realised(written, tempo, PLAIN)}
+    tempo = TempoMap.of([])
+    written = [note.plain for note in score if note.grace is None]
+    got = {(n.start, n.end, n.pitch, n.velocity) for n in realised(written, tempo)}
     assert got == {(float(n.onset) / 2, float(n.end) / 2, n.pitch, n.velocity) for n in written}
 
 
 @settings(deadline=None)
 @given(marks)
 def test_time_never_goes_back_and_silence_comes_after_what_ends(tempos):
-    tempo = TempoMap.of(tempos, USUAL, END)
+    tempo = TempoMap.of(tempos, END)
     grid = [Q(k, 6) for k in range(100)]
     onsets, ends = tempo.onsets(grid), tempo.ends(grid)
     assert np.all(np.diff(onsets) > 0)
@@ -124,7 +122,7 @@ def test_time_never_goes_back_and_silence_comes_after_what_ends(tempos):
 @settings(deadline=None)
 @given(marks, places)
 def test_a_piece_that_is_played_twice_lasts_twice_as_long(tempos, middle):
-    tempo = TempoMap.of(tempos, USUAL, END)
+    tempo = TempoMap.of(tempos, END)
     both = tempo.played([(Q(0), END), (Q(0), END)])
     once = float(tempo.onsets([END])[0] - tempo.onsets([Q(0)])[0])
     np.testing.assert_allclose(both.onsets([2 * END]), 2 * once)

@@ -1,10 +1,11 @@
 """Signs of single notes: what is played for them, worked out by hand from rules of editions."""
 
 from fractions import Fraction as Q
+from itertools import pairwise
 
 import pytest
 
-from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.conventions import NOTES_A_SECOND
 from cadenza.music.signs.realising import realised
 from cadenza.music.signs.signed_note import (
     Arpeggio,
@@ -20,14 +21,13 @@ from cadenza.music.signs.signed_note import (
 from cadenza.music.signs.tempo_map import TempoMap
 from cadenza.music.signs.tempo_marks import Swing, Tempo
 
-BACH = Conventions(notes_a_second=8)  # thirty-seconds of a quarter of 1 s, as most examples have
+FAST = 1 / NOTES_A_SECOND  # [s] of the notes of ornaments
 C4, D4, E4, F4, G4, B3 = 60, 62, 64, 65, 67, 59
 
 
-def played(*notes, conventions=BACH, seconds=1.0, swings=()):
+def played(*notes, seconds=1.0, swings=()):
     """(start, end, pitch) of what sounds; a quarter lasts `seconds`."""
-    tempo = TempoMap.of([Tempo(Q(0), seconds)], conventions)
-    sounding = realised(notes, tempo, conventions, swings)
+    sounding = realised(notes, TempoMap.of([Tempo(Q(0), seconds)]), swings)
     return [(round(n.start, 9), round(n.end, 9), n.pitch) for n in sounding]
 
 
@@ -35,8 +35,10 @@ def note(onset, duration, pitch=C4, **signs):
     return SignedNote(Q(onset), Q(duration), pitch, 80, **signs)
 
 
-def eighths_of_a_second(start, pitches):
-    return [(start + k / 8, start + (k + 1) / 8, pitch) for k, pitch in enumerate(pitches)]
+def fast(start, pitches, length=FAST):
+    """Notes of so many seconds, one after the other."""
+    times = [round(start + k * length, 9) for k in range(len(pitches) + 1)]
+    return [(*pair, pitch) for pair, pitch in zip(pairwise(times), pitches, strict=True)]
 
 
 def ornament(kind, **more):
@@ -44,7 +46,7 @@ def ornament(kind, **more):
 
 
 def test_a_trill_begins_above_and_ends_on_its_note():
-    assert played(note(1, 1, **ornament("TRILL"))) == eighths_of_a_second(1, [D4, C4] * 4)
+    assert played(note(1, 1, **ornament("TRILL"))) == fast(1, [D4, C4] * 6)
 
 
 def test_the_key_or_an_accidental_says_how_high_the_neighbour_of_a_trill_is():
@@ -57,12 +59,8 @@ def test_the_key_or_an_accidental_says_how_high_the_neighbour_of_a_trill_is():
 
 
 def test_a_trill_may_begin_on_its_note():
-    main = eighths_of_a_second(0, [])
-    conventions = Conventions(notes_a_second=8, trills_from_above=False)
-    main = [(k / 7, (k + 1) / 7, [C4, D4][k % 2]) for k in range(7)]
-    rounded = [(round(a, 9), round(b, 9), pitch) for a, b, pitch in main]
-    assert played(note(0, 1, **ornament("TRILL")), conventions=conventions) == rounded
-    assert played(note(0, 1, **ornament("TRILL", begins=0))) == rounded
+    got = played(note(0, 1, **ornament("TRILL", begins=0)))
+    assert got == fast(0, [*[C4, D4] * 5, C4], length=1 / 11)
 
 
 def test_grace_notes_after_a_trill_end_it():
@@ -71,8 +69,7 @@ def test_grace_notes_after_a_trill_end_it():
         note(1, Q(1, 4), C4, grace=Grace(1)),
     ]
     got = played(note(0, 1, **ornament("TRILL")), *ending, note(1, 1, D4))
-    turn = eighths_of_a_second(0.75, [B3, C4])
-    assert got == [*eighths_of_a_second(0, [D4, C4] * 3), *turn, (1, 2, D4)]
+    assert got == [*fast(0, [D4, C4] * 5 + [B3, C4]), (1, 2, D4)]
 
 
 @pytest.mark.parametrize(
@@ -86,9 +83,8 @@ def test_grace_notes_after_a_trill_end_it():
     ],
 )
 def test_short_ornaments_are_fast_and_their_last_note_is_held(kind, pitches):
-    fast = eighths_of_a_second(0, pitches)
-    fast[-1] = (fast[-1][0], 2, C4)
-    assert played(note(0, 2, **ornament(kind))) == fast
+    *first, (last, _, _) = fast(0, pitches)
+    assert played(note(0, 2, **ornament(kind))) == [*first, (last, 2, C4)]
 
 
 def test_a_long_mordent_has_two_beats_and_a_short_note_a_fast_one():
@@ -100,7 +96,8 @@ def test_a_long_mordent_has_two_beats_and_a_short_note_a_fast_one():
 
 def test_a_turn_after_a_note_comes_just_before_the_next():
     got = played(note(0, 2, **ornament("TURN", delayed=True, below=1)))
-    assert got == [(0, 1.5, C4), *eighths_of_a_second(1.5, [D4, C4, 60, C4])]
+    turn = fast(2 - 4 * FAST, [D4, C4, C4, C4])
+    assert got == [(0, turn[0][0], C4), *turn]
 
 
 @pytest.mark.parametrize(
@@ -121,7 +118,7 @@ def test_tremolos_are_measured_by_their_marks(duration, marks, count):
 
 
 def test_a_tremolo_is_no_faster_than_an_ornament():
-    assert len(played(note(0, 1, tremolo=Tremolo(3)), seconds=0.5)) == 4
+    assert len(played(note(0, 1, tremolo=Tremolo(3)), seconds=0.5)) == 6
 
 
 def test_a_tremolo_of_two_alternates():
@@ -213,10 +210,10 @@ def test_articulation_says_how_long_a_note_is(marks, end):
 
 
 def test_accents_are_louder():
-    tempo = TempoMap.of([], BACH)
+    tempo = TempoMap.of([])
     marks = [frozenset(), {Mark.ACCENT}, {Mark.STRONG_ACCENT}]
     notes = [note(k, 1, marks=frozenset(each)) for k, each in enumerate(marks)]
-    assert [n.velocity for n in realised(notes, tempo, BACH)] == [80, 92, 96]
+    assert [n.velocity for n in realised(notes, tempo)] == [80, 92, 96]
 
 
 def test_under_a_slur_notes_last_to_the_next_and_the_last_is_lifted():
@@ -244,7 +241,8 @@ def test_signs_at_one_note_are_for_its_chord():
 def test_an_ornament_of_a_chord_is_for_its_highest_note_and_a_double_trill_for_both():
     lowest = note(0, 1, **ornament("MORDENT"))
     single = played(lowest, note(0, 1, G4))
-    assert single == [(0, 1, C4), (0, 0.125, G4), (0.125, 0.25, F4), (0.25, 1, G4)]
+    first, second, (last, _, _) = fast(0, [G4, F4, G4])
+    assert single == [(0, 1, C4), first, second, (last, 1, G4)]
     double = played(note(0, 1, **ornament("TRILL")), note(0, 1, E4, **ornament("TRILL")))
     assert [pitch for start, _, pitch in double if start == 0] == [D4, F4]
 
@@ -284,6 +282,9 @@ def test_plain_plays_every_note_as_it_stands():
         *chord(C4, E4, onset=1, duration=1),
         note(2, Q(1, 2), tremolo=Tremolo(3), slurs=(SlurEnd(True),)),
         note(Q(5, 2), Q(1, 2), marks=frozenset({Mark.BREATH}), slurs=(SlurEnd(False),)),
+        note(4, Q(1, 2), D4, grace=Grace(0)),
+        note(4, 1),
     ]
-    got = played(*signs, conventions=Conventions.plain(), swings=[Swing(Q(0))])
+    *got, grace, main = played(*(each.plain for each in signs))
     assert got == [(0, 1, C4), (1, 2, C4), (1, 2, E4), (2, 2.5, C4), (2.5, 3, C4)]
+    assert [grace, main] == [(3.9, 4, D4), (4, 5, C4)]  # and not on the beat

@@ -6,23 +6,22 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.conventions import LONG_FERMATA
 from cadenza.music.signs.tempo_map import TempoMap
 from cadenza.music.signs.tempo_marks import (
     Caesura,
     Change,
     Fermata,
-    FermataLength,
     Tempo,
     TempoWord,
+    says_tempo,
 )
 
 QUARTERS = [Q(k) for k in range(17)]
-USUAL, PLAIN = Conventions(), Conventions.plain()
 
 
-def onsets(marks, conventions=USUAL, places=QUARTERS, end=Q(16)):
-    return TempoMap.of(marks, conventions, end).onsets(places)
+def onsets(marks, places=QUARTERS, end=Q(16)):
+    return TempoMap.of(marks, end).onsets(places)
 
 
 def test_without_marks_a_quarter_is_half_a_second():
@@ -88,31 +87,31 @@ def test_a_tempo_for_playback_overrules_the_word_beside_it():
 
 
 def test_at_a_fermata_all_parts_wait_and_notes_are_held():
-    tempo = TempoMap.of([Fermata(Q(3), Q(4)), Fermata(Q(2), Q(4))], USUAL)
+    tempo = TempoMap.of([Fermata(Q(3), Q(4)), Fermata(Q(2), Q(4))])
     assert tempo.onsets([Q(3), Q(4), Q(5)]).tolist() == [1.5, 2.5, 3.0]
     assert tempo.ends([Q(4)]).tolist() == [2.5]
-    long = TempoMap.of([Fermata(Q(2), Q(4), FermataLength.LONG)], USUAL)
+    long = TempoMap.of([Fermata(Q(2), Q(4), LONG_FERMATA)])
     assert long.onsets([Q(4)]).tolist() == [4.0]
-    barline = TempoMap.of([Fermata(Q(4), Q(4))], USUAL)
+    barline = TempoMap.of([Fermata(Q(4), Q(4))])
     assert barline.onsets([Q(4)]).tolist() == [2.5]
 
 
 def test_at_a_caesura_there_is_silence():
-    tempo = TempoMap.of([Caesura(Q(4))], USUAL)
+    tempo = TempoMap.of([Caesura(Q(4))])
     assert tempo.ends([Q(4)]).tolist() == [2.0]
     assert tempo.onsets([Q(4), Q(5)]).tolist() == [2.5, 3.0]
 
 
 def test_sections_are_played_one_after_the_other_with_their_waits():
     marks = [Tempo(Q(0), 1.0), Fermata(Q(3), Q(4)), Caesura(Q(8)), Tempo(Q(6), 0.5)]
-    sheet = TempoMap.of(marks, USUAL)
+    sheet = TempoMap.of(marks)
     played = sheet.played([(Q(0), Q(4)), (Q(2), Q(8)), (Q(1), Q(2))])
     assert played.onsets([Q(0), Q(4), Q(6), Q(8), Q(10)]).tolist() == [0, 5, 8, 10, 11.5]
     assert played.ends([Q(4), Q(10), Q(11)]).tolist() == [5, 11, 12.5]
 
 
 def test_the_last_note_is_held_by_a_fermata_where_the_music_is_played_by_sections():
-    sheet = TempoMap.of([Fermata(Q(3), Q(4))], USUAL)
+    sheet = TempoMap.of([Fermata(Q(3), Q(4))])
     assert sheet.played([(Q(0), Q(4)), (Q(0), Q(4))]).ends([Q(4), Q(8)]).tolist() == [2.5, 5.0]
 
 
@@ -125,4 +124,4 @@ def test_plain_has_tempos_only():
         TempoWord(Q(9), Change.PIU_MOSSO),
         Tempo(Q(12), 0.5),
     ]
-    assert np.diff(onsets(marks, PLAIN)).tolist() == [1.0] * 12 + [0.5] * 4
+    assert np.diff(onsets(filter(says_tempo, marks))).tolist() == [1.0] * 12 + [0.5] * 4

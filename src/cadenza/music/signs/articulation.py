@@ -5,14 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterable
 from fractions import Fraction
 
-from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.conventions import (
+    ACCENT,
+    BREATH,
+    MARCATO,
+    PHRASE_LIFT,
+    PORTATO,
+    STACCATISSIMO,
+    STACCATO,
+    STRONG_ACCENT,
+)
 from cadenza.music.signs.signed_note import Mark, SignedNote
 from cadenza.music.signs.timed_note import Chord, TimedNote, Voice
 
 _MOST_LIFTED = 0.5  # of a note, by which it ends earlier at most
 
 
-def articulate(voice: Voice, slurred: set[Fraction], conventions: Conventions) -> None:
+def articulate(voice: Voice, slurred: set[Fraction]) -> None:
     """Gives the chords of a voice their lengths and velocities.
 
     Notes last as long as they are written, if no sign says otherwise. Under a slur they last to
@@ -21,22 +30,21 @@ def articulate(voice: Voice, slurred: set[Fraction], conventions: Conventions) -
     Args:
         voice: the voice.
         slurred: the onsets of chords from which a slur leads on, see `slurred_onsets`.
-        conventions: how long and how loud notes with signs are.
     """
     in_slur = False
     for chord, following in voice.pairs():
         was_in_slur, in_slur = in_slur, chord[0].of.onset in slurred
         for note in chord:
-            share = _share(note.of.marks, in_slur or was_in_slur, conventions)
+            share = _share(note.of.marks, in_slur or was_in_slur)
             if share < 1:
                 note.end_by(note.start + share * note.length)
             elif in_slur:
                 _join(note, following)
             elif was_in_slur:
-                _lift(note, conventions.phrase_lift)
+                _lift(note, PHRASE_LIFT)
             if Mark.BREATH in note.of.marks:
-                _lift(note, conventions.breath)
-            note.velocity *= _loudness(note.of.marks, conventions)
+                _lift(note, BREATH)
+            note.velocity *= _loudness(note.of.marks)
 
 
 def slurred_onsets(notes: Iterable[SignedNote]) -> dict[tuple[int, str], set[Fraction]]:
@@ -78,26 +86,24 @@ def _within(onsets: list[Fraction], spans: list[tuple[Fraction, Fraction]]) -> s
     return within
 
 
-def _share(marks: frozenset[Mark], slurred: bool, conventions: Conventions) -> float:
+def _share(marks: frozenset[Mark], slurred: bool) -> float:
     """The length of a note with these marks, as a share of the written one."""
     if Mark.STACCATISSIMO in marks:
-        return conventions.staccatissimo
+        return STACCATISSIMO
     if Mark.PORTATO in marks:
-        return conventions.portato
+        return PORTATO
     if Mark.STACCATO in marks:
-        return conventions.portato if slurred or Mark.TENUTO in marks else conventions.staccato
+        return PORTATO if slurred or Mark.TENUTO in marks else STACCATO
     if Mark.STRONG_ACCENT in marks and not slurred and Mark.TENUTO not in marks:
-        return conventions.marcato
+        return MARCATO
     return 1.0
 
 
-def _loudness(marks: frozenset[Mark], conventions: Conventions) -> float:
+def _loudness(marks: frozenset[Mark]) -> float:
     """The velocity of a note with these marks, as a multiple of that of others."""
-    factors = {
-        Mark.ACCENT: conventions.accent,
-        Mark.STRONG_ACCENT: conventions.strong_accent,
-    }
-    return max((factor for mark, factor in factors.items() if mark in marks), default=1.0)
+    if Mark.STRONG_ACCENT in marks:
+        return STRONG_ACCENT
+    return ACCENT if Mark.ACCENT in marks else 1.0
 
 
 def _join(note: TimedNote, following: Chord | None) -> None:

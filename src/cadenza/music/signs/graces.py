@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.conventions import GRACE_LENGTH, NOTES_A_SECOND
 from cadenza.music.signs.signed_note import OrnamentKind
 from cadenza.music.signs.tempo_map import TempoMap
 from cadenza.music.signs.timed_note import Chord, Voice
@@ -20,12 +20,14 @@ _HALF, _TWO_THIRDS = Fraction(1, 2), Fraction(2, 3)
 _THREE = 3  # a dotted note has so many halves of the next smaller value
 
 
-def place_graces(voice: Voice, tempo: TempoMap, conventions: Conventions) -> None:
+def place_graces(voice: Voice, tempo: TempoMap) -> None:
     """Gives grace notes their times, and their neighbours those that are left to them.
 
     They are played one after the other before the beat, and the note before sounds on meanwhile;
     those after a trill end it. Where the file says that they take their time from one of their
-    neighbours, they do. A single one without a stroke is an appoggiatura.
+    neighbours, they do. A single one without a stroke is an appoggiatura: it is played on the beat,
+    as long as it shows (Grove), but takes at most half of the note, or two thirds of a dotted one
+    (Gehrkens).
     """
     onsets = list(voice.chords)
     before = 0  # chords that begin earlier than the grace notes
@@ -36,15 +38,13 @@ def place_graces(voice: Voice, tempo: TempoMap, conventions: Conventions) -> Non
         after = graces[0][0].of.grace
         assert after is not None  # or they were no grace notes
         main = None if after.after else voice.chords.get(onset)
-        if main is not None and _on_the_beat(graces, main, tempo, conventions):
+        if main is not None and _on_the_beat(graces, main, tempo):
             continue
         clock = tempo.onsets if main else tempo.ends
-        _before_the_beat(graces, previous, clock, conventions)
+        _before_the_beat(graces, previous, clock)
 
 
-def _on_the_beat(
-    graces: Sequence[Chord], main: Chord, tempo: TempoMap, conventions: Conventions
-) -> bool:
+def _on_the_beat(graces: Sequence[Chord], main: Chord, tempo: TempoMap) -> bool:
     """Plays grace notes that take their time from the chord that they lead to, if they do."""
     grace = graces[0][0]
     shown = grace.of.grace
@@ -52,7 +52,7 @@ def _on_the_beat(
     if shown.of_following:
         share = sum(_share(chord[0].of.grace.of_following) for chord in graces if chord[0].of.grace)
         delayed, length = main, min(share, _MOST_OF_NOTE) * min(note.length for note in main)
-    elif conventions.appoggiaturas and _is_appoggiatura(graces):
+    elif _is_appoggiatura(graces):
         delayed = [min(main, key=lambda note: abs(note.of.pitch - grace.of.pitch))]
         end = delayed[0].of.onset + min(grace.of.duration, _most(delayed[0].of.duration))
         length = min(float(tempo.onsets([end])[0]) - delayed[0].start, delayed[0].length)
@@ -86,7 +86,6 @@ def _before_the_beat(
     graces: Sequence[Chord],
     previous: Chord | None,
     clock: Callable[[Sequence[Fraction]], NDArray[np.float64]],
-    conventions: Conventions,
 ) -> None:
     first = graces[0][0].of
     beat = float(clock([first.onset])[0])
@@ -96,8 +95,7 @@ def _before_the_beat(
         and note.of.end == first.onset
         for note in previous
     )
-    ends_trill &= conventions.ornaments
-    each = 1 / conventions.notes_a_second if ends_trill else conventions.grace_length
+    each = 1 / NOTES_A_SECOND if ends_trill else GRACE_LENGTH
     length = each * len(graces)
     grace = first.grace
     assert grace is not None

@@ -6,7 +6,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from fractions import Fraction
 
-from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.conventions import HAIRPIN_STEP, OPEN_HAIRPIN, SFORZATO
 from cadenza.music.signs.loudness_marks import Dynamic, Hairpin, Sforzato
 
 SOFTEST, LOUDEST = 1, 127
@@ -17,22 +17,15 @@ class Loudness:
     """The velocity of notes as a function of their place, by the marks of one staff.
 
     Under a hairpin it leads from the dynamic before to that after it. Where there is none, or one
-    in the other direction, it changes by `Conventions.hairpin_step`.
+    in the other direction, it changes by `HAIRPIN_STEP`.
 
     Args:
         marks: the marks, in any order.
-        conventions: what they mean.
         unmarked: the velocity up to the first dynamic.
     """
 
-    def __init__(
-        self,
-        marks: Iterable[Dynamic | Sforzato | Hairpin],
-        conventions: Conventions,
-        unmarked: int,
-    ) -> None:
+    def __init__(self, marks: Iterable[Dynamic | Sforzato | Hairpin], unmarked: int) -> None:
         marks = list(marks)
-        self._sforzato = conventions.sforzato
         self._accented = {mark.onset for mark in marks if isinstance(mark, Sforzato)}
         self._alone = {
             mark.onset: mark.velocity
@@ -53,18 +46,18 @@ class Loudness:
         for place in sorted({*levels, *hairpins}):
             now = levels.get(place, self._at(place))
             self._add(place, now)
-            if place in hairpins and conventions.hairpins:
+            if place in hairpins:
                 after = bisect_right(dynamics, place)
                 goal = dynamics[after] if after < len(dynamics) else None
                 later = bisect_right(begins, place)
                 following = begins[later] if later < len(begins) else None
-                self._ramp(hairpins[place], now, goal, levels, following, conventions)
+                self._ramp(hairpins[place], now, goal, levels, following)
 
     def at(self, place: Fraction) -> int:
         """The velocity, 1 to 127, of notes at a place [quarters]."""
         velocity = self._alone.get(place, self._at(place))
         if place in self._accented:
-            velocity *= self._sforzato
+            velocity *= SFORZATO
         return within_midi(velocity)
 
     def _at(self, place: Fraction) -> float:
@@ -87,7 +80,6 @@ class Loudness:
         dynamic: Fraction | None,
         levels: dict[Fraction, float],
         following: Fraction | None,
-        conventions: Conventions,
     ) -> None:
         """Adds the change under a hairpin, and what follows it.
 
@@ -97,16 +89,15 @@ class Loudness:
             dynamic: the place of the next dynamic, if any.
             levels: the velocities of dynamics, by their places.
             following: the place of the next hairpin, if any.
-            conventions: what it means.
         """
         end = hairpin.end
         if end is None:
             stops = [place for place in (dynamic, following) if place is not None]
-            end = min(stops, default=hairpin.onset + Fraction(conventions.open_hairpin))
+            end = min(stops, default=hairpin.onset + OPEN_HAIRPIN)
         end = end if dynamic is None else min(end, dynamic)
         if end <= hairpin.onset:
             return
-        goal = now + hairpin.step * conventions.hairpin_step
+        goal = now + hairpin.step * HAIRPIN_STEP
         if (
             dynamic is not None
             and dynamic <= end + _GOAL_WITHIN

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.conventions import NOTES_A_SECOND
 from cadenza.music.signs.signed_note import Ornament, OrnamentKind, SignedNote
 
 _STEPS = (0, 2, 4, 5, 7, 9, 11)  # semitones of C, D, E, F, G, A and B
@@ -44,22 +44,21 @@ def alteration(line: int, fifths: int) -> int:
     return (fifths - place + len(_SHARPS) - 1) // len(_SHARPS)
 
 
-def ornament_pieces(
-    note: SignedNote, start: float, end: float, led_to: bool, conventions: Conventions
-) -> list[Piece]:
+def ornament_pieces(note: SignedNote, start: float, end: float, led_to: bool) -> list[Piece]:
     """The notes that a note with an ornament stands for, which fill its time without gaps.
+
+    Mordents are those of Grove, turns those of Gehrkens.
 
     Args:
         note: the note.
         start: its beginning [s].
         end: its end [s].
         led_to: whether a grace note leads to it.
-        conventions: how fast ornaments are, and how trills begin.
     """
     sign = note.ornament
     assert sign is not None
     if sign.kind is OrnamentKind.TRILL:
-        return _trill(note, sign, start, end, led_to, conventions)
+        return _trill(note, sign, start, end, led_to)
     upper, main, lower = (
         neighbour(note, 1, sign.above),
         note.pitch,
@@ -75,7 +74,7 @@ def ornament_pieces(
     }[sign.kind]
     if sign.kind is OrnamentKind.INVERTED_MORDENT and sign.begins == 1:
         pitches = [upper, *pitches]
-    each = 1 / conventions.notes_a_second
+    each = 1 / NOTES_A_SECOND
     if sign.delayed:
         each = min(each, _MOST_OF_NOTE * (end - start) / len(pitches))
         first = end - each * len(pitches)
@@ -83,21 +82,18 @@ def ornament_pieces(
     return _sequence(pitches, start, min(each, (end - start) / len(pitches)), end, [])
 
 
-def _trill(
-    note: SignedNote,
-    sign: Ornament,
-    start: float,
-    end: float,
-    led_to: bool,
-    conventions: Conventions,
-) -> list[Piece]:
-    """A whole number of equally long notes that end on the main note."""
+def _trill(note: SignedNote, sign: Ornament, start: float, end: float, led_to: bool) -> list[Piece]:
+    """A whole number of equally long notes that end on the main note.
+
+    They begin on the upper neighbour (Bach), unless the sign says otherwise or a grace note leads
+    to the note.
+    """
     upper, main = neighbour(note, 1, sign.above), note.pitch
     begins = sign.begins
     if begins is None:
-        begins = 1 if conventions.trills_from_above and not led_to else 0
+        begins = 0 if led_to else 1
     odd = begins == 0
-    count = max(int((end - start) * conventions.notes_a_second + 1e-9), _LEAST_TRILL - odd)
+    count = max(int((end - start) * NOTES_A_SECOND + 1e-9), _LEAST_TRILL - odd)
     count -= (count - odd) % 2
     pitches = [main if (count - k) % 2 else upper for k in range(count)]
     if begins == -1:

@@ -8,7 +8,6 @@ from cadenza.errors import CadenzaError
 from cadenza.music.signs.arpeggios import break_chords
 from cadenza.music.signs.articulation import articulate, slurred_onsets
 from cadenza.music.signs.chord_signs import with_signs_of_chords
-from cadenza.music.signs.conventions import Conventions
 from cadenza.music.signs.graces import place_graces
 from cadenza.music.signs.loudness import within_midi
 from cadenza.music.signs.ornaments import ornament_pieces
@@ -24,10 +23,7 @@ MOST_NOTES = 100_000
 
 
 def realised(
-    notes: Iterable[SignedNote],
-    tempo: TempoMap,
-    conventions: Conventions,
-    swings: Iterable[Swing] = (),
+    notes: Iterable[SignedNote], tempo: TempoMap, swings: Iterable[Swing] = ()
 ) -> list[SoundingNote]:
     """The notes as they sound, by their beginnings.
 
@@ -37,25 +33,22 @@ def realised(
     Args:
         notes: the notes as written, of all parts.
         tempo: the time of each place in the music.
-        conventions: what signs mean.
         swings: where notes swing.
 
     Raises:
         CadenzaError: there would be more notes than `MOST_NOTES`.
     """
     notes = with_signs_of_chords(list(notes))
-    timed = _timed(notes, tempo, swings if conventions.swing else ())
+    timed = _timed(notes, tempo, swings)
     voices = voices_of(timed)
     slurred = slurred_onsets(notes)
     for voice in voices:
-        place_graces(voice, tempo, conventions)
-    if conventions.arpeggios:
-        break_chords(timed, conventions)
+        place_graces(voice, tempo)
+    break_chords(timed)
     times: dict[int, Times] = {}
     for voice in voices:
-        articulate(voice, slurred.get((voice.part, voice.name), set()), conventions)
-        if conventions.ornaments:
-            times |= tremolo_times(voice, conventions)
+        articulate(voice, slurred.get((voice.part, voice.name), set()))
+        times |= tremolo_times(voice)
     led_to = {
         (voice.part, voice.name, onset)
         for voice in voices
@@ -66,7 +59,7 @@ def realised(
     for note in timed:
         of, velocity = note.of, within_midi(note.velocity)
         follows_grace = (of.part, of.voice, of.onset) in led_to
-        for start, end, pitch in _pieces(note, times, follows_grace, conventions):
+        for start, end, pitch in _pieces(note, times, follows_grace):
             sounding.append(SoundingNote(start, end, pitch, velocity, of))
         if len(sounding) > MOST_NOTES:
             raise CadenzaError(
@@ -92,10 +85,10 @@ def _timed(
 
 
 def _pieces(
-    note: TimedNote, times: Mapping[int, Times], led_to: bool, conventions: Conventions
+    note: TimedNote, times: Mapping[int, Times], led_to: bool
 ) -> Iterable[tuple[float, float, int]]:
     """The notes that one stands for: starts and ends [s], and pitches."""
-    if note.of.ornament is not None and conventions.ornaments and note.of.grace is None:
-        return ornament_pieces(note.of, note.start, note.end, led_to, conventions)
+    if note.of.ornament is not None and note.of.grace is None:
+        return ornament_pieces(note.of, note.start, note.end, led_to)
     own = times.get(id(note), [(note.start, note.end)])
     return ((start, end, note.of.pitch) for start, end in own)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, auto
 from fractions import Fraction
 
@@ -157,6 +157,19 @@ class SignedNote:
     def end(self) -> Fraction:
         """When the note ends as written [quarters]; a grace note takes no time."""
         return self.onset if self.grace else self.onset + self.duration
+
+    @property
+    def plain(self) -> SignedNote:
+        """The note without its signs, as it stands; a grace note is a short one, with a stroke."""
+        return replace(
+            self,
+            marks=frozenset(),
+            ornament=None,
+            tremolo=None,
+            arpeggio=None,
+            grace=self.grace and replace(self.grace, slash=True),
+            slurs=(),
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,12 +11,18 @@ from itertools import pairwise, zip_longest
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.conventions import (
+    ACCELERANDO,
+    CAESURA,
+    MENO_MOSSO,
+    OPEN_RAMP,
+    PIU_MOSSO,
+    RITARDANDO,
+)
 from cadenza.music.signs.tempo_marks import (
     Caesura,
     Change,
     Fermata,
-    FermataLength,
     Modulation,
     Tempo,
     TempoMark,
@@ -62,23 +68,20 @@ class TempoMap:
         self._silence = np.array([piece.silence for piece in pieces])
 
     @classmethod
-    def of(
-        cls, marks: Iterable[TempoMark], conventions: Conventions, end: Fraction | None = None
-    ) -> TempoMap:
+    def of(cls, marks: Iterable[TempoMark], end: Fraction | None = None) -> TempoMap:
         """The map of a score by its marks, in any order.
 
         A `Tempo` overrules a word at the same place that means it. Fermatas that sound together
         are one. A gradual change whose end the score does not show goes on up to the next mark of
-        a tempo, or for `Conventions.open_ramp`, after which it is forgotten.
+        a tempo, or for `OPEN_RAMP` quarters, after which it is forgotten.
 
         Args:
             marks: the marks.
-            conventions: what they mean.
             end: where the music ends [quarters], and with it the last change of tempo.
         """
         marks = list(marks)
-        flow = cls(_tempos(marks, conventions, end))
-        waits = _waits(marks, conventions, flow)
+        flow = cls(_tempos(marks, end))
+        waits = _waits(marks, flow)
         waited, pieces = 0.0, []
         for place in sorted({*flow._places, *waits}):
             held, silence = waits.get(place, (0.0, 0.0))
@@ -152,9 +155,7 @@ _SUDDEN = (Change.MENO_MOSSO, Change.PIU_MOSSO)
 _GRADUAL = (Change.RITARDANDO, Change.ACCELERANDO)
 
 
-def _tempos(
-    marks: Iterable[TempoMark], conventions: Conventions, end: Fraction | None
-) -> list[TempoPiece]:
+def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoPiece]:
     """The pieces of a map without waits."""
     tempos = {mark.onset: mark for mark in marks if isinstance(mark, Tempo)}
     changes: list[Tempo | TempoWord | Modulation] = list(tempos.values())
@@ -171,7 +172,7 @@ def _tempos(
             continue
         if isinstance(mark, TempoWord) and mark.change in _GRADUAL:
             before, gradual = before if gradual else now, True
-            speeds += _ramp(mark, now, before, following, conventions, end)
+            speeds += _ramp(mark, now, before, following, end)
             continue
         if isinstance(mark, Tempo):
             seconds = mark.seconds
@@ -179,8 +180,8 @@ def _tempos(
             seconds = now * float(mark.slower)
         else:
             seconds = {
-                Change.MENO_MOSSO: now / conventions.meno_mosso,
-                Change.PIU_MOSSO: now / conventions.piu_mosso,
+                Change.MENO_MOSSO: now / MENO_MOSSO,
+                Change.PIU_MOSSO: now / PIU_MOSSO,
                 Change.A_TEMPO: before,
                 Change.TEMPO_PRIMO: _SECONDS_PER_QUARTER if primo is None else primo,
             }[mark.change]
@@ -207,7 +208,6 @@ def _ramp(
     now: float,
     before: float,
     following: Tempo | TempoWord | Modulation | None,
-    conventions: Conventions,
     end: Fraction | None,
 ) -> list[_Speed]:
     """A gradual change of the length of a quarter from `now` [s] on, and the tempo after it.
@@ -216,17 +216,14 @@ def _ramp(
     forgets it, the tempo after it is that `before` it.
     """
     slower = word.change is Change.RITARDANDO
-    factor = conventions.ritardando if slower else conventions.accelerando
-    if factor == 1:
-        return []
-    open_end = word.onset + Fraction(conventions.open_ramp)
+    open_end = word.onset + OPEN_RAMP
     reaches = [open_end if word.end is None else word.end]
     reaches += [] if following is None else [following.onset]
     reaches += [] if end is None else [end]
     reach = min(reaches)
     if reach <= word.onset:
         return []
-    goal = now / factor
+    goal = now / (RITARDANDO if slower else ACCELERANDO)
     if (
         isinstance(following, Tempo)
         and following.onset == reach
@@ -249,20 +246,12 @@ def _timed(speeds: Iterable[_Speed]) -> list[TempoPiece]:
     return pieces
 
 
-def _waits(
-    marks: Iterable[TempoMark], conventions: Conventions, flow: TempoMap
-) -> Mapping[Fraction, tuple[float, float]]:
+def _waits(marks: Iterable[TempoMark], flow: TempoMap) -> Mapping[Fraction, tuple[float, float]]:
     """Places [quarters] -> for how long [s] what sounds there is held, and for how long silent.
 
     Fermatas that sound together are one: they hold where the first of them ends, and the shortest
     of their notes counts.
     """
-    factors = {
-        FermataLength.SHORT: conventions.short_fermata,
-        FermataLength.USUAL: conventions.fermata,
-        FermataLength.LONG: conventions.long_fermata,
-        FermataLength.END_OF_LINE: conventions.chorale_fermata,
-    }
     waits: dict[Fraction, tuple[float, float]] = {}
     groups: list[list[Fermata]] = []
     for each in sorted((m for m in marks if isinstance(m, Fermata)), key=lambda m: m.end):
@@ -274,10 +263,10 @@ def _waits(
         place = group[0].end
         begins = (each.onset if each.onset < each.end else place - _AT_BARLINE for each in group)
         begin, end = flow.onsets([max(begins), place]).tolist()
-        factor = max(factors[each.length] for each in group)
+        factor = max(each.factor for each in group)
         if factor > 1:
             waits[place] = (factor - 1) * (end - begin), 0.0
     for mark in marks:
-        if isinstance(mark, Caesura) and conventions.caesura:
-            waits[mark.onset] = waits.get(mark.onset, (0.0, 0.0))[0], conventions.caesura
+        if isinstance(mark, Caesura):
+            waits[mark.onset] = waits.get(mark.onset, (0.0, 0.0))[0], CAESURA
     return waits

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from fractions import Fraction
 
+from cadenza.music.signs.conventions import FERMATA
+
 
 @dataclass(frozen=True, slots=True)
 class Tempo:
@@ -55,29 +57,16 @@ class Modulation:
     slower: Fraction
 
 
-class FermataLength(Enum):
-    """How long a fermata is by its shape."""
-
-    SHORT = auto()
-    """Angled."""
-    USUAL = auto()
-    """Round."""
-    LONG = auto()
-    """Square."""
-    END_OF_LINE = auto()
-    """At the end of each line of a chorale."""
-
-
 @dataclass(frozen=True, slots=True)
 class Fermata:
     """A fermata over a note, a chord or a rest from `onset` to `end`: all parts wait.
 
-    One over a barline has its onset at its end.
+    The note is `factor` times as long. One over a barline has its onset at its end.
     """
 
     onset: Fraction
     end: Fraction
-    length: FermataLength = FermataLength.USUAL
+    factor: float = FERMATA
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +77,13 @@ class Caesura:
 
 
 TempoMark = Tempo | TempoWord | Modulation | Fermata | Caesura
+
+
+def says_tempo(mark: TempoMark) -> bool:
+    """Whether a mark gives a tempo, and not a way to play: a change by degrees, or a wait."""
+    if isinstance(mark, TempoWord):
+        return mark.change is Change.TEMPO_PRIMO
+    return isinstance(mark, Tempo | Modulation)
 
 
 @dataclass(frozen=True, slots=True)

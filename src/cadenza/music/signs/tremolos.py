@@ -5,7 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 from itertools import pairwise
 
-from cadenza.music.signs.conventions import Conventions
+from cadenza.music.signs.conventions import NOTES_A_SECOND
 from cadenza.music.signs.signed_note import Role
 from cadenza.music.signs.timed_note import Chord, Voice
 
@@ -15,11 +15,11 @@ _UNMEASURED = 3  # marks in place of those that a tremolo without measure lacks
 _MOST_MARKS = 8  # as in MusicXML
 
 
-def tremolo_times(voice: Voice, conventions: Conventions) -> dict[int, Times]:
+def tremolo_times(voice: Voice) -> dict[int, Times]:
     """Notes of a voice with a tremolo, by `id` -> the times [s] from and up to which they sound.
 
     A tremolo is measured: each of its marks halves the value of its notes, from eighths on. Where
-    they would follow each other faster than `Conventions.notes_a_second`, they are as fast as that.
+    they would follow each other faster than `NOTES_A_SECOND`, they are as fast as that.
     """
     found: dict[int, Times] = {}
     first: Chord | None = None
@@ -29,19 +29,19 @@ def tremolo_times(voice: Voice, conventions: Conventions) -> dict[int, Times]:
             for note in chord:
                 assert note.of.tremolo is not None  # as the whole chord has it
                 count = _count(note.of.duration, note.of.tremolo.marks)
-                found[id(note)] = _even(note.start, note.end, count, conventions)
+                found[id(note)] = _even(note.start, note.end, count)
         elif role is Role.SECOND and first is not None:
-            found |= _alternating(first, chord, conventions)
+            found |= _alternating(first, chord)
         first = chord if role is Role.FIRST else None
     return found
 
 
-def _alternating(first: Chord, second: Chord, conventions: Conventions) -> dict[int, Times]:
+def _alternating(first: Chord, second: Chord) -> dict[int, Times]:
     sign = first[0].of.tremolo
     assert sign is not None
     start, end = min(note.start for note in first), max(note.end for note in second)
     count = _count(first[0].of.duration + second[0].of.duration, sign.marks)
-    times = _even(start, end, max(count, 2), conventions, times=2)
+    times = _even(start, end, max(count, 2), times=2)
     both = ((first, times[::2]), (second, times[1::2]))
     return {id(note): turns for chord, turns in both for note in chord}
 
@@ -71,9 +71,9 @@ def _undotted(shown: Fraction) -> int:
     return parts
 
 
-def _even(start: float, end: float, count: int, conventions: Conventions, times: int = 1) -> Times:
+def _even(start: float, end: float, count: int, times: int = 1) -> Times:
     """So many even notes between two times [s], fewer if too fast; a multiple of `times`."""
-    most = max(int((end - start) * conventions.notes_a_second + 1e-9), 1)
+    most = max(int((end - start) * NOTES_A_SECOND + 1e-9), 1)
     count = max(min(count, most) // times, 1) * times
     edges = [start + (end - start) * k / count for k in range(count)] + [end]
     return list(pairwise(edges))

@@ -8,7 +8,6 @@ from fractions import Fraction
 from xml.etree.ElementTree import Element
 
 from cadenza.music.formats.musicxml.timeline import Placed
-from cadenza.music.signs.conventions import Conventions
 from cadenza.music.signs.loudness import LOUDEST, Loudness, within_midi
 from cadenza.music.signs.loudness_marks import Dynamic, Hairpin, Sforzato
 from cadenza.music.signs.words import loudness_step
@@ -43,11 +42,11 @@ class PartLoudness:
 
     Args:
         part: the elements of the part.
-        conventions: how hairpins are played.
+        plain: whether hairpins and sforzatos have no effect.
     """
 
-    def __init__(self, part: Iterable[Placed], conventions: Conventions) -> None:
-        self._conventions = conventions
+    def __init__(self, part: Iterable[Placed], plain: bool) -> None:
+        self._plain = plain
         self._marks: defaultdict[int | None, list[_Mark]] = defaultdict(list)  # by staff
         self._open: dict[tuple[str, int | None], tuple[Fraction, int]] = {}
         self._known: dict[int | None, tuple[Fraction, Loudness]] = {}
@@ -71,7 +70,9 @@ class PartLoudness:
             heard = [*self._marks] if staff is _ANY else [_ANY, staff]
             marks = [mark for of in heard for mark in self._marks.get(of, ())]
             first = min((mark.onset for mark in marks), default=_NEVER)
-            self._known[staff] = first, Loudness(marks, self._conventions, UNMARKED)
+            if self._plain:
+                marks = [mark for mark in marks if isinstance(mark, Dynamic)]
+            self._known[staff] = first, Loudness(marks, UNMARKED)
         return self._known[staff]
 
     def _read(self, placed: Placed) -> None:

@@ -23,7 +23,6 @@ from cadenza.music.formats.musicxml.timeline import (
     number,
     passes_of,
 )
-from cadenza.music.signs.conventions import Conventions
 from cadenza.music.signs.signed_note import Grace, SignedNote
 
 _STEPS = {step: i for i, step in enumerate("CDEFGAB")}
@@ -62,7 +61,7 @@ def notes_of(
     track: int,
     first: int,
     is_drum: Callable[[Element], bool],
-    conventions: Conventions,
+    plain: bool,
     counts: Counter[str],
 ) -> list[WrittenNote]:
     """The notes of a part that sound; others are added to `counts`.
@@ -72,11 +71,11 @@ def notes_of(
         track: its number.
         first: the number of its first note in the file.
         is_drum: whether a note belongs to the drums.
-        conventions: how hairpins are played.
+        plain: whether notes are without their signs, as they stand.
         counts: the numbers of notes that are left out or changed, by what they are.
     """
     written = [placed for placed in part if placed.element.tag == "note"]
-    loudness = PartLoudness(part, conventions)
+    loudness = PartLoudness(part, plain)
     key = attribute(part, "key", lambda each: int(number(each.findtext("fifths"))), 0)
     transposition = attribute(part, "transpose", _transposition, _Transposition(0, 0))
     graces, hand_of = _graces(written), hands_of(part)
@@ -109,6 +108,7 @@ def notes_of(
         )
         tied, ties = _ties(note)
         hands = () if hand is None else (hand,)
+        signed = signed.plain if plain else signed
         found.append(WrittenNote(placed.measure, signed, hands, tied, ties, passes_of(note)))
     return found
 

@@ -42,10 +42,9 @@ from cadenza.music.formats.musicxml.unrolling import (
 from cadenza.music.formats.titles import printable, title_of
 from cadenza.music.repair import RawNote, counted_remarks, repaired_notes
 from cadenza.music.score import Bar, PedalEvent, Score, Track, check_chosen
-from cadenza.music.signs.conventions import Conventions
 from cadenza.music.signs.realising import realised
 from cadenza.music.signs.tempo_map import TempoMap
-from cadenza.music.signs.tempo_marks import Swing
+from cadenza.music.signs.tempo_marks import Swing, says_tempo
 
 _DECIMALS = 9  # of times [s]: what ends where another begins does so exactly
 _DRUM_CHANNEL = "10"
@@ -72,16 +71,15 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = (), plain: bool = 
             without one of `tracks`.
     """
     path = Path(path)
-    conventions = Conventions.plain() if plain else Conventions()
     root = tree_of(path)
     with _named(path):
-        sheet = _sheet(root, conventions)
+        sheet = _sheet(root, plain)
     listed = tuple(part.track for part in sheet.parts)
     check_chosen(tracks, listed, path)
     parts = [part for part in sheet.parts if not tracks or part.track.number in tracks]
     counts = Counter(drums=0 if tracks else sheet.drums)
     with _named(path):
-        found, pedal, timed = _played(parts, sheet, counts, conventions)
+        found, pedal, timed = _played(parts, sheet, counts)
     begin = min([0.0, *(note.start for note in found)])  # grace notes before the first beat
     notes, remarks = repaired_notes(found, counts, sheet.remarks, path, lambda time: time - begin)
     moves = tuple(PedalEvent(max(0.0, time - begin), value) for time, value in pedal)
@@ -99,7 +97,7 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def _played(
-    parts: Sequence[_Part], sheet: _Sheet, counts: Counter[str], conventions: Conventions
+    parts: Sequence[_Part], sheet: _Sheet, counts: Counter[str]
 ) -> tuple[list[RawNote], list[tuple[float, int]], list[Bar]]:
     """The notes, the motions of the pedal (time [s], value) and the bars as they are played."""
     passages, bars = sheet.passages, sheet.bars
@@ -118,7 +116,7 @@ def _played(
             (note.of.part,),
             hands[note.of.written],
         )
-        for note in realised(signed, tempo, conventions, swings)
+        for note in realised(signed, tempo, swings)
     ]
     for part in parts:
         _hold(found, part.track.number, _timed(played_pedal(part.sostenuto, bars, passages), tempo))
@@ -185,7 +183,7 @@ class _Sheet:
     remarks: list[str]
 
 
-def _sheet(root: Element, conventions: Conventions) -> _Sheet:
+def _sheet(root: Element, plain: bool) -> _Sheet:
     counts = Counter[str]()
     music = root.findall("part")
     placed, begins = timeline(music)
@@ -197,7 +195,7 @@ def _sheet(root: Element, conventions: Conventions) -> _Sheet:
     first = 0
     for part, elements, listed in zip(music, placed, _listed(root, music), strict=True):
         is_drum = _drums(listed, part)
-        notes = notes_of(elements, len(parts) + 1, first, is_drum, conventions, counts)
+        notes = notes_of(elements, len(parts) + 1, first, is_drum, plain, counts)
         first += sum(each.element.tag == "note" for each in elements)
         if notes:
             track = _track(len(parts) + 1, printable(listed.findtext("part-name", "")), notes)
@@ -205,7 +203,8 @@ def _sheet(root: Element, conventions: Conventions) -> _Sheet:
             parts.append(_Part(track, notes, *pedals))
     found = tempo_marks(placed, begins)
     title = next((text for each in _TITLES if (text := printable(root.findtext(each, "")))), "")
-    tempo = TempoMap.of(found.marks, conventions, begins[-1])
+    marks = filter(says_tempo, found.marks) if plain else found.marks
+    tempo, swings = TempoMap.of(marks, begins[-1]), [] if plain else found.swings
     passages, lost = unrolled(bars), without_goal([bar.signs for bar in bars])
     unplayed = len({*range(len(bars))} - {passage.index for passage in passages})
     remarks = counted_remarks(
@@ -223,7 +222,7 @@ def _sheet(root: Element, conventions: Conventions) -> _Sheet:
     )
     if has_soft_pedal(root):
         remarks.append("the soft pedal is left out")
-    return _Sheet(title, parts, bars, passages, tempo, found.swings, counts["drums"], remarks)
+    return _Sheet(title, parts, bars, passages, tempo, swings, counts["drums"], remarks)
 
 
 def _track(number: int, name: str, notes: Sequence[WrittenNote]) -> Track:

@@ -9,11 +9,16 @@ from fractions import Fraction
 
 from cadenza.music.formats.musicxml.metronome import is_possible, metronome_of
 from cadenza.music.formats.musicxml.timeline import NOTE_VALUES, ZERO, Placed, number
+from cadenza.music.signs.conventions import (
+    CHORALE_FERMATA,
+    FERMATA,
+    LONG_FERMATA,
+    SHORT_FERMATA,
+)
 from cadenza.music.signs.tempo_marks import (
     Caesura,
     Change,
     Fermata,
-    FermataLength,
     Modulation,
     Swing,
     Tempo,
@@ -24,8 +29,8 @@ from cadenza.music.signs.words import swing, tempo_change
 
 _MINUTE = 60  # seconds
 _FERMATAS = {
-    **dict.fromkeys(("angled", "double-angled"), FermataLength.SHORT),
-    **dict.fromkeys(("square", "double-square"), FermataLength.LONG),
+    **dict.fromkeys(("angled", "double-angled"), SHORT_FERMATA),
+    **dict.fromkeys(("square", "double-square"), LONG_FERMATA),
 }
 _LEAST_LINES = 4  # of a chorale
 _LINE = 1.5, 6.0  # bars of its lines, in the mean
@@ -78,8 +83,8 @@ class _Reader:
     def finished(self) -> TempoMarks:
         is_chorale = self._is_chorale([fermata.end for fermata in self._fermatas])
         for fermata in self._fermatas:
-            if is_chorale and fermata.length is FermataLength.USUAL:
-                fermata = replace(fermata, length=FermataLength.END_OF_LINE)
+            if is_chorale and fermata.factor == FERMATA:
+                fermata = replace(fermata, factor=CHORALE_FERMATA)
             self._found.marks.append(fermata)
         tempos = self._metronome | self._for_playback
         for onset, speed in tempos.items():
@@ -155,7 +160,7 @@ class _Reader:
         element, onset = placed.element, placed.quarter
         end = onset + placed.duration
         for fermata in (*element.iterfind("fermata"), *element.iterfind("notations/fermata")):
-            length = _FERMATAS.get((fermata.text or "").strip(), FermataLength.USUAL)
-            self._fermatas.append(Fermata(onset, end, length))
+            factor = _FERMATAS.get((fermata.text or "").strip(), FERMATA)
+            self._fermatas.append(Fermata(onset, end, factor))
         if element.find("notations/articulations/caesura") is not None:
             self._found.marks.append(Caesura(end))
