@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cadenza.music.score import CHORD_TOLERANCE, Note, Score
-from cadenza.music.signs.loudness import LOUDEST
+from cadenza.music.score import CHORD_TOLERANCE, LOUDEST, Note, Score
 
 _ACCENTING = {35, 36, 38, 40, 49, 57}  # bass drums, snares, crashes; others mark every beat
 _MOST = 16  # velocities, as from mezzo-forte to forte, that the loudest stroke adds; a choice

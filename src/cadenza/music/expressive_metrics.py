@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from cadenza.music.metrics import ONSET_TOLERANCE, Pair, matched_notes
 from cadenza.music.performance import SAME_NOTE
-from cadenza.music.score import Note, Score
+from cadenza.music.score import LOUDEST, Note, Score
 
-_LOUDEST = 127  # MIDI velocity
 _VELOCITY_TOLERANCE = 0.1  # of the range of the written velocities; the default of mir_eval
 _TAIL = 90  # percentile that says how large errors become, beside the median
 
@@ -117,7 +116,7 @@ def _note_f1(close: Sequence[Pair], written: Score, played: Score) -> dict[str, 
     """F1 of whole notes, of which the `close` pairs begin together."""
     notes = len(written.notes) + len(played.notes)
     wanted, heard = _velocities(close)
-    accuracy = 1 - float(np.abs(heard - wanted).mean()) / _LOUDEST if close else 1.0
+    accuracy = 1 - float(np.abs(heard - wanted).mean()) / LOUDEST if close else 1.0
 
     def f1(hits: int) -> float:
         return 2 * hits / notes if notes else 1.0

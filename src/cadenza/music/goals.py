@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from cadenza.errors import CadenzaError
 from cadenza.fingers import NO_FINGER, Fingers
 from cadenza.music.performance import key_runs
-from cadenza.music.score import PITCHES, Score
+from cadenza.music.score import PEDAL_DOWN, PITCHES, Score
 
 MAX_STEPS = 720_000  # an hour in steps of 5 ms
-SUSTAIN_ON = 64  # pedal values from which on the strings are held
 NO_HANDS = Fingers(per_hand=0)
 
 
@@ -143,7 +142,7 @@ def score_to_goals(
         keys[lifted, key], fingers[lifted, key] = False, NO_FINGER
 
     moves = [int(event.time * fps) for event in score.pedal]
-    down = np.array([False, *(event.value >= SUSTAIN_ON for event in score.pedal)])
+    down = np.array([False, *(event.value >= PEDAL_DOWN for event in score.pedal)])
     sustain = down[np.searchsorted(moves, np.arange(num_steps), side="right")]
     if shorten:
         sustain &= ~_hidden_lifts(score, dt, sustain)
@@ -173,7 +172,7 @@ def _onsets(score: Score, keys: NDArray[np.bool_], fps: float, pitches: range) -
 
 def _hidden_lifts(score: Score, dt: float, sustain: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(T,) steps on which the pedal is lifted, and yet down as on the step before."""
-    moves = [int(event.time * (1 / dt)) for event in score.pedal if event.value < SUSTAIN_ON]
+    moves = [int(event.time * (1 / dt)) for event in score.pedal if event.value < PEDAL_DOWN]
     lifted = np.isin(np.arange(len(sustain)), moves)
     return lifted & sustain & np.append(False, sustain[:-1])
 

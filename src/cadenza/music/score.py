@@ -23,6 +23,12 @@ PITCHES = range(LOWEST_PITCH, HIGHEST_PITCH + 1)
 MIDI_PITCHES = range(128)
 OCTAVE = 12
 """The semitones of an octave."""
+STEPS, NATURALS = "CDEFGAB", (0, 2, 4, 5, 7, 9, 11)
+"""The names of the white keys of an octave, and their semitones above C."""
+SOFTEST, LOUDEST = 1, 127
+"""The least and the largest MIDI velocity."""
+PEDAL_DOWN = 64
+"""The least value of a pedal that is down."""
 MIRROR = 124  # sum of a pitch and its mirror image: twice D4, about which black keys are symmetric
 MAX_SECONDS = 3600.0  # a longer song is taken for a mistake
 CHORD_TOLERANCE = 0.03  # [s] within which notes begin together
@@ -62,7 +68,7 @@ class Note:
             )
         if not isinstance(self.pitch, Integral) or self.pitch not in MIDI_PITCHES:
             raise CadenzaError(f"note of pitch {self.pitch}: MIDI has 0..{MIDI_PITCHES[-1]}")
-        if not isinstance(self.velocity, Integral) or not 1 <= self.velocity <= 127:
+        if not isinstance(self.velocity, Integral) or not SOFTEST <= self.velocity <= LOUDEST:
             raise CadenzaError(f"note of velocity {self.velocity}: give 1..127")
         if not isinstance(self.finger, Finger | None):
             raise CadenzaError(

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from threadpoolctl import threadpool_limits
 
-from cadenza.music.goals import SUSTAIN_ON
-from cadenza.music.score import PITCHES, Note, Score
+from cadenza.music.score import PEDAL_DOWN, PITCHES, Note, Score
 from cadenza.report.tone import DAMPING, LAST_DAMPER, LOUDER, Tone, tone
 
 SAMPLE_RATE = 44100  # [Hz]
@@ -246,7 +245,7 @@ def _releases(score: Score) -> list[float]:
     """Returns when each damper falls [s]: key and pedal are up, or the key is struck again."""
     end = score.total_time
     times = np.array([event.time for event in score.pedal])
-    down = np.array([event.value >= SUSTAIN_ON for event in score.pedal], bool)
+    down = np.array([event.value >= PEDAL_DOWN for event in score.pedal], bool)
     lifts = np.append(times[~down], np.inf)
     strikes: dict[int, list[float]] = defaultdict(list)
     for note in score.notes:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.music.etudes.harmony import LEADING, TONIC, Chord, progression
-from cadenza.music.etudes.keys import OCTAVE, STEPS
+from cadenza.music.etudes.keys import STEPS
 from cadenza.music.etudes.sheet import Sheet, Tone
 from cadenza.music.etudes.voice_leading import (
     FORBIDDEN,
@@ -21,6 +21,7 @@ from cadenza.music.etudes.voice_leading import (
     is_awkward_leap,
     random_costs,
 )
+from cadenza.music.score import OCTAVE
 from cadenza.music.viterbi import cheapest_sequence
 
 _RANGES = {"bass": (38, 57), "tenor": (48, 62), "alto": (58, 72), "soprano": (62, 79)}

@@ -12,10 +12,10 @@ import numpy as np
 
 from cadenza.fingers import Side
 from cadenza.music.etudes.harmony import Chord
-from cadenza.music.etudes.keys import OCTAVE, STEPS
+from cadenza.music.etudes.keys import STEPS
 from cadenza.music.etudes.sheet import PHRASE, Sheet, Tone
 from cadenza.music.etudes.voice_leading import FORBIDDEN, random_costs
-from cadenza.music.score import LOWEST_PITCH
+from cadenza.music.score import LOWEST_PITCH, OCTAVE
 from cadenza.music.viterbi import cheapest_sequence
 
 # MIDI velocities of accompaniments, of held or struck chords, and of melodies.

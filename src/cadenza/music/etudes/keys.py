@@ -7,12 +7,12 @@ from typing import Literal
 
 import numpy as np
 
+from cadenza.music.score import NATURALS, OCTAVE
+
 Form = Literal["natural", "harmonic", "melodic"]
 """The form of a minor scale: nothing, its seventh, or its sixth and seventh are raised."""
 
-OCTAVE = 12  # [semitones]
 STEPS = 7  # degrees of a scale in an octave
-_MAJOR = (0, 2, 4, 5, 7, 9, 11)
 _MINOR: dict[Form, tuple[int, ...]] = {
     "natural": (0, 2, 3, 5, 7, 8, 10),
     "harmonic": (0, 2, 3, 5, 7, 8, 11),
@@ -51,7 +51,7 @@ class Key:
 
     def scale(self, form: Form = "natural") -> tuple[int, ...]:
         """The degrees as semitones above the tonic."""
-        return _MINOR[form] if self.minor else _MAJOR
+        return _MINOR[form] if self.minor else NATURALS
 
     def pitch(self, degree: int, form: Form = "natural") -> int:
         """MIDI pitch of a degree of the scale: 0 is the tonic next to middle C, 7 an octave up."""

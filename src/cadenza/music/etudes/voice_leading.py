@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.etudes.keys import OCTAVE
+from cadenza.music.score import OCTAVE
 
 Costs = NDArray[np.int64]
 Pitches = NDArray[np.int64]

@@ -13,7 +13,7 @@ from operator import itemgetter
 import mido
 
 from cadenza.music.repair import RawNote
-from cadenza.music.score import PITCHES
+from cadenza.music.score import PEDAL_DOWN, PITCHES
 
 SUSTAIN = 64
 """The controller number of the sustain pedal."""
@@ -22,7 +22,6 @@ _BANK, _VOLUME, _EXPRESSION = 0, 7, 11  # controllers
 _SETTINGS = (_BANK, _VOLUME, _EXPRESSION)
 _RESET = 121  # controller that lifts the pedals of a channel, among others
 _ALL_OFF = 120, 123  # controllers that end all notes of a channel
-_DOWN = 64  # the least value of a pedal that is down
 _FULL = 127
 _DRUM_CHANNEL = 9  # channel 10 of General MIDI, counted from 0
 _MELODIC_BANK, _DRUM_BANK = 121, 120  # of General MIDI 2
@@ -127,9 +126,9 @@ class _Channel:
 
     def move_sostenuto(self, value: int, now: int) -> None:
         """Moves the sostenuto pedal, which holds what sounds when it goes down."""
-        if value >= _DOWN and self.sostenuto is None:
+        if value >= PEDAL_DOWN and self.sostenuto is None:
             self.sostenuto = now
-        elif value < _DOWN:
+        elif value < PEDAL_DOWN:
             for note in self.captured:
                 note.end = now
             self.sostenuto, self.captured = None, []
@@ -214,7 +213,7 @@ class Playing:
                 self.moves.append((now, message.channel, channel.pedal))
         if control == _SOSTENUTO:
             channel.move_sostenuto(value, now)
-        elif control == _SOFT and value >= _DOWN:
+        elif control == _SOFT and value >= PEDAL_DOWN:
             self.soft.add(message.channel)
         elif control == _VOLUME:
             channel.set_volume(value, channel.expression, now)

@@ -19,7 +19,8 @@ from cadenza.music.notation.metre import QUARTER
 from cadenza.music.notation.note_values import TYPES
 from cadenza.music.notation.sheet import Sheet, Symbol, WrittenMeasure, sheet_of
 from cadenza.music.notation.spelling import Spelling
-from cadenza.music.score import Note, Score
+from cadenza.music.score import STEPS, Note, Score
+from cadenza.music.signs.ornaments import alteration
 
 _HEADER = """<?xml version="1.0" encoding="UTF-8"?>
 <!DOCTYPE score-partwise PUBLIC "-//Recordare//DTD MusicXML 4.0 Partwise//EN" \
@@ -30,7 +31,6 @@ _VOICES_OF_STAFF = 4  # numbers of voices that notation programs give to a staff
 _CLEF_LINES = {"G": 2, "F": 4}
 _ACCIDENTALS = {-2: "flat-flat", -1: "flat", 0: "natural", 1: "sharp", 2: "double-sharp"}
 _UNFLAGGED = 3  # the first note values have no flags
-_ORDER_OF_SHARPS = "FCGDAEB"
 _MINUTE = 60  # seconds
 _DOTTED = 1.5  # quarters of a dotted one
 
@@ -97,7 +97,7 @@ class _Writer:
     def __init__(self, sheet: Sheet) -> None:
         self._sheet = sheet
         self._unit = gcd(QUARTER, *_ticks(sheet))
-        self._in_key = _in_key(sheet.key)
+        self._in_key = {step: alteration(i, sheet.key) for i, step in enumerate(STEPS)}
         self._number = {id(note): i for i, note in enumerate(sheet.notes)}
         self._continued = Counter[int]()
 
@@ -289,11 +289,6 @@ def _ticks(sheet: Sheet) -> Iterator[int]:
         for staff in written.staves:
             for voice in staff.voices:
                 yield from (symbol.value.end for symbol in voice)
-
-
-def _in_key(key: int) -> dict[str, int]:
-    signed = _ORDER_OF_SHARPS[:key] if key > 0 else _ORDER_OF_SHARPS[key:] if key else ""
-    return {step: (1 if key > 0 else -1) if step in signed else 0 for step in _ORDER_OF_SHARPS}
 
 
 def _pitch(note: Element, name: Spelling) -> None:

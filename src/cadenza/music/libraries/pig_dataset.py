@@ -35,7 +35,7 @@ from cadenza.music.libraries.imported import Grade, NewLibrary, Progress, new_li
 from cadenza.music.libraries.index import read_table
 from cadenza.music.libraries.pig import ALL, WEBSITE, published_name
 from cadenza.music.repair import RawNote, repaired_notes
-from cadenza.music.score import MAX_SECONDS, PITCHES, Score
+from cadenza.music.score import MAX_SECONDS, NATURALS, OCTAVE, PITCHES, STEPS, Score
 
 _LIST, _FINGERINGS = "list.csv", "FingeringFiles"
 _FILE = re.compile(r"(\d{1,6})-(\d{1,6})_fingering\.txt", re.ASCII)
@@ -45,7 +45,6 @@ _SECONDS = re.compile(r"\d+(\.\d*)?([eE][-+]?\d+)?", re.ASCII)
 _WHOLE = re.compile(r"\d{1,9}", re.ASCII)
 _PITCH = re.compile(r"([A-G])(##|#|x|bb|b|)(\d)", re.ASCII)
 _FINGER = re.compile(r"(-?)([1-5])(_(-?[1-5])?)*", re.ASCII)
-_NATURALS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
 _ACCIDENTALS = {"": 0, "#": 1, "##": 2, "x": 2, "b": -1, "bb": -2}
 _COLUMNS = "number, onset, offset, pitch, two velocities, channel, finger"
 _MOST_NAMED = 10  # other lines of a file that are wrong
@@ -298,7 +297,7 @@ def _pitch(text: str) -> int:
     match = _PITCH.fullmatch(text)
     if not match:
         raise CadenzaError(f"pitch {text!a:.30}; expected one such as C4, F#4, Bb3 or Abb5")
-    pitch = 12 * (int(match[3]) + 1) + _NATURALS[match[1]] + _ACCIDENTALS[match[2]]
+    pitch = OCTAVE * (int(match[3]) + 1) + NATURALS[STEPS.index(match[1])] + _ACCIDENTALS[match[2]]
     if pitch not in PITCHES:
         raise CadenzaError(f"pitch {text} is outside the piano's 88 keys, A0 to C8")
     return pitch

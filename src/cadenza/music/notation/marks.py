@@ -10,7 +10,7 @@ import numpy as np
 
 from cadenza.music.formats.musicxml.dynamics import VELOCITIES
 from cadenza.music.notation.metre import QUARTER, Metre
-from cadenza.music.score import PedalEvent
+from cadenza.music.score import PEDAL_DOWN, PedalEvent
 
 TREBLE, BASS = "G", "F"
 _MIDDLE_LINE = {TREBLE: 71, BASS: 50}  # pitch: B4, D3
@@ -23,7 +23,6 @@ _FASTEST = 1e-3  # [s] of a quarter
 _SHOWN = 0.12  # relative change of tempo of two measures that is shown
 _LOUDER = 12  # change of the median velocity of two measures that has a mark
 _MUCH_LOUDER = 24  # change of that of a single measure that has one
-_DOWN = 64  # the least value of a pedal that is down
 _PEDAL_PARTS = 4  # of a cell, on which pedal marks stand
 
 
@@ -155,7 +154,7 @@ def pedal_marks(events: Sequence[PedalEvent], metre: Metre) -> list[PedalMark]:
     marks: list[PedalMark] = []
     ticks = metre.ticks
     for event in events:
-        is_down = event.value >= _DOWN
+        is_down = event.value >= PEDAL_DOWN
         if is_down == bool(marks and marks[-1].is_down):
             continue
         at = float(metre.place([event.time])[0])

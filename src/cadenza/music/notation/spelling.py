@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.score import LOWEST_PITCH, OCTAVE, Note
+from cadenza.music.score import LOWEST_PITCH, OCTAVE, STEPS, Note
 
-STEPS = "CDEFGAB"
-_FIFTHS = {step: fifths for fifths, step in enumerate("FCGDAEB", start=-1)}
+_LINE_OF_FIFTHS = "FCGDAEB"
+_FIFTHS = {step: fifths for fifths, step in enumerate(_LINE_OF_FIFTHS, start=-1)}
 _SHARP = 7  # fifths from a step to the same with a sharp
 _ENHARMONIC = 12  # fifths between two names of a pitch
 _CANDIDATES = 3  # likeliest keys, of which the one with fewest accidentals is taken
@@ -116,7 +116,7 @@ def _renamed(spelling: Spelling, shift: int) -> Spelling:
     """The same pitch, `shift` fifths away."""
     fifths = spelling.fifths + shift
     alter, at = divmod(fifths + 1, _SHARP)
-    step = "FCGDAEB"[at]
+    step = _LINE_OF_FIFTHS[at]
     moved = STEPS.index(step) - STEPS.index(spelling.step)
     # Up by a diminished second, the next step's name; down by one, the one before.
     octave = spelling.octave

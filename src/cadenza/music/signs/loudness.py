@@ -6,10 +6,10 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from fractions import Fraction
 
+from cadenza.music.score import LOUDEST, SOFTEST
 from cadenza.music.signs.conventions import HAIRPIN_STEP, OPEN_HAIRPIN, SFORZATO
 from cadenza.music.signs.loudness_marks import Dynamic, Hairpin, Sforzato
 
-SOFTEST, LOUDEST = 1, 127
 _GOAL_WITHIN = Fraction(1)  # [quarters] after a hairpin within which a dynamic is its goal
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+from cadenza.music.score import NATURALS, OCTAVE
 from cadenza.music.signs.conventions import NOTES_A_SECOND
 from cadenza.music.signs.signed_note import Ornament, OrnamentKind, SignedNote
 
-_STEPS = (0, 2, 4, 5, 7, 9, 11)  # semitones of C, D, E, F, G, A and B
 _SHARPS = (3, 0, 4, 1, 5, 2, 6)  # the steps that get sharps, in the order of keys: F, C, G, ...
-_OCTAVE = 12
 _WHOLE_TONE = 2
 _LEAST_TRILL = 4  # notes: two shakes
 _FASTEST = 0.05  # [s] a note has no ornament whose notes would be shorter; a choice
@@ -28,10 +27,10 @@ def neighbour(note: SignedNote, step: int, accidental: int | None = None) -> int
         accidental: the alteration [semitones] that a sign gives; None is that of the key.
     """
     natural = note.pitch - note.alter
-    if natural % _OCTAVE not in _STEPS:  # no line has this note: the file contradicts itself
+    if natural % OCTAVE not in NATURALS:  # no line has this note: the file contradicts itself
         return note.pitch + step * _WHOLE_TONE
-    octave, line = divmod(_STEPS.index(natural % _OCTAVE) + step, len(_STEPS))
-    natural += (octave * _OCTAVE + _STEPS[line]) - natural % _OCTAVE
+    octave, line = divmod(NATURALS.index(natural % OCTAVE) + step, len(NATURALS))
+    natural += (octave * OCTAVE + NATURALS[line]) - natural % OCTAVE
     return natural + (alteration(line, note.fifths) if accidental is None else accidental)
 
 

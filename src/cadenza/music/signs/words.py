@@ -21,11 +21,8 @@ _CHANGES = (
 )
 _LOUDER = r"(cresc|rinforzando)"
 _SOFTER = r"(decresc|dim\b|dimin|calando|morendo|smorz|perdendosi)"
-_SWING = r"swing"
-_STRAIGHT = r"straight"
-TRIPLETS = (2, 1)
-"""How "Swing" divides a beat: the first note is about twice as long (MuseScore's handbook)."""
-EVEN = (1, 1)
+_TRIPLETS = 2, 1  # "Swing": the first note is about twice as long (MuseScore's handbook)
+_EVEN = 1, 1
 
 
 def tempo_change(text: str) -> Change | None:
@@ -42,9 +39,9 @@ def loudness_step(text: str) -> int | None:
 
 def swing(text: str) -> tuple[int, int] | None:
     """How words such as "Swing" or "Straight" divide a beat in two, if they do."""
-    if _has(text, _STRAIGHT):
-        return EVEN
-    return TRIPLETS if _has(text, _SWING) else None
+    if _has(text, "straight"):
+        return _EVEN
+    return _TRIPLETS if _has(text, "swing") else None
 
 
 def _has(text: str, words: str) -> bool:

@@ -17,8 +17,8 @@ from cadenza.music.etudes.band.voicings import (
     nearest,
     power_chord,
 )
-from cadenza.music.etudes.keys import OCTAVE
 from cadenza.music.etudes.sheet import Tone
+from cadenza.music.score import OCTAVE
 
 Rhythm = Sequence[tuple[float, float]]
 """Onset and length of notes, in quarters from the beginning of a bar."""

@@ -17,9 +17,9 @@ from cadenza.music.etudes.band.styles import (
     Style,
     range_of,
 )
-from cadenza.music.etudes.keys import OCTAVE
 from cadenza.music.etudes.sheet import Tone
 from cadenza.music.formats.general_midi import INSTRUMENTS
+from cadenza.music.score import OCTAVE
 
 _CHANNELS = 16
 _FEWEST_CHAIRS = 2

@@ -6,7 +6,8 @@ import re
 from dataclasses import dataclass
 from functools import cached_property
 
-from cadenza.music.etudes.keys import OCTAVE, Key
+from cadenza.music.etudes.keys import Key
+from cadenza.music.score import OCTAVE
 
 _DEGREES = {"I": 0, "II": 2, "III": 4, "IV": 5, "V": 7, "VI": 9, "VII": 11}
 _ACCIDENTALS = {"": 0, "b": -1, "#": 1}

@@ -16,9 +16,8 @@ from cadenza.music.etudes.band.passage import Passage, happens, pick
 from cadenza.music.etudes.band.plan import Plan, planned, played, random_hand
 from cadenza.music.etudes.band.styles import styles
 from cadenza.music.etudes.band.voicings import nearest
-from cadenza.music.etudes.keys import OCTAVE
 from cadenza.music.etudes.sheet import Tone
-from cadenza.music.score import MIDI_PITCHES
+from cadenza.music.score import MIDI_PITCHES, OCTAVE
 
 _HIGH_POINTS = ("chorus", "bridge")  # sections in which others sing or play along
 # In percent of songs.

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from cadenza.music.etudes.band.chords import SongChord, melody_scale
 from cadenza.music.etudes.band.passage import Passage, happens, one_at_a_time, pick
 from cadenza.music.etudes.band.styles import tables
-from cadenza.music.etudes.keys import OCTAVE
 from cadenza.music.etudes.sheet import Tone
 from cadenza.music.etudes.voice_leading import (
     FORBIDDEN,
@@ -20,6 +19,7 @@ from cadenza.music.etudes.voice_leading import (
     Pitches,
     random_costs,
 )
+from cadenza.music.score import OCTAVE
 from cadenza.music.viterbi import cheapest_sequence
 
 Rhythm = tuple[float, ...]

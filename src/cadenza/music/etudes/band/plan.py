@@ -26,7 +26,7 @@ from cadenza.music.etudes.band.rhythm_section import MEDIUM
 from cadenza.music.etudes.band.styles import SECTIONS, Style
 from cadenza.music.etudes.keys import Key
 from cadenza.music.etudes.sheet import Tone
-from cadenza.music.score import Note, PedalEvent
+from cadenza.music.score import LOUDEST, Note, PedalEvent
 
 SHORTEST, LONGEST = 60.0, 180.0  # [s] of a song
 _ACCIDENTALS = 4  # at most
@@ -125,7 +125,6 @@ _JITTER = 0.01  # [s] by which notes are early or late, at most
 _SPREAD = 5  # velocities by which notes are louder or softer at random, at most
 _RELEASE, _RELEASE_SHARE = 20, 8  # [ticks] by which notes end early; at most one in so many
 _PEDAL_DOWN = 60  # [ticks] after a change of harmony
-_LOUDEST = 127
 
 
 @dataclass(slots=True)
@@ -176,7 +175,7 @@ def _event(
         velocity += tone.velocity - MEDIUM + _ENERGY[plan.passage(tone.at).kind]
         velocity += int(rng.integers(-_SPREAD, _SPREAD, endpoint=True))
     start = max(start + int(rng.integers(-hand.late, hand.late, endpoint=True)), 0)
-    return _Event(start, start + length, tone.pitch, min(velocity, _LOUDEST), role)
+    return _Event(start, start + length, tone.pitch, min(velocity, LOUDEST), role)
 
 
 def _apart(events: list[_Event]) -> list[_Event]:
@@ -205,6 +204,6 @@ def _pedal(plan: Plan) -> tuple[PedalEvent, ...]:
         for harmony in passage.harmonies:
             at = plan.ticks(start + harmony.at)
             events.append(PedalEvent(seconds(at, plan.tempo), 0))
-            events.append(PedalEvent(seconds(at + _PEDAL_DOWN, plan.tempo), _LOUDEST))
+            events.append(PedalEvent(seconds(at + _PEDAL_DOWN, plan.tempo), LOUDEST))
     end = plan.starts[-1] + plan.passages[-1].length
     return (*events, PedalEvent(plan.seconds(end), 0))

@@ -8,8 +8,8 @@ from itertools import pairwise
 from cadenza.music.etudes.band.chords import SongChord
 from cadenza.music.etudes.band.passage import Passage, happens, pick
 from cadenza.music.etudes.band.voicings import nearest
-from cadenza.music.etudes.keys import OCTAVE
 from cadenza.music.etudes.sheet import Tone
+from cadenza.music.score import OCTAVE
 
 Pattern = Callable[[Passage], Iterator[Tone]]
 """What an instrument plays in a section; the velocity 72 is neither accented nor light."""

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.music.etudes.band.chords import SongChord
-from cadenza.music.etudes.keys import OCTAVE
 from cadenza.music.etudes.voice_leading import Costs, are_parallel
+from cadenza.music.score import OCTAVE
 from cadenza.music.viterbi import cheapest_sequence
 
 Voicing = tuple[int, ...]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,10 +9,9 @@ from fractions import Fraction
 from xml.etree.ElementTree import Element
 
 from cadenza.music.formats.musicxml.bar_order import Signs
-from cadenza.music.formats.musicxml.timeline import Placed, number
+from cadenza.music.formats.musicxml.timeline import Placed, number, numbers_in
 from cadenza.music.score import BEAT_TYPES
 
-_PASS = re.compile(r"\d{1,3}")
 _MOST_TIMES = 999  # that a section is played, as endings are numbered
 _MOST_BEATS = 64  # of a bar; a longer one has no metre
 
@@ -97,8 +95,7 @@ class _Reader:
         location = barline.get("location", "right")
         repeat, ending = barline.find("repeat"), barline.find("ending")
         if ending is not None and (ending.get("type") == "start" or not self._bracket):
-            numbers = _PASS.findall(ending.get("number", "")) or _PASS.findall(ending.text or "")
-            passes = frozenset(map(int, numbers))
+            passes = numbers_in(ending.get("number", "")) or numbers_in(ending.text or "")
             if ending.get("type") != "start" and repeat is not None:
                 passes |= {1}  # of a bracket without a beginning, whatever its number
             bar.signs.ending = self._bracket = passes

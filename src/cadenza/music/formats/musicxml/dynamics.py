@@ -8,7 +8,8 @@ from fractions import Fraction
 from xml.etree.ElementTree import Element
 
 from cadenza.music.formats.musicxml.timeline import Placed
-from cadenza.music.signs.loudness import LOUDEST, Loudness, within_midi
+from cadenza.music.score import LOUDEST
+from cadenza.music.signs.loudness import Loudness, within_midi
 from cadenza.music.signs.loudness_marks import Dynamic, Hairpin, Sforzato
 from cadenza.music.signs.words import loudness_step
 

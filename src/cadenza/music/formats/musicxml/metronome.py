@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from xml.etree.ElementTree import Element
 
-from cadenza.music.formats.musicxml.timeline import NOTE_VALUES, ZERO, number
+from cadenza.music.formats.musicxml.timeline import ZERO, length_of, number
 
 _SLOWEST, _FASTEST = 1, 10_000  # quarters a minute
 _PER_MINUTE = re.compile(r"\d{1,5}([.,]\d{1,3})?")
 _LARGEST_TUPLET = Fraction(64)  # notes
-_MOST_DOTS = 4
 
 
 def is_possible(speed: Fraction) -> bool:
@@ -61,7 +60,7 @@ def metronome_of(mark: Element) -> Metronome:
     for each in mark:
         text = (each.text or "").strip()
         if each.tag == "beat-unit":
-            notes, unit = found.after if found.before else found.before, _value(text)
+            notes, unit = found.after if found.before else found.before, length_of(text, dots=0)
             notes.append(unit)
         elif each.tag == "beat-unit-dot" and notes:
             unit /= 2
@@ -86,11 +85,7 @@ def metronome_of(mark: Element) -> Metronome:
 def _length(note: Element, tag: str) -> Fraction:
     """The length of a note in a mark, with its dots [quarters]."""
     dots = sum(each.tag in ("beat-unit-dot", "metronome-dot") for each in note)
-    return _value(note.findtext(tag, "").strip()) * (2 - Fraction(1, 2 ** min(dots, _MOST_DOTS)))
-
-
-def _value(name: str) -> Fraction:
-    return NOTE_VALUES.get(name, ZERO)
+    return length_of(note.findtext(tag, ""), dots)
 
 
 def _shortened(tuplet: Element) -> Fraction:

@@ -15,22 +15,18 @@ from cadenza.music.formats.musicxml.dynamics import PartLoudness
 from cadenza.music.formats.musicxml.hands import hands_of
 from cadenza.music.formats.musicxml.note_signs import signs_of
 from cadenza.music.formats.musicxml.timeline import (
-    NOTE_VALUES,
-    ZERO,
     Placed,
     attribute,
     exact,
+    length_of,
     number,
     passes_of,
 )
+from cadenza.music.score import NATURALS, OCTAVE, STEPS
 from cadenza.music.signs.signed_note import Grace, SignedNote
 
-_STEPS = {step: i for i, step in enumerate("CDEFGAB")}
-_WHITE = (0, 2, 4, 5, 7, 9, 11)  # semitones from C
-_OCTAVE = 12  # semitones
 _OCTAVES = re.compile(r"-?\d{1,2}")
 _FINGERS = "12345"
-_MOST_DOTS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,9 +122,8 @@ def _sounding_pitch(
     pitch = note.find("pitch")
     if pitch is None:
         return None
-    if pitch.findtext("step", "").strip() not in _STEPS or not _OCTAVES.fullmatch(
-        pitch.findtext("octave", "").strip()
-    ):
+    step, octave = (pitch.findtext(tag, "").strip() for tag in ("step", "octave"))
+    if step not in [*STEPS] or not _OCTAVES.fullmatch(octave):
         counts["unreadable"] += 1
         return None
     counts["microtone"] += number(pitch.findtext("alter")).denominator > 1
@@ -138,21 +133,21 @@ def _sounding_pitch(
 def _step_and_semitones(pitch: Element) -> tuple[int, int]:
     """The number of a written pitch among the white keys, C0 being 0, and its MIDI pitch."""
     octave = int(number(pitch.findtext("octave")))
-    step = _STEPS[pitch.findtext("step", "").strip()] + len(_STEPS) * octave
+    step = STEPS.index(pitch.findtext("step", "").strip()) + len(STEPS) * octave
     return step, _natural(step) + round(number(pitch.findtext("alter")))
 
 
 def _natural(step: int) -> int:
     """The MIDI pitch of a white key, C0 being 0."""
-    octave, within = divmod(step, len(_STEPS))
-    return _WHITE[within] + _OCTAVE * (octave + 1)
+    octave, within = divmod(step, len(STEPS))
+    return NATURALS[within] + OCTAVE * (octave + 1)
 
 
 def _transposition(transpose: Element) -> _Transposition:
     octaves = int(number(transpose.findtext("octave-change")))
     semitones = int(number(transpose.findtext("chromatic")))
     steps = int(number(transpose.findtext("diatonic"))) or round(semitones * 7 / 12)
-    return _Transposition(steps + 7 * octaves, semitones + _OCTAVE * octaves)
+    return _Transposition(steps + 7 * octaves, semitones + OCTAVE * octaves)
 
 
 def _graces(notes: Sequence[Placed]) -> dict[int, Grace]:
@@ -189,8 +184,7 @@ def _grace(grace: Element, index: int, placed: Placed) -> Grace:
 
 def _shown_length(note: Element) -> Fraction:
     """The length of a note by its shape [quarters]; 0 if unknown."""
-    length = NOTE_VALUES.get(note.findtext("type", "").strip(), ZERO)
-    return length * 2 - length / 2 ** min(len(note.findall("dot")), _MOST_DOTS)
+    return length_of(note.findtext("type", ""), len(note.findall("dot")))
 
 
 def _ties(note: Element) -> tuple[bool, bool]:

@@ -20,12 +20,12 @@ _FINEST = 10**6  # parts of a quarter that are told apart; more would make sums 
 _UNIT = 10_000  # parts of a whole number that are told apart, so that 1.3333333 is 4/3
 _T = TypeVar("_T")
 _REMEMBERED = 4096  # numbers, as a file has few different ones
-_PASS = re.compile(r"\d{1,3}")
 _NUMBER = re.compile(r"[+-]?\d{1,12}(\.\d{0,12})?")
 _TYPES = "maxima long breve whole half quarter eighth 16th 32nd 64th 128th 256th 512th 1024th"
 NOTE_VALUES = {name: Fraction(32, 2**i) for i, name in enumerate(_TYPES.split())}
 """The lengths of note values [quarters]."""
 _WHOLE = NOTE_VALUES["whole"]
+_MOST_DOTS = 4
 
 
 class Placed(NamedTuple):
@@ -77,7 +77,17 @@ class Placed(NamedTuple):
 
 def passes_of(element: Element) -> frozenset[int]:
     """The passes through its section on which a note or sound is played; empty for all."""
-    return frozenset(map(int, _PASS.findall(element.get("time-only", ""))))
+    return numbers_in(element.get("time-only", ""))
+
+
+def numbers_in(text: str) -> frozenset[int]:
+    """The whole numbers in a text, such as those of passes."""
+    return frozenset(map(int, re.findall(r"\d{1,3}", text)))
+
+
+def length_of(name: str, dots: int) -> Fraction:
+    """The length of a note value with dots [quarters]; 0 for an unknown one."""
+    return NOTE_VALUES.get(name.strip(), ZERO) * (2 - Fraction(1, 2 ** min(dots, _MOST_DOTS)))
 
 
 def timeline(parts: Sequence[Element]) -> tuple[list[list[Placed]], list[Fraction]]:
