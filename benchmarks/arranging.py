@@ -20,8 +20,8 @@ import numpy as np
 
 from benchmarks.arguments import one_or_more, parser_for
 from cadenza.arranging.fidelity import pitch_classes
-from cadenza.arranging.moments import beats_of, merged
-from cadenza.arranging.parts import parts_of
+from cadenza.arranging.moments import beats_of
+from cadenza.arranging.parts import sources_of
 from cadenza.errors import errors_in_a_line
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.etudes.band import band_score, make_band
@@ -114,7 +114,7 @@ def main() -> None:
 
     for song in options.songs:
         score = load_score(song)
-        notes = merged(parts_of(score))
+        notes = sources_of(score)
         melody = [Note(*note[:4]) for note in notes if note.melody]
         add(Path(song).stem, score, melody, [Note(*note[:4]) for note in notes if note.bass])
     for seed in range(options.seed, options.seed + (options.bands or 0)):

@@ -9,8 +9,8 @@ from functools import cache
 from itertools import pairwise
 
 from cadenza.arranging.fidelity import NOTHING_LOST, Fate, Fidelity, fates_of, fidelity_of
-from cadenza.arranging.moments import SHORTEST, TOGETHER, Moment, beats_of, merged, moments_of
-from cadenza.arranging.parts import parts_of
+from cadenza.arranging.moments import SHORTEST, Moment, beats_of, moments_of
+from cadenza.arranging.parts import TOGETHER, sources_of
 from cadenza.arranging.reduction import EarlyEnd, OneHand, Struck, reduced
 from cadenza.fingering.difficulty import EASIEST, FITTED, HARDEST, features_of
 from cadenza.fingering.players import Players
@@ -60,7 +60,7 @@ class Arranger:
         """
         if not score.notes:
             return Arranged(score, NOTHING_LOST, EASIEST)
-        song, beats = merged(parts_of(score)), beats_of(score)
+        song, beats = sources_of(score), beats_of(score)
         moments = moments_of(song, beats)
 
         @cache

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.arranging.moments import TOGETHER, Source
+from cadenza.arranging.parts import TOGETHER, Source
 from cadenza.arranging.reduction import Struck
 from cadenza.music.score import OCTAVE, Note, Score
 

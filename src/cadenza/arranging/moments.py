@@ -10,33 +10,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cadenza.arranging.parts import Part, Role
+from cadenza.arranging.parts import TOGETHER, Source
 from cadenza.music.notation.beats import estimated_bars
 from cadenza.music.score import MIDI_PITCHES, Score, chords
 
-TOGETHER = 0.04
-"""Time within which notes begin at one moment [s]: people in a band are less exact than one."""
 SHORTEST = 0.05
 """The least length of a note that ends early [s]."""
 _USUAL_BEAT = 0.5  # [s] where a song has a single one
 _PARTS = 2  # of a beat, at which notes may be struck though none is written there
 _APART = 0.1  # [s] from such a moment to others
 _WORTH = 0.15  # [s] before its end a note of an earlier beat is not worth striking any more
-
-
-class Source(NamedTuple):
-    """A note of the song: `start` and `end` [s], and what it is for."""
-
-    start: float
-    end: float
-    pitch: int
-    velocity: int
-    melody: bool
-    bass: bool
-    added: bool = False
-    """Whether it sounded already, and is struck again."""
-    hands: tuple[int, ...] = ()
-    """The hands that it is written for."""
 
 
 class Moment(NamedTuple):
@@ -120,43 +103,6 @@ class _Voice:
         """The pitch that sounds at a time, or `otherwise` if none does."""
         i = bisect_right(self._starts, time + TOGETHER) - 1
         return self._notes[i].pitch if i >= 0 and self._notes[i].end >= time else otherwise
-
-
-def merged(parts: Sequence[Part]) -> list[Source]:
-    """The notes of all parts; of those that double another in unison one is left.
-
-    Where the accompaniment strikes a key that the melody holds, the melody goes on.
-    """
-    notes = [
-        Source(
-            n.start,
-            n.end,
-            n.pitch,
-            n.velocity,
-            melody=role is Role.MELODY,
-            bass=role is Role.BASS,
-            hands=n.hands,
-        )
-        for part in parts
-        for n, role in zip(part.notes, part.roles, strict=True)
-    ]
-    by_pitch: dict[int, list[Source]] = {}
-    for note in sorted(notes, key=lambda n: (n.start, not n.melody, not n.bass)):
-        same = by_pitch.setdefault(note.pitch, [])
-        if not same:
-            same.append(note)
-            continue
-        before = same[-1]
-        end = max(before.end, note.end)
-        if note.start <= before.start + TOGETHER:  # in unison
-            melody, bass = before.melody or note.melody, before.bass or note.bass
-            same[-1] = before._replace(end=end, melody=melody, bass=bass and not melody)
-        elif before.melody and not note.melody and note.start <= before.end:
-            same[-1] = before._replace(end=end)
-        else:
-            same[-1] = before._replace(end=min(before.end, note.start))
-            same.append(note)
-    return [note for notes in by_pitch.values() for note in notes]
 
 
 def _start(note: Source) -> tuple[float, int]:

@@ -1,4 +1,4 @@
-"""The parts of a song, and which of their notes are melody and bass.
+"""The notes of a song, and which of them are melody and bass.
 
 From part to part the melody may move, and so may the bass: each part has a likeness to a melody,
 and to a bass, in each stretch of the song. The best sequence of parts over the stretches is found
@@ -8,10 +8,9 @@ by a dynamic programme (Viterbi) that pays for every change.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from enum import Enum
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,8 @@ from cadenza.music.viterbi import cheapest_sequence
 
 Array = NDArray[np.float64]
 
+TOGETHER = 0.04
+"""Time within which notes begin at one moment [s]: people in a band are less exact than one."""
 _STRETCH = 2.0  # [s] the least length over which one part has the melody, or the bass
 _AROUND = 4.0  # [s] before and after a stretch that are looked at with it
 _CHANGE = 4.0  # cost of melody or bass going to another part
@@ -30,51 +31,52 @@ _FOLLOWS = 3.0  # how much less a second voice is like a melody
 _CALLED, _LOW, _SEMITONES = 3.0, 40.0, 6.0  # a bass is called so; so much lower is worth 1
 
 
-class Role(Enum):
-    """What a note is for."""
+class Source(NamedTuple):
+    """A note of the song: `start` and `end` [s], and what it is for."""
 
-    MELODY = "melody"
-    BASS = "bass"
-    HARMONY = "harmony"
+    start: float
+    end: float
+    pitch: int
+    velocity: int
+    melody: bool
+    bass: bool
+    added: bool = False
+    """Whether it sounded already, and is struck again."""
+    hands: tuple[int, ...] = ()
+    """The hands that it is written for."""
 
 
 @dataclass(frozen=True)
-class Part:
-    """The notes of one instrument, and what each of them is for."""
+class _Part:
+    """The notes of one instrument."""
 
     name: str
     instrument: str
     notes: tuple[Note, ...]
-    roles: tuple[Role, ...] = ()
-
-    @property
-    def names(self) -> str:
-        """The name and the instrument in small letters."""
-        return f"{self.name} {self.instrument}".lower()
 
 
-def parts_of(score: Score) -> list[Part]:
-    """The parts of a song that are played, with a role for every note.
+def sources_of(score: Score) -> list[Source]:
+    """The notes of all parts of a song, of which each has the melody and the bass in stretches.
 
     A score without tracks is one part, of which the highest notes are the melody and the lowest
-    the bass.
+    the bass. Of notes that double another in unison one is left. Where the accompaniment strikes a
+    key that the melody holds, the melody goes on.
     """
-    parts = _tracks(score)
+    parts = _parts(score)
     if not parts:
         return []
     bars = np.array([bar.time for bar in score.bars])
     edges = _stretches(score)
     melody = _best_parts(_melody_likeness(parts, edges, bars))
     bass = _best_parts(_bass_likeness(parts, edges))
-    has_melody = [[each == i for each in melody] for i in range(len(parts))]
-    has_bass = [[each == i for each in bass] for i in range(len(parts))]
-    return [
-        Part(part.name, part.instrument, part.notes, _roles(part.notes, edges, *has))
-        for part, *has in zip(parts, has_melody, has_bass, strict=True)
-    ]
+    return _merged(
+        source
+        for i, part in enumerate(parts)
+        for source in _sources(part, edges, [m == i for m in melody], [b == i for b in bass])
+    )
 
 
-def _tracks(score: Score) -> list[Part]:
+def _parts(score: Score) -> list[_Part]:
     """The parts of a score by the tracks of its notes."""
     by_track: dict[int, list[Note]] = {}
     for note in score.notes:
@@ -82,7 +84,7 @@ def _tracks(score: Score) -> list[Part]:
             by_track.setdefault(number, []).append(note)
     names = {track.number: (track.name, track.instrument) for track in score.tracks}
     return [
-        Part(*names.get(number, ("", "")), tuple(notes))
+        _Part(*names.get(number, ("", "")), tuple(notes))
         for number, notes in sorted(by_track.items())
     ]
 
@@ -97,23 +99,37 @@ def _stretches(score: Score) -> list[float]:
     return edges
 
 
-def _roles(
-    notes: Sequence[Note],
-    edges: Sequence[float],
-    has_melody: Sequence[bool],
-    has_bass: Sequence[bool],
-) -> tuple[Role, ...]:
-    """What each note of a part is for that has the melody, or the bass, in some stretches."""
-    tops, bottoms, roles = _outer(notes, 1), _outer(notes, -1), []
-    for i, note in enumerate(notes):
-        stretch = bisect_right(edges, note.start + CHORD_TOLERANCE) - 1
-        if has_melody[stretch] and i in tops:
-            roles.append(Role.MELODY)
-        elif has_bass[stretch] and i in bottoms:
-            roles.append(Role.BASS)
+def _sources(
+    part: _Part, edges: Sequence[float], has_melody: Sequence[bool], has_bass: Sequence[bool]
+) -> Iterator[Source]:
+    """Yields the notes of a part that has the melody, or the bass, in some stretches."""
+    tops, bottoms = _outer(part.notes, 1), _outer(part.notes, -1)
+    for i, n in enumerate(part.notes):
+        stretch = bisect_right(edges, n.start + CHORD_TOLERANCE) - 1
+        melody = has_melody[stretch] and i in tops
+        bass = not melody and has_bass[stretch] and i in bottoms
+        yield Source(n.start, n.end, n.pitch, n.velocity, melody, bass, hands=n.hands)
+
+
+def _merged(sources: Iterable[Source]) -> list[Source]:
+    """The notes, one at a time on each key; see `sources_of`."""
+    by_pitch: dict[int, list[Source]] = {}
+    for note in sorted(sources, key=lambda n: (n.start, not n.melody, not n.bass)):
+        same = by_pitch.setdefault(note.pitch, [])
+        if not same:
+            same.append(note)
+            continue
+        before = same[-1]
+        end = max(before.end, note.end)
+        if note.start <= before.start + TOGETHER:  # in unison
+            melody, bass = before.melody or note.melody, before.bass or note.bass
+            same[-1] = before._replace(end=end, melody=melody, bass=bass and not melody)
+        elif before.melody and not note.melody and note.start <= before.end:
+            same[-1] = before._replace(end=end)
         else:
-            roles.append(Role.HARMONY)
-    return tuple(roles)
+            same[-1] = before._replace(end=min(before.end, note.start))
+            same.append(note)
+    return [note for notes in by_pitch.values() for note in notes]
 
 
 def _outer(notes: Sequence[Note], sign: Literal[1, -1]) -> set[int]:
@@ -130,7 +146,7 @@ def _outer(notes: Sequence[Note], sign: Literal[1, -1]) -> set[int]:
     return found
 
 
-def _melody_likeness(parts: Sequence[Part], edges: Sequence[float], bars: Array) -> Array:
+def _melody_likeness(parts: Sequence[_Part], edges: Sequence[float], bars: Array) -> Array:
     """(P, S) how much each part is like a melody in each stretch."""
     loudness = float(np.mean([note.velocity for part in parts for note in part.notes]))
     active = _activity(parts, edges)
@@ -145,15 +161,15 @@ def _melody_likeness(parts: Sequence[Part], edges: Sequence[float], bars: Array)
     return likeness * active - _ABSENT_MELODY * (1 - active)
 
 
-def _bass_likeness(parts: Sequence[Part], edges: Sequence[float]) -> Array:
+def _bass_likeness(parts: Sequence[_Part], edges: Sequence[float]) -> Array:
     """(P, S) how much each part is like a bass in each stretch."""
     low = [np.mean([min(n.pitch for n in chord) for chord in chords(p.notes)]) for p in parts]
-    called = [bool(CALLED_BASS.search(part.names)) for part in parts]
+    called = [bool(CALLED_BASS.search(f"{part.name} {part.instrument}".lower())) for part in parts]
     likeness = _CALLED * np.array(called) - (np.array(low) - _LOW) / _SEMITONES
     return likeness[:, None] - _ABSENT_BASS * (1 - _activity(parts, edges))
 
 
-def _activity(parts: Sequence[Part], edges: Sequence[float]) -> Array:
+def _activity(parts: Sequence[_Part], edges: Sequence[float]) -> Array:
     """(P, S) twice the share of each stretch in which each part sounds, at most 1."""
     last = max(note.end for part in parts for note in part.notes)
     bounds = np.array([*edges, max(last, edges[-1] + _STRETCH)])

@@ -19,7 +19,8 @@ from heapq import nsmallest
 from itertools import product
 from typing import NamedTuple
 
-from cadenza.arranging.moments import SHORTEST, TOGETHER, Moment, Source
+from cadenza.arranging.moments import SHORTEST, Moment
+from cadenza.arranging.parts import TOGETHER, Source
 from cadenza.fingering.players import Players, ways_to_hold
 from cadenza.fingers import LEFT, RIGHT
 from cadenza.hands.reach import JumpTimes
@@ -118,12 +119,11 @@ class Hand(NamedTuple):
 
 
 class Struck(NamedTuple):
-    """A note that is played: at which moment [s], its source, its pitch, and by which hand."""
+    """A note that is played: at which moment [s], its source, and its pitch."""
 
     time: float
     source: Source
     pitch: int
-    hand: int
 
     @property
     def late(self) -> bool:
@@ -302,7 +302,7 @@ class _HandAtMoment:
             yield from self._with_harmony(base)
 
     def _strike(self, note: Source, shift: int = 0) -> Struck:
-        return Struck(self._moment.time, note, note.pitch + shift, self._hand)
+        return Struck(self._moment.time, note, note.pitch + shift)
 
     def _with_harmony(self, base: tuple[Struck, ...]) -> Iterator[tuple[Struck, ...]]:
         """Yields `base` with none, one or more of the harmony, as far as the hand reaches."""

@@ -8,8 +8,7 @@ from typing import Any
 
 from cadenza.arranging.arranger import Arranged, Arranger
 from cadenza.arranging.fidelity import Fate
-from cadenza.arranging.moments import merged
-from cadenza.arranging.parts import parts_of
+from cadenza.arranging.parts import sources_of
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
 from cadenza.fingering.playable import playable
@@ -161,7 +160,7 @@ def _is_playable(score: Score, scene: Scene) -> bool:
     left_out = [score.notes[i] for i in reasons]
     if not _is_for_several(score):
         return len(left_out) <= _MOST_LEFT_OUT * len(score.notes)
-    song = merged(parts_of(score))
+    song = sources_of(score)
     lines = {(note.start, note.pitch) for note in song if note.melody or note.bass}
     lost = sum((note.start, note.pitch) in lines for note in left_out)
     few = len(left_out) <= _MOST_LEFT_OUT_OF_SEVERAL * len(score.notes)
