@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cadenza.music.etudes.harmony import LEADING, TONIC, Chord, progression
 from cadenza.music.etudes.keys import STEPS
-from cadenza.music.etudes.sheet import Sheet, Tone
+from cadenza.music.etudes.sheet import Sheet, Tone, pick
 from cadenza.music.etudes.voice_leading import (
     FORBIDDEN,
     Costs,
@@ -95,7 +95,7 @@ def _voicings(sheet: Sheet, chord: Chord, names: Sequence[str], ends: bool) -> _
         good &= tones[:, 0] == 0
     costs = random_costs(sheet.rng, len(p), _RANDOM)
     low, high = _RANGES["soprano"]
-    costs += _OFF_TARGET * np.abs(p[:, -1] - sheet.pick(*range(low, high)))
+    costs += _OFF_TARGET * np.abs(p[:, -1] - pick(sheet.rng, range(low, high)))
     costs += _DOUBLED_THIRD * ((tones == 2).sum(axis=1) > 1)
     costs += _INVERSION * (tones[:, 0] != 0)
     costs += _NO_FIFTH * ~(tones == 4).any(axis=1)

@@ -13,7 +13,7 @@ import numpy as np
 from cadenza.fingers import Side
 from cadenza.music.etudes.harmony import Chord
 from cadenza.music.etudes.keys import STEPS
-from cadenza.music.etudes.sheet import PHRASE, Sheet, Tone
+from cadenza.music.etudes.sheet import PHRASE, Sheet, Tone, pick
 from cadenza.music.etudes.voice_leading import FORBIDDEN, random_costs
 from cadenza.music.score import LOWEST_PITCH, OCTAVE
 from cadenza.music.viterbi import cheapest_sequence
@@ -148,7 +148,7 @@ def arpeggios(sheet: Sheet) -> Iterator[Tone]:
 
 def broken_chords(sheet: Sheet) -> Iterator[Tone]:
     """Yields broken chords, four notes on each inversion, upwards and downwards in turn."""
-    cell = _CELLS[sheet.pick(*range(len(_CELLS)))]
+    cell = pick(sheet.rng, _CELLS)
     cells = range(sheet.bar // len(cell))
     rising = [inversion + tone for inversion in cells for tone in cell]
     falling = [inversion + tone for inversion in reversed(cells) for tone in cell]
@@ -240,7 +240,7 @@ def _melody_rhythm(
     if slow:
         known = tuple(rhythm for rhythm in known if all(beats % 1 == 0 for beats in rhythm))
     choices = known[: 2 + sheet.difficulty]
-    rhythms = [choices[sheet.pick(*range(len(choices)))] for _ in range(PHRASE)]
+    rhythms = [pick(sheet.rng, choices) for _ in range(PHRASE)]
     rhythms[-1] = (sheet.beats,)
     for bar, chord in enumerate(chords):
         at = float(bar * sheet.bar)

@@ -31,7 +31,7 @@ from cadenza.music.etudes.homophony import (
 )
 from cadenza.music.etudes.keys import random_key
 from cadenza.music.etudes.scales import hanon, scales
-from cadenza.music.etudes.sheet import Sheet, Tone
+from cadenza.music.etudes.sheet import Sheet, Tone, pick
 from cadenza.music.libraries.songs import Library, Song
 from cadenza.music.score import Score
 
@@ -112,14 +112,14 @@ def _checked(kind: str, difficulty: int, seed: int) -> tuple[str, int, int]:
 def _sheet(kind: _Kind, difficulty: int, rng: np.random.Generator) -> Sheet:
     """A sheet with a random key, metre and tempo; steps a second are exponential in difficulty."""
     key = random_key(rng, difficulty - 1)
-    beats = kind.metres[int(rng.integers(len(kind.metres)))]
+    beats = pick(rng, kind.metres)
     rise = (difficulty - 1) / (HARDEST - 1)
     rate = kind.slowest * (kind.fastest / kind.slowest) ** rise
     rate *= 1 + _TEMPO_VARIATION * (2 * rng.random() - 1)
     tempi = {division: round(60 * rate / division) for division in kind.divisions}
     usual = [division for division, tempo in tempi.items() if tempo in _TEMPI]
     usual = usual or [min(tempi, key=lambda division: abs(tempi[division] - _USUAL_TEMPO))]
-    division = usual[int(rng.integers(len(usual)))]
+    division = pick(rng, usual)
     return Sheet(difficulty, rng, key, tempi[division], beats, division)
 
 
@@ -144,24 +144,7 @@ def etude(name: str) -> Score:
     Raises:
         CadenzaError: no etude is called so.
     """
-    if band := _BAND_NAME.fullmatch(name.lower()):
-        return band_score(make_band(int(band[1])))
-    return make_etude(*_parsed(name))
-
-
-def _parsed(name: str) -> tuple[str, int, int]:
-    """The kind, difficulty and seed in the name of an etude.
-
-    Raises:
-        CadenzaError: no etude is called so.
-    """
-    found = _ETUDE_NAME.fullmatch(name.lower())
-    if not found:
-        raise CadenzaError(
-            f"no etude named {name!r:.100}: give {LIBRARY}/KIND-DIFFICULTY-SEED, "
-            f"such as {LIBRARY}/scales-3-7"
-        )
-    return _checked(found[1], int(found[2]), int(found[3]))
+    return etude_song(name).read((), False)
 
 
 def etude_names(count: int, seed: int = 0) -> list[str]:
@@ -219,17 +202,23 @@ def etude_song(name: str) -> Song:
     if band := _BAND_NAME.fullmatch(name.lower()):
         seed = whole_number(int(band[1]), "seed", 0, MOST_SEED)
         return Song(band_name(seed), partial(_read_band, seed), source="practice piece")
-    kind, difficulty, seed = _parsed(name)
-    name = etude_name(kind, difficulty, seed)
-    read = partial(_read, name)
-    return Song(name, read, source="practice piece", difficulty=float(difficulty))
+    found = _ETUDE_NAME.fullmatch(name.lower())
+    if not found:
+        raise CadenzaError(
+            f"no etude named {name!r:.100}: give {LIBRARY}/KIND-DIFFICULTY-SEED, "
+            f"such as {LIBRARY}/scales-3-7"
+        )
+    which = _checked(found[1], int(found[2]), int(found[3]))
+    read, difficulty = partial(_read, *which), float(which[1])
+    return Song(etude_name(*which), read, source="practice piece", difficulty=difficulty)
 
 
 def _read_band(seed: int, tracks: Collection[int], _plain: bool) -> Score:
     return band_score(make_band(seed), tracks)
 
 
-def _read(name: str, tracks: Collection[int], _plain: bool) -> Score:
+def _read(kind: str, difficulty: int, seed: int, tracks: Collection[int], _plain: bool) -> Score:
     if tracks:
+        name = etude_name(kind, difficulty, seed)
         raise CadenzaError(f"{name}: an etude has no tracks to choose from")
-    return etude(name)
+    return make_etude(kind, difficulty, seed)

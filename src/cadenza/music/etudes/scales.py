@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cadenza.music.etudes.keys import STEPS, Key
-from cadenza.music.etudes.sheet import Sheet, Tone
+from cadenza.music.etudes.sheet import Sheet, Tone, pick
 
 _OCTAVE_UP_AND_DOWN = 16  # steps of a scale over an octave, with the last note held
 _TENTH = STEPS + 2  # degrees between the hands
@@ -39,7 +39,7 @@ def _motion(sheet: Sheet, count: int) -> str:
         return ("right", "left", "parallel")[min(count, 2)]
     if sheet.difficulty < 6 or count == 0:
         return "parallel"
-    return ("parallel", "contrary", "tenths")[sheet.pick(0, 1, 2)]
+    return pick(sheet.rng, ("parallel", "contrary", "tenths"))
 
 
 def _scale(key: Key, motion: str, octaves: int, at: int) -> Iterator[Tone]:
@@ -63,7 +63,7 @@ def hanon(sheet: Sheet) -> Iterator[Tone]:
     size = min(_MOST_NOTES, sheet.bar)
     figure = _figure(sheet, size)
     count = (sheet.length - sheet.bar) // size
-    contrary = sheet.difficulty >= _CONTRARY and sheet.pick(0, 1)
+    contrary = sheet.difficulty >= _CONTRARY and pick(sheet.rng, (False, True))
     for unit in range(count):
         climbs = 2 * unit < count
         base = unit if climbs else count - 1 - unit
@@ -74,7 +74,7 @@ def hanon(sheet: Sheet) -> Iterator[Tone]:
                 yield Tone(at, 1, sheet.pitch(degree + STEPS * contrary))
             if "left" in hands:
                 yield Tone(at, 1, sheet.pitch(-degree if contrary else degree - STEPS))
-    yield from sheet.ending(left=-STEPS)
+    yield from sheet.ending()
 
 
 def _figure(sheet: Sheet, size: int) -> list[int]:
@@ -82,7 +82,7 @@ def _figure(sheet: Sheet, size: int) -> list[int]:
     widest = min(2 + sheet.difficulty // 2, STEPS - 2)
     figure = [0]
     while len(figure) < size:
-        step = sheet.pick(-2, -1, 1, 1, 2, 3)
+        step = pick(sheet.rng, (-2, -1, 1, 1, 2, 3))
         # The figure a degree higher follows: its first note has to be another, too.
         last = len(figure) == size - 1
         if 0 <= figure[-1] + step <= widest and not (last and figure[-1] + step == 1):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -11,12 +13,19 @@ from cadenza.music.etudes.harmony import TONIC, Chord, progression
 from cadenza.music.etudes.keys import STEPS, Key
 from cadenza.music.score import Bar, Note
 
+Choice = TypeVar("Choice")
+
 PHRASE = 4  # bars
 _BOTH_HANDS = 6  # difficulty from which both hands play figures at once
 _SHORTEST = 18.0  # [s] length of an etude, which is rounded up to whole phrases
 _RELEASE = 0.05  # [s] by which a note ends early, so that its key can come up
 _RELEASE_SHARE = 0.25  # of a note, by which short notes end early instead
 _ACCENT = 12  # additional velocity of notes that begin a bar
+
+
+def pick(rng: np.random.Generator, choices: Sequence[Choice]) -> Choice:
+    """A random one of the choices."""
+    return choices[int(rng.integers(len(choices)))]
 
 
 @dataclass(frozen=True)
@@ -76,16 +85,12 @@ class Sheet:
         """A progression of a chord for each bar."""
         return progression(self.rng, self.bars // PHRASE, PHRASE)
 
-    def pick(self, *choices: int) -> int:
-        """A random one of the choices."""
-        return choices[int(self.rng.integers(len(choices)))]
-
-    def ending(self, right: int = 0, left: int = -STEPS) -> list[Tone]:
-        """A tonic chord for the last bar, upwards from the degree of each hand."""
-        at, chord = self.length - self.bar, Chord(TONIC)
+    def ending(self, right: int = 0) -> list[Tone]:
+        """A tonic chord for the last bar, upwards from a degree of the right hand, over a bass."""
+        chord = Chord(TONIC)
         upper = self.voicing(chord, chord.nearest(right), self.thickness)
-        bass = self.pitch(chord.tone(3 * (left // STEPS)))
-        return [Tone(at, self.bar, pitch) for pitch in (*upper, bass)]
+        pitches = (*upper, self.pitch(chord.root - STEPS))
+        return [Tone(self.length - self.bar, self.bar, pitch) for pitch in pitches]
 
     def hands(self, bar: int) -> tuple[Side, ...]:
         """The hands that have the figure in a bar: one by phrases, in harder etudes both."""

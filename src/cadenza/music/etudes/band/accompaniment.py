@@ -7,7 +7,7 @@ from itertools import count
 
 import numpy as np
 
-from cadenza.music.etudes.band.passage import Passage, pick
+from cadenza.music.etudes.band.passage import Passage
 from cadenza.music.etudes.band.rhythm_section import MEDIUM, Pattern
 from cadenza.music.etudes.band.voicings import (
     Slots,
@@ -17,7 +17,7 @@ from cadenza.music.etudes.band.voicings import (
     nearest,
     power_chord,
 )
-from cadenza.music.etudes.sheet import Tone
+from cadenza.music.etudes.sheet import Tone, pick
 from cadenza.music.score import OCTAVE
 
 Rhythm = Sequence[tuple[float, float]]

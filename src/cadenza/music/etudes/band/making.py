@@ -12,11 +12,11 @@ from cadenza.configs import MOST_SEED, whole_number
 from cadenza.music.etudes.band.cast import Cast, Player, random_cast
 from cadenza.music.etudes.band.melody import Singing, answers, melody, second_voice
 from cadenza.music.etudes.band.parts import Band, Section
-from cadenza.music.etudes.band.passage import Passage, happens, pick
+from cadenza.music.etudes.band.passage import Passage, happens
 from cadenza.music.etudes.band.plan import Plan, planned, played, random_hand
 from cadenza.music.etudes.band.styles import styles
 from cadenza.music.etudes.band.voicings import nearest
-from cadenza.music.etudes.sheet import Tone
+from cadenza.music.etudes.sheet import Tone, pick
 from cadenza.music.score import MIDI_PITCHES, OCTAVE
 
 _HIGH_POINTS = ("chorus", "bridge")  # sections in which others sing or play along

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.music.etudes.band.chords import SongChord, melody_scale
-from cadenza.music.etudes.band.passage import Passage, happens, one_at_a_time, pick
+from cadenza.music.etudes.band.passage import Passage, happens, one_at_a_time
 from cadenza.music.etudes.band.styles import tables
-from cadenza.music.etudes.sheet import Tone
+from cadenza.music.etudes.sheet import Tone, pick
 from cadenza.music.etudes.voice_leading import (
     FORBIDDEN,
     Costs,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Collection, Iterator
+import io
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -63,12 +63,13 @@ class Band:
 
     def notes(self, role: Role) -> tuple[Note, ...]:
         """The notes of all parts that have this role, by (start, pitch)."""
-        found = (note for note, its_role in self._notes_with_roles() if its_role == role)
+        found = (
+            note
+            for part in self.parts
+            for note, its_role in zip(part.notes, part.roles, strict=True)
+            if its_role == role
+        )
         return tuple(sorted(found, key=lambda note: (note.start, note.pitch)))
-
-    def _notes_with_roles(self) -> Iterator[tuple[Note, Role]]:
-        for part in self.parts:
-            yield from zip(part.notes, part.roles, strict=True)
 
 
 def microseconds_per_beat(tempo: int) -> int:
@@ -92,6 +93,11 @@ def write_band(band: Band, path: str | Path) -> None:
     Read back by `cadenza.music.formats.midi.read_midi`, notes and bars have the same times to the
     bit. Notes of equal pitch that parts play at once are merged there, as on one piano.
     """
+    with write_atomically(Path(path)) as out:
+        out.write(_midi_of(band))
+
+
+def _midi_of(band: Band) -> bytes:
     import mido  # here, so that the names of etudes can be had without it
 
     from cadenza.music.formats.midi import messages
@@ -105,8 +111,9 @@ def write_band(band: Band, path: str | Path) -> None:
         track, channel = file.add_track(part.name or None), part.channel - 1
         track.append(mido.Message("program_change", program=part.program, channel=channel))
         track += messages(part.notes, part.pedal, on_tick, channel)
-    with write_atomically(Path(path)) as out:
-        file.save(file=out)
+    content = io.BytesIO()
+    file.save(file=content)
+    return content.getvalue()
 
 
 def band_score(band: Band, tracks: Collection[int] = ()) -> Score:
@@ -117,7 +124,4 @@ def band_score(band: Band, tracks: Collection[int] = ()) -> Score:
     """
     from cadenza.music.formats.midi import read_midi  # which needs mido, too
 
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, f"{band.title}.mid")
-        write_band(band, path)
-        return read_midi(path, tracks)
+    return read_midi(band.title, tracks, _midi_of(band))

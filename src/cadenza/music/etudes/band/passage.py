@@ -7,15 +7,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TypeVar
 
 import numpy as np
 
 from cadenza.music.etudes.band.chords import Harmony, SongChord
 from cadenza.music.etudes.keys import Key
 from cadenza.music.etudes.sheet import Tone
-
-Choice = TypeVar("Choice")
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +75,6 @@ class Passage:
                 start = bar * self.beats + at
                 if start < self.length:
                     yield start, min(length, self.end_of_harmony(start) - start)
-
-
-def pick(rng: np.random.Generator, choices: Sequence[Choice]) -> Choice:
-    """A random one of the choices."""
-    return choices[int(rng.integers(len(choices)))]
 
 
 def happens(rng: np.random.Generator, percent: int) -> bool:

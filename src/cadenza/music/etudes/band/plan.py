@@ -21,11 +21,11 @@ from cadenza.music.etudes.band.parts import (
     seconds,
     ticks,
 )
-from cadenza.music.etudes.band.passage import Passage, happens, pick
+from cadenza.music.etudes.band.passage import Passage, happens
 from cadenza.music.etudes.band.rhythm_section import MEDIUM
 from cadenza.music.etudes.band.styles import SECTIONS, Style
 from cadenza.music.etudes.keys import Key
-from cadenza.music.etudes.sheet import Tone
+from cadenza.music.etudes.sheet import Tone, pick
 from cadenza.music.score import LOUDEST, Note, PedalEvent
 
 SHORTEST, LONGEST = 60.0, 180.0  # [s] of a song

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 
 from cadenza.music.etudes.band.chords import SongChord
-from cadenza.music.etudes.band.passage import Passage, happens, pick
+from cadenza.music.etudes.band.passage import Passage, happens
 from cadenza.music.etudes.band.voicings import nearest
-from cadenza.music.etudes.sheet import Tone
+from cadenza.music.etudes.sheet import Tone, pick
 from cadenza.music.score import OCTAVE
 
 Pattern = Callable[[Passage], Iterator[Tone]]
