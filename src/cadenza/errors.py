@@ -65,6 +65,19 @@ def explained(error: BaseException) -> str:
 
 
 @contextmanager
+def errors_in(where: object) -> Iterator[None]:
+    """Begins the messages of errors in the block with `where` they are, such as a file.
+
+    Raises:
+        CadenzaError: the block raises one.
+    """
+    try:
+        yield
+    except CadenzaError as error:
+        raise CadenzaError(f"{where}: {error}") from error
+
+
+@contextmanager
 def errors_in_a_line() -> Iterator[None]:
     """Prints errors as a line and exits with status 2, in programs outside the command line."""
     try:

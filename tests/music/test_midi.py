@@ -614,7 +614,7 @@ def test_of_two_notes_at_the_same_moment_the_finger_that_is_known_is_kept() -> N
     known = Finger(0, 2)
     for fingers in ((None, known), (known, None), (known, Finger(1, 0))):
         doubled = [RawNote(0, 480, 60, 80, True, finger) for finger in fingers]
-        (note,), _ = repaired_notes(doubled, Counter(), (), "a.mid")
+        (note,), _ = repaired_notes(doubled, Counter(), ())
         assert note.finger == known
 
 
@@ -622,6 +622,6 @@ def test_of_two_notes_at_the_same_moment_the_finger_that_is_known_is_kept() -> N
 def test_of_two_notes_at_the_same_moment_an_end_that_is_known_is_kept(known_first: bool) -> None:
     doubled = [RawNote(0, 480, 60, 80, True), RawNote(0, 9600, 60, 90, False)]
     found = doubled if known_first else doubled[::-1]
-    (note,), remarks = repaired_notes(found, Counter(), (), "a.mid")
+    (note,), remarks = repaired_notes(found, Counter(), ())
     assert (note.end, note.velocity) == (480, 90)
     assert remarks == ("1 note doubled at the same moment merged",)

@@ -33,7 +33,6 @@ def repaired_notes(
     found: list[RawNote],
     counts: Counter[str],
     remarks: Iterable[str],
-    where: object,
     seconds: Callable[[float], float] = float,
 ) -> tuple[tuple[Note, ...], tuple[str, ...]]:
     """The notes of a file that one piano can play, and remarks on what was repaired.
@@ -42,7 +41,6 @@ def repaired_notes(
         found: all notes of the file, in its unit of time.
         counts: the numbers of notes that were repaired before, by the names in `_remarks`.
         remarks: remarks that were made before.
-        where: the file, for errors.
         seconds: converts times of the file to seconds [s].
 
     Raises:
@@ -63,7 +61,7 @@ def repaired_notes(
     remarks = (*remarks, *_remarks(counts))
     if not notes:
         why = f" left ({'; '.join(remarks)})" if remarks else ""
-        raise CadenzaError(f"{where}: there are no notes{why}; choose another file")
+        raise CadenzaError(f"there are no notes{why}; choose another file")
     return notes, remarks
 
 

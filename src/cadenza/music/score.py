@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from math import isfinite
 from numbers import Integral, Real
 from operator import attrgetter
-from pathlib import Path
 from typing import TypeVar
 
 from cadenza.errors import CadenzaError
@@ -352,15 +351,15 @@ def check_length(seconds: float, what: str, advice: str = "") -> None:
         )
 
 
-def check_chosen(chosen: Collection[int], tracks: Sequence[Track], path: Path) -> None:
-    """Checks that the file at `path` has the tracks with the `chosen` numbers.
+def check_chosen(chosen: Collection[int], tracks: Sequence[Track]) -> None:
+    """Checks that a file with these tracks has those with the `chosen` numbers.
 
     Raises:
         CadenzaError: it does not.
     """
     if missing := sorted(set(chosen) - {track.number for track in tracks}):
         there = f"tracks 1 to {len(tracks)}" if len(tracks) > 1 else "one track"
-        raise CadenzaError(f"{path}: there is no track {missing[0]}; the file has {there}")
+        raise CadenzaError(f"there is no track {missing[0]}; the file has {there}")
 
 
 # Names of keys and bars

@@ -19,7 +19,7 @@ from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import content_of, write_atomically
 from cadenza.fingers import Finger
 from cadenza.music.formats.finger_numbers import finger_from, written
@@ -90,10 +90,8 @@ def _parsed(content: list[str], where: str) -> tuple[float, int, Finger | None]:
         raise CadenzaError(
             f"{where}: {' '.join(content)!r} is not 'start pitch finger', such as '0.5 60 0'"
         )
-    try:
+    with errors_in(where):
         return start, pitch, finger_from(content[2])
-    except CadenzaError as error:
-        raise CadenzaError(f"{where}: {error}") from error
 
 
 def _nearest(score: Score, indices: list[int], start: float) -> int | None:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import mido
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import write_atomically
 from cadenza.music.formats.general_midi import INSTRUMENTS
 from cadenza.music.formats.midi_channels import SUSTAIN, Part, Playing, merged_pedal, timed
@@ -81,7 +81,13 @@ def read_midi(
             of `tracks`.
     """
     path = Path(path)
-    file = _parse(read_bytes(path) if content is None else content, path)
+    content = read_bytes(path) if content is None else content
+    with errors_in(path):
+        return _score(parsed(content), tracks, title_of(path))
+
+
+def _score(file: MidiFile, tracks: Collection[int], title: str) -> Score:
+    """The score in a file; without a name in it, it has the `title`."""
     remarks, chunks = list(file.remarks), file.tracks
     if file.format == 2:
         songs = [chunk for chunk in chunks if any(message.type == "note_on" for message in chunk)]
@@ -89,12 +95,12 @@ def read_midi(
             remarks.append(f"the file holds {len(songs)} separate songs: the first is used")
         chunks = songs[:1]
 
-    clock = _Clock.of(file.division, chunks, path)
+    clock = _Clock.of(file.division, chunks)
     playing = Playing(chunks, clock.at)
     melodic = [part for part in playing.parts if not part.is_drums]
     listed = _tracks(melodic)
     if tracks:
-        check_chosen(tracks, listed, path)
+        check_chosen(tracks, listed)
         sounding = [part for part in melodic if part.sounds]
         melodic = [sounding[number - 1] for number in sorted(set(tracks))]
     channels = {part.channel for part in melodic} if tracks else _CHANNELS
@@ -112,10 +118,10 @@ def read_midi(
         counts["muted"] = len(muted)
     if playing.soft.intersection(channels):
         remarks.append("the soft pedal is left out")
-    notes, said = repaired_notes(found, counts, remarks, path, clock.seconds)
+    notes, said = repaired_notes(found, counts, remarks, clock.seconds)
     bars = _bars(file.division, chunks, clock, until=notes[-1].start)
     strokes = tuple(_stroke(note, clock) for part in drums for note in part.notes)
-    return Score(notes, pedal, _title(chunks, path), said, listed, bars, strokes)
+    return Score(notes, pedal, _name(chunks) or title, said, listed, bars, strokes)
 
 
 def write_midi(score: Score, path: str | Path) -> None:
@@ -188,16 +194,16 @@ class _Clock:
     units_per_second: int
 
     @classmethod
-    def of(cls, division: int, tracks: Iterable[mido.MidiTrack], path: Path) -> _Clock:
+    def of(cls, division: int, tracks: Iterable[mido.MidiTrack]) -> _Clock:
         if division < 0:  # SMPTE: minus the frames a second, and the ticks a frame
             frames, ticks_per_frame = 256 - ((division >> 8) & 0xFF), division & 0xFF
             if frames not in (24, 25, 29, 30) or ticks_per_frame == 0:
-                raise CadenzaError(f"{path}: the file's time division is not valid MIDI")
+                raise CadenzaError("the file's time division is not valid MIDI")
             if frames == 29:  # stands for 30000/1001 frames a second
                 return cls([0], [0], [1001], 30_000 * ticks_per_frame)
             return cls([0], [0], [1], frames * ticks_per_frame)
         if division == 0:
-            raise CadenzaError(f"{path}: the file's time division is zero, not valid MIDI")
+            raise CadenzaError("the file's time division is zero, not valid MIDI")
         messages = (each for track in tracks for each in timed(track))
         changes = ((tick, each.tempo) for tick, each in messages if each.type == "set_tempo")
         clock = cls([0], [0], [_DEFAULT_TEMPO], division * 1_000_000)
@@ -213,13 +219,6 @@ class _Clock:
 
     def seconds(self, units: float) -> float:
         return units / self.units_per_second
-
-
-def _parse(data: bytes, path: Path) -> MidiFile:
-    try:
-        return parsed(data)
-    except CadenzaError as error:
-        raise CadenzaError(f"{path}: {error}") from error
 
 
 def _tracks(parts: Sequence[Part]) -> tuple[Track, ...]:
@@ -287,10 +286,10 @@ def _stroke(note: RawNote, clock: _Clock) -> Note:
     return Note(start, start + _STROKE, note.pitch, note.velocity)
 
 
-def _title(chunks: Sequence[mido.MidiTrack], path: Path) -> str:
-    """The first track's name, or the file's without its suffix."""
+def _name(chunks: Sequence[mido.MidiTrack]) -> str:
+    """The name of the first track, which is that of the song."""
     names = (message.name for message in chunks[0] if message.type == "track_name")
-    return _text(next(names, "")) or title_of(path)
+    return _text(next(names, ""))
 
 
 def _text(text: str) -> str:

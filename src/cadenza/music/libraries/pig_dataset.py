@@ -23,7 +23,7 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 from zipfile import ZipFile
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import opened, opened_archive, unpacked
 from cadenza.fingers import Finger
 from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
@@ -251,7 +251,8 @@ def read_fingered(content: bytes, where: str) -> Score:
             f"{where}:{first}: channel and finger are of different hands, the finger is taken"
             f"{_and_lines(others)}"
         ]
-    playing, repairs = repaired_notes(notes, Counter(), (), where)
+    with errors_in(where):
+        playing, repairs = repaired_notes(notes, Counter(), ())
     return Score(playing, remarks=(*doubts, *(f"{where}: {repair}" for repair in repairs)))
 
 

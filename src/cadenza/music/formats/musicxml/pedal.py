@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 from cadenza.music.formats.musicxml.timeline import Placed, number
 
 _T = TypeVar("_T")
-SUSTAIN, SOSTENUTO = "damper-pedal", "sostenuto-pedal"
+PEDALS = _SUSTAIN, _SOSTENUTO = "damper-pedal", "sostenuto-pedal"
 """The pedals that are played, as sounds for playback call them."""
 _SOFT = "soft-pedal"
 _SOFT_IN_WORDS = re.compile(r"\b(una corda|u\. ?c\.|due corde)", re.IGNORECASE)
@@ -34,9 +34,7 @@ class Move(NamedTuple):
     value: int
 
 
-def pedal_moves(
-    part: Iterable[Placed], begins: Sequence[Fraction], pedal: str = SUSTAIN
-) -> list[Move]:
+def pedal_moves(part: Iterable[Placed], begins: Sequence[Fraction], pedal: str) -> list[Move]:
     """The motions of a pedal of a part, in the order of their times.
 
     A sign moves by its offset for playback, as far as its measure reaches. A pedal that is pressed
@@ -46,7 +44,7 @@ def pedal_moves(
     Args:
         part: the elements of the part.
         begins: the quarters at which measures begin, and the end of the last.
-        pedal: which pedal.
+        pedal: which of `PEDALS`.
     """
     moves: list[Move] = []
     down = defaultdict[str, list[str]](list)  # pedals, by the numbers of their signs
@@ -73,7 +71,7 @@ def has_soft_pedal(root: Element) -> bool:
 def sostenuto_words(root: Element) -> int:
     """The number of words for the sostenuto pedal, which do not say how long; 0 beside signs."""
     signs = (sign.get("type") == "sostenuto" for sign in root.iter("pedal"))
-    if any(signs) or any(sound.get(SOSTENUTO) for sound in root.iter("sound")):
+    if any(signs) or any(sound.get(_SOSTENUTO) for sound in root.iter("sound")):
         return 0
     words = (_SOSTENUTO_IN_WORDS.search(each.text or "") for each in root.iter("words"))
     return sum(each is not None for each in words)
@@ -87,8 +85,8 @@ def _values(
     for sign in placed.element.iterfind("direction-type/pedal"):
         kind, others = sign.get("type", ""), down[sign.get("number", "1")]
         if kind in ("start", "sostenuto"):
-            others.append(SUSTAIN if kind == "start" else SOSTENUTO)
-        if pedal == (others[-1] if others else SUSTAIN):
+            others.append(_SUSTAIN if kind == "start" else _SOSTENUTO)
+        if pedal == (others[-1] if others else _SUSTAIN):
             signs += ((placed.sounds_at(), value) for value in _SIGNS.get(kind, ()))
         if kind == "stop" and others:
             others.pop()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
@@ -14,22 +13,21 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import errors_in
 from cadenza.music.formats.musicxml.bar_order import without_goal
 from cadenza.music.formats.musicxml.bars import WrittenBar, bars_of
 from cadenza.music.formats.musicxml.jumps import JUMPS, read_jumps
 from cadenza.music.formats.musicxml.notes import WrittenNote, notes_of
 from cadenza.music.formats.musicxml.pedal import (
-    SOSTENUTO,
-    SUSTAIN,
+    PEDALS,
     Move,
     has_soft_pedal,
     pedal_moves,
     sostenuto_words,
     together,
 )
-from cadenza.music.formats.musicxml.tempo import tempo_marks
-from cadenza.music.formats.musicxml.timeline import passes_of, timeline
+from cadenza.music.formats.musicxml.tempo import TempoMarks, tempo_marks
+from cadenza.music.formats.musicxml.timeline import Placed, passes_of, timeline
 from cadenza.music.formats.musicxml.tree import tree_of
 from cadenza.music.formats.musicxml.unrolling import (
     Passage,
@@ -72,38 +70,49 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = (), plain: bool = 
     """
     path = Path(path)
     root = tree_of(path)
-    with _named(path):
-        sheet = _sheet(root, plain)
-    listed = tuple(part.track for part in sheet.parts)
-    check_chosen(tracks, listed, path)
-    parts = [part for part in sheet.parts if not tracks or part.track.number in tracks]
-    counts = Counter(drums=0 if tracks else sheet.drums)
-    with _named(path):
-        found, pedal, timed = _played(parts, sheet, counts)
-    begin = min([0.0, *(note.start for note in found)])  # grace notes before the first beat
-    notes, remarks = repaired_notes(found, counts, sheet.remarks, path, lambda time: time - begin)
-    moves = tuple(PedalEvent(max(0.0, time - begin), value) for time, value in pedal)
-    bars = tuple(bar.moved(lambda time: time - begin) for bar in timed)
-    return Score(notes, moves, sheet.title or title_of(path), remarks, listed, bars)
+    with errors_in(path):
+        return _score(root, tracks, plain, title_of(path))
 
 
-@contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Begins the messages of errors with the file."""
-    try:
-        yield
-    except CadenzaError as error:
-        raise CadenzaError(f"{path}: {error}") from error
+def _score(root: Element, tracks: Collection[int], plain: bool, title: str) -> Score:
+    """The score in a document; without a title in it, it has the `title`."""
+    music, counts = root.findall("part"), Counter[str]()
+    placed, begins = timeline(music)
+    longest = max(placed, key=lambda part: part[-1].measure if part else -1, default=[])
+    bars = bars_of(longest, begins)
+    read_jumps(placed, bars, begins)
+    passages, found = unrolled(bars), tempo_marks(placed, begins)
+    every = list(_parts(root, placed, begins, plain, counts))
+    remarks = list(_remarks(root, counts, found, bars, passages))
+    listed = tuple(part.track for part in every)
+    check_chosen(tracks, listed)
+    if tracks:
+        counts["drums"] = 0
+    parts = [part for part in every if not tracks or part.track.number in tracks]
+
+    marks = filter(says_tempo, found.marks) if plain else found.marks
+    tempo = TempoMap.of(marks, begins[-1]).played(sections(passages))
+    swings = played_swings(() if plain else found.swings, bars, passages)
+    notes = _notes(parts, bars, passages, tempo, swings, counts)
+    pedal = together(played_pedal(part.pedal, bars, passages) for part in parts)
+    begin = min([0.0, *(note.start for note in notes)])  # grace notes before the first beat
+    title = next((text for each in _TITLES if (text := printable(root.findtext(each, "")))), title)
+    played, said = repaired_notes(notes, counts, remarks, lambda time: time - begin)
+    moves = (PedalEvent(max(0.0, time - begin), value) for time, value in _timed(pedal, tempo))
+    timed = (bar.moved(lambda time: time - begin) for bar in _bars(passages, tempo))
+    return Score(played, tuple(moves), title, said, listed, tuple(timed))
 
 
-def _played(
-    parts: Sequence[_Part], sheet: _Sheet, counts: Counter[str]
-) -> tuple[list[RawNote], list[tuple[float, int]], list[Bar]]:
-    """The notes, the motions of the pedal (time [s], value) and the bars as they are played."""
-    passages, bars = sheet.passages, sheet.bars
-    tempo = sheet.tempo.played(sections(passages))
-    signed = [note for p in parts for note in played_notes(p.notes, bars, passages, counts)]
-    swings = played_swings(sheet.swings, bars, passages)
+def _notes(
+    parts: Sequence[_Part],
+    bars: Sequence[WrittenBar],
+    passages: Sequence[Passage],
+    tempo: TempoMap,
+    swings: Iterable[Swing],
+    counts: Counter[str],
+) -> list[RawNote]:
+    """The notes of the parts as they sound; those that no key plays are added to `counts`."""
+    signed = [note for part in parts for note in played_notes(part.notes, bars, passages, counts)]
     hands = {note.signed.written: note.hands for part in parts for note in part.notes}
     found = [
         RawNote(
@@ -120,8 +129,7 @@ def _played(
     ]
     for part in parts:
         _hold(found, part.track.number, _timed(played_pedal(part.sostenuto, bars, passages), tempo))
-    pedal = together(played_pedal(part.pedal, bars, passages) for part in parts)
-    return found, _timed(pedal, tempo), _bars(passages, tempo)
+    return found
 
 
 def _timed(moves: Sequence[tuple[Fraction, int]], tempo: TempoMap) -> list[tuple[float, int]]:
@@ -169,45 +177,36 @@ class _Part:
     sostenuto: list[Move]
 
 
-@dataclass(frozen=True, slots=True)
-class _Sheet:
-    """The written music; `drums` counts notes that are left out as such."""
-
-    title: str
-    parts: list[_Part]
-    bars: list[WrittenBar]
-    passages: list[Passage]
-    tempo: TempoMap
-    swings: list[Swing]
-    drums: int
-    remarks: list[str]
-
-
-def _sheet(root: Element, plain: bool) -> _Sheet:
-    counts = Counter[str]()
-    music = root.findall("part")
-    placed, begins = timeline(music)
-    bars = bars_of(
-        max(placed, key=lambda part: part[-1].measure if part else -1, default=[]), begins
-    )
-    read_jumps(placed, bars, begins)
-    parts: list[_Part] = []
-    first = 0
+def _parts(
+    root: Element,
+    placed: Sequence[Sequence[Placed]],
+    begins: Sequence[Fraction],
+    plain: bool,
+    counts: Counter[str],
+) -> Iterator[_Part]:
+    """Yields the parts with notes; other notes are added to `counts`."""
+    music, first, number = root.findall("part"), 0, 1
     for part, elements, listed in zip(music, placed, _listed(root, music), strict=True):
         is_drum = _drums(listed, part)
-        notes = notes_of(elements, len(parts) + 1, first, is_drum, plain, counts)
+        notes = notes_of(elements, number, first, is_drum, plain, counts)
         first += sum(each.element.tag == "note" for each in elements)
         if notes:
-            track = _track(len(parts) + 1, printable(listed.findtext("part-name", "")), notes)
-            pedals = (pedal_moves(elements, begins, pedal) for pedal in (SUSTAIN, SOSTENUTO))
-            parts.append(_Part(track, notes, *pedals))
-    found = tempo_marks(placed, begins)
-    title = next((text for each in _TITLES if (text := printable(root.findtext(each, "")))), "")
-    marks = filter(says_tempo, found.marks) if plain else found.marks
-    tempo, swings = TempoMap.of(marks, begins[-1]), [] if plain else found.swings
-    passages, lost = unrolled(bars), without_goal([bar.signs for bar in bars])
-    unplayed = len({*range(len(bars))} - {passage.index for passage in passages})
-    remarks = counted_remarks(
+            track = _track(number, printable(listed.findtext("part-name", "")), notes)
+            yield _Part(track, notes, *(pedal_moves(elements, begins, p) for p in PEDALS))
+            number += 1
+
+
+def _remarks(
+    root: Element,
+    counts: Counter[str],
+    found: TempoMarks,
+    bars: Sequence[WrittenBar],
+    passages: Sequence[Passage],
+) -> Iterator[str]:
+    """Yields remarks on what is left out or changed."""
+    lost = without_goal([bar.signs for bar in bars])
+    unplayed = len(bars) - len({passage.index for passage in passages})
+    yield from counted_remarks(
         (
             (counts["fingering"], "unreadable fingering", "left out"),
             (found.impossible, "impossible tempo", "left out"),
@@ -221,8 +220,7 @@ def _sheet(root: Element, plain: bool) -> _Sheet:
         )
     )
     if has_soft_pedal(root):
-        remarks.append("the soft pedal is left out")
-    return _Sheet(title, parts, bars, passages, tempo, swings, counts["drums"], remarks)
+        yield "the soft pedal is left out"
 
 
 def _track(number: int, name: str, notes: Sequence[WrittenNote]) -> Track:

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement, TreeBuilder
 from xml.parsers import expat
 from zipfile import ZipFile
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import opened_archive, unpacked
 from cadenza.music.formats.source import read_bytes
 
@@ -38,7 +38,7 @@ def tree_of(path: Path) -> Element:
             large or too deeply nested for a song.
     """
     data = read_bytes(path, MAX_XML_BYTES)
-    try:
+    with errors_in(path):
         if data.startswith(b"PK"):
             data = _document_of(data)
         beginning = data[:100].replace(b"\0", b"").lstrip(_MARKS + b" \t\r\n").lower()
@@ -47,8 +47,6 @@ def tree_of(path: Path) -> Element:
         if beginning.startswith((b"<!doctype html", b"<html")):
             raise CadenzaError("is a page (HTML), no music; download the file itself")
         return _by_parts(_Reader().root_of(data))
-    except CadenzaError as error:
-        raise CadenzaError(f"{path}: {error}") from error
 
 
 class _Reader:
