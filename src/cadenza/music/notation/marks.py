@@ -11,12 +11,15 @@ import numpy as np
 from cadenza.music.formats.musicxml.dynamics import VELOCITIES
 from cadenza.music.notation.metre import QUARTER, Metre
 from cadenza.music.score import PEDAL_DOWN, PedalEvent
+from cadenza.music.viterbi import cheapest_sequence
 
 TREBLE, BASS = "G", "F"
 _MIDDLE_LINE = {TREBLE: 71, BASS: 50}  # pitch: B4, D3
 _STAFF = 9  # semitones from the middle line that need at most one ledger line
 _UNUSUAL = 4  # weight of these in the clef of the other hand
-_CHANGE_OF_CLEF = 30.0  # semitones beyond the staff, summed over notes, that outweigh a change
+# Semitones beyond the staff, summed over notes, that outweigh a change of clef; over 30 by a hair,
+# so that of equally good sequences the one with fewer changes is taken.
+_CHANGE_OF_CLEF = 30.000001
 
 _TEMPO_ERROR = 0.01  # [s] by which times that follow from the tempos may differ
 _FASTEST = 1e-3  # [s] of a quarter
@@ -46,24 +49,15 @@ def clefs(pitches: Sequence[Sequence[int]], usual: str) -> list[str]:
 
     By dynamic programming, notes far from the staff are weighed against changes of clef.
     """
-    kinds = (TREBLE, BASS)
-    total = {kind: 0.0 if kind == usual else _CHANGE_OF_CLEF for kind in kinds}
-    origins: list[dict[str, str]] = []
-    for here in pitches:
-        origin, arrived = {}, {}
-        for kind in kinds:
-            others = {k: total[k] + (k != kind) * _CHANGE_OF_CLEF for k in kinds}
-            origin[kind] = min((kind, *kinds), key=others.__getitem__)
-            beyond = sum(max(0, abs(pitch - _MIDDLE_LINE[kind]) - _STAFF) for pitch in here)
-            arrived[kind] = others[origin[kind]] + beyond * (1 if kind == usual else _UNUSUAL)
-        total = arrived
-        origins.append(origin)
-    at = min((usual, *kinds), key=total.__getitem__)
-    chosen = []
-    for origin in reversed(origins):
-        chosen.append(at)
-        at = origin[at]
-    return chosen[::-1]
+    kinds = (usual, BASS if usual == TREBLE else TREBLE)
+    beyond = [
+        [sum(max(0, abs(pitch - _MIDDLE_LINE[kind]) - _STAFF) for pitch in here) for kind in kinds]
+        for here in pitches
+    ]
+    costs = list(np.array(beyond) * (1, _UNUSUAL))
+    change = _CHANGE_OF_CLEF * (1 - np.eye(2))
+    costs[0] = costs[0] + change[0]
+    return [kinds[i] for i in cheapest_sequence(costs, [change] * (len(costs) - 1))]
 
 
 def tempos(metre: Metre) -> list[Tempo]:

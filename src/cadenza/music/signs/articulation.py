@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from fractions import Fraction
+from itertools import zip_longest
 
 from cadenza.music.signs.conventions import (
     ACCENT,
@@ -31,8 +32,8 @@ def articulate(voice: Voice, slurred: set[Fraction]) -> None:
         voice: the voice.
         slurred: the onsets of chords from which a slur leads on, see `slurred_onsets`.
     """
-    in_slur = False
-    for chord, following in voice.pairs():
+    in_slur, chords = False, list(voice.chords.values())
+    for chord, following in zip_longest(chords, chords[1:]):
         was_in_slur, in_slur = in_slur, chord[0].of.onset in slurred
         for note in chord:
             share = _share(note.of.marks, in_slur or was_in_slur)

@@ -32,9 +32,6 @@ def _shared(chord: Sequence[SignedNote]) -> list[SignedNote]:
     marks = frozenset(mark for note in chord for mark in note.marks)
     tremolo = next((note.tremolo for note in chord if note.tremolo), None)
     arpeggio = next((note.arpeggio for note in chord if note.arpeggio), None)
-    ornaments = [note.ornament for note in chord if note.ornament]
-    if not (marks or tremolo or arpeggio or ornaments):
-        return list(chord)
     shared = [
         replace(
             note,
@@ -44,6 +41,7 @@ def _shared(chord: Sequence[SignedNote]) -> list[SignedNote]:
         )
         for note in chord
     ]
+    ornaments = [note.ornament for note in chord if note.ornament]
     if len(ornaments) == 1:
         shared = [replace(note, ornament=None) for note in shared]
         top = max(range(len(chord)), key=lambda index: chord[index].pitch)

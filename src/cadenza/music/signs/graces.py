@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.music.signs.conventions import GRACE_LENGTH, NOTES_A_SECOND
-from cadenza.music.signs.signed_note import OrnamentKind
+from cadenza.music.signs.signed_note import Grace, OrnamentKind
 from cadenza.music.signs.tempo_map import TempoMap
 from cadenza.music.signs.timed_note import Chord, Voice
 
@@ -35,22 +35,25 @@ def place_graces(voice: Voice, tempo: TempoMap) -> None:
         while before < len(onsets) and onsets[before] < onset:
             before += 1
         previous = voice.chords[onsets[before - 1]] if before else None
-        after = graces[0][0].of.grace
-        assert after is not None  # or they were no grace notes
-        main = None if after.after else voice.chords.get(onset)
-        if main is not None and _on_the_beat(graces, main, tempo):
-            continue
-        clock = tempo.onsets if main else tempo.ends
-        _before_the_beat(graces, previous, clock)
+        main = None if _grace(graces[0]).after else voice.chords.get(onset)
+        for note in main or ():
+            note.led_to = True
+        if main is None or not _on_the_beat(graces, main, tempo):
+            _before_the_beat(graces, previous, tempo.onsets if main else tempo.ends)
+
+
+def _grace(chord: Chord) -> Grace:
+    """The sign of a chord of grace notes."""
+    grace = chord[0].of.grace
+    assert grace is not None
+    return grace
 
 
 def _on_the_beat(graces: Sequence[Chord], main: Chord, tempo: TempoMap) -> bool:
     """Plays grace notes that take their time from the chord that they lead to, if they do."""
     grace = graces[0][0]
-    shown = grace.of.grace
-    assert shown is not None
-    if shown.of_following:
-        share = sum(_share(chord[0].of.grace.of_following) for chord in graces if chord[0].of.grace)
+    if _grace(graces[0]).of_following:
+        share = sum(_share(_grace(chord).of_following) for chord in graces)
         delayed, length = main, min(share, _MOST_OF_NOTE) * min(note.length for note in main)
     elif _is_appoggiatura(graces):
         delayed = [min(main, key=lambda note: abs(note.of.pitch - grace.of.pitch))]
@@ -66,15 +69,9 @@ def _on_the_beat(graces: Sequence[Chord], main: Chord, tempo: TempoMap) -> bool:
 
 
 def _is_appoggiatura(graces: Sequence[Chord]) -> bool:
-    grace = graces[0][0].of
-    return (
-        len(graces) == len(graces[0]) == 1
-        and grace.grace is not None
-        and not grace.grace.slash
-        and not grace.grace.of_previous
-        and not grace.grace.takes
-        and grace.duration > 0
-    )
+    sign = _grace(graces[0])
+    is_single = len(graces) == len(graces[0]) == 1 and graces[0][0].of.duration > 0
+    return is_single and not (sign.slash or sign.of_previous or sign.takes)
 
 
 def _most(duration: Fraction) -> Fraction:
@@ -97,16 +94,14 @@ def _before_the_beat(
     )
     each = 1 / NOTES_A_SECOND if ends_trill else GRACE_LENGTH
     length = each * len(graces)
-    grace = first.grace
-    assert grace is not None
+    grace = _grace(graces[0])
     if grace.takes:
         length = beat - float(clock([first.onset - grace.takes * len(graces)])[0])
     steals = ends_trill
     if previous is not None:
         begun = min(note.start for note in previous)
         if grace.of_previous:
-            shares = (chord[0].of.grace.of_previous for chord in graces if chord[0].of.grace)
-            length = sum(map(_share, shares)) * (beat - begun)
+            length = sum(_share(_grace(chord).of_previous) for chord in graces) * (beat - begun)
             steals = True
         length = min(length, _MOST_OF_NOTE * (beat - begun))
     _in_turn(graces, beat - length, beat)

@@ -41,17 +41,14 @@ class Loudness:
         self._places = [Fraction(0)]
         self._velocity = [float(unmarked)]  # from the place on
         self._slope = [0.0]  # [per quarter]
-        dynamics = sorted(levels)
-        begins = sorted(hairpins)
+        dynamics, begins = sorted(levels), sorted(hairpins)
         for place in sorted({*levels, *hairpins}):
             now = levels.get(place, self._at(place))
             self._add(place, now)
-            if place in hairpins:
-                after = bisect_right(dynamics, place)
-                goal = dynamics[after] if after < len(dynamics) else None
-                later = bisect_right(begins, place)
-                following = begins[later] if later < len(begins) else None
-                self._ramp(hairpins[place], now, goal, levels, following)
+            if hairpin := hairpins.get(place):
+                dynamic, following = _next(dynamics, place), _next(begins, place)
+                goal = None if dynamic is None else (dynamic, levels[dynamic])
+                self._ramp(hairpin, now, goal, following)
 
     def at(self, place: Fraction) -> int:
         """The velocity, 1 to 127, of notes at a place [quarters]."""
@@ -77,8 +74,7 @@ class Loudness:
         self,
         hairpin: Hairpin,
         now: float,
-        dynamic: Fraction | None,
-        levels: dict[Fraction, float],
+        dynamic: tuple[Fraction, float] | None,
         following: Fraction | None,
     ) -> None:
         """Adds the change under a hairpin, and what follows it.
@@ -86,27 +82,27 @@ class Loudness:
         Args:
             hairpin: the hairpin.
             now: the velocity at its beginning.
-            dynamic: the place of the next dynamic, if any.
-            levels: the velocities of dynamics, by their places.
+            dynamic: the place and the velocity of the next dynamic, if any.
             following: the place of the next hairpin, if any.
         """
-        end = hairpin.end
+        end, goal = hairpin.end, now + hairpin.step * HAIRPIN_STEP
         if end is None:
-            stops = [place for place in (dynamic, following) if place is not None]
-            end = min(stops, default=hairpin.onset + OPEN_HAIRPIN)
-        end = end if dynamic is None else min(end, dynamic)
-        if end <= hairpin.onset:
-            return
-        goal = now + hairpin.step * HAIRPIN_STEP
-        if (
-            dynamic is not None
-            and dynamic <= end + _GOAL_WITHIN
-            and (levels[dynamic] - now) * hairpin.step > 0
-        ):
-            goal = levels[dynamic]
-        goal = min(max(goal, SOFTEST), LOUDEST)
-        self._add(hairpin.onset, now, (goal - now) / float(end - hairpin.onset))
-        self._add(end, goal)
+            open_end = hairpin.onset + OPEN_HAIRPIN if dynamic is None else dynamic[0]
+            end = open_end if following is None else following
+        if dynamic is not None:
+            end = min(end, dynamic[0])
+            if dynamic[0] <= end + _GOAL_WITHIN and (dynamic[1] - now) * hairpin.step > 0:
+                goal = dynamic[1]
+        if end > hairpin.onset:
+            goal = min(max(goal, SOFTEST), LOUDEST)
+            self._add(hairpin.onset, now, (goal - now) / float(end - hairpin.onset))
+            self._add(end, goal)
+
+
+def _next(places: list[Fraction], place: Fraction) -> Fraction | None:
+    """The first of some `places`, in their order, that comes after another, if any."""
+    after = bisect_right(places, place)
+    return places[after] if after < len(places) else None
 
 
 def within_midi(velocity: float) -> int:

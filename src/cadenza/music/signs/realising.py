@@ -10,7 +10,7 @@ from cadenza.music.signs.articulation import articulate, slurred_onsets
 from cadenza.music.signs.chord_signs import with_signs_of_chords
 from cadenza.music.signs.graces import place_graces
 from cadenza.music.signs.loudness import within_midi
-from cadenza.music.signs.ornaments import ornament_pieces
+from cadenza.music.signs.ornaments import Piece, ornament_pieces
 from cadenza.music.signs.signed_note import SignedNote, SoundingNote
 from cadenza.music.signs.swinging import SwungTimes
 from cadenza.music.signs.tempo_map import TempoMap
@@ -49,18 +49,11 @@ def realised(
     for voice in voices:
         articulate(voice, slurred.get((voice.part, voice.name), set()))
         times |= tremolo_times(voice)
-    led_to = {
-        (voice.part, voice.name, onset)
-        for voice in voices
-        for onset, graces in voice.graces.items()
-        if graces[-1][0].of.grace and not graces[-1][0].of.grace.after
-    }
     sounding: list[SoundingNote] = []
     for note in timed:
-        of, velocity = note.of, within_midi(note.velocity)
-        follows_grace = (of.part, of.voice, of.onset) in led_to
-        for start, end, pitch in _pieces(note, times, follows_grace):
-            sounding.append(SoundingNote(start, end, pitch, velocity, of))
+        velocity = within_midi(note.velocity)
+        for start, end, pitch in _pieces(note, times):
+            sounding.append(SoundingNote(start, end, pitch, velocity, note.of))
         if len(sounding) > MOST_NOTES:
             raise CadenzaError(
                 f"over {MOST_NOTES} notes with all ornaments and repeats, too many; read the song "
@@ -84,11 +77,9 @@ def _timed(
     ]
 
 
-def _pieces(
-    note: TimedNote, times: Mapping[int, Times], led_to: bool
-) -> Iterable[tuple[float, float, int]]:
-    """The notes that one stands for: starts and ends [s], and pitches."""
+def _pieces(note: TimedNote, times: Mapping[int, Times]) -> Iterable[Piece]:
+    """The notes that one stands for."""
     if note.of.ornament is not None and note.of.grace is None:
-        return ornament_pieces(note.of, note.start, note.end, led_to)
+        return ornament_pieces(note.of, note.start, note.end, note.led_to)
     own = times.get(id(note), [(note.start, note.end)])
     return ((start, end, note.of.pitch) for start, end in own)

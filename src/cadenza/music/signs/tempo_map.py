@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import pairwise, zip_longest
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,9 +45,9 @@ class TempoPiece:
     """
 
     place: Fraction
-    time: float
     seconds: float
     slope: float = 0.0
+    time: float = 0.0
     silence: float = 0.0
 
 
@@ -86,8 +86,8 @@ class TempoMap:
         for place in sorted({*flow._places, *waits}):
             held, silence = waits.get(place, (0.0, 0.0))
             waited += held + silence
-            cut = flow._from(place)
-            pieces.append(TempoPiece(place, cut.time + waited, cut.seconds, cut.slope, silence))
+            cut = flow._from(place, silence)
+            pieces.append(replace(cut, time=cut.time + waited))
         return cls(pieces)
 
     def onsets(self, places: Sequence[Fraction] | Floats) -> Floats:
@@ -119,13 +119,13 @@ class TempoMap:
             first, last = self.onsets([begin, end]).tolist()
             inner = self.pieces[bisect_right(self._places, begin) : bisect_left(self._places, end)]
             for cut in (self._from(begin, silence), *inner):
-                place, begun = at + cut.place - begin, time + cut.time - first
-                pieces.append(TempoPiece(place, begun, cut.seconds, cut.slope, cut.silence))
+                begun = time + cut.time - first
+                pieces.append(replace(cut, place=at + cut.place - begin, time=begun))
             silence = last - float(self.ends([end])[0])
             at, time = at + end - begin, time + last - first
         if not pieces:
             return self
-        return TempoMap([*pieces, TempoPiece(at, time, self._from(end).seconds, 0.0, silence)])
+        return TempoMap([*pieces, TempoPiece(at, self._from(end).seconds, 0.0, time, silence)])
 
     def _at(self, quarters: Floats) -> tuple[Floats, NDArray[np.intp]]:
         """(N,) onsets [s] of places [quarters], and (N,) the pieces in which they are."""
@@ -137,18 +137,9 @@ class TempoMap:
     def _from(self, place: Fraction, silence: float = 0.0) -> TempoPiece:
         """The rest of a piece from a place within it, with this silence before it."""
         piece = self.pieces[max(bisect_right(self._places, place) - 1, 0)]
-        inside = float(place - piece.place)
+        seconds = piece.seconds + piece.slope * float(place - piece.place)
         time = float(self.onsets([place])[0])
-        return TempoPiece(place, time, piece.seconds + piece.slope * inside, piece.slope, silence)
-
-
-@dataclass(frozen=True, slots=True)
-class _Speed:
-    """A quarter lasts `seconds` [s] at a `place`, and `slope` more for each quarter since."""
-
-    place: Fraction
-    seconds: float
-    slope: float = 0.0
+        return TempoPiece(place, seconds, piece.slope, time, silence)
 
 
 _SUDDEN = (Change.MENO_MOSSO, Change.PIU_MOSSO)
@@ -164,7 +155,7 @@ def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoPiece
     changes += [*words.values(), *equal.values()]  # once, if every staff has them
     changes.sort(key=lambda mark: mark.onset)  # at one place, tempos first
     primo = next((mark.seconds for mark in changes if isinstance(mark, Tempo)), None)
-    speeds = [_Speed(Fraction(0), _SECONDS_PER_QUARTER)]
+    speeds = [TempoPiece(Fraction(0), _SECONDS_PER_QUARTER)]
     before, gradual = _SECONDS_PER_QUARTER, False  # what "a tempo" leads back to; whether in a ramp
     for mark, following in zip_longest(changes, changes[1:]):
         now = speeds[-1].seconds
@@ -187,11 +178,11 @@ def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoPiece
             }[mark.change]
         sudden = isinstance(mark, TempoWord) and mark.change in _SUDDEN
         before, gradual = now if sudden else seconds, False
-        speeds.append(_Speed(mark.onset, seconds))
+        speeds.append(TempoPiece(mark.onset, seconds))
     return _timed(speeds)
 
 
-def _is_said(word: TempoWord | Modulation, speeds: Sequence[_Speed]) -> bool:
+def _is_said(word: TempoWord | Modulation, speeds: Sequence[TempoPiece]) -> bool:
     """Whether the tempo at the place of a mark, the last of `speeds`, is what the mark means.
 
     A tempo from which a gradual change begins is not.
@@ -209,7 +200,7 @@ def _ramp(
     before: float,
     following: Tempo | TempoWord | Modulation | None,
     end: Fraction | None,
-) -> list[_Speed]:
+) -> list[TempoPiece]:
     """A gradual change of the length of a quarter from `now` [s] on, and the tempo after it.
 
     It leads to the tempo that follows where it reaches it and that is on the way. Where the score
@@ -232,18 +223,20 @@ def _ramp(
         goal = following.seconds
     slope = (goal - now) / float(reach - word.onset)
     is_forgotten = word.end is None and reach == open_end
-    return [_Speed(word.onset, now, slope), _Speed(reach, before if is_forgotten else goal)]
+    return [TempoPiece(word.onset, now, slope), TempoPiece(reach, before if is_forgotten else goal)]
 
 
-def _timed(speeds: Iterable[_Speed]) -> list[TempoPiece]:
-    """The pieces of a map by their speeds; of those at one place the last counts."""
-    last = list({speed.place: speed for speed in speeds}.values())
-    pieces = [TempoPiece(last[0].place, 0.0, last[0].seconds, last[0].slope)]
-    for before, speed in pairwise(last):
-        length = float(speed.place - before.place)
-        time = pieces[-1].time + length * (before.seconds + before.slope * length / 2)
-        pieces.append(TempoPiece(speed.place, time, speed.seconds, speed.slope))
-    return pieces
+def _timed(pieces: Iterable[TempoPiece]) -> list[TempoPiece]:
+    """The pieces with their times, the first at 0; of those at one place the last counts."""
+    timed: list[TempoPiece] = []
+    for piece in {piece.place: piece for piece in pieces}.values():
+        if timed:
+            before = timed[-1]
+            length = float(piece.place - before.place)
+            time = before.time + length * (before.seconds + before.slope * length / 2)
+            piece = replace(piece, time=time)
+        timed.append(piece)
+    return timed
 
 
 def _waits(marks: Iterable[TempoMark], flow: TempoMap) -> Mapping[Fraction, tuple[float, float]]:

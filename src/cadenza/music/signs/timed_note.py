@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import zip_longest
 
 from cadenza.music.signs.signed_note import SignedNote
 
@@ -18,7 +17,8 @@ long as a control step."""
 class TimedNote:
     """A note as it is to sound from `start` to `end` [s], before ornaments divide it.
 
-    `cut` is whether a sign has made it end earlier than it is written.
+    `cut` is whether a sign has made it end earlier than it is written, and `led_to` whether a grace
+    note leads to it.
     """
 
     of: SignedNote
@@ -26,6 +26,7 @@ class TimedNote:
     end: float
     velocity: float
     cut: bool = False
+    led_to: bool = False
 
     @property
     def length(self) -> float:
@@ -53,11 +54,6 @@ class Voice:
     name: str
     chords: dict[Fraction, Chord]
     graces: dict[Fraction, list[Chord]]
-
-    def pairs(self) -> Iterator[tuple[Chord, Chord | None]]:
-        """Yields each chord with the next one."""
-        chords = list(self.chords.values())
-        yield from zip_longest(chords, chords[1:])
 
 
 def voices_of(notes: Iterable[TimedNote]) -> list[Voice]:
