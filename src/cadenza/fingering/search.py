@@ -24,7 +24,7 @@ Costs, about 1 for something worth avoiding once:
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -108,14 +108,8 @@ def find_fingering(
 
 def _without_missing_fingers(score: Score, num_fingers: int) -> Score:
     """`score` without the fingers that hands of `num_fingers` do not have."""
-
-    def missing(note: Note) -> bool:
-        return note.finger is not None and note.finger.index >= num_fingers
-
-    if not any(missing(note) for note in score.notes):
-        return score
-    notes = (replace(n, finger=None) if missing(n) else n for n in score.notes)
-    return replace(score, notes=tuple(notes))
+    fingers = (note.finger for note in score.notes)
+    return score.with_fingers(f if f and f.index < num_fingers else None for f in fingers)
 
 
 # One song is often played in several tasks, as in training.
@@ -141,12 +135,10 @@ def solve(
             progress(moment.begun, len(score.notes))
     found, _ = backtrack(stage.cost, steps, players.reach.num_fingers)
     fingers = notes_played.ignored | found
-    notes = tuple(
-        replace(note, finger=fingers.get(i)) if note.finger is None else note
-        for i, note in enumerate(score.notes)
-    )
+    solved = score.with_fingers(n.finger or fingers.get(i) for i, n in enumerate(score.notes))
+    notes = solved.notes
     return Solution(
-        score=replace(score, notes=notes),
+        score=solved,
         dropped=tuple(Dropped(notes[i], why) for i, why in sorted(notes_played.reasons.items())),
         ignored=tuple(notes[i] for i in sorted(notes_played.ignored)),
         cost=float(stage.cost.min()),

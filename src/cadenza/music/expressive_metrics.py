@@ -140,14 +140,10 @@ def _equally_loud(wanted: NDArray[np.float64], heard: NDArray[np.float64], writt
     return int((np.abs(fitted - wanted) < _VELOCITY_TOLERANCE).sum())
 
 
-def _velocities(pairs: Sequence[Pair]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The written and the played velocities of P pairs, each (P,)."""
-    wanted, heard = (
-        np.array([(note.velocity, mine.velocity) for note, mine in pairs], np.float64)
-        .reshape(-1, 2)
-        .T
-    )
-    return wanted, heard
+def _velocities(pairs: Sequence[Pair]) -> NDArray[np.float64]:
+    """(2, P) the written and the played velocities of P pairs."""
+    velocities = [(note.velocity, mine.velocity) for note, mine in pairs]
+    return np.array(velocities, np.float64).reshape(-1, 2).T
 
 
 def _percentile(values: NDArray[np.float64], percent: float) -> float | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from operator import attrgetter
@@ -144,39 +144,31 @@ def matched_notes(written: Iterable[Note], played: Iterable[Note], tolerance: fl
     Those of a pitch are in order of time, and the first is matched with the first. It takes a time
     that grows with the number of notes.
     """
-    unmatched: dict[int, list[Note]] = defaultdict(list)
+    unmatched: dict[int, deque[Note]] = defaultdict(deque)
     for note in played:
         unmatched[note.pitch].append(note)
-    for notes in unmatched.values():
-        notes.reverse()  # the first is then taken from the end
     pairs: list[Pair] = []
     for note in written:
         waiting = unmatched[note.pitch]
         # What begins too early for this note is too early for all later ones.
-        while waiting and round(note.start - waiting[-1].start, _DECIMALS) > tolerance:
-            waiting.pop()
-        if waiting and round(waiting[-1].start - note.start, _DECIMALS) <= tolerance:
-            pairs.append((note, waiting.pop()))
+        while waiting and round(note.start - waiting[0].start, _DECIMALS) > tolerance:
+            waiting.popleft()
+        if waiting and round(waiting[0].start - note.start, _DECIMALS) <= tolerance:
+            pairs.append((note, waiting.popleft()))
     return pairs
 
 
 def _alike(written: Sequence[Note], played: Sequence[Note]) -> list[tuple[int, int]]:
-    """Pairs of indices of notes of one pitch that begin and end together."""
-    by_pitch: dict[int, tuple[list[float], list[int]]] = defaultdict(lambda: ([], []))
-    for j, note in enumerate(played):
-        starts, indices = by_pitch[note.pitch]
-        starts.append(note.start)
-        indices.append(j)
-    pairs = []
+    """Pairs of indices of notes of one pitch that begin and end together; both are in order."""
+    pairs: list[tuple[int, int]] = []
+    order, room = attrgetter("pitch", "start"), ONSET_TOLERANCE + 10.0**-_DECIMALS
     for i, note in enumerate(written):
-        starts, indices = by_pitch[note.pitch]
-        room = ONSET_TOLERANCE + 10.0**-_DECIMALS
-        low, high = note.start - room, note.start + room
-        near = slice(bisect_left(starts, low), bisect_right(starts, high))
+        first = bisect_left(played, (note.pitch, note.start - room), key=order)
+        end = bisect_right(played, (note.pitch, note.start + room), key=order)
         tolerance = max(_OFFSET_RATIO * (note.end - note.start), ONSET_TOLERANCE)
         pairs += [
             (i, j)
-            for j in indices[near]
+            for j in range(first, end)
             if round(abs(note.start - played[j].start), _DECIMALS) <= ONSET_TOLERANCE
             and round(abs(note.end - played[j].end), _DECIMALS) <= tolerance
         ]

@@ -15,11 +15,11 @@ _MIDI = (".mid", ".midi", ".kar", ".rmi")
 SHEET = ".musicxml"
 """The ending of the names of files of sheet music that are written."""
 _MUSICXML = (SHEET, ".xml", ".mxl")
-_HUMDRUM, _MEI = ".krn", ".mei"
+_BY_VEROVIO = {".krn": "Humdrum", ".mei": "MEI"}
 _BEGINS_MIDI = (b"MThd", b"RIFF")
 _IS_MEI = re.compile(rb"<(\w+:)?mei(Corpus)?[\s>/]")
 _BEGINNING = 1 << 12  # bytes of a file, among which an MEI file says what it is
-MUSIC = (*_MIDI, *_MUSICXML, _HUMDRUM, _MEI)
+MUSIC = (*_MIDI, *_MUSICXML, *_BY_VEROVIO)
 """The endings of music files."""
 
 _NOTATION = "open it in a notation program such as MuseScore, and export it as MIDI or MusicXML"
@@ -80,10 +80,8 @@ def read_score(path: Path, tracks: Collection[int] = (), plain: bool = False) ->
     form, suffix = ending_of(beginning), path.suffix.lower()
     if form in _MIDI and suffix in MUSIC and not beginning.startswith(_BEGINS_MIDI):
         form = suffix  # its bytes say nothing
-    if form == _HUMDRUM:
-        score = read_by_verovio(path, "humdrum", tracks)
-    elif form == _MEI:
-        score = read_by_verovio(path, "mei", tracks)
+    if form in _BY_VEROVIO:
+        score = read_by_verovio(path, _BY_VEROVIO[form], tracks)
     elif form in _MIDI:
         score = read_midi(path, tracks)
     else:
@@ -103,8 +101,8 @@ def ending_of(content: bytes) -> str:
         return ".mxl"
     text = content[:_BEGINNING].replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n")
     if text.startswith(b"<"):
-        return _MEI if _IS_MEI.search(text) else SHEET
-    return _HUMDRUM if text.startswith((b"**", b"!!")) else _MIDI[0]
+        return ".mei" if _IS_MEI.search(text) else SHEET
+    return ".krn" if text.startswith((b"**", b"!!")) else _MIDI[0]
 
 
 def _beginning(path: Path) -> bytes:

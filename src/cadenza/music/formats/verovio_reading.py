@@ -12,24 +12,21 @@ import sys
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 from cadenza.errors import CadenzaError
 from cadenza.music.formats.midi import read_midi
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.score import Score
 
-Format = Literal["humdrum", "mei"]
-
-_NAMES = {"humdrum": "Humdrum", "mei": "MEI"}
 _PATIENCE = 30  # [s] for a file
 _MEMORY = 1 << 30  # bytes that Verovio may use
 
 
-def read_by_verovio(path: Path, form: Format, tracks: Collection[int] = ()) -> Score:
+def read_by_verovio(path: Path, form: str, tracks: Collection[int] = ()) -> Score:
     """The piano score in a Humdrum or MEI file: its notes, bars and tempos, with all repeats.
 
-    All parts are played together, or only `tracks`. The file has no velocities for us, nor fingers.
+    `form` is "Humdrum" or "MEI". All parts are played together, or only `tracks`. The file has
+    no velocities for us, nor fingers.
 
     Raises:
         CadenzaError: no such file, or one that Verovio makes no music of; or what `read_midi`
@@ -38,15 +35,15 @@ def read_by_verovio(path: Path, form: Format, tracks: Collection[int] = ()) -> S
     midi = _played(read_bytes(path), form)
     if not midi:
         raise CadenzaError(
-            f"{path}: cannot be read as {_NAMES[form]}; open it in a notation program such as "
+            f"{path}: cannot be read as {form}; open it in a notation program such as "
             "MuseScore, and export it as MusicXML"
         )
     score = read_midi(path, tracks, midi)
-    said = f"read by Verovio as {_NAMES[form]}: without loudness, pedal and fingers"
+    said = f"read by Verovio as {form}: without loudness, pedal and fingers"
     return replace(score, remarks=(said, *score.remarks))
 
 
-def _played(content: bytes, form: Format) -> bytes:
+def _played(content: bytes, form: str) -> bytes:
     """Returns a file as MIDI; nothing if Verovio does not make it in time."""
     command = [sys.executable, "-P", "-m", __name__, form]
     try:
@@ -72,7 +69,7 @@ def main() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     verovio.enableLog(verovio.LOG_OFF)
     toolkit = verovio.toolkit()
-    toolkit.setOptions({"inputFrom": sys.argv[1], "breaks": "none"})
+    toolkit.setOptions({"inputFrom": sys.argv[1].lower(), "breaks": "none"})
     content = sys.stdin.buffer.read()
     encoding = "utf-16" if content.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
     if toolkit.loadData(content.decode(encoding, "replace")):

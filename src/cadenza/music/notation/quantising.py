@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
+from statistics import mean
 
 from cadenza.music.notation.metre import QUARTER, Metre
 from cadenza.music.notation.voices import Timed
-from cadenza.music.score import CHORD_TOLERANCE, Note
+from cadenza.music.score import Note, chords
 
 # What it costs to divide a cell (a quarter, or a shorter beat) into so many parts. It is in units
 # of what a deviation of an onset by `_SPREAD` costs twice; chosen by eye.
@@ -77,7 +78,7 @@ def quantised(
     if its pitch is struck again so soon that both fall on one place of the finest grid.
     """
     ticks = metre.ticks.tolist()
-    groups = [_groups(voice) for voice in voices]
+    groups = [list(_groups(voice)) for voice in voices]
     by_cell: defaultdict[int, list[list[_Group]]] = defaultdict(lambda: [[] for _ in voices])
     for v, of_voice in enumerate(groups):
         for group in of_voice:
@@ -104,19 +105,11 @@ def quantised(
     return streams, left_out
 
 
-def _groups(voice: Sequence[Timed]) -> list[_Group]:
-    groups: list[_Group] = []
-    first = 0.0
-    for each in voice:
-        if groups and each.note.start <= first + CHORD_TOLERANCE:
-            group = groups[-1]
-            group.notes.append(each.note)
-            group.end = max(group.end, each.end)
-            group.onset += (each.onset - group.onset) / len(group.notes)
-        else:
-            groups.append(_Group([each.note], each.onset, each.end))
-            first = each.note.start
-    return groups
+def _groups(voice: Sequence[Timed]) -> Iterator[_Group]:
+    """Yields the notes of a voice that begin together, at the mean of their onsets."""
+    for group in chords(voice, start=lambda each: each.note.start):
+        onset, end = mean(each.onset for each in group), max(each.end for each in group)
+        yield _Group([each.note for each in group], onset, end)
 
 
 def _cell(ticks: list[int], at: float) -> int:
@@ -169,30 +162,30 @@ def _coarsest(grid: int, steps: list[int]) -> int:
 
 def _merged(groups: list[_Group], starts: list[int]) -> tuple[list[Chord], int]:
     """Chords at their starts, with ends not yet on the grid, and the number of notes left out."""
-    chords: list[Chord] = []
+    merged: list[Chord] = []
     left_out = 0
     for group, start in zip(groups, starts, strict=True):
-        if chords and chords[-1].start >= start:
-            there = {note.pitch for note in chords[-1].notes}
+        if merged and merged[-1].start >= start:
+            there = {note.pitch for note in merged[-1].notes}
             added = [note for note in group.notes if note.pitch not in there]
             left_out += len(group.notes) - len(added)
-            chords[-1].notes += added
-            chords[-1].end = max(chords[-1].end, round(group.end))
+            merged[-1].notes += added
+            merged[-1].end = max(merged[-1].end, round(group.end))
         else:
-            chords.append(Chord(list(group.notes), start, round(group.end)))
-    return chords, left_out
+            merged.append(Chord(list(group.notes), start, round(group.end)))
+    return merged, left_out
 
 
-def _stream(chords: list[Chord], grids: dict[int, int], ticks: list[int]) -> Stream:
+def _stream(merged: list[Chord], grids: dict[int, int], ticks: list[int]) -> Stream:
     """The chords with their ends on the grid."""
-    for chord, following in zip_longest(chords, [chord.start for chord in chords[1:]]):
+    for chord, following in zip_longest(merged, [chord.start for chord in merged[1:]]):
         end = max(_end(chord.end, grids, ticks), chord.start + _least(chord, grids, ticks))
         if following is not None:
             gap = following - end
             is_short = gap <= _FILLED * (following - chord.start) and gap < _LONGEST_FILLED
             end = following if is_short else end
         chord.end = min(end, ticks[-1])
-    return Stream(chords, {cell: grid for cell, grid in grids.items() if grid & (grid - 1)})
+    return Stream(merged, {cell: grid for cell, grid in grids.items() if grid & (grid - 1)})
 
 
 def _end(at: int, grids: dict[int, int], ticks: list[int]) -> int:
