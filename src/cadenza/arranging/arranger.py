@@ -11,7 +11,7 @@ from itertools import pairwise
 from cadenza.arranging.fidelity import NOTHING_LOST, Fate, Fidelity, fates_of, fidelity_of
 from cadenza.arranging.moments import SHORTEST, Moment, beats_of, moments_of
 from cadenza.arranging.parts import TOGETHER, sources_of
-from cadenza.arranging.reduction import EarlyEnd, OneHand, Struck, reduced
+from cadenza.arranging.reduction import Held, OneHand, Struck, reduced
 from cadenza.fingering.difficulty import EASIEST, FITTED, HARDEST, features_of
 from cadenza.fingering.players import Players
 from cadenza.fingering.search import find_fingering
@@ -93,11 +93,11 @@ class Arranger:
         return struck, fingered
 
 
-def _score(score: Score, struck: Iterable[Struck], early_ends: Sequence[EarlyEnd]) -> Score:
+def _score(score: Score, struck: Iterable[Struck], early_ends: Sequence[Held]) -> Score:
     """The score of what is struck, in which some notes end early."""
     ends: dict[tuple[float, int], float] = {}
     for early in early_ends:
-        key = early.time, early.pitch
+        key = early.start, early.pitch
         ends[key] = min(early.end, ends.get(key, early.end))
     by_pitch: dict[int, list[Note]] = {}
     for each in sorted(struck, key=lambda s: s.start):

@@ -141,21 +141,14 @@ class Struck(NamedTuple):
         return max(self.source.end, self.time + _LEAST_LATE) if self.late else self.source.end
 
 
-class EarlyEnd(NamedTuple):
-    """The end [s] of a note that began at `time` [s] and cannot be held for as long as written."""
-
-    time: float
-    pitch: int
-    end: float
-
-
 class Action(NamedTuple):
     """What one hand does at a moment."""
 
     hand: Hand
     """The hand afterwards."""
     struck: tuple[Struck, ...]
-    early_ends: tuple[EarlyEnd, ...]
+    early_ends: tuple[Held, ...]
+    """The keys that it leaves early, and when."""
     cost: float
 
 
@@ -172,7 +165,7 @@ class State(NamedTuple):
 
 def reduced(
     moments: Sequence[Moment], hands: tuple[OneHand, OneHand], cost: float
-) -> tuple[list[Struck], list[EarlyEnd]]:
+) -> tuple[list[Struck], list[Held]]:
     """The notes that the hands play of these moments, and those of them that end early.
 
     What is played becomes easier with the `cost` of every note of the harmony.
@@ -350,7 +343,7 @@ class _HandAtMoment:
         cost += _BUSY_COST * (len(struck) - 1) * min(_BUSY / since, 1.0)
         early = list(self._left_early(kept, time - jump))
         cost += sum(self._early_cost(held, end) for held, end in early)
-        early_ends = tuple(EarlyEnd(held.start, held.pitch, end) for held, end in early)
+        early_ends = tuple(held._replace(end=end) for held, end in early)
         new = (Held(s.pitch, time, s.end, s.source.melody) for s in struck)
         hand = Hand(tuple(sorted((*kept, *new))), pitches, time)
         return Action(hand, struck, early_ends, cost)

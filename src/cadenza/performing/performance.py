@@ -19,7 +19,7 @@ from cadenza.episode import KEY_EVENTS, Episode, load_episode
 from cadenza.errors import CadenzaError
 from cadenza.files import content_of, read_json, write_json
 from cadenza.fingers import NO_FINGER, SIDES, Side
-from cadenza.music.formats.finger_numbers import written
+from cadenza.music.formats.finger_numbers import finger_number
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.performance import played_in
 from cadenza.music.score import Score
@@ -109,7 +109,7 @@ class Performance:
     @property
     def losses(self) -> list[dict[str, Any]]:
         """The misses as `misses.json` has them."""
-        return [asdict(miss) | {"finger": written(miss.finger)} for miss in self.misses or ()]
+        return [asdict(miss) | {"finger": finger_number(miss.finger)} for miss in self.misses or ()]
 
     @property
     def energy(self) -> float | None:

@@ -2,8 +2,7 @@
 
 from fractions import Fraction as Q
 
-from cadenza.music.signs.loudness import Loudness
-from cadenza.music.signs.loudness_marks import Dynamic, Hairpin, Sforzato
+from cadenza.music.signs.loudness import Dynamic, Hairpin, Loudness, Sforzato
 
 P, MF, F_ = 49, 80, 96
 

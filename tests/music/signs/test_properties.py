@@ -7,6 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cadenza.fingers import Finger
 from cadenza.music.signs.realising import realised
 from cadenza.music.signs.signed_note import (
     Arpeggio,
@@ -78,9 +79,9 @@ scores = st.lists(notes, min_size=1, max_size=12)
 def test_every_note_sounds_and_stays_within_its_neighbourhood(score, tempos, swing):
     tempo = TempoMap.of(tempos, END)
     swings = [Swing(Q(0))] if swing else []
-    score = [replace(note, written=index) for index, note in enumerate(score)]
+    score = [replace(note, finger=Finger(0, index)) for index, note in enumerate(score)]
     sounding = realised(score, tempo, swings)
-    assert {note.of.written for note in sounding} == set(range(len(score)))
+    assert {note.of.finger for note in sounding} == {note.finger for note in score}
     assert all(note.end > note.start for note in sounding)
     assert all(1 <= note.velocity <= 127 for note in sounding)
     last = max(tempo.onsets([note.end + Q(1, 6) for note in score]))

@@ -17,7 +17,7 @@ _LETTERS = "".join(side[0].upper() for side in SIDES)
 _COUNTED = re.compile(rf"([{_LETTERS}])([1-9][0-9]?)")
 
 
-def written(finger: Finger | None) -> int | str:
+def finger_number(finger: Finger | None) -> int | str:
     """The number of a finger in files."""
     if finger is None:
         return _UNKNOWN

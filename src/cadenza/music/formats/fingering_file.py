@@ -22,7 +22,7 @@ from pathlib import Path
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import content_of, write_atomically
 from cadenza.fingers import Finger
-from cadenza.music.formats.finger_numbers import finger_from, written
+from cadenza.music.formats.finger_numbers import finger_from, finger_number
 from cadenza.music.formats.source import decoded
 from cadenza.music.score import Score
 
@@ -76,7 +76,9 @@ def read_fingering(path: str | Path, score: Score, all_there: bool = True) -> Sc
 
 def write_fingering(score: Score, path: str | Path) -> None:
     """Writes a line for every note, with -1 for an unknown finger, to be filled in."""
-    lines = (f"{note.start:.4f} {note.pitch} {written(note.finger)}\n" for note in score.notes)
+    lines = (
+        f"{note.start:.4f} {note.pitch} {finger_number(note.finger)}\n" for note in score.notes
+    )
     with write_atomically(Path(path)) as file:
         file.write((_HEADER + "".join(lines)).encode())
 

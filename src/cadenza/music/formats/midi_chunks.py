@@ -15,8 +15,8 @@ from cadenza.music.repair import counted_remarks
 _NAME, _END, _TEMPO, _TIME = 0x03, 0x2F, 0x51, 0x58
 _WANTED = (_NAME, _END, _TEMPO, _TIME)
 _META = 0xFF
-_SYSTEM_EXCLUSIVE = (0xF0, 0xF7)
-_END_OF_SET_UP = b"\xf7"
+_SYSEX = (0xF0, 0xF7)
+_END_OF_SYSEX = b"\xf7"
 _MAKERS = (b"\x41", b"\x43")  # Roland and Yamaha
 _CHANNELS = range(0x80, 0xF0)  # the status bytes of messages to a channel
 _LENGTHS = {0xC: 1, 0xD: 1}  # bytes after the status, by its upper half; else two
@@ -59,7 +59,11 @@ def parsed(data: bytes) -> MidiFile:
         (sum(track.is_cut for track in tracks), "track", "cut off: its end is missing"),
         (sum(track.beyond for track in tracks), "byte", "after the end of a track left out"),
         (sum(track.clipped for track in tracks), "value", "over 127 taken for 127"),
-        (sum(track.strange for track in tracks), "unreadable tempo or time signature", "left out"),
+        (
+            sum(track.unread for track in tracks),
+            "unreadable tempo or time signature",
+            "left out",
+        ),
     )
     return MidiFile(form, division, [track.messages for track in tracks], counted_remarks(remarks))
 
@@ -101,7 +105,7 @@ class _Track:
         """
         self.messages = mido.MidiTrack()
         self.clipped = 0  # data bytes that are none
-        self.strange = 0  # names, tempos and time signatures that cannot be read
+        self.unread = 0  # names, tempos and time signatures that cannot be read
         self._data = chunk.data
         self._at = 0
         try:
@@ -128,12 +132,12 @@ class _Track:
             if status == _META:
                 kind = self._bytes(1)[0]
                 content = self._bytes(self._number())
-                message = self._sign(kind, content) if kind in _WANTED else None
+                message = self._meta_message(kind, content) if kind in _WANTED else None
                 if message is None:
                     continue
-            elif status in _SYSTEM_EXCLUSIVE:
+            elif status in _SYSEX:
                 content = self._bytes(self._number())
-                message = self._set_up(content) if status == _SYSTEM_EXCLUSIVE[0] else None
+                message = self._sysex(content) if status == _SYSEX[0] else None
                 if message is None:
                     continue
             elif status >= _CHANNELS.stop:
@@ -152,7 +156,7 @@ class _Track:
             message.time, delta = delta, 0
             self.messages.append(message)
 
-    def _sign(self, kind: int, content: bytes) -> mido.MetaMessage | None:
+    def _meta_message(self, kind: int, content: bytes) -> mido.MetaMessage | None:
         """The meta message of a name, end, tempo or time signature; None if it cannot be read."""
         try:
             message = build_meta_message(kind, content)
@@ -160,13 +164,13 @@ class _Track:
                 raise ValueError("a tempo of zero")
             return message
         except Exception:  # mido raises almost anything
-            self.strange += 1
+            self.unread += 1
             return None
 
     @staticmethod
-    def _set_up(content: bytes) -> mido.Message | None:
+    def _sysex(content: bytes) -> mido.Message | None:
         """The message to a synthesizer of a maker that is understood, if it is whole."""
-        data = content.removesuffix(_END_OF_SET_UP)
+        data = content.removesuffix(_END_OF_SYSEX)
         if data[:1] not in _MAKERS or not data.isascii():
             return None
         return mido.Message("sysex", data=data)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cadenza.music.formats.finger_numbers import finger_from, written
+from cadenza.music.formats.finger_numbers import finger_from, finger_number
 from cadenza.music.score import Bar, Note, PedalEvent, Score, Track
 
 
@@ -35,7 +35,7 @@ class WrittenScore:
     def of(cls, score: Score) -> WrittenScore:
         """Converts a score."""
         notes = (
-            WrittenNote(n.start, n.end, n.pitch, n.velocity, written(n.finger), n.hands)
+            WrittenNote(n.start, n.end, n.pitch, n.velocity, finger_number(n.finger), n.hands)
             for n in score.notes
         )
         return cls(tuple(notes), score.pedal, score.title, score.remarks, score.tracks, score.bars)

@@ -4,13 +4,44 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
+from dataclasses import dataclass
 from fractions import Fraction
 
 from cadenza.music.score import LOUDEST, SOFTEST
 from cadenza.music.signs.conventions import HAIRPIN_STEP, OPEN_HAIRPIN, SFORZATO
-from cadenza.music.signs.loudness_marks import Dynamic, Hairpin, Sforzato
 
 _GOAL_WITHIN = Fraction(1)  # [quarters] after a hairpin within which a dynamic is its goal
+
+
+@dataclass(frozen=True, slots=True)
+class Dynamic:
+    """Notes have a `velocity` from an `onset` on.
+
+    With `then`, as of fp, it is that of the notes at `onset` alone, and those after have `then`.
+    """
+
+    onset: Fraction
+    velocity: int
+    then: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Sforzato:
+    """The notes at `onset` are louder than those around them: sf, sfz, fz, rf and the like."""
+
+    onset: Fraction
+
+
+@dataclass(frozen=True, slots=True)
+class Hairpin:
+    """Notes become louder (`step` 1) or softer (-1) little by little from `onset` to `end`.
+
+    The end of a word such as cresc. is None: it goes on up to the next dynamic.
+    """
+
+    onset: Fraction
+    end: Fraction | None
+    step: int
 
 
 class Loudness:

@@ -130,7 +130,7 @@ class SignedNote:
     of the dynamics, without accents. `alter` is by how many semitones the note is sharp (1) or
     flat (-1): together with `pitch` it says on which line it stands. `fifths` is the key there, by
     its sharps, negative for flats. `attack` and `release` move its beginning and end [quarters],
-    where the file says so for playback. `written` is the number of the note in its file.
+    where the file says so for playback. `hands` are those that play it, none where nobody knows.
     """
 
     onset: Fraction
@@ -151,7 +151,7 @@ class SignedNote:
     slurs: tuple[SlurEnd, ...] = ()
     attack: Fraction = Fraction(0)
     release: Fraction = Fraction(0)
-    written: int = 0
+    hands: tuple[int, ...] = ()
 
     @property
     def end(self) -> Fraction:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from itertools import count
 
 import numpy as np
 
+from cadenza.music.etudes.band.chords import SongChord
 from cadenza.music.etudes.band.passage import Passage
 from cadenza.music.etudes.band.rhythm_section import MEDIUM, Pattern
 from cadenza.music.etudes.band.voicings import (
@@ -15,7 +17,6 @@ from cadenza.music.etudes.band.voicings import (
     guitar,
     led_voicings,
     nearest,
-    power_chord,
 )
 from cadenza.music.etudes.sheet import Tone, pick
 from cadenza.music.score import OCTAVE
@@ -41,26 +42,13 @@ _STACCATO = 0.8  # sounding share of the notes of riffs
 _PICKED = (0, 2, 3, 4, 3, 2)  # strings of a broken chord on a guitar, from the root's
 
 
-def voiced(slots: Slots) -> Callable[[Passage], list[Voicing]]:
-    """Voicings for the harmonies of a section with the voices of `slots`."""
-    return lambda passage: list(led_voicings(passage.chords, slots))
-
-
-def open_chords(passage: Passage) -> list[Voicing]:
-    """The chords of a section as a guitar strums them."""
-    return list(map(guitar, passage.chords))
-
-
-def power_chords(passage: Passage) -> list[Voicing]:
-    """Root, fifth and octave of the chords of a section on the low strings of a guitar."""
-    return list(map(power_chord, passage.chords))
-
-
-def chords(voicings: Callable[[Passage], list[Voicing]], *rhythms: Rhythm) -> Pattern:
+def chords(
+    voicings: Callable[[tuple[SongChord, ...]], Iterable[Voicing]], *rhythms: Rhythm
+) -> Pattern:
     """Chords in one of these rhythms."""
 
     def play(passage: Passage) -> Iterator[Tone]:
-        pitches = voicings(passage)
+        pitches = list(voicings(passage.chords))
         for at, length in passage.in_bars(pick(passage.rng, rhythms)):
             velocity = MEDIUM if at % 1 == 0 else _LIGHT
             for pitch in pitches[passage.harmony(at)]:
@@ -94,7 +82,7 @@ def held(slots: Slots) -> Pattern:
 
 def piano(slots: Slots, left: Rhythm, *right: Rhythm) -> Pattern:
     """Chords of the right hand, and roots, fifths and octaves or tenths of the left."""
-    above = chords(voiced(slots), *right)
+    above = chords(partial(led_voicings, slots=slots), *right)
 
     def play(passage: Passage) -> Iterator[Tone]:
         yield from above(passage)

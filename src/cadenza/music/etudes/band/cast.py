@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -73,9 +73,7 @@ class Player:
 
     def play(self, tones: Sequence[Tone], start: float, role: Role) -> None:
         """Adds tones of a section that begins at `start` [quarters]."""
-        self.tones += [
-            (Tone(tone.at + start, tone.length, tone.pitch, tone.velocity), role) for tone in tones
-        ]
+        self.tones += [(replace(tone, at=tone.at + start), role) for tone in tones]
 
 
 @dataclass(eq=False)

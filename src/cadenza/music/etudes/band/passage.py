@@ -51,11 +51,6 @@ class Passage:
         """The chord that sounds at a time."""
         return self.harmonies[self.harmony(at)].chord
 
-    def end_of_harmony(self, at: float) -> float:
-        """When the harmony ends that sounds at a time."""
-        harmony = self.harmonies[self.harmony(at)]
-        return harmony.at + harmony.length
-
     @property
     def chords(self) -> tuple[SongChord, ...]:
         """The chords in their order."""
@@ -74,7 +69,8 @@ class Passage:
             for at, length in rhythm:
                 start = bar * self.beats + at
                 if start < self.length:
-                    yield start, min(length, self.end_of_harmony(start) - start)
+                    harmony = self.harmonies[self.harmony(start)]
+                    yield start, min(length, harmony.at + harmony.length - start)
 
 
 def happens(rng: np.random.Generator, percent: int) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,9 @@ from cadenza.music.etudes.band.accompaniment import (
     broken,
     chords,
     held,
-    open_chords,
     piano,
     picked,
-    power_chords,
     riff,
-    voiced,
 )
 from cadenza.music.etudes.band.rhythm_section import (
     Pattern,
@@ -29,7 +26,9 @@ from cadenza.music.etudes.band.rhythm_section import (
     patterned_bass,
     walking_bass,
 )
+from cadenza.music.etudes.band.voicings import guitar, led_voicings, power_chord
 
+_GUITAR = {"open_chords": guitar, "power_chords": power_chord}
 SECTIONS = {
     "i": "intro",
     "v": "verse",
@@ -160,6 +159,7 @@ def _pattern(said: str) -> Pattern:
             rhythms = [tables()["rhythms"][name] for name in names]
             if kind == "piano":
                 return piano(VOICES[voices], *rhythms)
-            guitar = {"open_chords": open_chords, "power_chords": power_chords}
-            return chords(guitar.get(voices) or voiced(VOICES[voices]), *rhythms)
+            if voices in _GUITAR:
+                return chords(partial(map, _GUITAR[voices]), *rhythms)
+            return chords(partial(led_voicings, slots=VOICES[voices]), *rhythms)
     raise ValueError(said)

@@ -51,7 +51,7 @@ def played_order(bars: Sequence[Signs]) -> Iterator[tuple[int, int]]:
     anything. A sign whose goal is missing has no effect, see `without_goal`.
     """
     jumps, sections = _Jumps(bars), _sections(bars)
-    at, turn = 0, 1  # the bar, and the how-manieth pass through its section
+    at, turn = 0, 1  # the bar, and the number of the pass through its section
     while at < len(bars):
         signs = bars[at]
         section = sections[bisect_right(sections, at, key=lambda each: each.begin) - 1]

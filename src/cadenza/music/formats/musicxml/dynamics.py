@@ -9,8 +9,7 @@ from xml.etree.ElementTree import Element
 
 from cadenza.music.formats.musicxml.timeline import Placed
 from cadenza.music.score import LOUDEST
-from cadenza.music.signs.loudness import Loudness, within_midi
-from cadenza.music.signs.loudness_marks import Dynamic, Hairpin, Sforzato
+from cadenza.music.signs.loudness import Dynamic, Hairpin, Loudness, Sforzato, within_midi
 from cadenza.music.signs.words import loudness_step
 
 FORTE = 90

@@ -31,7 +31,7 @@ _FINGERS = "12345"
 
 @dataclass(frozen=True, slots=True)
 class WrittenNote:
-    """A note in its measure, with times on the sheet, and the hands that play it, none if unknown.
+    """A note in its measure, with times on the sheet.
 
     `tied` and `ties` say whether a tie leads to it and on from it. It is played on some `passes`
     through its section only, or on all if there are none.
@@ -39,7 +39,6 @@ class WrittenNote:
 
     measure: int
     signed: SignedNote
-    hands: tuple[int, ...]
     tied: bool
     ties: bool
     passes: frozenset[int]
@@ -55,7 +54,6 @@ class _Transposition(NamedTuple):
 def notes_of(
     part: Sequence[Placed],
     track: int,
-    first: int,
     is_drum: Callable[[Element], bool],
     plain: bool,
     counts: Counter[str],
@@ -65,7 +63,6 @@ def notes_of(
     Args:
         part: its elements.
         track: its number.
-        first: the number of its first note in the file.
         is_drum: whether a note belongs to the drums.
         plain: whether notes are without their signs, as they stand.
         counts: the numbers of notes that are left out or changed, by what they are.
@@ -99,13 +96,12 @@ def notes_of(
             grace=grace,
             attack=exact(number(note.get("attack")) / placed.divisions),
             release=exact(number(note.get("release")) / placed.divisions),
-            written=first + index,
+            hands=() if hand is None else (hand,),
             **signs_of(note),
         )
         tied, ties = _ties(note)
-        hands = () if hand is None else (hand,)
         signed = signed.plain if plain else signed
-        found.append(WrittenNote(placed.measure, signed, hands, tied, ties, passes_of(note)))
+        found.append(WrittenNote(placed.measure, signed, tied, ties, passes_of(note)))
     return found
 
 

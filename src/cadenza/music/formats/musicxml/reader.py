@@ -113,7 +113,6 @@ def _notes(
 ) -> list[RawNote]:
     """The notes of the parts as they sound; those that no key plays are added to `counts`."""
     signed = [note for part in parts for note in played_notes(part.notes, bars, passages, counts)]
-    hands = {note.signed.written: note.hands for part in parts for note in part.notes}
     found = [
         RawNote(
             round(note.start, _DECIMALS),
@@ -123,7 +122,7 @@ def _notes(
             True,
             note.of.finger if note.pitch == note.of.pitch else None,
             (note.of.part,),
-            hands[note.of.written],
+            note.of.hands,
         )
         for note in realised(signed, tempo, swings)
     ]
@@ -185,11 +184,10 @@ def _parts(
     counts: Counter[str],
 ) -> Iterator[_Part]:
     """Yields the parts with notes; other notes are added to `counts`."""
-    music, first, number = root.findall("part"), 0, 1
+    music, number = root.findall("part"), 1
     for part, elements, listed in zip(music, placed, _listed(root, music), strict=True):
         is_drum = _drums(listed, part)
-        notes = notes_of(elements, number, first, is_drum, plain, counts)
-        first += sum(each.element.tag == "note" for each in elements)
+        notes = notes_of(elements, number, is_drum, plain, counts)
         if notes:
             track = _track(number, printable(listed.findtext("part-name", "")), notes)
             yield _Part(track, notes, *(pedal_moves(elements, begins, p) for p in PEDALS))
