@@ -89,11 +89,11 @@ class Loudness:
         return within_midi(velocity)
 
     def _at(self, place: Fraction) -> float:
-        piece = max(bisect_right(self._places, place) - 1, 0)
-        return self._velocity[piece] + self._slope[piece] * float(place - self._places[piece])
+        segment = max(bisect_right(self._places, place) - 1, 0)
+        return self._velocity[segment] + self._slope[segment] * float(place - self._places[segment])
 
     def _add(self, place: Fraction, velocity: float, slope: float = 0.0) -> None:
-        """Adds a piece, and removes those that begin later."""
+        """Adds a segment, and removes those that begin later."""
         first = bisect_left(self._places, place)
         for each in (self._places, self._velocity, self._slope):
             del each[first:]

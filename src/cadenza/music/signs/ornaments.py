@@ -14,7 +14,7 @@ _LEAST_TRILL = 4  # notes: two shakes
 _FASTEST = 0.05  # [s] a note has no ornament whose notes would be shorter; a choice
 _MOST_OF_NOTE = 0.5  # of the note, which a turn after it takes at most
 
-Piece = tuple[float, float, int]
+Played = tuple[float, float, int]
 """A note of an ornament: start and end [s], and pitch."""
 
 
@@ -43,7 +43,7 @@ def alteration(line: int, fifths: int) -> int:
     return (fifths - place + len(_SHARPS) - 1) // len(_SHARPS)
 
 
-def ornament_pieces(note: SignedNote, start: float, end: float, led_to: bool) -> list[Piece]:
+def ornament_notes(note: SignedNote, start: float, end: float, led_to: bool) -> list[Played]:
     """The notes that a note with an ornament stands for, which fill its time without gaps.
 
     Mordents are those of Grove, turns those of Gehrkens.
@@ -81,7 +81,9 @@ def ornament_pieces(note: SignedNote, start: float, end: float, led_to: bool) ->
     return _sequence(pitches, start, min(each, (end - start) / len(pitches)), end, [])
 
 
-def _trill(note: SignedNote, sign: Ornament, start: float, end: float, led_to: bool) -> list[Piece]:
+def _trill(
+    note: SignedNote, sign: Ornament, start: float, end: float, led_to: bool
+) -> list[Played]:
     """A whole number of equally long notes that end on the main note.
 
     They begin on the upper neighbour (Bach), unless the sign says otherwise or a grace note leads
@@ -101,8 +103,8 @@ def _trill(note: SignedNote, sign: Ornament, start: float, end: float, led_to: b
 
 
 def _sequence(
-    pitches: list[int], first: float, each: float, end: float, before: list[Piece]
-) -> list[Piece]:
+    pitches: list[int], first: float, each: float, end: float, before: list[Played]
+) -> list[Played]:
     """Notes that last `each` [s], from `first` [s] on, after those `before`; the last to the end.
 
     There are none where they would be too short to be played.

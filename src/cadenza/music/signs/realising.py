@@ -10,7 +10,7 @@ from cadenza.music.signs.articulation import articulate, slurred_onsets
 from cadenza.music.signs.chord_signs import with_signs_of_chords
 from cadenza.music.signs.graces import place_graces
 from cadenza.music.signs.loudness import within_midi
-from cadenza.music.signs.ornaments import Piece, ornament_pieces
+from cadenza.music.signs.ornaments import Played, ornament_notes
 from cadenza.music.signs.signed_note import SignedNote, SoundingNote
 from cadenza.music.signs.swinging import SwungTimes
 from cadenza.music.signs.tempo_map import TempoMap
@@ -52,7 +52,7 @@ def realised(
     sounding: list[SoundingNote] = []
     for note in timed:
         velocity = within_midi(note.velocity)
-        for start, end, pitch in _pieces(note, times):
+        for start, end, pitch in _notes_for(note, times):
             sounding.append(SoundingNote(start, end, pitch, velocity, note.of))
         if len(sounding) > MOST_NOTES:
             raise CadenzaError(
@@ -77,9 +77,9 @@ def _timed(
     ]
 
 
-def _pieces(note: TimedNote, times: Mapping[int, Times]) -> Iterable[Piece]:
+def _notes_for(note: TimedNote, times: Mapping[int, Times]) -> Iterable[Played]:
     """The notes that one stands for."""
     if note.of.ornament is not None and note.of.grace is None:
-        return ornament_pieces(note.of, note.start, note.end, note.led_to)
+        return ornament_notes(note.of, note.start, note.end, note.led_to)
     own = times.get(id(note), [(note.start, note.end)])
     return ((start, end, note.of.pitch) for start, end in own)

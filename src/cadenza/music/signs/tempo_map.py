@@ -36,8 +36,8 @@ _AT_BARLINE = Fraction(1)  # [quarters]: over a barline, a fermata is as long as
 
 
 @dataclass(frozen=True, slots=True)
-class TempoPiece:
-    """A part of a tempo map, in which the length of a quarter is linear.
+class TempoSegment:
+    """A segment of a tempo map, in which the length of a quarter is linear.
 
     It begins at `place` [quarters] and at `time` [s], when all waiting there is over. A quarter at
     its beginning lasts `seconds` [s], and `slope` [s per quarter] more for each quarter since.
@@ -55,17 +55,17 @@ class TempoMap:
     """Time as a function of places in the music.
 
     Args:
-        pieces: the pieces of the map in their order, one or more.
+        segments: the segments of the map in their order, one or more.
     """
 
-    def __init__(self, pieces: Sequence[TempoPiece]) -> None:
-        self.pieces = tuple(pieces)
-        self._places = [piece.place for piece in pieces]
+    def __init__(self, segments: Sequence[TempoSegment]) -> None:
+        self.segments = tuple(segments)
+        self._places = [segment.place for segment in segments]
         self._quarter = np.array([float(place) for place in self._places])
-        self._time = np.array([piece.time for piece in pieces])
-        self._seconds = np.array([piece.seconds for piece in pieces])
-        self._slope = np.array([piece.slope for piece in pieces])
-        self._silence = np.array([piece.silence for piece in pieces])
+        self._time = np.array([segment.time for segment in segments])
+        self._seconds = np.array([segment.seconds for segment in segments])
+        self._slope = np.array([segment.slope for segment in segments])
+        self._silence = np.array([segment.silence for segment in segments])
 
     @classmethod
     def of(cls, marks: Iterable[TempoMark], end: Fraction | None = None) -> TempoMap:
@@ -82,13 +82,13 @@ class TempoMap:
         marks = list(marks)
         flow = cls(_tempos(marks, end))
         waits = _waits(marks, flow)
-        waited, pieces = 0.0, []
+        waited, segments = 0.0, []
         for place in sorted({*flow._places, *waits}):
             held, silence = waits.get(place, (0.0, 0.0))
             waited += held + silence
             cut = flow._from(place, silence)
-            pieces.append(replace(cut, time=cut.time + waited))
-        return cls(pieces)
+            segments.append(replace(cut, time=cut.time + waited))
+        return cls(segments)
 
     def onsets(self, places: Sequence[Fraction] | Floats) -> Floats:
         """(N,) when that begins [s] which stands at `places`, (N,) [quarters].
@@ -103,9 +103,9 @@ class TempoMap:
         A fermata there holds it; the silence of a caesura comes after it.
         """
         quarters = np.asarray(places, np.float64)
-        time, piece = self._at(quarters)
-        there = self._quarter[piece] == quarters
-        return time - np.where(there, self._silence[piece], 0.0)
+        time, segment = self._at(quarters)
+        there = self._quarter[segment] == quarters
+        return time - np.where(there, self._silence[segment], 0.0)
 
     def played(self, sections: Iterable[tuple[Fraction, Fraction]]) -> TempoMap:
         """The map of music that is played section by section, such as one with repeats.
@@ -114,40 +114,42 @@ class TempoMap:
             sections: the beginning and the end of each section in the written music [quarters].
         """
         at, time, silence = Fraction(0), 0.0, 0.0
-        pieces: list[TempoPiece] = []
+        segments: list[TempoSegment] = []
         for begin, end in sections:
             first, last = self.onsets([begin, end]).tolist()
-            inner = self.pieces[bisect_right(self._places, begin) : bisect_left(self._places, end)]
+            inner = self.segments[
+                bisect_right(self._places, begin) : bisect_left(self._places, end)
+            ]
             for cut in (self._from(begin, silence), *inner):
                 begun = time + cut.time - first
-                pieces.append(replace(cut, place=at + cut.place - begin, time=begun))
+                segments.append(replace(cut, place=at + cut.place - begin, time=begun))
             silence = last - float(self.ends([end])[0])
             at, time = at + end - begin, time + last - first
-        if not pieces:
+        if not segments:
             return self
-        return TempoMap([*pieces, TempoPiece(at, self._from(end).seconds, 0.0, time, silence)])
+        return TempoMap([*segments, TempoSegment(at, self._from(end).seconds, 0.0, time, silence)])
 
     def _at(self, quarters: Floats) -> tuple[Floats, NDArray[np.intp]]:
-        """(N,) onsets [s] of places [quarters], and (N,) the pieces in which they are."""
-        piece = np.maximum(np.searchsorted(self._quarter, quarters, side="right") - 1, 0)
-        inside = quarters - self._quarter[piece]
-        slope = np.where(inside < 0, 0.0, self._slope[piece])  # before the music it is steady
-        return self._time[piece] + inside * (self._seconds[piece] + slope * inside / 2), piece
+        """(N,) onsets [s] of places [quarters], and (N,) the segments in which they are."""
+        segment = np.maximum(np.searchsorted(self._quarter, quarters, side="right") - 1, 0)
+        inside = quarters - self._quarter[segment]
+        slope = np.where(inside < 0, 0.0, self._slope[segment])  # before the music it is steady
+        return self._time[segment] + inside * (self._seconds[segment] + slope * inside / 2), segment
 
-    def _from(self, place: Fraction, silence: float = 0.0) -> TempoPiece:
-        """The rest of a piece from a place within it, with this silence before it."""
-        piece = self.pieces[max(bisect_right(self._places, place) - 1, 0)]
-        seconds = piece.seconds + piece.slope * float(place - piece.place)
+    def _from(self, place: Fraction, silence: float = 0.0) -> TempoSegment:
+        """The rest of a segment from a place within it, with this silence before it."""
+        segment = self.segments[max(bisect_right(self._places, place) - 1, 0)]
+        seconds = segment.seconds + segment.slope * float(place - segment.place)
         time = float(self.onsets([place])[0])
-        return TempoPiece(place, seconds, piece.slope, time, silence)
+        return TempoSegment(place, seconds, segment.slope, time, silence)
 
 
 _SUDDEN = (Change.MENO_MOSSO, Change.PIU_MOSSO)
 _GRADUAL = (Change.RITARDANDO, Change.ACCELERANDO)
 
 
-def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoPiece]:
-    """The pieces of a map without waits."""
+def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoSegment]:
+    """The segments of a map without waits."""
     tempos = {mark.onset: mark for mark in marks if isinstance(mark, Tempo)}
     changes: list[Tempo | TempoWord | Modulation] = list(tempos.values())
     words = {(mark.onset, mark.change): mark for mark in marks if isinstance(mark, TempoWord)}
@@ -155,7 +157,7 @@ def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoPiece
     changes += [*words.values(), *equal.values()]  # once, if every staff has them
     changes.sort(key=lambda mark: mark.onset)  # at one place, tempos first
     primo = next((mark.seconds for mark in changes if isinstance(mark, Tempo)), None)
-    speeds = [TempoPiece(Fraction(0), _SECONDS_PER_QUARTER)]
+    speeds = [TempoSegment(Fraction(0), _SECONDS_PER_QUARTER)]
     before, gradual = _SECONDS_PER_QUARTER, False  # what "a tempo" leads back to; whether in a ramp
     for mark, following in zip_longest(changes, changes[1:]):
         now = speeds[-1].seconds
@@ -178,11 +180,11 @@ def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoPiece
             }[mark.change]
         sudden = isinstance(mark, TempoWord) and mark.change in _SUDDEN
         before, gradual = now if sudden else seconds, False
-        speeds.append(TempoPiece(mark.onset, seconds))
+        speeds.append(TempoSegment(mark.onset, seconds))
     return _timed(speeds)
 
 
-def _is_said(word: TempoWord | Modulation, speeds: Sequence[TempoPiece]) -> bool:
+def _is_said(word: TempoWord | Modulation, speeds: Sequence[TempoSegment]) -> bool:
     """Whether the tempo at the place of a mark, the last of `speeds`, is what the mark means.
 
     A tempo from which a gradual change begins is not.
@@ -200,7 +202,7 @@ def _ramp(
     before: float,
     following: Tempo | TempoWord | Modulation | None,
     end: Fraction | None,
-) -> list[TempoPiece]:
+) -> list[TempoSegment]:
     """A gradual change of the length of a quarter from `now` [s] on, and the tempo after it.
 
     It leads to the tempo that follows where it reaches it and that is on the way. Where the score
@@ -223,19 +225,22 @@ def _ramp(
         goal = following.seconds
     slope = (goal - now) / float(reach - word.onset)
     is_forgotten = word.end is None and reach == open_end
-    return [TempoPiece(word.onset, now, slope), TempoPiece(reach, before if is_forgotten else goal)]
+    return [
+        TempoSegment(word.onset, now, slope),
+        TempoSegment(reach, before if is_forgotten else goal),
+    ]
 
 
-def _timed(pieces: Iterable[TempoPiece]) -> list[TempoPiece]:
-    """The pieces with their times, the first at 0; of those at one place the last counts."""
-    timed: list[TempoPiece] = []
-    for piece in {piece.place: piece for piece in pieces}.values():
+def _timed(segments: Iterable[TempoSegment]) -> list[TempoSegment]:
+    """The segments with their times, the first at 0; of those at one place the last counts."""
+    timed: list[TempoSegment] = []
+    for segment in {segment.place: segment for segment in segments}.values():
         if timed:
             before = timed[-1]
-            length = float(piece.place - before.place)
+            length = float(segment.place - before.place)
             time = before.time + length * (before.seconds + before.slope * length / 2)
-            piece = replace(piece, time=time)
-        timed.append(piece)
+            segment = replace(segment, time=time)
+        timed.append(segment)
     return timed
 
 
