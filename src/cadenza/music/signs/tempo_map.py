@@ -117,10 +117,8 @@ class TempoMap:
         segments: list[TempoSegment] = []
         for begin, end in sections:
             first, last = self.onsets([begin, end]).tolist()
-            inner = self.segments[
-                bisect_right(self._places, begin) : bisect_left(self._places, end)
-            ]
-            for cut in (self._from(begin, silence), *inner):
+            inside = slice(bisect_right(self._places, begin), bisect_left(self._places, end))
+            for cut in (self._from(begin, silence), *self.segments[inside]):
                 begun = time + cut.time - first
                 segments.append(replace(cut, place=at + cut.place - begin, time=begun))
             silence = last - float(self.ends([end])[0])
@@ -224,11 +222,8 @@ def _ramp(
     ):
         goal = following.seconds
     slope = (goal - now) / float(reach - word.onset)
-    is_forgotten = word.end is None and reach == open_end
-    return [
-        TempoSegment(word.onset, now, slope),
-        TempoSegment(reach, before if is_forgotten else goal),
-    ]
+    after = before if word.end is None and reach == open_end else goal
+    return [TempoSegment(word.onset, now, slope), TempoSegment(reach, after)]
 
 
 def _timed(segments: Iterable[TempoSegment]) -> list[TempoSegment]:

@@ -131,12 +131,11 @@ def _notes(
     return found
 
 
-def _timed(moves: Sequence[tuple[Fraction, int]], tempo: TempoMap) -> list[tuple[float, int]]:
+def _timed(moves: Iterable[tuple[Fraction, int]], tempo: TempoMap) -> list[tuple[float, int]]:
     """The motions of a pedal in seconds."""
-    times = [(tempo.onsets if value else tempo.ends)([place])[0] for place, value in moves]
     return [
-        (round(float(time), _DECIMALS), value)
-        for time, (_, value) in zip(times, moves, strict=True)
+        (round(float((tempo.onsets if value else tempo.ends)([place])[0]), _DECIMALS), value)
+        for place, value in moves
     ]
 
 
