@@ -165,7 +165,7 @@ def staves(notes: Sequence[Note]) -> list[int]:
 def _cost(pitches: np.ndarray) -> np.ndarray:
     """The cost of each split for a chord."""
     upper = pitches >= _SPLITS[:, None]
-    high, low = np.where(upper, pitches, 999), np.where(upper, -999, pitches)
+    high, low = np.where(upper, pitches, np.inf), np.where(upper, -np.inf, pitches)
     right = np.where(upper.any(1), pitches.max() - high.min(1), 0)
     left = np.where((~upper).any(1), low.max(1) - pitches.min(), 0)
     wide = np.maximum(right - _SPAN, 0) + np.maximum(left - _SPAN, 0)

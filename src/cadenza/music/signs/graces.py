@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from fractions import Fraction
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from cadenza.music.signs.conventions import GRACE_LENGTH, NOTES_A_SECOND
 from cadenza.music.signs.signed_note import Grace, OrnamentKind
 from cadenza.music.signs.tempo_map import TempoMap
-from cadenza.music.signs.timed_note import Chord, Voice
+from cadenza.music.signs.timed_note import Chord, Voice, even_times
 
 _MOST_OF_NOTE = 0.5  # of the note before or after grace notes, which they take; a choice
 _LEAST_SHARE = 0.01  # of a neighbour, as files give per cents
@@ -112,8 +111,7 @@ def _before_the_beat(
 
 def _in_turn(graces: Sequence[Chord], start: float, end: float) -> None:
     """Plays chords one after the other, each as long as the others, between two times [s]."""
-    times = [start + (end - start) * k / len(graces) for k in range(len(graces))] + [end]
-    for chord, (begin, stop) in zip(graces, pairwise(times), strict=True):
+    for chord, (begin, stop) in zip(graces, even_times(start, end, len(graces)), strict=True):
         for note in chord:
             note.start, note.end = begin, stop
 

@@ -6,6 +6,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
+from operator import itemgetter
 
 from cadenza.music.score import LOUDEST, SOFTEST
 from cadenza.music.signs.conventions import HAIRPIN_STEP, OPEN_HAIRPIN, SFORZATO
@@ -69,9 +70,8 @@ class Loudness:
             if isinstance(mark, Dynamic)
         }
         hairpins = {mark.onset: mark for mark in marks if isinstance(mark, Hairpin)}
-        self._places = [Fraction(0)]
-        self._velocity = [float(unmarked)]  # from the place on
-        self._slope = [0.0]  # [per quarter]
+        # From which place on; the velocity there, and its slope [per quarter].
+        self._segments = [(Fraction(0), float(unmarked), 0.0)]
         dynamics, begins = sorted(levels), sorted(hairpins)
         for place in sorted({*levels, *hairpins}):
             now = levels.get(place, self._at(place))
@@ -89,17 +89,14 @@ class Loudness:
         return within_midi(velocity)
 
     def _at(self, place: Fraction) -> float:
-        segment = max(bisect_right(self._places, place) - 1, 0)
-        return self._velocity[segment] + self._slope[segment] * float(place - self._places[segment])
+        after = bisect_right(self._segments, place, key=itemgetter(0))
+        begin, velocity, slope = self._segments[max(after - 1, 0)]
+        return velocity + slope * float(place - begin)
 
     def _add(self, place: Fraction, velocity: float, slope: float = 0.0) -> None:
         """Adds a segment, and removes those that begin later."""
-        first = bisect_left(self._places, place)
-        for each in (self._places, self._velocity, self._slope):
-            del each[first:]
-        self._places.append(place)
-        self._velocity.append(velocity)
-        self._slope.append(slope)
+        del self._segments[bisect_left(self._segments, place, key=itemgetter(0)) :]
+        self._segments.append((place, velocity, slope))
 
     def _ramp(
         self,

@@ -77,8 +77,9 @@ def ornament_notes(note: SignedNote, start: float, end: float, led_to: bool) -> 
     if sign.delayed:
         each = min(each, _MOST_OF_NOTE * (end - start) / len(pitches))
         first = end - each * len(pitches)
-        return _sequence(pitches, first, each, end, [(start, first, main)])
-    return _sequence(pitches, start, min(each, (end - start) / len(pitches)), end, [])
+        turned = _sequence(pitches, first, each, end)
+        return [(start, first, main), *turned] if len(turned) > 1 else [(start, end, main)]
+    return _sequence(pitches, start, min(each, (end - start) / len(pitches)), end)
 
 
 def _trill(
@@ -99,20 +100,15 @@ def _trill(
     pitches = [main if (count - k) % 2 else upper for k in range(count)]
     if begins == -1:
         pitches[0] = neighbour(note, -1, sign.below)
-    return _sequence(pitches, start, (end - start) / count, end, [])
+    return _sequence(pitches, start, (end - start) / count, end)
 
 
-def _sequence(
-    pitches: list[int], first: float, each: float, end: float, before: list[Played]
-) -> list[Played]:
-    """Notes that last `each` [s], from `first` [s] on, after those `before`; the last to the end.
+def _sequence(pitches: list[int], first: float, each: float, end: float) -> list[Played]:
+    """Notes that last `each` [s], from `first` [s] on; the last lasts to the end.
 
-    There are none where they would be too short to be played.
+    Where they would be too short to be played, there is only the last.
     """
     if each < _FASTEST:
-        return [(before[0][0] if before else first, end, pitches[-1])]
+        return [(first, end, pitches[-1])]
     times = [first + k * each for k in range(len(pitches))] + [end]
-    return [
-        *before,
-        *((*pair, pitch) for pair, pitch in zip(pairwise(times), pitches, strict=True)),
-    ]
+    return [(*pair, pitch) for pair, pitch in zip(pairwise(times), pitches, strict=True)]

@@ -15,8 +15,8 @@ from cadenza.music.signs.signed_note import SignedNote, SoundingNote
 from cadenza.music.signs.swinging import SwungTimes
 from cadenza.music.signs.tempo_map import TempoMap
 from cadenza.music.signs.tempo_marks import Swing
-from cadenza.music.signs.timed_note import TimedNote, voices_of
-from cadenza.music.signs.tremolos import Times, tremolo_times
+from cadenza.music.signs.timed_note import TimedNote, Times, voices_of
+from cadenza.music.signs.tremolos import tremolo_times
 
 MOST_NOTES = 100_000
 """More, with repeats and ornaments, are taken for damage."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 
 from cadenza.music.signs.signed_note import SignedNote
 
@@ -41,6 +42,13 @@ class TimedNote:
 
 
 Chord = list[TimedNote]
+Times = list[tuple[float, float]]
+"""From and up to which times [s] notes sound."""
+
+
+def even_times(start: float, end: float, count: int) -> Times:
+    """The times of `count` notes that share the time between two [s] evenly."""
+    return list(pairwise([*(start + (end - start) * k / count for k in range(count)), end]))
 
 
 @dataclass(slots=True)

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from itertools import pairwise
 
 from cadenza.music.signs.conventions import NOTES_A_SECOND
 from cadenza.music.signs.signed_note import Role
-from cadenza.music.signs.timed_note import Chord, Voice
-
-Times = list[tuple[float, float]]
+from cadenza.music.signs.timed_note import Chord, Times, Voice, even_times
 
 _UNMEASURED = 3  # marks in place of those that a tremolo without measure lacks
 _MOST_MARKS = 8  # as in MusicXML
@@ -74,6 +71,4 @@ def _undotted(shown: Fraction) -> int:
 def _even(start: float, end: float, count: int, times: int = 1) -> Times:
     """So many even notes between two times [s], fewer if too fast; a multiple of `times`."""
     most = max(int((end - start) * NOTES_A_SECOND + 1e-9), 1)
-    count = max(min(count, most) // times, 1) * times
-    edges = [start + (end - start) * k / count for k in range(count)] + [end]
-    return list(pairwise(edges))
+    return even_times(start, end, max(min(count, most) // times, 1) * times)
