@@ -82,11 +82,10 @@ class Goals:
         return self.keys[rows] & inside, fingers
 
 
-def silence(num_steps: int, num_keys: int, num_fingers: int) -> Goals:
-    """Goals of steps in which nothing should sound."""
-    shape = num_steps, num_keys
-    fingers = np.full(shape, NO_FINGER, np.int8)
-    return Goals(np.zeros(shape, bool), fingers, np.zeros(num_steps, bool), num_fingers)
+def silence(num_keys: int, num_fingers: int) -> Goals:
+    """The goals of a single step in which nothing should sound."""
+    fingers = np.full((1, num_keys), NO_FINGER, np.int8)
+    return Goals(np.zeros((1, num_keys), bool), fingers, np.zeros(1, bool), num_fingers)
 
 
 def score_to_goals(

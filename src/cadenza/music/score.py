@@ -17,8 +17,7 @@ _N = TypeVar("_N")
 
 NUM_KEYS = 88
 LOWEST_PITCH = 21  # MIDI number of A0, key 0
-HIGHEST_PITCH = LOWEST_PITCH + NUM_KEYS - 1
-PITCHES = range(LOWEST_PITCH, HIGHEST_PITCH + 1)
+PITCHES = range(LOWEST_PITCH, LOWEST_PITCH + NUM_KEYS)
 MIDI_PITCHES = range(128)
 OCTAVE = 12
 """The semitones of an octave."""
@@ -311,11 +310,11 @@ def chords(
     within: float = CHORD_TOLERANCE,
     start: Callable[[_N], float] = attrgetter("start"),
 ) -> Iterator[list[_N]]:
-    """Yields groups of notes by time, which begin within some time of the first of them.
+    """Yields the chords of notes: groups that begin together, or nearly so.
 
     Args:
         notes: notes in order of time, or what stands for them.
-        within: that time [s].
+        within: how much later than the first of its chord a note may begin [s].
         start: when a note begins [s].
     """
     chord: list[_N] = []
@@ -329,7 +328,7 @@ def chords(
 
 
 def check_beginning(seconds: float) -> None:
-    """Checks a number of first seconds [s].
+    """Checks how much of a song is to be its beginning [s].
 
     Raises:
         CadenzaError: it is not positive or not finite.

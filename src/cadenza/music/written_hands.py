@@ -28,10 +28,10 @@ _FINGERED = 0.9  # share of notes with fingers from which on fingers say which h
 def with_written_hands(score: Score) -> Score:
     """The score whose notes know which hand plays them as written, where anything says so.
 
-    That are fingers, if nearly all notes have some; else what the reader has found, as in the
-    staves of a part for two hands; else two tracks of a keyboard, one for each hand. Tracks are
-    told by names, such as "RH" and "LH", or if names say nothing by pitch, where one is clearly
-    lower. Of several parts for two hands, such as those of a duet, no hands are known.
+    Fingers say so, if nearly all notes have some; else what the reader has found, as in the staves
+    of a part for two hands; else two tracks of a keyboard, one for each hand. Tracks are told apart
+    by names, such as "RH" and "LH", or if names say nothing by pitch, where one is clearly lower.
+    Of several parts for two hands, such as those of a duet, no hands are known.
     """
     if sum(note.finger is not None for note in score.notes) >= _FINGERED * len(score.notes):
         return _with_hands(score, [(n.finger.hand,) if n.finger else () for n in score.notes])

@@ -195,7 +195,7 @@ class EpisodeGoals:
         self.row = np.zeros(num_envs, np.intp)
         self._steps_seen = config.lookahead_steps + 1
         self._num_keys, self._num_fingers = scene.keyboard.num_keys, scene.fingers.count
-        self._goals = [silence(1, self._num_keys, self._num_fingers)] * num_envs
+        self._goals = [silence(self._num_keys, self._num_fingers)] * num_envs
         self._cached: UpcomingGoals | None = None
         self._cached_onsets: UpcomingOnsets | None = None
 

@@ -16,7 +16,7 @@ _GOAL_WITHIN = Fraction(1)  # [quarters] after a hairpin within which a dynamic 
 
 @dataclass(frozen=True, slots=True)
 class Dynamic:
-    """Notes have a `velocity` from an `onset` on.
+    """A dynamic mark: notes have a `velocity` from an `onset` on.
 
     With `then`, as of fp, it is that of the notes at `onset` alone, and those after have `then`.
     """
@@ -28,14 +28,14 @@ class Dynamic:
 
 @dataclass(frozen=True, slots=True)
 class Sforzato:
-    """The notes at `onset` are louder than those around them: sf, sfz, fz, rf and the like."""
+    """A sforzato, sf, fz or the like: the notes at `onset` are louder than those around them."""
 
     onset: Fraction
 
 
 @dataclass(frozen=True, slots=True)
 class Hairpin:
-    """Notes become louder (`step` 1) or softer (-1) little by little from `onset` to `end`.
+    """A hairpin: from `onset` to `end` notes become louder (`step` 1) or softer (-1) by degrees.
 
     The end of a word such as cresc. is None: it goes on up to the next dynamic.
     """

@@ -96,7 +96,7 @@ class Arpeggio:
 
 @dataclass(frozen=True, slots=True)
 class Grace:
-    """A note is a grace note: the `index`-th, from 0, of those that stand together in its voice.
+    """The sign of a grace note, the `index`-th, from 0, of those together in its voice.
 
     Notes with the same index are a chord. `slash` is the stroke through its stem; the shares 0 to 1
     say how much of the note before or after it takes, and `takes` how much time it has of its own

@@ -11,7 +11,7 @@ from cadenza.music.signs.conventions import FERMATA
 
 @dataclass(frozen=True, slots=True)
 class Tempo:
-    """A quarter lasts `seconds` [s] from an `onset` on."""
+    """A tempo mark: a quarter lasts `seconds` [s] from an `onset` on."""
 
     onset: Fraction
     seconds: float
@@ -49,9 +49,7 @@ class TempoWord:
 
 @dataclass(frozen=True, slots=True)
 class Modulation:
-    """A quarter lasts `slower` times as long from `onset` on as before: a note is as long as
-    another was.
-    """
+    """A metric modulation: a quarter lasts `slower` times as long from `onset` on as before."""
 
     onset: Fraction
     slower: Fraction
