@@ -193,11 +193,7 @@ def first_stage(space: StateSpace) -> Stage:
 
 
 def next_stage(
-    before: Stage,
-    time: float,
-    strokes: tuple[Stroke, ...],
-    space: StateSpace,
-    costs: Costs = COSTS,
+    before: Stage, time: float, strokes: tuple[Stroke, ...], space: StateSpace, costs: Costs = COSTS
 ) -> Stage:
     """The stage of the next moment, at `time` [s], in which `strokes` sound."""
     notes = tuple(

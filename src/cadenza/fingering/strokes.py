@@ -87,6 +87,5 @@ def outer_first(begin: Sequence[Stroke], held: Sequence[Stroke]) -> list[Stroke]
     keys = sorted({stroke.key for stroke in (*begin, *held)})
     place = {key: min(i, len(keys) - 1 - i) for i, key in enumerate(keys)}
     return sorted(
-        begin,
-        key=lambda p: (p.finger is None, place[p.key], -p.velocity, p.start - p.end, -p.key),
+        begin, key=lambda p: (p.finger is None, place[p.key], -p.velocity, p.start - p.end, -p.key)
     )

@@ -21,15 +21,7 @@ from cadenza.music.formats.midi_chunks import MidiFile, parsed
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
 from cadenza.music.repair import RawNote, repaired_notes
-from cadenza.music.score import (
-    BEAT_TYPES,
-    Bar,
-    Note,
-    PedalEvent,
-    Score,
-    Track,
-    check_chosen,
-)
+from cadenza.music.score import BEAT_TYPES, Bar, Note, PedalEvent, Score, Track, check_chosen
 
 # What is written: at 120 quarters a minute 48,000 ticks a second, in which both 1 ms and thirds of
 # a second are whole numbers. A time read back differs by at most half a tick (10.4 us).

@@ -59,11 +59,7 @@ def parsed(data: bytes) -> MidiFile:
         (sum(track.is_cut for track in tracks), "track", "cut off: its end is missing"),
         (sum(track.beyond for track in tracks), "byte", "after the end of a track left out"),
         (sum(track.clipped for track in tracks), "value", "over 127 taken for 127"),
-        (
-            sum(track.unread for track in tracks),
-            "unreadable tempo or time signature",
-            "left out",
-        ),
+        (sum(track.unread for track in tracks), "unreadable tempo or time signature", "left out"),
     )
     return MidiFile(form, division, [track.messages for track in tracks], counted_remarks(remarks))
 

@@ -140,12 +140,7 @@ class _Writer:
         if len(attributes):
             measure.append(attributes)
 
-    def _voice(
-        self,
-        measure: Element,
-        here: WrittenMeasure,
-        voice: _Voice,
-    ) -> None:
+    def _voice(self, measure: Element, here: WrittenMeasure, voice: _Voice) -> None:
         """Writes a voice, and with the first of a staff the directions of the staff."""
         start, end = here.measure.start, here.measure.end
         directions = deque(_directions(here, voice.hand) if voice.is_first else ())
@@ -180,11 +175,7 @@ class _Writer:
             measure.append(direction)
 
     def _symbol(
-        self,
-        measure: Element,
-        symbol: Symbol,
-        voice: _Voice,
-        beams: Sequence[str],
+        self, measure: Element, symbol: Symbol, voice: _Voice, beams: Sequence[str]
     ) -> None:
         for i, each in enumerate(symbol.notes or (None,)):
             note = SubElement(measure, "note")

@@ -54,10 +54,7 @@ _Files = Mapping[PurePosixPath, Callable[[], bytes]]
 
 
 def import_pig(
-    source: Path,
-    replace: bool = False,
-    progress: Progress = silent,
-    grade: Grade | None = None,
+    source: Path, replace: bool = False, progress: Progress = silent, grade: Grade | None = None
 ) -> NewLibrary:
     """Imports the dataset as the library `repertoire-150`; damaged pieces are left out.
 

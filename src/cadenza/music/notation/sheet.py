@@ -241,12 +241,7 @@ def _written(
 
 
 def _values(
-    start: int,
-    end: int,
-    stream: Stream,
-    divisions: Divisions,
-    cells: list[int],
-    is_rest: bool,
+    start: int, end: int, stream: Stream, divisions: Divisions, cells: list[int], is_rest: bool
 ) -> Iterator[Value]:
     """Yields the note values of a stretch, which is broken where tuplets begin and end."""
     cell = bisect_right(cells, start) - 1

@@ -34,10 +34,7 @@ def _shared(chord: Sequence[SignedNote]) -> list[SignedNote]:
     arpeggio = next((note.arpeggio for note in chord if note.arpeggio), None)
     shared = [
         replace(
-            note,
-            marks=marks,
-            tremolo=note.tremolo or tremolo,
-            arpeggio=note.arpeggio or arpeggio,
+            note, marks=marks, tremolo=note.tremolo or tremolo, arpeggio=note.arpeggio or arpeggio
         )
         for note in chord
     ]

@@ -11,13 +11,7 @@ import numpy as np
 from cadenza.music.etudes.band.chords import SongChord
 from cadenza.music.etudes.band.passage import Passage
 from cadenza.music.etudes.band.rhythm_section import MEDIUM, Pattern
-from cadenza.music.etudes.band.voicings import (
-    Slots,
-    Voicing,
-    guitar,
-    led_voicings,
-    nearest,
-)
+from cadenza.music.etudes.band.voicings import Slots, Voicing, guitar, led_voicings, nearest
 from cadenza.music.etudes.sheet import Tone, pick
 from cadenza.music.score import OCTAVE
 

@@ -10,13 +10,7 @@ import numpy as np
 from cadenza.music.etudes.band.melody import Singing
 from cadenza.music.etudes.band.parts import DRUM_CHANNEL, Role
 from cadenza.music.etudes.band.passage import happens
-from cadenza.music.etudes.band.styles import (
-    VOICE_PROGRAMS,
-    VOICE_RANGES,
-    Chair,
-    Style,
-    range_of,
-)
+from cadenza.music.etudes.band.styles import VOICE_PROGRAMS, VOICE_RANGES, Chair, Style, range_of
 from cadenza.music.etudes.sheet import Tone, pick
 from cadenza.music.formats.general_midi import INSTRUMENTS
 from cadenza.music.score import OCTAVE

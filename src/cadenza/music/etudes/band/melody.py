@@ -13,12 +13,7 @@ from cadenza.music.etudes.band.chords import SongChord, melody_scale
 from cadenza.music.etudes.band.passage import Passage, happens, one_at_a_time
 from cadenza.music.etudes.band.styles import tables
 from cadenza.music.etudes.sheet import Tone, pick
-from cadenza.music.etudes.voice_leading import (
-    FORBIDDEN,
-    Costs,
-    Pitches,
-    random_costs,
-)
+from cadenza.music.etudes.voice_leading import FORBIDDEN, Costs, Pitches, random_costs
 from cadenza.music.score import OCTAVE
 from cadenza.music.viterbi import cheapest_sequence
 

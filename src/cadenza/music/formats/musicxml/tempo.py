@@ -9,12 +9,7 @@ from fractions import Fraction
 
 from cadenza.music.formats.musicxml.metronome import is_possible, metronome_of
 from cadenza.music.formats.musicxml.timeline import NOTE_VALUES, ZERO, Placed, number
-from cadenza.music.signs.conventions import (
-    CHORALE_FERMATA,
-    FERMATA,
-    LONG_FERMATA,
-    SHORT_FERMATA,
-)
+from cadenza.music.signs.conventions import CHORALE_FERMATA, FERMATA, LONG_FERMATA, SHORT_FERMATA
 from cadenza.music.signs.tempo_marks import (
     Caesura,
     Change,
