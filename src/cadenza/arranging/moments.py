@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import chain, pairwise
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -55,25 +55,25 @@ def beats_of(score: Score) -> list[float]:
 
 def moments_of(notes: Sequence[Source], beats: Sequence[float]) -> list[Moment]:
     """The moments of a song with these notes, in order."""
-    melody = _Voice([note for note in notes if note.melody])
-    bass = _Voice([note for note in notes if note.bass])
+    notes = sorted(notes, key=attrgetter("start", "pitch"))
+    melody, bass = [n for n in notes if n.melody], [n for n in notes if n.bass]
     moments, beat_before = [], -1
     sounding: list[Source] = []
     for time, group in _groups(notes, beats):
         beat = bisect_right(beats, time + TOGETHER) - 1
         since = beats[beat] - TOGETHER
         sounding = [n for n in sounding if n.end > time + _WORTH or n.start > since]
-        inner = sorted((n for n in group if not n.melody and not n.bass), key=_pitch)
+        inner = sorted((n for n in group if not n.melody and not n.bass), key=attrgetter("pitch"))
         moments.append(
             Moment(
                 time,
                 beat != beat_before,
                 tuple(sorted((n for n in group if n.melody), key=lambda n: -n.pitch)),
-                tuple(sorted((n for n in group if n.bass), key=_pitch)),
+                tuple(sorted((n for n in group if n.bass), key=attrgetter("pitch"))),
                 tuple(inner),
-                tuple(sorted(sounding, key=_pitch)),
-                melody.pitch_at(time, MIDI_PITCHES[-1]),
-                bass.pitch_at(time, MIDI_PITCHES[0]),
+                tuple(sorted(sounding, key=attrgetter("pitch"))),
+                _pitch_at(melody, time, MIDI_PITCHES[-1]),
+                _pitch_at(bass, time, MIDI_PITCHES[0]),
             )
         )
         sounding += inner
@@ -82,8 +82,8 @@ def moments_of(notes: Sequence[Source], beats: Sequence[float]) -> list[Moment]:
 
 
 def _groups(notes: Sequence[Source], beats: Sequence[float]) -> list[tuple[float, list[Source]]]:
-    """The times at which notes begin together, with these, and parts of beats where none do."""
-    groups = [(group[0].start, group) for group in chords(sorted(notes, key=_start), TOGETHER)]
+    """The times at which notes, in order, begin together, and parts of beats where none do."""
+    groups = [(group[0].start, group) for group in chords(notes, TOGETHER)]
     begins = np.array([time for time, _ in groups])
     parts = (np.linspace(*beat, _PARTS, endpoint=False).tolist() for beat in pairwise(beats))
     for time in chain.from_iterable(parts):
@@ -92,22 +92,7 @@ def _groups(notes: Sequence[Source], beats: Sequence[float]) -> list[tuple[float
     return sorted(groups, key=itemgetter(0))
 
 
-class _Voice:
-    """The pitch of a voice as time goes on."""
-
-    def __init__(self, notes: Sequence[Source]) -> None:
-        self._notes = sorted(notes, key=_start)
-        self._starts = [note.start for note in self._notes]
-
-    def pitch_at(self, time: float, otherwise: int) -> int:
-        """The pitch that sounds at a time, or `otherwise` if none does."""
-        i = bisect_right(self._starts, time + TOGETHER) - 1
-        return self._notes[i].pitch if i >= 0 and self._notes[i].end >= time else otherwise
-
-
-def _start(note: Source) -> tuple[float, int]:
-    return note.start, note.pitch
-
-
-def _pitch(note: Source) -> int:
-    return note.pitch
+def _pitch_at(voice: Sequence[Source], time: float, otherwise: int) -> int:
+    """The pitch of a voice, by its notes in order, at a time [s]; `otherwise` if it is silent."""
+    i = bisect_right(voice, time + TOGETHER, key=attrgetter("start")) - 1
+    return voice[i].pitch if i >= 0 and voice[i].end >= time else otherwise

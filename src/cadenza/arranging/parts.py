@@ -134,14 +134,14 @@ def _merged(sources: Iterable[Source]) -> list[Source]:
 
 def _outer(notes: Sequence[Note], sign: Literal[1, -1]) -> set[int]:
     """Indices of the notes above which none sounds, or below which none does for -1."""
-    index = {id(note): i for i, note in enumerate(notes)}
     found: set[int] = set()
     latest: Note | None = None
-    for chord in chords(notes):
-        note = max(chord, key=lambda each: sign * each.pitch)
+    for chord in chords(range(len(notes)), start=lambda i: notes[i].start):
+        i = max(chord, key=lambda i: sign * notes[i].pitch)
+        note = notes[i]
         held = latest is not None and latest.end > note.start + RELEASE_TIME
         if latest is None or not held or sign * note.pitch >= sign * latest.pitch:
-            found.add(index[id(note)])
+            found.add(i)
             latest = note
     return found
 

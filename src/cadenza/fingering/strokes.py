@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import count
 
 from cadenza.fingers import LEFT, RIGHT, Finger
 from cadenza.music.score import RELEASE_TIME, Note, Score, chords
@@ -40,12 +39,11 @@ def onsets(
             cross, which ours cannot.
     """
     moments: list[tuple[float, dict[int, list[int]]]] = []
-    index = count()
-    for chord in chords(score.notes):
+    for chord in chords(range(len(score.notes)), start=lambda i: score.notes[i].start):
         indices_of: dict[int, list[int]] = {}
-        for note in chord:
-            indices_of.setdefault(note.pitch - lowest_pitch, []).append(next(index))
-        moments.append((chord[0].start, indices_of))
+        for i in chord:
+            indices_of.setdefault(score.notes[i].pitch - lowest_pitch, []).append(i)
+        moments.append((score.notes[chord[0]].start, indices_of))
     struck_again: dict[int, float] = {}
     ends: dict[int, float] = {}
     for time, keys in reversed(moments):

@@ -66,10 +66,9 @@ def voices(timed: Sequence[Timed], is_exact: bool) -> list[int]:
     division is found by a beam search. Unless all `is_exact`, notes may overlap a little.
     """
     histories = [_History(0.0, (_Voice(), _Voice()), ())]
-    groups = list(chords([each.note for each in timed]))
-    each_time = iter(timed)
+    groups = list(chords(timed, start=lambda each: each.note.start))
     for group in groups:
-        chord = sorted((next(each_time) for _ in group), key=lambda each: -each.note.pitch)
+        chord = sorted(group, key=lambda each: -each.note.pitch)
         histories = _continued(histories, chord, _ROUNDING if is_exact else _LEGATO)
     path, counts = histories[0].path, []
     while path:
@@ -77,7 +76,7 @@ def voices(timed: Sequence[Timed], is_exact: bool) -> list[int]:
         counts.append(count)
     chosen = []
     for group, count in zip(groups, reversed(counts), strict=True):
-        order = sorted(range(len(group)), key=lambda i: -group[i].pitch)
+        order = sorted(range(len(group)), key=lambda i: -group[i].note.pitch)
         upper = set(order[:count])
         chosen += [UPPER if i in upper else LOWER for i in range(len(group))]
     return chosen
@@ -151,14 +150,13 @@ def staves(notes: Sequence[Note]) -> list[int]:
     loose = [i for i, hand in enumerate(hands) if len(hand) != 1]
     if not loose:
         return chosen
-    groups = list(chords([notes[i] for i in loose]))
-    costs = [_cost(np.array([note.pitch for note in group])) for group in groups]
+    groups = list(chords(loose, start=lambda i: notes[i].start))
+    costs = [_cost(np.array([notes[i].pitch for i in group])) for group in groups]
     move = _MOVE * np.abs(_SPLITS[:, None] - _SPLITS)
     splits = _SPLITS[cheapest_sequence(costs, [move] * (len(groups) - 1))].tolist()
-    place = iter(loose)
     for group, split in zip(groups, splits, strict=True):
-        for note in group:
-            chosen[next(place)] = RIGHT if note.pitch >= split else LEFT
+        for i in group:
+            chosen[i] = RIGHT if notes[i].pitch >= split else LEFT
     return chosen
 
 

@@ -75,11 +75,10 @@ def notes_of(
     found: list[WrittenNote] = []
     for index, placed in enumerate(written):
         note, hand, grace = placed.element, hand_of[index], graces.get(index)
-        pitch = _sounding_pitch(note, is_drum, counts)
+        pitch = _written_pitch(note, is_drum, counts)
         if pitch is None:
             continue
-        shift = transposition(placed)
-        step, semitones = _step_and_semitones(pitch)
+        shift, (step, semitones) = transposition(placed), pitch
         natural = _natural(step + shift.steps)
         sounds = semitones + shift.semitones
         signed = SignedNote(
@@ -105,10 +104,13 @@ def notes_of(
     return found
 
 
-def _sounding_pitch(
+def _written_pitch(
     note: Element, is_drum: Callable[[Element], bool], counts: Counter[str]
-) -> Element | None:
-    """The pitch of a note that is played; None for a rest, a cue and what has none to be read."""
+) -> tuple[int, int] | None:
+    """The pitch of a note that is played: its number among the white keys, C0 being 0, and in MIDI.
+
+    It is None for a rest, a cue and what has no pitch that can be read.
+    """
     if note.find("cue") is not None or note.find("rest") is not None:
         return None
     if is_drum(note):
@@ -122,15 +124,10 @@ def _sounding_pitch(
     if step not in [*STEPS] or not _OCTAVES.fullmatch(octave):
         counts["unreadable"] += 1
         return None
-    counts["microtone"] += number(pitch.findtext("alter")).denominator > 1
-    return pitch
-
-
-def _step_and_semitones(pitch: Element) -> tuple[int, int]:
-    """The number of a written pitch among the white keys, C0 being 0, and its MIDI pitch."""
-    octave = int(number(pitch.findtext("octave")))
-    step = STEPS.index(pitch.findtext("step", "").strip()) + len(STEPS) * octave
-    return step, _natural(step) + round(number(pitch.findtext("alter")))
+    alter = number(pitch.findtext("alter"))
+    counts["microtone"] += alter.denominator > 1
+    key = STEPS.index(step) + len(STEPS) * int(octave)
+    return key, _natural(key) + round(alter)
 
 
 def _natural(step: int) -> int:
