@@ -68,7 +68,6 @@ class OneHand:
         self._spans_of_chord = replace(players, reach=eased).spans()
         self._outwards = 1 if hand == RIGHT else -1
         self.fits = cache(self._fits)
-        self.middle = cache(self._middle)
         self.jump_time = cache(self._jump_time)
 
     def reaches(self, pitch: int) -> bool:
@@ -90,7 +89,7 @@ class OneHand:
 
     def _jump_time(self, left: tuple[int, ...], struck: tuple[int, ...], holding: bool) -> float:
         """The time from leaving keys to striking others [s]."""
-        distance = abs(self.middle(left) - self.middle(struck))
+        distance = abs(self._middle(left) - self._middle(struck))
         return float(self._times.seconds(distance, len(left), len(struck), holding))
 
 

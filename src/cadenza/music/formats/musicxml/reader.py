@@ -7,7 +7,6 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import islice
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -150,19 +149,13 @@ def _hold(notes: Iterable[RawNote], track: int, moves: Sequence[tuple[float, int
             note.end = max(note.end, up[end] if end < len(up) else note.end)
 
 
-def _bars(passages: Sequence[Passage], tempo: TempoMap) -> list[Bar]:
-    """The bars as they are played, in seconds."""
-    beats = [
-        [beat + passage.later for beat in (passage.bar.begin, *passage.bar.beats)]
-        for passage in passages
-    ]
-    times = iter(
-        np.round(tempo.onsets([place for bar in beats for place in bar]), _DECIMALS).tolist()
-    )
-    return [
-        Bar(next(times), p.bar.number, tuple(islice(times, len(bar) - 1)), p.bar.beat_type)
-        for p, bar in zip(passages, beats, strict=True)
-    ]
+def _bars(passages: Iterable[Passage], tempo: TempoMap) -> Iterator[Bar]:
+    """Yields the bars as they are played, in seconds."""
+    for passage in passages:
+        bar, later = passage.bar, passage.later
+        places = [place + later for place in (bar.begin, *bar.beats)]
+        begin, *beats = np.round(tempo.onsets(places), _DECIMALS).tolist()
+        yield Bar(begin, bar.number, tuple(beats), bar.beat_type)
 
 
 @dataclass(frozen=True, slots=True)

@@ -103,7 +103,8 @@ def timeline(parts: Sequence[Element]) -> tuple[list[list[Placed]], list[Fractio
         placed.append(elements)
         pairs = zip_longest(lengths, own_lengths, fillvalue=(0, ZERO))
         lengths = [max(pair) for pair in pairs]
-    begins = [*accumulate((each for _, each in lengths), _sum, initial=ZERO)]
+    measures = (each for _, each in lengths)
+    begins = [*accumulate(measures, lambda end, each: exact(end + each), initial=ZERO)]
     moved = [
         [each._replace(quarter=begins[each.measure] + each.quarter) for each in elements]
         for elements in placed
@@ -175,10 +176,6 @@ def attribute(
 def _staff(text: str | None) -> int:
     """The number of a staff; 0 for none."""
     return min(int(number(text)), _MOST_STAVES)
-
-
-def _sum(one: Fraction, other: Fraction) -> Fraction:
-    return exact(one + other)
 
 
 def _metre(attributes: Element) -> Fraction:
