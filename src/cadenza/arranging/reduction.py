@@ -156,8 +156,8 @@ class State(NamedTuple):
 
     cost: float
     hands: tuple[Hand, Hand]
-    classes: int
-    """The pitch classes that have sounded in this beat, as bits."""
+    classes: frozenset[int]
+    """The pitch classes that have sounded in this beat."""
     actions: tuple[Action, ...]
     before: State | None
 
@@ -169,7 +169,7 @@ def reduced(
 
     What is played becomes easier with the `cost` of every note of the harmony.
     """
-    beam = [State(0.0, (Hand(), Hand()), 0, (), None)]
+    beam = [State(0.0, (Hand(), Hand()), frozenset(), (), None)]
     for moment in moments:
         found = [after for state in beam for after in _successors(state, moment, hands, cost)]
         best: dict[tuple[object, ...], State] = {}
@@ -204,7 +204,8 @@ def _successors(
     classes = state.classes
     if moment.begins_beat:
         sounding = (held for hand in state.hands for held in hand.still_held(moment.time))
-        classes = _bits(held.pitch for held in sounding if not _has_died_away(held, moment.time))
+        lasting = (held for held in sounding if not _has_died_away(held, moment.time))
+        classes = frozenset(held.pitch % OCTAVE for held in lasting)
     actions = [
         list(_HandAtMoment(hand, state.hands[hand], moment, hands[hand], classes).actions())
         for hand in (RIGHT, LEFT)
@@ -215,7 +216,7 @@ def _successors(
         now, value = classes, 0.0
         for struck in (*right.struck, *left.struck):
             value += _value(struck, now, cost)
-            now |= 1 << struck.pitch % OCTAVE
+            now |= {struck.pitch % OCTAVE}
         total = state.cost - value + right.cost + left.cost
         yield State(total, (right.hand, left.hand), now, (right, left), state)
 
@@ -232,7 +233,7 @@ def _collide(right: Action, left: Action) -> bool:
     return any(struck.source in mine for struck in left.struck)
 
 
-def _value(struck: Struck, classes: int, cost: float) -> float:
+def _value(struck: Struck, classes: frozenset[int], cost: float) -> float:
     """What a note is worth that is struck when these pitch classes have sounded.
 
     Notes of the harmony have a `cost`.
@@ -243,7 +244,7 @@ def _value(struck: Struck, classes: int, cost: float) -> float:
     if note.bass:
         return _MOVED_BASS if moved else _BASS
     value = -cost - _MOVED * moved - _LATE * struck.late
-    if not classes >> struck.pitch % OCTAVE & 1:
+    if struck.pitch % OCTAVE not in classes:
         return value + _NEW
     return value - _NEW if moved or struck.late else value + _AGAIN
 
@@ -253,21 +254,16 @@ def _has_died_away(held: Held, time: float) -> bool:
     return time - held.start > _LASTS * 2 ** ((_LASTING - held.pitch) / OCTAVE)
 
 
-def _bits(pitches: Iterator[int]) -> int:
-    bits = 0
-    for pitch in pitches:
-        bits |= 1 << pitch % OCTAVE
-    return bits
-
-
 class _HandAtMoment:
     """What one hand may do at one moment: the right hand has the melody, the left the bass."""
 
-    def __init__(self, hand: int, before: Hand, moment: Moment, one: OneHand, classes: int) -> None:
+    def __init__(
+        self, hand: int, before: Hand, moment: Moment, one: OneHand, classes: frozenset[int]
+    ) -> None:
         inwards = -1 if hand == RIGHT else 1  # so that hands share what begins
         written, late = moment.harmony[::inwards], moment.sounding[::inwards]
-        new = [n for n in (*written, *late) if not classes >> n.pitch % OCTAVE & 1]
-        self._harmony = [*new, *(n for n in written if classes >> n.pitch % OCTAVE & 1)]
+        new = [n for n in (*written, *late) if n.pitch % OCTAVE not in classes]
+        self._harmony = [*new, *(n for n in written if n.pitch % OCTAVE in classes)]
         self._hand, self._before, self._moment, self._one = hand, before, moment, one
         self._held = before.still_held(moment.time)
         self._own = moment.melody if hand == RIGHT else moment.bass
