@@ -17,9 +17,7 @@ TREBLE, BASS = "G", "F"
 _MIDDLE_LINE = {TREBLE: 71, BASS: 50}  # pitch: B4, D3
 _STAFF = 9  # semitones from the middle line that need at most one ledger line
 _UNUSUAL = 4  # weight of these in the clef of the other hand
-# Semitones beyond the staff, summed over notes, that outweigh a change of clef; over 30 by a hair,
-# so that of equally good sequences the one with fewer changes is taken.
-_CHANGE_OF_CLEF = 30.000001
+_CHANGE_OF_CLEF = 30.5  # semitones beyond the staff, summed over notes, that one outweighs
 
 _TEMPO_ERROR = 0.01  # [s] by which times that follow from the tempos may differ
 _FASTEST = 1e-3  # [s] of a quarter
