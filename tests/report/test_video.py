@@ -53,7 +53,7 @@ def test_what_cannot_be_a_video_is_refused_and_leaves_no_file(tmp_path, frames, 
 def test_a_video_too_small_to_be_encoded(tmp_path) -> None:
     frames = [np.zeros((1, 1, 3), np.uint8)]
     with pytest.raises(CadenzaError, match="0 x 0 pixels cannot be encoded"):
-        write_video(tmp_path / "video.mp4", frames, 20, np.zeros(10, np.int16), 44_100)
+        write_video(tmp_path / "video.mp4", frames, 20, np.zeros(10, np.int16))
     assert not list(tmp_path.iterdir())
 
 

@@ -132,7 +132,7 @@ def write_film(
         write_animation(path, pictures, look.fps, size)
     else:
         audio = _heard(episode, excerpt, voice)
-        write_video(path, pictures, look.fps, audio, SAMPLE_RATE, size)
+        write_video(path, pictures, look.fps, audio, size)
     return path
 
 

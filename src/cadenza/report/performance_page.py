@@ -17,7 +17,7 @@ from cadenza.music.score import Score
 from cadenza.report.engraver import Engraver
 from cadenza.report.html_pages import render
 from cadenza.report.recording import recording_of
-from cadenza.report.sound import SAMPLE_RATE, Samples, bit_rate_of, encode_opus
+from cadenza.report.sound import Samples, bit_rate_of, encode_opus
 
 STYLES = ("uplot.min.css", "page.css", "chart.css", "score.css")
 SCRIPTS = (
@@ -55,7 +55,6 @@ def performance_page(
     metrics: Mapping[str, Any],
     settings: Mapping[str, Any],
     audio: Samples,
-    sample_rate: int = SAMPLE_RATE,
     misses: Sequence[Mapping[str, Any]] = (),
     arrangement: Sequence[Mapping[str, Any]] = (),
     goal_sound: bytes = b"",
@@ -71,7 +70,6 @@ def performance_page(
         settings: name -> value, nested or not; `agent` and `seed` are also named at the top, and
             each of `remarks`. None is not shown; of an absolute path, only the last part.
         audio: the performance as `synthesize` makes it, starting with the first step.
-        sample_rate: of the audio [Hz].
         misses: the notes that were lost, as `misses.json` has them; without any, the page has no
             such table.
         arrangement: what became of each note of a song that was arranged, as `arrangement.json`
@@ -89,7 +87,7 @@ def performance_page(
         remarks = [*remarks, f"no sheet music here: engraving took over {_PATIENCE:g} s"]
     # At least as long as the episode: the page's clock is this sound.
     seconds = episode.num_steps * episode.dt
-    sound = encode_opus(audio, sample_rate, bit_rate_of(seconds), seconds=seconds)
+    sound = encode_opus(audio, bit_rate_of(seconds), seconds=seconds)
     yield from render(
         "performance.html",
         title=episode.song or "Untitled",

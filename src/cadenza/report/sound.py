@@ -78,12 +78,11 @@ Samples = NDArray[np.int16] | Sound
 """Samples (n,) or (n, 2), 16 bit."""
 
 
-def synthesize(score: Score, sample_rate: int = SAMPLE_RATE, voice: Tone = tone) -> Sound:
+def synthesize(score: Score, voice: Tone = tone) -> Sound:
     """Returns the sound of `score`; without notes it has no samples.
 
     Args:
         score: the notes and the pedal.
-        sample_rate: of the sound [Hz].
         voice: what makes the notes; the built-in piano unless it is another, such as `font_tone`.
 
     Louder notes are also brighter; while the pedal is down, notes ring on after their end. The
@@ -97,30 +96,25 @@ def synthesize(score: Score, sample_rate: int = SAMPLE_RATE, voice: Tone = tone)
     notes = list(zip(score.notes, _releases(score), strict=True))
     latest = max(release + _damping(note.pitch) for note, release in notes)
     # Half precision: an error 76 dB below the sound, whatever its level.
-    sound = Sound(int((latest + _TAIL) * sample_rate) + 1)
-    meter = _LoudnessMeter(sample_rate)
+    sound = Sound(int((latest + _TAIL) * SAMPLE_RATE) + 1)
+    meter = _LoudnessMeter()
     first = 0
     with threadpool_limits(1):  # small matrices
-        for block in _in_room(_blocks(notes, len(sound), sample_rate, voice), sample_rate):
+        for block in _in_room(_blocks(notes, len(sound), voice)):
             sound.write(first, block.T.astype(np.float16).view(np.int16))
             meter.add(block)
             first += block.shape[1]
-    _level(sound, 10 ** ((_LOUDNESS - meter.integrated) / 20), sample_rate)
+    _level(sound, 10 ** ((_LOUDNESS - meter.integrated) / 20))
     return sound
 
 
 def encode_opus(
-    audio: Samples,
-    sample_rate: int = SAMPLE_RATE,
-    bit_rate: int = 96_000,
-    mono: bool = False,
-    seconds: float = 0.0,
+    audio: Samples, bit_rate: int = 96_000, mono: bool = False, seconds: float = 0.0
 ) -> bytes:
     """Returns `audio` as a WebM file with Opus, which every browser plays.
 
     Args:
         audio: what sounds.
-        sample_rate: of the audio [Hz].
         bit_rate: of the file, bits a second, which it has about.
         mono: whether both channels are mixed into one.
         seconds: what the file lasts at least; silence is added where the audio is shorter.
@@ -131,8 +125,8 @@ def encode_opus(
         frames = {"frame_duration": str(_OPUS_FRAME)}
         stream = container.add_stream("libopus", rate=_OPUS_RATE, layout=layout, options=frames)
         stream.bit_rate = bit_rate
-        length = max(len(audio), int(np.ceil(seconds * sample_rate)))
-        for frame in audio_frames(audio, sample_rate, length):
+        length = max(len(audio), int(np.ceil(seconds * SAMPLE_RATE)))
+        for frame in audio_frames(audio, length):
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
     return buffer.getvalue()
@@ -147,33 +141,33 @@ def bit_rate_of(seconds: float, mono: bool = False) -> int:
     return round(min(max(least * _LONG / max(seconds, 1.0), least), most))
 
 
-def audio_frames(audio: Samples, sample_rate: int, length: int) -> Iterator[av.AudioFrame]:
+def audio_frames(audio: Samples, length: int) -> Iterator[av.AudioFrame]:
     """Yields `length` samples of `audio`, with silence after its end, a second at a time."""
-    for first in range(0, length, sample_rate):
-        samples = np.zeros((min(sample_rate, length - first), *audio.shape[1:]), np.int16)
+    for first in range(0, length, SAMPLE_RATE):
+        samples = np.zeros((min(SAMPLE_RATE, length - first), *audio.shape[1:]), np.int16)
         part = audio[first : first + len(samples)]
         samples[: len(part)] = part
         layout = "mono" if audio.ndim == 1 else "stereo"
         frame = av.AudioFrame.from_ndarray(samples.reshape(1, -1), format="s16", layout=layout)
-        frame.sample_rate = sample_rate
-        frame.pts, frame.time_base = first, Fraction(1, sample_rate)
+        frame.sample_rate = SAMPLE_RATE
+        frame.pts, frame.time_base = first, Fraction(1, SAMPLE_RATE)
         yield frame
 
 
 class _LoudnessMeter:
     """Measures the integrated loudness by ITU-R BS.1770-4, with FFmpeg's filter ebur128."""
 
-    def __init__(self, sample_rate: int) -> None:
+    def __init__(self) -> None:
         self.integrated = -70.0
         """Loudness [LUFS] so far, but for the last tenth of a second; -70 for silence."""
-        self._rate, self._added = sample_rate, 0
+        self._added = 0
         self._graph = av.filter.Graph()
         nodes = (
             self._graph.add_abuffer(
-                sample_rate=sample_rate,
+                sample_rate=SAMPLE_RATE,
                 format="fltp",
                 layout="stereo",
-                time_base=Fraction(1, sample_rate),
+                time_base=Fraction(1, SAMPLE_RATE),
             ),
             self._graph.add("ebur128", "metadata=1"),
             self._graph.add("abuffersink"),
@@ -183,7 +177,7 @@ class _LoudnessMeter:
     def add(self, block: NDArray[np.float32]) -> None:
         """Measures the next samples (2, n) of the piece."""
         frame = av.AudioFrame.from_ndarray(block, format="fltp", layout="stereo")
-        frame.sample_rate, frame.pts = self._rate, self._added
+        frame.sample_rate, frame.pts = SAMPLE_RATE, self._added
         self._graph.push(frame)
         self._added += block.shape[1]
         while True:
@@ -195,19 +189,19 @@ class _LoudnessMeter:
 
 
 def _blocks(
-    notes: list[tuple[Note, float]], length: int, rate: int, voice: Tone
+    notes: list[tuple[Note, float]], length: int, voice: Tone
 ) -> Iterator[NDArray[np.float32]]:
     """Yields the sound of notes, sorted by start, with their releases [s], in blocks (2, n)."""
     loudest = max(note.velocity for note, _ in notes)
-    size = BLOCK * rate
+    size = BLOCK * SAMPLE_RATE
     mix = np.zeros((2, size), np.float32)  # from the block's beginning on
     tones: dict[tuple[int, int, int], NDArray[np.float32]] = {}
     done = 0
     for begin in range(0, length, size):
-        while done < len(notes) and round(notes[done][0].start * rate) < begin + size:
+        while done < len(notes) and round(notes[done][0].start * SAMPLE_RATE) < begin + size:
             note, release = notes[done]
-            sound = _damped(_tone_of(note, release, rate, tones, voice), note, release, rate)
-            first = round(note.start * rate) - begin
+            sound = _damped(_tone_of(note, release, tones, voice), note, release)
+            first = round(note.start * SAMPLE_RATE) - begin
             mix = _at_least(first + len(sound), mix)
             gain = _LOUDEST * (note.velocity / loudest) ** LOUDER
             for channel, level in zip(mix, gain * _pan(note.pitch), strict=True):
@@ -225,7 +219,6 @@ def _at_least(length: int, mix: NDArray[np.float32]) -> NDArray[np.float32]:
 def _tone_of(
     note: Note,
     release: float,
-    rate: int,
     tones: dict[tuple[int, int, int], NDArray[np.float32]],
     voice: Tone,
 ) -> NDArray[np.float32]:
@@ -237,7 +230,7 @@ def _tone_of(
     if key not in tones:
         if sum(tone.nbytes for tone in tones.values()) > _TONES_KEPT:
             tones.clear()
-        tones[key] = voice(note.pitch, band / 127, 2.0**doublings, rate)
+        tones[key] = voice(note.pitch, band / 127, 2.0**doublings, SAMPLE_RATE)
     return tones[key]
 
 
@@ -269,16 +262,14 @@ def _damping(pitch: int) -> float:
     return 1.2 if pitch > LAST_DAMPER else 8 * DAMPING
 
 
-def _damped(
-    tone: NDArray[np.float32], note: Note, release: float, rate: int
-) -> NDArray[np.float32]:
+def _damped(tone: NDArray[np.float32], note: Note, release: float) -> NDArray[np.float32]:
     """Returns the note's tone (n,) with the damper falling at `release` [s]."""
     held, damping = release - note.start, _damping(note.pitch)
-    sound = tone[: int((held + damping) * rate)].copy()
-    after = sound[int(held * rate) :]
+    sound = tone[: int((held + damping) * SAMPLE_RATE)].copy()
+    after = sound[int(held * SAMPLE_RATE) :]
     fade = np.linspace(1, 0, len(after), dtype=np.float32)  # ends at exactly 0: no click
     if note.pitch <= LAST_DAMPER:
-        fade *= np.exp(-np.arange(len(after), dtype=np.float32) / (DAMPING * rate))
+        fade *= np.exp(-np.arange(len(after), dtype=np.float32) / (DAMPING * SAMPLE_RATE))
     after *= fade
     return sound
 
@@ -290,22 +281,22 @@ def _pan(pitch: int) -> NDArray[np.float32]:
     return np.sqrt(2) * np.array([np.cos(angle), np.sin(angle)], np.float32)
 
 
-def _in_room(blocks: Iterator[NDArray[np.float32]], rate: int) -> Iterator[NDArray[np.float32]]:
+def _in_room(blocks: Iterator[NDArray[np.float32]]) -> Iterator[NDArray[np.float32]]:
     """Adds a little room: decaying noise, always the same, as impulse response."""
     from scipy import signal  # which takes half a second, and would delay the first action
 
-    time = np.arange(int(_TAIL * rate)) / rate
+    time = np.arange(int(_TAIL * SAMPLE_RATE)) / SAMPLE_RATE
     noise = np.random.default_rng(88).standard_normal((len(time), 2)).T
-    band = signal.butter(1, [200, 3500], "bandpass", fs=rate, output="sos")
+    band = signal.butter(1, [200, 3500], "bandpass", fs=SAMPLE_RATE, output="sos")
     response = np.asarray(signal.sosfilt(band, noise * np.exp(-8 * time)))
-    response[:, : int(0.012 * rate)] = 0  # the first wall is some metres away
+    response[:, : int(0.012 * SAMPLE_RATE)] = 0  # the first wall is some metres away
     response *= _ROOM * 4 / np.linalg.norm(response, axis=1, keepdims=True)
     response = (response * np.linspace(1, 0, len(time))).astype(np.float32)
     ringing = np.zeros((2, 0), np.float32)
     for block in blocks:
         # A second at a time, so that no bit depends on the size of the blocks.
-        for first in range(0, block.shape[1], rate):
-            dry = block[:, first : first + rate]
+        for first in range(0, block.shape[1], SAMPLE_RATE):
+            dry = block[:, first : first + SAMPLE_RATE]
             wet = signal.fftconvolve(dry, response, axes=1)
             wet[:, : ringing.shape[1]] += ringing
             ringing = wet[:, dry.shape[1] :]
@@ -313,14 +304,14 @@ def _in_room(blocks: Iterator[NDArray[np.float32]], rate: int) -> Iterator[NDArr
         yield block
 
 
-def _level(sound: Sound, gain: float, rate: int) -> None:
+def _level(sound: Sound, gain: float) -> None:
     """Replaces a mix in half precision by its samples times `gain`.
 
     Where that exceeds the ceiling, it is turned down around peaks, so that the waveform is not
     bent.
     """
-    window = int(0.01 * rate) | 1
-    size = BLOCK * rate
+    window = int(0.01 * SAMPLE_RATE) | 1
+    size = BLOCK * SAMPLE_RATE
     before = np.zeros((2, 0), np.float32)  # what the block just written was like
     for first in range(0, len(sound), size):
         mix = sound[first : first + size + window].view(np.float16)

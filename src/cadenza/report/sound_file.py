@@ -14,9 +14,7 @@ CODECS = {".wav": "pcm_s16le", ".flac": "flac", ".mp3": "libmp3lame"}
 _MP3_RATE = 192_000  # bit/s
 
 
-def write_sound(
-    path: Path, audio: Samples, sample_rate: int = SAMPLE_RATE, seconds: float = 0.0
-) -> None:
+def write_sound(path: Path, audio: Samples, seconds: float = 0.0) -> None:
     """Writes samples (n,) or (n, 2) to a file of the kind that its name says, one of `CODECS`.
 
     WAV and FLAC keep every bit. The file lasts so many seconds at least, the rest of them silent.
@@ -29,11 +27,11 @@ def write_sound(
         av.open(file, "w", format=path.suffix.lower().removeprefix(".")) as container,
     ):
         layout = "mono" if audio.ndim == 1 else "stereo"
-        stream = container.add_stream(CODECS[path.suffix.lower()], rate=sample_rate, layout=layout)
+        stream = container.add_stream(CODECS[path.suffix.lower()], rate=SAMPLE_RATE, layout=layout)
         assert isinstance(stream, av.AudioStream)
         if stream.codec.name == CODECS[".mp3"]:
             stream.bit_rate = _MP3_RATE
-        length = max(len(audio), round(seconds * sample_rate))
-        for frame in audio_frames(audio, sample_rate, length):
+        length = max(len(audio), round(seconds * SAMPLE_RATE))
+        for frame in audio_frames(audio, length):
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))

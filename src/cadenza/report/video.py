@@ -33,7 +33,6 @@ def write_video(
     frames: Iterable[NDArray[np.uint8]],
     fps: float,
     audio: Samples,
-    sample_rate: int = SAMPLE_RATE,
     size: tuple[int, int] | None = None,
 ) -> None:
     """Writes an MP4 with H.264 pictures and AAC sound, which any player and browser plays.
@@ -66,7 +65,7 @@ def write_video(
         video.width, video.height, video.pix_fmt = width, height, "yuv420p"
         video.thread_count = _THREADS
         layout = "mono" if audio.ndim == 1 else "stereo"
-        sound = container.add_stream("aac", rate=sample_rate, layout=layout)
+        sound = container.add_stream("aac", rate=SAMPLE_RATE, layout=layout)
 
         count = 0
         for picture in _scaled(path, pictures, (width, height), "yuv420p"):
@@ -74,8 +73,8 @@ def write_video(
             count += 1
         container.mux(video.encode(None))
 
-        length = min(len(audio), int((count / fps + 1) * sample_rate))
-        for frame in audio_frames(audio, sample_rate, length):
+        length = min(len(audio), int((count / fps + 1) * SAMPLE_RATE))
+        for frame in audio_frames(audio, length):
             container.mux(sound.encode(frame))
         container.mux(sound.encode(None))
 
