@@ -16,7 +16,8 @@ import pytest
 import mutations
 from cadenza.cli import main
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.benchmark.card import CARD, Effort, actions_digest, actions_path
+from cadenza.evaluation.benchmark.about import About
+from cadenza.evaluation.benchmark.card import CARD, actions_digest, actions_path
 from cadenza.evaluation.benchmark.definition import (
     PUBLIC_SETS,
     SCENE,
@@ -28,7 +29,7 @@ from cadenza.evaluation.benchmark.definition import (
     set_up_song,
     song_digest,
 )
-from cadenza.evaluation.benchmark.entry import About, enter
+from cadenza.evaluation.benchmark.entry import enter
 from cadenza.evaluation.benchmark.leaderboard import entries_in, leaderboard, standing
 from cadenza.evaluation.benchmark.verification import BOUND, verify
 from cadenza.evaluation.jobs import Contender, bench_jobs, key_of
@@ -48,7 +49,7 @@ from cadenza.tasks.config import TaskConfig
 MINE = "mine"
 LEAP = 17  # semitones in a tenth of a second, which no hand plays without a fault
 PITCHES = {"low": 60, "high": 67}
-ABOUT = About("planning", MINE, None, "us", "us", "nothing", "a processor", Effort())
+ABOUT = About(track="planning", songs=MINE, name="us", by="us", hardware="a processor")
 
 
 def import_songs(pitches: dict[str, int]) -> None:

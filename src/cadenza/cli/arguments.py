@@ -360,7 +360,7 @@ def _unwrapped(helptext: Any) -> str:
 
 
 def _default_hint(default: str) -> str:
-    if default in ("None", ""):
+    if default in ("None", "", "''"):
         return ""
     return f"(default: {({'True': 'yes', 'False': 'no'}).get(default, default)})"
 

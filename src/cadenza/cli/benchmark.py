@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import tyro
 
@@ -14,6 +14,7 @@ from cadenza.cli.console import counted, in_columns, on_one_line
 from cadenza.cli.progress import progress
 from cadenza.cli.saving import check_writable
 from cadenza.errors import CadenzaError
+from cadenza.evaluation.benchmark.about import About
 
 if TYPE_CHECKING:
     from cadenza.evaluation.benchmark.verification import Verified
@@ -49,8 +50,8 @@ def benchmark(_command: Benchmark) -> None:
     print(f"\nSets, as --songs of cadenza bench takes them\n{in_columns(rows, '<<<<')}")
 
 
-@dataclass(frozen=True)
-class Enter:
+@dataclass(frozen=True, kw_only=True)
+class Enter(About):
     """Make an entry to the benchmark of the runs of "cadenza bench".
 
     Example: cadenza enter bench --songs bundled --track planning -o entry
@@ -58,61 +59,17 @@ class Enter:
 
     bench: tyro.conf.Positional[Path]
     """Folder of the bench."""
-    songs: str
-    """Set whose songs were played, see "cadenza benchmark"."""
-    track: Literal["one-song", "at-sight", "planning"]
-    """What the agent may know, see "cadenza benchmark"."""
     output: Output[Path] = Path("entry")
     """A new folder for the entry."""
-    agent: str | None = None
-    """Agent of the bench. By default the only one that played these songs."""
-    name: str = ""
-    """Name of the row. By default that of the agent."""
-    by: str = "anonymous"
-    """Who enters it, and where its code is."""
-    data: str = "nothing"
-    """What it has learnt from."""
-    hardware: str = ""
-    """Processor, and GPU if one was used. By default this processor."""
-    training_steps: int | None = None
-    """Control steps of training or practice, for all songs together. Known of train:PRESET."""
-    cpu_hours: float | None = None
-    """Core hours of training or practice. Known of train:PRESET."""
-    gpu_hours: float | None = None
-    """Hours of a GPU."""
     quiet: Quiet = False
 
 
 def enter(command: Enter) -> None:
-    from cadenza.evaluation.benchmark.card import Effort
-    from cadenza.evaluation.benchmark.entry import About
     from cadenza.evaluation.benchmark.entry import enter as write_entry
 
-    about = About(
-        track=command.track,
-        songs=command.songs,
-        agent=command.agent,
-        name=command.name,
-        by=command.by,
-        data=command.data,
-        hardware=command.hardware or _processor(),
-        effort=Effort(command.training_steps, command.cpu_hours, command.gpu_hours),
-    )
     with progress("playing again", "runs") as advance:
-        verified = write_entry(command.bench, command.output, about, advance)
+        verified = write_entry(command.bench, command.output, command, advance)
     print(f"{command.output}: {_in_words(verified)}")
-
-
-def _processor() -> str:
-    """Returns the name of the processor, as Linux says it."""
-    import platform
-
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = []
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, "") or platform.machine()
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import platform
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
 from cadenza.agents.playback import load_plan
 from cadenza.errors import CadenzaError
+from cadenza.evaluation.benchmark.about import About
 from cadenza.evaluation.benchmark.card import (
     CARD,
     FORMAT,
@@ -41,29 +43,7 @@ _HIDES_FINGERS = ("robot", "human")  # values of --fingering with which a score'
 _SECONDS_PER_HOUR = 3600
 
 
-@dataclass(frozen=True)
-class About:
-    """What whoever enters says, since no run can tell it."""
-
-    track: str
-    songs: str
-    """The set."""
-    agent: str | None
-    """The agent of the bench; None for the only one."""
-    name: str
-    """The name of the row; the agent's, if it is empty."""
-    by: str
-    data: str
-    hardware: str
-    effort: Effort
-
-
-def enter(
-    bench: Path,
-    entry: Path,
-    about: About,
-    progress: Progress = silent,
-) -> Verified:
+def enter(bench: Path, entry: Path, about: About, progress: Progress = silent) -> Verified:
     """Writes an entry of the runs of a bench, and plays it again to see that it holds.
 
     Args:
@@ -79,7 +59,7 @@ def enter(
     library = open_set(about.songs)
     results = _results(bench, {song.name for song in library.songs}, about.agent)
     first = results[0]
-    effort = _effort(results, about.effort)
+    effort = _effort(results, about)
     options = first.job["config"] if isinstance(first.job["config"], dict) else {}
     check_track(about.track, first.agent, options, about.songs, effort)
     hidden = first.job["task"]["fingering"] in _HIDES_FINGERS
@@ -105,7 +85,7 @@ def enter(
             fingering=fingering,
             seeds=tuple(sorted({result.seed for result in results})),
             data=about.data,
-            hardware=about.hardware,
+            hardware=about.hardware or _processor(),
             versions=first.versions | engine(),
             runs=tuple(runs),
             effort=effort,
@@ -171,14 +151,24 @@ def _check_task(result: Result) -> None:
             )
 
 
-def _effort(results: Sequence[Result], said: Effort) -> Effort:
+def _effort(results: Sequence[Result], about: About) -> Effort:
     """Returns what was spent on training: as measured where a bench has trained, else as said."""
     trained = [result for result in results if result.training is not None]
     if not trained:
-        return said
+        return Effort(about.training_steps, about.cpu_hours, about.gpu_hours)
     steps = sum(result.training.steps for result in trained if result.training)
     core_seconds = math.fsum(r.training.seconds * r.timing.threads for r in trained if r.training)
-    return Effort(steps, round(core_seconds / _SECONDS_PER_HOUR, 3), said.gpu_hours)
+    return Effort(steps, round(core_seconds / _SECONDS_PER_HOUR, 3), about.gpu_hours)
+
+
+def _processor() -> str:
+    """Returns the name of the processor, as Linux says it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, "") or platform.machine()
 
 
 def _recorded(result: Result, folder: Path, digest: str, low: Any, high: Any) -> RecordedRun:
