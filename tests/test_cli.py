@@ -466,7 +466,7 @@ def test_play_leaves_what_it_promises(
     scores |= {f"{kind}_{name}" for name in scores for kind in ("sustain", "pooled")}
     scores |= {"note_onset_f1", "note_onset_offset_f1"}
     other = {"return", "reward/key_press", "steps", "planning_seconds", "playing_seconds"}
-    other |= {"rewarded_fingers"}
+    other |= {"rewarded_fingers", "energy"}
     total = metrics["return"]
     assert f"return {total:.1f}: key press {total:.1f}\n" in said.out  # there are no fingers
     assert "\nonsets " in said.out

@@ -146,8 +146,8 @@ def test_settings_that_are_none_are_not_shown(write, episode):
 
 
 def test_a_zero_has_no_minus(write, episode):
-    page = write(episode, {"f1": -0.0, "energy": -0.0, "loss": -0.5})
-    assert {"0.000", "0", "-0.5"} <= set(page.words)
+    page = write(episode, {"f1": -0.0, "sum": -0.0, "loss": -0.5, "energy": 2.5})
+    assert {"0.000", "0", "-0.5", "2.5 J"} <= set(page.words)
     assert not {"-0.000", "-0"} & set(page.words)
 
 

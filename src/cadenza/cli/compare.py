@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
@@ -12,19 +11,13 @@ from typing import TYPE_CHECKING
 from cadenza.agents.registry import PLAYBACK
 from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.console import in_columns
-from cadenza.cli.options import (
-    Performing,
-    Read,
-    check_all_play,
-    setting_up,
-)
+from cadenza.cli.options import Performing, Read, check_all_play, setting_up
 from cadenza.cli.progress import stages
 from cadenza.cli.saving import check_writable, default_folder
 from cadenza.errors import CadenzaError
 from cadenza.files import write_json
 
 if TYPE_CHECKING:
-    from cadenza.performing.performance import Performance
     from cadenza.performing.setup import Selection
     from cadenza.report.comparison_page import Run
 
@@ -98,14 +91,15 @@ def _write(folder: Path, runs: list[Run], remarks: list[str], command: Compare) 
 
 def _run(name: str, selection: Selection, command: Compare, seed: int) -> Run:
     from cadenza.performing.performance import perform
-    from cadenza.report.comparison_page import Run
+    from cadenza.report.comparison_page import Run, compared
 
     with (
         setting_up(selection, command, seed) as setup,
         stages(f"{name}, seed {seed}") as progress,
     ):
         performance = perform(setup, progress)
-    return Run(name, seed, _metrics(performance), performance.episode)
+    figures = compared(performance.metrics, performance.seconds)
+    return Run(name, seed, figures, performance.episode)
 
 
 def in_text(runs: Sequence[Run]) -> str:
@@ -125,15 +119,3 @@ def _differing(own: Compare, command: Compare) -> str:
     options, others = (task_identity(each.task, each.scene, seed=0) for each in (own, command))
     changed = {name: v for name, v in options.items() if v != others[name]}
     return ", ".join(f"{name} {v} instead of {others[name]}" for name, v in changed.items())
-
-
-def _metrics(performance: Performance) -> dict[str, float]:
-    """Returns the metrics that are compared."""
-    metrics, energy = performance.metrics, performance.energy
-    figures = {name: metrics[name] for name in ("f1", "precision", "recall", "note_onset_f1")}
-    error = metrics["timing_error"]
-    return figures | {
-        "timing_error": math.nan if error is None else error,
-        "energy": math.nan if energy is None else energy,
-        "planning": metrics["planning_seconds"] / performance.seconds,
-    }

@@ -10,11 +10,7 @@ from typing import Any
 from cadenza.agents.registry import PLANNER, PLAYBACK
 from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.estimate import print_estimate
-from cadenza.cli.options import (
-    Performing,
-    Read,
-    setting_up,
-)
+from cadenza.cli.options import Performing, Read, setting_up
 from cadenza.cli.progress import stages
 from cadenza.cli.saving import (
     check_name,

@@ -15,13 +15,7 @@ from cadenza.agents.registry import PLANNER
 from cadenza.cli.arguments import Advanced, Output, Quiet, SoundFont
 from cadenza.cli.console import stop_on_signal
 from cadenza.cli.estimate import print_estimate
-from cadenza.cli.options import (
-    AGENTS_HELP,
-    Performing,
-    Read,
-    check_all_play,
-    setting_up,
-)
+from cadenza.cli.options import AGENTS_HELP, Performing, Read, check_all_play, setting_up
 from cadenza.cli.practice import practised
 from cadenza.cli.progress import stages
 from cadenza.cli.saving import check_writable, default_folder, save, voice_of

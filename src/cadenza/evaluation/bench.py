@@ -110,7 +110,9 @@ def bench(
                 _is_finished(state, job, "stopped")  # before it was
             break
         while state.todo and len(state.running) < executor.capacity:
-            _start(state, state.todo.popleft(), executor)
+            job = state.todo.popleft()
+            state.running[job.spec.name] = job
+            executor.start(job, state.folder / job.spec.name)
         if not state.running:
             time.sleep(_POLL_INTERVAL)
         for job, crash in executor.ended(_POLL_INTERVAL) if state.running else ():
@@ -121,11 +123,6 @@ def bench(
                 state.elsewhere.append(job)
         _poll_elsewhere(state, ended)
     return state
-
-
-def _start(state: BenchState, job: Job, executor: Executor) -> None:
-    state.running[job.spec.name] = job
-    executor.start(job, state.folder / job.spec.name)
 
 
 def _is_finished(state: BenchState, job: Job, crash: str = "") -> bool:

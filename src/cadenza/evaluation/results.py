@@ -51,7 +51,7 @@ class ResultFile:
     """A `cadenza.evaluation.job.JobSpec`."""
     song: SongFacts
     metrics: dict[str, int | float | bool | str | None]
-    """Metrics of `cadenza play`, and `energy` [J] of all actuators, if the task counts it."""
+    """Metrics of `cadenza play`."""
     timing: Timing
     versions: dict[str, str]
     training: Trained | None = None

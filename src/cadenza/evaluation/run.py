@@ -117,7 +117,7 @@ def _result(
         format=FORMAT,
         job=spec.as_json(),
         song=replace(job.song, notes=len(performance.score.notes)),
-        metrics=performance.metrics | {"energy": performance.energy},
+        metrics=performance.metrics,
         timing=Timing(seconds, performance.seconds, num_threads, cpu_seconds),
         versions=versions(),
         training=trained,

@@ -62,7 +62,6 @@ def bootstrap_interval(
     scores: Scores,
     rng: np.random.Generator,
     resamples: int = RESAMPLES,
-    confidence: float = CONFIDENCE,
 ) -> tuple[Scores, Scores]:
     """Returns both ends of the interval of `statistic` of `scores` (runs, pieces).
 
@@ -75,7 +74,7 @@ def bootstrap_interval(
         unknown = np.full_like(statistic(scores), np.nan)
         return unknown, unknown
     of_each = statistic(_resampled(scores, rng, resamples))
-    tail = (1 - confidence) / 2
+    tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile(of_each, [tail, 1 - tail], axis=0)
     return low, high
 
@@ -95,7 +94,7 @@ def _resampled(scores: Scores, rng: np.random.Generator, resamples: int) -> Scor
     return np.where(there, np.take_along_axis(scores[None], run, axis=1), np.nan)
 
 
-def mean_interval(scores: Scores, confidence: float = CONFIDENCE) -> tuple[Scores, Scores, Scores]:
+def mean_interval(scores: Scores) -> tuple[Scores, Scores, Scores]:
     """Returns the mean of each piece over its runs, and both ends of its interval; each (pieces,).
 
     Student's t interval, `mean -+ t s / sqrt(n)` with n - 1 degrees of freedom, because a bootstrap
@@ -107,5 +106,5 @@ def mean_interval(scores: Scores, confidence: float = CONFIDENCE) -> tuple[Score
     squares = np.nansum((scores - middle) ** 2, axis=0)
     several = np.where(_differ(scores), count, np.nan)
     error = np.sqrt(squares / (several - 1) / several)
-    reach = stats.t.ppf((1 + confidence) / 2, several - 1) * error
+    reach = stats.t.ppf((1 + CONFIDENCE) / 2, several - 1) * error
     return middle, middle - reach, middle + reach

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -65,7 +65,8 @@ class Performance:
     episode: Episode
     """The recording of all steps."""
     metrics: dict[str, Any]
-    """The metrics, see `cadenza.agents.rollout.EpisodeResult`."""
+    """The metrics, see `cadenza.agents.rollout.EpisodeResult`, and `energy` of all actuators by
+    their power at step ends [J], None if the task does not count it."""
     settings: dict[str, Any]
     """The options by name: agent, seed, task and scene."""
     scene: Scene
@@ -110,15 +111,6 @@ class Performance:
     def losses(self) -> list[dict[str, Any]]:
         """The misses as `misses.json` has them."""
         return [asdict(miss) | {"finger": finger_number(miss.finger)} for miss in self.misses or ()]
-
-    @property
-    def energy(self) -> float | None:
-        """Energy of all actuators by their power at step ends [J]; None if it is not counted."""
-        task = self.settings["task"]
-        cost, weight = self.metrics.get("reward/energy"), task["energy_coefficient"]
-        if cost is None or not weight:
-            return None
-        return float(-cost / weight * task["control_timestep"])
 
     @property
     def seconds(self) -> float:
@@ -294,7 +286,8 @@ def perform(
         part = f"{played * result.episode.dt:.1f} of {setup.num_steps * result.episode.dt:.1f} s"
         ended = f"ended after {part}; all of this page is about that part"
         settings = settings | {"remarks": [*settings.get("remarks", ()), ended]}
-    metrics, arrangement, fates = result.metrics, setup.arrangement, None
+    metrics = result.metrics | {"energy": _energy(result.metrics, setup.task.config)}
+    arrangement, fates = setup.arrangement, None
     if arrangement is not None:
         track = setup.task.tracks[0]
         metrics = metrics | arrangement.metrics(result.episode, track)
@@ -310,6 +303,11 @@ def perform(
         misses=None if plan is None else misses_of(result.episode, plan),
         fates=fates,
     )
+
+
+def _energy(metrics: Mapping[str, Any], task: TaskConfig) -> float | None:
+    cost, weight = metrics.get("reward/energy"), task.energy_coefficient
+    return None if cost is None or not weight else float(-cost / weight * task.control_timestep)
 
 
 def hand_episodes(episode: Episode, scene: Scene) -> dict[Side, Episode]:

@@ -55,6 +55,13 @@ class Run:
         return f"{self.agent}, seed {self.seed}"
 
 
+def compared(metrics: Mapping[str, Any], seconds: float) -> dict[str, float]:
+    """Returns the metrics that are compared, of all those of a performance of so many seconds."""
+    known = {name: metrics.get(name) for name in COLUMNS}
+    known["planning"] = metrics["planning_seconds"] / seconds
+    return {name: math.nan if value is None else value for name, value in known.items()}
+
+
 def means(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
     """Returns for each agent the mean of each metric over the runs in which it is defined."""
     agents = dict.fromkeys(run.agent for run in runs)

@@ -164,7 +164,8 @@ def _with_unit(name: str, value: Any) -> str:
     number = _number(value)
     if number is None or isinstance(value, bool):
         return "–" if number is None else "yes" if value else "no"
-    unit = " s" if name.endswith("seconds") or name.startswith(_IN_SECONDS) else ""
+    is_time = name.endswith("seconds") or name.startswith(_IN_SECONDS)
+    unit = " s" if is_time else " J" if name == "energy" else ""
     return f"{round(number, 3):z.6g}{unit}"
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from pathlib import Path
 from typing import Any
 
 from cadenza.episode import load_episode
 from cadenza.files import read_json
-from cadenza.report.comparison_page import COLUMNS, Run, comparison_page
+from cadenza.report.comparison_page import Run, compared, comparison_page
 from cadenza.report.html_pages import write_page
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.request import AGENTS, hand_titles
@@ -22,13 +21,11 @@ def compared_run(folder: Path, number: int) -> Run:
     settings = read_json(folder / "settings.json", dict[str, Any])
     agent = read_json(folder / ABOUT, KeptPerformance).request.agent
     episode = load_episode(folder / "episode.npz")
-    planning = metrics["planning_seconds"] / (episode.num_steps * episode.dt)
-    known = {name: metrics.get(name) for name in COLUMNS} | {"planning": planning}
-    defined = {name: math.nan if value is None else value for name, value in known.items()}
     title, _ = AGENTS.get(agent, (agent, ""))  # as the page calls it
     hand = settings["scene"]["hand"]
     name = f"{number}. {title}, {hand_titles().get(hand, hand)}"
-    return Run(name, settings["seed"], defined, episode)
+    figures = compared(metrics, episode.num_steps * episode.dt)
+    return Run(name, settings["seed"], figures, episode)
 
 
 def main() -> None:

@@ -13,7 +13,6 @@ from threading import Thread
 
 from cadenza.evaluation.bench import CarryOut, Ended
 from cadenza.evaluation.jobs import Job
-from cadenza.evaluation.run import carry_out
 from cadenza.sim.threads import available_cores
 
 _SPAWN = get_context("spawn")  # MuJoCo and JAX do not survive a fork
@@ -22,12 +21,7 @@ _SPAWN = get_context("spawn")  # MuJoCo and JAX do not survive a fork
 class LocalExecutor:
     """Runs `capacity` processes at once, each with `num_threads` threads for its planner."""
 
-    def __init__(
-        self,
-        num_threads: int,
-        num_jobs: int | None = None,
-        carry_out: CarryOut = carry_out,
-    ) -> None:
+    def __init__(self, num_threads: int, num_jobs: int | None, carry_out: CarryOut) -> None:
         """Starts as many processes as cores allow, unless a number is given."""
         # Read when numpy is first imported, which is before a process knows what it is to do.
         os.environ.setdefault("OMP_NUM_THREADS", str(num_threads))

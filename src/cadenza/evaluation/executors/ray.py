@@ -11,7 +11,6 @@ from typing import Any
 from cadenza.errors import by_others, extra_packages
 from cadenza.evaluation.bench import CarryOut, Ended
 from cadenza.evaluation.jobs import Job
-from cadenza.evaluation.run import carry_out
 
 
 class RayExecutor:
@@ -20,16 +19,17 @@ class RayExecutor:
     def __init__(
         self,
         num_threads: int,
-        num_jobs: int | None = None,
-        address: str | None = None,
-        carry_out: CarryOut = carry_out,
+        num_jobs: int | None,
+        address: str | None,
+        carry_out: CarryOut,
     ) -> None:
         """Joins the cluster at `address`, or starts one on this machine.
 
         Args:
             num_threads: The number of threads of a run, for each of which Ray reserves a core.
-            num_jobs: The number of runs at once, by default as many as there are cores for.
-            address: The address that `ray.init` takes, such as "auto" or "ray.example.org:6379".
+            num_jobs: The number of runs at once, None for as many as there are cores for.
+            address: The address that `ray.init` takes, such as "auto" or "ray.example.org:6379", or
+                None.
             carry_out: The function that carries out a job.
 
         Raises:
