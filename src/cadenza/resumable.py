@@ -7,7 +7,8 @@ that a kill at any moment leaves what was finished last.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
@@ -131,6 +132,23 @@ class ResumableFolder:
                 f"{self.manifest}: missing, but there are checkpoints; use another copy, or choose "
                 "another folder with --output"
             )
+
+
+class RateLimited:
+    """A function that is called again and again, and works only now and then."""
+
+    def __init__(self, work: Callable[[], None], interval: float, share: float) -> None:
+        """Works at most every `interval` [s], and for at most a `share` of the time."""
+        self._work, self._interval, self._share = work, interval, share
+        self._last_time, self._duration = time.monotonic(), 0.0
+
+    def __call__(self, at_once: bool = False) -> None:
+        """Does the work if it is due, or `at_once`."""
+        began = time.monotonic()
+        if at_once or began - self._last_time > max(self._interval, self._duration / self._share):
+            self._work()
+            self._last_time = time.monotonic()
+            self._duration = self._last_time - began
 
 
 def installed_versions(packages: Iterable[str]) -> dict[str, str]:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -26,6 +25,7 @@ from cadenza.learning.learner import DROQ, Preset, name_of
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.reading import name_without_ending
 from cadenza.registry import module_of
+from cadenza.resumable import RateLimited
 from cadenza.scene.config import named_by_module
 from cadenza.tasks.setups import NamedSetup, setup_named
 
@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 PLAYS_WELL = {False: 50_000, True: 30_000}
 """Steps to an F1 of 0.9 of a policy that corrects a plan or does not, by docs/curves: those of
 Au Clair and Twinkle."""
+_PAGE = "report.html"
+_PAGE_INTERVAL = 10.0  # [s] at least between two times that the page of a run is written
+_MAX_WRITING = 0.01  # share of the time that is spent on that
 
 
 @dataclass(frozen=True)
@@ -183,7 +186,7 @@ def _train(command: Train, folder: Path) -> None:
             save(performance, folder / "best_played", command.video)
         if run.metrics.rows():
             _write_curves(folder, title, config)
-            print(f"Learning curves in {folder / 'report.html'}")
+            print(f"Learning curves in {folder / _PAGE}")
         if not finished:
             raise KeyboardInterrupt
 
@@ -231,8 +234,10 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
     if command.wandb:
         settings = asdict(training.config)
         shown.append(WeightsAndBiases(command.wandb, run.path, run.id, settings))
-    write_page = _rate_limited(
-        lambda: _write_curves(run.path, song, training.config, going_on=True)
+    write_page = RateLimited(
+        lambda: _write_curves(run.path, song, training.config, going_on=True),
+        _PAGE_INTERVAL,
+        _MAX_WRITING,
     )
     scores, enough = "", _steps_to_play_well(command) or 0
     shown_steps = progress("learning", "steps", SECONDS_BETWEEN_LINES_OF_TRAINING)
@@ -245,7 +250,7 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
                 row = training.rows.popleft()
                 for scalars in shown:
                     scalars.add(row)
-                write_page()
+                write_page(at_once=not (run.path / _PAGE).exists())
                 if "eval/f1" in row:
                     best = training.best["eval/f1"]
                     onsets = row["eval/note_onset_f1"]
@@ -264,20 +269,6 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
     return training.step >= training.config.num_steps
 
 
-def _rate_limited(do: Callable[[], None]) -> Callable[[], None]:
-    """Returns what does it at most every ten seconds, and for at most a hundredth of the time."""
-    again = 0.0
-
-    def do_if_due() -> None:
-        nonlocal again
-        began = time.monotonic()
-        if began >= again:
-            do()
-            again = began + max(10.0, 100 * (time.monotonic() - began))
-
-    return do_if_due
-
-
 def _write_curves(folder: Path, song: str, config: TrainingConfig, going_on: bool = False) -> None:
     """Writes the page of a run."""
     from cadenza.report.html_pages import write_page
@@ -288,7 +279,7 @@ def _write_curves(folder: Path, song: str, config: TrainingConfig, going_on: boo
     settings = plain(asdict(config))
     curve = replace(_curve(folder), num_steps=config.num_steps)
     page = training_page(song, [curve], settings, links, going_on)
-    write_page(folder / "report.html", page)
+    write_page(folder / _PAGE, page)
 
 
 def curves(command: Curves) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +21,7 @@ from cadenza.performing.performance import Performance, perform
 from cadenza.performing.planning import plan_of
 from cadenza.performing.setup import Setup
 from cadenza.performing.source import PRACTICE, PRACTISED, PRACTISED_HOW, is_own_folder
-from cadenza.resumable import ResumableFolder
+from cadenza.resumable import RateLimited, ResumableFolder
 from cadenza.scene.servos import servos_of
 from cadenza.sim.threads import Threads
 
@@ -47,21 +45,6 @@ def check_is_practice(folder: Path) -> None:
         raise CadenzaError(
             f"{folder}: holds {PRACTISED} from something else; choose another folder with --output"
         )
-
-
-class RateLimited:
-    """A function that is called again and again, and works only now and then."""
-
-    def __init__(self, work: Callable[[], None]) -> None:
-        self._work, self._last_time, self._duration = work, time.monotonic(), 0.0
-
-    def __call__(self, at_once: bool = False) -> None:
-        """Does the work if it is due, or `at_once`."""
-        began = time.monotonic()
-        if at_once or began - self._last_time > max(_SAVE_INTERVAL, self._duration / _MAX_SAVING):
-            self._work()
-            self._last_time = time.monotonic()
-            self._duration = self._last_time - began
 
 
 class Practising:
@@ -88,8 +71,8 @@ class Practising:
         assert isinstance(setup.agent, Planner)
         self._setup, self._agent, self._path = setup, setup.agent, folder.path / PRACTICE
         self.performance: Performance | None = None
-        self.save_if_due = RateLimited(self.save)
-        self.save_plan_if_due = RateLimited(self.save_plan)
+        self.save_if_due = RateLimited(self.save, _SAVE_INTERVAL, _MAX_SAVING)
+        self.save_plan_if_due = RateLimited(self.save_plan, _SAVE_INTERVAL, _MAX_SAVING)
         (rng,) = begin_episodes(setup.task, [setup.seed])
         config, threads = replace(setup.agent.config, effort=0.0), Threads(setup.agent.threads)
         context = PlanningContext(config, threads, progress)
