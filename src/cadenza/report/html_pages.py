@@ -60,6 +60,11 @@ def render(template: str, **context: Any) -> Iterator[str]:
     return _environment().get_template(template).generate(context)
 
 
+def rendered(source: str) -> str:
+    """Returns the page that a template is, which may use the files of `templates`."""
+    return _environment().from_string(source).render()
+
+
 def write_page(path: Path, pieces: Iterator[str]) -> None:
     """Writes the page made of `pieces` to `path`; what is no text, as in names of files, is a ?."""
     with write_atomically(path) as file:

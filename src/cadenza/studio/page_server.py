@@ -34,7 +34,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from cadenza.errors import CadenzaError
-from cadenza.report.html_pages import asset
+from cadenza.report.html_pages import asset, rendered
 from cadenza.studio.access import AccessControl
 from cadenza.studio.address import Address, announce, read_address, write_address
 from cadenza.studio.broadcast import Broadcast
@@ -99,7 +99,7 @@ class PageServer:
 
     async def page(self, _: Request) -> Response:
         """Answers the page; its address must end in a slash, as its links are relative."""
-        return Response(_own("studio.html"), media_type="text/html")
+        return Response(_page(), media_type="text/html")
 
     async def script(self, request: Request) -> Response:
         """Answers a style sheet or a script."""
@@ -168,6 +168,11 @@ def _number(text: str) -> int:
 def _own(name: str) -> str:
     """Returns a file of the studio's own page."""
     return resources.files("cadenza.studio").joinpath("page", name).read_text("utf-8")
+
+
+@cache
+def _page() -> str:
+    return rendered(_own("studio.html"))
 
 
 @cache

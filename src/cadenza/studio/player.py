@@ -227,7 +227,7 @@ def save(performance: Performance, states: StateStream, order: Order, send: Send
         performance.save(folder, reporter.report)
         if order.video:
             write_film(folder, progress=reporter.report)
-        (folder / HEADER_FILE).write_bytes(states.header)
+        (folder / HEADER_FILE).write_bytes(json_message(**states.header).content)
         (folder / ROWS_FILE).write_bytes(states.rows)
         write_json(folder / ABOUT, asdict(about))
         folder.rename(root / order.id)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -37,7 +36,7 @@ class StateStream:
 
     Attributes:
         header: what is to be played, its fingers once it begins, its engraved score once there is
-            one and, once it is over, why notes were missed, as JSON.
+            one and, once it is over, why notes were missed.
         rows: the states of all steps so far.
     """
 
@@ -48,7 +47,8 @@ class StateStream:
         self._dt, keyboard = task.config.control_timestep, task.scene.keyboard
         self._lowest, self._travel = keyboard.lowest_pitch, keyboard.travel
         self._notes = SoundedNotes(self._dt)
-        self.header, self.rows = b"", bytearray()
+        self.header: dict[str, Any] = {}
+        self.rows = bytearray()
 
     def begin(self) -> None:
         """Sends what is to be played; music that is drawn at random is sent with the first step."""
@@ -58,7 +58,7 @@ class StateStream:
     def _send_header(self, track: GoalTrack) -> None:
         scene, goals = self._task.scene, track.goals
         joints = len(scene.hand_start)
-        message = json_message(
+        self._add(
             dt=self._dt,
             steps=goals.num_steps,
             keys=scene.keyboard.num_keys,
@@ -74,8 +74,6 @@ class StateStream:
             remarks=self._setup.settings.get("remarks", []),
             arrangement=arranged_notes(self._fates(track), self._lowest),
         )
-        self.header = message.content
-        self._send(message)
 
     def _fates(self, track: GoalTrack) -> list[dict[str, Any]]:
         """What became of each note of a song that was arranged."""
@@ -89,7 +87,7 @@ class StateStream:
     def _add(self, **known: Any) -> None:
         """Sends what has become known, and keeps it in the header."""
         self._send(json_message(**known))
-        self.header = json_message(**json.loads(self.header) | known).content
+        self.header |= known
 
     def step(self) -> None:
         """Sends the state after the step that was just taken, and the score when it is engraved."""

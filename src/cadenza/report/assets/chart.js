@@ -69,6 +69,9 @@ function createChart(element, options, data) {
   return chart;
 }
 
+/** Options for a chart that says nothing where a pointer is. */
+const SILENT = { padding: [0, 0, 0, 0], legend: { show: false }, cursor: { show: false } };
+
 /** Options for a chart that says what its lines are worth where a pointer, finger or key points. */
 const EXPLAINED = {
   cursor: {

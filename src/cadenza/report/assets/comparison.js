@@ -42,9 +42,7 @@ function drawStrip(element) {
 }
 document.querySelectorAll("div.strip").forEach(drawStrip);
 createChart(document.querySelector(".seconds"), {
-  padding: [0, 0, 0, 0],
-  legend: { show: false },
-  cursor: { show: false },
+  ...SILENT,
   scales: { x: SECONDS },
   axes: [axis("seconds", {
     align: 1,

@@ -18,20 +18,12 @@ function createExpression(element, { notes, written, onsetErrors, dt, steps }, s
 /** Charts dots of several `kinds`, each a list of [x, y], between the first and the last of `ticks`. */
 function drawDots(element, label, words, end, ticks, kinds, colours) {
   const MARGIN = 0.08; // of the height, so that dots at the edge are whole
-  const title = document.createElement("div"), drawing = document.createElement("div"), name = document.createElement("b");
-  title.className = "term";
-  name.textContent = label;
-  title.append(name);
-  drawing.className = "drawing dots";
-  drawing.setAttribute("role", "img");
-  drawing.setAttribute("aria-label", words);
-  element.append(title, drawing);
+  const drawing = addPictureUnder(element, [make("b", label)], words);
+  drawing.classList.add("dots");
   const [low, high] = [ticks[0], ticks.at(-1)], margin = MARGIN * (high - low);
   const isUnder = (i) => i < kinds.length - 1; // rings, in which the dots of what was played lie
   createChart(drawing, {
-    padding: [0, 0, 0, 0],
-    legend: { show: false },
-    cursor: { show: false },
+    ...SILENT,
     scales: { x: { time: false, range: [0, end] }, y: { range: [low - margin, high + margin] } },
     axes: [{ show: false }, axis("number", { font: "11px system-ui, sans-serif", size: GUTTER, splits: ticks })],
     series: [{}, ...colours.map((colour, i) => ({

@@ -74,10 +74,7 @@ function show(time) {
   $("sounding").replaceChildren();
   data.states.subarray(row * data.keys, (row + 1) * data.keys).forEach((state, key) => {
     if (!state) return;
-    const name = document.createElement("span");
-    name.className = VERDICTS[state - 1];
-    name.textContent = noteName(key + data.lowest);
-    $("sounding").append(name);
+    $("sounding").append(make("span", noteName(key + data.lowest), { className: VERDICTS[state - 1] }));
   });
 }
 

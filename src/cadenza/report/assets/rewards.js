@@ -3,23 +3,24 @@
 /** Three decimals, and no minus before a zero. */
 const decimals = (number) => number.toFixed(3).replace(/^-(?=0\.0+$)/, "");
 
+/** Adds a picture that `words` describe to `element`, under a title of these `parts`; it is yet to be drawn. */
+function addPictureUnder(element, parts, words) {
+  const title = make("div", "", { className: "term" }), drawing = make("div", "", { className: "drawing" });
+  title.append(...parts);
+  drawing.setAttribute("role", "img");
+  drawing.setAttribute("aria-label", words);
+  element.append(title, drawing);
+  return drawing;
+}
+
 function createRewards(element, { rewards, dt, steps }, seek) {
   const terms = Object.entries(rewards).map(([name, values]) => {
-    const title = document.createElement("div"), here = document.createElement("span"), output = document.createElement("output"), drawing = document.createElement("div");
-    const known = values.filter((v) => !Number.isNaN(v));
-    const mean = known.reduce((sum, v) => sum + v, 0) / Math.max(known.length, 1);
-    title.className = "term";
-    const label = document.createElement("b");
-    label.textContent = name.replaceAll("_", " ");
-    const text = document.createElement("span");
-    text.append(label, ` mean ${decimals(mean)}`);
-    here.append("at the cursor ", output);
-    title.append(text, here);
-    drawing.className = "drawing";
-    drawing.setAttribute("role", "img");
-    drawing.setAttribute("aria-label", `Reward ${label.textContent} over time, mean ${decimals(mean)}`);
-    element.append(title, drawing);
-    drawReward(drawing, values);
+    const known = values.filter((v) => !Number.isNaN(v)), term = name.replaceAll("_", " ");
+    const mean = `mean ${decimals(known.reduce((sum, v) => sum + v, 0) / Math.max(known.length, 1))}`;
+    const label = make("span"), here = make("span", "at the cursor "), output = make("output");
+    label.append(make("b", term), ` ${mean}`);
+    here.append(output);
+    drawReward(addPictureUnder(element, [label, here], `Reward ${term} over time, ${mean}`), values);
     return { values, output };
   });
   const point = timeline(element, () => [0, steps * dt], seek);
@@ -39,9 +40,7 @@ function drawReward(element, values) {
   const y = [...values, values.at(-1)].map((v) => (Number.isNaN(v) ? null : v)); // the last lasts a step too
   const low = y.reduce((a, b) => Math.min(a, b), 0), high = y.reduce((a, b) => Math.max(a, b), 0), margin = 0.18 * (high - low) || 1; // for the labels
   createChart(element, {
-    padding: [0, 0, 0, 0],
-    legend: { show: false },
-    cursor: { show: false },
+    ...SILENT,
     scales: { x: { time: false, range: [0, values.length] }, y: { range: [low - margin, high + margin] } },
     axes: [{ show: false }, axis("number", {
       font: "11px system-ui, sans-serif",

@@ -72,8 +72,8 @@ function createScore(element, engraving, data, seek) {
   const systems = drawSystems(element, engraving), notes = drawnNotes(element, engraving, data.lowest);
   placeAnchors(systems, notes);
   element.classList.toggle("short", systems.length === 1);
-  element.prepend(...engraving.remarks.map((remark) => Object.assign(document.createElement("p"), { className: "remark", textContent: remark })));
-  const cursor = Object.assign(document.createElement("div"), { className: "cursor" }), longest = longestOf(notes);
+  element.prepend(...engraving.remarks.map((remark) => make("p", remark, { className: "remark" })));
+  const cursor = make("div", "", { className: "cursor" }), longest = longestOf(notes);
   element.append(cursor);
   let now = 0, width = 0, narrow = false, shown = null, sounding = new Set(), touchedAt = -Infinity, turnedAt = -Infinity;
   const bars = systems.flatMap(({ bars }) => bars);
@@ -173,15 +173,14 @@ function toggleScore() {
 /** Adds downloads of the score, as MusicXML and as a drawing, and a button that prints it. */
 function offerScore(downloads, { engraving }) {
   const offer = (label, file, type, content) => {
-    const link = Object.assign(document.createElement("a"), { className: "button", textContent: label, download: file });
-    link.href = URL.createObjectURL(new Blob([content], { type }));
-    downloads.append(link);
+    const href = URL.createObjectURL(new Blob([content], { type }));
+    downloads.append(make("a", label, { className: "button", download: file, href }));
   };
   offer("MusicXML", "score.musicxml", "application/vnd.recordare.musicxml+xml", engraving.musicxml);
   const { systems, frame: [before, after] } = engraving;
   const placed = systems.map(({ top, svg }) => `<g transform="translate(0,${top})">${svg}</g>`);
   offer("Score (SVG)", "score.svg", "image/svg+xml", [before, ...placed, after].join(""));
-  const print = Object.assign(document.createElement("button"), { type: "button", className: "button", textContent: "Print score" });
+  const print = make("button", "Print score", { type: "button", className: "button" });
   print.addEventListener("click", () => {
     document.documentElement.classList.add("prints-score");
     window.print();

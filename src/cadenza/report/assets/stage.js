@@ -39,12 +39,12 @@ function createStage(canvas, data, colours) {
   const hands = createHands(parts.skeleton);
   scene.add(hands.root);
   const palms = new Map(); // the root of a hand -> its palm
-  const rootOf = (body) => parts.skeleton[body].parent < 0 ? body : rootOf(parts.skeleton[body].parent);
   function put(solid, { body, palm }) {
     (body < 0 ? scene : hands.bodies[body]).add(solid);
     if (!palm) return;
-    if (!palms.has(rootOf(body))) palms.set(rootOf(body), createPalm());
-    palms.get(rootOf(body)).add(solid);
+    const root = rootOf(parts.skeleton, body);
+    if (!palms.has(root)) palms.set(root, createPalm());
+    palms.get(root).add(solid);
   }
   for (const geom of parts.geoms) {
     const colour = new THREE.Color().setRGB(...geom.rgba.slice(0, 3), "srgb");
@@ -223,6 +223,8 @@ function lazily(make) {
   let made;
   return () => (made ??= make());
 }
+/** The body from which a hand's body hangs, or itself. */
+const rootOf = (skeleton, body) => (skeleton[body].parent < 0 ? body : rootOf(skeleton, skeleton[body].parent));
 const quaternion = ([w, x, y, z]) => new THREE.Quaternion(x, y, z, w);
 
 const SAMPLES = 0.2; // [s] between the poses of which a camera that follows the hands takes notice
@@ -235,9 +237,9 @@ const FARTHEST = 6; // samples to either side; others would not count
  */
 function createFollower(data) {
   const { scene, jointsAt, states, dt, steps } = data, hands = createHands(scene.skeleton), at = new THREE.Vector3();
-  const rootOf = (body) => scene.skeleton[body].parent < 0 ? body : rootOf(scene.skeleton[body].parent);
   const ofTips = [...new Set([...scene.geoms, ...(scene.shells ?? [])].filter(({ finger }) => finger !== null).map(({ body }) => body))];
-  const tips = [...new Set(ofTips.map(rootOf))].map((root) => ofTips.filter((body) => rootOf(body) === root));
+  const roots = ofTips.map((body) => rootOf(scene.skeleton, body));
+  const tips = [...new Set(roots)].map((root) => ofTips.filter((_, i) => roots[i] === root));
   const edges = tips.map(() => ({ left: [], right: [], plays: false }));
   let count = 0;
   /** Takes notice of a pose. */

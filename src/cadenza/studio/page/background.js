@@ -36,23 +36,16 @@ function taskItem(title, about, points, actions) {
     }));
   }
   item.append(make("b", title), make("small", about));
-  if (points.length > 1) item.append(curveOfF1(points));
+  if (points.length > 1) addCurveOfF1(item, points);
   item.append(nav);
   return item;
 }
 /** Draws F1 between 0 and 1, from the first point to the last. */
-function curveOfF1(points) {
-  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  const draw = (name, attributes) => {
-    const drawn = document.createElementNS(svg.namespaceURI, name);
-    for (const [key, value] of Object.entries(attributes)) drawn.setAttribute(key, value);
-    svg.append(drawn);
-  };
-  const [first, last] = [points[0][0], points.at(-1)[0]];
-  for (const [key, value] of [["viewBox", "0 0 100 44"], ["preserveAspectRatio", "none"], ["role", "img"], ["aria-label", `F1 from ${points[0][1].toFixed(3)} to ${points.at(-1)[1].toFixed(3)}`]]) svg.setAttribute(key, value);
-  draw("path", { d: "M0 2H100M0 42H100" });
-  draw("polyline", { points: points.map(([x, y]) => `${(100 * (x - first)) / (last - first || 1)},${42 - 40 * y}`).join(" ") });
-  return svg;
+function addCurveOfF1(item, points) {
+  const [[first, from], [last, to]] = [points[0], points.at(-1)], label = `F1 from ${from.toFixed(3)} to ${to.toFixed(3)}`;
+  const svg = addDrawing("svg", { viewBox: "0 0 100 44", preserveAspectRatio: "none", role: "img", "aria-label": label }, item);
+  addDrawing("path", { d: "M0 2H100M0 42H100" }, svg);
+  addDrawing("polyline", { points: points.map(([x, y]) => `${(100 * (x - first)) / (last - first || 1)},${42 - 40 * y}`).join(" ") }, svg);
 }
 /** Returns the item of a song that another page asked for, which may have been closed: anybody can end it. */
 function jobItem({ id, title, status: { state } }) {

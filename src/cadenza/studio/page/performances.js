@@ -38,5 +38,5 @@ function compare({ id, title, request: wanted }) {
   if (!alike) return showError(`First watch another performance of ${title} at the same tempo${wanted.expression ? ", with expression" : ""}${wanted.level ? `, at level ${wanted.level}` : ""}, then press Compare here.`);
   if (other.id === id) return showError("This is the performance that is shown. Press Compare at another of the same song.");
   instrument.wake();
-  showBeside(id);
+  watch([other.id, id]); // both begin anew
 }

@@ -252,7 +252,7 @@ function caption(performance) {
   const bar = make("div", "", { className: "caption" }), name = howPlayed(performance.request);
   performance.shownScores = make("b", "");
   performance.listen = labelledButton("Listen", `Listen to ${name}`, () => listenTo(performance));
-  const close = labelledButton("×", `Close ${name}`, () => showOnly(shown.find((each) => each !== performance)));
+  const close = labelledButton("×", `Close ${name}`, () => watch([shown.find((each) => each !== performance).id], now()));
   bar.append(make("span", name, { title: name }), performance.shownScores, performance.listen);
   const kept = shown.every(({ status: { state } }) => state === "kept"), isLast = performance === shown.at(-1);
   if (kept && isLast) bar.append(make("a", "Details", { href: `comparisons/${shown.map(({ id }) => id).join("/")}`, target: "_blank", rel: "noopener" }));
@@ -270,16 +270,6 @@ const combineStages = (stages) => ({
   get flat() { return stages.some(({ flat }) => flat); },
   solid: stages.every(({ solid }) => solid),
 });
-
-/** Shows another performance of the song beside the current one; both begin anew. */
-function showBeside(id) {
-  const first = shown[0].id;
-  watch([first, id]);
-}
-function showOnly(performance) {
-  const time = now();
-  watch([performance.id], time);
-}
 
 /** Returns how much has to be planned ahead before it plays [s]. */
 function requiredLead() {

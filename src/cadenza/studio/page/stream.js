@@ -39,11 +39,11 @@ function createPerformance(id, changed) {
     if (message.state === "full") return showError(serverError = message.error);
     if (cadenza.error === serverError) clearError();
     if (message.state) [performance.status, what] = [message, "status"];
-    else if (message.misses && !message.dt) [performance.recording.misses, what] = [message.misses, "misses"];
-    else if (message.fingers && !message.dt) [performance.recording.fingers, what] = [message.fingers, "fingers"];
     else if (message.request) [what] = ["request", Object.assign(performance, message)];
-    else if (message.engraving && !message.dt) [performance.recording.engraving, what] = [message.engraving, "engraving"];
-    else if (performance.recording) return performance.recording.restart(); // sent again
+    else if (!message.dt) { // fingers, misses or the engraving, which have become known
+      Object.assign(performance.recording, message);
+      [what] = Object.keys(message);
+    } else if (performance.recording) return performance.recording.restart(); // sent again
     else performance.recording = await createStreamedRecording(message);
     if (!closed) changed(performance, what);
   }
