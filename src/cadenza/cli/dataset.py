@@ -185,7 +185,7 @@ def check(command: DatasetCheck) -> None:
             tqdm.write(problem, file=sys.stderr)  # at once: the rest may be stopped
             found += 1
     if found:
-        raise CadenzaError(f"{command.folder}: {found} problem{'s' * (found > 1)}")
+        raise CadenzaError(f"{command.folder}: {counted(found, 'problem')}")
     print(f"{command.folder}: nothing is wrong")
 
 

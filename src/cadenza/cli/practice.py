@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from cadenza.agents.registry import PLANNER
 from cadenza.cli.arguments import Output, Quiet
-from cadenza.cli.console import stop_on_signal
+from cadenza.cli.console import counted, stop_on_signal
 from cadenza.cli.options import Performing, Read, setting_up
 from cadenza.cli.progress import one_after_other, stages
 from cadenza.cli.saving import check_writable, default_folder, save
@@ -227,11 +227,10 @@ def _progress(
 
 def _remark(practice: Practice, score: Score) -> str:
     """Returns what stands beside the progress: the scores, what is practised, what is left."""
-    passages = len(practice.passages_with_loss())
     so_far = f"{_scores(practice.history[-1])}, " if practice.history else ""
     how = "another take, " if practice.plays_variant else ""
-    left = f"{passages} passage{'s'[: passages != 1]} left"
-    return f"{so_far}{how}{_places(practice, score, practice.current_steps)}, {left}"
+    left = counted(len(practice.passages_with_loss()), "passage")
+    return f"{so_far}{how}{_places(practice, score, practice.current_steps)}, {left} left"
 
 
 def _scores(row: tuple[float, float, float]) -> str:

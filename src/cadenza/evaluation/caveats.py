@@ -8,6 +8,7 @@ from typing import Any
 from cadenza.configs import flat
 from cadenza.evaluation.results import Result, Results
 from cadenza.report.bench_summary import SHARES
+from cadenza.report.charts import counted
 
 _VARIED = ("song", "song_digest", "seed", "agent")  # what differs among the runs of a bench
 _OWN = ("config", "agent_digest")  # what each agent has of its own
@@ -59,10 +60,10 @@ def caveats(found: Results) -> Iterator[tuple[str, list[str]]]:
         f"{result.folder.name}: {reason}" for result in found.results if (reason := _fault(result))
     ]
     if broken:
-        yield f"{_counted(broken, 'run')} cannot be read, and {_are(broken)} left out.", broken
+        yield f"{counted(len(broken), 'run')} cannot be read, and {_are(broken)} left out.", broken
     if found.unfinished:
         missing = [f"{run.name}: {run.reason}" for run in found.unfinished]
-        yield f"{_counted(missing, 'run')} {_are(missing)} not finished.", missing
+        yield f"{counted(len(missing), 'run')} {_are(missing)} not finished.", missing
     if few := _with_fewer_runs(results):
         yield "Some agents have fewer runs.", few
     if versions := _differing([(r, r.versions) for r in results]):
@@ -105,7 +106,7 @@ def _differing(settings: Sequence[tuple[Result, Mapping[str, Any]]]) -> list[str
             by_value.setdefault("not set" if value is None else str(value), []).append(result.agent)
         if len(by_value) > 1:
             each = (
-                f"{value} in {_counted(agents, 'run')} ({', '.join(dict.fromkeys(agents))})"
+                f"{value} in {counted(len(agents), 'run')} ({', '.join(dict.fromkeys(agents))})"
                 for value, agents in by_value.items()
             )
             lines.append(f"{name}: {'; '.join(each)}")
@@ -137,7 +138,7 @@ def _not_as_written(results: Sequence[Result]) -> list[str]:
             if (value := settings.get(name)) not in (usual, None):
                 changes.setdefault(f"{name} {value}", []).append(result.agent)
     return [
-        f"{what}: {_counted(agents, 'run')} ({', '.join(dict.fromkeys(agents))})"
+        f"{what}: {counted(len(agents), 'run')} ({', '.join(dict.fromkeys(agents))})"
         for what, agents in changes.items()
     ]
 
@@ -157,15 +158,11 @@ def _with_fewer_runs(results: Sequence[Result]) -> list[str]:
     all_songs = {result.song.name for result in results}
     most = max(map(len, songs.values()))
     return [
-        f"{agent}: {_counted(of, 'run')} of {_counted(set(of), 'piece')}; "
+        f"{agent}: {counted(len(of), 'run')} of {counted(len(set(of)), 'piece')}; "
         f"there are {len(all_songs)} pieces, and agents with {most} runs"
         for agent, of in songs.items()
         if len(of) < most or len(set(of)) < len(all_songs)
     ]
-
-
-def _counted(things: Collection[object], what: str) -> str:
-    return f"{len(things):,} {what}{'' if len(things) == 1 else 's'}"
 
 
 def _are(things: Collection[object]) -> str:

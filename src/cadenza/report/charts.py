@@ -120,6 +120,11 @@ def compact_number(value: float) -> str:
     return f"{value / unit:,.4g}{name}".replace("-", "−")
 
 
+def counted(number: int, noun: str) -> str:
+    """Returns a number and its noun, such as "1 run" or "2,000 runs"."""
+    return f"{number:,} {noun}{'s'[: number != 1]}"
+
+
 def mean_of_known(values: Sequence[float]) -> float:
     """Returns the mean of the values that are not NaN; NaN if all are."""
     known = [value for value in values if not math.isnan(value)]

@@ -40,6 +40,7 @@ from cadenza.report.charts import (
     Line,
     LineChart,
     Points,
+    counted,
     duration_text,
     line_chart,
     line_style,
@@ -122,7 +123,7 @@ def _index_page(
         columns=["Pieces", "Runs", IDENTICAL, *_MEANS.values(), *_metric_titles()],
         groups=summary.groups,
         identical_text=identical_text,
-        counted=_counted,
+        counted=counted,
         choices=_choices(summary),
         line_styles=[(line_style(i), agent) for i, agent in enumerate(summary.agents)],
         profiles=_profiles(summary),
@@ -134,10 +135,6 @@ def _index_page(
 
 def _metric_titles() -> list[str]:
     return [metric.title for metric in METRICS.values()]
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
 def _facts(summary: BenchSummary) -> dict[str, str]:
@@ -159,7 +156,7 @@ def _headline(summary: BenchSummary) -> str:
         what = "the best" if means[0] == max(means) else "who played the most pieces"
         rank = f", {what} of {len(summary.agents)} agents"
     played = summary.groups[0].agents[first].pieces
-    return f"{first}{rank}: mean of {_counted(played, 'piece')}"
+    return f"{first}{rank}: mean of {counted(played, 'piece')}"
 
 
 def _bars(summary: BenchSummary, name: str) -> list[Bar]:
@@ -178,7 +175,7 @@ def _compared_on(summary: BenchSummary) -> str:
     if any(agent.pieces < played for agent in summary.common.agents.values()):
         return "No piece was played by all agents: the bars are of different pieces."
     if played < len(summary.pieces):
-        pieces = _counted(played, "piece")
+        pieces = counted(played, "piece")
         return f"Not all agents played all pieces. The bars are of the {pieces} that all played."
     return ""
 

@@ -77,23 +77,31 @@ async def messages(stream: StreamReader) -> AsyncIterator[tuple[bytes, bytes]]:
             yield kind, await stream.readexactly(length)
 
 
+async def _output_of(module: str, *arguments: str, **how: Any) -> bytes | None:
+    """Returns what a module of ours prints as a process; None if it fails, or is killed."""
+    process = await start_process(module, *arguments, **how)
+    try:
+        output, _ = await process.communicate()
+    finally:
+        kill(process)
+        await process.wait()
+    return None if process.returncode else output
+
+
 async def read_upload(path: Path) -> dict[str, Any]:
     """Returns what a file holds, see `cadenza.studio.upload_reader`, read by a limited process.
 
     Raises:
         CadenzaError: it is no music, or more than the studio takes.
     """
-    process = await start_process("cadenza.studio.upload_reader", os.fspath(path))
+    reading = _output_of("cadenza.studio.upload_reader", os.fspath(path))
     try:
-        out, _ = await wait_for(process.communicate(), READING_SECONDS)
-        answer = json.loads(out)
+        output = await wait_for(reading, READING_SECONDS)
     except TimeoutError:
-        answer = {"error": "it takes too long to read"}
-    except ValueError:  # killed by a limit
-        answer = {"error": "the file is damaged, or needs too much memory or time"}
-    finally:
-        kill(process)
-        await process.wait()
+        raise CadenzaError("it takes too long to read") from None
+    if output is None:
+        raise CadenzaError("the file is damaged, or needs too much memory or time")
+    answer: dict[str, Any] = json.loads(output)
     if "error" in answer:
         raise CadenzaError(answer["error"])
     return answer
@@ -102,14 +110,9 @@ async def read_upload(path: Path) -> dict[str, Any]:
 async def opening_picture(song: str) -> bytes:
     """Returns the first picture of a song, see `cadenza.studio.opening`; nothing if it fails."""
     try:
-        process = await start_process("cadenza.studio.opening", song, stderr=DEVNULL)
+        return await _output_of("cadenza.studio.opening", song, stderr=DEVNULL) or b""
     except OSError:  # there is no room for it
         return b""
-    try:
-        picture, _ = await process.communicate()
-    finally:
-        kill(process)
-    return b"" if process.returncode else picture
 
 
 async def write_comparison(folders: Sequence[Path], page: Path) -> None:
@@ -119,10 +122,5 @@ async def write_comparison(folders: Sequence[Path], page: Path) -> None:
         CadenzaError: they cannot be compared.
     """
     paths = map(os.fspath, (*folders, page))
-    process = await start_process("cadenza.studio.comparison", *paths, stderr=DEVNULL)
-    try:
-        failed = await process.wait()
-    finally:
-        kill(process)
-    if failed:
+    if await _output_of("cadenza.studio.comparison", *paths, stderr=DEVNULL) is None:
         raise CadenzaError("these performances cannot be compared")
