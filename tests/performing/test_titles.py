@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from cadenza.performing.titles import Titles
+from cadenza.performing.titles import draw_titles
 
 
 def drawn(*lines: str, time: float = 2.0, size: tuple[int, int] = (360, 640)) -> np.ndarray:
     """Which pixels a title changes."""
     picture = np.full((*size, 3), 200, np.uint8)
-    Titles(lines).draw_on(picture, time)
+    draw_titles(picture, lines, time)
     return (picture != 200).any(axis=2)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -24,7 +24,6 @@ from cadenza.files import folder_name
 
 if TYPE_CHECKING:
     from cadenza.performing.setup import Selection, Setup
-    from cadenza.studio.live_page import LivePage
 
 
 @dataclass(frozen=True)
@@ -53,6 +52,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
     from cadenza.performing.performance import check_replaceable, perform
     from cadenza.performing.setup import select
     from cadenza.performing.source import resolve
+    from cadenza.studio.live_page import open_page
 
     source = resolve(command.song, command.arrangement)
     selection = select(source, command.agent, configs=command.configs, plan=command.plan)
@@ -69,7 +69,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
                 check_replaceable(folder, command.song)
                 print_estimate(setup)
                 setup, cut_short = kept.enter_context(_practised(setup, folder))
-                page = kept.enter_context(_page(setup)) if command.watch else None
+                page = kept.enter_context(open_page(setup)) if command.watch else None
                 with stages("playing") as progress:
                     reporting = page.reporting(progress) if page else progress
                     performance = perform(setup, reporting, stop)
@@ -112,13 +112,6 @@ def _practised(setup: Setup, folder: Path) -> Iterator[tuple[Setup, bool]]:
             practising = kept.enter_context(practised(setup, folder, effort, stop=stop))
             stopped = stop()
         yield practising.best(), stopped
-
-
-def _page(setup: Setup) -> AbstractContextManager[LivePage]:
-    """Opens a page on which the performance is watched."""
-    from cadenza.studio.live_page import open_page
-
-    return open_page(setup, setup.score.title)
 
 
 def _name_of(agent: str) -> str:

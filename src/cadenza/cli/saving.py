@@ -90,17 +90,17 @@ def save(
     print(f"\nOpen {folder / 'report.html'}")
     if video:
         try:
-            film(folder, voice=voice)
+            film(folder, voice)
         except CadenzaError as error:  # what was played is there all the same
             print(f"no film: {error}", file=sys.stderr)
 
 
 def film(
     folder: Path,
+    voice: Tone,
     path: Path | None = None,
     look: Look | None = None,
     excerpt: Excerpt | None = None,
-    voice: Tone | None = None,
 ) -> None:
     """Makes the film of the performance in a folder as `write_film` does, with progress.
 
@@ -110,7 +110,6 @@ def film(
     from cadenza.performing.filming import WHOLE, write_film
 
     with stages("drawing") as progress:
-        voice = voice_of(None) if voice is None else voice
         written = write_film(folder, path, look, excerpt or WHOLE, voice, progress)
     print(f"Written to {written}")
 

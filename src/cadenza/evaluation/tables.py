@@ -15,6 +15,7 @@ from cadenza.files import write_atomically, write_json
 from cadenza.report.bench_summary import METRICS, THRESHOLDS, BenchSummary, Estimate
 
 FORMAT = 1
+_ABOUT_A_PIECE = ("piece", "title", "composer", "library", "difficulty", "seconds", "notes")
 _FINGER_REWARDS = ("return", "reward/fingering")
 Row = Mapping[str, Any]
 
@@ -62,8 +63,7 @@ def _pieces(summary: BenchSummary) -> Iterator[Row]:
         about = {**vars(piece), "piece": piece.name}
         for j, agent in enumerate(summary.agents):
             if (i, agent) in runs:
-                row = {name: about[name] for name in ("piece", "title", "composer", "library")}
-                row |= {name: about[name] for name in ("difficulty", "seconds", "notes")}
+                row = {name: about[name] for name in _ABOUT_A_PIECE}
                 row |= {"agent": agent, "runs": runs[i, agent]}
                 for name in METRICS:
                     row |= _ends(name, Estimate(*(p[j, i] for p in summary.by_piece[name])))

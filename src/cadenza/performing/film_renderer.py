@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,7 +18,7 @@ from cadenza.fingers import Side
 from cadenza.hands.body import prefix
 from cadenza.hands.shell import METAL
 from cadenza.music.score import Note, Score
-from cadenza.performing.titles import Titles
+from cadenza.performing.titles import draw_titles
 from cadenza.scene.cameras import camera_on, eye_of
 from cadenza.scene.drawn_model import drawn_model
 from cadenza.scene.furniture import SLOPE, board_half_width, board_origin
@@ -103,7 +104,7 @@ class FilmRenderer(Canvas):
     """Draws an episode at any time. Holds a graphics context of this thread until `close`."""
 
     def __init__(
-        self, scene: Scene, episode: Episode, goal: Score, look: Look, titles: Titles
+        self, scene: Scene, episode: Episode, goal: Score, look: Look, titles: Sequence[str]
     ) -> None:
         """Opens a graphics context.
 
@@ -112,7 +113,7 @@ class FilmRenderer(Canvas):
             episode: what was played.
             goal: what was to be played, on its clock.
             look: the size of the pictures.
-            titles: what the film begins with.
+            titles: lines with which the film begins.
 
         Raises:
             CadenzaError: this machine cannot draw.
@@ -158,7 +159,7 @@ class FilmRenderer(Canvas):
                 geom.rgba[3] = self._palms[palm].seen(geom.objid, opacity[palm])
         self._falling.add_to(self._drawn, time, sounding)
         picture = self._picture()
-        self._titles.draw_on(picture, time)
+        draw_titles(picture, self._titles, time)
         return picture
 
     def _camera(self, time: float) -> mujoco.MjvCamera:

@@ -24,7 +24,6 @@ from cadenza.music.formats.midi import read_midi
 from cadenza.music.libraries.library import find_song
 from cadenza.music.performance import played_in
 from cadenza.performing.film_renderer import FilmRenderer, Look
-from cadenza.performing.titles import Titles
 from cadenza.report.sound import SAMPLE_RATE, Samples, synthesize
 from cadenza.report.sound_file import CODECS, write_sound
 from cadenza.report.tone import Tone, tone
@@ -189,13 +188,13 @@ def renderer_of(folder: Path, look: Look) -> FilmRenderer:
     return FilmRenderer(scene, episode, goal, look, _titles(episode, settings))
 
 
-def _titles(episode: Episode, settings: Mapping[str, Any]) -> Titles:
+def _titles(episode: Episode, settings: Mapping[str, Any]) -> list[str]:
     """Names the song, who wrote it if a library says so, and who plays."""
     by = ""
     with suppress(CadenzaError):  # a file, or a library that is not here
         by = find_song(str(settings.get("song"))).composer
     player = f"played by the {settings['agent']}" if settings.get("agent") else ""
-    return Titles((episode.song, *filter(None, (by, player))))
+    return [episode.song, *filter(None, (by, player))]
 
 
 def _draw(times: NDArray[np.float64]) -> list[NDArray[np.uint8]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import unicodedata
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import lru_cache
 from importlib.resources import files
 
@@ -17,28 +17,27 @@ _LARGE, _SMALL = 0.062, 0.034  # heights of the first line and of others, of the
 _MARGIN = 0.05  # of the shorter side
 
 
-@dataclass(frozen=True)
-class Titles:
-    """What a film says when it begins: the first line in large letters."""
+def draw_titles(picture: NDArray[np.uint8], lines: Sequence[str], time: float) -> None:
+    """Draws what a film says when it begins into the upper left of a picture (height, width, 3).
 
-    lines: tuple[str, ...] = ()
+    The first line is in large letters. What is too long for the picture is made smaller.
 
-    def draw_on(self, picture: NDArray[np.uint8], time: float) -> None:
-        """Draws them as they are at a time [s] into the upper left of a picture (height, width, 3).
-
-        What is too long for the picture is made smaller.
-        """
-        opacity = np.clip(min(time, _SECONDS - time) / _FADE, 0.0, 1.0)
-        if opacity == 0.0:
-            return
-        side = min(picture.shape[:2])
-        top = margin = round(_MARGIN * side)
-        for number, line in enumerate(self.lines):
-            height = round((_SMALL if number else _LARGE) * side)
-            ink = _ink(line, height, picture.shape[1] - 2 * margin)
-            part = picture[top : top + ink.shape[0], margin : margin + ink.shape[1]]
-            part[:] = part + opacity * ink[..., None] * (np.array(_INK) - part)
-            top += ink.shape[0]
+    Args:
+        picture: it is drawn on.
+        lines: the titles, one below the other.
+        time: since the film began [s].
+    """
+    opacity = np.clip(min(time, _SECONDS - time) / _FADE, 0.0, 1.0)
+    if opacity == 0.0:
+        return
+    side = min(picture.shape[:2])
+    top = margin = round(_MARGIN * side)
+    for number, line in enumerate(lines):
+        height = round((_SMALL if number else _LARGE) * side)
+        ink = _ink(line, height, picture.shape[1] - 2 * margin)
+        part = picture[top : top + ink.shape[0], margin : margin + ink.shape[1]]
+        part[:] = part + opacity * ink[..., None] * (np.array(_INK) - part)
+        top += ink.shape[0]
 
 
 @lru_cache

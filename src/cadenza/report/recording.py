@@ -26,15 +26,15 @@ _UNIT = 5e-5  # [m, rad] of a joint's position; a fingertip is then less than 0.
 
 def recording_of(
     episode: Episode,
-    written: Score | None = None,
-    misses: Iterable[Mapping[str, Any]] = (),
-    arrangement: Iterable[Mapping[str, Any]] = (),
+    written: Score | None,
+    misses: Iterable[Mapping[str, Any]],
+    arrangement: Iterable[Mapping[str, Any]],
 ) -> dict[str, Any]:
     """Returns what `recording.js` reads, as JSON has it.
 
     Args:
         episode: what was played.
-        written: what was to be played, on the clock of the episode; without, the page cannot show
+        written: what was to be played, on the clock of the episode; with None, the page cannot show
             how the loudness and the timing of what was played differ from it.
         misses: the notes that were lost, as `misses.json` has them.
         arrangement: what became of each note of a song that was arranged, as `arrangement.json`

@@ -61,8 +61,9 @@ class LivePage:
 
 
 @contextmanager
-def open_page(setup: Setup, title: str) -> Iterator[LivePage]:
+def open_page(setup: Setup) -> Iterator[LivePage]:
     """Yields the page, which is there until the block ends."""
+    title = setup.score.title
     agent, hand = setup.settings["agent"], setup.settings["scene"]["hand"]
     arrangement = setup.settings["arrangement"]
     plain, expression = arrangement["plain"], bool(arrangement["expression"])

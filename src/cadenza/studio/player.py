@@ -22,7 +22,6 @@ from typing import IO
 
 from cadenza.agents.agent import Progress
 from cadenza.agents.planner.config import PlannerConfig
-from cadenza.agents.planner.planner import Planner  # loaded before it is needed
 from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json, plain, write_json
@@ -47,8 +46,6 @@ from cadenza.studio.request import (
 from cadenza.studio.state_stream import StateStream
 from cadenza.studio.storage import ABOUT, KeptPerformance
 from cadenza.studio.upload_reader import check_size, error_without_path
-
-__all__ = ["Planner", "main"]
 
 _MAX_DROPPED = 32  # songs before the process ends, as a few MB of each stay behind
 _NICENESS = 4  # leaves the browser beside it time to draw pictures and make sound

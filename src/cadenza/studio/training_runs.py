@@ -91,10 +91,8 @@ class TrainingRuns:
         tracks = ["--tracks", *map(str, request.tracks)] if request.tracks else []
         async with self._starting:
             self._check_is_free()
-            stem, taken = (
-                folder_name(title)[:_MAX_STEM],
-                {path.name for path in self.folder.iterdir()},
-            )
+            stem = folder_name(title)[:_MAX_STEM]
+            taken = {path.name for path in self.folder.iterdir()}
             name = next(n for i in range(1, _MAX_RUNS) if (n := f"{stem} {i}") not in taken)
             await self._start(name, source, "--output", str(self.folder / name), *flags, *tracks)
         return name
