@@ -10,65 +10,41 @@ from typing import TYPE_CHECKING, Any
 
 from cadenza.tasks.registration import register_envs
 
-if TYPE_CHECKING:
-    from cadenza.agents.agent import Agent
-    from cadenza.agents.planner.config import PlannerConfig
-    from cadenza.agents.registry import make_agent
-    from cadenza.episode import Episode, load_episode
-    from cadenza.errors import CadenzaError, CadenzaWarning
-    from cadenza.fingers import Finger
-    from cadenza.learning.config import TrainingConfig
-    from cadenza.music.arrangement import Arrangement
-    from cadenza.music.libraries.bundled import Piece, songs
-    from cadenza.music.libraries.library import open_library
-    from cadenza.music.libraries.songs import Library, Song
-    from cadenza.music.score import Note, PedalEvent, Score
-    from cadenza.performing.performance import Performance, play
-    from cadenza.performing.planning import Plan, plan
-    from cadenza.performing.source import load_song
-    from cadenza.performing.training import train
-    from cadenza.scene.config import SceneConfig
-    from cadenza.tasks.config import DomainRandomization, TaskConfig
-    from cadenza.tasks.env import PianoEnv, PianoVectorEnv
-    from cadenza.tasks.reward import Outcome
-    from cadenza.tasks.view import TaskSpec, View
+if TYPE_CHECKING:  # "as" tells a type checker that the name is offered here
+    from cadenza.agents.agent import Agent as Agent
+    from cadenza.agents.planner.config import PlannerConfig as PlannerConfig
+    from cadenza.agents.registry import make_agent as make_agent
+    from cadenza.episode import Episode as Episode
+    from cadenza.episode import load_episode as load_episode
+    from cadenza.errors import CadenzaError as CadenzaError
+    from cadenza.errors import CadenzaWarning as CadenzaWarning
+    from cadenza.fingers import Finger as Finger
+    from cadenza.learning.config import TrainingConfig as TrainingConfig
+    from cadenza.music.arrangement import Arrangement as Arrangement
+    from cadenza.music.libraries.bundled import Piece as Piece
+    from cadenza.music.libraries.bundled import songs as songs
+    from cadenza.music.libraries.library import open_library as open_library
+    from cadenza.music.libraries.songs import Library as Library
+    from cadenza.music.libraries.songs import Song as Song
+    from cadenza.music.score import Note as Note
+    from cadenza.music.score import PedalEvent as PedalEvent
+    from cadenza.music.score import Score as Score
+    from cadenza.performing.performance import Performance as Performance
+    from cadenza.performing.performance import play as play
+    from cadenza.performing.planning import Plan as Plan
+    from cadenza.performing.planning import plan as plan
+    from cadenza.performing.source import load_song as load_song
+    from cadenza.performing.training import train as train
+    from cadenza.scene.config import SceneConfig as SceneConfig
+    from cadenza.tasks.config import DomainRandomization as DomainRandomization
+    from cadenza.tasks.config import TaskConfig as TaskConfig
+    from cadenza.tasks.env import PianoEnv as PianoEnv
+    from cadenza.tasks.env import PianoVectorEnv as PianoVectorEnv
+    from cadenza.tasks.reward import Outcome as Outcome
+    from cadenza.tasks.view import TaskSpec as TaskSpec
+    from cadenza.tasks.view import View as View
 
 __version__ = "1.0.0"
-
-__all__ = [
-    "Agent",
-    "Arrangement",
-    "CadenzaError",
-    "CadenzaWarning",
-    "DomainRandomization",
-    "Episode",
-    "Finger",
-    "Library",
-    "Note",
-    "Outcome",
-    "PedalEvent",
-    "Performance",
-    "PianoEnv",
-    "PianoVectorEnv",
-    "Piece",
-    "Plan",
-    "PlannerConfig",
-    "SceneConfig",
-    "Score",
-    "Song",
-    "TaskConfig",
-    "TaskSpec",
-    "TrainingConfig",
-    "View",
-    "load_episode",
-    "load_song",
-    "make_agent",
-    "open_library",
-    "plan",
-    "play",
-    "songs",
-    "train",
-]
 
 _MODULES = {
     "agents.agent": ("Agent",),
@@ -94,6 +70,7 @@ _MODULES = {
     "tasks.view": ("TaskSpec", "View"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+__all__ = sorted(_MODULE_OF)
 
 
 def __getattr__(name: str) -> Any:

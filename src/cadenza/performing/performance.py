@@ -37,18 +37,11 @@ from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.reward import key_activation
 from cadenza.tasks.setups import NamedSetup, setup_named
 
-RESULTS = (
-    "settings.json",
-    "metrics.json",
-    "episode.npz",
-    *(f"episode-{side}.npz" for side in SIDES),
-    "misses.json",
-    "arrangement.json",
-    "played.mid",
-    "wanted.mid",
-    "report.html",
-    "video.mp4",
+_REPLACED = (
+    *("metrics.json", "episode.npz", *(f"episode-{side}.npz" for side in SIDES), "misses.json"),
+    *("arrangement.json", "played.mid", "wanted.mid", "report.html", "video.mp4"),
 )
+RESULTS = ("settings.json", *_REPLACED)
 """Files that a performance leaves."""
 
 _IN_A_NOTEBOOK = 240.0  # [s] of music: the notebook keeps the page
@@ -134,9 +127,10 @@ class Performance:
         """
         folder, played = Path(folder), self.played
         write_json(folder / "settings.json", self.settings)  # first: it says whose the others are
+        for name in _REPLACED:
+            (folder / name).unlink(missing_ok=True)  # it tells of another performance
         self.episode.save(folder / "episode.npz")
-        parts = hand_episodes(self.episode, self.scene)
-        for side, part in parts.items():
+        for side, part in hand_episodes(self.episode, self.scene).items():
             part.save(folder / f"episode-{side}.npz")
         write_json(folder / "metrics.json", self.metrics)
         if self.misses is not None:
@@ -145,16 +139,9 @@ class Performance:
             write_json(folder / "arrangement.json", [fate.as_json for fate in self.fates])
         write_midi(played, folder / "played.mid")
         write_midi(self.goal, folder / "wanted.mid")
-        ours = {f"episode-{side}.npz": side in parts for side in SIDES}
-        ours |= {"misses.json": self.misses is not None, "report.html": page, "video.mp4": False}
-        ours |= {"arrangement.json": self.fates is not None}
-        for name in ours:
-            if not ours[name]:  # it tells of another performance
-                (folder / name).unlink(missing_ok=True)
-        if not page:
-            return
-        progress("making the sound", 0, 1)
-        add_page(folder, self.fingered_goal, synthesize(played, voice=voice), voice)
+        if page:
+            progress("making the sound", 0, 1)
+            add_page(folder, self.fingered_goal, synthesize(played, voice=voice), voice)
 
 
 def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
