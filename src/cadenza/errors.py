@@ -53,6 +53,11 @@ def _lack_of_memory(error: BaseException | None) -> BaseException | None:
     return None
 
 
+def is_for_users(error: BaseException) -> bool:
+    """Whether users can do something about an error, so that its message is enough."""
+    return isinstance(error, CadenzaError | OSError) or lacks_memory(error)
+
+
 def explained(error: BaseException) -> str:
     """The message of an error, with advice if the disk is full or memory is short."""
     if isinstance(error, OSError) and is_full(error):
@@ -83,7 +88,7 @@ def errors_in_a_line() -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if not isinstance(error, CadenzaError | OSError) and not lacks_memory(error):
+        if not is_for_users(error):
             raise
         print(f"error: {explained(error)}", file=sys.stderr)
         sys.exit(2)

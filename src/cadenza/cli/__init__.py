@@ -36,7 +36,7 @@ from cadenza.cli import (
 from cadenza.cli.arguments import Chosen, Shell, choose, parse, print_commands, similar
 from cadenza.cli.console import on_one_line, open_closed_streams, quietly, warnings_in_a_line
 from cadenza.cli.options import Options, reader, with_options_of_agents
-from cadenza.errors import CadenzaError, explained, lacks_memory
+from cadenza.errors import CadenzaError, explained, is_for_users
 from cadenza.learning.learner import LEARNERS
 from cadenza.registry import module_of
 
@@ -103,10 +103,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             sys.stdout.flush()
     except BrokenPipeError:  # whoever read the output has left, as `head` does
         _exit(1)
-    except (CadenzaError, OSError) as error:
-        _exit(2, explained(error))
     except Exception as error:
-        if not lacks_memory(error):
+        if not is_for_users(error):
             raise
         _exit(2, explained(error))
     except KeyboardInterrupt:

@@ -58,8 +58,7 @@ _VERSION = Annotated[_Flag, tyro.conf.arg(help="Print the version and exit.")]
 _COMPLETION = Annotated[
     Shell,
     tyro.conf.arg(
-        help="Print a shell's completion script, see docs/command-line.md.",
-        help_behavior_hint="",
+        help="Print a shell's completion script, see docs/command-line.md.", help_behavior_hint=""
     ),
 ]
 
@@ -72,8 +71,7 @@ Quiet = Annotated[
 """The option of all commands that show their progress."""
 
 SoundFont = Annotated[
-    Path | None,
-    tyro.conf.arg(help="A sound font (SF2) in place of the built-in piano."),
+    Path | None, tyro.conf.arg(help="A sound font (SF2) in place of the built-in piano.")
 ]
 """The option of commands that make sound."""
 
@@ -132,11 +130,7 @@ def choose(prog: str, words: Sequence[str]) -> Chosen:
 
 
 def parse(
-    kind: type[Command],
-    prog: str,
-    words: Sequence[str],
-    default: Command | None,
-    chosen: Chosen,
+    kind: type[Command], prog: str, words: Sequence[str], default: Command | None, chosen: Chosen
 ) -> Command:
     """Reads a command of the type `kind`, or prints its help and exits.
 

@@ -93,10 +93,7 @@ def _run(name: str, selection: Selection, command: Compare, seed: int) -> Run:
     from cadenza.performing.performance import perform
     from cadenza.report.comparison_page import Run, compared
 
-    with (
-        setting_up(selection, command, seed) as setup,
-        stages(f"{name}, seed {seed}") as progress,
-    ):
+    with setting_up(selection, command, seed) as setup, stages(f"{name}, seed {seed}") as progress:
         performance = perform(setup, progress)
     figures = compared(performance.metrics, performance.seconds)
     return Run(name, seed, figures, performance.episode)

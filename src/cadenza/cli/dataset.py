@@ -108,27 +108,19 @@ def _demonstrator(command: Collect) -> Demonstrator:
         raise CadenzaError("songs are recorded as written: leave out --arrange and --level")
     if agent in (PLAYBACK, PRETRAINED) or is_policy_folder(agent):
         raise CadenzaError(f"--agent {agent}: does not plan, nor play any song; choose the planner")
-    config = command.configs.get(agent)
     student = command.variation.student
     if student is not None and is_policy_folder(student):
         raise CadenzaError(
             f"--student {student}: policies cannot be students; choose an agent with a name, such "
             "as generalist"
         )
-    check_all_play(command, [agent, *([] if student is None else [student])])
-    student_config = None if student is None else command.configs.get(student)
-    make_agent(agent, config)  # an unknown agent is an error before any plays
-    if student is not None:
-        make_agent(student, student_config)
-    return Demonstrator(
-        agent,
-        config,
-        command.task,
-        command.scene,
-        command.arrangement,
-        command.variation,
-        student_config,
-    )
+    playing = [agent] if student is None else [agent, student]
+    check_all_play(command, playing)
+    configs = {name: command.configs.get(name) for name in playing}
+    for name, config in configs.items():
+        make_agent(name, config)  # an unknown agent is an error before any plays
+    how = command.task, command.scene, command.arrangement, command.variation
+    return Demonstrator(agent, configs[agent], *how, None if student is None else configs[student])
 
 
 def _outcome(folder: Path, _job: Job) -> str:

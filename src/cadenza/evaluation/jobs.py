@@ -56,8 +56,7 @@ class JobSpec:
 
     def as_json(self) -> dict[str, Any]:
         """Returns the same as JSON has it."""
-        content: dict[str, Any] = plain(asdict(self))
-        return content
+        return plain(asdict(self))
 
     @cached_property
     def key(self) -> str:

@@ -44,7 +44,7 @@ from cadenza.files import write_json
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.cpu_affinity import claimed_cores
 from cadenza.learning.run_folder import RunFolder
-from cadenza.performing.performance import Performance, add_page, perform
+from cadenza.performing.performance import add_page, perform
 from cadenza.performing.setup import Selection, select, set_up
 
 
@@ -107,7 +107,8 @@ def _result(
         trained = _train(spec, spec.training, folder / "training", num_threads, progress, stop)
         if trained is None:
             return None
-    performance = _play(spec, folder, num_threads, progress)
+    with set_up(_selection(spec, folder, num_threads), progress) as setup:
+        performance = perform(setup, progress)
     if trained is None:
         seconds, cpu_seconds = time.perf_counter() - began, time.process_time() - cpu_before
     else:
@@ -122,11 +123,6 @@ def _result(
         versions=versions(),
         training=trained,
     )
-
-
-def _play(spec: JobSpec, folder: Path, num_threads: int, progress: Progress) -> Performance:
-    with set_up(_selection(spec, folder, num_threads), progress) as setup:
-        return perform(setup, progress)
 
 
 def _selection(spec: JobSpec, folder: Path, num_threads: int | None = None) -> Selection:

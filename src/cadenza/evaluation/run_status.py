@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from cadenza.agents.agent import Progress
-from cadenza.errors import CadenzaError, explained, lacks_memory
+from cadenza.errors import CadenzaError, explained, is_for_users
 from cadenza.evaluation.jobs import Job, JobSpec, song_digest
 from cadenza.evaluation.results import FAILED, FORMAT
 from cadenza.files import read_json, write_json
@@ -90,7 +90,7 @@ def read_progress(folder: Path) -> RunProgress | None:
 
 def _error_line(error: Exception) -> str:
     """Returns what went wrong, in a line; also where, if it is a fault of the program."""
-    if isinstance(error, CadenzaError | OSError) or lacks_memory(error):
+    if is_for_users(error):
         return " ".join(explained(error).split())
     said = " ".join(str(error).split())
     frame = traceback.extract_tb(error.__traceback__)[-1]

@@ -58,10 +58,7 @@ def performance_profile(scores: Scores, thresholds: ArrayLike) -> Scores:
 
 
 def bootstrap_interval(
-    statistic: Statistic,
-    scores: Scores,
-    rng: np.random.Generator,
-    resamples: int = RESAMPLES,
+    statistic: Statistic, scores: Scores, rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> tuple[Scores, Scores]:
     """Returns both ends of the interval of `statistic` of `scores` (runs, pieces).
 

@@ -111,11 +111,7 @@ class Performance:
         return self.episode.num_steps * self.episode.dt
 
     def save(
-        self,
-        folder: str | Path,
-        progress: Progress = silent,
-        page: bool = True,
-        voice: Tone = tone,
+        self, folder: str | Path, progress: Progress = silent, page: bool = True, voice: Tone = tone
     ) -> None:
         """Writes what `cadenza play` leaves: report.html, metrics.json, episode.npz and so on.
 

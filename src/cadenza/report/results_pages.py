@@ -368,13 +368,7 @@ def _figure_bars(
     for i in order:
         texts = metric_text("f1", f1[i]), metric_text("note_onset_f1", onset_f1[i])
         title = "{}: F1 {}, note onset F1 {}".format(summary.pieces[i].title, *texts)
-        yield {
-            "title": title,
-            "f1": f1[i],
-            "low": low[i],
-            "high": high[i],
-            "onset_f1": onset_f1[i],
-        }
+        yield {"title": title, "f1": f1[i], "low": low[i], "high": high[i], "onset_f1": onset_f1[i]}
 
 
 def _means_text(agent: AgentSummary) -> str:

@@ -70,11 +70,7 @@ class WeightsAndBiases:
             CadenzaError: wandb is not installed.
         """
         self._run = need_wandb().init(
-            project=project,
-            dir=str(folder),
-            id=run,
-            resume="allow",
-            config=dict(settings),
+            project=project, dir=str(folder), id=run, resume="allow", config=dict(settings)
         )
 
     def add(self, row: Mapping[str, float]) -> None:

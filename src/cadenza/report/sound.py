@@ -126,9 +126,7 @@ def encode_opus(
         stream = container.add_stream("libopus", rate=_OPUS_RATE, layout=layout, options=frames)
         stream.bit_rate = bit_rate
         length = max(len(audio), int(np.ceil(seconds * SAMPLE_RATE)))
-        for frame in audio_frames(audio, length):
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode(None))
+        write_audio(container, stream, audio, length)
     return buffer.getvalue()
 
 
@@ -141,8 +139,10 @@ def bit_rate_of(seconds: float, mono: bool = False) -> int:
     return round(min(max(least * _LONG / max(seconds, 1.0), least), most))
 
 
-def audio_frames(audio: Samples, length: int) -> Iterator[av.AudioFrame]:
-    """Yields `length` samples of `audio`, with silence after its end, a second at a time."""
+def write_audio(
+    container: av.container.OutputContainer, stream: av.AudioStream, audio: Samples, length: int
+) -> None:
+    """Encodes `length` samples of `audio`, with silence after its end, a second at a time."""
     for first in range(0, length, SAMPLE_RATE):
         samples = np.zeros((min(SAMPLE_RATE, length - first), *audio.shape[1:]), np.int16)
         part = audio[first : first + len(samples)]
@@ -151,7 +151,8 @@ def audio_frames(audio: Samples, length: int) -> Iterator[av.AudioFrame]:
         frame = av.AudioFrame.from_ndarray(samples.reshape(1, -1), format="s16", layout=layout)
         frame.sample_rate = SAMPLE_RATE
         frame.pts, frame.time_base = first, Fraction(1, SAMPLE_RATE)
-        yield frame
+        container.mux(stream.encode(frame))
+    container.mux(stream.encode(None))
 
 
 class _LoudnessMeter:
@@ -217,10 +218,7 @@ def _at_least(length: int, mix: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _tone_of(
-    note: Note,
-    release: float,
-    tones: dict[tuple[int, int, int], NDArray[np.float32]],
-    voice: Tone,
+    note: Note, release: float, tones: dict[tuple[int, int, int], NDArray[np.float32]], voice: Tone
 ) -> NDArray[np.float32]:
     """Returns the undamped tone of a note, at least as long as it is heard; `tones` caches it."""
     band = note.velocity // _VELOCITY_BAND * _VELOCITY_BAND + _VELOCITY_BAND // 2

@@ -7,7 +7,7 @@ from pathlib import Path
 import av
 
 from cadenza.files import write_atomically
-from cadenza.report.sound import SAMPLE_RATE, Samples, audio_frames
+from cadenza.report.sound import SAMPLE_RATE, Samples, write_audio
 
 CODECS = {".wav": "pcm_s16le", ".flac": "flac", ".mp3": "libmp3lame"}
 """The encoder of each kind of file, by the ending of its name."""
@@ -32,6 +32,4 @@ def write_sound(path: Path, audio: Samples, seconds: float = 0.0) -> None:
         if stream.codec.name == CODECS[".mp3"]:
             stream.bit_rate = _MP3_RATE
         length = max(len(audio), round(seconds * SAMPLE_RATE))
-        for frame in audio_frames(audio, length):
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode(None))
+        write_audio(container, stream, audio, length)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
-from cadenza.report.sound import SAMPLE_RATE, Samples, audio_frames
+from cadenza.report.sound import SAMPLE_RATE, Samples, write_audio
 
 ANIMATIONS: dict[str, tuple[str, str, dict[str, str]]] = {
     ".gif": ("gif", "rgb24", {}),
@@ -74,9 +74,7 @@ def write_video(
         container.mux(video.encode(None))
 
         length = min(len(audio), int((count / fps + 1) * SAMPLE_RATE))
-        for frame in audio_frames(audio, length):
-            container.mux(sound.encode(frame))
-        container.mux(sound.encode(None))
+        write_audio(container, sound, audio, length)
 
 
 def write_animation(

@@ -28,13 +28,7 @@ from cadenza.studio.jobs import Job, JobQueue
 from cadenza.studio.limits import MAX_BYTES
 from cadenza.studio.page_server import PageServer, error_response
 from cadenza.studio.processes import opening_picture, read_upload, write_comparison
-from cadenza.studio.request import (
-    AGENTS,
-    PLANNER_VARIANTS,
-    PlayRequest,
-    hand_titles,
-    read_request,
-)
+from cadenza.studio.request import AGENTS, PLANNER_VARIANTS, PlayRequest, hand_titles, read_request
 from cadenza.studio.storage import FILES, Storage, Upload
 from cadenza.studio.training_runs import TrainingRuns
 

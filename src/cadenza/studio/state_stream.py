@@ -13,15 +13,7 @@ from cadenza.performing.setup import Setup
 from cadenza.report.engraver import Engraver
 from cadenza.report.recording import arranged_notes, finger_numbers, lost_notes, packed
 from cadenza.scene.drawing import drawing
-from cadenza.studio.messages import (
-    ROWS,
-    SOUNDS,
-    STEP_PARTS,
-    Message,
-    Send,
-    json_message,
-    row_bytes,
-)
+from cadenza.studio.messages import ROWS, SOUNDS, STEP_PARTS, Message, Send, json_message, row_bytes
 from cadenza.studio.synthesizer import INSTRUMENT
 from cadenza.tasks import reward
 from cadenza.tasks.augmentation import draws_variation

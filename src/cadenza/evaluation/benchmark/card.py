@@ -17,13 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.benchmark.definition import (
-    BENCHMARK,
-    METRICS,
-    TRACKS,
-    open_set,
-    own_track,
-)
+from cadenza.evaluation.benchmark.definition import BENCHMARK, METRICS, TRACKS, open_set, own_track
 from cadenza.files import TENSORS, content_of, folder_name, parsed_json
 from cadenza.music.libraries.songs import Song
 

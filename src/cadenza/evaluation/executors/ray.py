@@ -17,11 +17,7 @@ class RayExecutor:
     """Carries out as many runs at once as the cluster has cores for, also when it grows."""
 
     def __init__(
-        self,
-        num_threads: int,
-        num_jobs: int | None,
-        address: str | None,
-        carry_out: CarryOut,
+        self, num_threads: int, num_jobs: int | None, address: str | None, carry_out: CarryOut
     ) -> None:
         """Joins the cluster at `address`, or starts one on this machine.
 
