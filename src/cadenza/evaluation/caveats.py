@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from cadenza.configs import flat
 from cadenza.evaluation.results import Result, Results
+from cadenza.files import plain
+from cadenza.music.arrangement import Arrangement
 from cadenza.report.bench_summary import SHARES
 from cadenza.report.charts import counted
 
 _VARIED = ("song", "song_digest", "seed", "agent")  # what differs among the runs of a bench
 _OWN = ("config", "agent_digest")  # what each agent has of its own
-_AS_WRITTEN: dict[str, Any] = {
-    "arrangement.first_seconds": None,
-    "arrangement.tracks": [],
-    "arrangement.plain": False,
-    "arrangement.arrange": "auto",
-    "arrangement.level": None,
-    "arrangement.drums": "off",
-    "arrangement.expression": 0.0,
-    "task.stretch": 1.0,
-    "task.transpose": 0,
-}
+_MUSIC = {"arrangement": asdict(Arrangement()), "task": {"stretch": 1.0, "transpose": 0}}
+_AS_WRITTEN = dict(flat(plain(_MUSIC)))  # the options of a job with which a piece is not changed
 _MAX_VALUE = 1e12  # of a time, an energy or the like; what is larger is damage
 _MIN_MUSIC = 1e-3  # [s]; others are divided by it
 _TOLERANCE = 1e-9  # by which rounding may have a share exceed 1

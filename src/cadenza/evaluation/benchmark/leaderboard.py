@@ -9,6 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 from unicodedata import normalize
@@ -22,6 +23,7 @@ from cadenza.evaluation.statistics import bootstrap_interval, mean
 from cadenza.evaluation.tables import write_csv
 from cadenza.files import write_atomically
 from cadenza.music.formats.titles import printable
+from cadenza.report.charts import mean_of_known
 from cadenza.report.leaderboard_page import write_leaderboard_page
 
 _MS_PER_SECOND = 1000
@@ -100,7 +102,7 @@ def write_leaderboard(folder: Path, standings: Sequence[Standing]) -> list[Path]
     write_csv(table, [_without_formulas(row) for row in rows])
     shown = {
         title: [[_text(row, name) for name in COLUMNS] for row in section]
-        for title, section in _sections(rows).items()
+        for title, section in groupby(rows, _section)
     }
     with write_atomically(text) as file:
         file.write(_markdown(shown).encode())
@@ -114,7 +116,7 @@ def leaderboard(standings: Sequence[Standing]) -> list[Row]:
     played = Counter(entry_digest(v.card.runs) for v in verified if not v.problems)
     rows = [_row(standing, played) for standing in standings]
     return sorted(
-        rows, key=lambda row: (row["songs"], row["track"], -_or_zero(row["f1"]), row["name"])
+        rows, key=lambda row: (row["songs"], row["track"], -np.nan_to_num(row["f1"]), row["name"])
     )
 
 
@@ -154,33 +156,20 @@ def figures(verified: Verified) -> Row:
 
     f1 = scores("f1")
     low, high = bootstrap_interval(mean, f1, np.random.default_rng(_SEED))
-    cpu = [run.cpu_seconds for run in card.runs]
-    known = [seconds for seconds in cpu if seconds is not None]
+    cpu = [math.nan if run.cpu_seconds is None else run.cpu_seconds for run in card.runs]
     return {
         "f1": float(mean(f1)),
         "f1_low": float(low),
         "f1_high": float(high),
         **{name: float(mean(scores(name))) for name in _SCORES},
-        "onset_error_ms": _MS_PER_SECOND * _mean_of_known(scores("onset_error_median")),
-        "velocity_error": _mean_of_known(scores("velocity_error")),
-        "cpu_per_music": math.fsum(known) / verified.seconds
-        if len(known) == len(cpu)
-        else math.nan,
+        "onset_error_ms": _MS_PER_SECOND * mean_of_known(scores("onset_error_median").ravel()),
+        "velocity_error": mean_of_known(scores("velocity_error").ravel()),
+        "cpu_per_music": math.fsum(cpu) / verified.seconds,
     }
 
 
-def _mean_of_known(scores: Any) -> float:
-    """The mean of values (seeds, songs), but for songs of which no note was played."""
-    there = ~np.isnan(scores)
-    return float(scores[there].mean()) if there.any() else math.nan
-
-
-def _sections(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    found: dict[str, list[Row]] = {}
-    for row in rows:
-        title = f"{row['songs']}, {row['track']}" if row["songs"] else "Not read"
-        found.setdefault(title, []).append(row)
-    return found
+def _section(row: Row) -> str:
+    return f"{row['songs']}, {row['track']}" if row["songs"] else "Not read"
 
 
 def _without_formulas(row: Row) -> Row:
@@ -220,7 +209,3 @@ def _line(cells: Sequence[str]) -> str:
 
 def _plain(text: str) -> str:
     return "".join(f"\\{c}" if c in "\\`*_[]<>|#~&" else c for c in " ".join(text.split()))
-
-
-def _or_zero(value: Any) -> float:
-    return 0.0 if not isinstance(value, float) or math.isnan(value) else value
