@@ -66,22 +66,18 @@ def carry_out(
             return
         if is_finished(folder):
             _add_page(job.spec, folder)
-        else:
-            _carry_out(job, folder, num_threads, stop)
+            return
+        with failure_recorded(folder):
+            result = _result(job, folder, num_threads, stop)
+            if result is not None:
+                write_json(folder / RESULT, asdict(result))
+                for name in ("checkpoints", "replay"):  # they are most of what training wrote
+                    shutil.rmtree(folder / "training" / name, ignore_errors=True)
 
 
 def is_complete(job: Job, folder: Path) -> bool:
     """Returns whether the run is finished, and has the page that is wanted."""
     return is_finished(folder) and (not job.page or (folder / PAGE).exists())
-
-
-def _carry_out(job: Job, folder: Path, num_threads: int, stop: Callable[[], bool]) -> None:
-    with failure_recorded(folder):
-        result = _result(job, folder, num_threads, stop)
-        if result is not None:
-            write_json(folder / RESULT, asdict(result))
-            for name in ("checkpoints", "replay"):  # they are most of what training wrote
-                shutil.rmtree(folder / "training" / name, ignore_errors=True)
 
 
 def _add_page(spec: JobSpec, folder: Path) -> None:

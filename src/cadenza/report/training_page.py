@@ -53,6 +53,7 @@ _UNITS: dict[str, Literal["number", "share", "log"]] = {
     "train/learning_rate": "log",
 }
 """Columns -> what their axes measure, if not just numbers."""
+_MEAN = "mean"  # style and name of the line of all runs
 _MAX_POINTS = 1200  # of all runs together in a chart, so that the page stays small
 _MAX_LINE_POINTS = 200  # of a line: more are not to be seen
 
@@ -94,7 +95,7 @@ def training_page(
         links: label -> relative address of another page.
         running: whether the page is to load itself anew from time to time.
     """
-    several, styles = len(runs) > 1, _line_styles(runs)
+    several, styles = len(runs) > 1, [(style, name) for style, name, _ in _series(runs)]
     details = [] if len(_tasks(runs)) > 1 else _detail_styles(several)
     evaluations = sum(len(_points(run, "eval/f1").x) for run in runs)
     return render(
@@ -356,44 +357,34 @@ def _titles(runs: Sequence[Curve]) -> Iterator[tuple[str, str]]:
 
 
 def _lines(runs: Sequence[Curve], each: Sequence[Points]) -> list[Line]:
-    """Returns a line for each run, and their mean if several have points; or a line for each task.
-
-    There are none where no run has any points.
-    """
-    if not any(len(points.x) for points in each):
-        return []
-    if len(tasks := _tasks(runs)) > 1:
-        points = dict(zip(map(id, runs), each, strict=True))
-        of_tasks = ([points[id(run)] for run in task_runs] for task_runs in tasks.values())
-        return [
-            _mean_with_band(style, name, of_task, runs)
-            for (style, name), of_task in zip(_line_styles(runs), of_tasks, strict=True)
-        ]
-    lines = [
-        Line(style, name, _thinned(points, runs))
-        for (style, name), points in zip(_line_styles(runs), each, strict=False)
+    """Returns the lines of `_series`, but for a mean of fewer than two; none without any points."""
+    num_known = sum(len(points.x) > 0 for points in each)
+    return [
+        _line(style, name, [each[i] for i in members], runs)
+        for style, name, members in _series(runs)
+        if num_known > 1 or (num_known and style != _MEAN)
     ]
-    if sum(len(points.x) > 0 for points in each) > 1:
-        lines.append(Line("mean", "mean", _thinned(_mean(each), runs)))
-    return lines
 
 
-def _mean_with_band(style: str, name: str, each: Sequence[Points], runs: Sequence[Curve]) -> Line:
-    """Returns the mean of the runs of a task, over a band from the lowest to the highest."""
+def _line(style: str, name: str, each: Sequence[Points], runs: Sequence[Curve]) -> Line:
+    """Returns the mean of lines, for several of a task over a band from lowest to highest."""
     x, values = _resampled(each)
     mean, low, high = (
         _thinned(Points(x, y), runs) for y in (values.mean(0), values.min(0), values.max(0))
     )
-    band = (low.y, high.y) if len(values) > 1 else None
-    return Line(style, name, mean, band)
+    return Line(style, name, mean, (low.y, high.y) if len(values) > 1 and style != _MEAN else None)
 
 
-def _line_styles(runs: Sequence[Curve]) -> list[tuple[str, str]]:
-    """Returns style and name of the line of each run and of their mean, or of each task."""
-    tasks = _tasks(runs)
-    names = list(tasks) if len(tasks) > 1 else [run.name for run in runs]
-    styles = [(line_style(i), name) for i, name in enumerate(names)]
-    return styles + [("mean", "mean")] * (len(tasks) == 1 < len(runs))
+def _series(runs: Sequence[Curve]) -> list[tuple[str, str, list[int]]]:
+    """Returns style, name and runs of each line: of a run each and of all, or of a task each."""
+    numbers, tasks = list(range(len(runs))), _tasks(runs)
+    if len(tasks) > 1:
+        return [
+            (line_style(i), task, [n for n in numbers if runs[n].task == task])
+            for i, task in enumerate(tasks)
+        ]
+    each = [(line_style(n), runs[n].name, [n]) for n in numbers]
+    return each + [(_MEAN, _MEAN, numbers)] * (len(runs) > 1)
 
 
 def _detail_styles(several: bool) -> list[tuple[str, str]]:

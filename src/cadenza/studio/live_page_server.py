@@ -39,19 +39,11 @@ class LivePageServer(PageServer):
 
     def routes(self) -> list[BaseRoute]:
         """Returns all that the server answers."""
-        return [
-            *super().routes(),
-            Route("/api/songs", self.songs),
-            Route("/api/performances", self.performances),
-        ]
+        return [*super().routes(), Route("/api/songs", self.songs)]
 
     async def songs(self, _: Request) -> Response:
         """Answers that there is only the one performance."""
         return JSONResponse({"songs": [], "agents": {}, "hands": {}, "only": self._id})
-
-    async def performances(self, _: Request) -> Response:
-        """Lists no files: the process that plays prints where they are."""
-        return JSONResponse([])
 
     @asynccontextmanager
     async def lifespan(self, app: Starlette) -> AsyncIterator[None]:
