@@ -13,7 +13,7 @@ MAX_VALUE = 1e30
 """Largest value that is drawn: uPlot has no ticks beyond."""
 STYLES = ("uplot.min.css", "page.css", "chart.css", "comparison.css", "training.css")
 """Style sheets of pages with line charts."""
-SCRIPTS = ("chart.js", "curves.js")
+SCRIPTS = ("elements.js", "chart.js", "curves.js")
 """Scripts that draw line charts."""
 _NUM_COLOURS = 8  # that the style sheet has
 _DIGITS = 6  # significant, of a value that is drawn

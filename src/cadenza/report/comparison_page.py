@@ -30,7 +30,7 @@ COLUMNS = {
 }
 """Title and number of decimals of each metric that is compared."""
 _STYLES = ("uplot.min.css", "page.css", "chart.css", "comparison.css")
-_SCRIPTS = ("chart.js", "comparison.js")
+_SCRIPTS = ("elements.js", "chart.js", "comparison.js")
 _THREE, _UPLOT = performance.LIBRARIES  # this page runs the latter, too, as `comparison.js` knows
 _BARS = ("f1", "precision", "recall", "note_onset_f1")
 _MS_PER_SECOND = 1000

@@ -41,7 +41,7 @@ from cadenza.studio.broadcast import Broadcast
 from cadenza.studio.synthesizer import Synthesizer
 
 _SHARED = (  # scripts, of reports as well
-    *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "chart.js"),
+    *("elements.js", "recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "chart.js"),
     *("arrangement.js", "explanations.js", "roll.js", "controls.js", "score.js"),
 )
 _OWN = (

@@ -1,6 +1,5 @@
 // One run at a time, in a frame: its own page, put together with what all of them share.
 
-const $ = (id) => document.getElementById(id);
 const read = (element) => JSON.parse(element.textContent);
 const frame = $("frame"), choice = $("choice"), strips = document.querySelector(".strips");
 const shared = { "uplot.min.js": $("uplot").textContent, ...read($("shared")) }, runs = document.querySelectorAll(".run");
@@ -88,8 +87,7 @@ for (const chosen of document.querySelectorAll("[data-run]")) {
   });
 }
 
-const cursor = document.createElement("div");
-cursor.className = "cursor";
+const cursor = make("div", [], { className: "cursor" });
 (function follow() {
   const strip = document.querySelector(`.strip[data-run="${choice.value}"] .u-over`);
   if (cursor.parentElement !== strip) strip.append(cursor);

@@ -1,9 +1,6 @@
 // The controls that all players have in common: over the picture, and for the sound.
 
-const $ = (id) => document.getElementById(id);
 const minutes = (time) => `${Math.floor(time / 60)}:${(time % 60).toFixed(1).padStart(4, "0")}`;
-/** Makes an element that holds a text. */
-const make = (name, text = "", properties = {}) => Object.assign(document.createElement(name), { textContent: text }, properties);
 const press = (button, pressed) => button.setAttribute("aria-pressed", pressed);
 const isPressed = (button) => button.getAttribute("aria-pressed") === "true";
 

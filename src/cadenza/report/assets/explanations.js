@@ -36,43 +36,29 @@ const inFull = ({ became, kind, key }, { lowest }) => (kind === MOVED ? `${becam
 function listNotes(table, titles, rows, show) {
   const groups = new Map();
   for (const row of rows) groups.set(row.group, [...(groups.get(row.group) ?? []), row]);
-  const head = make("tr"), largestFirst = [...groups.values()].sort((a, b) => b.length - a.length);
-  head.append(...titles.map((title) => make("th", title, { scope: "col" })));
-  const thead = make("thead");
-  thead.append(head);
-  table.replaceChildren(thead, ...largestFirst.map((group) => listGroup(group, titles.length)));
+  const heads = titles.map((title) => make("th", title, { scope: "col" })), largestFirst = [...groups.values()].sort((a, b) => b.length - a.length);
+  table.replaceChildren(make("thead", make("tr", heads)), ...largestFirst.map((group) => listGroup(group, titles.length)));
   table.onclick = ({ target }) => {
     const row = target.closest("[data-time]");
     if (row) show(Number(row.dataset.time));
   };
 }
 function listGroup(group, columns) {
-  const body = make("tbody"), rows = () => group.map(listNote);
-  if (group.length === 1) {
-    body.append(...rows());
-    return body;
-  }
-  const [{ reason, title }] = group, row = make("tr", "", { className: "several" }), cell = make("td", "", { colSpan: columns });
-  const button = make("button", `${group.length} notes`, { type: "button" });
-  const words = group.every((each) => each.reason === reason) ? reason : title;
-  button.setAttribute("aria-expanded", "false");
+  if (group.length === 1) return make("tbody", listNote(group[0]));
+  const [{ reason, title }] = group, words = group.every((each) => each.reason === reason) ? reason : title;
+  const button = make("button", `${group.length} notes`, { type: "button", "aria-expanded": false });
+  const row = make("tr", make("td", [button, ` ${words}`], { colSpan: columns }), { className: "several" }), body = make("tbody", row);
   row.onclick = () => {
     const open = button.getAttribute("aria-expanded") !== "true";
     button.setAttribute("aria-expanded", open);
-    body.replaceChildren(row, ...(open ? rows() : []));
+    body.replaceChildren(row, ...(open ? group.map(listNote) : []));
     button.focus();
   };
-  cell.append(button, ` ${words}`);
-  row.append(cell);
-  body.append(row);
   return body;
 }
 function listNote({ time, cells }) {
-  const row = make("tr"), first = make("td");
-  row.dataset.time = time;
-  first.append(make("button", `${time.toFixed(2)} s`, { type: "button" })); // so does a click anywhere on the row
-  row.append(first, ...cells.map((cell) => make("td", cell)));
-  return row;
+  const button = make("button", `${time.toFixed(2)} s`, { type: "button" }); // so does a click anywhere on the row
+  return make("tr", [button, ...cells].map((cell) => make("td", cell)), { "data-time": time });
 }
 
 /** What there is to say of a key at a time [s]: what the arrangement did, and why it was missed. */
@@ -90,7 +76,7 @@ function explanation(data, changes, key, time) {
 
 /** Says beside the pointer what `textAt(event)` has to say. */
 function explainAtPointer(chart, textAt) {
-  const tip = make("div", "", { className: "tip", hidden: true });
+  const tip = make("div", [], { className: "tip", hidden: true });
   chart.querySelector(".tip")?.remove(); // of another performance
   chart.append(tip);
   const point = (event) => {

@@ -1,6 +1,5 @@
 // The charts and the table of all pieces, for the pieces, the metric and the agent that are chosen.
 
-const $ = (id) => document.getElementById(id);
 const { metrics, agents, groups, pieces, values } = JSON.parse($("data").textContent);
 const NAMED = 13; // [px] a column has to be this wide for its name
 const LONGEST = 30; // characters of a name
@@ -168,17 +167,6 @@ function tableColumns() {
   }))];
 }
 
-const make = (name, content = "", more = {}) => {
-  const element = document.createElement(name);
-  element.append(content);
-  return Object.assign(element, more);
-};
-const link = (address, words, label) => {
-  const element = make("a", words, { href: address });
-  if (label) element.setAttribute("aria-label", label);
-  return element;
-};
-
 function found() {
   const words = $("search").value.toLowerCase().split(/\s+/);
   return members().filter((piece) => {
@@ -200,38 +188,27 @@ function showTable() {
   const by = shownColumns.find(({ key }) => key === order.by) ?? shownColumns.find(({ key }) => key === `${chosen.agent} ${chosen.metric}`) ?? shownColumns[0];
   const rows = sorted(found(), by);
   $("found").textContent = rows.length === members().length ? `${rows.length} pieces` : `${rows.length} of ${members().length} pieces`;
-  const head = make("tr");
-  for (const column of shownColumns) {
-    const cell = make("th", make("button", column.title, { type: "button" }), { scope: "col", className: column.text ? "text" : "" });
-    if (column === by) cell.setAttribute("aria-sort", order.falling ? "descending" : "ascending");
-    cell.firstChild.dataset.key = column.key;
-    head.append(cell);
-  }
-  head.append(make("th", "See and hear", { scope: "col", className: "page" }));
-  const body = make("tbody");
-  for (const piece of rows) body.append(tableRow(piece, shownColumns));
-  table.replaceChildren(make("thead", head), body);
+  const heads = shownColumns.map((column) => {
+    const button = make("button", column.title, { type: "button", "data-key": column.key });
+    const sorting = column === by ? { "aria-sort": order.falling ? "descending" : "ascending" } : {};
+    return make("th", button, { scope: "col", className: column.text ? "text" : "", ...sorting });
+  });
+  heads.push(make("th", "See and hear", { scope: "col", className: "page" }));
+  table.replaceChildren(make("thead", make("tr", heads)), make("tbody", rows.map((piece) => tableRow(piece, shownColumns))));
 }
 
 function tableRow(piece, shownColumns) {
-  const { title, composer, about, pages } = pieces[piece], row = make("tr");
+  const { title, composer, about, pages } = pieces[piece];
   const best = Math.max(...shownColumns.filter((column) => column.best).map(({ of }) => of(piece) ?? -Infinity));
-  for (const { key, of, show, small, best: compared, text } of shownColumns) {
-    if (key === "title") {
-      const cell = make("th", link(about, title), { scope: "row" });
-      if (composer) cell.append(" ", make("small", composer));
-      row.append(cell);
-      continue;
-    }
-    const known = of(piece), shown = known === null ? "–" : (show ?? String)(known);
-    const cell = make("td", compared && known === best ? make("b", shown) : shown, { className: text ? "text" : "" });
-    const more = small?.(piece);
-    if (more) cell.append(make("small", more));
-    row.append(cell);
-  }
-  const agent = pages[chosen.agent] ? chosen.agent : -1;
-  row.append(make("td", agent < 0 ? make("span", "no page") : link(pages[agent], "roll and 3D", `${title}: piano roll and 3D of ${agents[agent]}`), { className: "page" }));
-  return row;
+  const cells = shownColumns.map(({ key, of, show, small, best: compared, text }) => {
+    if (key === "title") return make("th", [make("a", title, { href: about }), ...(composer ? [" ", make("small", composer)] : [])], { scope: "row" });
+    const known = of(piece), shown = known === null ? "–" : (show ?? String)(known), more = small?.(piece);
+    const parts = [compared && known === best ? make("b", shown) : shown, ...(more ? [make("small", more)] : [])];
+    return make("td", parts, { className: text ? "text" : "" });
+  });
+  const href = pages[chosen.agent], label = `${title}: piano roll and 3D of ${agents[chosen.agent]}`;
+  const page = href ? make("a", "roll and 3D", { href, "aria-label": label }) : make("span", "no page");
+  return make("tr", [...cells, make("td", page, { className: "page" })]);
 }
 
 $("pieces").addEventListener("click", ({ target }) => {

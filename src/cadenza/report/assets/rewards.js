@@ -5,11 +5,8 @@ const decimals = (number) => number.toFixed(3).replace(/^-(?=0\.0+$)/, "");
 
 /** Adds a picture that `words` describe to `element`, under a title of these `parts`; it is yet to be drawn. */
 function addPictureUnder(element, parts, words) {
-  const title = make("div", "", { className: "term" }), drawing = make("div", "", { className: "drawing" });
-  title.append(...parts);
-  drawing.setAttribute("role", "img");
-  drawing.setAttribute("aria-label", words);
-  element.append(title, drawing);
+  const drawing = make("div", [], { className: "drawing", role: "img", "aria-label": words });
+  element.append(make("div", parts, { className: "term" }), drawing);
   return drawing;
 }
 
@@ -17,9 +14,7 @@ function createRewards(element, { rewards, dt, steps }, seek) {
   const terms = Object.entries(rewards).map(([name, values]) => {
     const known = values.filter((v) => !Number.isNaN(v)), term = name.replaceAll("_", " ");
     const mean = `mean ${decimals(known.reduce((sum, v) => sum + v, 0) / Math.max(known.length, 1))}`;
-    const label = make("span"), here = make("span", "at the cursor "), output = make("output");
-    label.append(make("b", term), ` ${mean}`);
-    here.append(output);
+    const output = make("output"), label = make("span", [make("b", term), ` ${mean}`]), here = make("span", ["at the cursor ", output]);
     drawReward(addPictureUnder(element, [label, here], `Reward ${term} over time, ${mean}`), values);
     return { values, output };
   });

@@ -73,7 +73,7 @@ function createScore(element, engraving, data, seek) {
   placeAnchors(systems, notes);
   element.classList.toggle("short", systems.length === 1);
   element.prepend(...engraving.remarks.map((remark) => make("p", remark, { className: "remark" })));
-  const cursor = make("div", "", { className: "cursor" }), longest = longestOf(notes);
+  const cursor = make("div", [], { className: "cursor" }), longest = longestOf(notes);
   element.append(cursor);
   let now = 0, width = 0, narrow = false, shown = null, sounding = new Set(), touchedAt = -Infinity, turnedAt = -Infinity;
   const bars = systems.flatMap(({ bars }) => bars);

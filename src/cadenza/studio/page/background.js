@@ -28,16 +28,12 @@ async function showBackground() {
   if (active || others.length) showBackground.again = setTimeout(showBackground, POLL_INTERVAL);
 }
 function taskItem(title, about, points, actions) {
-  const item = make("li"), nav = make("nav");
-  for (const [name, run] of actions) {
-    nav.append(labelledButton(name, `${name}: ${title}`, async () => {
-      await run();
-      await showBackground();
-    }));
-  }
-  item.append(make("b", title), make("small", about));
+  const item = make("li", [make("b", title), make("small", about)]);
   if (points.length > 1) addCurveOfF1(item, points);
-  item.append(nav);
+  item.append(make("nav", actions.map(([name, run]) => labelledButton(name, `${name}: ${title}`, async () => {
+    await run();
+    await showBackground();
+  }))));
   return item;
 }
 /** Draws F1 between 0 and 1, from the first point to the last. */

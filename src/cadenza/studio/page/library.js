@@ -46,15 +46,11 @@ function showChosen() {
 }
 function songItem(song) {
   const about = song.uploaded ? "yours" : song.composer;
-  const button = make("button", "", { type: "button", title: `${song.title}, ${about}` }), item = make("li");
   const level = song.grade ? ` · level ${song.grade.toFixed(1)}` : "";
-  button.append(make("span", song.title), make("small", about));
-  button.append(make("small", minutes(song.seconds).split(".")[0] + level, { title: level && "How hard it is for robot hands, from 1 to 10" }));
-  button.dataset.song = song.id;
+  const length = make("small", minutes(song.seconds).split(".")[0] + level, { title: level && "How hard it is for robot hands, from 1 to 10" });
+  const button = make("button", [make("span", song.title), make("small", about), length], { type: "button", title: `${song.title}, ${about}`, "data-song": song.id });
   button.addEventListener("click", () => { choose(song.id); playChosen(); });
-  item.append(button);
-  if (song.uploaded) item.append(labelledButton("×", `Delete ${song.title}`, () => deleteSong(song)));
-  return item;
+  return make("li", song.uploaded ? [button, labelledButton("×", `Delete ${song.title}`, () => deleteSong(song))] : button);
 }
 /** Deletes an upload; what was played of it stays. */
 async function deleteSong(song) {
@@ -72,9 +68,8 @@ function choose(id) {
   $("remarks").hidden = !remarks.length;
   $("tracks").hidden = tracks.length < 2;
   $("tracks").replaceChildren(make("legend", "Tracks"), ...tracks.map(({ number, name, instrument, notes: count }) => {
-    const label = make("label"), box = make("input", "", { type: "checkbox", value: number, checked: true });
-    label.append(box, make("span", `${name || instrument || `Track ${number}`}, ${count} notes`));
-    return label;
+    const box = make("input", [], { type: "checkbox", value: number, checked: true });
+    return make("label", [box, make("span", `${name || instrument || `Track ${number}`}, ${count} notes`)]);
   }));
   showChosen();
 }

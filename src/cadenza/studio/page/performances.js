@@ -9,7 +9,7 @@ async function listPerformances() {
   $("kept").replaceChildren(...kept.map(performanceItem));
 }
 function performanceItem(each) {
-  const item = make("li"), links = make("nav"), { id, title, has_states: canWatch } = each;
+  const links = make("nav"), { id, title, has_states: canWatch } = each;
   const when = new Date(1000 * each.finished).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
   const about = `${formatScores(each.f1, each.note_onset_f1)} · ${minutes(each.seconds).split(".")[0]} · ${when}`;
   if (canWatch) {
@@ -18,14 +18,12 @@ function performanceItem(each) {
   }
   for (const [file, name] of Object.entries(FILE_TITLES)) {
     if (!each.files.includes(file)) continue;
-    const link = make("a", name, { href: `performances/${id}/${file}`, target: "_blank", rel: "noopener" });
+    const link = make("a", name, { href: `performances/${id}/${file}`, target: "_blank", rel: "noopener", "aria-label": `${name} of ${title}` });
     if (file !== "report.html") link.download = `${title}${FILE_NAMES[file] ?? ""}${file.slice(file.lastIndexOf("."))}`;
-    link.setAttribute("aria-label", `${name} of ${title}`);
     links.append(link);
   }
   links.append(labelledButton("Delete", `Delete ${title}`, () => deletePerformance(each)));
-  item.append(make("b", title, { title }), make("small", howPlayed(each.request)), make("small", about), links);
-  return item;
+  return make("li", [make("b", title, { title }), make("small", howPlayed(each.request)), make("small", about), links]);
 }
 async function deletePerformance({ id, title }) {
   if (!confirm(`Delete this performance of ${title}?`)) return;

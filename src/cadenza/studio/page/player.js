@@ -223,14 +223,10 @@ function createPicture() {
 }
 /** Adds a picture of a recording, with a caption if there is one, and returns its stage. */
 function addPicture(recording, caption) {
-  const half = make("div", "", { className: "half" }), canvas = make("canvas", "", { className: "view", tabIndex: 0 });
-  canvas.setAttribute("role", "img");
-  canvas.setAttribute("aria-label", "The hands over the keyboard: drag to turn, wheel to zoom after a click");
-  const seen = make("div", "", { className: "seen" });
-  seen.append(canvas);
-  half.append(seen);
-  if (caption) half.append(caption);
-  $("halves").append(half);
+  const words = "The hands over the keyboard: drag to turn, wheel to zoom after a click";
+  const canvas = make("canvas", [], { className: "view", tabIndex: 0, role: "img", "aria-label": words });
+  const seen = make("div", canvas, { className: "seen" });
+  $("halves").append(make("div", caption ? [seen, caption] : seen, { className: "half" }));
   return createStage(canvas, recording, VERDICTS.map((name) => css("--" + name)));
 }
 /** Shows hands that are ready to play a song, until something is chosen. */
@@ -249,11 +245,11 @@ async function showOpening() {
 }
 /** Returns a bar with who plays, the scores, and a button to listen to it. */
 function caption(performance) {
-  const bar = make("div", "", { className: "caption" }), name = howPlayed(performance.request);
-  performance.shownScores = make("b", "");
+  const name = howPlayed(performance.request);
+  performance.shownScores = make("b");
   performance.listen = labelledButton("Listen", `Listen to ${name}`, () => listenTo(performance));
   const close = labelledButton("×", `Close ${name}`, () => watch([shown.find((each) => each !== performance).id], now()));
-  bar.append(make("span", name, { title: name }), performance.shownScores, performance.listen);
+  const bar = make("div", [make("span", name, { title: name }), performance.shownScores, performance.listen], { className: "caption" });
   const kept = shown.every(({ status: { state } }) => state === "kept"), isLast = performance === shown.at(-1);
   if (kept && isLast) bar.append(make("a", "Details", { href: `comparisons/${shown.map(({ id }) => id).join("/")}`, target: "_blank", rel: "noopener" }));
   bar.append(close);

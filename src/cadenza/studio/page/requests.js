@@ -2,12 +2,7 @@
 
 const cadenza = window.cadenza = { ready: false, error: null, state: "idle", time: 0, strikes: [], waits: 0 };
 /** Returns a button whose label says to screen readers what it acts on. */
-function labelledButton(name, label, run) {
-  const button = make("button", name, { type: "button" });
-  button.setAttribute("aria-label", label);
-  button.addEventListener("click", run);
-  return button;
-}
+const labelledButton = (name, label, run) => make("button", name, { type: "button", "aria-label": label, onclick: run });
 function showError(message) {
   cadenza.error = String(message);
   $("error").textContent = cadenza.error.charAt(0).toUpperCase() + cadenza.error.slice(1);
