@@ -6,7 +6,7 @@ import av
 import numpy as np
 import pytest
 
-from cadenza.errors import CadenzaError, explained
+from cadenza.errors import explained
 from cadenza.files import TEMPORARY
 from cadenza.music.score import Note, Score
 from cadenza.report.sound import synthesize
@@ -16,7 +16,8 @@ from cadenza.report.video import write_animation, write_video
 def test_pictures_and_sound_are_read_back(tmp_path):
     audio = synthesize(Score((Note(0, 1, 60),)))
     path = tmp_path / "a.mp4"
-    write_video(path, (np.full((121, 163, 3), 5 * i, np.uint8) for i in range(40)), 20, audio)
+    pictures = (np.full((121, 163, 3), 5 * i, np.uint8) for i in range(40))
+    write_video(path, pictures, 20, audio, (163, 121))
     with av.open(str(path)) as file:
         video, sound = file.streams.video[0], file.streams.audio[0]
         assert (video.codec.name, sound.codec.name) == ("h264", "aac")
@@ -30,31 +31,10 @@ def test_pictures_and_sound_are_read_back(tmp_path):
 
 
 def test_sound_does_not_go_on_long_after_the_pictures(tmp_path):
-    write_video(
-        tmp_path / "a.mp4", np.zeros((20, 64, 64, 3), np.uint8), 20, np.zeros(441000, np.int16)
-    )
+    pictures = np.zeros((20, 64, 64, 3), np.uint8)
+    write_video(tmp_path / "a.mp4", pictures, 20, np.zeros(441000, np.int16), (64, 64))
     with av.open(str(tmp_path / "a.mp4")) as file:
         assert file.duration / 1e6 == pytest.approx(2, abs=0.1)
-
-
-@pytest.mark.parametrize(
-    ("frames", "problem"),
-    [
-        ([], "at least one picture"),
-        ([np.zeros((64, 64, 3), np.uint8), np.zeros((32, 64, 3), np.uint8)], "picture 1"),
-    ],
-)
-def test_what_cannot_be_a_video_is_refused_and_leaves_no_file(tmp_path, frames, problem):
-    with pytest.raises(CadenzaError, match=problem):
-        write_video(tmp_path / "a.mp4", frames, 20, np.zeros((100, 2), np.int16))
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_video_too_small_to_be_encoded(tmp_path) -> None:
-    frames = [np.zeros((1, 1, 3), np.uint8)]
-    with pytest.raises(CadenzaError, match="0 x 0 pixels cannot be encoded"):
-        write_video(tmp_path / "video.mp4", frames, 20, np.zeros(10, np.int16))
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("room", [0, 1000, 20_000])
@@ -71,7 +51,7 @@ def test_a_full_disk_is_said_to_be_full(room, tmp_path, monkeypatch) -> None:
     rng = np.random.default_rng(0)
     noise = (rng.integers(0, 255, (64, 64, 3), np.uint8) for _ in range(40))
     with pytest.raises(OSError, match=r"a\.mp4") as raised:
-        write_video(tmp_path / "a.mp4", noise, 20, np.zeros(44100, np.int16))
+        write_video(tmp_path / "a.mp4", noise, 20, np.zeros(44100, np.int16), (64, 64))
     assert "the disk is full" in explained(raised.value)
     assert not any(name.startswith(TEMPORARY) for name in os.listdir(tmp_path))
 
@@ -91,9 +71,3 @@ def test_a_moving_picture_has_all_pictures_in_their_colours(tmp_path, kind) -> N
         pictures = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
     assert pictures[0].shape == (44, 80, 3)
     assert np.array([p.mean(axis=(0, 1)) for p in pictures]) == pytest.approx(colours, abs=8)
-
-
-def test_a_moving_picture_of_nothing_is_refused(tmp_path) -> None:
-    with pytest.raises(CadenzaError, match="at least one picture"):
-        write_animation(tmp_path / "a.gif", [], 20, (80, 44))
-    assert not list(tmp_path.iterdir())

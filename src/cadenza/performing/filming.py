@@ -124,9 +124,9 @@ def write_film(
         write_sound(path, _heard(episode, excerpt, voice), seconds=end - start)
         return path
     look = look or look_of(path)
-    size, times = (look.width, look.height), np.arange(int((end - start) * look.fps)) / look.fps
+    size, count = (look.width, look.height), max(int((end - start) * look.fps), 1)
     renderer_of(folder, Look(_LEAST, _LEAST)).close()  # says so here if this machine cannot draw
-    pictures = _drawn(folder, look, start + times, progress)
+    pictures = _drawn(folder, look, start + np.arange(count) / look.fps, progress)
     if kind in ANIMATIONS:
         write_animation(path, pictures, look.fps, size)
     else:
