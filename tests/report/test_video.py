@@ -32,7 +32,7 @@ def test_pictures_and_sound_are_read_back(tmp_path):
 
 def test_sound_does_not_go_on_long_after_the_pictures(tmp_path):
     pictures = np.zeros((20, 64, 64, 3), np.uint8)
-    write_video(tmp_path / "a.mp4", pictures, 20, np.zeros(441000, np.int16), (64, 64))
+    write_video(tmp_path / "a.mp4", pictures, 20, np.zeros((441000, 2), np.int16), (64, 64))
     with av.open(str(tmp_path / "a.mp4")) as file:
         assert file.duration / 1e6 == pytest.approx(2, abs=0.1)
 
@@ -51,7 +51,7 @@ def test_a_full_disk_is_said_to_be_full(room, tmp_path, monkeypatch) -> None:
     rng = np.random.default_rng(0)
     noise = (rng.integers(0, 255, (64, 64, 3), np.uint8) for _ in range(40))
     with pytest.raises(OSError, match=r"a\.mp4") as raised:
-        write_video(tmp_path / "a.mp4", noise, 20, np.zeros(44100, np.int16), (64, 64))
+        write_video(tmp_path / "a.mp4", noise, 20, np.zeros((44100, 2), np.int16), (64, 64))
     assert "the disk is full" in explained(raised.value)
     assert not any(name.startswith(TEMPORARY) for name in os.listdir(tmp_path))
 

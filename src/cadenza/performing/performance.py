@@ -329,8 +329,6 @@ def _hand_episode(episode: Episode, scene: Scene, side: Side) -> Episode:
         "lowest_pitch": episode["lowest_pitch"],
         "body_xpos": xpos,
         "body_xquat": xquat,
-    }
-    arrays |= {  # not in older recordings
-        name: episode[f"{side}_{name}"] for name in KEY_EVENTS if f"{side}_{name}" in episode.arrays
+        **{name: episode[f"{side}_{name}"] for name in KEY_EVENTS},
     }
     return Episode(f"{episode.song} ({side} hand)", episode.dt, arrays, drawing(alone))

@@ -51,17 +51,15 @@ class Sound:
     They lie in a file without a name; those of a short sound in memory.
     """
 
-    ndim = 2
-
     def __init__(self, length: int) -> None:
-        self.shape = (length, 2)
+        self._length = length
         self._file: IO[bytes] = tempfile.SpooledTemporaryFile(IN_MEMORY)  # noqa: SIM115
 
     def __del__(self) -> None:
         self._file.close()
 
     def __len__(self) -> int:
-        return self.shape[0]
+        return self._length
 
     def __getitem__(self, part: slice) -> NDArray[np.int16]:
         first, last, _ = part.indices(len(self))
@@ -75,7 +73,7 @@ class Sound:
 
 
 Samples = NDArray[np.int16] | Sound
-"""Samples (n,) or (n, 2), 16 bit."""
+"""Samples (n, 2) left and right, 16 bit."""
 
 
 def synthesize(score: Score, voice: Tone = tone) -> Sound:
@@ -121,7 +119,7 @@ def encode_opus(
     """
     buffer = io.BytesIO()
     with av.open(buffer, "w", format="webm", options={"fflags": "+bitexact"}) as container:
-        layout = "mono" if mono or audio.ndim == 1 else "stereo"
+        layout = "mono" if mono else "stereo"
         frames = {"frame_duration": str(_OPUS_FRAME)}
         stream = container.add_stream("libopus", rate=_OPUS_RATE, layout=layout, options=frames)
         stream.bit_rate = bit_rate
@@ -144,11 +142,10 @@ def write_audio(
 ) -> None:
     """Encodes `length` samples of `audio`, with silence after its end, a second at a time."""
     for first in range(0, length, SAMPLE_RATE):
-        samples = np.zeros((min(SAMPLE_RATE, length - first), *audio.shape[1:]), np.int16)
+        samples = np.zeros((min(SAMPLE_RATE, length - first), 2), np.int16)
         part = audio[first : first + len(samples)]
         samples[: len(part)] = part
-        layout = "mono" if audio.ndim == 1 else "stereo"
-        frame = av.AudioFrame.from_ndarray(samples.reshape(1, -1), format="s16", layout=layout)
+        frame = av.AudioFrame.from_ndarray(samples.reshape(1, -1), format="s16", layout="stereo")
         frame.sample_rate = SAMPLE_RATE
         frame.pts, frame.time_base = first, Fraction(1, SAMPLE_RATE)
         container.mux(stream.encode(frame))

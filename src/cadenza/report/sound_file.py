@@ -15,7 +15,7 @@ _MP3_RATE = 192_000  # bit/s
 
 
 def write_sound(path: Path, audio: Samples, seconds: float = 0.0) -> None:
-    """Writes samples (n,) or (n, 2) to a file of the kind that its name says, one of `CODECS`.
+    """Writes samples (n, 2) to a file of the kind that its name says, one of `CODECS`.
 
     WAV and FLAC keep every bit. The file lasts so many seconds at least, the rest of them silent.
 
@@ -26,8 +26,9 @@ def write_sound(path: Path, audio: Samples, seconds: float = 0.0) -> None:
         write_atomically(path) as file,
         av.open(file, "w", format=path.suffix.lower().removeprefix(".")) as container,
     ):
-        layout = "mono" if audio.ndim == 1 else "stereo"
-        stream = container.add_stream(CODECS[path.suffix.lower()], rate=SAMPLE_RATE, layout=layout)
+        stream = container.add_stream(
+            CODECS[path.suffix.lower()], rate=SAMPLE_RATE, layout="stereo"
+        )
         assert isinstance(stream, av.AudioStream)
         if stream.codec.name == CODECS[".mp3"]:
             stream.bit_rate = _MP3_RATE

@@ -52,8 +52,7 @@ def write_video(
         video = container.add_stream("libx264", rate=fps, options=_QUALITY)
         video.width, video.height, video.pix_fmt = width, height, "yuv420p"
         video.thread_count = _THREADS
-        layout = "mono" if audio.ndim == 1 else "stereo"
-        sound = container.add_stream("aac", rate=SAMPLE_RATE, layout=layout)
+        sound = container.add_stream("aac", rate=SAMPLE_RATE, layout="stereo")
 
         count = 0
         for picture in _scaled(frames, (width, height), "yuv420p"):

@@ -68,8 +68,7 @@ def _is_open_to_others(path: Path, permissions: int) -> bool:
     about = path.lstat()
     if stat.S_ISLNK(about.st_mode):
         return True  # it may lead to a file of theirs
-    is_theirs = hasattr(os, "getuid") and about.st_uid != os.getuid()
-    return is_theirs or (os.name == "posix" and bool(about.st_mode & permissions))
+    return about.st_uid != os.getuid() or bool(about.st_mode & permissions)
 
 
 def write_address(path: Path, address: Address) -> None:

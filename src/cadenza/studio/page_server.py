@@ -277,15 +277,13 @@ def _clean_exit(server: uvicorn.Server) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {signal.SIGTERM: signal.signal(signal.SIGTERM, _exit)}  # to which Uvicorn comes back
-    if hasattr(signal, "SIGHUP"):  # which only Unix has
-        closed = signal.signal(signal.SIGHUP, lambda *_: server.handle_exit(signal.SIGTERM, None))
-        before[signal.SIGHUP] = closed
+    closed = signal.signal(signal.SIGHUP, lambda *_: server.handle_exit(signal.SIGTERM, None))
+    ended = signal.signal(signal.SIGTERM, _exit)  # to which Uvicorn comes back
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        signal.signal(signal.SIGHUP, closed)
+        signal.signal(signal.SIGTERM, ended)
 
 
 def _exit(number: int, _: object) -> None:
