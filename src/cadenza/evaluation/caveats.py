@@ -10,49 +10,25 @@ from cadenza.configs import flat
 from cadenza.evaluation.results import Result, Results
 from cadenza.files import plain
 from cadenza.music.arrangement import Arrangement
-from cadenza.report.bench_summary import SHARES
 from cadenza.report.charts import counted
 
 _VARIED = ("song", "song_digest", "seed", "agent")  # what differs among the runs of a bench
 _OWN = ("config", "agent_digest")  # what each agent has of its own
 _MUSIC = {"arrangement": asdict(Arrangement()), "task": {"stretch": 1.0, "transpose": 0}}
 _AS_WRITTEN = dict(flat(plain(_MUSIC)))  # the options of a job with which a piece is not changed
-_MAX_VALUE = 1e12  # of a time, an energy or the like; what is larger is damage
-_MIN_MUSIC = 1e-3  # [s]; others are divided by it
-_TOLERANCE = 1e-9  # by which rounding may have a share exceed 1
 
 
 def usable(found: Results) -> list[Result]:
     """Returns the results that can be summed up."""
-    return [result for result in found.results if not _fault(result)]
-
-
-def _fault(result: Result) -> str:
-    """Returns why a result cannot be summed up; nothing if it can."""
-    if result.metrics.get("f1") is None:
-        return "its result holds no F1"
-    figures: dict[str, Any] = {**result.metrics, **vars(result.timing), **vars(result.song)}
-    most = dict.fromkeys(SHARES, 1 + _TOLERANCE)
-    sizes = (
-        *("wall_seconds", "cpu_seconds", "music_seconds", "energy"),
-        *("difficulty", "seconds", "notes"),
-    )
-    for name, limit in (most | dict.fromkeys(sizes, _MAX_VALUE)).items():
-        value = figures.get(name)
-        if isinstance(value, str) or (value is not None and not 0 <= value <= limit):
-            return f"its {name} cannot be {str(value)[:20]}"
-    if 0 < result.timing.music_seconds < _MIN_MUSIC:
-        return f"its music_seconds cannot be {result.timing.music_seconds}"
-    return ""
+    return [result for result in found.results if result.metrics.get("f1") is not None]
 
 
 def caveats(found: Results) -> Iterator[tuple[str, list[str]]]:
     """Yields what to know before comparing runs: a line, and its cases."""
     results = usable(found)
     broken = [f"{run.name}: {run.reason}" for run in found.broken]
-    broken += [
-        f"{result.folder.name}: {reason}" for result in found.results if (reason := _fault(result))
-    ]
+    without = [run.folder.name for run in found.results if run.metrics.get("f1") is None]
+    broken += [f"{name}: its result holds no F1" for name in without]
     if broken:
         yield f"{counted(len(broken), 'run')} cannot be read, and {_are(broken)} left out.", broken
     if found.unfinished:
