@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -56,9 +57,7 @@ def _agents(summary: BenchSummary) -> Iterator[Row]:
 
 def _pieces(summary: BenchSummary) -> Iterator[Row]:
     """Yields the mean of each metric over the seeds for every piece and agent."""
-    runs: dict[tuple[int, str], int] = {}
-    for run in summary.runs:
-        runs[run.piece, run.agent] = runs.get((run.piece, run.agent), 0) + 1
+    runs = Counter((run.piece, run.agent) for run in summary.runs)
     for i, piece in enumerate(summary.pieces):
         about = {**vars(piece), "piece": piece.name}
         for j, agent in enumerate(summary.agents):

@@ -25,7 +25,7 @@ from cadenza.music.performance import played_in
 from cadenza.music.score import Score
 from cadenza.performing.setup import Setup, SomeAgent, select, set_up
 from cadenza.performing.source import Song
-from cadenza.report.html_pages import iframe, write_page
+from cadenza.report.html_pages import write_page
 from cadenza.report.performance_page import performance_page
 from cadenza.report.sound import Sound, bit_rate_of, encode_opus, synthesize
 from cadenza.report.tone import Tone, tone
@@ -82,8 +82,8 @@ class Performance:
             return f"<p>{what} is long; {how}, the page to watch and hear it.</p>"
         with TemporaryDirectory() as folder:
             self.save(folder)
-            page = (Path(folder) / "report.html").read_text(encoding="utf-8")
-        return iframe(page)
+            page = html.escape((Path(folder) / "report.html").read_text(encoding="utf-8"))
+        return f'<iframe srcdoc="{page}" style="width: 100%; height: 800px; border: 0"></iframe>'
 
     @property
     def played(self) -> Score:

@@ -87,9 +87,9 @@ def resolve(song: Song, arrangement: Arrangement | None = None) -> Source:
     whole = arrangement.whole(str(song))
     score = arrangement.performed(whole, str(song))
     written = whole if arrangement.expression else None
-    source = Source(str(song), score, arrangement, written)
-    _warn_of_repairs(source)
-    return source
+    for remark in score.remarks:
+        warnings.warn(f"{song}: {remark}", CadenzaWarning, stacklevel=3)
+    return Source(str(song), score, arrangement, written)
 
 
 def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score:
@@ -148,9 +148,3 @@ def _own_song(folder: Path, name: str, arrangement: Arrangement) -> Source:
     if policy.score is None:
         raise CadenzaError(f"{name}: plays any song; name one: cadenza play SONG --agent {name}")
     return Source(name, policy.score, policy=policy)
-
-
-def _warn_of_repairs(source: Source) -> None:
-    """Warns of what was repaired in a score."""
-    for remark in source.score.remarks:
-        warnings.warn(f"{source.name}: {remark}", CadenzaWarning, stacklevel=4)

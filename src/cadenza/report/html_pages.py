@@ -72,15 +72,6 @@ def write_page(path: Path, pieces: Iterator[str]) -> None:
             file.write(piece.encode("utf-8", "replace"))
 
 
-def iframe(page: str) -> str:
-    """Returns a whole page as an element of another, such as a notebook."""
-    from markupsafe import escape
-
-    return (
-        f'<iframe srcdoc="{escape(page)}" style="width: 100%; height: 800px; border: 0"></iframe>'
-    )
-
-
 @cache
 def _environment() -> Environment:
     # Importing it takes a tenth of a second, and would delay the first action.

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, extra_packages
 from cadenza.report.sound import SAMPLE_RATE
 from cadenza.report.tone import Tone
 
@@ -26,12 +26,8 @@ def font_tone(path: Path) -> Tone:
         CadenzaError: the file cannot be read as a sound font with a piano, or symusic is not
             installed.
     """
-    try:
+    with extra_packages("soundfont", "--sound-font"):
         import symusic
-    except ImportError as error:
-        raise CadenzaError(
-            "sound fonts need symusic; install it with pip install 'cadenza[soundfont]'"
-        ) from error
     if not path.is_file():
         raise CadenzaError(f"{path}: there is no such file")
     synthesizers = {}
