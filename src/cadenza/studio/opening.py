@@ -11,7 +11,6 @@ import sys
 
 from cadenza.agents.registry import PLANNER
 from cadenza.performing.setup import select, set_up
-from cadenza.studio.messages import Message
 from cadenza.studio.state_stream import StateStream
 
 _NICENESS = 4  # the process that plays gets ready beside it
@@ -21,11 +20,7 @@ def main() -> None:
     """Prints the picture of the song that the command line names."""
     os.nice(_NICENESS)
     with set_up(select(sys.argv[1], PLANNER)) as setup:
-        StateStream(setup, _print).begin()
-
-
-def _print(message: Message) -> None:
-    sys.stdout.write(message.content.decode())
+        StateStream(setup, lambda message: print(message.content.decode())).begin()
 
 
 if __name__ == "__main__":

@@ -11,13 +11,13 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
 
 from cadenza.agents.planner.config import ENOUGH
 from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json
 from cadenza.performing.practising import Practising, practice_folder
 from cadenza.performing.source import PRACTICE, PRACTISED
+from cadenza.resumable import RateLimited
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.messages import Message, Send, json_message
 from cadenza.studio.player import ProgressReporter, error_text, practice_folder_of, set_up_order
@@ -74,18 +74,17 @@ def _practise_until_done(practising: Practising, num_saved: int, send: Send) -> 
         num_saved: the number of attempts before the plan was saved.
         send: is told how far it has got.
     """
-    practice, last_report, finished = practising.practice, 0.0, False
+    practice, finished = practising.practice, False
 
     def report(state: str) -> None:
         f1, onsets = ([row[i] for row in practice.history] for i in (1, 2))
         share = practice.share_made(ENOUGH)
         send(json_message(state=state, f1=f1, note_onset_f1=onsets, share=share))
 
+    report_if_due = RateLimited(lambda: report("practising"), _REPORT_INTERVAL, share=1.0)
+
     def should_continue() -> bool:
-        nonlocal last_report
-        if time.monotonic() - last_report > _REPORT_INTERVAL:
-            report("practising")
-            last_report = time.monotonic()
+        report_if_due()
         practising.save_if_due()
         return len(practice.history) == num_saved
 
