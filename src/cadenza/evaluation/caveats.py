@@ -85,18 +85,11 @@ def _differing(settings: Sequence[tuple[Result, Mapping[str, Any]]]) -> list[str
 
 def _rewarded_fingers(results: Sequence[Result]) -> list[str]:
     """Returns a line for each piece whose runs were rewarded for different fingers."""
-    pieces = dict.fromkeys(result.song.name for result in results)
-    return [
-        f"{piece}: {line}"
-        for piece in pieces
-        for line in _differing(
-            [
-                (result, {"rewarded_fingers": result.metrics.get("rewarded_fingers")})
-                for result in results
-                if result.song.name == piece
-            ]
-        )
-    ]
+    pieces: dict[str, list[tuple[Result, dict[str, Any]]]] = {}
+    for result in results:
+        fingers = {"rewarded_fingers": result.metrics.get("rewarded_fingers")}
+        pieces.setdefault(result.song.name, []).append((result, fingers))
+    return [f"{piece}: {line}" for piece, runs in pieces.items() for line in _differing(runs)]
 
 
 def _not_as_written(results: Sequence[Result]) -> list[str]:
