@@ -6,7 +6,6 @@ import asyncio
 import json
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from cadenza.studio.messages import JSON, ROWS
@@ -14,22 +13,6 @@ from cadenza.studio.messages import JSON, ROWS
 _OVER = ("kept", "failed", "cancelled")
 _LASTING = "metrics", "spent", "remarks"  # fields of a status that the ones after it have as well
 _MAX_SENT = 1 << 18  # bytes of rows at once
-
-
-class StoredRows:
-    """Rows in a file, of which only those that are asked for take memory."""
-
-    def __init__(self, path: Path) -> None:
-        """Raises: OSError: it cannot be read."""
-        self._path, self._size = path, path.stat().st_size
-
-    def __len__(self) -> int:
-        return self._size
-
-    def __getitem__(self, part: slice) -> bytes:
-        with self._path.open("rb") as file:
-            file.seek(part.start)
-            return file.read(part.stop - part.start)
 
 
 @dataclass(eq=False)
@@ -51,7 +34,7 @@ class Broadcast:
     request: dict[str, Any]
     status: dict[str, Any] = field(default_factory=lambda: {"state": "queued"})
     texts: list[bytes] = field(default_factory=list)
-    rows: bytearray | bytes | StoredRows = field(default_factory=bytearray)
+    rows: bytearray | bytes = field(default_factory=bytearray)
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
     @property
@@ -99,7 +82,7 @@ class Broadcast:
             while rows < len(self.rows):
                 part = bytes(self.rows[rows : rows + _MAX_SENT])
                 await send_bytes(part)
-                rows += len(part) or len(self.rows)  # of a file that was cut off meanwhile
+                rows += len(part)
             if self.is_over and status == self.status:
                 return
             await changed.wait()

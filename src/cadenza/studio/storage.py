@@ -34,7 +34,7 @@ from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.imported import imported, imported_libraries
 from cadenza.music.libraries.songs import Song
 from cadenza.music.score import Track
-from cadenza.studio.broadcast import Broadcast, StoredRows
+from cadenza.studio.broadcast import Broadcast
 from cadenza.studio.request import HEADER_FILE, ROWS_FILE, PlayRequest
 
 _ID_DIGITS = 16
@@ -239,7 +239,7 @@ class Storage:
         status |= {"metrics": scores, "remarks": kept.remarks}
         if not _has_states(folder):
             raise CadenzaError("of this performance there is only the report")
-        header, rows = content_of(folder / HEADER_FILE), StoredRows(folder / ROWS_FILE)
+        header, rows = content_of(folder / HEADER_FILE), content_of(folder / ROWS_FILE)
         parsed_json(header, dict[str, Any], folder / HEADER_FILE)  # else the page could not read it
         return Broadcast(kept.title, asdict(kept.request), status, [header], rows)
 
