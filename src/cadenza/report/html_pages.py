@@ -23,7 +23,6 @@ from cadenza.files import write_atomically
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-_BASE64_BLOCK = 3 << 18  # bytes encoded at once; a multiple of 3, so that blocks can be joined
 _SEPARATORS = r"[/\\_,=]|\.(?=[^\W\d])"  # a line may be broken after each; not within 1.5
 
 
@@ -47,7 +46,7 @@ def packed_asset(name: str) -> str:
 
 def packed_text(text: str) -> str:
     """Returns a text as base64 of its deflated UTF-8, which `recording.js` reads."""
-    return base64.b64encode(zlib.compress(text.encode(), zlib.Z_BEST_COMPRESSION)).decode()
+    return in_base64(zlib.compress(text.encode(), zlib.Z_BEST_COMPRESSION))
 
 
 def render(template: str, **context: Any) -> Iterator[str]:
@@ -95,10 +94,9 @@ def _environment() -> Environment:
     return environment
 
 
-def in_base64(content: bytes) -> Iterator[str]:
-    """Yields the base64 text of `content` block by block."""
-    for start in range(0, len(content), _BASE64_BLOCK):
-        yield base64.b64encode(content[start : start + _BASE64_BLOCK]).decode()
+def in_base64(content: bytes) -> str:
+    """Returns the base64 text of `content`."""
+    return base64.b64encode(content).decode()
 
 
 def _breakable(text: str) -> str:

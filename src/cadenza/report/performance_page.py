@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -97,8 +96,8 @@ def performance_page(
         arrangement=_figures(_ARRANGEMENT, metrics),
         metrics=_other_metrics(metrics),
         settings=settings_table(settings),
-        midi=base64.b64encode(midi).decode(),
-        wanted_midi=base64.b64encode(wanted_midi).decode(),
+        midi=midi,
+        wanted_midi=wanted_midi,
         roll_description=_roll_description(episode),
         recording=recording_of(episode, written, misses, arrangement),
         engraving=engraving or "",

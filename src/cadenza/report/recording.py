@@ -6,7 +6,6 @@ joints' positions: the page's scene puts the bodies where they belong.
 
 from __future__ import annotations
 
-import base64
 import zlib
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -19,6 +18,7 @@ from cadenza.music.formats.finger_numbers import finger_from
 from cadenza.music.metrics import matched_notes
 from cadenza.music.performance import SAME_NOTE, played_in
 from cadenza.music.score import Note, Score
+from cadenza.report.html_pages import in_base64
 
 _MS_PER_SECOND = 1000
 _UNIT = 5e-5  # [m, rad] of a joint's position; a fingertip is then less than 0.1 mm off
@@ -156,4 +156,4 @@ def packed(values: NDArray[Any]) -> str:
     patterns = np.ascontiguousarray(values).view(f"u{size}").reshape(len(values), -1)
     steps = np.diff(patterns, axis=0, prepend=np.zeros_like(patterns[:1]))
     planes = steps.T.astype(f"<u{size}", order="C").view(np.uint8).reshape(-1, size).T
-    return base64.b64encode(zlib.compress(planes.tobytes())).decode()
+    return in_base64(zlib.compress(planes.tobytes()))
