@@ -39,7 +39,6 @@ class RunProgress:
     stage: str
     done: int
     total: int
-    host: str
     pid: int
 
 
@@ -117,14 +116,14 @@ def _output_to(path: Path) -> Iterator[None]:
 
 def progress_writer(folder: Path) -> Progress:
     """Returns what writes how far the run is, now and then, for whoever watches."""
-    host, last = platform.node(), -_PROGRESS_INTERVAL
+    last = -_PROGRESS_INTERVAL
 
     def write(stage: str, done: int, total: int) -> None:
         nonlocal last
         if time.monotonic() - last < _PROGRESS_INTERVAL:
             return
         last = time.monotonic()
-        progress = RunProgress(stage, int(done), int(total), host, os.getpid())
+        progress = RunProgress(stage, int(done), int(total), os.getpid())
         write_json(folder / _PROGRESS, asdict(progress))
 
     return write

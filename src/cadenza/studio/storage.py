@@ -15,7 +15,7 @@ import shutil
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from cadenza.files import (
     write_json,
 )
 from cadenza.music.formats.reading import MUSIC, ending_of
-from cadenza.music.libraries.bundled import songs
+from cadenza.music.libraries.bundled import bundled
 from cadenza.music.libraries.imported import imported, imported_libraries
 from cadenza.music.libraries.songs import Song
 from cadenza.music.score import Track
@@ -42,18 +42,6 @@ _ID = re.compile(f"[0-9a-f]{{{_ID_DIGITS}}}")
 ABOUT = "studio.json"
 """File of a performance, with what the list shows."""
 _COMPARISONS = "compared"
-# fields of a request that say what is heard
-_MUSIC = (
-    "song",
-    "tracks",
-    "hands",
-    "tempo",
-    "transpose",
-    "plain",
-    "expression",
-    "arrange",
-    "level",
-)
 MAX_UPLOADS = 200
 _MAX_TITLE = 100
 _ABANDONED = 3600.0  # [s] after which a file that nobody has finished is deleted
@@ -124,12 +112,7 @@ class Storage:
     def songs(self) -> list[dict[str, Any]]:
         """Lists uploads, the newest first, bundled pieces, and imported libraries."""
         uploaded = [asdict(upload) | {"uploaded": True} for upload in self._uploads()]
-        bundled = [_song(s.name, s.title, s.composer, s.grade, s.seconds) for s in songs()]
-        imported = [
-            _song(s.name, s.title or s.name, s.composer, s.difficulty, s.seconds or 0.0)
-            for s in _imported_songs()
-        ]
-        return uploaded + bundled + imported
+        return uploaded + [_about(song) for song in _library_songs()]
 
     def source(self, song: str) -> tuple[str, str, bool]:
         """Returns the title of a song, its name or path, and whether it is an upload.
@@ -137,12 +120,9 @@ class Storage:
         Raises:
             CadenzaError: there is no such song.
         """
-        for piece in songs():
-            if piece.name == song:
-                return piece.title, piece.name, False
-        for other in _imported_songs():
-            if other.name == song:
-                return other.title or song, song, False
+        for known in _library_songs():
+            if known.name == song:
+                return known.title or song, song, False
         with suppress(CadenzaError):
             upload = self._upload(self.uploads / f"{song}.json")
             return upload.title, str(self.uploads / f"{song}{upload.ending}"), True
@@ -261,9 +241,9 @@ class Storage:
             CadenzaError: one is not there, or they are of different music.
         """
         folders = [self._performance(id) for id in ids]
-        requests = [read_json(folder / ABOUT, KeptPerformance).request for folder in folders]
-        first, *others = ([getattr(request, name) for name in _MUSIC] for request in requests)
-        if any(other != first for other in others):
+        requests = (read_json(folder / ABOUT, KeptPerformance).request for folder in folders)
+        heard = {replace(request, agent="", hand="", seed=0) for request in requests}
+        if len(heard) > 1:
             raise CadenzaError(
                 "compare performances of one song: the same tracks, hands, tempo, pitch, signs, "
                 "expression and arrangement"
@@ -292,15 +272,21 @@ def _has_states(folder: Path) -> bool:
     return _is_own(folder / HEADER_FILE) and _is_own(folder / ROWS_FILE)
 
 
-def _song(
-    id: str, title: str, composer: str, grade: float | None, seconds: float
-) -> dict[str, Any]:
-    about = {"id": id, "title": title, "composer": composer, "grade": grade, "seconds": seconds}
-    return about | {"uploaded": False}
+def _about(song: Song) -> dict[str, Any]:
+    """Returns what the list shows of a song of a library."""
+    return {
+        "id": song.name,
+        "title": song.title or song.name,
+        "composer": song.composer,
+        "grade": song.difficulty,
+        "seconds": song.seconds or 0.0,
+        "uploaded": False,
+    }
 
 
-def _imported_songs() -> Iterator[Song]:
-    """Yields the songs of the imported libraries, except damaged ones."""
+def _library_songs() -> Iterator[Song]:
+    """Yields the bundled songs, and those of the imported libraries, except damaged ones."""
+    yield from bundled().songs
     for name in imported_libraries():
         with suppress(CadenzaError):
             yield from imported(name).songs
