@@ -46,9 +46,3 @@ Send = Callable[[Message], None]
 def json_message(**content: Any) -> Message:
     """Returns a message that holds an object of JSON."""
     return Message(JSON, json.dumps(content, allow_nan=False).encode())
-
-
-def row_bytes(num_joints: int, num_keys: int) -> int:
-    """Returns the size of a row [bytes]."""
-    size = 4 * num_joints + 3 * num_keys + 1
-    return size + -size % 4

@@ -13,7 +13,7 @@ from cadenza.performing.setup import Setup
 from cadenza.report.engraver import Engraver
 from cadenza.report.recording import arranged_notes, finger_numbers, lost_notes, packed
 from cadenza.scene.drawing import drawing
-from cadenza.studio.messages import ROWS, SOUNDS, STEP_PARTS, Message, Send, json_message, row_bytes
+from cadenza.studio.messages import ROWS, SOUNDS, STEP_PARTS, Message, Send, json_message
 from cadenza.studio.synthesizer import INSTRUMENT
 from cadenza.tasks import reward
 from cadenza.tasks.augmentation import draws_variation
@@ -39,6 +39,9 @@ class StateStream:
         self._dt, keyboard = task.config.control_timestep, task.scene.keyboard
         self._lowest, self._travel = keyboard.lowest_pitch, keyboard.travel
         self._notes = SoundedNotes(self._dt)
+        keys = ("u1", keyboard.num_keys)
+        parts = [("joints", "<f4", len(task.scene.hand_start)), ("depth", *keys), ("sounds", *keys)]
+        self._row = np.dtype([*parts, ("times", *keys), ("pedal", "u1")], align=True)
         self.header: dict[str, Any] = {}
         self.rows = bytearray()
 
@@ -49,14 +52,13 @@ class StateStream:
 
     def _send_header(self, track: GoalTrack) -> None:
         scene, goals = self._task.scene, track.goals
-        joints = len(scene.hand_start)
         self._add(
             dt=self._dt,
             steps=goals.num_steps,
             keys=scene.keyboard.num_keys,
             lowest=self._lowest,
-            joints=joints,
-            row=row_bytes(joints, scene.keyboard.num_keys),
+            joints=len(scene.hand_start),
+            row=self._row.itemsize,
             start=[round(float(x), 6) for x in scene.hand_start],
             scene=drawing(scene),
             goal=packed(goals.keys.astype(np.uint8)),
@@ -93,20 +95,13 @@ class StateStream:
                 self._add(fingers=fingers)
             self._engraver = Engraver(score)
         self._send_score()
-        depth = reward.key_state(state.key_qpos[0], self._travel)
-        sounds, times = self._sounds()
-        row = b"".join(
-            (
-                state.hand_qpos[0].astype("<f4").tobytes(),
-                (depth * _ALL_THE_WAY).astype(np.uint8).tobytes(),
-                sounds.tobytes(),
-                times.tobytes(),
-                bytes([bool(task.pedal_down[0])]),
-            )
-        )
-        row = row.ljust(row_bytes(state.hand_qpos.shape[1], len(depth)), b"\0")
-        self.rows += row
-        self._send(Message(ROWS, row))
+        row = np.zeros((), self._row)
+        row["joints"] = state.hand_qpos[0]
+        row["depth"] = _ALL_THE_WAY * reward.key_state(state.key_qpos[0], self._travel)
+        row["sounds"], row["times"] = self._sounds()
+        row["pedal"] = task.pedal_down[0]
+        self.rows += row.tobytes()
+        self._send(Message(ROWS, row.tobytes()))
 
     def finish(self) -> None:
         """Sends the score, if it is still being engraved when all has been played."""
