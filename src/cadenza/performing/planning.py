@@ -16,7 +16,7 @@ from cadenza.agents.playback import save_plan
 from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
 from cadenza.files import TENSORS
-from cadenza.fingers import Finger, Fingers
+from cadenza.fingers import Finger
 from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
 from cadenza.music.score import Score
 from cadenza.performing.performance import Performance, perform
@@ -36,8 +36,6 @@ class Plan:
     """The performance of the plan."""
     options: dict[str, Any]
     """Options that have to be the same for the plan to play the same, see `task_identity`."""
-    hands: Fingers
-    """The fingers' numbers in arrays."""
     practised: PractisedPlan | None = None
     """The feedback that leads back hands that are pushed off, if the song was practised."""
 
@@ -84,7 +82,7 @@ class Plan:
             self.metrics,
             self.options,
             self.score,
-            self.hands,
+            self.performance.scene.fingers,
             self.practised,
         )
         write_fingering(self.score, fingering_of(path))
@@ -141,4 +139,4 @@ def plan_of(setup: Setup, performance: Performance) -> Plan:
     assert planned is not None
     # The notes are the same in the same order; times and pitches are again those of the song.
     score = setup.score.with_fingers(note.finger for note in planned.score.notes)
-    return Plan(score, performance, setup.options, performance.scene.fingers)
+    return Plan(score, performance, setup.options)

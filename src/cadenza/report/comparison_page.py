@@ -14,7 +14,7 @@ from cadenza.episode import Episode
 from cadenza.music.performance import key_runs, played_in
 from cadenza.music.score import is_black, note_name
 from cadenza.report import performance_page as performance
-from cadenza.report.charts import Bar, mean_of_known
+from cadenza.report.charts import Bar, fixed_number, mean_of_known
 from cadenza.report.html_pages import asset, packed_asset, render
 from cadenza.report.recording import VERDICTS, verdict
 from cadenza.report.sound import synthesize
@@ -76,9 +76,8 @@ def means(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
 
 def metric_text(name: str, value: float) -> str:
     """Returns a metric of `COLUMNS` as text, a dash if it is not defined."""
-    if math.isnan(value):
-        return "–"
-    return f"{value * (_MS_PER_SECOND if name == 'timing_error' else 1):z.{COLUMNS[name][1]}f}"
+    unit = _MS_PER_SECOND if name == "timing_error" else 1
+    return fixed_number(unit * value, COLUMNS[name][1])
 
 
 def comparison_page(runs: Sequence[Run], remarks: Sequence[str] = ()) -> Iterator[str]:

@@ -124,7 +124,8 @@ def _row(standing: Standing, played: Mapping[str, int]) -> Row:
     card, verified = standing.card, standing.verified
     row: Row = dict.fromkeys(("songs", "track", *COLUMNS), "")
     del row["f1_interval"]  # made of `f1_low` and `f1_high` where it is shown
-    row |= {"folder": printable(standing.folder.name), "f1": math.nan}
+    folder = printable(standing.folder.name)
+    row |= {"folder": folder, "name": folder, "f1": math.nan}
     if card is not None:
         row |= {name: getattr(card, name) for name in _SAID}
         row |= {
@@ -134,8 +135,6 @@ def _row(standing: Standing, played: Mapping[str, int]) -> Row:
             "seeds": len(card.seeds),
             **{name: card.versions.get(name, "") for name in ("mujoco", "cadenza")},
         }
-    else:
-        row["name"] = row["folder"]
     if card is None or verified is None or verified.problems:
         why = verified.words if verified is not None else standing.why
         return row | {"verified": f"no: {why}"}
