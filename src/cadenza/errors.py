@@ -69,6 +69,14 @@ def explained(error: BaseException) -> str:
     return str(error)
 
 
+def with_place(error: BaseException) -> str:
+    """The type and the message of an error in a line, and where in the code it was raised."""
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    said = " ".join(f"{type(error).__name__}: {error}".split())
+    where = f" ({frame.filename}, line {frame.lineno})"
+    return said + where * os.path.isfile(frame.filename)  # Python's own imports have no file
+
+
 @contextmanager
 def errors_in(where: object) -> Iterator[None]:
     """Begins the messages of errors in the block with `where` they are, such as a file.
@@ -124,8 +132,4 @@ def by_others(what: str) -> Iterator[None]:
     except (Exception, SystemExit) as error:  # a module may end the process
         if lacks_memory(error):
             raise CadenzaError(explained(error)) from error
-        frame = traceback.extract_tb(error.__traceback__)[-1]
-        said = " ".join(f"{type(error).__name__}: {error}".split())
-        where = f" ({frame.filename}, line {frame.lineno})"
-        # Python's own machinery of imports has no file.
-        raise CadenzaError(f"{what}: {said}{where * os.path.isfile(frame.filename)}") from error
+        raise CadenzaError(f"{what}: {with_place(error)}") from error

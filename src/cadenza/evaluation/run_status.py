@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from cadenza.agents.agent import Progress
-from cadenza.errors import CadenzaError, explained, is_for_users
+from cadenza.errors import CadenzaError, explained, is_for_users, with_place
 from cadenza.evaluation.jobs import Job, JobSpec, song_digest
 from cadenza.evaluation.results import FAILED, FORMAT
 from cadenza.files import read_json, write_json
@@ -91,9 +91,7 @@ def _error_line(error: Exception) -> str:
     """Returns what went wrong, in a line; also where, if it is a fault of the program."""
     if is_for_users(error):
         return " ".join(explained(error).split())
-    said = " ".join(str(error).split())
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__}: {said} ({frame.filename}, line {frame.lineno})"
+    return with_place(error)
 
 
 @contextmanager
