@@ -48,7 +48,7 @@ class ResultFile:
 
     format: Literal[1]
     job: dict[str, Any]
-    """A `cadenza.evaluation.job.JobSpec`."""
+    """A `cadenza.evaluation.jobs.JobSpec`."""
     song: SongFacts
     metrics: dict[str, int | float | bool | str | None]
     """Metrics of `cadenza play`."""

@@ -51,7 +51,7 @@ async function unpacked(text, steps, Numbers) {
  *   fingers: [key, beginning in s, 0 for the right hand and 1 for the left, number from 1];
  *   rewards, by name, NaN where there is none;
  *   jointsAt(time): where the hands' joints are [m, rad].
- * `scene` is what `cadenza.model.drawing` says; `sound` is the address of a WebM file, and `goal`
+ * `scene` is what `cadenza.scene.drawing` says; `sound` is the address of a WebM file, and `goal`
  * that of another with what should have been played, or null.
  */
 async function readRecording(index = 0) {
