@@ -73,7 +73,7 @@ def test_what_an_arrangement_left_out_and_what_was_missed_is_sent() -> None:
         states = StateStream(setup, sent.append)
         states.begin()
         played = perform(setup, lambda stage, *_: states.step() if stage == "playing" else None)
-        states.explain(played.losses)
+        states.finish(played)
     about, explained = json.loads(sent[0].content), json.loads(sent[-1].content)
     became = about["arrangement"]
     assert len(became) == len(chords)

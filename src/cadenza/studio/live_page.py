@@ -12,7 +12,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict
 
 from cadenza.agents.agent import Progress
-from cadenza.files import plain
 from cadenza.performing.performance import Performance
 from cadenza.performing.setup import Setup
 from cadenza.studio.messages import Message, json_message
@@ -41,16 +40,13 @@ class LivePage:
         return report
 
     def finish(self, performance: Performance) -> None:
-        """Sends the metrics when all has been played."""
-        self._states.finish()
-        metrics = plain(performance.metrics)
-        self._send(json_message(state="played", metrics=metrics, remarks=performance.remarks))
-        self._states.explain(performance.losses)
+        """Sends the rest when all has been played."""
+        self._states.finish(performance)
 
     def wait(self) -> None:
         """Keeps the page open until Ctrl-C."""
         with suppress(KeyboardInterrupt):
-            self._send(json_message(state="kept", performance=""))
+            self._send(json_message(state="kept"))
             # With a timeout it looks now and then: else Ctrl-C just before it waits is not heeded.
             self._process.wait(math.inf)
 

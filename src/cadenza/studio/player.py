@@ -24,7 +24,7 @@ from cadenza.agents.agent import Progress
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
-from cadenza.files import parsed_json, plain, write_json
+from cadenza.files import parsed_json, write_json
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Note, Score
 from cadenza.performing.filming import write_film
@@ -122,7 +122,6 @@ def warm_up() -> None:
 
 def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performance, StateStream]:
     """Plays a song and sends each step, calling `check` now and then; returns what was sent too."""
-    began = time.monotonic()
     reporter = ProgressReporter(send)
 
     def prepare(stage: str, done: int, total: int) -> None:
@@ -141,12 +140,7 @@ def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performan
             states.step()
 
         performance = perform(setup, progress)
-        spent = round(time.monotonic() - began, 3)
-        metrics = plain(performance.metrics)
-        remarks = performance.remarks
-        send(json_message(state="played", metrics=metrics, spent=spent, remarks=remarks))
-        states.finish()
-        states.explain(performance.losses)
+        states.finish(performance)
         return performance, states
 
 
@@ -230,7 +224,7 @@ def save(performance: Performance, states: StateStream, order: Order, send: Send
         folder.rename(root / order.id)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    send(json_message(state="kept", performance=order.id))
+    send(json_message(state="kept"))
 
 
 class ProgressReporter:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.files import plain
 from cadenza.music.performance import SoundedNotes, key_events
+from cadenza.performing.performance import Performance
 from cadenza.performing.setup import Setup
 from cadenza.report.engraver import Engraver
 from cadenza.report.recording import arranged_notes, finger_numbers, lost_notes, packed
@@ -74,10 +75,6 @@ class StateStream:
         arrangement = self._setup.arrangement
         return [] if arrangement is None else [f.as_json for f in arrangement.fates(track)]
 
-    def explain(self, misses: Iterable[Mapping[str, Any]]) -> None:
-        """Sends why notes were missed, as `misses.json` has it."""
-        self._add(misses=lost_notes(misses))
-
     def _add(self, **known: Any) -> None:
         """Sends what has become known, and keeps it in the header."""
         self._send(json_message(**known))
@@ -103,9 +100,12 @@ class StateStream:
         self.rows += row.tobytes()
         self._send(Message(ROWS, row.tobytes()))
 
-    def finish(self) -> None:
-        """Sends the score, if it is still being engraved when all has been played."""
+    def finish(self, performance: Performance) -> None:
+        """Sends how well all was played, the score if that is yet to come, and what was missed."""
+        metrics, remarks = plain(performance.metrics), performance.remarks
+        self._send(json_message(state="played", metrics=metrics, remarks=remarks))
         self._send_score(_PATIENCE)
+        self._add(misses=lost_notes(performance.losses))
 
     def _send_score(self, patience: float = 0.0) -> None:
         if self._engraver is None or not (engraving := self._engraver.engraving(patience)):

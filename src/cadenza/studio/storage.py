@@ -50,7 +50,6 @@ FILES = {
     "played.mid": "audio/midi",
     "wanted.mid": "audio/midi",
     "video.mp4": "video/mp4",
-    "metrics.json": "application/json",
 }
 """Files of a performance that the page can fetch, and their types."""
 
@@ -214,9 +213,8 @@ class Storage:
         """
         folder = self._performance(id)
         kept = read_json(folder / ABOUT, KeptPerformance)
-        status: dict[str, Any] = {"state": "kept", "performance": id}
         scores = {"f1": kept.f1, "note_onset_f1": kept.note_onset_f1}
-        status |= {"metrics": scores, "remarks": kept.remarks}
+        status = {"state": "kept", "metrics": scores, "remarks": kept.remarks}
         if not _has_states(folder):
             raise CadenzaError("of this performance there is only the report")
         header, rows = content_of(folder / HEADER_FILE), content_of(folder / ROWS_FILE)
