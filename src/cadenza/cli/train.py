@@ -239,6 +239,8 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
         _PAGE_INTERVAL,
         _MAX_WRITING,
     )
+    if (run.path / _PAGE).exists():
+        write_page(at_once=True)  # says that the run goes on
     scores, enough = "", _steps_to_play_well(command) or 0
     shown_steps = progress("learning", "steps", SECONDS_BETWEEN_LINES_OF_TRAINING)
     with shown_steps as advance, stop_on_signal("a checkpoint") as stop:

@@ -19,7 +19,7 @@ from cadenza.music.signs.signed_note import (
     Tremolo,
 )
 from cadenza.music.signs.tempo_map import TempoMap
-from cadenza.music.signs.tempo_marks import Swing, Tempo
+from cadenza.music.signs.tempo_marks import Caesura, Swing, Tempo
 
 FAST = 1 / NOTES_A_SECOND  # [s] of the notes of ornaments
 C4, D4, E4, F4, G4, B3 = 60, 62, 64, 65, 67, 59
@@ -288,3 +288,9 @@ def test_plain_plays_every_note_as_it_stands():
     *got, grace, main = played(*(each.plain for each in signs))
     assert got == [(0, 1, C4), (1, 2, C4), (1, 2, E4), (2, 2.5, C4), (2.5, 3, C4)]
     assert [grace, main] == [(3.9, 4, D4), (4, 5, C4)]  # and not on the beat
+
+
+def test_a_grace_note_without_a_note_sounds_before_a_silence_at_the_beginning() -> None:
+    grace = SignedNote(Q(0), Q(1, 12), 60, 64, grace=Grace(0, takes=Q(1, 8)))
+    [note] = realised([grace], TempoMap.of([Caesura(Q(0))], Q(4)))
+    assert (note.start, note.end) == (-0.0625, 0.0)

@@ -131,8 +131,10 @@ class TempoMap:
         """(N,) onsets [s] of places [quarters], and (N,) the segments in which they are."""
         segment = np.maximum(np.searchsorted(self._quarter, quarters, side="right") - 1, 0)
         inside = quarters - self._quarter[segment]
-        slope = np.where(inside < 0, 0.0, self._slope[segment])  # before the music it is steady
-        return self._time[segment] + inside * (self._seconds[segment] + slope * inside / 2), segment
+        is_before = inside < 0  # the music, and the silence with which it may begin: steady
+        slope = np.where(is_before, 0.0, self._slope[segment])
+        time = self._time[segment] - np.where(is_before, self._silence[segment], 0.0)
+        return time + inside * (self._seconds[segment] + slope * inside / 2), segment
 
     def _from(self, place: Fraction, silence: float = 0.0) -> TempoSegment:
         """The rest of a segment from a place within it, with this silence before it."""
