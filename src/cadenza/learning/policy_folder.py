@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError, by_others
+from cadenza.errors import CadenzaError, by_others, errors_in
 from cadenza.files import FLOATS, NUMBERS, ArrayOf, check_arrays, checked
 from cadenza.hub import Kind, fetched
 from cadenza.learning.actions import Reference
@@ -232,12 +232,9 @@ def load_policy(folder: str | Path) -> LearntPolicy:
         score = None if facts.score is None else facts.score.score
     except CadenzaError as error:
         raise CadenzaError(f"{where}: {error}; use another copy") from error
-    try:
-        with by_others("cannot be read"):
-            learnt = _learnt(facts, score, arrays)
-            fits = learnt is not None and _fits_together(learnt)
-    except CadenzaError as error:
-        raise CadenzaError(f"{folder}: {error}") from error
+    with errors_in(folder), by_others("cannot be read"):
+        learnt = _learnt(facts, score, arrays)
+        fits = learnt is not None and _fits_together(learnt)
     if learnt is None or not fits:
         raise CadenzaError(
             f"{folder}: not a policy that this version can read (its arrays do not belong "

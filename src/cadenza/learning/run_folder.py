@@ -26,7 +26,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import ANY, Expected, checked, read_arrays, remove_half_written, write_atomically
 from cadenza.learning.checkpointed_run import LOCKED_OUT
 from cadenza.learning.checksummed_folder import read_checksummed, write_checksummed
@@ -185,10 +185,8 @@ class RunFolder(ResumableFolder):
             CadenzaError: the folder holds no run.
         """
         manifest = self._read()
-        try:
+        with errors_in(self.manifest):
             return manifest.config, tuple(song.score for song in manifest.songs)
-        except CadenzaError as error:
-            raise CadenzaError(f"{self.manifest}: {error}") from error
 
     @property
     def id(self) -> str:

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, errors_in
 from cadenza.evaluation.benchmark.definition import BENCHMARK, METRICS, TRACKS, open_set, own_track
 from cadenza.files import TENSORS, content_of, folder_name, parsed_json
 from cadenza.music.libraries.songs import Song
@@ -102,10 +102,8 @@ def read_card(entry: Path) -> Card:
     if path.is_symlink():
         raise CadenzaError(f"{path}: is a link; an entry holds its own files")
     card = parsed_json(content_of(path, _MOST_CARD), Card, path)
-    try:
+    with errors_in(path):
         _check(card)
-    except CadenzaError as error:
-        raise CadenzaError(f"{path}: {error}") from error
     return card
 
 

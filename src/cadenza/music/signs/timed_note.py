@@ -43,7 +43,7 @@ class TimedNote:
 
 Chord = list[TimedNote]
 Times = list[tuple[float, float]]
-"""From and up to which times [s] notes sound."""
+"""Notes sound from the first time [s] of each pair up to the second."""
 
 
 def even_times(start: float, end: float, count: int) -> Times:
