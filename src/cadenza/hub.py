@@ -1,4 +1,4 @@
-"""Policies and datasets on the Hugging Face hub: `hub:OWNER/NAME` stands for a folder.
+"""Folders on the Hugging Face hub, such as those of policies: `hub:OWNER/NAME` stands for one.
 
 `hub:OWNER/NAME@REVISION` names a branch, a tag or a commit of it. Only files that Cadenza reads are
 fetched, into the hub's own cache, and whoever reads them checks them as any others: nothing among
@@ -116,7 +116,7 @@ def upload(folder: Path, repo: str, kind: Kind, card: str) -> str:
         api = HfApi()
         made = api.create_repo(repo, repo_type=kind.repo_type, exist_ok=True)
         api.create_commit(
-            repo, additions, commit_message=f"A {kind.name} of Cadenza", repo_type=kind.repo_type
+            repo, additions, commit_message=f"Cadenza: {kind.name}", repo_type=kind.repo_type
         )
     return str(made)
 
@@ -140,8 +140,8 @@ def _check_size(place: str, sizes: dict[str, int | None], kind: Kind) -> None:
         raise CadenzaError(f"{place}: holds no {kind.name} of Cadenza; name another")
     if sum(mine) > kind.most:
         raise CadenzaError(
-            f"{place}: its files take {sum(mine) / 2**20:,.0f} MiB, but a {kind.name} takes up to "
-            f"{kind.most / 2**20:,.0f} MiB; name another"
+            f"{place}: its files take {sum(mine) / 2**20:,.0f} MiB, but no {kind.name} takes more "
+            f"than {kind.most / 2**20:,.0f} MiB; name another"
         )
 
 

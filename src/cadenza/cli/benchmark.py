@@ -82,22 +82,24 @@ class Verify:
     """
 
     entry: tyro.conf.Positional[Path]
-    """Folder of the entry."""
+    """Folder of the entry, or hub:OWNER/NAME."""
     quiet: Quiet = False
 
 
 def verify(command: Verify) -> None:
     from cadenza.evaluation.benchmark.leaderboard import entries_in
+    from cadenza.evaluation.benchmark.sharing import at_hand
     from cadenza.evaluation.benchmark.verification import verify as play_again
 
-    if command.entry not in (found := entries_in([command.entry])):
-        raise CadenzaError(f"{command.entry}: is no entry, but holds one: give {found[0]}")
-    try:
-        with progress("playing again", "runs") as advance:
-            verified = play_again(command.entry, advance)
-        problems = verified.problems
-    except CadenzaError as error:
-        problems = [str(error)]
+    with at_hand([command.entry]) as (entry,):
+        if entry not in (found := entries_in([entry])):
+            raise CadenzaError(f"{command.entry}: is no entry, but holds one: give {found[0]}")
+        try:
+            with progress("playing again", "runs") as advance:
+                verified = play_again(entry, advance)
+            problems = verified.problems
+        except CadenzaError as error:
+            problems = [str(error)]
     if problems:
         print(
             *(f"refused: {on_one_line(problem)}" for problem in problems),
@@ -128,7 +130,7 @@ class Leaderboard:
     """
 
     folders: tyro.conf.Positional[tuple[Path, ...]]
-    """Entries, or folders of entries."""
+    """Entries, or folders of entries. An entry may be hub:OWNER/NAME."""
     output: Output[Path] = Path("leaderboard")
     """Folder for index.html, leaderboard.csv and leaderboard.md."""
     quiet: Quiet = False
@@ -136,14 +138,16 @@ class Leaderboard:
 
 def leaderboard(command: Leaderboard) -> None:
     from cadenza.evaluation.benchmark.leaderboard import entries_in, standing, write_leaderboard
+    from cadenza.evaluation.benchmark.sharing import at_hand
 
-    entries = entries_in(command.folders)
-    check_writable(command.output)
-    standings = []
-    with progress("verifying", "entries") as advance:
-        for entry in entries:
-            standings.append(standing(entry))
-            advance(len(standings), len(entries))
+    with at_hand(command.folders) as folders:
+        entries = entries_in(folders)
+        check_writable(command.output)
+        standings = []
+        with progress("verifying", "entries") as advance:
+            for entry in entries:
+                standings.append(standing(entry))
+                advance(len(standings), len(entries))
     page, _, text = write_leaderboard(command.output, standings)
     print(text.read_text())
     print(f"Open {page}")
