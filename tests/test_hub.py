@@ -167,7 +167,7 @@ def test_an_entry_is_published_and_verified_by_others(
     (kept,) = hub.commits["datasets", REPO].values()
     assert f"cadenza verify {place}" in kept["README.md"].decode()
     assert "verified to the bit" in printed(capsys, "verify", place)
-    assert "to the bit; same actions" in printed(capsys, "leaderboard", place, "entry")
+    assert "to the bit; plays every song as" in printed(capsys, "leaderboard", place, "entry")
 
     card = json.loads(kept["card.json"])
     card["runs"][0]["metrics"]["f1"] = 1.0

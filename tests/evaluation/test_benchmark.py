@@ -499,7 +499,7 @@ def test_the_table_has_what_was_computed_and_says_what_was_not(made: Path, tmp_p
     (tmp_path / "entries" / "d" / CARD).write_text("{}")
     rows = leaderboard([standing(folder) for folder in entries_in([tmp_path / "entries"])])
     verified = {Path(row["folder"]).name: row["verified"] for row in rows}
-    assert verified["a"] == verified["c"] == "to the bit; same actions as another entry"
+    assert verified["a"] == verified["c"] == "to the bit; plays every song as another entry does"
     assert "f1 is" in verified["b"]
     assert verified["b"].startswith("no: ")
     assert verified["d"].startswith("no: ")
@@ -508,13 +508,20 @@ def test_the_table_has_what_was_computed_and_says_what_was_not(made: Path, tmp_p
     assert np.isnan([figures["b"], figures["d"]]).all()
 
 
+def test_a_copy_is_marked_whatever_bits_were_changed(entry: Path, made: Path) -> None:
+    replace_actions(entry, lambda actions: np.nextafter(actions, 0.0))
+    change(entry, lambda c: c["versions"].update(mujoco="3.16.0"))
+    rows = leaderboard([standing(made), standing(entry)])
+    assert all(row["verified"].endswith("; plays every song as another entry does") for row in rows)
+
+
 def test_nobody_passes_for_a_copy_by_the_card_of_another(made: Path, tmp_path: Path) -> None:
     """A card alone, with the hashes of what others played, says nothing about these others."""
     (tmp_path / "card").mkdir()
     shutil.copy(made / CARD, tmp_path / "card")
     rows = leaderboard([standing(made), standing(tmp_path / "card")])
     assert [row["verified"][:10] for row in rows] == ["to the bit", "no: " + str(tmp_path)[:6]]
-    assert "same actions" not in rows[0]["verified"]
+    assert "another" not in rows[0]["verified"]
 
 
 def test_actions_of_one_seed_given_out_as_those_of_five_are_marked(
@@ -532,7 +539,9 @@ def test_actions_of_one_seed_given_out_as_those_of_five_are_marked(
         copies = [run | {"seed": seed} for run in runs for seed in seeds]
         change(folder, lambda c, copies=copies, seeds=seeds: c.update(runs=copies, seeds=seeds))
     rows = leaderboard([standing(one), standing(five)])
-    assert [row["verified"] for row in rows] == ["to the bit; same actions as another entry"] * 2
+    assert [row["verified"] for row in rows] == [
+        "to the bit; plays every song as another entry does"
+    ] * 2
     assert all(np.isnan(row["f1_low"]) for row in rows)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -216,9 +216,3 @@ def check_files(entry: Path, runs: Iterable[tuple[str, int]]) -> None:
 def actions_digest(actions: NDArray[np.float64]) -> str:
     """The hash of actions (T, A) that a card holds."""
     return hashlib.sha256(np.ascontiguousarray(actions, "<f8").tobytes()).hexdigest()
-
-
-def entry_digest(runs: Sequence[RecordedRun]) -> str:
-    """A hash of all that was played, whoever says so, and with however many seeds."""
-    played = sorted({(run.song, run.actions) for run in runs})
-    return hashlib.sha256(repr(played).encode()).hexdigest()

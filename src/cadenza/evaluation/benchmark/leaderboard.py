@@ -17,7 +17,7 @@ from unicodedata import normalize
 import numpy as np
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.benchmark.card import CARD, Card, entry_digest, read_card
+from cadenza.evaluation.benchmark.card import CARD, Card, read_card
 from cadenza.evaluation.benchmark.verification import Verified, verify
 from cadenza.evaluation.statistics import bootstrap_interval, mean
 from cadenza.evaluation.tables import write_csv
@@ -52,6 +52,7 @@ _SAID = ("songs", "track", "name", "by", "fingering", "agent", "data", "hardware
 _WORDS = ("name", "by", "verified", "data")  # columns of text, not of figures
 _SCORES = ("note_onset_f1", "precision", "recall", "pooled_f1")  # beside F1
 Row = dict[str, Any]
+_Scores = frozenset[tuple[str | float | None, ...]]
 
 
 @dataclass(frozen=True)
@@ -113,14 +114,14 @@ def write_leaderboard(folder: Path, standings: Sequence[Standing]) -> list[Path]
 def leaderboard(standings: Sequence[Standing]) -> list[Row]:
     """The rows: by set and track, the best F1 first, and entries without figures last."""
     verified = (s.verified for s in standings if s.verified is not None)
-    played = Counter(entry_digest(v.card.runs) for v in verified if not v.problems)
+    played = Counter(_scores_of_songs(v) for v in verified if not v.problems)
     rows = [_row(standing, played) for standing in standings]
     return sorted(
         rows, key=lambda row: (row["songs"], row["track"], -np.nan_to_num(row["f1"]), row["name"])
     )
 
 
-def _row(standing: Standing, played: Mapping[str, int]) -> Row:
+def _row(standing: Standing, played: Mapping[_Scores, int]) -> Row:
     card, verified = standing.card, standing.verified
     row: Row = dict.fromkeys(("songs", "track", *COLUMNS), "")
     del row["f1_interval"]  # made of `f1_low` and `f1_high` where it is shown
@@ -139,8 +140,16 @@ def _row(standing: Standing, played: Mapping[str, int]) -> Row:
         why = verified.words if verified is not None else standing.why
         return row | {"verified": f"no: {why}"}
     row |= figures(verified)
-    copies = played[entry_digest(card.runs)] > 1
-    return row | {"verified": verified.words + "; same actions as another entry" * copies}
+    copy = played[_scores_of_songs(verified)] > 1
+    return row | {"verified": verified.words + "; plays every song as another entry does" * copy}
+
+
+def _scores_of_songs(verified: Verified) -> _Scores:
+    """Returns what tells copies: scores count keys and notes, so a bit more or less is the same."""
+    return frozenset(
+        (song, *(metrics[name] for name in ("f1", *_SCORES)))
+        for (song, _), metrics in verified.metrics.items()
+    )
 
 
 def figures(verified: Verified) -> Row:
