@@ -15,6 +15,8 @@ from cadenza.episode import Episode
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.goals import score_to_goals
 from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
@@ -80,11 +82,16 @@ def test_the_response_of_the_model_is_its_derivative() -> None:
 
 def test_strikes_are_within_their_steps() -> None:
     score = scale([0.0, 0.249, 0.5251], [30, 80, 127])
-    strikes = planned_strikes(score_to_goals(score, DT).onsets, PIANO, DT)
+    strikes = planned_strikes(score_to_goals(score, DT).onsets, build_scene(SceneConfig()), DT)
     assert strikes.step.tolist() == [0, 4, 10]
     assert ((strikes.time > 0) & (strikes.time < DT)).all()
     assert abs(strikes.time[2] - 0.0251) < 0.01
     np.testing.assert_allclose(PIANO.velocity(strikes.speed), [30, 80, 127])
+
+
+def test_fingers_that_are_too_slow_do_not_strike() -> None:
+    onsets = score_to_goals(scale([0.0], [80]), DT).onsets
+    assert not len(planned_strikes(onsets, build_scene(SceneConfig(hand="allegro")), DT).step)
 
 
 @pytest.fixture(scope="module")

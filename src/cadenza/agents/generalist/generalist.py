@@ -137,7 +137,7 @@ class SightReader(EpisodePlanner):
         self._track, self._goals = track, track.goals
         self._ahead = np.arange(steps_in(look_ahead, dt) + 1)
         self._scene = planning_scene(track)
-        self._strikes = planned_strikes(self._goals.onsets, self._scene.keyboard, dt)
+        self._strikes = planned_strikes(self._goals.onsets, self._scene, dt)
         times = self._scene.hand.jump_times.accelerated(JUMP_ACCELERATION)
         motion = MotionPlanner(self._scene, dt, times)
         players = players_of(self._scene)

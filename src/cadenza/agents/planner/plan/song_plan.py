@@ -82,7 +82,7 @@ def song_plans(
     track = track.fingered(partial(progress, "fingers"))
     goals, times = track.goals, scene.hand.jump_times.accelerated(jump_acceleration)
     dt = track.config.control_timestep
-    wanted = planned_strikes(goals.onsets, scene.keyboard, dt) if strikes else NO_STRIKES
+    wanted = planned_strikes(goals.onsets, scene, dt) if strikes else NO_STRIKES
     planner = MotionPlanner(scene, dt, times)
     for nominal in planner.plans(goals.fingers, start, progress, release_delays, wanted):
         yield SongPlan(scene, track, goals, nominal, wanted)

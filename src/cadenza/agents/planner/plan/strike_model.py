@@ -17,6 +17,9 @@ from cadenza.scene.servos import servos_of
 
 _DELAY = 0.003  # [s] of all onsets: least in sum for those near the beginning and near the end
 _AFTER_BEGINNING, _BEFORE_END = 0.008, 0.003  # [s] of a control step
+_SLOWEST = (
+    0.07  # [s] time constant of fingers that strike; the Allegro Hand's, 0.1 s, play worse so
+)
 _RISE_TIME = 0.02  # [s] in which a key reaches its speed, a usual time from rest to sounding
 
 
@@ -83,15 +86,18 @@ class PlannedStrikes(NamedTuple):
 NO_STRIKES = PlannedStrikes(NO_ONSETS.step, NO_ONSETS.key, NO_ONSETS.time, NO_ONSETS.time)
 
 
-def planned_strikes(onsets: Onsets, keyboard: Keyboard, dt: float) -> PlannedStrikes:
+def planned_strikes(onsets: Onsets, scene: Scene, dt: float) -> PlannedStrikes:
     """The strikes for onsets in control steps of `dt` [s], all a little late.
 
     A key that sounds too near the beginning of its step would often sound a step early, and one
-    too near the end a step late.
+    too near the end a step late. Fingers that are too slow strike nothing: keys are only to sound
+    in the right steps.
     """
+    if strike_model(scene, dt).time_constant > _SLOWEST:
+        return NO_STRIKES
     latest = max(dt - _BEFORE_END, _AFTER_BEGINNING)
     time = np.clip(onsets.time + _DELAY, min(_AFTER_BEGINNING, dt), latest)
-    speed = keyboard.speed(onsets.velocity)
+    speed = scene.keyboard.speed(onsets.velocity)
     return PlannedStrikes(onsets.step, onsets.key, time, speed)
 
 
