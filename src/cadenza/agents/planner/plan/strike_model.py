@@ -17,9 +17,7 @@ from cadenza.scene.servos import servos_of
 
 _DELAY = 0.003  # [s] of all onsets: least in sum for those near the beginning and near the end
 _AFTER_BEGINNING, _BEFORE_END = 0.008, 0.003  # [s] of a control step
-_SLOWEST = (
-    0.07  # [s] time constant of fingers that strike; the Allegro Hand's, 0.1 s, play worse so
-)
+_SLOWEST = 0.07  # [s] time constant of fingers that strike: with 0.1 s they play worse for it
 _RISE_TIME = 0.02  # [s] in which a key reaches its speed, a usual time from rest to sounding
 
 
