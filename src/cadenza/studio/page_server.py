@@ -110,7 +110,7 @@ class PageServer:
         return Response(make(), media_type=kind)
 
     async def tone(self, request: Request) -> Response:
-        """Answers the sound of a key, see `cadenza.studio.synthesizer`."""
+        """Answers the sound of a key, see `cadenza.studio.tone_samples`."""
         pitch, band = (_number(request.path_params[name]) for name in ("pitch", "band"))
         made = await self._synthesizer.tone(pitch, band)
         return Response(made, media_type="application/octet-stream", headers=_CACHED)

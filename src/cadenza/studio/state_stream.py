@@ -15,7 +15,7 @@ from cadenza.report.engraver import Engraver
 from cadenza.report.recording import arranged_notes, finger_numbers, lost_notes, packed
 from cadenza.scene.drawing import drawing
 from cadenza.studio.messages import ROWS, SOUNDS, STEP_PARTS, Message, Send, json_message
-from cadenza.studio.synthesizer import INSTRUMENT
+from cadenza.studio.tone_samples import INSTRUMENT
 from cadenza.tasks import reward
 from cadenza.tasks.augmentation import draws_variation
 from cadenza.tasks.goal_track import GoalTrack

@@ -1,0 +1,40 @@
+"""What needs no extra works where none is installed, as from the wheel alone."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.score import Note, Score
+
+PROGRAM = """
+import sys
+for name in (
+    "PIL anyio dm_env flax huggingface_hub jax minari mujoco_warp optax pyarrow ray starlette "
+    "symusic tensorboardX uvicorn warp websockets"
+).split():
+    sys.modules[name] = None  # importing it fails
+from cadenza.cli import main
+for words in (
+    "info songs/tune.mid",
+    "play songs/tune.mid -o played --video",
+    "film played -o tune.gif",
+    "arrange songs/tune.mid -o tune.musicxml",
+    "practice songs/tune.mid --effort 0.01 -o practised",
+    "compare songs/tune.mid --agents planner zero -o compared",
+    "bench --songs songs --agents zero -o bench",
+    "results bench",
+    "dataset collect --songs songs --agent zero -o demonstrations",
+):
+    main(words.split())
+"""
+
+
+def test_commands_run_without_extras(tmp_path: Path) -> None:
+    write_midi(Score((Note(0, 0.1, 60),)), tmp_path / "songs" / "tune.mid")
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
