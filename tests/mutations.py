@@ -21,9 +21,12 @@ from cadenza.errors import CadenzaError
 
 Arrays = dict[str, np.ndarray]
 
+MOST_LETTERS = 1000
+"""More than a message of one line has, whatever it quotes."""
 _VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, 1, -1, 2.5, 10**6, -(10**30), 10**30, 10**400, 1e308, 1e-320),
-    *(math.nan, math.inf, "", "x", "\ud800", "a\nb", "../../etc/passwd", [], {}, [[]], {"": 0}),
+    *(math.nan, math.inf, "", "x", "\ud800", "a\nb", "long" * 2000),
+    *("../../etc/passwd", [], {}, [[]], {"": 0}),
 )
 
 
@@ -37,6 +40,7 @@ def at_most_refused() -> Iterator[None]:
         except CadenzaError as error:
             refused = str(error)
     assert refused.isprintable(), refused
+    assert len(refused) < MOST_LETTERS, refused
 
 
 def other_json(rng: np.random.Generator, value: Any) -> Any:

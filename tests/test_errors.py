@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import mujoco
+import numpy as np
 import pytest
 
 from cadenza.cli import main
-from cadenza.errors import CadenzaError, by_others, extra_packages
+from cadenza.errors import CadenzaError, by_others, extra_packages, quoted, shortened
 
 MUJOCO = mujoco.FatalError("Could not allocate memory")
 LOADER = ImportError("libjax_common.so: failed to map segment from shared object")
@@ -31,6 +32,31 @@ def test_a_command_without_memory_says_so(
 def test_code_of_others_without_memory_is_not_to_blame(error: Exception) -> None:
     with pytest.raises(CadenzaError, match="there is not enough memory"), by_others("agent own"):
         raise error
+
+
+class WithoutRepr:
+    def __repr__(self) -> str:
+        raise RecursionError
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("Für Elise", "'Für Elise'"),
+        ("one\ntwo\x1b[31m\u202e", r"'one\ntwo\x1b[31m\u202e'"),
+        ("five thousand " * 400, f"'{('five thousand ' * 7)[:96]}..."),
+        (np.zeros((3, 3)), "array([[0., 0., 0.], [0., 0., 0.], [0., 0., 0.]])"),
+        pytest.param(10**5000, "a value of type int", id="digits"),
+        (WithoutRepr(), "a value of type WithoutRepr"),
+    ],
+)
+def test_what_was_read_is_quoted_in_a_short_line(value: object, said: str) -> None:
+    assert quoted(value) == said
+
+
+def test_words_of_others_become_a_short_line() -> None:
+    assert shortened(" no\tsuch\n  \x07table ") == r"no such \x07table"
+    assert shortened("word " * 1000, 12) == "word word..."
 
 
 def test_a_package_without_memory_need_not_be_installed() -> None:

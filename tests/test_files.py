@@ -6,6 +6,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import stat
 import tracemalloc
 import zipfile
@@ -31,11 +32,13 @@ from cadenza.files import (
     checked,
     content_of,
     folder_name,
+    number_in,
     opened_in_place,
     read_arrays,
     read_json,
     read_tensors,
     sha256_of,
+    whole_number_in,
     write_atomically,
     write_json,
     write_tensors,
@@ -343,6 +346,31 @@ def test_arrays_that_would_be_unpacked_at_once_are_refused(tmp_path: Path, packi
         file.writestr("a.npy", npy((2,), bytes(16)))
     with pytest.raises(CadenzaError, match="packed in an unusual way"):
         read_arrays(tmp_path / "file.npz", ANY, 2**20)
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [("0", 0), ("007", 7), ("+3600", 3600), ("1.5", 1.5), (".5", 0.5), ("2.", 2), ("1e3", 1000)],
+)
+def test_numbers_are_read_within_their_bounds(text: str, number: float) -> None:
+    assert number_in(text, "time", 0, 3600) == number
+    with pytest.raises(CadenzaError, match=f"^time '{re.escape(text)}'; expected a number, 4,000 "):
+        number_in(text, "time", 4000, 5000)
+    if text.strip("+0123456789") == "":
+        assert whole_number_in(text, "bar", 0, 3600) == number
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "x", "1_000", " 1", "١", "0x10", "--1", "1e", "nan", "inf", "-inf", "-1", "3601"),
+        *("1e999", "9" * 41, "9" * 5000, "1" * 5000 + "x"),
+    ],
+)
+def test_what_is_no_number_within_them_is_refused(text: str) -> None:
+    for read in (number_in, whole_number_in):
+        with pytest.raises(CadenzaError, match=r"^bar '.*; expected a (whole )?number, 0 to 3,600"):
+            read(text, "bar", 0, 3600)
 
 
 def test_a_digest_is_that_of_all_files_together(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 import msgspec
 import numpy as np
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 
 T = TypeVar("T")
 
@@ -43,7 +43,7 @@ def as_config(value: Any, kind: type[T]) -> T:
     if value is None:
         return kind()
     if not isinstance(value, kind):
-        raise CadenzaError(f"{value!r:.100}: give a {kind.__name__}")
+        raise CadenzaError(f"{quoted(value)}: give a {kind.__name__}")
     return _plain(value, kind)
 
 
@@ -59,11 +59,12 @@ def _nested(value: Any, kind: type[T], name: str) -> T:
     if isinstance(value, Mapping):
         known = [each.name for each in fields(kind)]  # type: ignore[arg-type]
         if unknown := [key for key in value if key not in known]:
-            raise CadenzaError(f"{name} has no {unknown[0]!r:.100}: choose from {', '.join(known)}")
+            raise CadenzaError(
+                f"{name} has no {quoted(unknown[0])}: choose from {', '.join(known)}"
+            )
         value = kind(**value)
     if not isinstance(value, kind):
-        given = " ".join(repr(value).split())
-        raise CadenzaError(f"{name} {given:.100}: give a {kind.__name__} or a dictionary")
+        raise CadenzaError(f"{name} {quoted(value)}: give a {kind.__name__} or a dictionary")
     return _plain(value, kind, f"{name}.")
 
 
@@ -156,8 +157,7 @@ def _as(value: Any, hint: Any, name: str) -> Any:
     try:
         return msgspec.convert(value.item() if isinstance(value, np.generic) else value, hint)
     except (msgspec.ValidationError, OverflowError) as error:
-        given = " ".join(repr(value).split())
-        raise CadenzaError(f"{name} {given:.100}: {_demand(hint)}") from error
+        raise CadenzaError(f"{name} {quoted(value)}: {_demand(hint)}") from error
 
 
 def _demand(hint: Any) -> str:

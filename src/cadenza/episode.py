@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.files import (
     FLAGS,
     INTEGERS,
@@ -155,7 +155,7 @@ class Episode:
             CadenzaError: there is no such array.
         """
         if name not in self.arrays:
-            raise CadenzaError(f"the episode of {self.song!r} holds no array named {name}")
+            raise CadenzaError(f"the episode of {quoted(self.song)} holds no array named {name}")
         return self.arrays[name]
 
     @property

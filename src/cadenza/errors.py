@@ -33,6 +33,43 @@ class CadenzaWarning(UserWarning):
     """
 
 
+_MOST_QUOTED = 100  # letters of what was read: enough to find it again
+_MOST_OTHERS = 300  # letters of a message that others word, and may fill with what they have read
+
+
+def quoted(value: object, most: int = _MOST_QUOTED) -> str:
+    """What was read or given, as a message may quote it: a line of at most `most` letters.
+
+    Text stands in quotation marks, and what cannot be printed in it is escaped. Every message that
+    repeats the content of a file, an argument or a name quotes it so.
+
+    Args:
+        value: anything, however long, deeply nested or wrongly written its class may be.
+        most: what is longer ends with "...".
+    """
+    try:
+        said = repr(value[: most + 1] if isinstance(value, str | bytes) else value)
+    except Exception:  # whole numbers of too many digits, nested lists, classes of users
+        said = f"a value of type {type(value).__name__}"
+    return shortened(said, most)
+
+
+def shortened(text: str, most: int = _MOST_OTHERS) -> str:
+    """Text that others have worded, such as the message of a library, as a line of a message.
+
+    Args:
+        text: anything; white space becomes a space, and what cannot be printed is escaped.
+        most: what is longer ends with "...".
+    """
+    line = on_one_line(" ".join(text[: most * 2].split()))
+    return line if len(line) <= most and len(text) <= most * 2 else f"{line[: most - 3]}..."
+
+
+def on_one_line(message: str) -> str:
+    """The message; what cannot be printed, as in the name of a file, is escaped."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
+
+
 def is_full(error: Exception) -> bool:
     """Whether the error says that the disk is full."""
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
@@ -64,7 +101,7 @@ def explained(error: BaseException) -> str:
         where = f"{error.filename}: " * bool(error.filename)
         return f"{where}the disk is full; free some space, then give the same command again"
     if (lack := _lack_of_memory(error)) is not None:
-        said = " ".join(str(lack).split()) or type(lack).__name__
+        said = shortened(str(lack)) or type(lack).__name__
         return f"there is not enough memory ({said}); end other programs, or allow more (ulimit -v)"
     return str(error)
 
@@ -72,7 +109,7 @@ def explained(error: BaseException) -> str:
 def with_place(error: BaseException) -> str:
     """The type and the message of an error in a line, and where in the code it was raised."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
-    said = " ".join(f"{type(error).__name__}: {error}".split())
+    said = shortened(f"{type(error).__name__}: {error}")
     where = f" ({frame.filename}, line {frame.lineno})"
     return said + where * os.path.isfile(frame.filename)  # Python's own imports have no file
 
@@ -115,7 +152,7 @@ def extra_packages(extra: str, what: str) -> Iterator[None]:
         if lacks_memory(error):
             raise CadenzaError(explained(error)) from error
         raise CadenzaError(
-            f"{what} needs more packages ({error}): pip install 'cadenza[{extra}]'"
+            f"{what} needs more packages ({shortened(str(error))}): pip install 'cadenza[{extra}]'"
         ) from error
 
 

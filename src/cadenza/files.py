@@ -12,6 +12,7 @@ import io
 import json
 import math
 import os
+import re
 import secrets
 import shutil
 import stat
@@ -28,7 +29,8 @@ import numpy as np
 import safetensors.numpy
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError, is_full
+from cadenza.configs import MOST_SEED
+from cadenza.errors import CadenzaError, is_full, quoted, shortened
 
 T = TypeVar("T")
 
@@ -289,6 +291,38 @@ def opened_member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
     return archive.open(member)
 
 
+# Numbers in text
+
+_WHOLE = re.compile("[+-]?[0-9]{1,40}")  # int() refuses thousands of digits with another error
+_DECIMAL = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
+
+
+def whole_number_in(text: str, what: str, least: int, most: int) -> int:
+    """The whole number from `least` to `most` that a file or a user writes as `text`.
+
+    All text from outside becomes a number here or in `number_in`, never by int() or float() alone:
+    they take "1_000", other digits than 0 to 9, nan and infinity, and int() fails in its own way
+    from 4,301 digits on.
+
+    Raises:
+        CadenzaError: it is something else; the message begins with `what` it was to be.
+    """
+    if not _WHOLE.fullmatch(text) or not least <= (number := int(text)) <= most:
+        raise CadenzaError(f"{what} {quoted(text)}; expected a whole number, {least:,} to {most:,}")
+    return number
+
+
+def number_in(text: str, what: str, least: float, most: float) -> float:
+    """The number from `least` to `most` that a file or a user writes as `text`.
+
+    Raises:
+        CadenzaError: it is something else, also nan; the message begins with `what` it was to be.
+    """
+    if not _DECIMAL.fullmatch(text) or not least <= (number := float(text)) <= most:
+        raise CadenzaError(f"{what} {quoted(text)}; expected a number, {least:,g} to {most:,g}")
+    return number
+
+
 # JSON
 
 
@@ -339,7 +373,7 @@ def checked(value: Any, kind: type[T], where: object) -> T:
         result = msgspec.convert(value, kind)
         _check_names(value, msgspec.to_builtins(result), "$")
     except (msgspec.ValidationError, CadenzaError) as error:
-        wrong = " ".join(str(error).split())  # it may quote what it found
+        wrong = shortened(str(error))  # it may quote what it found
         raise CadenzaError(f"{where}: {wrong}; {_ANOTHER}") from error
     except RecursionError as error:
         raise CadenzaError(f"{where}: too deeply nested; {_ANOTHER}") from error
@@ -351,14 +385,16 @@ def _check_values(value: Any, at: str) -> None:
     if isinstance(value, dict):
         for name, part in value.items():
             _check_values(name, at)
-            _check_values(part, f"{at}.{name}")
+            _check_values(part, f"{at}.{shortened(name)}")
     elif isinstance(value, list):
         for i, part in enumerate(value):
             _check_values(part, f"{at}[{i}]")
     elif isinstance(value, float) and not math.isfinite(value):
         raise CadenzaError(f"Expected a finite number, got {value} - at `{at}`")
+    elif isinstance(value, int) and abs(value) > MOST_SEED:
+        raise CadenzaError(f"Expected a number of fewer digits, got {quoted(value)} - at `{at}`")
     elif isinstance(value, str) and not _is_text(value):
-        raise CadenzaError(f"Expected text, got {value!a} - at `{at}`")
+        raise CadenzaError(f"Expected text, got {quoted(value)} - at `{at}`")
 
 
 def _check_names(given: Any, understood: Any, at: str) -> None:
@@ -366,7 +402,7 @@ def _check_names(given: Any, understood: Any, at: str) -> None:
     if isinstance(given, dict):
         for name, part in given.items():
             if name not in understood:
-                raise CadenzaError(f"Unknown field {name!r} - at `{at}`")
+                raise CadenzaError(f"Unknown field {quoted(name)} - at `{at}`")
             _check_names(part, understood[name], f"{at}.{name}")
     elif isinstance(given, list):
         for i, (part, other) in enumerate(zip(given, understood, strict=True)):

@@ -17,7 +17,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal
 
-from cadenza.errors import CadenzaError, extra_packages, is_full
+from cadenza.errors import CadenzaError, extra_packages, is_full, shortened
 
 _PREFIX = "hub:"
 _NAME = re.compile(r"hub:([\w.-]+/[\w.-]+)(?:@([\w./-]+))?", re.ASCII)
@@ -169,4 +169,4 @@ def _in_a_line(place: str, kind: Kind) -> Iterator[None]:
         if isinstance(error, CadenzaError) or is_full(error):
             raise
         why = " ".join(str(error).split()) or type(error).__name__
-        raise CadenzaError(f"{place}: the hub says: {why:.300}") from error
+        raise CadenzaError(f"{place}: the hub says: {shortened(why)}") from error

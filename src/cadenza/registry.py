@@ -15,7 +15,7 @@ from importlib import metadata
 from operator import attrgetter, itemgetter
 from typing import TypeVar
 
-from cadenza.errors import CadenzaError, by_others
+from cadenza.errors import CadenzaError, by_others, quoted
 
 T = TypeVar("T")
 
@@ -74,12 +74,12 @@ class Registry:
         entry = self._find(name)
         module, _, attribute = entry.place.partition(":")
         what = f"{self.kind} {name}" + f" ({entry.about})" * (name not in (*self.own, entry.place))
-        with by_others(f"{what}: cannot import {module!r}"):
+        with by_others(f"{what}: cannot import {quoted(module)}"):
             imported = importlib.import_module(module)
         try:
             found = attrgetter(attribute)(imported)
         except AttributeError:
-            raise CadenzaError(f"{what}: there is no {attribute!r} in {module}") from None
+            raise CadenzaError(f"{what}: there is no {quoted(attribute)} in {module}") from None
         if not isinstance(found, kind):
             wanted = "class" if kind is type else kind.__name__
             raise CadenzaError(
@@ -101,7 +101,7 @@ class Registry:
                 packages = " and ".join(entry.about for entry in several)
                 places = " or ".join(entry.place for entry in several)
                 raise CadenzaError(
-                    f"{self.kind} {name!r}: {packages} have this name; give {places}"
+                    f"{self.kind} {quoted(name)}: {packages} have this name; give {places}"
                 )
 
     def _unknown(self, name: str) -> CadenzaError:
@@ -109,7 +109,7 @@ class Registry:
         close = get_close_matches(name, names, n=1)
         hint = f"did you mean {close[0]}? " if close else ""
         choice = f"choose from {', '.join(names)}, or give " if names else "give "
-        return CadenzaError(f"no {self.kind} {name!r}: {hint}{choice}{self.otherwise}")
+        return CadenzaError(f"no {self.kind} {quoted(name)}: {hint}{choice}{self.otherwise}")
 
     def _installed(self) -> Iterator[tuple[str, Entry]]:
         """Yields names and entries of other packages from their metadata."""

@@ -15,7 +15,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.files import checked, locked, read_json, remove_half_written, write_json
 
 if TYPE_CHECKING:
@@ -171,6 +171,7 @@ def errors_of_resuming(run: Path) -> Iterator[None]:
         yield
     except (ArithmeticError, LookupError, TypeError, ValueError) as error:
         raise CadenzaError(
-            f"{run}: its checkpoint does not belong to this run ({error!r}); use another copy, or "
+            f"{run}: its checkpoint does not belong to this run ({quoted(error)}); "
+            "use another copy, or "
             "start a new run"
         ) from error

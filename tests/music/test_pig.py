@@ -141,22 +141,30 @@ def test_other_ways_to_write_the_same(content: bytes) -> None:
     ("old", "new", "said"),
     [
         ("64\t80\t0\t1", "64\t80\t0", "7 columns; expected eight"),
-        ("0\t0.00", "a\t0.00", "'a' is not the number of a note"),
-        ("0.000000\t0.5", "nan\t0.5", "onset 'nan'; expected seconds"),
-        ("0.000000\t0.5", "-0.1\t0.5", "onset '-0.1'; expected seconds"),
-        ("0.500000\tC#4", "9999\tC#4", "offset '9999'; expected seconds, at most 3600"),
-        ("0.000000\t0.5", "0.6\t0.5", "offset 0.500000 is before onset 0.6"),
+        ("0\t0.00", "a\t0.00", "the number of the note 'a'; expected a whole"),
+        ("0.000000\t0.5", "nan\t0.5", "onset [s] 'nan'; expected a number"),
+        ("0.000000\t0.5", "-0.1\t0.5", "onset [s] '-0.1'; expected"),
+        ("0.500000\tC#4", "9999\tC#4", "offset [s] '9999'; expected a number, 0 to 3,600"),
+        ("0.000000\t0.5", "0.6\t0.5", "offset 0.5 is before onset 0.6"),
         ("C#4", "H4", "pitch 'H4'; expected one such as C4"),
         ("C#4", "c4", "pitch 'c4'; expected"),
         ("C#4", "C#", "pitch 'C#'; expected"),
         ("C#4", "C9", "pitch C9 is outside the piano's 88 keys"),
-        ("\t64\t80\t0\t1\n", "\t0\t80\t0\t1\n", "onset velocity '0'; expected 1 to 127"),
-        ("\t64\t80\t0\t1\n", "\t64\t128\t0\t1\n", "offset velocity '128'; expected 0 to 127"),
+        (
+            "\t64\t80\t0\t1\n",
+            "\t0\t80\t0\t1\n",
+            "onset velocity '0'; expected a whole number, 1 to 127",
+        ),
+        (
+            "\t64\t80\t0\t1\n",
+            "\t64\t128\t0\t1\n",
+            "offset velocity '128'; expected a whole number, 0 to 127",
+        ),
         ("80\t0\t1\n", "80\t2\t1\n", "channel '2'; expected 0 for the right hand"),
         ("80\t0\t1\n", "80\t0\t6\n", "finger '6'; expected 1 to 5"),
         ("80\t0\t1\n", "80\t0\t0\n", "finger '0'; expected"),
         ("80\t0\t1\n", "80\t0\t1_7\n", "finger '1_7'; expected"),
-        ("80\t0\t1\n", "80\t0\t\u0661\n", "finger '\\u0661'; expected"),
+        ("80\t0\t1\n", "80\t0\t\u0661\n", "finger '\u0661'; expected"),
     ],
 )
 def test_a_wrong_line_is_named(old: str, new: str, said: str) -> None:
@@ -168,7 +176,9 @@ def test_a_wrong_line_is_named(old: str, new: str, said: str) -> None:
 
 def test_all_wrong_lines_are_named() -> None:
     wrong = ONE.replace("\t0.5", "\tx").replace("4\t2.0", "3\t2.0")
-    with pytest.raises(CadenzaError, match=r"^f:2: offset 'x00000'.*; also wrong: lines 3, 6$"):
+    with pytest.raises(
+        CadenzaError, match=r"^f:2: offset \[s\] 'x00000'.*; also wrong: lines 3, 6$"
+    ):
         read_fingered(wrong.encode(), "f")
     with pytest.raises(CadenzaError, match="f:6: note 3 stands in line 5 already"):
         read_fingered(ONE.replace("4\t2.0", "3\t2.0").encode(), "f")
@@ -303,7 +313,7 @@ def test_damaged_files_are_left_out_and_said_to_be(
         "FingeringFiles/002-1_fingering.txt:3: pitch 'Ehh3'",
         "FingeringFiles/009-1_fingering.txt: there is no such piece in List.csv",
         "List.csv:4: no file of fingers for 'Étude'",
-        "List.csv:5: 'x' is not the number of a piece",
+        "List.csv:5: number of a piece 'x'",
         "List.csv:6: a second line for piece 1",
         "List.csv:7: piece 4 has no title",
         "List.csv:8: no file of fingers for 'A B\" of C\"'",

@@ -14,7 +14,7 @@ from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.practice.plan_variants import Variant
 from cadenza.agents.planner.practice.practised_planner import PractisedPlan
 from cadenza.episode import Episode
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.files import (
     FLAGS,
     FLOATS,
@@ -128,13 +128,14 @@ class SavedPlan:
             value = self.options[name]
             if name not in options:
                 raise CadenzaError(
-                    f"{self.path}: was planned with an option {name!a}, which this version of "
+                    f"{self.path}: was planned with an option {quoted(name)}, which "
+                    "this version of "
                     "Cadenza does not have; plan it again"
                 )
             if options[name] != value:
                 raise CadenzaError(
-                    f"{self.path}: was planned with {name} {value!r}, but here it is "
-                    f"{options[name]!r}; use the same value"
+                    f"{self.path}: was planned with {name} {quoted(value)}, but here it is "
+                    f"{quoted(options[name])}; use the same value"
                 )
 
 

@@ -18,7 +18,7 @@ from cadenza.agents.planner.config import (
     PredictiveSamplingConfig,
 )
 from cadenza.configs import as_config, check_kind
-from cadenza.errors import CadenzaError, by_others
+from cadenza.errors import CadenzaError, by_others, quoted
 from cadenza.registry import Entry, Registry
 
 if TYPE_CHECKING:
@@ -83,13 +83,13 @@ def make_agent(name: str, config: Any = None) -> Agent:
             option makes no sense.
     """
     if not isinstance(name, str):
-        raise CadenzaError(f"agent {name!r:.100}: give its name, such as {PLANNER!r}")
+        raise CadenzaError(f"agent {quoted(name)}: give its name, such as {PLANNER!r}")
     if name in (PRETRAINED, PLAYBACK):
-        raise CadenzaError(f"agent {name!r} depends on the song: pass it to cadenza.play")
+        raise CadenzaError(f"agent {quoted(name)} depends on the song: pass it to cadenza.play")
     kind: Any = AGENTS.load(name, type)
     options = agent_options(name)
     if options is None and config is not None:
-        raise CadenzaError(f"agent {name!r} has no options: give none")
+        raise CadenzaError(f"agent {quoted(name)} has no options: give none")
     given = () if options is None else (as_config(config, options),)
     with by_others(f"agent {name}"):
         return checked_agent(kind(*given), name)

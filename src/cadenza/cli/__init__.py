@@ -34,9 +34,9 @@ from cadenza.cli import (
     train,
 )
 from cadenza.cli.arguments import Chosen, Shell, choose, parse, print_commands, similar
-from cadenza.cli.console import on_one_line, open_closed_streams, quietly, warnings_in_a_line
+from cadenza.cli.console import open_closed_streams, quietly, warnings_in_a_line
 from cadenza.cli.options import Options, reader, with_options_of_agents
-from cadenza.errors import CadenzaError, explained, is_for_users
+from cadenza.errors import CadenzaError, explained, is_for_users, on_one_line
 from cadenza.learning.learner import LEARNERS
 from cadenza.registry import module_of
 

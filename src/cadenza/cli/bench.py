@@ -16,7 +16,7 @@ from cadenza.cli.console import counted
 from cadenza.cli.options import TRAIN, Options, Read, check_all_play, split_agents
 from cadenza.cli.runs import Execution, Work, check_execution, run_all
 from cadenza.configs import MOST_SEED, whole_number
-from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.errors import CadenzaError, CadenzaWarning, quoted
 from cadenza.learning.config import preset
 from cadenza.learning.learner import Preset
 
@@ -182,7 +182,7 @@ def _trained(command: Bench, read: Read[Bench], agent: str) -> Contender:
         for name in get_args(Preset)
     }
     if agent not in presets:
-        raise CadenzaError(f"no agent {agent!r}: choose from {', '.join(presets)}")
+        raise CadenzaError(f"no agent {quoted(agent)}: choose from {', '.join(presets)}")
     begun = preset(*presets[agent])
     own = read(task=begun.task, scene=begun.scene)
     steps = begun.num_steps if command.num_steps is None else command.num_steps

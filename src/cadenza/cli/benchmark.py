@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import tyro
 
 from cadenza.cli.arguments import Output, Quiet
-from cadenza.cli.console import counted, in_columns, on_one_line
+from cadenza.cli.console import counted, in_columns
 from cadenza.cli.progress import progress
 from cadenza.cli.saving import check_writable
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, on_one_line
 from cadenza.evaluation.benchmark.about import About
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from contextlib import contextmanager, redirect_stdout
 from typing import Any, TextIO
 
 from cadenza.cli.progress import QUIET
-from cadenza.errors import CadenzaWarning
+from cadenza.errors import CadenzaWarning, on_one_line
 
 
 def counted(number: int, noun: str) -> str:
@@ -112,8 +112,3 @@ def open_closed_streams() -> None:
     for name, mode in ("stdin", "r"), ("stdout", "w"), ("stderr", "w"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode, errors="backslashreplace"))  # noqa: SIM115 - as long as we run
-
-
-def on_one_line(message: str) -> str:
-    """Returns the message; what cannot be printed, as in the name of a file, is escaped."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)

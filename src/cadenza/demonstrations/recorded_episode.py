@@ -25,7 +25,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.files import (
     array_header,
     checked,
@@ -295,17 +295,17 @@ def _impossible_value(facts: EpisodeFacts) -> str | None:
     """Returns a value on which readers count and which cannot be; None if there is none."""
     steps = facts.metrics.get("steps")
     if type(steps) is not int or not 0 < steps <= _MAX_STEPS:
-        return f"steps {steps!r:.30}"
+        return f"steps {quoted(steps)}"
     for name in ("f1", "note_onset_f1"):
         value = facts.metrics.get(name)
         if not isinstance(value, float | int) or not 0 <= value <= 1:
-            return f"{name} {value!r:.30}"
+            return f"{name} {quoted(value)}"
     if not isinstance(mirrored := facts.drawn.get("mirrored"), bool):
-        return f"mirrored {mirrored!r:.30}"
+        return f"mirrored {quoted(mirrored)}"
     if not _MIN_TIMESTEP <= facts.task.control_timestep < math.inf:
-        return f"control_timestep {facts.task.control_timestep!r}"
+        return f"control_timestep {quoted(facts.task.control_timestep)}"
     if not 0 <= facts.task.initial_buffer_time <= MAX_STEPS * facts.task.control_timestep:
-        return f"initial_buffer_time {facts.task.initial_buffer_time!r}"
+        return f"initial_buffer_time {quoted(facts.task.initial_buffer_time)}"
     return None
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.fingers import Side
 from cadenza.hands import forearm
 from cadenza.hands.body import GEOM_TYPES, Body, BodyBuilder, Geom, Link, Options, mirrored, prefix
@@ -125,7 +125,7 @@ def _faults(hand: Hand) -> Iterator[str]:
     if not 0 < count <= MAX_FINGERS:
         yield f"has {count} fingers; give 1 to {MAX_FINGERS}"
     for name in _repeated(finger.name for finger in hand.fingers):
-        yield f"two fingers are named {name!r}; give each a name of its own"
+        yield f"two fingers are named {quoted(name)}; give each a name of its own"
     parents = {link.name: link.parent for link in hand.body.links}
     for finger in hand.fingers:
         yield from _faults_of_finger(finger, hand.fingers[0], parents)
@@ -146,10 +146,10 @@ def _faults_of_servos(hand: Hand) -> Iterator[str]:
     targets = [actuator.target for actuator in hand.body.actuators]
     for target in targets:
         if target not in hand.servos:
-            yield f"servos has none for the actuator of {target!r}; add a Servo"
+            yield f"servos has none for the actuator of {quoted(target)}; add a Servo"
     for name, servo in hand.servos.items():
         if name not in targets:
-            yield f"servos: no actuator moves {name!r}; choose from {', '.join(targets)}"
+            yield f"servos: no actuator moves {quoted(name)}; choose from {', '.join(targets)}"
             continue
         if servo.finger is not None and not 0 <= servo.finger < len(hand.fingers):
             last = len(hand.fingers) - 1
@@ -208,18 +208,18 @@ def _faults_of_body(body: Body) -> Iterator[str]:
     if forearm.FOREARM not in links:
         yield f"the link of the arm that carries the hand must be named {forearm.FOREARM!r}"
     for name in _repeated(links):
-        yield f"two links are named {name!r}; give each a name of its own"
+        yield f"two links are named {quoted(name)}; give each a name of its own"
     for place, link in enumerate(body.links):
         if place and link.parent not in links[:place]:
-            yield f"link {link.name}: no link before it is named {link.parent!r}, its parent"
+            yield f"link {link.name}: no link before it is named {quoted(link.parent)}, its parent"
         yield from _faults_of_link(link)
     joints = [link.joint.name for link in body.links if link.joint]
     couplings = [coupling.name for coupling in body.couplings]
     targets = [actuator.target for actuator in body.actuators]
     for name in _repeated([*joints, *couplings]):
-        yield f"two joints or couplings are named {name!r}; give each a name of its own"
+        yield f"two joints or couplings are named {quoted(name)}; give each a name of its own"
     for name in _repeated(targets):
-        yield f"two actuators move {name!r}; keep one"
+        yield f"two actuators move {quoted(name)}; keep one"
     moved = [target for target in targets if target in joints]
     moved += [joint for each in body.couplings if each.name in targets for joint in each.joints]
     for name in _repeated(moved):
@@ -258,7 +258,7 @@ def _faults_of_link(link: Link) -> Iterator[str]:
 
 def _faults_of_geom(of: str, geom: Geom) -> Iterator[str]:
     if geom.type not in GEOM_TYPES:
-        yield f"{of}: no geom of type {geom.type!r}; choose from {', '.join(GEOM_TYPES)}"
+        yield f"{of}: no geom of type {quoted(geom.type)}; choose from {', '.join(GEOM_TYPES)}"
         return
     _, count = GEOM_TYPES[geom.type]
     for size in (geom.size, geom.left_size):
@@ -274,7 +274,7 @@ def _faults_of_geom(of: str, geom: Geom) -> Iterator[str]:
 def _faults_of_actuators(body: Body, targets: set[str]) -> Iterator[str]:
     for actuator in body.actuators:
         if actuator.target not in targets:
-            yield f"there is no joint or coupling {actuator.target!r} for an actuator to move"
+            yield f"there is no joint or coupling {quoted(actuator.target)} for an actuator to move"
         for name in ("kp", "force"):
             if not (given := getattr(actuator, name)) > 0:
                 yield f"actuator of {actuator.target}: {name} is {given}; give more than 0"
@@ -293,7 +293,7 @@ def _are_numbers(numbers: Any, count: int) -> bool:
 
 def _unknown(of: str, kind: str, names: Iterable[str], known: Collection[str]) -> Iterator[str]:
     if missing := sorted(set(names).difference(known)):
-        yield f"{of}: there is no {kind} {missing[0]!r}"
+        yield f"{of}: there is no {kind} {quoted(missing[0])}"
 
 
 def _repeated(names: Iterable[str]) -> Iterator[str]:

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.keyboards.loudness import Action
 
 Array = NDArray[np.float64]
@@ -292,7 +292,7 @@ class Keyboard:
 def _faults(keyboard: Keyboard) -> Iterator[str]:
     first, count = keyboard.lowest_pitch, keyboard.num_keys
     if not (isinstance(first, Integral) and isinstance(count, Integral)):
-        yield f"lowest_pitch is {first!r} and num_keys {count!r}; give whole numbers"
+        yield f"lowest_pitch is {quoted(first)} and num_keys {quoted(count)}; give whole numbers"
     if count < 1:
         yield f"num_keys is {count}; give 1 or more"
     if not 0 <= first <= 128 - count:

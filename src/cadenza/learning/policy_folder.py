@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError, by_others, errors_in
+from cadenza.errors import CadenzaError, by_others, errors_in, quoted
 from cadenza.files import FLOATS, NUMBERS, ArrayOf, check_arrays, checked
 from cadenza.hub import Kind, fetched
 from cadenza.learning.actions import Reference
@@ -221,7 +221,8 @@ def load_policy(folder: str | Path) -> LearntPolicy:
     where = folder / "facts.json"
     if (number := plain.get("format")) != _FORMAT:
         raise CadenzaError(
-            f"{folder}: this policy has format {number!r}, but this version reads only {_FORMAT}; "
+            f"{folder}: this policy has format {quoted(number)}, but this version "
+            f"reads only {_FORMAT}; "
             "install the version of Cadenza that wrote it"
         )
     of_others = "learner" in plain

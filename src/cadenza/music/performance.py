@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.episode import KEY_EVENTS, Episode
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.music.score import LOWEST_PITCH, Note, PedalEvent, Score
 
 SAME_NOTE = 0.2  # [s] within which a note played and one written on the same key are the same
@@ -162,7 +162,9 @@ def played_in(episode: Episode) -> Score:
     if all(name in episode.arrays for name in KEY_EVENTS):
         onset, offset, velocity = (episode[name] for name in KEY_EVENTS)
         if not np.isfinite(velocity[~np.isnan(onset)]).all():
-            raise CadenzaError(f"the episode of {episode.song!r} has onsets without velocities")
+            raise CadenzaError(
+                f"the episode of {quoted(episode.song)} has onsets without velocities"
+            )
         events = key_events(onset, offset, velocity)
     return performed_score(
         episode["key_activation"],

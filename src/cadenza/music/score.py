@@ -10,7 +10,7 @@ from numbers import Integral, Real
 from operator import attrgetter
 from typing import TypeVar
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.fingers import LEFT, RIGHT, Finger
 
 _N = TypeVar("_N")
@@ -70,7 +70,7 @@ class Note:
             raise CadenzaError(f"note of velocity {self.velocity}: give 1..127")
         if not isinstance(self.finger, Finger | None):
             raise CadenzaError(
-                f"note with finger {self.finger!r:.50}: give Finger(hand, index), such as "
+                f"note with finger {quoted(self.finger)}: give Finger(hand, index), such as "
                 "Finger(0, 1) for the right index finger, or None"
             )
         if not set(self.hands) <= {RIGHT, LEFT}:
@@ -206,7 +206,7 @@ class Score:
             CadenzaError: `factor` is not a positive number, or the song would last over an hour.
         """
         if not isinstance(factor, Real) or not 0 < factor < float("inf"):
-            raise CadenzaError(f"cannot stretch by {factor!r:.100}: give a positive number")
+            raise CadenzaError(f"cannot stretch by {quoted(factor)}: give a positive number")
         check_length(self.total_time * factor, f"stretched by {factor:g}, the song")
         return self.with_times(lambda time: time * factor)
 

@@ -28,7 +28,7 @@ from cadenza.agents.registry import (
     options_name,
 )
 from cadenza.configs import MOST_SEED, as_config, whole_number
-from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.errors import CadenzaError, CadenzaWarning, quoted
 from cadenza.hub import is_on_hub
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.learning.pretrained import pretrained_folder
@@ -160,7 +160,7 @@ def select(
     if (name == PLAYBACK) != (plan is not None):
         raise CadenzaError("--agent playback and --plan FILE go together: give both or neither")
     if not isinstance(plan, str | Path | None):
-        raise CadenzaError(f"plan {plan!r:.100}: give the path of a file")
+        raise CadenzaError(f"plan {quoted(plan)}: give the path of a file")
     if plan is not None:
         saved = load_plan(Path(plan))
         scene = replace(SceneConfig(), **saved.physics)
@@ -217,7 +217,7 @@ def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:
         mine = selection.source.written_for(learnt.scene.hands)
         selection = replace(selection, source=mine)
     if learnt.score is not None and not learnt.has_learnt(selection.score):
-        what = f"{selection.name}: was trained on {learnt.score.title!r}"
+        what = f"{selection.name}: was trained on {quoted(learnt.score.title)}"
         if learnt.score.title == selection.score.title:
             what += " in another arrangement, or a part of it"
         if learnt.residual:

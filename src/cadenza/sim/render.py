@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.scene.cameras import CAMERAS, MAX_HEIGHT, MAX_WIDTH
 from cadenza.scene.drawn_model import drawn_model
 from cadenza.scene.scene import Scene
@@ -39,7 +39,7 @@ class Picture:
             CadenzaError: there is no such camera, or the picture is empty or too large.
         """
         if self.camera not in CAMERAS:
-            raise CadenzaError(f"no camera {self.camera!r}: choose from {', '.join(CAMERAS)}")
+            raise CadenzaError(f"no camera {quoted(self.camera)}: choose from {', '.join(CAMERAS)}")
         if not (0 < self.width <= MAX_WIDTH and 0 < self.height <= MAX_HEIGHT):
             raise CadenzaError(
                 f"an image of {self.width} x {self.height}: choose up to {MAX_WIDTH} x {MAX_HEIGHT}"

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.configs import whole_number
-from cadenza.errors import extra_packages
+from cadenza.errors import extra_packages, quoted
 from cadenza.scene.randomization import Factors, affected_fields, scaled_fields
 from cadenza.scene.scene import Scene
 from cadenza.sim.key_crossings import dense_key_events
@@ -384,7 +384,7 @@ class WarpSimulation:
 
     def _why(self, env: int) -> str:
         lost = mjw.OverflowType(int(self._physics.overflow[env]))
-        return f": no room for contacts ({lost!r}); give it more, see Buffers" if lost else ""
+        return f": no room for contacts ({quoted(lost)}); give it more, see Buffers" if lost else ""
 
     def close(self) -> None:
         self._at_start.close()

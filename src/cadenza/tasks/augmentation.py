@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cadenza.configs import check_ranges
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted, shortened
 from cadenza.music.goals import check_pitches, check_steps
 from cadenza.music.score import NUM_KEYS, Score, check_length
 from cadenza.scene.scene import Scene
@@ -130,12 +130,14 @@ def find_song(scores: Sequence[Score], song: Any) -> int:
         is_number = isinstance(song, int | np.integer) and not isinstance(song, bool)
         found = [int(song)] if is_number and 0 <= song < len(scores) else []
     if len(found) > 1:
-        raise CadenzaError(f"song {song!r}: {len(found)} have this title; give an index: {found}")
+        raise CadenzaError(
+            f"song {quoted(song)}: {len(found)} have this title; give an index: {found}"
+        )
     if not found:
         titles = ", ".join(repr(score.title) for score in scores)
         raise CadenzaError(
-            f"song {song!r:.100}: choose an index from 0 to {len(scores) - 1}, or a title: "
-            f"{titles:.300}"
+            f"song {quoted(song)}: choose an index from 0 to {len(scores) - 1}, or a title: "
+            f"{shortened(titles)}"
         )
     return found[0]
 

@@ -11,7 +11,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from cadenza.errors import CadenzaError, extra_packages
+from cadenza.errors import CadenzaError, extra_packages, quoted
 from cadenza.music.libraries.library import load_score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -96,7 +96,9 @@ class DevicePianoVectorEnv(VectorEnv):
             CadenzaError: there is an option.
         """
         if options:
-            raise CadenzaError(f"reset: the engine warp has no option {next(iter(options))!r}")
+            raise CadenzaError(
+                f"reset: the engine warp has no option {quoted(next(iter(options)))}"
+            )
         if seed is None and self._state is not None:
             key = self._state.key
         else:

@@ -16,7 +16,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from cadenza.configs import MOST_COUNT, whole_number
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.files import checked
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.libraries.library import load_score
@@ -139,12 +139,13 @@ class PianoVectorEnv(VectorEnv):
         if render_mode not in (None, "rgb_array"):
             raise CadenzaError(f"render_mode {render_mode!r}: choose 'rgb_array' or None")
         if not isinstance(picture, Picture | None):
-            raise CadenzaError(f"picture {picture!r:.100}: give a Picture")
+            raise CadenzaError(f"picture {quoted(picture)}: give a Picture")
         try:
             autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError as error:
             raise CadenzaError(
-                f"autoreset_mode {autoreset_mode!r}: choose one of gymnasium.vector.AutoresetMode"
+                f"autoreset_mode {quoted(autoreset_mode)}: choose one of "
+                "gymnasium.vector.AutoresetMode"
             ) from error
         self._given: list[Any] = list(song) if isinstance(song, list | tuple) else [song]
         self.task = _make_task(
@@ -236,7 +237,7 @@ class PianoVectorEnv(VectorEnv):
         if song is not None:
             raise CadenzaError("song and score: give one of them, as an episode plays one")
         if (played := as_score(score)) is None:
-            raise CadenzaError(f"score {score!r:.100}: give a Score; a song is named by song")
+            raise CadenzaError(f"score {quoted(score)}: give a Score; a song is named by song")
         return unchanged_track(played, self.task.config, self.task.scene)
 
     def _index(self, song: Any) -> int:
@@ -439,7 +440,8 @@ def _known(options: dict[str, Any] | None) -> dict[str, Any]:
     """
     if unknown := sorted(set(options or ()) - _RESET_OPTIONS):
         raise CadenzaError(
-            f"no option {unknown[0]!r} of reset: choose from {', '.join(sorted(_RESET_OPTIONS))}"
+            f"no option {quoted(unknown[0])} of reset: choose from "
+            f"{', '.join(sorted(_RESET_OPTIONS))}"
         )
     return options or {}
 
@@ -447,7 +449,7 @@ def _known(options: dict[str, Any] | None) -> dict[str, Any]:
 def _checked_seed(seed: Any) -> int | None:
     if seed is None or (isinstance(seed, int | np.integer) and seed >= 0):
         return None if seed is None else int(seed)
-    raise CadenzaError(f"seed {seed!r}: give a whole number of 0 or more, or None")
+    raise CadenzaError(f"seed {quoted(seed)}: give a whole number of 0 or more, or None")
 
 
 def _infos(values: Mapping[str, Any], known: NDArray[np.bool_]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 from gymnasium.vector import VectorEnv
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.music.libraries.bundled import songs
 
 _DRILLS = {"MiniNote": "notes-1", "MiniNotes": "notes-6", "MiniDyads": "dyads-3"}
@@ -43,7 +43,7 @@ def make_vector_env(engine: str = "c", **options: Any) -> VectorEnv:
         CadenzaError: there is no such engine or option, or a song cannot be played.
     """
     if engine not in _ENGINES:
-        raise CadenzaError(f"engine {engine!r}: choose from {', '.join(_ENGINES)}")
+        raise CadenzaError(f"engine {quoted(engine)}: choose from {', '.join(_ENGINES)}")
     module, name = _ENGINES[engine]
     made: VectorEnv = getattr(import_module(module), name)(**options)
     return made

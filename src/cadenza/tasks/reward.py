@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.keyboards.keyboard import Keyboard
 from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import State
@@ -309,7 +309,7 @@ class Reward:
         num_envs = len(outcome.ctrl)
         wanted = f"give a finite number for each environment, ({num_envs},)"
         for name, term in self._more_terms.items():
-            what = f"reward term {name!r} returned values"
+            what = f"reward term {quoted(name)} returned values"
             terms[name] = finite_array(what, term(outcome), (num_envs,), wanted)
         return terms
 
@@ -325,13 +325,13 @@ class Reward:
 
 def _checked(terms: Mapping[str, RewardTerm]) -> dict[str, RewardTerm]:
     if not isinstance(terms, Mapping):
-        raise CadenzaError(f"reward_terms {terms!r:.100}: give a dictionary, name -> function")
+        raise CadenzaError(f"reward_terms {quoted(terms)}: give a dictionary, name -> function")
     for name, term in terms.items():
         if not isinstance(name, str) or not callable(term):
-            raise CadenzaError(f"reward term {name!r:.100}: give a name and a function")
+            raise CadenzaError(f"reward term {quoted(name)}: give a name and a function")
         if name == _TOTAL:
             raise CadenzaError(
-                f"reward term {name!r}: recordings call the sum of all terms so; "
+                f"reward term {quoted(name)}: recordings call the sum of all terms so; "
                 "choose another name"
             )
     return dict(terms)
@@ -347,7 +347,7 @@ def finite_array(what: str, given: Any, shape: tuple[int, ...], wanted: str) -> 
     try:
         values = np.asarray(given, float)
     except (TypeError, ValueError) as error:
-        raise CadenzaError(f"{what} {given!r:.100}: {wanted}") from error
+        raise CadenzaError(f"{what} {quoted(given)}: {wanted}") from error
     if values.shape != shape:
         raise CadenzaError(f"{what} of shape {values.shape}: {wanted}")
     if not np.isfinite(values).all():

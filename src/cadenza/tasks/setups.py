@@ -11,7 +11,7 @@ from difflib import get_close_matches
 from typing import Any, TypeVar
 
 from cadenza.configs import as_config
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.registry import Entry, Registry
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -60,7 +60,9 @@ class NamedSetup:
         """
         known = {*self.of(SceneConfig), *self.of(TaskConfig)}
         if unknown := sorted(self.options.keys() - known):
-            raise CadenzaError(f"setup: there is no option {unknown[0]!r} of a scene or a task")
+            raise CadenzaError(
+                f"setup: there is no option {quoted(unknown[0])} of a scene or a task"
+            )
 
     def of(self, kind: type) -> dict[str, Any]:
         """The options that are fields of `kind`."""

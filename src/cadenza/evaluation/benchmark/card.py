@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError, errors_in
+from cadenza.errors import CadenzaError, errors_in, quoted, shortened
 from cadenza.evaluation.benchmark.definition import BENCHMARK, METRICS, TRACKS, open_set, own_track
 from cadenza.files import TENSORS, content_of, folder_name, parsed_json
 from cadenza.music.libraries.songs import Song
@@ -137,7 +137,7 @@ def _check(card: Card) -> None:
         raise CadenzaError(f"a time or a number of steps is negative, or over {_MOST_EFFORT:g}")
     for run in card.runs:
         if run.metrics.keys() != set(METRICS):
-            raise CadenzaError(f"{run.song:.100}: its metrics are not {', '.join(METRICS)}")
+            raise CadenzaError(f"{shortened(run.song)}: its metrics are not {', '.join(METRICS)}")
 
 
 def check_track(
@@ -149,9 +149,9 @@ def check_track(
         CadenzaError: there is no such track, it is another one's, or it is short of effort.
     """
     if track not in TRACKS:
-        raise CadenzaError(f"track {track!r:.40}: choose from {', '.join(TRACKS)}")
+        raise CadenzaError(f"track {quoted(track)}: choose from {', '.join(TRACKS)}")
     if (own := own_track(agent, options)) not in (None, track):
-        raise CadenzaError(f"track {track}: {agent:.60} belongs to the track {own}")
+        raise CadenzaError(f"track {track}: {shortened(agent)} belongs to the track {own}")
     if track == "one-song" and not effort.steps:
         raise CadenzaError(
             "track one-song: say how many steps of training or practice it took (--training-steps)"
@@ -170,9 +170,9 @@ def expected_runs(card: Card) -> list[tuple[Song, list[RecordedRun]]]:
     names, given = {song.name for song in songs}, dict[tuple[str, int], RecordedRun]()
     for run in card.runs:
         if (key := (run.song, run.seed)) in given:
-            raise CadenzaError(f"{run.song:.100}, seed {run.seed}: is there twice")
+            raise CadenzaError(f"{shortened(run.song)}, seed {run.seed}: is there twice")
         if run.song not in names or run.seed not in card.seeds:
-            raise CadenzaError(f"{run.song:.100}, seed {run.seed}: is no run of this entry")
+            raise CadenzaError(f"{shortened(run.song)}, seed {run.seed}: is no run of this entry")
         given[key] = run
     missing = [(s.name, seed) for s in songs for seed in card.seeds if (s.name, seed) not in given]
     if missing:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import ZeroAgent
 from cadenza.agents.registry import AGENTS
-from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.errors import CadenzaError, CadenzaWarning, quoted
 from cadenza.files import read_json
 from cadenza.fingers import NO_FINGER, Finger
 from cadenza.music.arrangement import Arrangement
@@ -128,7 +128,8 @@ def open_set(name: str) -> Library:
     )
     if not named:
         raise CadenzaError(
-            f"set {name:.100}: choose from {', '.join((*PUBLIC_SETS, *PAPER_SETS))}, or import a "
+            f"set {quoted(name)}: choose from "
+            f"{', '.join((*PUBLIC_SETS, *PAPER_SETS))}, or import a "
             "library of your own (cadenza import)"
         )
     if name in PUBLIC_SETS and is_imported(library):

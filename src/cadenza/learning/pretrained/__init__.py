@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 
 
 def pretrained_folder(song: str) -> Path:
@@ -19,6 +19,6 @@ def pretrained_folder(song: str) -> Path:
         if name.lower() == song.lower():
             return here / name
     raise CadenzaError(
-        f"no pretrained policy for {song!r}: choose from {', '.join(names)}, or train one "
+        f"no pretrained policy for {quoted(song)}: choose from {', '.join(names)}, or train one "
         "with cadenza train"
     )

@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 
 from cadenza.configs import MOST_SEED, whole_number
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.music.etudes.band import band_score, make_band
 from cadenza.music.etudes.chorale import chorale
 from cadenza.music.etudes.counterpoint import counterpoint
@@ -104,7 +104,7 @@ def make_etude(kind: str, difficulty: int, seed: int) -> Score:
 
 def _checked(kind: str, difficulty: int, seed: int) -> tuple[str, int, int]:
     if kind not in (kinds := (*KINDS, *DRILLS)):
-        raise CadenzaError(f"no etudes of kind {kind!r:.100}: choose from {', '.join(kinds)}")
+        raise CadenzaError(f"no etudes of kind {quoted(kind)}: choose from {', '.join(kinds)}")
     difficulty = whole_number(difficulty, "difficulty", 1, HARDEST)
     return kind, difficulty, whole_number(seed, "seed", 0, MOST_SEED)
 
@@ -205,7 +205,7 @@ def etude_song(name: str) -> Song:
     found = _ETUDE_NAME.fullmatch(name.lower())
     if not found:
         raise CadenzaError(
-            f"no etude named {name!r:.100}: give {LIBRARY}/KIND-DIFFICULTY-SEED, "
+            f"no etude named {quoted(name)}: give {LIBRARY}/KIND-DIFFICULTY-SEED, "
             f"such as {LIBRARY}/scales-3-7"
         )
     which = _checked(found[1], int(found[2]), int(found[3]))

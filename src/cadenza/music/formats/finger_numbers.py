@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.fingers import SIDES, Finger
 
 _NUMBERED = 5  # fingers of a hand
@@ -40,6 +40,6 @@ def finger_from(text: int | str) -> Finger | None:
     if counted := _COUNTED.fullmatch(text):
         return Finger(_LETTERS.index(counted[1]), int(counted[2]) - 1)
     raise CadenzaError(
-        f"there is no finger {text!r:.20}; right hand 0-4, left hand 5-9, -1 unknown; beyond the "
+        f"there is no finger {quoted(text)}; right hand 0-4, left hand 5-9, -1 unknown; beyond the "
         "fifth finger of a hand R6, L6 and so on"
     )

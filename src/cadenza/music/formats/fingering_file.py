@@ -19,12 +19,12 @@ from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 
-from cadenza.errors import CadenzaError, errors_in
-from cadenza.files import content_of, write_atomically
+from cadenza.errors import CadenzaError, errors_in, quoted
+from cadenza.files import content_of, number_in, whole_number_in, write_atomically
 from cadenza.fingers import Finger
 from cadenza.music.formats.finger_numbers import finger_from, finger_number
 from cadenza.music.formats.source import decoded
-from cadenza.music.score import Score
+from cadenza.music.score import MAX_SECONDS, MIDI_PITCHES, Score
 
 SUFFIX = ".fingering"
 _MAX_BYTES = 16 * 2**20  # with half a million lines
@@ -84,16 +84,17 @@ def write_fingering(score: Score, path: str | Path) -> None:
 
 
 def _parsed(content: list[str], where: str) -> tuple[float, int, Finger | None]:
-    try:
-        start, pitch = float(content[0]), int(content[1])
-    except (ValueError, IndexError):
-        start, pitch = float("nan"), 0
-    if len(content) != 3 or not start >= 0:
+    if len(content) != 3:
         raise CadenzaError(
-            f"{where}: {' '.join(content)!r} is not 'start pitch finger', such as '0.5 60 0'"
+            f"{where}: {quoted(' '.join(content))} is not 'start pitch finger', such as '0.5 60 0'"
         )
+    start, pitch, finger = content
     with errors_in(where):
-        return start, pitch, finger_from(content[2])
+        return (
+            number_in(start, "start [s]", 0, MAX_SECONDS),
+            whole_number_in(pitch, "pitch", MIDI_PITCHES[0], MIDI_PITCHES[-1]),
+            finger_from(finger),
+        )
 
 
 def _nearest(score: Score, indices: list[int], start: float) -> int | None:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.music.formats.fingering_file import SUFFIX
 from cadenza.music.formats.reading import MUSIC, read_score
 from cadenza.music.formats.titles import printable
@@ -85,7 +85,7 @@ def import_folder(
                 library.add(copy.name, score, {**facts, "title": facts.get("title") or score.title})
         known = {name for file in files for name in (*_paths(file), *_names(file))}
         library.left_out.extend(
-            f"{folder / INDEX}: there is no file of music {name!r:.100}"
+            f"{folder / INDEX}: there is no file of music {quoted(name)}"
             for name in index
             if name not in known
         )

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from platformdirs import user_data_path
 
-from cadenza.errors import CadenzaError, is_full
+from cadenza.errors import CadenzaError, is_full, quoted
 from cadenza.files import locked_file
 from cadenza.music.formats.reading import read_score
 from cadenza.music.libraries.index import INDEX, Facts, read_index, write_index
@@ -130,7 +130,8 @@ def new_library(
     """
     if not _NAME.fullmatch(name):
         raise CadenzaError(
-            f"library name {name!r}: give up to 64 letters, digits, dots, dashes or underscores"
+            f"library name {quoted(name)}: give up to 64 letters, digits, dots, "
+            "dashes or underscores"
         )
     all_libraries = _libraries_folder()
     place = all_libraries / name

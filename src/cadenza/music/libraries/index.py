@@ -11,24 +11,25 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from cadenza.errors import CadenzaError
-from cadenza.files import write_atomically
+from cadenza.configs import MOST_COUNT
+from cadenza.errors import CadenzaError, quoted, shortened
+from cadenza.files import number_in, whole_number_in, write_atomically
 from cadenza.music.formats.source import decoded, read_bytes
 from cadenza.music.formats.titles import printable
 
 INDEX = "index.csv"
 _NAMES = ("file", "path", "filename", "id", "name")
 _TEXTS = ("title", "composer", "source", "split")
-_NUMBERS: Mapping[str, Callable[[str], float]] = {
-    "seconds": float,
-    "notes": int,
-    "hands": int,
-    "difficulty": float,
+_NUMBERS: Mapping[str, Callable[[str, str, int, int], float]] = {
+    "seconds": number_in,
+    "notes": whole_number_in,
+    "hands": whole_number_in,
+    "difficulty": number_in,
 }
 _COLUMNS = (_NAMES[0], *_TEXTS, *_NUMBERS)
 _MAX_BYTES = 64 * 2**20  # of a hundred thousand pieces
@@ -54,7 +55,7 @@ def read_index(path: Path) -> dict[str, Facts]:
     for line, cells in rows:
         name = cells.get(column, "")
         if not name or name in index:
-            wrong = f"a second line for {name!r:.100}" if name else "names no file"
+            wrong = f"a second line for {quoted(name)}" if name else "names no file"
             raise CadenzaError(f"{path}:{line}: {wrong}; correct or remove it")
         index[name] = _facts(cells)
     return index
@@ -81,7 +82,9 @@ def read_table(
             if any(row)
         ]
     except csv.Error as error:
-        raise CadenzaError(f"{where}:{reader.line_num}: not a table as CSV ({error})") from error
+        raise CadenzaError(
+            f"{where}:{reader.line_num}: not a table as CSV ({shortened(str(error))})"
+        ) from error
     return header, rows
 
 
@@ -99,12 +102,8 @@ def write_index(path: Path, rows: Iterable[tuple[str, Facts]]) -> None:
 def _facts(cells: Mapping[str, str]) -> Facts:
     """The facts in a line, None for a number that is none."""
     texts = {name: printable(cells.get(name, "")) for name in _TEXTS}
-    return texts | {name: _number(cells.get(name, ""), kind) for name, kind in _NUMBERS.items()}
-
-
-def _number(text: str, kind: Callable[[str], float]) -> float | None:
-    try:
-        value = kind(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) and value >= 0 else None
+    numbers = dict.fromkeys(_NUMBERS)
+    for name, read in _NUMBERS.items():
+        with suppress(CadenzaError):
+            numbers[name] = read(cells.get(name, ""), name, 0, MOST_COUNT)
+    return texts | numbers

@@ -13,7 +13,7 @@ from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 
-from cadenza.errors import CadenzaError, by_others
+from cadenza.errors import CadenzaError, by_others, quoted
 from cadenza.music.formats.reading import MUSIC, NOT_READ, read_score
 from cadenza.music.libraries.bundled import Piece, bundled, songs
 from cadenza.music.libraries.folder import folder_library
@@ -94,7 +94,8 @@ def open_library(spec: str | Path) -> Library:
         if any(song.name == text for song in songs()):
             hint = "that is a song. Libraries and folders hold several: "
         raise CadenzaError(
-            f"no song library {text!r}: {hint}run `cadenza libraries` for all names, or give the "
+            f"no song library {quoted(text)}: {hint}run `cadenza libraries` for all "
+            "names, or give the "
             "path of a folder"
         )
     return library.of_split(split) if colon else library
@@ -155,7 +156,7 @@ def check_is_name(song: object) -> None:
     """
     if not isinstance(song, str | Path):
         raise CadenzaError(
-            f"song {song!r:.100}: give the name of a bundled song, the path of a MIDI or MusicXML "
+            f"song {quoted(song)}: give the name of a bundled song, the path of a MIDI or MusicXML "
             "file, or a Score"
         )
 
@@ -179,6 +180,6 @@ def _named(name: str) -> Library:
     if isinstance(place, Library):
         return place
     if not isinstance(place, str | Path) or not os.path.isdir(place):
-        raise CadenzaError(f"song library {name}: {place!r:.100} is not a folder")
+        raise CadenzaError(f"song library {name}: {quoted(place)} is not a folder")
     songs = folder_library(Path(place), name).songs
     return Library(name, tuple(replace(song, source=song.source or about) for song in songs))

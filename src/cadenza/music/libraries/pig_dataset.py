@@ -18,13 +18,13 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
-from math import inf
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 from zipfile import ZipFile
 
-from cadenza.errors import CadenzaError, errors_in
-from cadenza.files import opened, opened_archive, unpacked
+from cadenza.configs import MOST_COUNT
+from cadenza.errors import CadenzaError, errors_in, quoted, shortened
+from cadenza.files import number_in, opened, opened_archive, unpacked, whole_number_in
 from cadenza.fingers import Finger
 from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
 from cadenza.music.formats.midi import write_midi
@@ -35,14 +35,21 @@ from cadenza.music.libraries.imported import Grade, NewLibrary, Progress, new_li
 from cadenza.music.libraries.index import read_table
 from cadenza.music.libraries.pig import ALL, WEBSITE, published_name
 from cadenza.music.repair import RawNote, repaired_notes
-from cadenza.music.score import MAX_SECONDS, NATURALS, OCTAVE, PITCHES, STEPS, Score
+from cadenza.music.score import (
+    LOUDEST,
+    MAX_SECONDS,
+    NATURALS,
+    OCTAVE,
+    PITCHES,
+    SOFTEST,
+    STEPS,
+    Score,
+)
 
 _LIST, _FINGERINGS = "list.csv", "FingeringFiles"
 _FILE = re.compile(r"(\d{1,6})-(\d{1,6})_fingering\.txt", re.ASCII)
 _DEEPEST = 3  # folders from the one that is given down to the files
 
-_SECONDS = re.compile(r"\d+(\.\d*)?([eE][-+]?\d+)?", re.ASCII)
-_WHOLE = re.compile(r"\d{1,9}", re.ASCII)
 _PITCH = re.compile(r"([A-G])(##|#|x|bb|b|)(\d)", re.ASCII)
 _FINGER = re.compile(r"(-?)([1-5])(_(-?[1-5])?)*", re.ASCII)
 _ACCIDENTALS = {"": 0, "#": 1, "##": 2, "x": 2, "b": -1, "bb": -2}
@@ -74,7 +81,9 @@ def import_pig(
             with library.leaving_out_what_is_wrong():
                 file = fingered.pop(piece.number, None)
                 if file is None:
-                    raise CadenzaError(f"{piece.where}: no file of fingers for {piece.title!r}")
+                    raise CadenzaError(
+                        f"{piece.where}: no file of fingers for {quoted(piece.title)}"
+                    )
                 _add(library, name, piece, files[file], f"{source}/{file}")
         for file in fingered.values():
             library.left_out.append(f"{source}/{file}: there is no such piece in {list_file.name}")
@@ -134,7 +143,8 @@ def _files(source: Path) -> Iterator[_Files]:
             path = PurePosixPath(member.filename)
             if path.is_absolute() or ".." in path.parts or "\\" in member.filename:
                 raise CadenzaError(
-                    f"{source}: has a file that would lie outside it, {member.filename!r}; get the "
+                    f"{source}: has a file that would lie outside it, "
+                    f"{quoted(member.filename)}; get the "
                     f"dataset at {WEBSITE}"
                 )
         yield {
@@ -150,7 +160,7 @@ def _unpacked(archive: ZipFile, member: str, source: Path) -> bytes:
     except CadenzaError as error:
         raise CadenzaError(f"{where}: {error}") from error
     except Exception as error:  # damage shows in many ways
-        raise CadenzaError(f"{where}: cannot be unpacked ({error})") from error
+        raise CadenzaError(f"{where}: cannot be unpacked ({shortened(str(error))})") from error
 
 
 def _list_file(files: _Files, source: Path) -> PurePosixPath:
@@ -193,16 +203,19 @@ def _pieces(content: bytes, where: str, left_out: list[str]) -> list[_Piece]:
     column = "id" if "id" in header else header[0]
     pieces: dict[int, _Piece] = {}
     for line, cells in rows:
-        number, title = cells.get(column, ""), printable(cells.get(titles, ""))
-        if not _WHOLE.fullmatch(number):
-            left_out.append(f"{where}:{line}: {number!r:.30} is not the number of a piece")
-        elif not title:
+        title = printable(cells.get(titles, ""))
+        try:
+            number = whole_number_in(cells.get(column, ""), "number of a piece", 0, MOST_COUNT)
+        except CadenzaError as error:
+            left_out.append(f"{where}:{line}: {error}")
+            continue
+        if not title:
             left_out.append(f"{where}:{line}: piece {number} has no title")
-        elif int(number) in pieces:
+        elif number in pieces:
             left_out.append(f"{where}:{line}: a second line for piece {number}")
         else:
             composer = printable(cells.get("composer", ""))
-            pieces[int(number)] = _Piece(f"{where}:{line}", int(number), title, composer)
+            pieces[number] = _Piece(f"{where}:{line}", number, title, composer)
     return list(pieces.values())
 
 
@@ -263,38 +276,28 @@ def _note(line: str) -> tuple[int, RawNote, int]:
     if len(cells) != 8:
         raise CadenzaError(f"{len(cells)} columns; expected eight: {_COLUMNS}")
     id_, onset, offset, pitch, loud, release, channel, finger = cells
-    if not _WHOLE.fullmatch(id_):
-        raise CadenzaError(f"{id_!a:.30} is not the number of a note")
-    start, end = _seconds("onset", onset), _seconds("offset", offset)
+    number = whole_number_in(id_, "the number of the note", 0, MOST_COUNT)
+    start, end = (
+        number_in(text, f"{what} [s]", 0, MAX_SECONDS)
+        for what, text in (("onset", onset), ("offset", offset))
+    )
     if end < start:
-        raise CadenzaError(f"offset {offset} is before onset {onset}")
+        raise CadenzaError(f"offset {end:g} is before onset {start:g}")
     if channel not in ("0", "1"):
         raise CadenzaError(
-            f"channel {channel!a:.30}; expected 0 for the right hand or 1 for the left"
+            f"channel {quoted(channel)}; expected 0 for the right hand or 1 for the left"
         )
-    velocity, _ = _velocity("onset", loud, 1), _velocity("offset", release, 0)
+    velocity = whole_number_in(loud, "onset velocity", SOFTEST, LOUDEST)
+    whole_number_in(release, "offset velocity", 0, LOUDEST)
     note = RawNote(start, end, _pitch(pitch), velocity, True, _finger(finger))
-    return int(id_), note, int(channel)
-
-
-def _seconds(what: str, text: str) -> float:
-    seconds = float(text) if _SECONDS.fullmatch(text) else inf
-    if seconds > MAX_SECONDS:
-        raise CadenzaError(f"{what} {text!a:.30}; expected seconds, at most {MAX_SECONDS:.0f}")
-    return seconds
-
-
-def _velocity(what: str, text: str, least: int) -> int:
-    if not _WHOLE.fullmatch(text) or not least <= int(text) <= 127:
-        raise CadenzaError(f"{what} velocity {text!a:.30}; expected {least} to 127")
-    return int(text)
+    return number, note, int(channel)
 
 
 def _pitch(text: str) -> int:
     """The MIDI number of a spelled pitch, in which middle C is C4 and the B below it Cb4."""
     match = _PITCH.fullmatch(text)
     if not match:
-        raise CadenzaError(f"pitch {text!a:.30}; expected one such as C4, F#4, Bb3 or Abb5")
+        raise CadenzaError(f"pitch {quoted(text)}; expected one such as C4, F#4, Bb3 or Abb5")
     pitch = OCTAVE * (int(match[3]) + 1) + NATURALS[STEPS.index(match[1])] + _ACCIDENTALS[match[2]]
     if pitch not in PITCHES:
         raise CadenzaError(f"pitch {text} is outside the piano's 88 keys, A0 to C8")
@@ -305,7 +308,7 @@ def _finger(text: str) -> Finger:
     match = _FINGER.fullmatch(text)
     if not match:
         raise CadenzaError(
-            f"finger {text!a:.30}; expected 1 to 5, -1 to -5, or several such as 4_1"
+            f"finger {quoted(text)}; expected 1 to 5, -1 to -5, or several such as 4_1"
         )
     return Finger(hand=1 if match[1] else 0, index=int(match[2]) - 1)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 from cadenza.music.score import Score
 from cadenza.music.written_hands import with_written_hands
 
@@ -74,7 +74,7 @@ class Library:
         songs = tuple(song for song in self.songs if song.split == split)
         if not split or not songs:
             there = f"choose from {', '.join(self.splits)}" if self.splits else "it has none"
-            raise CadenzaError(f"{self.name}: there is no split {split!r}; {there}")
+            raise CadenzaError(f"{self.name}: there is no split {quoted(split)}; {there}")
         return Library(f"{self.name}:{split}", songs)
 
 
@@ -92,6 +92,6 @@ def song_named(name: str, library: Library) -> Song:
     close = [known[match].name for match in get_close_matches(name.lower(), known, cutoff=0.5)]
     hint = f"did you mean {' or '.join(close)}? " if close else ""
     raise CadenzaError(
-        f"no song named {name!r}: {hint}run `cadenza songs` for all names, "
+        f"no song named {quoted(name)}: {hint}run `cadenza songs` for all names, "
         "or give the path of a MIDI or MusicXML file"
     )

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement, TreeBuilder
 from xml.parsers import expat
 from zipfile import ZipFile
 
-from cadenza.errors import CadenzaError, errors_in
+from cadenza.errors import CadenzaError, errors_in, shortened
 from cadenza.files import opened_archive, unpacked
 from cadenza.music.formats.source import read_bytes
 
@@ -70,7 +70,7 @@ class _Reader:
         except CadenzaError:
             raise
         except Exception as error:  # of the document's encoding, too
-            raise CadenzaError(f"cannot be read as MusicXML ({error})") from error
+            raise CadenzaError(f"cannot be read as MusicXML ({shortened(str(error))})") from error
         return self._tree.close()
 
     def _declare(self, name: str, system: str | None, public: str | None, own: int) -> None:
@@ -100,7 +100,7 @@ def _by_parts(root: Element) -> Element:
     if root.tag == _PARTWISE:
         return root
     if root.tag != _TIMEWISE:
-        raise CadenzaError(f"cannot be read as MusicXML (it is <{root.tag:.40}>); {_ADVICE}")
+        raise CadenzaError(f"cannot be read as MusicXML (it is <{shortened(root.tag)}>); {_ADVICE}")
     parts: dict[str, Element] = {}
     for measure in root.iterfind("measure"):
         for music in measure.iterfind("part"):
