@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from cadenza.errors import CadenzaError
 from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.goals import MAX_STEPS, score_to_goals
-from cadenza.music.score import MAX_SECONDS, Note, PedalEvent, Score
+from cadenza.music.score import LONGEST_SCORE, MAX_SECONDS, Bar, Note, PedalEvent, Score
 from players import find_fingering
 
 SHORT = Score((Note(0.0, 10.0, 60),), (PedalEvent(1.0, 127),))
@@ -24,7 +24,22 @@ def test_no_song_begins_after_more_than_an_hour():
         SHORT.with_initial_silence(MAX_SECONDS)
 
 
-@pytest.mark.parametrize(("seconds", "step"), [(10.0, 1e-9), (10.0, 1e-320), (1e12, 0.05)])
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {"notes": (Note(46e6, 46e6 + 1, 60),)},
+        {"pedal": (PedalEvent(46e6, 127),)},
+        {"bars": (Bar(-46e6, 1),)},
+        {"bars": (Bar(0.0, 1, (0.0, 46e6)),)},
+        {"drums": (Note(0.0, 46e6, 38),)},
+    ],
+)
+def test_no_score_lasts_longer_than_memory_has_room_for_its_bars(parts):
+    with pytest.raises(CadenzaError, match=r"a score of 1\.278e.04 hours; the longest is 4"):
+        Score(**{"notes": (Note(0.0, 1.0, 60),), **parts})
+
+
+@pytest.mark.parametrize(("seconds", "step"), [(10.0, 1e-9), (10.0, 1e-320), (LONGEST_SCORE, 0.01)])
 def test_more_steps_than_memory_has_room_for(seconds, step):
     with pytest.raises(CadenzaError, match=f"control steps; the maximum is {MAX_STEPS}"):
         score_to_goals(Score((Note(0.0, seconds, 60),)), step)

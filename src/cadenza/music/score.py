@@ -28,7 +28,8 @@ SOFTEST, LOUDEST = 1, 127
 PEDAL_DOWN = 64
 """The least value of a pedal that is down."""
 MIRROR = 124  # sum of a pitch and its mirror image: twice D4, about which black keys are symmetric
-MAX_SECONDS = 3600.0  # a longer song is taken for a mistake
+MAX_SECONDS = 3600.0  # of music that is played; a longer song is taken for a mistake
+LONGEST_SCORE = 4 * 3600.0  # [s], of which a part may be played; bars of days would fill memory
 CHORD_TOLERANCE = 0.03  # [s] within which notes begin together
 RELEASE_TIME = 0.05  # [s] a note with less left than this does not keep its finger from the next
 BEAT_TYPES = frozenset(1 << k for k in range(7))  # whole notes to 64ths
@@ -155,6 +156,9 @@ class Score:
     file has no metre. `drums` are the strokes that no key plays, with times as in the file, and
     pitches that name the drums of General MIDI. Scores that differ only in tracks, bars or drums
     are equal.
+
+    Raises:
+        CadenzaError: something in it is later than `LONGEST_SCORE`.
     """
 
     notes: tuple[Note, ...]
@@ -171,6 +175,14 @@ class Score:
         object.__setattr__(self, "notes", notes)
         object.__setattr__(self, "pedal", pedal)
         object.__setattr__(self, "bars", tuple(sorted(self.bars, key=lambda bar: bar.time)))
+        moments = [self.total_time, *(stroke.end for stroke in self.drums)]
+        moments += [event.time for event in pedal[-1:]]
+        moments += [abs(time) for bar in self.bars for time in (bar.time, *bar.beats)]
+        if (last := max(moments)) > LONGEST_SCORE:
+            raise CadenzaError(
+                f"a score of {last / 3600:.4g} hours; the longest is {LONGEST_SCORE / 3600:.0f}, "
+                "so correct its times, or leave out silence"
+            )
 
     def __repr__(self) -> str:
         return f"Score({self.title!r}, {len(self.notes)} notes, {self.total_time:.1f} s)"
