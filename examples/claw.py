@@ -3,8 +3,8 @@
 python examples/claw.py [SONG]
 """
 
+import cadenza
 import numpy as np
-
 from cadenza.hands import forearm
 from cadenza.hands.body import Actuator, Body, Geom, Joint, Link
 from cadenza.hands.hand import FingerChain, Hand
@@ -116,8 +116,6 @@ CLAW = Hand(
 
 if __name__ == "__main__":
     import sys
-
-    import cadenza
 
     song = sys.argv[1] if len(sys.argv) > 1 else "CMajorScaleOneHand"
     performance = cadenza.play(song, scene=cadenza.SceneConfig(hand="claw:CLAW"))

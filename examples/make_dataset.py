@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import sys
 
-import numpy as np
-
 import cadenza
+import numpy as np
 
 ARRAYS = ("hand_qpos", "hand_qvel", "key_qpos", "goal_keys", "goal_fingers", "action")
 

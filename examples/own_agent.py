@@ -14,9 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 import cadenza
+import numpy as np
 
 
 @dataclass(frozen=True)

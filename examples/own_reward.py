@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import sys
 
+import cadenza
 import gymnasium as gym
 import numpy as np
-
-import cadenza
 
 
 def wrong_keys(outcome: cadenza.Outcome) -> np.ndarray:

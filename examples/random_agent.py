@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import sys
 
-import gymnasium as gym
-
 import cadenza  # noqa: F401 - registers the environments
+import gymnasium as gym
 
 song = sys.argv[1] if len(sys.argv) > 1 else "CMajorScaleOneHand"
 env = gym.make("cadenza/Piano-v0", song=song)

@@ -15,14 +15,13 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+import cadenza  # noqa: F401 - registers the environments
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from stable_baselines3 import SAC
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
-
-import cadenza  # noqa: F401 - registers the environments
 
 SONG = "cadenza/CMajorScaleOneHand-v0"
 

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
+import cadenza  # noqa: F401 - before any test imports NumPy, and so as commands do
+
 
 @pytest.fixture(autouse=True, scope="session")
 def no_data_of_the_user(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:

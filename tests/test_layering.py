@@ -13,7 +13,17 @@ import pytest
 import cadenza
 
 PACKAGE = Path(cadenza.__file__).parent
-EVERYWHERE = {"fingers", "errors", "files", "configs", "episode", "hub", "registry", "resumable"}
+EVERYWHERE = {
+    "fingers",
+    "errors",
+    "files",
+    "configs",
+    "episode",
+    "hub",
+    "registry",
+    "resumable",
+    "rounding",
+}
 # What a folder stands on; it may import that, and what that stands on.
 STANDS_ON: dict[str, set[str]] = {
     "music": set(),

@@ -8,7 +8,11 @@ import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from cadenza.tasks.registration import register_envs
+from cadenza.rounding import round_as_haswell
+
+round_as_haswell()  # and so before anything of ours imports NumPy
+
+from cadenza.tasks.registration import register_envs  # noqa: E402
 
 if TYPE_CHECKING:  # "as" tells a type checker that the name is offered here
     from cadenza.agents.agent import Agent as Agent

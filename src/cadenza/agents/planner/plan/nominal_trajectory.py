@@ -35,6 +35,7 @@ from cadenza.agents.planner.plan.strike_model import NO_STRIKES, PlannedStrikes
 from cadenza.agents.planner.plan.tracking import Tracking, track
 from cadenza.fingers import Side
 from cadenza.hands.reach import JumpTimes
+from cadenza.rounding import check_rounding
 from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import Reaction
@@ -125,6 +126,7 @@ class MotionPlanner:
 
     def __init__(self, scene: Scene, dt: float, jump_times: JumpTimes | None = None) -> None:
         """Prepares for a scene with one hand or two; `jump_times` replace those of the hand."""
+        check_rounding()
         self._scene, self._dt = scene, dt
         self._hand = replace(scene.hand, jump_times=jump_times or scene.hand.jump_times)
         self._kinematics = Kinematics(scene)

@@ -1,0 +1,60 @@
+"""Numbers are rounded alike on all x86-64 processors with AVX2.
+
+OpenBLAS and NumPy choose by the processor in which order they sum and how they approximate
+functions. The last bits differ, and after some seconds of music so does what is played. Both read
+from the environment what to choose, once, when they are imported.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from functools import cache
+
+from cadenza.errors import CadenzaWarning
+
+_KERNEL = "Haswell"  # the first processors with AVX2
+_SAME = {_KERNEL, "Zen"}
+_NEWER = {"X86_V4", "AVX512F", "AVX512_SKX"}
+"""What NumPy does without: AVX-512, which is the first of these names since NumPy 2.4."""
+
+
+def round_as_haswell() -> None:
+    """Has OpenBLAS and NumPy, if imported later, round as on Haswell, the first with AVX2.
+
+    This also holds for processes that are started by this one. Without AVX2, nothing is changed.
+    """
+    if not _has_avx2():
+        return
+    os.environ["OPENBLAS_CORETYPE"] = _KERNEL
+    if not os.environ.get("NPY_ENABLE_CPU_FEATURES"):  # NumPy fails if given both
+        given = os.environ.get("NPY_DISABLE_CPU_FEATURES", "").replace(",", " ").split()
+        os.environ["NPY_DISABLE_CPU_FEATURES"] = " ".join(sorted(_NEWER.union(given)))
+        warnings.filterwarnings("ignore", "During parsing.*NPY_DISABLE", ImportWarning)
+
+
+@cache
+def check_rounding() -> None:
+    """Warns once if NumPy was imported too early to round as on Haswell, and does not."""
+    import numpy as np
+    from threadpoolctl import threadpool_info
+
+    pools = threadpool_info()
+    kernels = {p["architecture"] for p in pools if p["internal_api"] == "openblas"}
+    found = np.show_config("dicts")["SIMD Extensions"].get("found", ())
+    if _has_avx2() and (kernels - _SAME or _NEWER.intersection(found)):
+        warnings.warn(
+            "NumPy was imported before cadenza, and rounds as only processors like this one do: "
+            "elsewhere, other notes are missed; import cadenza first",
+            CadenzaWarning,
+            stacklevel=2,
+        )
+
+
+def _has_avx2() -> bool:
+    """Whether Linux says so of the processor."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as about:
+            return any("avx2" in line for line in about)
+    except OSError:
+        return False
