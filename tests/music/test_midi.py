@@ -374,6 +374,53 @@ def test_what_is_whole_of_a_damaged_file_is_read(tmp_path, data, notes, remarks)
     assert list(score.remarks) == remarks
 
 
+ENDLESS = SONG[:-4]  # without an event that says that it ends
+LATER = chunk(b"MTrk", bytes([10, 0x90, 62, 80, 10, 0x80, 62, 0, 0, 0xFF, 0x2F, 0]))
+
+
+def sized(content, size):
+    return b"MTrk" + struct.pack(">L", size) + content
+
+
+MISPLACED = [
+    *((sized(SONG, len(SONG) + wrong), []) for wrong in (1, 3, 8, 20, 999, -1, -4, -7, -len(SONG))),
+    *((sized(ENDLESS, len(ENDLESS) + wrong), []) for wrong in (3, 999, -1, -4, -len(ENDLESS))),
+    (chunk(b"MTrk", SONG) + bytes(5), []),
+    (chunk(b"MTrk", SONG) + b"junk!", ["5 bytes after the end of a track left out"]),
+    (sized(SONG, 999) + b"junk!", ["5 bytes after the end of a track left out"]),
+    (sized(SONG, 2) + b"junk!", ["5 bytes after the end of a track left out"]),
+    (chunk(b"MTrk", ENDLESS) + b"\xf9\xff", ["2 bytes after the end of a track left out"]),
+    (chunk(b"MTrk", bytes([0, 0xFF, 1, 4]) + b"MTrk" + SONG), []),
+    (b"XFIH" + struct.pack(">L", 50) + chunk(b"MTrk", SONG), []),
+    (b"abc" + chunk(b"MTrk", SONG), []),
+]
+
+
+@pytest.mark.parametrize(("first", "remarks"), MISPLACED)
+def test_a_track_is_found_where_it_begins(tmp_path, first, remarks):
+    head = chunk(b"MThd", struct.pack(">HHH", 1, 2, 10))
+    (tmp_path / "a.mid").write_bytes(head + first + LATER)
+    score = read_midi(tmp_path / "a.mid")
+    assert played(score) == [FIRST, SECOND]
+    assert list(score.remarks) == remarks
+
+
+def test_of_a_last_track_of_length_zero_all_is_read(tmp_path):
+    (tmp_path / "a.mid").write_bytes(HEAD + sized(TWO[:-4], 0))
+    assert played(read_midi(tmp_path / "a.mid")) == [FIRST, SECOND]
+
+
+@pytest.mark.parametrize(
+    "status", [[0xB0, 0, 0xFF], [0xB0, 0xFF, 0], [0xB0, 120, 0x80], [0xE0, 0, 0xFF]]
+)
+def test_settings_with_damaged_values_are_left_out(tmp_path, status):
+    begins, ends = SONG[:4], SONG[4:]
+    (tmp_path / "a.mid").write_bytes(HEAD + chunk(b"MTrk", begins + bytes([5, *status]) + ends))
+    score = read_midi(tmp_path / "a.mid")
+    assert played(score) == [(0.0, 0.75, 60)]
+    assert score.remarks == ("1 setting with a value over 127 left out",)
+
+
 @pytest.mark.parametrize("size", [0, 5, 100])
 def test_chunks_of_unknown_types_are_skipped(tmp_path, size):
     unknown, track = chunk(b"XFIH", b"\xff" * size), chunk(b"MTrk", SONG)
@@ -588,6 +635,32 @@ def test_what_is_written_is_read_back(tmp_path, score):
     assert [event.value for event in again.pedal] == [event.value for event in score.pedal]
     for event, original in zip(again.pedal, score.pedal, strict=True):
         assert event.time == pytest.approx(original.time, abs=HALF_TICK)
+
+
+TICK = 1 / 48_000
+within_ticks = st.integers(0, 20).map(lambda k: k * TICK / 4)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(
+    st.lists(st.tuples(within_ticks, within_ticks, st.integers(60, 61)), max_size=12, min_size=1),
+    st.booleans(),
+)
+def test_notes_closer_than_a_tick_are_all_read_back(tmp_path, times, may_overlap):
+    notes, free = [], {}
+    for velocity, (start, length, pitch) in enumerate(sorted(times), start=1):
+        if may_overlap or start >= free.get(pitch, 0.0):
+            notes.append(Note(start, start + length + 1e-9, pitch, velocity))
+            free[pitch] = notes[-1].end
+    write_midi(Score(tuple(notes)), tmp_path / "a.mid")
+    again = read_midi(tmp_path / "a.mid")
+    by_velocity = sorted(again.notes, key=lambda note: note.velocity)
+    for note, original in zip(by_velocity, notes, strict=True):
+        assert (note.pitch, note.velocity) == (original.pitch, original.velocity)
+        assert original.start - TICK / 2 <= note.start + 1e-12
+        assert note.start <= original.start + len(notes) * TICK
+        assert note.end - note.start >= TICK - 1e-12
+    assert may_overlap or again.remarks == ()
 
 
 def test_times_on_the_millisecond_and_on_thirds_are_read_back_exactly(tmp_path):

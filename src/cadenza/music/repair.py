@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from cadenza.errors import CadenzaError
@@ -71,37 +71,41 @@ def _without_overlaps(found: list[RawNote], counts: Counter[str]) -> list[RawNot
     One that is struck again while it is held ends there, and the other lasts as long as both. The
     number of each kind of repair is added to `counts`.
     """
-    lasting = [note for note in found if note.end > note.start]
-    counts["zero"] = len(found) - len(lasting)
+    together: dict[tuple[float, int], list[RawNote]] = {}
+    for note in sorted(found, key=lambda note: note.start):
+        if note.end > note.start:
+            together.setdefault((note.start, note.pitch), []).append(note)
+    lasting = sum(map(len, together.values()))
+    counts["zero"] = len(found) - lasting
+    counts["doubled"] += lasting - len(together)
     played: list[RawNote] = []
     latest: dict[int, RawNote] = {}
-    for note in sorted(lasting, key=lambda note: note.start):
+    for doubles in together.values():
+        note = _merged(doubles)
         before = latest.get(note.pitch)
-        if before and before.start == note.start:
-            counts["doubled"] += 1
-            _merge(before, note)
-            continue
-        latest[note.pitch] = struck = replace(note)
-        played.append(struck)
+        latest[note.pitch] = note
+        played.append(note)
         if before and before.end > note.start:
             counts["cut"] += 1
             if before.released and note.released:  # the key is held as long as the longer one
-                struck.end = max(before.end, note.end)
+                note.end = max(before.end, note.end)
             before.release(note.start)
     counts["unreleased"] = sum(not note.released for note in played)
     return played
 
 
-def _merge(note: RawNote, other: RawNote) -> None:
-    """Gives `note` the larger velocity and the later end of both; a known end counts first."""
-    note.velocity = max(note.velocity, other.velocity)
-    note.finger = note.finger or other.finger
-    note.tracks = (*note.tracks, *other.tracks)
-    note.hands = tuple(sorted({*note.hands, *other.hands}))
-    if note.released == other.released:
-        note.end = max(note.end, other.end)
-    elif other.released:
-        note.release(other.end)
+def _merged(notes: Sequence[RawNote]) -> RawNote:
+    """The note with the largest velocity and the latest end of all; a known end counts first."""
+    is_known = any(note.released for note in notes)
+    return replace(
+        notes[0],
+        end=max(note.end for note in notes if note.released == is_known),
+        velocity=max(note.velocity for note in notes),
+        released=is_known,
+        finger=next((note.finger for note in notes if note.finger), None),
+        tracks=tuple(dict.fromkeys(track for note in notes for track in note.tracks)),
+        hands=tuple(sorted({hand for note in notes for hand in note.hands})),
+    )
 
 
 def counted_remarks(cases: Iterable[tuple[int, str, str]]) -> list[str]:
@@ -118,6 +122,7 @@ def _remarks(counts: Counter[str]) -> list[str]:
     repairs = {
         "drums": "of drums left out",
         "muted": "in a channel of no volume left out",
+        "bent": "bent by the pitch wheel taken for the nearest key",
         "outside": "outside the piano's 88 keys left out",
         "zero": "of no length left out",
         "doubled": "doubled at the same moment merged",

@@ -8,16 +8,17 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count, pairwise
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 
 import mido
 
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import write_atomically
-from cadenza.music.formats.general_midi import INSTRUMENTS
-from cadenza.music.formats.midi_channels import SUSTAIN, Part, Playing, merged_pedal, timed
-from cadenza.music.formats.midi_chunks import MidiFile, parsed
+from cadenza.music.formats.general_midi import INSTRUMENTS, SUSTAIN
+from cadenza.music.formats.midi_channels import Channel, Part
+from cadenza.music.formats.midi_chunks import LONGEST, MidiFile, parsed
+from cadenza.music.formats.midi_playing import Playing, merged_pedal, timed
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
 from cadenza.music.repair import RawNote, repaired_notes
@@ -27,10 +28,8 @@ from cadenza.music.score import BEAT_TYPES, Bar, Note, PedalEvent, Score, Track,
 # a second are whole numbers. A time read back differs by at most half a tick (10.4 us).
 _TICKS_PER_QUARTER = 24_000
 _TICKS_PER_SECOND = 2 * _TICKS_PER_QUARTER
-_MAX_TICKS = 2**28 - 1  # the longest time from one event to the next that the format can say
 
 _DEFAULT_TEMPO = 500_000  # [us] per quarter, until the file says otherwise
-_CHANNELS = range(16)
 _PUNCTUATION = "‘’“”–—…"
 _STROKE = 0.05  # [s] for which a drum sounds, whatever the file says
 _MOST_BARS, _MOST_BEATS = 20_000, 100_000  # more are taken for damage
@@ -42,15 +41,18 @@ def read_midi(
     """The piano score in a Standard MIDI file (format 0, 1 or 2), bare or wrapped in RIFF (RMID).
 
     All instruments but the drums are played together, or only `tracks`, by their numbers in
-    `Score.tracks`: a track is what one channel plays in one track of the file. Drums are on channel
-    10, and where a bank of sounds of General MIDI 2 or Yamaha XG, or a message to a Roland or
-    Yamaha synthesizer, says so. Of format 2, whose tracks are songs of their own, the first with
-    notes is read. The sustain pedals (controller 64, lifted by 121) of all channels that are played
-    move the one pedal, which is as low as that of any of them. A sostenuto pedal (66) holds the
-    notes of its channel that sound when it goes down, until it goes up. Times follow the tempo
-    changes, or the SMPTE division where the file has one. Bars follow the time signatures, where
-    there are any. Chunks of unknown types are skipped. What cannot be played on one piano is
-    repaired, and `Score.remarks` says so:
+    `Score.tracks`: a track is what one channel of a port plays in one track of the file. Drums are
+    on channel 10, if it is in no MPE zone, and where a bank of sounds of General MIDI 2 or Yamaha
+    XG, or a message to a Roland or Yamaha synthesizer, says so. Notes are transposed as coarse
+    tuning (of a channel, of all, or as key shift of GS or XG) says when they begin, and to the key
+    nearest to where the pitch wheel is held; fine tuning is left out.
+
+    Of format 2, whose tracks are songs of their own, the first with notes is read. The sustain
+    pedals (controller 64, lifted by 121) of all channels that are played move the one pedal, which
+    is as low as that of any of them. A sostenuto pedal (66) holds the notes of its channel that
+    sound when it goes down, until it goes up. Times follow the tempo changes, or the SMPTE division
+    where the file has one. Bars follow the time signatures, where there are any. Chunks of unknown
+    types are skipped. What cannot be played on one piano is repaired, and `Score.remarks` says so:
 
     - notes outside the 88 keys are left out;
     - notes that end when they start are left out;
@@ -62,9 +64,11 @@ def read_midi(
     - notes while the volume (controllers 7 and 11) of their channel is zero are left out, if they
       are not of chosen tracks;
     - a note that is never released ends with its track, or where all of its channel are ended
-      (controllers 120 and 123);
-    - of a track that is cut off, what is whole is read;
-    - values over 127 are taken for 127.
+      (controllers 120 and 123 to 127);
+    - of a track that is cut off, what is whole is read, and one of a wrong length is read to its
+      end;
+    - velocities, pedals and volumes over 127 are taken for 127, and other settings over 127 are
+      left out.
 
     `content` is the MIDI file that was made of a file of another format at `path`.
 
@@ -95,12 +99,14 @@ def _score(file: MidiFile, tracks: Collection[int], title: str) -> Score:
         check_chosen(tracks, listed)
         sounding = [part for part in melodic if part.sounds]
         melodic = [sounding[number - 1] for number in sorted(set(tracks))]
-    channels = {part.channel for part in melodic} if tracks else _CHANNELS
-    moves = merged_pedal(move for move in playing.moves if move[1] in channels)
+    chosen = {part.channel for part in melodic}
+    moves = merged_pedal(move for move in playing.moves if not tracks or move[1] in chosen)
     pedal = tuple(PedalEvent(clock.seconds(time), value) for time, value in moves)
 
     found = [note for part in melodic for note in part.notes]
-    counts = Counter(outside=sum(part.outside for part in melodic))
+    counts = Counter(
+        outside=sum(part.outside for part in melodic), bent=sum(part.bent for part in melodic)
+    )
     drums = [part for part in playing.parts if part.is_drums]
     muted = [note for part in melodic for note in part.muted]
     if tracks:
@@ -108,7 +114,7 @@ def _score(file: MidiFile, tracks: Collection[int], title: str) -> Score:
     else:
         counts["drums"] = sum(len(part.notes) + len(part.muted) + part.outside for part in drums)
         counts["muted"] = len(muted)
-    if playing.soft.intersection(channels):
+    if playing.soft.intersection(chosen) or (playing.soft and not tracks):
         remarks.append("the soft pedal is left out")
     notes, said = repaired_notes(found, counts, remarks, clock.seconds)
     bars = _bars(file.division, chunks, clock, until=notes[-1].start)
@@ -120,17 +126,18 @@ def write_midi(score: Score, path: str | Path) -> None:
     """Writes notes, pedal and title as a MIDI file of format 0 with 48,000 ticks a second.
 
     Read back, times are the same to half a tick (10.4 us), pitches, velocities and pedal values
-    exactly; a note shorter than a tick lasts one. Fingers are not part of MIDI, see
+    exactly; a note shorter than a tick lasts one, and of notes of one pitch that are closer than
+    a tick each begins a tick after the one before. Fingers are not part of MIDI, see
     `cadenza.music.formats.fingering_file`.
 
     Raises:
         CadenzaError: the score is longer than an hour and a half.
     """
     last = max((event.time for event in score.pedal), default=0.0)
-    if _ticks(max(score.total_time, last)) > _MAX_TICKS:
+    if _ticks(max(score.total_time, last)) > LONGEST:
         raise CadenzaError(
             f"{path}: cannot write a song of {max(score.total_time, last) / 60:.4g} minutes, "
-            f"the longest is {_MAX_TICKS // _TICKS_PER_SECOND // 60}"
+            f"the longest is {LONGEST // _TICKS_PER_SECOND // 60}"
         )
     title = score.title.encode("utf-8", "replace").decode("utf-8")
     track = mido.MidiTrack([mido.MetaMessage("track_name", name=title)] if title else [])
@@ -150,7 +157,8 @@ def messages(
 ) -> Iterator[mido.Message]:
     """Yields the messages of notes and of the pedal, each with the ticks since the one before.
 
-    At one tick, notes end first, then the pedal moves, then notes begin.
+    At one tick, notes end first, then the pedal moves, then notes begin. Notes of one pitch begin a
+    tick apart at least.
 
     Args:
         notes: the notes, which last a tick or more.
@@ -159,8 +167,10 @@ def messages(
         channel: the MIDI channel, counted from 0.
     """
     timed: list[tuple[int, int, mido.Message]] = []
-    for note in notes:
-        start = ticks(note.start)
+    free: dict[int, int] = {}  # from which tick on a note of each pitch can begin
+    for note in sorted(notes, key=attrgetter("start")):
+        start = max(ticks(note.start), free.get(note.pitch, 0))
+        free[note.pitch] = start + 1
         end = max(start + 1, ticks(note.end))
         on = mido.Message("note_on", note=note.pitch, velocity=note.velocity)
         timed += [(start, 2, on), (end, 0, mido.Message("note_off", note=note.pitch))]
@@ -218,7 +228,7 @@ def _tracks(parts: Sequence[Part]) -> tuple[Track, ...]:
 
     One without a program of its own has that of its channel, if any.
     """
-    programs: dict[int, int] = {}
+    programs: dict[Channel, int] = {}
     for part in parts:
         if part.program is not None:
             programs.setdefault(part.channel, part.program)
@@ -234,7 +244,7 @@ def _tracks(parts: Sequence[Part]) -> tuple[Track, ...]:
                 number,
                 _text(part.name),
                 INSTRUMENTS[program],
-                part.channel + 1,
+                part.channel.number + 1,
                 len(pitches),
                 min(pitches),
                 max(pitches),
