@@ -114,6 +114,19 @@ def with_place(error: BaseException) -> str:
     return said + where * os.path.isfile(frame.filename)  # Python's own imports have no file
 
 
+def in_a_line(error: BaseException, where: object = "") -> str:
+    """What went wrong with one of many files, in a line, so that the others can go on.
+
+    Args:
+        error: any; one that is a fault of the program is told with its place in the code.
+        where: the file, which errors that are meant for users name themselves.
+    """
+    if isinstance(error, CadenzaError | OSError):
+        return on_one_line(explained(error))
+    said = explained(error) if is_for_users(error) else with_place(error)
+    return f"{where}: {said}" if str(where) else said
+
+
 @contextmanager
 def errors_in(where: object) -> Iterator[None]:
     """Begins the messages of errors in the block with `where` they are, such as a file.

@@ -232,6 +232,23 @@ def sha256_of(*paths: Path, most: int | None = None) -> str:
     return digest.hexdigest()
 
 
+_DEEPEST = 64  # folders within each other; the walk would recurse into any number of them
+
+
+def files_in(folder: Path, deepest: int = _DEEPEST) -> Iterator[Path]:
+    """Yields the files up to `deepest` folders within a folder, by their paths within it.
+
+    Hidden ones are left out, and so are folders that cannot be read. Links to folders are not
+    followed.
+    """
+    for place, folders, files in os.walk(folder):
+        here = Path(place).relative_to(folder)
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        if len(here.parts) == deepest:
+            folders.clear()
+        yield from (here / name for name in files if not name.startswith("."))
+
+
 # Archives
 
 

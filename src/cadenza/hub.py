@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cadenza.errors import CadenzaError, extra_packages, is_full, shortened
+from cadenza.files import files_in
 
 _PREFIX = "hub:"
 _NAME = re.compile(r"hub:([\w.-]+/[\w.-]+)(?:@([\w./-]+))?", re.ASCII)
@@ -108,10 +109,10 @@ def upload(folder: Path, repo: str, kind: Kind, card: str) -> str:
         raise CadenzaError(f"{repo}: leave out the revision; each upload is a new commit")
     with extra_packages("hub", place):
         from huggingface_hub import CommitOperationAdd, HfApi
-    names = [p for p in sorted(folder.rglob("*")) if _is_of(kind, p.relative_to(folder).as_posix())]
+    names = [path for path in sorted(files_in(folder)) if _is_of(kind, path.as_posix())]
     own = folder / _CARD
     additions = [CommitOperationAdd(_CARD, str(own) if own.is_file() else card.encode())]
-    additions += [CommitOperationAdd(p.relative_to(folder).as_posix(), str(p)) for p in names]
+    additions += [CommitOperationAdd(name.as_posix(), str(folder / name)) for name in names]
     with _in_a_line(place, kind):
         api = HfApi()
         made = api.create_repo(repo, repo_type=kind.repo_type, exist_ok=True)

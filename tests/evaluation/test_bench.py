@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from cadenza.errors import CadenzaWarning
 from cadenza.evaluation.bench import BenchState, Ended, bench
 from cadenza.evaluation.jobs import Contender, Job, bench_jobs
 from cadenza.evaluation.results import RESULT, read_results
@@ -76,6 +77,16 @@ def carried_out(
     assert not state.left
     assert state.finished + len(state.failed) == len(jobs)
     return state, executor.begun
+
+
+def test_a_song_that_cannot_be_read_is_left_out_with_a_line(tmp_path: Path) -> None:
+    write_midi(Score((Note(0.0, 0.2, 60),)), tmp_path / "song.mid")
+    (tmp_path / "away.mid").symlink_to(tmp_path / "nowhere.mid")
+    contender = Contender("zero", TaskConfig(), SceneConfig())
+    with pytest.warns(CadenzaWarning, match=r"away.mid: there is no such file") as warned:
+        jobs = bench_jobs(open_library(tmp_path), lambda _: [contender], [0], Arrangement())
+    assert [job.spec.song for job in jobs] == [str(tmp_path / "song.mid")]
+    assert len(warned) == 1
 
 
 def test_a_folder_is_extended_and_what_is_finished_never_done_again(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ from cadenza.evaluation.benchmark.definition import (
 )
 from cadenza.evaluation.benchmark.entry import enter
 from cadenza.evaluation.benchmark.leaderboard import entries_in, leaderboard, standing
-from cadenza.evaluation.benchmark.verification import BOUND, verify
+from cadenza.evaluation.benchmark.verification import BOUND, Verified, verify
 from cadenza.evaluation.jobs import Contender, bench_jobs, key_of
 from cadenza.evaluation.results import RESULT, RUNS
 from cadenza.evaluation.run import carry_out
@@ -81,6 +81,18 @@ def made(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("made") / "entry"
     enter(bench, folder, ABOUT)
     return folder
+
+
+@pytest.fixture
+def deep_folder(tmp_path: Path) -> Iterator[Path]:
+    """A folder with so many within each other that code which calls itself for each fails."""
+    folders = [tmp_path / "deep"]
+    folders += [folders[0].joinpath(*["d"] * depth) for depth in range(1, 1300)]
+    for folder in folders:
+        folder.mkdir()
+    yield folders[0]
+    for folder in reversed(folders):
+        folder.rmdir()
 
 
 @pytest.fixture
@@ -314,7 +326,7 @@ FORGED_CARDS: dict[str, tuple[Callable[[Card], object], str]] = {
         lambda c: [run.update(cpu_seconds=1e308) for run in c["runs"]],
         "or over 1e+12",
     ),
-    "steps that fill a page": (lambda c: c["effort"].update(steps=10**100), "or over 1e+12"),
+    "steps that fill a page": (lambda c: c["effort"].update(steps=10**30), "or over 1e+12"),
     "two lines": (lambda c: c.update(name="a\nb"), "on one line"),
     "right to left": (lambda c: c.update(by="\u202e1.000"), "on one line"),
     "long name": (lambda c: c.update(name="x" * 100), "characters"),
@@ -506,6 +518,29 @@ def test_the_table_has_what_was_computed_and_says_what_was_not(made: Path, tmp_p
     figures = {Path(row["folder"]).name: row["f1"] for row in rows}
     assert figures["c"] > 0
     assert np.isnan([figures["b"], figures["d"]]).all()
+
+
+def test_folders_without_end_end_no_leaderboard(deep_folder: Path, made: Path) -> None:
+    with pytest.raises(CadenzaError, match="deep: holds no entry"):
+        entries_in([deep_folder])
+    shutil.copytree(made, deep_folder.parent / "entry")
+    assert entries_in([deep_folder.parent]) == [deep_folder.parent / "entry"]
+
+
+@pytest.mark.parametrize("error", [RecursionError("too deep"), MemoryError(), ValueError("digits")])
+def test_no_entry_ends_a_leaderboard_whatever_it_causes(
+    entry: Path, made: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(folder: Path) -> Verified:
+        if folder == entry:
+            raise error
+        return verify(folder)
+
+    monkeypatch.setattr("cadenza.evaluation.benchmark.leaderboard.verify", fail)
+    wrong, right = standing(entry), standing(made)
+    assert wrong.why.startswith(f"{entry}: ")
+    assert type(error).__name__ in wrong.why
+    assert right.verified is not None
 
 
 def test_a_copy_is_marked_whatever_bits_were_changed(entry: Path, made: Path) -> None:

@@ -114,6 +114,28 @@ def test_what_cannot_be_read_is_left_out_and_said(
     assert len(open_library("mine").songs) == 6
 
 
+@pytest.mark.parametrize(
+    "error", [RecursionError("too deep"), MemoryError(), ValueError("4300 digits"), KeyError("a")]
+)
+def test_no_file_ends_an_import_whatever_it_causes(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    read = read_score
+
+    def fail(path: Path) -> Score:
+        if path.name == "joy.mid":
+            raise error
+        return read(path)
+
+    monkeypatch.setattr("cadenza.music.libraries.folder.read_score", fail)
+    imported = import_folder(folder, "mine")
+    (line,) = imported.left_out
+    assert line.startswith(f"{folder / 'joy.mid'}: ")
+    assert line.isprintable()
+    assert type(error).__name__ in line
+    assert len(imported.rows) == 6
+
+
 def test_one_that_is_not_there_or_lies_elsewhere_loses_no_other(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

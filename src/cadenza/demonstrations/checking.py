@@ -17,7 +17,7 @@ from cadenza.demonstrations.recorded_episode import (
     read_facts,
 )
 from cadenza.demonstrations.replay import differences, wrong_start
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, in_a_line
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene
 
@@ -71,11 +71,12 @@ def _reported(folder: Path, problems: list[str]) -> Iterator[None]:
     """Adds an error of the block to the problems of an episode, with its folder and what to do."""
     try:
         yield
-    except CadenzaError as error:
-        said = str(error) if str(folder) in str(error) else f"{folder}: {error}"
-        problems.append(said if said.endswith(MAKE_AGAIN) else f"{said}; or {MAKE_AGAIN}")
     except OSError as error:
         problems.append(f"{folder}: cannot be read ({error.strerror or error})")
+    except Exception as error:  # whatever an episode causes, the others are checked
+        said = in_a_line(error)
+        said = said if str(folder) in said else f"{folder}: {said}"
+        problems.append(said if said.endswith(MAKE_AGAIN) else f"{said}; or {MAKE_AGAIN}")
 
 
 def _content_problems(recorded: RecordedEpisode, scene: Scene) -> Iterator[str]:

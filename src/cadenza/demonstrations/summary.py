@@ -10,6 +10,7 @@ import numpy as np
 
 from cadenza.demonstrations.dataset import EPISODES, dataset_folder, finished
 from cadenza.demonstrations.recorded_episode import SONGS, EpisodeFacts
+from cadenza.files import files_in
 from cadenza.music.formats.titles import printable
 
 _MIB = 2**20
@@ -35,8 +36,8 @@ def summarize(folder: Path) -> Iterator[str]:
         yield _spread("note onsets F1", [facts.note_onset_f1 for facts in kept])
         yield from _rewarded(kept)
         yield f"{sum(facts.drawn['mirrored'] for facts in kept)} episodes are mirrored"
-    there = (file for part in (EPISODES, SONGS) for file in (folder / part).rglob("*"))
-    size = sum(file.stat().st_size for file in there if file.is_file())
+    there = (folder / part / file for part in (EPISODES, SONGS) for file in files_in(folder / part))
+    size = sum(file.lstat().st_size for file in there)
     steps = sum(facts.num_steps for facts in kept)
     yield f"{size / _MIB:.1f} MiB, {size / max(steps, 1):,.0f} bytes a step"
     hours = sum(facts.cpu_seconds for _, facts in found) / 3600

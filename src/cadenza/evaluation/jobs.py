@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os.path
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, astuple, dataclass, field, replace
 from functools import cached_property
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from cadenza.configs import files_named
+from cadenza.errors import CadenzaWarning, in_a_line
 from cadenza.files import MOST_JSON, folder_name, plain, sha256_of
 from cadenza.learning.config import TrainingConfig
 from cadenza.music.arrangement import Arrangement
@@ -133,9 +135,6 @@ def bench_jobs(
         seeds: The random seeds.
         arrangement: The part of each song that is played.
         pages: The runs that leave a page.
-
-    Raises:
-        CadenzaError: a song cannot be read.
     """
     songs = songs_of(library)
     by_song = {song.name: list(contenders(song.name)) for song, _ in songs}
@@ -177,10 +176,15 @@ def _end_of(name: str) -> str:
 def songs_of(library: Library) -> list[tuple[SongFacts, str]]:
     """Returns what the index says of each song, and the hash of what is played.
 
-    Raises:
-        CadenzaError: a song cannot be read.
+    A song that cannot be read is left out, with a warning.
     """
-    return [(_facts(song, library), song_digest(song)) for song in library.songs]
+    songs = list[tuple[SongFacts, str]]()
+    for song in library.songs:
+        try:
+            songs.append((_facts(song, library), song_digest(song)))
+        except Exception as error:  # whatever a file causes, the others are played
+            warnings.warn(in_a_line(error, song.name), CadenzaWarning, stacklevel=2)
+    return songs
 
 
 def _facts(song: Song, library: Library) -> SongFacts:

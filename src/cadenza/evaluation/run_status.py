@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from cadenza.agents.agent import Progress
-from cadenza.errors import CadenzaError, explained, is_for_users, with_place
+from cadenza.errors import CadenzaError, in_a_line
 from cadenza.evaluation.jobs import Job, JobSpec, song_digest
 from cadenza.evaluation.results import FAILED, FORMAT
 from cadenza.files import read_json, write_json
@@ -72,7 +72,7 @@ def failure_recorded(path: Path) -> Iterator[None]:
         yield
     except Exception as error:
         traceback.print_exc()
-        write_failure(path, _error_line(error))
+        write_failure(path, in_a_line(error))
 
 
 def write_failure(folder: Path, error: str) -> None:
@@ -85,13 +85,6 @@ def read_progress(folder: Path) -> RunProgress | None:
     with suppress(CadenzaError):
         return read_json(folder / _PROGRESS, RunProgress)
     return None
-
-
-def _error_line(error: Exception) -> str:
-    """Returns what went wrong, in a line; also where, if it is a fault of the program."""
-    if is_for_users(error):
-        return " ".join(explained(error).split())
-    return with_place(error)
 
 
 @contextmanager

@@ -16,12 +16,12 @@ from unicodedata import normalize
 
 import numpy as np
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, in_a_line
 from cadenza.evaluation.benchmark.card import CARD, Card, read_card
 from cadenza.evaluation.benchmark.verification import Verified, verify
 from cadenza.evaluation.statistics import bootstrap_interval, mean
 from cadenza.evaluation.tables import write_csv
-from cadenza.files import write_atomically
+from cadenza.files import files_in, write_atomically
 from cadenza.music.formats.titles import printable
 from cadenza.report.charts import mean_of_known
 from cadenza.report.leaderboard_page import write_leaderboard_page
@@ -74,24 +74,26 @@ def standing(entry: Path) -> Standing:
     try:
         card = read_card(entry)
         return Standing(entry, card, verify(entry))
-    except CadenzaError as error:
-        return Standing(entry, card, None, printable(str(error)))
+    except Exception as error:  # whatever an entry causes, the others are played
+        return Standing(entry, card, None, printable(in_a_line(error, entry)))
 
 
 def entries_in(folders: Iterable[Path]) -> list[Path]:
-    """The folders of entries: those with a card, or else all in them, however deep, with one.
+    """The folders of entries: those with a card, or else all in them with one.
 
     Raises:
         CadenzaError: there is no entry in one of them.
     """
     found: list[Path] = []
     for folder in folders:
-        cards = [folder / CARD] if (folder / CARD).exists() else sorted(folder.rglob(CARD))
+        cards = [path for path in sorted(files_in(folder)) if path.name == CARD]
+        if Path(CARD) in cards:
+            cards = [Path(CARD)]
         if not cards:
             raise CadenzaError(
                 f"{folder}: holds no entry, which has a {CARD}; make one with cadenza enter"
             )
-        found += [card.parent for card in cards]
+        found += [(folder / card).parent for card in cards]
     return list(dict.fromkeys(found))
 
 

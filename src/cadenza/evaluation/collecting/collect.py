@@ -94,11 +94,7 @@ class Demonstrator(NamedTuple):
 def episodes(
     library: Library, demonstrator: Demonstrator, numbers: Sequence[int], least_f1: float
 ) -> list[EpisodeJob]:
-    """Returns all episodes to be collected: the first of every song, then the second and so on.
-
-    Raises:
-        CadenzaError: a song cannot be read.
-    """
+    """Returns all episodes to be collected: the first of every song, then the second and so on."""
     songs = songs_of(library)
     files = digest_of_files(demonstrator.config, demonstrator.student_config)
     return [

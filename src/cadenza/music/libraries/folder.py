@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from cadenza.errors import CadenzaError, quoted
+from cadenza.files import files_in
 from cadenza.music.formats.fingering_file import SUFFIX
 from cadenza.music.formats.reading import MUSIC, read_score
 from cadenza.music.formats.titles import printable
@@ -20,7 +21,6 @@ from cadenza.music.libraries.index import INDEX, Facts, read_index
 from cadenza.music.libraries.songs import Library, Song
 from cadenza.music.score import check_length
 
-_DEEPEST = 64  # folders within each other; the walk would recurse into any number of them
 _LONGEST = 120  # bytes of the name of a piece
 
 
@@ -75,7 +75,7 @@ def import_folder(
     with new_library(name, replace, grade) as library:
         for done, (file, piece, facts) in enumerate(pieces):
             progress(done, len(files))
-            with library.leaving_out_what_is_wrong():
+            with library.leaving_out_what_is_wrong(folder / file):
                 score = read_score(folder / file)
                 check_length(score.total_time, f"{folder / file}: the song")
                 copy = library.folder / f"{piece}{file.suffix.lower()}"
@@ -117,17 +117,7 @@ def short(name: str) -> str:
 
 def music_files(folder: Path) -> list[Path]:
     """The paths of music files within a folder, in alphabetical order, without hidden ones."""
-    return sorted(path for path in files_in(folder, _DEEPEST) if path.suffix.lower() in MUSIC)
-
-
-def files_in(folder: Path, deepest: int) -> Iterator[Path]:
-    """Yields the paths of files up to `deepest` folders within a folder, without hidden ones."""
-    for place, folders, files in os.walk(folder):
-        here = Path(place).relative_to(folder)
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        if len(here.parts) == deepest:
-            folders.clear()
-        yield from (here / name for name in files if not name.startswith("."))
+    return sorted(path for path in files_in(folder) if path.suffix.lower() in MUSIC)
 
 
 def index_of(folder: Path) -> dict[str, Facts]:

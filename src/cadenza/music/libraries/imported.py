@@ -20,7 +20,7 @@ from pathlib import Path
 
 from platformdirs import user_data_path
 
-from cadenza.errors import CadenzaError, is_full, quoted
+from cadenza.errors import CadenzaError, in_a_line, is_full, quoted
 from cadenza.files import locked_file
 from cadenza.music.formats.reading import read_score
 from cadenza.music.libraries.index import INDEX, Facts, read_index, write_index
@@ -102,18 +102,18 @@ class NewLibrary:
         self.rows.append((f"{self.folder.name}/{file}", {**facts, **counted}))
 
     @contextmanager
-    def leaving_out_what_is_wrong(self) -> Iterator[None]:
-        """Catches an error in the block, and keeps its message in `left_out`.
+    def leaving_out_what_is_wrong(self, file: object) -> Iterator[None]:
+        """Catches whatever a file causes in the block, and keeps a line on it in `left_out`.
 
         Raises:
             OSError: the disk is full, as it would be for the next piece.
         """
         try:
             yield
-        except (CadenzaError, OSError) as error:
+        except Exception as error:
             if is_full(error):
                 raise
-            self.left_out.append(str(error))
+            self.left_out.append(in_a_line(error, file))
 
 
 @contextmanager

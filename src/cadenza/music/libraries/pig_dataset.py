@@ -24,13 +24,13 @@ from zipfile import ZipFile
 
 from cadenza.configs import MOST_COUNT
 from cadenza.errors import CadenzaError, errors_in, quoted, shortened
-from cadenza.files import number_in, opened, opened_archive, unpacked, whole_number_in
+from cadenza.files import files_in, number_in, opened, opened_archive, unpacked, whole_number_in
 from cadenza.fingers import Finger
 from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.formats.source import MAX_BYTES, decoded, read_bytes
 from cadenza.music.formats.titles import printable
-from cadenza.music.libraries.folder import files_in, short, unique
+from cadenza.music.libraries.folder import short, unique
 from cadenza.music.libraries.imported import Grade, NewLibrary, Progress, new_library, silent
 from cadenza.music.libraries.index import read_table
 from cadenza.music.libraries.pig import ALL, WEBSITE, published_name
@@ -78,7 +78,7 @@ def import_pig(
         names = unique(short(published_name(piece.title)) for piece in pieces)
         for done, (piece, name) in enumerate(zip(pieces, names, strict=True)):
             progress(done, len(pieces))
-            with library.leaving_out_what_is_wrong():
+            with library.leaving_out_what_is_wrong(piece.where):
                 file = fingered.pop(piece.number, None)
                 if file is None:
                     raise CadenzaError(
