@@ -1,25 +1,42 @@
 """Humdrum and MEI, which Verovio plays as MIDI.
 
-Verovio does so in a process of its own, `python -m cadenza.music.formats.verovio_reading FORMAT`,
-which reads a file on stdin and prints a MIDI file: damaged files have it crash.
+It does so in a process of its own, `python -m cadenza.music.formats.verovio_reading FORMAT`, which
+reads a file on stdin and prints what it makes of it: damaged files have Verovio crash.
 """
 
 from __future__ import annotations
 
 import base64
+import io
+import json
+import re
 import subprocess
 import sys
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Collection, Sequence
 from dataclasses import replace
+from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from cadenza.errors import CadenzaError
 from cadenza.music.formats.midi import read_midi
 from cadenza.music.formats.source import read_bytes
-from cadenza.music.score import Score
+from cadenza.music.repair import counted_remarks
+from cadenza.music.score import BEAT_TYPES, Score
+
+if TYPE_CHECKING:
+    from cadenza.music.formats.mei_unfolding import PlayedBar
 
 _PATIENCE = 30  # [s] for a file
 _MEMORY = 1 << 30  # bytes that Verovio may use
+_OPTIONS = {"breaks": "none", "mdivAll": True, "expandNever": True}
+# Notes are written as they sound, whatever the instrument; tremolos are written out.
+_FOR_ENGRAVING = re.compile(r"(?m)(^|\t)\*(?:I?Tr[-dc\d]|tremolo)[^\t\r\n]*")
+_OF_BARS = frozenset(("set_tempo", "time_signature"))
+_NEAR = 1e-3  # beats by which Verovio may round
+_MOST_BEATS = 255  # of a time signature in MIDI
 
 
 def read_by_verovio(path: Path, form: str, tracks: Collection[int] = ()) -> Score:
@@ -32,19 +49,33 @@ def read_by_verovio(path: Path, form: str, tracks: Collection[int] = ()) -> Scor
         CadenzaError: no such file, or one that Verovio makes no music of; or what `read_midi`
             refuses.
     """
-    midi = _played(read_bytes(path), form)
-    if not midi:
+    played = _played(read_bytes(path), form)
+    if not played:
         raise CadenzaError(
             f"{path}: cannot be read as {form}; open it in a notation program such as "
             "MuseScore, and export it as MusicXML"
         )
-    score = read_midi(path, tracks, midi)
+    midi, left_out = json.loads(played)
+    score = read_midi(path, tracks, base64.b64decode(midi))
     said = f"read by Verovio as {form}: without loudness, pedal and fingers"
-    return replace(score, remarks=(said, *score.remarks))
+    return replace(score, remarks=(said, *_remarks(Counter(left_out)), *score.remarks))
+
+
+def _remarks(left_out: Counter[str]) -> list[str]:
+    """Remarks on what is not played."""
+    return counted_remarks(
+        (
+            (left_out["copy"], "copy", "of what is not there left out"),
+            (left_out["sign"], "bar-repeat sign", "left out"),
+            (left_out["section"], "section", "that is to be played but not there left out"),
+            (left_out["jump"], "jump", "without a segno or coda to go to left out"),
+            (left_out["bar"], "bar", "passed over by all repeats and jumps"),
+        )
+    )
 
 
 def _played(content: bytes, form: str) -> bytes:
-    """Returns a file as MIDI; nothing if Verovio does not make it in time."""
+    """What the process prints about a file; nothing if Verovio does not make it in time."""
     command = [sys.executable, "-P", "-m", __name__, form]
     try:
         played = subprocess.run(
@@ -60,20 +91,83 @@ def _played(content: bytes, form: str) -> bytes:
 
 
 def main() -> None:
-    """Prints the file on stdin as MIDI."""
+    """Prints the file on stdin as MIDI, in base 64, and the numbers of what is left out."""
     import resource  # which only Unix has
 
-    import verovio
+    from verovio import LOG_OFF, enableLog
+
+    from cadenza.music.formats.mei_unfolding import unfolded
 
     resource.setrlimit(resource.RLIMIT_DATA, (_MEMORY, _MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    verovio.enableLog(verovio.LOG_OFF)
-    toolkit = verovio.toolkit()
-    toolkit.setOptions({"inputFrom": sys.argv[1].lower(), "breaks": "none"})
+    enableLog(LOG_OFF)
     content = sys.stdin.buffer.read()
     encoding = "utf-16" if content.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
-    if toolkit.loadData(content.decode(encoding, "replace")):
-        sys.stdout.buffer.write(base64.b64decode(toolkit.renderToMIDI()))
+    text = content.decode(encoding, "replace")
+    if sys.argv[1] == "Humdrum":
+        text = _loaded(_FOR_ENGRAVING.sub(r"\1*", text), "humdrum").getMEI()
+    text, bars, left_out = unfolded(text)
+    toolkit = _loaded(text, "mei")
+    midi = base64.b64decode(toolkit.renderToMIDI())
+    places = toolkit.renderToTimemap({"includeMeasures": True})
+    print(json.dumps((base64.b64encode(_with_bars(midi, bars, places)).decode(), left_out)))
+
+
+def _loaded(text: str, form: str) -> Any:
+    """Verovio with a score."""
+    import verovio
+
+    toolkit = verovio.toolkit()
+    toolkit.setOptions({"inputFrom": form, **_OPTIONS})
+    if not toolkit.loadData(text):
+        sys.exit(1)
+    return toolkit
+
+
+def _with_bars(midi: bytes, bars: Sequence[PlayedBar], places: Sequence[dict[str, Any]]) -> bytes:
+    """A MIDI file of Verovio, in which time signatures and tempos are those of the bars.
+
+    Verovio has incomplete bars as long as complete ones, and moves tempos to bars. `places` is its
+    map of time.
+    """
+    from mido import MetaMessage, MidiFile, MidiTrack, bpm2tempo
+
+    file = MidiFile(file=io.BytesIO(midi))
+    for track in file.tracks:
+        track[:] = [
+            MetaMessage("text", time=each.time) if each.type in _OF_BARS else each for each in track
+        ]
+    begins = {each["measureOn"]: each["qstamp"] for each in places if "measureOn" in each}
+    ends = [*(begins[bar.id] for bar in bars[1:]), places[-1]["qstamp"]]
+    marks: list[tuple[int, MetaMessage]] = []
+    metre, tempo = (0, 0), 0.0
+    for bar, end in zip(bars, ends, strict=True):
+        begin = begins[bar.id]
+        before, metre = metre, _metre(end - begin, bar.unit)
+        if metre != before:
+            sign = MetaMessage("time_signature", numerator=metre[0], denominator=metre[1])
+            marks.append((round(begin * file.ticks_per_beat), sign))
+        for place, now in bar.tempos:
+            if now != tempo:
+                mark = MetaMessage("set_tempo", tempo=bpm2tempo(now))
+                marks.append((round((begin + float(place)) * file.ticks_per_beat), mark))
+            tempo = now
+    marks.sort(key=itemgetter(0))
+    ticks = [0, *(tick for tick, _ in marks)]
+    track = (
+        mark.copy(time=b - a) for (_, mark), (a, b) in zip(marks, pairwise(ticks), strict=True)
+    )
+    file.tracks.append(MidiTrack(track))
+    written = io.BytesIO()
+    file.save(file=written)
+    return written.getvalue()
+
+
+def _metre(quarters: float, unit: int) -> tuple[int, int]:
+    """The time signature of a bar of that length, with beats of `1 / unit` if they fill it."""
+    while unit < max(BEAT_TYPES) and abs(quarters * unit / 4 - round(quarters * unit / 4)) > _NEAR:
+        unit *= 2
+    return min(max(round(quarters * unit / 4), 1), _MOST_BEATS), unit
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ def read_jumps(
         bars: the bars, with the signs of their barlines.
         begins: the quarters at which measures begin, and the end of the last.
     """
-    reader = _Reader(bars)
+    reader = JumpReader(bars)
     for part in parts:
         for placed in part:
             if placed.measure <= bars[-1].measure:
@@ -51,7 +51,9 @@ def read_jumps(
     reader.read_signs()
 
 
-class _Reader:
+class JumpReader:
+    """Reads words and signs at bars, and adds what they say to the signs of these."""
+
     def __init__(self, bars: Sequence[WrittenBar]) -> None:
         self._bars = bars
         self._codas: list[tuple[int, int]] = []  # of signs: their bars, and those that begin there
@@ -85,11 +87,11 @@ class _Reader:
                 self._fines[at] = end
                 self._lines.add(end)
         if not any(sound.get(name) for sound in sounds for name in _SOUNDS):
-            self._read_text(_text(element), at, begun)
+            self.read_text(_text(element), at, begun)
         if self._bars[at].signs.fine:
             self._fines.setdefault(at, placed.quarter)
 
-    def _read_text(self, text: str, at: int, begun: int) -> None:
+    def read_text(self, text: str, at: int, begun: int) -> None:
         signs = self._bars[at].signs
         after = self._bars[min(at + 1, len(self._bars) - 1)].signs
         # Long words begin before the bar that they are for.

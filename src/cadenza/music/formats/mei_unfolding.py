@@ -1,0 +1,497 @@
+"""MEI as it is played: its copies, signs that repeat music, and sections in their order.
+
+Verovio plays these in part only. What is made here it plays from beginning to end.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field
+from fractions import Fraction
+from itertools import count, groupby, islice
+from xml.etree.ElementTree import Element, fromstring, tostring
+
+from cadenza.music.formats.musicxml.bar_order import Signs, played_order, without_goal
+from cadenza.music.formats.musicxml.bars import WrittenBar
+from cadenza.music.formats.musicxml.jumps import JumpReader
+
+_ID = "xml:id"
+_NAMESPACE = "http://www.music-encoding.org/ns/mei"
+_MOST = 100_000  # bars, with repeats
+_MOST_PASSES = 64
+_ENDLESS = 10**9  # for a number in MEI
+_ZERO = Fraction(0)
+_AS_ATTRIBUTES = {"meterSig": "meter.count", "keySig": "key.sig", "clef": "clef.shape"}
+_TEMPO = 120.0  # quarters a minute where nothing is said, as in MIDI
+_LENGTHS = {"breve": Fraction(2), "long": Fraction(4), "maxima": Fraction(8)}  # whole notes
+_WORDS = {"daCapo": "da capo", "dalSegno": "dal segno"}
+_EVENTS = frozenset(("note", "chord", "rest", "space"))
+_REPEATED_BARS = {"mRpt": "1", "mRpt2": "2", "multiRpt": "2"}  # the last has @num
+_REPEATS = ("rptend", "rptboth"), ("rptstart", "rptboth")
+_WITHOUT_MUSIC = frozenset(("pb", "sb", "cb", "div", "expansion", "annot"))
+
+
+_Pitch = tuple[str | None, str | None, str | None]  # staff, name and octave
+
+
+@dataclass(frozen=True, slots=True)
+class PlayedBar:
+    """A bar as it is played: the id of its measure, its beats, which are `1 / unit`, and tempos.
+
+    Tempos are quarters from its beginning, and quarters a minute. The first is at its beginning.
+    """
+
+    id: str
+    unit: int
+    tempos: list[tuple[Fraction, float]]
+
+
+def unfolded(content: str) -> tuple[str, list[PlayedBar], Counter[str]]:
+    """A document in which every bar stands as often as it is played, one after the other.
+
+    The counts are of what is left out.
+
+    Raises:
+        ParseError: it is not XML.
+    """
+    root, counts = fromstring(content), Counter[str]()
+    for number, element in enumerate(root.iter()):
+        element.tag = element.tag.rpartition("}")[2]
+        named = {key: value for key, value in element.items() if key.endswith("}id")}
+        for key, value in named.items():
+            del element.attrib[key]
+            element.set(_ID, value)
+        if element.tag == "measure":
+            element.attrib.setdefault(_ID, f"bar{number}")
+    root.set("xmlns", _NAMESPACE)
+    _Copying(root, counts).resolve(root)
+    played: list[PlayedBar] = []
+    for score in [*root.iterfind(".//body//score"), *root.iterfind(".//body//part")]:
+        if score.find(".//measure") is not None:
+            played += _Unfolding(score, counts).played()
+    return tostring(root, "unicode"), played, counts
+
+
+class _Copying:
+    """Puts the originals in the place of their copies."""
+
+    def __init__(self, root: Element, counts: Counter[str]) -> None:
+        self._named = {element.get(_ID, ""): element for element in root.iter()}
+        self._counts = counts
+        self._numbers = count()
+        self._open: set[Element] = set()  # those that are being resolved
+
+    def resolve(self, element: Element) -> None:
+        """Resolves an element and all within it."""
+        link = element.attrib.pop("copyof", None)
+        if link is None and element.tag in _EVENTS and not len(element):
+            link = element.attrib.pop("sameas", None) if "dur" not in element.attrib else None
+        self._open.add(element)
+        if link is not None:
+            original = self._named.get(link.strip().lstrip("#"))
+            if original is None or original in self._open:
+                self._counts["copy"] += 1
+            else:
+                self.resolve(original)
+                copy = _copied(original, f"copy{next(self._numbers)}")
+                element[:] = copy[:]
+                element.attrib.update({**copy.attrib, **element.attrib})
+        for child in element:
+            self.resolve(child)
+        self._open.discard(element)
+
+
+def _copied(element: Element, name: str) -> Element:
+    """A copy; ids in it, and links to them, have the `name` after them."""
+    copy = deepcopy(element)
+    own = {each.get(_ID) for each in copy.iter()}
+    for each in copy.iter():
+        for key, value in each.items():
+            if key == _ID:
+                each.set(key, f"{value}-{name}")
+            elif value.startswith("#"):
+                links = (f"{x}-{name}" if x[1:] in own else x for x in value.split())
+                each.set(key, " ".join(links))
+    return copy
+
+
+@dataclass(slots=True)
+class _Bar:
+    """A measure as it is written.
+
+    `changes` stand before it. `state` is a scoreDef that says all that holds in it, and the metre.
+    """
+
+    measure: Element
+    changes: list[Element]
+    state: Element
+    metre: tuple[int, int]
+    tempos: list[tuple[Fraction, float]]
+    signs: Signs = field(default_factory=Signs)
+
+
+class _Unfolding:
+    """Unfolds a score."""
+
+    def __init__(self, score: Element, counts: Counter[str]) -> None:
+        self._score = score
+        self._counts = counts
+        self._numbers = count()
+        self._bars: list[_Bar] = []
+        self._held: dict[Element, range] = {}  # the bars that an element holds
+        self._state, self._tempo = Element("scoreDef"), _TEMPO
+        self._changes: list[Element] = []
+        self._read(score, frozenset())
+        self._named = {each.get(_ID, ""): each for each in self._held}
+        self._repeating: dict[str | None, tuple[int, int]] = {}  # staves: bars, and to which bar
+        for number, bar in enumerate(self._bars):
+            for staff in bar.measure.iter("staff"):
+                self._spell_out(number, staff)
+        self._read_signs()
+
+    def _read(self, element: Element, ending: frozenset[int]) -> None:
+        """Reads the measures in an element; `ending` are the passes on which they are played."""
+        first = len(self._bars)
+        for child in _chosen(element):
+            if child.tag == "measure":
+                self._read_measure(child, ending)
+            elif child.tag in ("scoreDef", "staffDef"):
+                self._changes.append(child)
+                self._state = _merged(self._state, child)
+                self._tempo = _tempo(child) or self._tempo
+            elif child.tag == "ending":
+                before = self._bars[-1].signs.ending if self._bars else frozenset[int]()
+                following = frozenset([max(before, default=0) + 1])
+                self._read(child, _passes(child.get("n", "")) or following)
+            elif child.tag not in _WITHOUT_MUSIC:
+                self._read(child, ending)
+        self._held[element] = range(first, len(self._bars))
+
+    def _read_measure(self, measure: Element, ending: frozenset[int]) -> None:
+        metre = _metre(self._state)
+        found = [(_ZERO, self._tempo)]
+        for element in measure.iter("tempo"):
+            if tempo := _tempo(element):
+                place = ((_number(element.get("tstamp")) or Fraction(1)) - 1) * 4 / metre[1]
+                found.append((max(place, _ZERO), tempo))
+        found.sort(key=lambda each: each[0])
+        self._tempo = found[-1][1]
+        signs = Signs(ending=ending)
+        self._held[measure] = range(len(self._bars), len(self._bars) + 1)
+        self._bars.append(_Bar(measure, self._changes, self._state, metre, found, signs))
+        self._changes = []
+
+    def _spell_out(self, number: int, staff: Element) -> None:
+        """Puts music in the place of signs for it in a staff of a bar."""
+        name, metre = staff.get("n"), self._bars[number].metre
+        sign = next((each for each in staff.iter() if each.tag in _REPEATED_BARS), None)
+        if sign is not None:
+            bars = int(sign.get("num", _REPEATED_BARS[sign.tag]))
+            self._repeating[name] = bars, number + bars
+        bars, end = self._repeating.get(name, (0, 0))
+        if sign is not None or (number < end and not _EVENTS & {each.tag for each in staff.iter()}):
+            self._repeat_bar(number, staff, self._bars[max(number - bars, 0)].measure)
+        before = self._bars[number - 1].measure.find(f"staff[@n='{name}']") if number else None
+        earlier = [] if before is None else before.findall("layer")
+        for at, layer in enumerate(staff.findall("layer")):
+            if any(each.tag in ("beatRpt", "halfmRpt") for each in layer.iter()):
+                self._repeat_beats(layer, earlier[at : at + 1], metre)
+        for each in list(staff.iter("fTrem")):
+            _alternate(each)
+
+    def _repeat_bar(self, number: int, staff: Element, original: Element) -> None:
+        """Has a staff play what it did in another measure, also where only a layer says so."""
+        source = original.find(f"staff[@n='{staff.get('n')}']")
+        if source is None or source is staff:
+            self._counts["sign"] += 1
+            return
+        measure = Element("measure")
+        ids = {f"#{each.get(_ID)}" for each in source.iter()}
+        measure.append(source)
+        measure.extend(x for x in original.iter("tie") if {x.get("startid"), x.get("endid")} <= ids)
+        copy = _copied(measure, f"bar{number}")
+        layers = copy[0].findall("layer")
+        if len(own := staff.findall("layer")) > 1:
+            kept = {x.get("n"): x for x in own if not any(y.tag in _REPEATED_BARS for y in x)}
+            layers = [kept.get(layer.get("n"), layer) for layer in layers]
+        staff[:] = layers
+        self._bars[number].measure.extend(copy[1:])
+
+    def _repeat_beats(
+        self, layer: Element, earlier: Sequence[Element], metre: tuple[int, int]
+    ) -> None:
+        """Puts the music before them in the place of signs that repeat a beat or half a bar."""
+        done = [each for before in earlier for each in _without_beams(before)]
+        first = len(done)
+        for each in _without_beams(layer):
+            beats, unit = metre
+            if each.tag == "beatRpt":
+                is_compound = unit >= 8 and beats % 3 == 0
+                length = (_number(each.get("beatdef")) or Fraction(3 if is_compound else 1)) / unit
+            elif each.tag == "halfmRpt":
+                length = Fraction(beats, 2 * unit)
+            else:
+                done.append(each)
+                continue
+            begin = len(done)
+            while begin and length > 0:
+                begin -= 1
+                length -= _length(done[begin])
+            if length:
+                self._counts["sign"] += 1
+                done.append(each)  # is silent, as long as what it stands for
+            else:
+                done += [_copied(one, f"beat{next(self._numbers)}") for one in done[begin:]]
+        layer[:] = done[first:]
+
+    def _read_signs(self) -> None:
+        """Reads repeats, and jumps in signs and words."""
+        signs = [bar.signs for bar in self._bars]
+        as_bars = (WrittenBar(n, _ZERO, _ZERO, n, 4, each) for n, each in enumerate(signs))
+        jumps, last = JumpReader(list(as_bars)), len(self._bars) - 1
+        for number, bar in enumerate(self._bars):
+            left, right = bar.measure.get("left"), bar.measure.get("right")
+            after, before = signs[min(number + 1, last)], signs[max(number - 1, 0)]
+            bar.signs.begins_repeat |= left in _REPEATS[1]
+            after.begins_repeat |= right in _REPEATS[1] and number < last
+            bar.signs.times = max(bar.signs.times, 1 + (right in _REPEATS[0]))
+            before.times = max(before.times, 1 + (left in _REPEATS[0]))
+            for each in bar.measure.iter():
+                if each.tag in ("dir", "repeatMark"):
+                    words = _WORDS.get(each.get("func", ""), each.get("func")) or ""
+                    words = " ".join(" ".join((words, *each.itertext())).lower().split())
+                    is_end = (_number(each.get("tstamp")) or 1) > bar.metre[0]
+                    jumps.read_text(words, number, min(number + is_end, last))
+        jumps.read_signs()
+        self._counts["jump"] += without_goal(signs)
+
+    def _order(self, element: Element, is_expanded: bool = False) -> Iterator[int]:
+        """Yields the bars in an element as they are played.
+
+        Those that an expansion names are played as they stand, without their repeats.
+        """
+        expansion = _expansion(element)
+        if expansion is not None:
+            for link in expansion.get("plist", "").split():
+                if (part := self._named.get(link.lstrip("#"))) is not None:
+                    yield from self._order(part, True)
+                else:
+                    self._counts["section"] += 1
+            return
+        for is_measure, group in groupby(self._pieces(element), lambda x: x.tag == "measure"):
+            if not is_measure:
+                for part in group:
+                    yield from self._order(part, is_expanded)
+                continue
+            run = [self._held[measure].start for measure in group]
+            signs = [self._bars[number].signs for number in run]
+            yield from run if is_expanded else (run[at] for at, _ in played_order(signs))
+
+    def _pieces(self, element: Element) -> Iterator[Element]:
+        """Yields measures, and parts with an order of their own, in an element."""
+        for child in [element] if element.tag == "measure" else _chosen(element):
+            if child.tag == "measure" or (child in self._held and _expansion(child) is not None):
+                yield child
+            elif child in self._held:
+                yield from self._pieces(child)
+
+    def played(self) -> list[PlayedBar]:
+        """Unfolds the score; its bars as they are played."""
+        order = list(islice(self._order(self._score), _MOST))
+        seen = Counter[int]()
+        section, found, names = Element("section"), list[PlayedBar](), list[str]()
+        for at, number in enumerate(order):
+            bar = self._bars[number]
+            names.append(f"-turn{seen[number]}" if seen[number] else "")
+            if at and number == order[at - 1] + 1:
+                section.extend(deepcopy(bar.changes))
+            elif at:
+                section.append(deepcopy(bar.state))
+            section.append(_copied(bar.measure, names[-1][1:]) if seen[number] else bar.measure)
+            found.append(PlayedBar(section[-1].get(_ID, ""), bar.metre[1], bar.tempos))
+            seen[number] += 1
+        self._lead(order, names, list(section.iter("measure")))
+        self._score[:] = [deepcopy(self._bars[order[0]].state), section]
+        self._counts["bar"] += len(self._bars) - len(seen)
+        return found
+
+    def _lead(
+        self, order: Sequence[int], names: Sequence[str], measures: Sequence[Element]
+    ) -> None:
+        """Has links from played measures to others lead to these as they are played then.
+
+        A tie that leads to a bar that does not follow leads to a note of the same pitch in the one
+        that does, if a tie leads there, too.
+        """
+        where, pitches = dict[str, int](), dict[str, _Pitch]()
+        for number, bar in enumerate(self._bars):
+            where.update({each.get(_ID, ""): number for each in bar.measure.iter()})
+            for staff in bar.measure.iter("staff"):
+                for note in staff.iter("note"):
+                    pitch = staff.get("n"), note.get("pname"), note.get("oct")
+                    pitches[note.get(_ID, "")] = pitch
+        goals = defaultdict[int, dict[_Pitch | None, str]](dict)  # of ties into bars
+        for bar in self._bars:
+            for tie in bar.measure.iter("tie"):
+                start, end = _link(tie, "startid"), _link(tie, "endid")
+                if end in where and where[end] != where.get(start):
+                    goals[where[end]][pitches.get(end)] = end
+
+        def of(end: str, at: int) -> str | None:
+            """What a link in the bar played `at` that place leads to; None if that is not there."""
+            steps = where[end] - order[at]
+            run = order[at : at + steps + 1]
+            if steps >= 0 and list(run) == list(range(order[at], order[at] + steps + 1)):
+                return end + (names[at + steps] if steps else "")
+            return None
+
+        for at, measure in enumerate(measures):
+            for each in [x for x in measure if x.get("startid") or x.get("endid")]:
+                start, end = _link(each, "startid"), _link(each, "endid")
+                goal = of(end, at) if end in where else end
+                if each.tag == "tie" and not goal and at + 1 < len(order):
+                    begun = pitches.get(start.removesuffix(names[at]))
+                    goal = goals[order[at + 1]].get(begun)
+                    goal = goal and goal + names[at + 1]
+                if (end and not goal) or (each.tag == "tie" and not (start and goal)):
+                    measure.remove(each)
+                elif goal:
+                    each.set("endid", f"#{goal}")
+
+
+def _link(element: Element, key: str) -> str:
+    """The id that a link leads to; empty without one."""
+    return element.get(key, "").strip().lstrip("#")
+
+
+def _chosen(element: Element) -> Iterator[Element]:
+    """Yields the children of an element; of several readings of a text the first."""
+    for child in element:
+        if child.tag in ("app", "choice"):
+            reading = child.find("lem")
+            yield from child[:1] if reading is None else [reading]
+        else:
+            yield child
+
+
+def _expansion(element: Element) -> Element | None:
+    """The order in which the parts of an element are played, with repeats; None without one."""
+    found = [*element.findall("expansion"), *element.findall("choice/*/expansion")]
+    return next((each for each in found if each.get("type") != "norep"), None)
+
+
+def _merged(state: Element, change: Element) -> Element:
+    """A scoreDef after a change by another, or by a staffDef."""
+    merged = deepcopy(state)
+    if change.tag == "scoreDef":
+        own = [child for child in change if child.tag != "staffGrp"]
+        if change.find("staffGrp") is not None and merged.find("staffGrp") is None:
+            own = list(change)
+        _update(merged, change, own)
+        if "meter.count" in change.attrib or change.find("meterSig") is not None:
+            for staff in merged.iter("staffDef"):
+                _update(staff, Element("none", {"meter.count": ""}), ())
+                staff.attrib.pop("meter.count")
+    staves = {staff.get("n"): staff for staff in merged.iter("staffDef")}
+    for staff in change.iter("staffDef"):
+        if (before := staves.get(staff.get("n"))) is not None and before is not staff:
+            _update(before, staff, list(staff))
+    return merged
+
+
+def _update(element: Element, change: Element, children: Sequence[Element]) -> None:
+    """Gives an element the attributes and `children` of another, instead of such as it has."""
+    replaced = {child.tag for child in children}
+    replaced |= {tag for tag, key in _AS_ATTRIBUTES.items() if key in change.attrib}
+    for child in [child for child in element if child.tag in replaced]:
+        element.remove(child)
+    for tag in replaced.intersection(_AS_ATTRIBUTES):
+        element.attrib.pop(_AS_ATTRIBUTES[tag], None)
+    element.attrib.update({key: x for key, x in change.items() if key not in (_ID, "midi.bpm")})
+    element.extend(deepcopy(child) for child in children)
+
+
+def _metre(state: Element) -> tuple[int, int]:
+    """The beats of a bar, and the part of a whole note that each is."""
+    for each in (state, *state.iter("meterSig"), *state.iter("staffDef")):
+        prefix = "" if each.tag == "meterSig" else "meter."
+        beats = [int(x) for x in re.findall(r"\d+", each.get(f"{prefix}count", ""))]
+        if beats:
+            return sum(beats), int(_number(each.get(f"{prefix}unit")) or 4)
+        if "cut" in each.get(f"{prefix}sym", ""):
+            return 2, 2
+    return 4, 4
+
+
+def _tempo(element: Element) -> float | None:
+    """The quarters a minute that an element says; None if it says none."""
+    if tempo := _number(element.get("midi.bpm", element.get("midi.tempo"))):
+        return float(tempo)
+    if microseconds := _number(element.get("midi.mspb")):
+        return float(60_000_000 / microseconds)
+    beats, unit = _number(element.get("mm")), _number(element.get("mm.unit")) or 4
+    dots = int(_number(element.get("mm.dots")) or 0)
+    return float(beats * 4 / unit * (2 - Fraction(1, 2**dots))) if beats else None
+
+
+def _number(text: str | None) -> Fraction | None:
+    """The number that an attribute is; None if it is none above zero."""
+    try:
+        number = Fraction(text or "")
+    except (ValueError, ZeroDivisionError):
+        return None
+    return number if 0 < number < _ENDLESS else None
+
+
+def _passes(text: str) -> frozenset[int]:
+    """The passes that the number of an ending is for, such as "1, 2", "1-3" and "2."."""
+    found = set[int]()
+    for first, last in re.findall(r"(\d+)(?:\s*[-–]\s*(\d+))?", text):
+        found.update(range(int(first), min(int(last or first), _MOST_PASSES) + 1))
+    return frozenset(each for each in found if 0 < each <= _MOST_PASSES)
+
+
+def _without_beams(element: Element) -> Iterator[Element]:
+    """Yields the events of a layer, those in beams one by one."""
+    for child in element:
+        if child.tag == "beam":
+            yield from _without_beams(child)
+        else:
+            yield child
+
+
+def _length(element: Element) -> Fraction:
+    """The length of an event in whole notes; zero of grace notes, clefs and the like."""
+    if element.get("grace") or element.tag == "graceGrp":
+        return _ZERO
+    written = element.get("dur", "")
+    unit = _number(written)
+    if unit or written in _LENGTHS:
+        length = 1 / unit if unit else _LENGTHS[written]
+        dots = int(_number(element.get("dots")) or len(element.findall("dot")))
+        return length * (2 - Fraction(1, 2**dots))
+    lengths = [_length(child) for child in element]
+    if element.tag in ("chord", "fTrem"):
+        return max(lengths, default=_ZERO)
+    ratio = (_number(element.get("numbase")) or 1) / (_number(element.get("num")) or Fraction(1))
+    return sum(lengths, _ZERO) * (ratio if element.tag == "tuplet" else 1)
+
+
+def _alternate(tremolo: Element) -> None:
+    """Has the two notes or chords of a tremolo alternate."""
+    unit = _number(tremolo.get("unitdur", tremolo.get("measperf")))
+    if not unit or len(tremolo) != 2:
+        return
+    pairs = int(_length(tremolo) * Fraction(unit) / 2)
+    notes = list(tremolo)
+    for number in range(1, pairs):
+        notes += [_copied(each, f"stroke{number}") for each in tremolo]
+    for each in notes:
+        each.attrib.pop("dots", None)
+        each.set("dur", f"{unit:g}")
+    tremolo.tag = "beam"
+    tremolo.attrib.clear()
+    tremolo[:] = notes
