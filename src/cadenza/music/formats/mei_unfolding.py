@@ -21,6 +21,7 @@ from cadenza.music.formats.musicxml.jumps import JumpReader
 _ID = "xml:id"
 _NAMESPACE = "http://www.music-encoding.org/ns/mei"
 _MOST = 100_000  # bars, with repeats
+_MOST_STAVES = 100  # of a part
 _MOST_PASSES = 64
 _ENDLESS = 10**9  # for a number in MEI
 _ZERO = Fraction(0)
@@ -68,11 +69,28 @@ def unfolded(content: str) -> tuple[str, list[PlayedBar], Counter[str]]:
             element.attrib.setdefault(_ID, f"bar{number}")
     root.set("xmlns", _NAMESPACE)
     _Copying(root, counts).resolve(root)
+    for parts in root.iter("parts"):
+        _join(parts)
     played: list[PlayedBar] = []
-    for score in [*root.iterfind(".//body//score"), *root.iterfind(".//body//part")]:
+    for score in root.iterfind(".//body//score"):
         if score.find(".//measure") is not None:
             played += _Unfolding(score, counts).played()
     return tostring(root, "unicode"), played, counts
+
+
+def _join(parts: Element) -> None:
+    """Makes parts that are written apart one score, by the numbers of their measures."""
+    score, *others = list(parts)
+    for number, part in enumerate(others, start=1):
+        for staff in part.iter():
+            if staff.tag in ("staff", "staffDef"):
+                staff.set("n", f"{number * _MOST_STAVES + int(_number(staff.get('n')) or 1)}")
+        for own, its in zip(score.iter("measure"), part.iter("measure"), strict=False):
+            own.extend(its)
+        if (staves := score.find(".//staffGrp")) is not None:
+            staves.extend(part.iter("staffDef"))
+    parts.tag = "score"
+    parts[:] = score
 
 
 class _Copying:
@@ -94,10 +112,11 @@ class _Copying:
             original = self._named.get(link.strip().lstrip("#"))
             if original is None or original in self._open:
                 self._counts["copy"] += 1
+                element.tag = "space" if element.tag in _EVENTS else element.tag
             else:
                 self.resolve(original)
                 copy = _copied(original, f"copy{next(self._numbers)}")
-                element[:] = copy[:]
+                element.tag, element[:] = original.tag, copy[:]
                 element.attrib.update({**copy.attrib, **element.attrib})
         for child in element:
             self.resolve(child)
@@ -122,12 +141,12 @@ def _copied(element: Element, name: str) -> Element:
 class _Bar:
     """A measure as it is written.
 
-    `changes` stand before it. `state` is a scoreDef that says all that holds in it, and the metre.
+    `state` is a scoreDef that says all that holds in it, with what changes before it.
     """
 
     measure: Element
-    changes: list[Element]
     state: Element
+    has_changes: bool
     metre: tuple[int, int]
     tempos: list[tuple[Fraction, float]]
     signs: Signs = field(default_factory=Signs)
@@ -143,7 +162,7 @@ class _Unfolding:
         self._bars: list[_Bar] = []
         self._held: dict[Element, range] = {}  # the bars that an element holds
         self._state, self._tempo = Element("scoreDef"), _TEMPO
-        self._changes: list[Element] = []
+        self._has_changes = False
         self._read(score, frozenset())
         self._named = {each.get(_ID, ""): each for each in self._held}
         self._repeating: dict[str | None, tuple[int, int]] = {}  # staves: bars, and to which bar
@@ -159,7 +178,7 @@ class _Unfolding:
             if child.tag == "measure":
                 self._read_measure(child, ending)
             elif child.tag in ("scoreDef", "staffDef"):
-                self._changes.append(child)
+                self._has_changes = True
                 self._state = _merged(self._state, child)
                 self._tempo = _tempo(child) or self._tempo
             elif child.tag == "ending":
@@ -181,8 +200,8 @@ class _Unfolding:
         self._tempo = found[-1][1]
         signs = Signs(ending=ending)
         self._held[measure] = range(len(self._bars), len(self._bars) + 1)
-        self._bars.append(_Bar(measure, self._changes, self._state, metre, found, signs))
-        self._changes = []
+        self._bars.append(_Bar(measure, self._state, self._has_changes, metre, found, signs))
+        self._has_changes = False
 
     def _spell_out(self, number: int, staff: Element) -> None:
         """Puts music in the place of signs for it in a staff of a bar."""
@@ -306,9 +325,7 @@ class _Unfolding:
         for at, number in enumerate(order):
             bar = self._bars[number]
             names.append(f"-turn{seen[number]}" if seen[number] else "")
-            if at and number == order[at - 1] + 1:
-                section.extend(deepcopy(bar.changes))
-            elif at:
+            if at and (bar.has_changes or number != order[at - 1] + 1):
                 section.append(deepcopy(bar.state))
             section.append(_copied(bar.measure, names[-1][1:]) if seen[number] else bar.measure)
             found.append(PlayedBar(section[-1].get(_ID, ""), bar.metre[1], bar.tempos))
@@ -328,7 +345,7 @@ class _Unfolding:
         """
         where, pitches = dict[str, int](), dict[str, _Pitch]()
         for number, bar in enumerate(self._bars):
-            where.update({each.get(_ID, ""): number for each in bar.measure.iter()})
+            where.update({name: number for each in bar.measure.iter() if (name := each.get(_ID))})
             for staff in bar.measure.iter("staff"):
                 for note in staff.iter("note"):
                     pitch = staff.get("n"), note.get("pname"), note.get("oct")
@@ -393,12 +410,15 @@ def _merged(state: Element, change: Element) -> Element:
         _update(merged, change, own)
         if "meter.count" in change.attrib or change.find("meterSig") is not None:
             for staff in merged.iter("staffDef"):
-                _update(staff, Element("none", {"meter.count": ""}), ())
-                staff.attrib.pop("meter.count")
+                _update(staff, Element("meterSig", {"meter.count": ""}), ())
+                del staff.attrib["meter.count"]
     staves = {staff.get("n"): staff for staff in merged.iter("staffDef")}
     for staff in change.iter("staffDef"):
         if (before := staves.get(staff.get("n"))) is not None and before is not staff:
             _update(before, staff, list(staff))
+    for staff in merged.iter("staffDef"):
+        # What is not said stays as it was.
+        staff.attrib.setdefault("trans.semi", merged.get("trans.semi", "0"))
     return merged
 
 
@@ -491,7 +511,7 @@ def _alternate(tremolo: Element) -> None:
         notes += [_copied(each, f"stroke{number}") for each in tremolo]
     for each in notes:
         each.attrib.pop("dots", None)
-        each.set("dur", f"{unit:g}")
+        each.set("dur", str(unit))
     tremolo.tag = "beam"
     tremolo.attrib.clear()
     tremolo[:] = notes

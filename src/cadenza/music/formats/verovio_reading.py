@@ -34,6 +34,8 @@ _MEMORY = 1 << 30  # bytes that Verovio may use
 _OPTIONS = {"breaks": "none", "mdivAll": True, "expandNever": True}
 # Notes are written as they sound, whatever the instrument; tremolos are written out.
 _FOR_ENGRAVING = re.compile(r"(?m)(^|\t)\*(?:I?Tr[-dc\d]|tremolo)[^\t\r\n]*")
+_LIST = re.compile(r"(?m)^\*>\[")
+_LABEL = re.compile(r"(?<=[>\[,])[^\[\],\t]+(?=[\],\t]|$)")  # also each in a list
 _OF_BARS = frozenset(("set_tempo", "time_signature"))
 _NEAR = 1e-3  # beats by which Verovio may round
 _MOST_BEATS = 255  # of a time signature in MIDI
@@ -105,12 +107,31 @@ def main() -> None:
     encoding = "utf-16" if content.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
     text = content.decode(encoding, "replace")
     if sys.argv[1] == "Humdrum":
-        text = _loaded(_FOR_ENGRAVING.sub(r"\1*", text), "humdrum").getMEI()
+        text = _loaded(_plain(text), "humdrum").getMEI()
     text, bars, left_out = unfolded(text)
     toolkit = _loaded(text, "mei")
     midi = base64.b64decode(toolkit.renderToMIDI())
     places = toolkit.renderToTimemap({"includeMeasures": True})
     print(json.dumps((base64.b64encode(_with_bars(midi, bars, places)).decode(), left_out)))
+
+
+def _plain(text: str) -> str:
+    """Humdrum of which Verovio makes all bars and sections.
+
+    It has sections begin at barlines only, and takes those with numbers for endings, which they
+    need not be where a list says the order.
+    """
+    lines, is_within = [], False
+    is_listed = _LIST.search(text) is not None
+    for line in _FOR_ENGRAVING.sub(r"\1*", text).splitlines():
+        if line.startswith("*>"):
+            if is_within and "[" not in line:
+                lines.append("\t".join("=-" for _ in line.split("\t")))
+            line = _LABEL.sub(r"\g<0>_", line) if is_listed else line
+        lines.append(line)
+        if not line.startswith(("!", "*")):
+            is_within = not line.startswith("=")
+    return "\n".join(lines)
 
 
 def _loaded(text: str, form: str) -> Any:

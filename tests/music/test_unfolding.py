@@ -1,0 +1,167 @@
+"""The order in which Humdrum and MEI are played, by the rules of these formats.
+
+Each bar is a whole note, at 60 quarters a minute, which lasts four seconds.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from cadenza.music.formats.reading import read_score
+
+DOCUMENT = """<mei xmlns="http://www.music-encoding.org/ns/mei" meiversion="5.0"><music><body><mdiv>
+<score><scoreDef meter.count="4" meter.unit="4" midi.bpm="60"><staffGrp>
+<staffDef n="1" lines="5" clef.shape="G" clef.line="2"/></staffGrp></scoreDef>
+<section>{}</section></score></mdiv></body></music></mei>"""
+END, START = 'right="rptend"', 'left="rptstart"'
+TIE = '<tie startid="#x" endid="#y"/>'
+
+
+def note(name, dur=1, more=""):
+    return f'<note pname="{name}" oct="4" dur="{dur}" {more}/>'
+
+
+def bar(content, more="", controls=""):
+    """A measure of a note by its name, or of what is in its layer."""
+    content = note(content) if len(content) == 1 else content
+    layers = f'<staff n="1"><layer n="1">{content}</layer></staff>'
+    return f"<measure {more}>{layers}{controls}</measure>"
+
+
+def ending(number, content):
+    return f'<ending n="{number}">{content}</ending>'
+
+
+def section(name, content):
+    return f'<section xml:id="{name}">{content}</section>'
+
+
+def mei(tmp_path, content):
+    path = tmp_path / "a.mei"
+    path.write_text(DOCUMENT.format(content))
+    return read_score(path)
+
+
+def names(score):
+    """The names of the notes, which follow one another without rests."""
+    ends = [0, *(n.end for n in score.notes)]
+    assert [n.start for n in score.notes] == pytest.approx(ends[:-1], abs=0.01)
+    return "".join("c.d.ef.g.a.b"[n.pitch - 60] for n in score.notes)
+
+
+@pytest.mark.parametrize(
+    ("content", "played"),
+    [
+        (bar("c", END) + bar("d"), "ccd"),
+        (bar("c", 'right="rptboth"') + bar("d", END), "ccdd"),
+        (section("A", bar("c", START)) + section("B", bar("d", END)) + bar("e"), "cdcde"),
+        (bar("c") + ending(1, bar("d", END)) + ending(2, bar("e")), "cdce"),
+        (bar("c") + ending("1-2", bar("d", END)) + ending("3.", bar("e")) + bar("f"), "cdcdcef"),
+        (
+            '<expansion plist="#A #B #A"/>' + section("A", bar("c")) + section("B", bar("d", END)),
+            "cdc",
+        ),
+        (
+            bar("g") + section("S", '<expansion plist="#A #A"/>' + section("A", bar("c"))),
+            "gcc",
+        ),
+        (bar("c") + bar("d", "", '<repeatMark tstamp="5" func="fine"/>')
+         + bar("e", "", "<dir tstamp='4'>D.C. al Fine</dir>"), "cdecd"),
+        (bar("c") + bar("<mRpt/>") + bar("d"), "ccd"),
+        (bar("c") + bar("d") + bar("<mRpt2/>") + bar("<mSpace/>") + bar("e"), "cdcde"),
+        (bar("c") + bar("d") + bar('<multiRpt num="2"/>') + bar("<mSpace/>"), "cdcd"),
+        (bar(note("c", 4) + "<beatRpt/>" + note("d", 4) + "<beatRpt/>"), "ccdd"),
+        (bar(f"<beam>{note('c', 4)}{note('d', 4)}</beam><halfmRpt/>"), "cdcd"),
+        (bar(f'<fTrem unitdur="8">{note("c", 2)}{note("d", 2)}</fTrem>{note("e", 2)}'), "cdcde"),
+        (bar("c", 'xml:id="m"') + '<measure copyof="#m"/>' + bar("d"), "ccd"),
+        (section("A", bar("c") + bar("d")) + '<section copyof="#A"/>', "cdcd"),
+        (bar('<note copyof="#b"/><note xml:id="b" copyof="#a"/>')
+         + bar(note("c", 2, 'xml:id="a"') + note("d", 2)), "cccd"),
+    ],
+)  # fmt: skip
+def test_mei_is_played_in_its_order(tmp_path, content, played):
+    score = mei(tmp_path, content)
+    assert names(score) == played
+    assert len(score.remarks) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "remark"),
+    [
+        (bar("c") + bar('<note copyof="#a"/>'), "1 copy of what is not there"),
+        (bar("<mRpt/>") + bar("c"), "1 bar-repeat sign left out"),
+        ('<expansion plist="#A #B"/>' + section("A", bar("c")), "1 section that is"),
+        (
+            '<expansion plist="#A"/>' + section("A", bar("c")) + section("B", bar("d")),
+            "1 bar passed",
+        ),
+    ],
+)
+def test_what_is_not_played_is_said(tmp_path, content, remark):
+    assert remark in mei(tmp_path, content).remarks[1]
+
+
+def test_a_jump_goes_back_to_the_tempo_the_metre_and_the_transposition_there(tmp_path):
+    tempo = '<tempo tstamp="3" midi.bpm="120"/>'
+    change = '<scoreDef meter.count="2"/><staffDef n="1" trans.semi="2"/>'
+    score = mei(tmp_path, bar("c") + change + bar(note("c", 4) * 2 + note("c", 4) * 2, END, tempo))
+    once = [(0, 60), (4, 62), (5, 62), (6, 62), (6.5, 62)]
+    assert [(n.start, n.pitch) for n in score.notes] == once + [(t + 7, pitch) for t, pitch in once]
+    assert [(b.time, len(b.beats)) for b in score.bars] == [(0, 4), (4, 4), (7, 4), (11, 4)]
+
+
+def test_bars_are_as_long_as_they_are_played(tmp_path):
+    content = bar(note("c", 4)) + bar("d") + bar(note("e", 2, 'dots="1"'), END) + bar(note("f", 4))
+    score = mei(tmp_path, content)
+    assert [b.time for b in score.bars] == [0, 1, 5, 8, 9, 13, 16]
+    assert [len(b.beats) for b in score.bars] == [1, 4, 3, 1, 4, 3, 1]
+
+
+def test_ties_lead_into_the_ending_that_is_played(tmp_path):
+    first = bar(note("c", 2) + note("d", 2, 'xml:id="x"'), "", TIE)
+    endings = ending(1, bar(note("d", 1, 'xml:id="y"'), END))
+    tied = ending(2, bar(note("d", 1, 'xml:id="z"'), "", '<tie tstamp="0" endid="#z"/>'))
+    assert names(mei(tmp_path, first + endings + tied)) == "cdcd"
+    assert names(mei(tmp_path, first + endings + ending(2, bar("d")))) == "cdcdd"
+
+
+def test_movements_follow_one_another_and_parts_sound_together(tmp_path):
+    path = tmp_path / "a.mei"
+    text = DOCUMENT.format(bar("c", END))
+    first, score = text.index("<mdiv>"), text.index("<score>")
+    movement = text[first : text.index("</body>")]
+    path.write_text(text.replace(movement, movement + movement.replace('"c"', '"d"')))
+    assert names(read_score(path)) == "ccdd"
+    part = text[score : text.index("</mdiv>")].replace("score>", "part>")
+    other = part.replace('"c"', '"e"')
+    parts = f"<parts>{part}{other}</parts></mdiv></body>"
+    path.write_text(f"{text[:score]}{parts}</music></mei>")
+    score = read_score(path)
+    assert [(n.start, n.pitch) for n in score.notes] == [(0, 60), (0, 64), (4, 60), (4, 64)]
+    assert len(score.tracks) == 2
+
+
+def kern(tmp_path, text):
+    path = tmp_path / "a.krn"
+    path.write_text("\n".join(("**kern", "*M4/4", "*MM60", *text.split(), "*-", "")))
+    return read_score(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "played"),
+    [
+        ("*>[A,A1,A,A2] *>norep[A,A2] *>A =1 1c *>A1 =2 1d *>A2 =3:|! 1e ==", "cdce"),
+        ("*>[A,B,A] *>A =1 1c =2 *>B 1d ==", "cdc"),
+        ("*>[A,Var2,A] *>A =1 1c =2 *>Var2 1d ==", "cdc"),  # not the second ending of Var
+        ("*>[A,B,A] *>A =1 2c *>B 2d ==", "cdc"),  # within a bar
+        ("=1 1c =2:|! 1d ==:|!", "ccdd"),
+        ("*>A =1 1c *>A1 =2 1d =3:|! *>A2 1e ==", "cdce"),
+        ("*>[A,A1,A,A2] *>A =1 2c [2d *>A1 =2 1d] *>A2 =3:|! 1d] ==", "cdcd"),
+        ("*ITrd1c2 =1 1c =2 *ITrd-2c-3 1c =3 *Trd1c2 1d ==", "ccd"),
+        ("*tremolo =1 8c 8d 8c 8d 2e ==", "cdcde"),
+    ],
+)
+def test_humdrum_is_played_in_its_order(tmp_path, text, played):
+    score = kern(tmp_path, text)
+    assert names(score) == played
+    assert len(score.remarks) == 1
