@@ -96,9 +96,12 @@ def _without_overlaps(found: list[RawNote], counts: Counter[str]) -> list[RawNot
 
 def _merged(notes: Sequence[RawNote]) -> RawNote:
     """The note with the largest velocity and the latest end of all; a known end counts first."""
+    first, *others = notes
+    if not others:  # as hardly ever any are
+        return replace(first)
     is_known = any(note.released for note in notes)
     return replace(
-        notes[0],
+        first,
         end=max(note.end for note in notes if note.released == is_known),
         velocity=max(note.velocity for note in notes),
         released=is_known,

@@ -211,7 +211,8 @@ class _Track:
                 self.dropped += 1
                 return None
             self.clipped += sum(byte > LARGEST for byte in content)
-        return mido.Message.from_bytes([status, *(min(byte, LARGEST) for byte in content)])
+            content = bytes(min(byte, LARGEST) for byte in content)
+        return mido.Message.from_bytes([status, *content])
 
     def _meta_message(self, kind: int, content: bytes) -> mido.MetaMessage | None:
         """The meta message of a name, port, end, tempo or metre; None if it cannot be read."""
