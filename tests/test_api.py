@@ -262,3 +262,7 @@ def test_options_show_what_is_not_the_default() -> None:
 def test_songs_show_as_short_lines() -> None:
     for song in (*cadenza.songs(), *cadenza.open_library("bundled").songs):
         assert len(repr(song)) < 250
+
+
+def test_only_what_is_offered_is_listed() -> None:
+    assert sorted(name for name in dir(cadenza) if not name.startswith("_")) == cadenza.__all__

@@ -84,7 +84,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+    return [*(name for name in globals() if name.startswith("__")), *__all__]
 
 
 if "MUJOCO_GL" in os.environ:  # and so before anything else of ours imports MuJoCo

@@ -444,9 +444,18 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
         (lambda: PianoEnv(task=PianoTask([SHORT]), stretch=2), "pass nothing else"),
         (lambda: PianoVectorEnv(num_envs=2, task=PianoTask([SHORT])), "num_envs 2: the task has 1"),
         (lambda: PianoVectorEnv(SHORT, num_envs=2).reset(seed=[1]), "1 seeds for 2"),
-        (lambda: PianoVectorEnv(SHORT, num_envs=2).reset(seed=[1, "x"]), "seed 'x': give a whole"),
-        (lambda: PianoVectorEnv(SHORT).reset(seed=1.5), "seed 1.5: give a whole"),
-        (lambda: PianoVectorEnv(SHORT).reset(seed=-1), "seed -1: give a whole"),
+        (
+            lambda: PianoVectorEnv(SHORT, num_envs=2).reset(seed=[1, "x"]),
+            "seed 'x': Seed must be a python integer, actual type: <class 'str'>",
+        ),
+        (lambda: PianoVectorEnv(SHORT).reset(seed=1.5), "seed 1.5: Seed must be a python integer"),
+        (
+            lambda: PianoVectorEnv(SHORT).reset(seed=-1),
+            "seed -1: Seed must be greater or equal to zero",
+        ),
+        (lambda: PianoEnv(SHORT).reset(seed=1.5), "seed 1.5: Seed must be a python integer"),
+        (lambda: PianoEnv(SHORT).reset(seed=-1), "seed -1: Seed must be greater or equal to"),
+        (lambda: PianoEnv("Twinkl"), "did you mean TwinkleTwinkleLittleStar?"),
         (
             lambda: PianoVectorEnv(SHORT, num_envs=2).reset(options={"reset_mask": [True]}),
             "reset_mask of shape",
@@ -470,6 +479,46 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
 def test_says_what_is_wrong(use: Callable, message: str) -> None:
     with pytest.raises(CadenzaError, match=message):
         use()
+
+
+def test_seeds_of_gymnasium_and_of_numpy_are_the_same() -> None:
+    env, envs = PianoEnv(SHORT), PianoVectorEnv(SHORT)
+    env.reset(seed=3)
+    drawn = env.np_random.random()
+    for seed in 3, np.int64(3), np.uint8(3):
+        env.reset(seed=seed)
+        envs.reset(seed=seed)
+        assert env.np_random.random() == envs.np_random.random() == drawn
+    with pytest.raises(gym.error.Error) as theirs:
+        gym.utils.seeding.np_random(-1)
+    with pytest.raises(CadenzaError, match=str(theirs.value)):
+        env.reset(seed=-1)
+
+
+@pytest.mark.parametrize("kind", [PianoEnv, PianoVectorEnv])
+def test_nothing_is_done_with_what_is_closed(kind: Callable) -> None:
+    env = kind(SHORT, render_mode="rgb_array")
+    env.reset(seed=0)
+    env.close()
+    for use in env.reset, env.render, lambda: env.step(env.action_space.sample()):
+        with pytest.raises(CadenzaError, match="the environment is closed: make another"):
+            use()
+    env.close()
+
+
+def test_a_metric_without_a_value_is_left_out_of_infos() -> None:
+    env, envs = PianoEnv(SHORT), PianoVectorEnv(SHORT, num_envs=2)
+    env.reset(seed=0)
+    envs.reset(seed=0)
+    still, over = np.zeros(env.action_space.shape, np.float32), False
+    while not over:
+        *_, over, info = env.step(still)
+        *_, infos = envs.step(np.stack([still, still]))
+    assert info["metrics/f1"] < 1
+    assert "metrics/timing_error" not in info
+    assert_array_equal(infos["_metrics/f1"], [True, True])
+    assert_array_equal(infos["_metrics/timing_error"], [False, False])
+    assert not any(np.isnan(v).any() for n, v in infos.items() if n.startswith("metrics/"))
 
 
 def test_what_could_not_be_made_need_not_be_closed() -> None:

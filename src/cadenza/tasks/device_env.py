@@ -15,7 +15,7 @@ from cadenza.errors import CadenzaError, extra_packages, quoted
 from cadenza.music.libraries.library import load_score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.env import as_score, state_space
+from cadenza.tasks.env import as_score, checked_seed, state_space
 from cadenza.tasks.functional import FunctionalPianoTask, PianoState
 from cadenza.tasks.setups import configure
 
@@ -99,6 +99,7 @@ class DevicePianoVectorEnv(VectorEnv):
             raise CadenzaError(
                 f"reset: the engine warp has no option {quoted(next(iter(options)))}"
             )
+        seed = checked_seed(seed)
         if seed is None and self._state is not None:
             key = self._state.key
         else:

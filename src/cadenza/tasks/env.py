@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,7 @@ from cadenza.tasks.augmentation import find_song, unchanged_track
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import EpisodeStart, PianoTask, Transition
-from cadenza.tasks.reward import Array, RewardTerm, finite_array
+from cadenza.tasks.reward import RewardTerm, finite_array
 from cadenza.tasks.setups import configure
 from cadenza.tasks.view import TaskSpec
 
@@ -92,7 +91,8 @@ class PianoVectorEnv(VectorEnv):
     "state", and of pictures, "pixels". `infos` holds the title of the song that each environment
     plays as "song", the reward terms as "reward/<term>", in the last step of an episode its scores
     as "metrics/<name>", and where one begins what `DomainRandomization` has drawn for it as
-    "randomization/<name>".
+    "randomization/<name>". Which environments have one, "_metrics/<name>" says and so on: a metric
+    without a value, such as the timing error of an episode in which no note was hit, is left out.
 
     Threads that call the methods of one environment wait for each other.
 
@@ -202,8 +202,9 @@ class PianoVectorEnv(VectorEnv):
                 all that `DomainRandomization` draws follows, as infos have it.
 
         Raises:
-            CadenzaError: a seed or an option makes no sense.
+            CadenzaError: a seed or an option makes no sense, or the environment is closed.
         """
+        self._check_open()
         options = _known(options)
         mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, bool)), bool)
         if mask.shape != (self.num_envs,):
@@ -267,20 +268,23 @@ class PianoVectorEnv(VectorEnv):
 
     def _metrics(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
         """Infos on the metrics of the episodes that end."""
-        metrics: defaultdict[str, Array] = defaultdict(lambda: np.zeros(self.num_envs))
+        infos: dict[str, Any] = {}
         for env in np.flatnonzero(ended).tolist():
             for name, value in self.task.episode_metrics(env).items():
-                metrics[f"metrics/{name}"][env] = value
-        return _infos(metrics, ended)
+                values = infos.setdefault(f"metrics/{name}", np.zeros(self.num_envs))
+                known = infos.setdefault(f"_metrics/{name}", np.zeros(self.num_envs, bool))
+                if not np.isnan(value):  # what is undefined is left out, so that means stay right
+                    values[env], known[env] = value, True
+        return infos
 
     def _seed(self, seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]) -> None:
         """Seeds environments of the mask (N,); those without a seed keep their generators."""
         if seed is None and self._rngs:
             return
         if isinstance(seed, Sequence | np.ndarray):
-            seeds = [_checked_seed(each) for each in self._each("seed", list(seed))]
+            seeds = [checked_seed(each) for each in self._each("seed", list(seed))]
         else:
-            first = _checked_seed(seed)
+            first = checked_seed(seed)
             self._np_random, self._np_random_seed = seeding.np_random(first)
             seeds = [None if first is None else first + i for i in range(self.num_envs)]
         self._rngs = [
@@ -303,6 +307,7 @@ class PianoVectorEnv(VectorEnv):
         self, actions: NDArray[Any]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Takes a control step in every environment, as `gymnasium.vector.VectorEnv.step`."""
+        self._check_open()
         mode = self.metadata["autoreset_mode"]
         if not self._rngs:
             raise CadenzaError("no episode has started: call reset() before step()")
@@ -355,7 +360,12 @@ class PianoVectorEnv(VectorEnv):
     @synchronised
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture (height, width, 3) of each environment, if `render_mode` asks for it."""
+        self._check_open()
         return tuple(self._draw()) if self.render_mode == "rgb_array" else None
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise CadenzaError("the environment is closed: make another")
 
     @synchronised
     def close_extras(self, **kwargs: Any) -> None:
@@ -407,9 +417,9 @@ class PianoEnv(gymnasium.Env):
             options: "song", "score", "start" and "randomization", see `PianoVectorEnv.reset`.
 
         Raises:
-            CadenzaError: there is no such song or option.
+            CadenzaError: a seed or an option makes no sense, or the environment is closed.
         """
-        super().reset(seed=seed)
+        super().reset(seed=checked_seed(seed))
         self._batch._rngs = [self.np_random]
         options = {n: value for n, value in _known(options).items() if n != "reset_mask"}
         observation, infos = self._batch.reset(options=options)
@@ -446,10 +456,21 @@ def _known(options: dict[str, Any] | None) -> dict[str, Any]:
     return options or {}
 
 
-def _checked_seed(seed: Any) -> int | None:
-    if seed is None or (isinstance(seed, int | np.integer) and seed >= 0):
-        return None if seed is None else int(seed)
-    raise CadenzaError(f"seed {quoted(seed)}: give a whole number of 0 or more, or None")
+def checked_seed(seed: Any) -> int | None:
+    """The seed as Python's int, or None.
+
+    Raises:
+        CadenzaError: it is none; the message is Gymnasium's, and says which it was.
+    """
+    if seed is None:
+        return None
+    if not isinstance(seed, int | np.integer):
+        wrong = f"Seed must be a python integer, actual type: {type(seed)}"
+    elif seed < 0:
+        wrong = f"Seed must be greater or equal to zero, actual value: {quoted(seed)}"
+    else:
+        return int(seed)
+    raise CadenzaError(f"seed {quoted(seed)}: {wrong}")
 
 
 def _infos(values: Mapping[str, Any], known: NDArray[np.bool_]) -> dict[str, Any]:
@@ -467,7 +488,7 @@ def _first(infos: dict[str, Any]) -> dict[str, Any]:
     return {
         name: values[0] if values.ndim > 1 else values[:1].tolist()[0]
         for name, values in infos.items()
-        if name[0] != "_"
+        if name[0] != "_" and infos[f"_{name}"][0]
     }
 
 

@@ -15,6 +15,8 @@ Read = Callable[[Collection[int], bool], Score]
 
 It plays notes as they stand, whatever signs they have, if the second argument is true."""
 
+_MOST_MEANT = 3  # songs that a misspelt name may mean
+
 
 @dataclass(frozen=True, slots=True)
 class Song:
@@ -89,8 +91,9 @@ def song_named(name: str, library: Library) -> Song:
     for wanted in (name.lower(), name.lower().removeprefix(f"{library.name}/")):
         if wanted in known:
             return known[wanted]
-    close = [known[match].name for match in get_close_matches(name.lower(), known, cutoff=0.5)]
-    hint = f"did you mean {' or '.join(close)}? " if close else ""
+    begun = [each for each in known if name and each.startswith(name.lower())]
+    close = begun[:_MOST_MEANT] or get_close_matches(name.lower(), known, _MOST_MEANT, cutoff=0.5)
+    hint = f"did you mean {' or '.join(known[each].name for each in close)}? " if close else ""
     raise CadenzaError(
         f"no song named {quoted(name)}: {hint}run `cadenza songs` for all names, "
         "or give the path of a MIDI or MusicXML file"
