@@ -21,7 +21,7 @@ from cadenza.errors import CadenzaError, CadenzaWarning
 class Import:
     """Make a song library of a folder of music, or of the PIG dataset.
 
-    Examples: cadenza import midi FOLDER --name NAME; cadenza import pig PianoFingeringDataset.zip
+    Examples: cadenza import midi FOLDER; cadenza import pig PianoFingeringDataset.zip
     """
 
     kind: Annotated[
@@ -32,7 +32,7 @@ class Import:
     source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER")]
     """Where the files are. For the PIG dataset, it may also be the ZIP file."""
     name: str | None = None
-    """Name of the new library, for midi."""
+    """Name of the new library, for midi; that of the folder by default."""
     replace: tyro.conf.FlagCreatePairsOff[bool] = False
     """Replace a library of the same name."""
     quiet: Quiet = False
@@ -45,16 +45,17 @@ def run(command: Import) -> None:
     from cadenza.music.libraries.pig import TWELVE, etudes_among
     from cadenza.music.libraries.pig_dataset import import_pig
 
-    if (command.kind == "midi") != (command.name is not None):
-        raise CadenzaError("--name NAME goes with `cadenza import midi`, which needs it")
     source, again = command.source, command.replace
+    if command.kind == "pig" and command.name is not None:
+        raise CadenzaError("--name: the PIG dataset has a name; leave it out")
     graded = partial(grade, players=usual_players())
     with progress("importing", "files") as advance:
-        if command.name is None:
+        if command.kind == "pig":
             library = import_pig(source, again, advance, graded)
         else:
-            check_is_free(command.name)
-            library = import_folder(source, command.name, again, advance, graded)
+            name = command.name or source.resolve().name
+            check_is_free(name)
+            library = import_folder(source, name, again, advance, graded)
     for message in (*library.doubtful, *library.left_out):
         warnings.warn(message, CadenzaWarning, stacklevel=1)
     kept, lost = len(library.rows), len(library.left_out)

@@ -116,6 +116,11 @@ def write_film(
     """
     path = folder / FILM if path is None else path
     check_film(path)
+    if not (folder / "episode.npz").is_file():
+        raise CadenzaError(
+            f'{folder}: holds no performance (episode.npz); make one with "cadenza play SONG", and '
+            "give the folder of its results, such as played/SONG/planner"
+        )
     kind, episode = path.suffix.lower(), load_episode(folder / "episode.npz")
     if kind in ANIMATIONS and excerpt.seconds is None:
         excerpt = replace(excerpt, seconds=_ANIMATED)

@@ -103,8 +103,9 @@ def make_etude(kind: str, difficulty: int, seed: int) -> Score:
 
 
 def _checked(kind: str, difficulty: int, seed: int) -> tuple[str, int, int]:
-    if kind not in (kinds := (*KINDS, *DRILLS)):
-        raise CadenzaError(f"no etudes of kind {quoted(kind)}: choose from {', '.join(kinds)}")
+    if kind not in (*KINDS, *DRILLS):
+        kinds = ", ".join((*KINDS, *DRILLS, BAND))
+        raise CadenzaError(f"no etudes of kind {quoted(kind)}: choose from {kinds}")
     difficulty = whole_number(difficulty, "difficulty", 1, HARDEST)
     return kind, difficulty, whole_number(seed, "seed", 0, MOST_SEED)
 
