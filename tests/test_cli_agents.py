@@ -89,7 +89,7 @@ def policy(folder: Path, **options: dict[str, object]) -> Path:
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     with pytest.raises(SystemExit) as stop:
         main([str(argument) for argument in arguments])
-    assert stop.value.code == 2
+    assert stop.value.code == 1
     (line,) = capsys.readouterr().err.splitlines()
     return line
 
@@ -337,10 +337,14 @@ def test_options_of_agents_that_do_not_play_are_refused(
     with pytest.raises(SystemExit) as stop:
         main(words)
     assert stop.value.code == 2
-    agent = option.split(".")[0]
-    assert capsys.readouterr().err == (
-        f"cadenza: --{option}: {agent} does not play; leave it out, or have it play\n"
-    )
+    assert f"--{option}" in capsys.readouterr().err
+
+
+def test_a_policy_has_no_options_of_the_planner(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = refused(capsys, "play", policy(here / "run"), "--planner.effort", "1")
+    assert line.endswith("run: a policy plays it, which has no --planner options")
 
 
 # Ctrl-C

@@ -78,5 +78,5 @@ def test_what_cannot_be_made_is_said_in_a_line(
 ) -> None:
     with pytest.raises(SystemExit) as stop:
         main(["etude", *arguments])
-    assert stop.value.code == 2
+    assert stop.value.code == 1
     assert said in capsys.readouterr().err

@@ -84,10 +84,10 @@ def test_results_are_called_as_the_song(song: str, name: str) -> None:
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The line with which the command exits with status 2."""
+    """The line with which the command exits with status 1."""
     with pytest.raises(SystemExit) as stop:
         main([str(argument) for argument in arguments])
-    assert stop.value.code == 2
+    assert stop.value.code == 1
     *remarks, message = capsys.readouterr().err.splitlines()
     assert message.startswith("cadenza: ")
     assert not [line for line in remarks if "Traceback" in line]
@@ -319,7 +319,7 @@ def test_a_folder_of_something_else_is_no_song(
 ) -> None:
     with pytest.raises(SystemExit) as stop:
         main([command, str(tmp_path)])
-    assert stop.value.code == 2
+    assert stop.value.code == 1
     *_, said = capsys.readouterr().err.splitlines()  # train also tells of cores in use
     assert said == (
         f"cadenza: {tmp_path}: is a folder, but not of a policy or of practice; give a music file"

@@ -65,5 +65,5 @@ def test_what_cannot_be_summed_up(
     Path("empty", "runs").mkdir(parents=True)
     with pytest.raises(SystemExit) as exited:
         main(["results", *arguments])
-    assert exited.value.code == 2
+    assert exited.value.code == 1
     assert said in capsys.readouterr().err

@@ -31,7 +31,7 @@ SHORT += ["--log-interval", "50", "--train-freq", "8"]
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     with pytest.raises(SystemExit) as stop:
         main([str(argument) for argument in arguments])
-    assert stop.value.code == 2
+    assert stop.value.code == 1
     *before, line = capsys.readouterr().err.splitlines()
     assert all("cores are claimed" in other for other in before), before
     return line
@@ -125,13 +125,13 @@ def test_help_shows_the_named_preset(capsys: pytest.CaptureFixture[str]) -> None
     shown = {}
     for name in ("paper", "published", "fast"):
         with pytest.raises(SystemExit):
-            main(["train", "--preset", name, "--help-all"])
+            main(["train", "--preset", name, "--help"])
         shown[name] = " ".join(capsys.readouterr().out.split())
     assert "--discount FLOAT" in shown["paper"]
     for name, discount in (("paper", "0.99"), ("published", "0.8"), ("fast", "0.84")):
         assert f"(default: {discount})" in shown[name], name
     with pytest.raises(SystemExit):
-        main(["train", "--setup", "mini-allegro", "--help-all"])
+        main(["train", "--setup", "mini-allegro", "--help"])
     assert "(default: 128 128)" in " ".join(capsys.readouterr().out.split())
 
 
@@ -157,7 +157,7 @@ def test_a_run_goes_on_to_another_end(
     assert rows(longer)[-1]["eval_step"] == 304
     assert [page[-1] for page in pages] == [True, False]  # while it went on, and at its end
     with pytest.raises(SystemExit):
-        main(["train", "--resume", str(longer), "--help-all"])
+        main(["train", "--resume", str(longer), "--help"])
     shown = " ".join(capsys.readouterr().out.split())
     assert "(default: 300)" in shown  # the run's own
     assert "(default: 16 16)" in shown

@@ -49,7 +49,6 @@ ALLOWED = {
     ("agents/planner/config.py", 10): "candidates and step sizes",
     ("agents/planner/practice/hand_practice.py", 10): "the base of the sizes of variations",
     ("cli/dataset.py", 10): "the most noise",
-    ("cli/estimate.py", 5): "plain control steps",
     ("music/arrangement.py", 10): "the hardest grade",
     ("fingering/transitions.py", 5): "kinds of changes",
     ("fingering/pianist.py", 5): "semitones",

@@ -62,7 +62,7 @@ def refused(capsys: pytest.CaptureFixture[str], said: str, *words: str) -> None:
     """Checks that a command ends with one line, which says this."""
     with pytest.raises(SystemExit) as stopped:
         main(words)
-    assert stopped.value.code == 2
+    assert stopped.value.code == 1
     error = capsys.readouterr().err
     assert said in error
     assert len(error.splitlines()) == 1

@@ -214,7 +214,7 @@ def test_an_agent_of_another_package_has_options(
     agent: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):
-        play("--agent", agent, "--help-all")
+        play("--agent", agent, "--help")
     said = " ".join(capsys.readouterr().out.replace("│", "").split())
     assert "Beats time." in said
     assert "--slow-beat.tempo FLOAT Beats per minute. (default: 60.0)" in said
@@ -247,10 +247,7 @@ def test_options_of_another_package_in_python() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("slow-beat --slow-beat.tempo x", "--slow-beat.tempo x: give a number"),
         ("slow-beat --slow-beat.tempo 0", "agent slow-beat: ValueError: tempo: more than 0 ("),
-        ("slow-beat --tempo 3", "there is no option --tempo; did you mean --slow-beat.tempo?"),
-        ("zero --slow-beat.tempo 3", "there is no option --slow-beat.tempo"),
         ("beating:Seed", "agent beating:Seed: its options cannot be called --seed"),
         ("beating:NeedsMore", "tempo of Needed: give it a default"),
         ("beating:NotPlain", "where of Unplain: an option is a bool, int, "),
@@ -262,7 +259,7 @@ def test_options_of_agents_that_make_no_sense(
 ) -> None:
     with pytest.raises(SystemExit) as stop:
         play("--agent", *words.split())
-    assert stop.value.code == 2
+    assert stop.value.code == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"cadenza: {said}")
     assert not Path("out").exists()

@@ -22,7 +22,7 @@ class CadenzaError(Exception):
     """An error for users: something they gave cannot be used.
 
     The message is one line: what is wrong, where, and what to do about it. The command line
-    prints it without a traceback and exits with status 2.
+    prints it without a traceback and exits with status 1.
     """
 
 
@@ -35,8 +35,6 @@ class CadenzaWarning(UserWarning):
 
 _MOST_QUOTED = 100  # letters of what was read: enough to find it again
 _MOST_OTHERS = 300  # letters of a message that others word, and may fill with what they have read
-
-_MOST_SHOWN = 1500  # letters of a message, which is a screen of them
 
 
 def quoted(value: object, most: int = _MOST_QUOTED) -> str:
@@ -68,13 +66,8 @@ def shortened(text: str, most: int = _MOST_OTHERS) -> str:
 
 
 def on_one_line(message: str) -> str:
-    """The message; what cannot be printed, as in the name of a file, is escaped.
-
-    One that is longer than a screen, as it repeats an argument, loses its middle: its end advises.
-    """
-    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
-    half = _MOST_SHOWN // 2
-    return line if len(line) <= _MOST_SHOWN else f"{line[:half]}...{line[-half:]}"
+    """The message; what cannot be printed, as in the name of a file, is escaped."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
 
 
 def is_full(error: Exception) -> bool:
@@ -149,14 +142,14 @@ def errors_in(where: object) -> Iterator[None]:
 
 @contextmanager
 def errors_in_a_line() -> Iterator[None]:
-    """Prints errors as a line and exits with status 2, in programs outside the command line."""
+    """Prints errors as a line and exits with status 1, in programs outside the command line."""
     try:
         yield
     except Exception as error:
         if not is_for_users(error):
             raise
         print(f"error: {explained(error)}", file=sys.stderr)
-        sys.exit(2)
+        sys.exit(1)
 
 
 @contextmanager

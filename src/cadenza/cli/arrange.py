@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from cadenza.cli.arguments import Chosen, Output
+from cadenza.cli.arguments import Chosen, Flat, Output
 from cadenza.cli.options import SETUP_HELP
 from cadenza.cli.saving import check_name, check_writable
 from cadenza.files import folder_name
@@ -32,15 +32,13 @@ class Arrange:
     output: Output[Path | None] = None
     """The arrangement, a .musicxml or .mid file; SONG.musicxml by default. The fingers of a .mid
     file are written beside it as text, to a file that ends in .fingering."""
-    arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(
-        default_factory=lambda: Arrangement(arrange="always")
-    )
+    arrangement: Flat[Arrangement] = field(default_factory=lambda: Arrangement(arrange="always"))
     fingering: Literal["robot", "human"] = "robot"
     """Fingers that suit the robot's hands, or those that a pianist would use."""
     hands_as_written: bool = False
     """Have each hand play what the score has for it, as far as it can."""
     setup: Annotated[str | None, tyro.conf.arg(help=SETUP_HELP)] = None
-    scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
+    scene: Flat[SceneConfig] = field(default_factory=SceneConfig)
 
 
 def default(chosen: Chosen) -> Arrange:

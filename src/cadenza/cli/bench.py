@@ -8,12 +8,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
-import tyro
-
 from cadenza.agents.registry import PLAYBACK, PRETRAINED
-from cadenza.cli.arguments import Advanced, Output, Quiet
+from cadenza.cli.arguments import Flat, Output, Quiet
 from cadenza.cli.console import counted
-from cadenza.cli.options import TRAIN, Options, Read, check_all_play, split_agents
+from cadenza.cli.options import TRAIN, Options, Read, split_agents
 from cadenza.cli.runs import Execution, Work, check_execution, run_all
 from cadenza.configs import MOST_SEED, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning, quoted
@@ -46,13 +44,13 @@ class Bench(Options):
     """Random seeds, such as 0-2 or 0,5, for each agent and song."""
     output: Output[Path] = Path("bench")
     """Folder of the runs, which is extended if it holds some already."""
-    num_threads: Advanced[int] = 1
+    num_threads: int = 1
     """Threads of each run."""
     num_steps: int | None = None
     """Environment steps of train:PRESET. By default those of the preset."""
-    pages: Advanced[Literal["first-seed", "all", "none"]] = "first-seed"
+    pages: Literal["first-seed", "all", "none"] = "first-seed"
     """Which runs leave a page to watch and hear; made later too, without playing again."""
-    execution: tyro.conf.OmitArgPrefixes[Execution] = field(default_factory=Execution)
+    execution: Flat[Execution] = field(default_factory=Execution)
     quiet: Quiet = False
 
 
@@ -62,7 +60,6 @@ def run(command: Bench, read: Read[Bench]) -> None:
     from cadenza.music.libraries.library import open_library
 
     agents, seeds = _agents(command), _seeds(command.seeds)
-    check_all_play(command, agents)
     check_execution(command)
     contenders = _contenders(command, read, agents)
     library = open_library(command.songs)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from cadenza.cli.arguments import Output, Quiet
+from cadenza.cli.arguments import Flat, Output, Quiet
 from cadenza.cli.console import stop_on_signal
 from cadenza.cli.options import RecordedParts
 from cadenza.cli.progress import SECONDS_BETWEEN_LINES_OF_TRAINING, progress
@@ -34,7 +34,7 @@ class Clone(RecordedParts):
     output: Output[Path] = Path("runs/clone")
     """Folder of the run."""
     quiet: Quiet = False
-    imitation: tyro.conf.OmitArgPrefixes[ImitationConfig] = field(default_factory=ImitationConfig)
+    imitation: Flat[ImitationConfig] = field(default_factory=ImitationConfig)
 
 
 def clone(command: Clone) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from cadenza.agents.registry import PLAYBACK
 from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.console import in_columns
-from cadenza.cli.options import Performing, Read, check_all_play, setting_up
+from cadenza.cli.options import Performing, Read, setting_up
 from cadenza.cli.progress import stages
 from cadenza.cli.saving import check_writable, default_folder
 from cadenza.errors import CadenzaError
@@ -46,7 +46,6 @@ def compare(command: Compare, read: Read[Compare]) -> None:
         raise CadenzaError("nothing to compare: name at least one agent and one seed")
     if PLAYBACK in command.agents:
         raise CadenzaError(f"{PLAYBACK} plays a single file: name other agents")
-    check_all_play(command, command.agents)
     source = resolve(command.song, command.arrangement)
     selections = {name: select(source, name, configs=command.configs) for name in command.agents}
     commands = {

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from cadenza.agents.registry import PLAYBACK, PRETRAINED
-from cadenza.cli.arguments import Advanced, Output, Quiet
+from cadenza.cli.arguments import Flat, Output, Quiet
 from cadenza.cli.console import counted
-from cadenza.cli.options import Options, Read, RecordedParts, check_all_play
+from cadenza.cli.options import Options, Read, RecordedParts
 from cadenza.cli.progress import progress, stages
 from cadenza.cli.runs import Execution, Work, check_execution, run_all
 from cadenza.cli.saving import check_writable
@@ -47,14 +47,12 @@ class Collect(Options):
     """Folder of the episodes, which is extended if it holds some already."""
     least_f1: float = 0.8
     """Minimum F1 of an episode to be kept. Others are only counted."""
-    variation: tyro.conf.OmitArgPrefixes[Variation] = field(default_factory=Variation)
-    task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=collecting_task)
-    num_threads: Advanced[int] = 1
+    variation: Flat[Variation] = field(default_factory=Variation)
+    task: Flat[TaskConfig] = field(default_factory=collecting_task)
+    num_threads: int = 1
     """Threads of each episode."""
-    execution: tyro.conf.OmitArgPrefixes[Execution] = field(default_factory=Execution)
+    execution: Flat[Execution] = field(default_factory=Execution)
     quiet: Quiet = False
-
-    refused = ("wrong_press_termination",)
 
 
 def collect(command: Collect, _: Read[Collect]) -> None:
@@ -115,7 +113,6 @@ def _demonstrator(command: Collect) -> Demonstrator:
             "as generalist"
         )
     playing = [agent] if student is None else [agent, student]
-    check_all_play(command, playing)
     configs = {name: command.configs.get(name) for name in playing}
     for name, config in configs.items():
         make_agent(name, config)  # an unknown agent is an error before any plays
@@ -230,17 +227,13 @@ class DatasetExport(RecordedParts):
     folder: tyro.conf.Positional[Path]
     """Folder of the demonstrations."""
     output: Output[Path]
-    """A new folder; for Minari, maybe one with other datasets, which MINARI_DATASETS_PATH names."""
+    """A new folder. To load the dataset with Minari, set MINARI_DATASETS_PATH to it."""
     format: Literal["minari", "lerobot"] = "minari"
     """Format of the dataset."""
-    name: str | None = None
-    """For Minari: name in its id, by default cadenza/ and the name of the folder."""
-    version: int = 0
-    """For Minari: version in its id."""
     video_cameras: tuple[str, ...] = ()
     """For LeRobot: cameras that film every episode, of player, closeup, left, right, back,
     egocentric and topdown."""
-    video_size: Advanced[tuple[int, int]] = (640, 360)
+    video_size: tuple[int, int] = (640, 360)
     """Width and height of the videos [px], even numbers up to 1920 1080."""
     quiet: Quiet = False
 
@@ -248,20 +241,17 @@ class DatasetExport(RecordedParts):
 def export(command: DatasetExport) -> None:
     from cadenza.demonstrations.dataset import open_dataset
     from cadenza.demonstrations.lerobot_export import write_lerobot
-    from cadenza.demonstrations.minari_export import minari_id, write_minari
+    from cadenza.demonstrations.minari_export import NAME, write_minari
     from cadenza.sim.render import Picture
 
     pictures = [Picture(*command.video_size, name) for name in dict.fromkeys(command.video_cameras)]
     if pictures and command.format != "lerobot":
         raise CadenzaError("--video-cameras: only LeRobot holds videos; add --format lerobot")
-    if command.format != "minari" and (command.name, command.version) != (None, 0):
-        raise CadenzaError("--name, --version: only Minari has them; leave them out")
-    id_ = minari_id(command.folder, command.name, command.version)
     dataset = open_dataset(command.folder)
     with progress("exporting", "episodes") as advance:
         if command.format == "minari":
-            write_minari(dataset, command.output, id_, advance)
+            write_minari(dataset, command.output, advance)
         else:
             write_lerobot(dataset, command.output, advance, pictures)
-    what = f"the dataset {id_}" if command.format == "minari" else "a LeRobot dataset"
+    what = f"the dataset {NAME}" if command.format == "minari" else "a LeRobot dataset"
     print(f"{len(dataset.episodes)} episodes: {what} in {command.output}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 
-from cadenza.cli.arguments import Output, Quiet
+from cadenza.cli.arguments import Flat, Output, Quiet
 from cadenza.cli.clone import train_until_stopped
 from cadenza.cli.options import RecordedParts
 from cadenza.cli.progress import stages
@@ -45,9 +45,7 @@ class CloneGeneralist(RecordedParts):
     output: Output[Path] = Path("runs/generalist")
     """Folder of the run."""
     quiet: Quiet = False
-    config: tyro.conf.OmitArgPrefixes[GeneralistCloningConfig] = field(
-        default_factory=GeneralistCloningConfig
-    )
+    config: Flat[GeneralistCloningConfig] = field(default_factory=GeneralistCloningConfig)
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,7 @@ class ReinforceGeneralist(_OverSongs):
 
     output: Output[Path] = Path("runs/reinforced")
     """Folder of the run."""
-    config: tyro.conf.OmitArgPrefixes[GeneralistReinforcementConfig] = field(
+    config: Flat[GeneralistReinforcementConfig] = field(
         default_factory=GeneralistReinforcementConfig
     )
 
@@ -88,9 +86,7 @@ class StrikeGeneralist(_OverSongs):
 
     output: Output[Path] = Path("runs/striking")
     """Folder of the run."""
-    config: tyro.conf.OmitArgPrefixes[GeneralistStrikingConfig] = field(
-        default_factory=GeneralistStrikingConfig
-    )
+    config: Flat[GeneralistStrikingConfig] = field(default_factory=GeneralistStrikingConfig)
 
 
 def clone(command: CloneGeneralist) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from cadenza.agents.registry import AGENTS
+from cadenza.cli.arguments import Flat
 from cadenza.cli.console import counted, in_columns
 from cadenza.errors import CadenzaError
 from cadenza.hub import is_on_hub
@@ -32,7 +33,7 @@ class Info:
     song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
     """A song by its name, a MIDI or MusicXML file, or the folder of what has learnt or practised a
     song."""
-    arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
+    arrangement: Flat[Arrangement] = field(default_factory=Arrangement)
 
 
 def info(command: Info) -> None:

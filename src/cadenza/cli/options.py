@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import MISSING, dataclass, field, fields, make_dataclass, replace
 from keyword import iskeyword
@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import tyro
 
-from cadenza.agents.registry import AGENTS, agent_options, options_name
-from cadenza.cli.arguments import Advanced, Chosen, parse
+from cadenza.agents.registry import PLANNER, agent_options, options_name
+from cadenza.cli.arguments import Chosen, Flat, parse
 from cadenza.cli.progress import stages
 from cadenza.errors import CadenzaError
 from cadenza.hub import is_on_hub
@@ -41,19 +41,15 @@ SETUP_HELP = 'Options by one name, such as allegro, see "cadenza info". Others o
 class Options:
     """Options of all commands that have agents play."""
 
-    arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
+    arrangement: Flat[Arrangement] = field(default_factory=Arrangement)
     setup: Annotated[str | None, tyro.conf.arg(help=SETUP_HELP)] = None
-    task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=with_time_to_begin)
-    scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
-    num_threads: Advanced[int | None] = None
+    task: Flat[TaskConfig] = field(default_factory=with_time_to_begin)
+    scene: Flat[SceneConfig] = field(default_factory=SceneConfig)
+    num_threads: int | None = None
     """Threads of a planner, two by default: one for each hand."""
 
-    agents_with_options: ClassVar[Sequence[str]] = [n for n, e in AGENTS.own.items() if e.config]
-    """Our agents whose options the command has."""
-    refused: ClassVar[Sequence[str]] = ()
-    """Names of options that help does not list, since the command says why it takes none."""
     options: ClassVar[Mapping[str, str]] = {}
-    """Agent -> the field that holds its options, see `with_options_of_agents`."""
+    """Agent -> the field that holds its options, see `with_options_of`."""
 
     @property
     def configs(self) -> dict[str, Any]:
@@ -68,7 +64,7 @@ class Performing(Options):
     song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")] = field(kw_only=True)
     """A song by its name (see "cadenza songs"), a MIDI or MusicXML file, or the folder of a policy
     or of a practised song."""
-    learner: Advanced[str | None] = None
+    learner: str | None = None
     """Learner of a policy, if it was given as module:NAME."""
 
 
@@ -76,22 +72,30 @@ class Performing(Options):
 class RecordedParts:
     """Options that import the modules with which episodes were recorded; files import none."""
 
-    hand: Advanced[str | None] = None
+    hand: str | None = None
     """Import a hand of your own, module:NAME, with which the episodes were recorded."""
-    keyboard: Advanced[str | None] = None
+    keyboard: str | None = None
     """Import a keyboard of your own, module:NAME, with which they were recorded."""
 
 
 def reader(kind: type[Command], prog: str, words: Sequence[str], chosen: Chosen) -> Read[Command]:
     """Returns a function that reads the command line over defaults and the chosen setup.
 
+    The command has the options of those agents that play; those of others are unknown.
+
     Raises:
         CadenzaError: there is no such setup or agent, or the options of an agent are called like
             something else.
     """
     setup = NamedSetup() if chosen.setup is None else setup_named(chosen.setup)
-    players = chosen.agent, setup.agent, *split_agents(chosen.agents)
-    kind = with_options_of_agents(kind, [name for name in players if name is not None])
+    usual: dict[str, Any] = {each.name: each.default for each in fields(kind)}
+    own: dict[str, Any] = {"agent": setup.agent, "agents": (setup.agent,)}
+    own = {name: own[name] for name in own if setup.agent is not None and name in usual}
+    if "agents" in usual:
+        playing = split_agents(chosen.agents or own.get("agents") or usual["agents"])
+    else:
+        playing = [(chosen.agent or own.get("agent") if "agent" in usual else None) or PLANNER]
+    kind = with_options_of(kind, [*playing, *filter(None, [chosen.student])])
     required = {
         each.name: tyro.MISSING_NONPROP
         for each in fields(kind)
@@ -99,30 +103,21 @@ def reader(kind: type[Command], prog: str, words: Sequence[str], chosen: Chosen)
     }
 
     def read(**defaults: Any) -> Command:
-        usual = replace(kind(**required), **defaults)
-        return parse(kind, prog, words, _with_setup(usual, setup), chosen)
+        begun = setup.applied_to(replace(kind(**required), **defaults))
+        return parse(kind, prog, words, replace(begun, **own))
 
     return read
 
 
-def _with_setup(command: Command, setup: NamedSetup) -> Command:
-    """Returns the command with the options and the agent of `setup` in place of its own."""
-    player: dict[str, Any] = (
-        {} if setup.agent is None else {"agent": setup.agent, "agents": (setup.agent,)}
-    )
-    named = {each.name: player[each.name] for each in fields(command) if each.name in player}
-    return replace(setup.applied_to(command), **named)
-
-
-def with_options_of_agents(kind: type[Command], named: Sequence[str] = ()) -> type[Command]:
-    """Returns `kind` with a field for the options of each of our agents, and of those `named`.
+def with_options_of(kind: type[Command], agents: Sequence[str]) -> type[Command]:
+    """Returns `kind` with a field for the options of each of the agents.
 
     Raises:
         CadenzaError: there is no such agent, or its options are called like something else.
     """
-    agents = {options_name(agent): agent for agent in kind.agents_with_options}
+    names: dict[str, str] = {}
     taken = {*dir(kind), *(each.name for each in fields(kind))}
-    for agent in dict.fromkeys(named):
+    for agent in dict.fromkeys(agents):
         policy = os.path.isdir(agent) or is_on_hub(agent)
         if policy or agent.startswith(TRAIN) or agent_options(agent) is None:
             continue
@@ -133,17 +128,14 @@ def with_options_of_agents(kind: type[Command], named: Sequence[str] = ()) -> ty
                 f"agent {agent}: its options cannot be called --{option}, as something else is or "
                 "as that is no name; give the agent another one"
             )
-        agents[name] = agent
+        names[agent] = name
         taken.add(name)
-    configs: dict[str, Any] = {name: agent_options(agent) for name, agent in agents.items()}
+    configs: dict[str, Any] = {name: agent_options(agent) for agent, name in names.items()}
     return make_dataclass(
         kind.__name__,
         [(name, config, field(default_factory=config)) for name, config in configs.items()],
         bases=(kind,),
-        namespace={
-            "__doc__": kind.__doc__,
-            "options": {agent: name for name, agent in agents.items()},
-        },
+        namespace={"__doc__": kind.__doc__, "options": names},
         frozen=True,
     )
 
@@ -156,22 +148,6 @@ def split_agents(words: Sequence[str]) -> list[str]:
         for name in ([word] if os.path.isdir(word) else word.split(","))
         if name
     ]
-
-
-def check_all_play(command: Options, agents: Collection[str]) -> None:
-    """Checks that the command gives options of those `agents` only that play.
-
-    Raises:
-        CadenzaError: it gives an option of another one.
-    """
-    for agent, config in command.configs.items():
-        usual = type(config)()
-        given = [
-            f.name for f in fields(config) if getattr(config, f.name) != getattr(usual, f.name)
-        ]
-        if given and agent not in agents:
-            option = f"{command.options[agent]}.{given[0]}".replace("_", "-")
-            raise CadenzaError(f"--{option}: {agent} does not play; leave it out, or have it play")
 
 
 @contextmanager

@@ -9,7 +9,6 @@ from typing import Any
 
 from cadenza.agents.registry import PLANNER, PLAYBACK
 from cadenza.cli.arguments import Output, Quiet
-from cadenza.cli.estimate import print_estimate
 from cadenza.cli.options import Performing, Read, setting_up
 from cadenza.cli.progress import stages
 from cadenza.cli.saving import (
@@ -46,8 +45,6 @@ class PlanCommand(Performing):
     """Random seed."""
     quiet: Quiet = False
 
-    agents_with_options = (PLANNER,)
-
 
 def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
     from cadenza.performing.planning import fingering_of, make_plan
@@ -65,7 +62,6 @@ def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
     path = command.output or default_folder(selection) / f"plan{TENSORS}"
     with setting_up(selection, command, command.seed) as setup:
         check_writable(path.parent)
-        print_estimate(setup)
         with stages("planning") as progress:
             planned = make_plan(setup, progress)
     planned.save(path)

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from cadenza.agents.registry import PLANNER
-from cadenza.cli.arguments import Advanced, Output, Quiet, SoundFont
+from cadenza.cli.arguments import Output, Quiet, SoundFont
 from cadenza.cli.console import stop_on_signal
-from cadenza.cli.estimate import print_estimate
-from cadenza.cli.options import AGENTS_HELP, Performing, Read, check_all_play, setting_up
+from cadenza.cli.options import AGENTS_HELP, Performing, Read, setting_up
 from cadenza.cli.practice import practised
 from cadenza.cli.progress import stages
 from cadenza.cli.saving import check_writable, default_folder, save, voice_of
 from cadenza.cli.studio import need_server
+from cadenza.errors import CadenzaError
 from cadenza.files import folder_name
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class PlayCommand(Performing):
     """For --agent playback: a plan, or any .npz file with an array "action" (T, A)."""
     video: bool = False
     """Make a film, too, as "cadenza film" does."""
-    sound_font: Advanced[SoundFont] = None
+    sound_font: SoundFont = None
     watch: tyro.conf.FlagCreatePairsOff[bool] = False
     """Show it on a page while it is planned, until Ctrl-C."""
     quiet: Quiet = False
@@ -56,7 +56,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
 
     source = resolve(command.song, command.arrangement)
     selection = select(source, command.agent, configs=command.configs, plan=command.plan)
-    check_all_play(command, _playing_agents(selection))
+    _check_planner_plays(command, selection)
     command = read(task=selection.task, scene=selection.scene)
     voice_of(command.sound_font)  # says so before anything is played if it cannot be used
     folder = command.output or default_folder(selection) / _name_of(selection.name)
@@ -67,7 +67,6 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
             with setting_up(selection, command, command.seed) as setup:
                 check_writable(folder)
                 check_replaceable(folder, command.song)
-                print_estimate(setup)
                 setup, cut_short = kept.enter_context(_practised(setup, folder))
                 page = kept.enter_context(open_page(setup)) if command.watch else None
                 with stages("playing") as progress:
@@ -90,12 +89,18 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
         raise KeyboardInterrupt
 
 
-def _playing_agents(selection: Selection) -> set[str]:
-    """Returns the agents whose options count; the planner's do for a song that was practised."""
+def _check_planner_plays(command: PlayCommand, selection: Selection) -> None:
+    """Checks that nobody gives options of the planner where the song is the folder of a policy.
+
+    Raises:
+        CadenzaError: they do.
+    """
+    from cadenza.agents.planner.config import PlannerConfig
     from cadenza.agents.planner.practice.practised_planner import PractisedHands
 
-    searches = isinstance(selection.agent, PractisedHands)
-    return {selection.name, *[PLANNER] * searches}
+    plays = selection.name == PLANNER or isinstance(selection.agent, PractisedHands)
+    if not plays and command.configs.get(PLANNER, PlannerConfig()) != PlannerConfig():
+        raise CadenzaError(f"{command.song}: a policy plays it, which has no --{PLANNER} options")
 
 
 @contextmanager

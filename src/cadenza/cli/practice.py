@@ -53,9 +53,6 @@ class PracticeCommand(Performing):
     """Make a film, too, as "cadenza film" does."""
     quiet: Quiet = False
 
-    agents_with_options = (PLANNER,)
-    refused = ("engine", "randomization", "wrong_press_termination")
-
 
 def run(command: PracticeCommand, read: Read[PracticeCommand]) -> None:
     from cadenza.agents.planner.config import ENOUGH

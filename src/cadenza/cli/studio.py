@@ -8,7 +8,6 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
-from cadenza.cli.arguments import Advanced
 from cadenza.cli.saving import check_writable
 from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
@@ -29,10 +28,10 @@ class StudioCommand:
     """Where policies learn, and those lie that have learnt."""
     port: int = 0
     """Port to listen on; the one of the last time, or any free one, by default."""
-    host: Advanced[str] = "127.0.0.1"
+    host: str = "127.0.0.1"
     """Address to listen on. With any other than this machine's own, whoever has the address of the
     page can use this machine to play."""
-    jobs: Advanced[int] = 1
+    jobs: int = 1
     """Performances that are planned at the same time."""
     video: bool = False
     """Make a film of each performance, too, as "cadenza film" does."""

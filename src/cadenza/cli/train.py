@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, get_args
 
 import tyro
 
-from cadenza.cli.arguments import Advanced, Chosen, Output, Quiet
+from cadenza.cli.arguments import Chosen, Flat, Output, Quiet
 from cadenza.cli.console import stop_on_signal
 from cadenza.cli.options import SETUP_HELP
 from cadenza.cli.progress import QUIET, SECONDS_BETWEEN_LINES_OF_TRAINING, progress, stages
@@ -56,7 +56,7 @@ class Train:
     preset: Preset = "fast"
     """Hyperparameters to start from: fast for few cores, paper for the paper's table, published for
     the published run script."""
-    learner: Advanced[str] = DROQ
+    learner: str = DROQ
     """The algorithm: droq; ppo, for many environments and for --engine warp; one that another
     package adds, or module:NAME. --help-all shows its options."""
     resume: Path | None = None
@@ -66,16 +66,14 @@ class Train:
     """Folder of the run; runs/SONG by default, runs/SONG_and_2_more for three."""
     num_cores: int = 2
     """CPU cores to use. Cores that other runs have claimed are left out."""
-    wandb: Advanced[str | None] = None
+    wandb: str | None = None
     """Also log to this Weights & Biases project. TensorBoard files are always written."""
-    video: Advanced[bool] = False
+    video: bool = False
     """Make a film of the best policy, too, as "cadenza film" does."""
-    arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
+    arrangement: Flat[Arrangement] = field(default_factory=Arrangement)
     setup: Annotated[str | None, tyro.conf.arg(help=SETUP_HELP)] = None
     quiet: Quiet = False
-    training: tyro.conf.OmitArgPrefixes[TrainingConfig] = field(
-        default_factory=lambda: preset("fast")
-    )
+    training: Flat[TrainingConfig] = field(default_factory=lambda: preset("fast"))
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ class Curves:
     """Folders of runs, finished or not."""
     output: Output[Path] = Path("curves.html")
     """The page, a .html file."""
-    learner: Advanced[str | None] = None
+    learner: str | None = None
     """Learner of the runs, if it was given as module:NAME."""
 
 

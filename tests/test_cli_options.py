@@ -1,0 +1,50 @@
+"""Each command has the options, types and defaults that tests/data/command_line.txt lists.
+
+To renew that file after a change: python -m tests.test_cli_options
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+from contextlib import redirect_stdout, suppress
+from functools import partial
+from itertools import zip_longest
+from pathlib import Path
+from unittest import mock
+
+import tyro
+
+from cadenza.cli import COMMANDS, main
+
+RECORDED = Path(__file__).parent / "data" / "command_line.txt"
+
+
+def help_of(command: str) -> str:
+    """What --help prints of its arguments without descriptions, sorted, each on a line."""
+    said = io.TextIOWrapper(io.BytesIO(), "utf-8")
+    with (
+        mock.patch("tyro.cli", partial(tyro.cli, compact_help=True)),
+        mock.patch.dict(os.environ, COLUMNS="1000"),
+        redirect_stdout(said),
+        suppress(SystemExit),
+    ):
+        main([*command.split(), "--help"])
+    said.seek(0)
+    columns = zip_longest(*(line.split("││") for line in said), fillvalue="")
+    text = "\n".join(cell.strip("│ \n") for column in columns for cell in column)
+    options = re.findall(r"^(\S.*)\s+(\(default: .*\)|\(required\))$", text, re.MULTILINE)
+    return "".join(f"    {name} {default}\n" for name, default in sorted(options))
+
+
+def listed() -> str:
+    return "\n".join(f"{command}\n{help_of(command)}" for command in COMMANDS)
+
+
+def test_the_options_of_all_commands_are_as_recorded() -> None:
+    assert listed() == RECORDED.read_text()
+
+
+if __name__ == "__main__":
+    RECORDED.write_text(listed())
