@@ -12,7 +12,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import count, groupby, islice
-from xml.etree.ElementTree import Element, fromstring, tostring
+from xml.etree.ElementTree import Element, SubElement, fromstring, tostring
 
 from cadenza.music.formats.musicxml.bar_order import Signs, played_order, without_goal
 from cadenza.music.formats.musicxml.bars import WrittenBar
@@ -25,9 +25,9 @@ _MOST_STAVES = 100  # of a part
 _MOST_PASSES = 64
 _ENDLESS = 10**9  # for a number in MEI
 _ZERO = Fraction(0)
-_AS_ATTRIBUTES = {"meterSig": "meter.count", "keySig": "key.sig", "clef": "clef.shape"}
 _TEMPO = 120.0  # quarters a minute where nothing is said, as in MIDI
 _LENGTHS = {"breve": Fraction(2), "long": Fraction(4), "maxima": Fraction(8)}  # whole notes
+_SIGNS = {"common": (4, 4), "cut": (2, 2)}
 _WORDS = {"daCapo": "da capo", "dalSegno": "dal segno"}
 _EVENTS = frozenset(("note", "chord", "rest", "space"))
 _REPEATED_BARS = {"mRpt": "1", "mRpt2": "2", "multiRpt": "2"}  # the last has @num
@@ -141,12 +141,11 @@ def _copied(element: Element, name: str) -> Element:
 class _Bar:
     """A measure as it is written.
 
-    `state` is a scoreDef that says all that holds in it, with what changes before it.
+    `changes` are the number of scoreDefs that stand before it.
     """
 
     measure: Element
-    state: Element
-    has_changes: bool
+    changes: int
     metre: tuple[int, int]
     tempos: list[tuple[Fraction, float]]
     signs: Signs = field(default_factory=Signs)
@@ -161,9 +160,12 @@ class _Unfolding:
         self._numbers = count()
         self._bars: list[_Bar] = []
         self._held: dict[Element, range] = {}  # the bars that an element holds
-        self._state, self._tempo = Element("scoreDef"), _TEMPO
-        self._has_changes = False
+        self._changes: list[Element] = []  # scoreDefs
+        self._metre, self._tempo = (4, 4), _TEMPO
         self._read(score, frozenset())
+        for first in self._changes[:1]:
+            for staff in first.iter("staffDef"):  # also after a jump back
+                staff.attrib.setdefault("trans.semi", first.get("trans.semi", "0"))
         self._named = {each.get(_ID, ""): each for each in self._held}
         self._repeating: dict[str | None, tuple[int, int]] = {}  # staves: bars, and to which bar
         for number, bar in enumerate(self._bars):
@@ -178,8 +180,12 @@ class _Unfolding:
             if child.tag == "measure":
                 self._read_measure(child, ending)
             elif child.tag in ("scoreDef", "staffDef"):
-                self._has_changes = True
-                self._state = _merged(self._state, child)
+                change = child
+                if child.tag == "staffDef":  # alone, Verovio does not heed it
+                    change = Element("scoreDef")
+                    SubElement(change, "staffGrp").append(child)
+                self._changes.append(change)
+                self._metre = _metre(child) or self._metre
                 self._tempo = _tempo(child) or self._tempo
             elif child.tag == "ending":
                 before = self._bars[-1].signs.ending if self._bars else frozenset[int]()
@@ -190,18 +196,16 @@ class _Unfolding:
         self._held[element] = range(first, len(self._bars))
 
     def _read_measure(self, measure: Element, ending: frozenset[int]) -> None:
-        metre = _metre(self._state)
         found = [(_ZERO, self._tempo)]
         for element in measure.iter("tempo"):
             if tempo := _tempo(element):
-                place = ((_number(element.get("tstamp")) or Fraction(1)) - 1) * 4 / metre[1]
+                place = ((_number(element.get("tstamp")) or Fraction(1)) - 1) * 4 / self._metre[1]
                 found.append((max(place, _ZERO), tempo))
         found.sort(key=lambda each: each[0])
         self._tempo = found[-1][1]
         signs = Signs(ending=ending)
         self._held[measure] = range(len(self._bars), len(self._bars) + 1)
-        self._bars.append(_Bar(measure, self._state, self._has_changes, metre, found, signs))
-        self._has_changes = False
+        self._bars.append(_Bar(measure, len(self._changes), self._metre, found, signs))
 
     def _spell_out(self, number: int, staff: Element) -> None:
         """Puts music in the place of signs for it in a staff of a bar."""
@@ -218,8 +222,6 @@ class _Unfolding:
         for at, layer in enumerate(staff.findall("layer")):
             if any(each.tag in ("beatRpt", "halfmRpt") for each in layer.iter()):
                 self._repeat_beats(layer, earlier[at : at + 1], metre)
-        for each in list(staff.iter("fTrem")):
-            _alternate(each)
 
     def _repeat_bar(self, number: int, staff: Element, original: Element) -> None:
         """Has a staff play what it did in another measure, also where only a layer says so."""
@@ -320,18 +322,20 @@ class _Unfolding:
     def played(self) -> list[PlayedBar]:
         """Unfolds the score; its bars as they are played."""
         order = list(islice(self._order(self._score), _MOST))
-        seen = Counter[int]()
+        seen, told = Counter[int](), 1  # how many changes hold
         section, found, names = Element("section"), list[PlayedBar](), list[str]()
         for at, number in enumerate(order):
             bar = self._bars[number]
             names.append(f"-turn{seen[number]}" if seen[number] else "")
-            if at and (bar.has_changes or number != order[at - 1] + 1):
-                section.append(deepcopy(bar.state))
+            if at and number != order[at - 1] + 1:
+                told = 0  # all is said again
+            section.extend(deepcopy(change) for change in self._changes[told : bar.changes])
+            told = bar.changes
             section.append(_copied(bar.measure, names[-1][1:]) if seen[number] else bar.measure)
             found.append(PlayedBar(section[-1].get(_ID, ""), bar.metre[1], bar.tempos))
             seen[number] += 1
         self._lead(order, names, list(section.iter("measure")))
-        self._score[:] = [deepcopy(self._bars[order[0]].state), section]
+        self._score[:] = [*self._changes[:1], section]
         self._counts["bar"] += len(self._bars) - len(seen)
         return found
 
@@ -357,26 +361,22 @@ class _Unfolding:
                 if end in where and where[end] != where.get(start):
                     goals[where[end]][pitches.get(end)] = end
 
-        def of(end: str, at: int) -> str | None:
-            """What a link in the bar played `at` that place leads to; None if that is not there."""
-            steps = where[end] - order[at]
-            run = order[at : at + steps + 1]
-            if steps >= 0 and list(run) == list(range(order[at], order[at] + steps + 1)):
-                return end + (names[at + steps] if steps else "")
-            return None
-
-        for at, measure in enumerate(measures):
-            for each in [x for x in measure if x.get("startid") or x.get("endid")]:
+        for at, (number, measure) in enumerate(zip(order, measures, strict=True)):
+            for each in list(measure):
                 start, end = _link(each, "startid"), _link(each, "endid")
-                goal = of(end, at) if end in where else end
-                if each.tag == "tie" and not goal and at + 1 < len(order):
-                    begun = pitches.get(start.removesuffix(names[at]))
-                    goal = goals[order[at + 1]].get(begun)
+                steps = where.get(end, number) - number
+                if not (start or end) or (end and not steps):
+                    continue
+                goal = None
+                if steps > 0 and order[at : at + steps + 1] == [*range(number, number + steps + 1)]:
+                    goal = end + names[at + steps]
+                elif each.tag == "tie" and start and at + 1 < len(order):
+                    goal = goals[order[at + 1]].get(pitches.get(start.removesuffix(names[at])))
                     goal = goal and goal + names[at + 1]
-                if (end and not goal) or (each.tag == "tie" and not (start and goal)):
-                    measure.remove(each)
-                elif goal:
+                if goal:
                     each.set("endid", f"#{goal}")
+                elif end or each.tag == "tie":
+                    measure.remove(each)
 
 
 def _link(element: Element, key: str) -> str:
@@ -400,50 +400,16 @@ def _expansion(element: Element) -> Element | None:
     return next((each for each in found if each.get("type") != "norep"), None)
 
 
-def _merged(state: Element, change: Element) -> Element:
-    """A scoreDef after a change by another, or by a staffDef."""
-    merged = deepcopy(state)
-    if change.tag == "scoreDef":
-        own = [child for child in change if child.tag != "staffGrp"]
-        if change.find("staffGrp") is not None and merged.find("staffGrp") is None:
-            own = list(change)
-        _update(merged, change, own)
-        if "meter.count" in change.attrib or change.find("meterSig") is not None:
-            for staff in merged.iter("staffDef"):
-                _update(staff, Element("meterSig", {"meter.count": ""}), ())
-                del staff.attrib["meter.count"]
-    staves = {staff.get("n"): staff for staff in merged.iter("staffDef")}
-    for staff in change.iter("staffDef"):
-        if (before := staves.get(staff.get("n"))) is not None and before is not staff:
-            _update(before, staff, list(staff))
-    for staff in merged.iter("staffDef"):
-        # What is not said stays as it was.
-        staff.attrib.setdefault("trans.semi", merged.get("trans.semi", "0"))
-    return merged
-
-
-def _update(element: Element, change: Element, children: Sequence[Element]) -> None:
-    """Gives an element the attributes and `children` of another, instead of such as it has."""
-    replaced = {child.tag for child in children}
-    replaced |= {tag for tag, key in _AS_ATTRIBUTES.items() if key in change.attrib}
-    for child in [child for child in element if child.tag in replaced]:
-        element.remove(child)
-    for tag in replaced.intersection(_AS_ATTRIBUTES):
-        element.attrib.pop(_AS_ATTRIBUTES[tag], None)
-    element.attrib.update({key: x for key, x in change.items() if key not in (_ID, "midi.bpm")})
-    element.extend(deepcopy(child) for child in children)
-
-
-def _metre(state: Element) -> tuple[int, int]:
-    """The beats of a bar, and the part of a whole note that each is."""
-    for each in (state, *state.iter("meterSig"), *state.iter("staffDef")):
+def _metre(change: Element) -> tuple[int, int] | None:
+    """The beats of a bar, and the part of a whole note that each is; None if it says none."""
+    for each in (change, *change.iter("meterSig"), *change.iter("staffDef")):
         prefix = "" if each.tag == "meterSig" else "meter."
         beats = [int(x) for x in re.findall(r"\d+", each.get(f"{prefix}count", ""))]
-        if beats:
+        if beats and sum(beats):
             return sum(beats), int(_number(each.get(f"{prefix}unit")) or 4)
-        if "cut" in each.get(f"{prefix}sym", ""):
-            return 2, 2
-    return 4, 4
+        if each.get(f"{prefix}sym") in _SIGNS:
+            return _SIGNS[each.get(f"{prefix}sym", "")]
+    return None
 
 
 def _tempo(element: Element) -> float | None:
@@ -494,24 +460,7 @@ def _length(element: Element) -> Fraction:
         dots = int(_number(element.get("dots")) or len(element.findall("dot")))
         return length * (2 - Fraction(1, 2**dots))
     lengths = [_length(child) for child in element]
-    if element.tag in ("chord", "fTrem"):
+    if element.tag == "chord":
         return max(lengths, default=_ZERO)
     ratio = (_number(element.get("numbase")) or 1) / (_number(element.get("num")) or Fraction(1))
     return sum(lengths, _ZERO) * (ratio if element.tag == "tuplet" else 1)
-
-
-def _alternate(tremolo: Element) -> None:
-    """Has the two notes or chords of a tremolo alternate."""
-    unit = _number(tremolo.get("unitdur", tremolo.get("measperf")))
-    if not unit or len(tremolo) != 2:
-        return
-    pairs = int(_length(tremolo) * Fraction(unit) / 2)
-    notes = list(tremolo)
-    for number in range(1, pairs):
-        notes += [_copied(each, f"stroke{number}") for each in tremolo]
-    for each in notes:
-        each.attrib.pop("dots", None)
-        each.set("dur", str(unit))
-    tremolo.tag = "beam"
-    tremolo.attrib.clear()
-    tremolo[:] = notes

@@ -32,9 +32,11 @@ if TYPE_CHECKING:
 _PATIENCE = 30  # [s] for a file
 _MEMORY = 1 << 30  # bytes that Verovio may use
 _OPTIONS = {"breaks": "none", "mdivAll": True, "expandNever": True}
-# Notes are written as they sound, whatever the instrument; tremolos are written out.
+# Notes are written as they sound, whatever the instrument, and tremolos are written out. Verovio
+# takes four times as long where marks above and below are defined (RDF).
 _FOR_ENGRAVING = re.compile(r"(?m)(^|\t)\*(?:I?Tr[-dc\d]|tremolo)[^\t\r\n]*")
-_LIST = re.compile(r"(?m)^\*>\[")
+_LIST = re.compile(r"(?m)^(?:\*\t)*\*>\[")
+_SECTION = re.compile(r"(?:^|\t)\*>(?!\w*\[)")  # the beginning of one
 _LABEL = re.compile(r"(?<=[>\[,])[^\[\],\t]+(?=[\],\t]|$)")  # also each in a list
 _OF_BARS = frozenset(("set_tempo", "time_signature"))
 _NEAR = 1e-3  # beats by which Verovio may round
@@ -116,21 +118,23 @@ def main() -> None:
 
 
 def _plain(text: str) -> str:
-    """Humdrum of which Verovio makes all bars and sections.
+    """Humdrum of which Verovio makes all bars and sections, in little time.
 
     It has sections begin at barlines only, and takes those with numbers for endings, which they
     need not be where a list says the order.
     """
-    lines, is_within = [], False
-    is_listed = _LIST.search(text) is not None
+    lines, is_within, is_listed = list[str](), False, _LIST.search(text) is not None
     for line in _FOR_ENGRAVING.sub(r"\1*", text).splitlines():
-        if line.startswith("*>"):
-            if is_within and "[" not in line:
+        if line.startswith("*"):
+            if is_within and _SECTION.search(line):
                 lines.append("\t".join("=-" for _ in line.split("\t")))
-            line = _LABEL.sub(r"\g<0>_", line) if is_listed else line
-        lines.append(line)
-        if not line.startswith(("!", "*")):
+                is_within = False
+            if is_listed and "*>" in line:
+                line = _LABEL.sub(r"\g<0>_", line.replace(" ", ""))
+        elif not line.startswith("!"):
             is_within = not line.startswith("=")
+        if not line.startswith("!!!RDF") or "linked" in line:  # which ties may be
+            lines.append(line)
     return "\n".join(lines)
 
 
