@@ -89,12 +89,14 @@ def reader(kind: type[Command], prog: str, words: Sequence[str], chosen: Chosen)
     """
     setup = NamedSetup() if chosen.setup is None else setup_named(chosen.setup)
     usual: dict[str, Any] = {each.name: each.default for each in fields(kind)}
-    own: dict[str, Any] = {"agent": setup.agent, "agents": (setup.agent,)}
-    own = {name: own[name] for name in own if setup.agent is not None and name in usual}
+    own: dict[str, Any] = {}  # who plays by the setup
+    playing: Sequence[str] = (PLANNER,)
     if "agents" in usual:
-        playing = split_agents(chosen.agents or own.get("agents") or usual["agents"])
-    else:
-        playing = [(chosen.agent or own.get("agent") if "agent" in usual else None) or PLANNER]
+        own = {} if setup.agent is None else {"agents": (setup.agent,)}
+        playing = split_agents(chosen.agents or own.get("agents", usual["agents"]))
+    elif "agent" in usual:
+        own = {} if setup.agent is None else {"agent": setup.agent}
+        playing = (chosen.agent or setup.agent or PLANNER,)
     kind = with_options_of(kind, [*playing, *filter(None, [chosen.student])])
     required = {
         each.name: tyro.MISSING_NONPROP
