@@ -25,12 +25,13 @@ _MOST_STAVES = 100  # of a part
 _MOST_PASSES = 64
 _ENDLESS = 10**9  # for a number in MEI
 _ZERO = Fraction(0)
+_SLOWEST, _FASTEST = 4, 2000  # quarters a minute; slower ones MIDI cannot say
 _TEMPO = 120.0  # quarters a minute where nothing is said, as in MIDI
 _LENGTHS = {"breve": Fraction(2), "long": Fraction(4), "maxima": Fraction(8)}  # whole notes
 _SIGNS = {"common": (4, 4), "cut": (2, 2)}
 _WORDS = {"daCapo": "da capo", "dalSegno": "dal segno"}
 _EVENTS = frozenset(("note", "chord", "rest", "space"))
-_REPEATED_BARS = {"mRpt": "1", "mRpt2": "2", "multiRpt": "2"}  # the last has @num
+_REPEATED_BARS = {"mRpt": 1, "mRpt2": 2, "multiRpt": 0}  # the last has @num
 _REPEATS = ("rptend", "rptboth"), ("rptstart", "rptboth")
 _WITHOUT_MUSIC = frozenset(("pb", "sb", "cb", "div", "expansion", "annot"))
 
@@ -67,6 +68,8 @@ def unfolded(content: str) -> tuple[str, list[PlayedBar], Counter[str]]:
             element.set(_ID, value)
         if element.tag == "measure":
             element.attrib.setdefault(_ID, f"bar{number}")
+            for place, staff in enumerate(element.findall("{*}staff"), start=1):
+                staff.attrib.setdefault("n", f"{place}")
     root.set("xmlns", _NAMESPACE)
     _Copying(root, counts).resolve(root)
     for parts in root.iter("parts"):
@@ -212,7 +215,7 @@ class _Unfolding:
         name, metre = staff.get("n"), self._bars[number].metre
         sign = next((each for each in staff.iter() if each.tag in _REPEATED_BARS), None)
         if sign is not None:
-            bars = int(sign.get("num", _REPEATED_BARS[sign.tag]))
+            bars = _REPEATED_BARS[sign.tag] or int(_number(sign.get("num")) or 2)
             self._repeating[name] = bars, number + bars
         bars, end = self._repeating.get(name, (0, 0))
         if sign is not None or (number < end and not _EVENTS & {each.tag for each in staff.iter()}):
@@ -406,21 +409,22 @@ def _metre(change: Element) -> tuple[int, int] | None:
         prefix = "" if each.tag == "meterSig" else "meter."
         beats = [int(x) for x in re.findall(r"\d+", each.get(f"{prefix}count", ""))]
         if beats and sum(beats):
-            return sum(beats), int(_number(each.get(f"{prefix}unit")) or 4)
+            return sum(beats), int(_number(each.get(f"{prefix}unit")) or 0) or 4
         if each.get(f"{prefix}sym") in _SIGNS:
             return _SIGNS[each.get(f"{prefix}sym", "")]
     return None
 
 
 def _tempo(element: Element) -> float | None:
-    """The quarters a minute that an element says; None if it says none."""
-    if tempo := _number(element.get("midi.bpm", element.get("midi.tempo"))):
-        return float(tempo)
-    if microseconds := _number(element.get("midi.mspb")):
-        return float(60_000_000 / microseconds)
-    beats, unit = _number(element.get("mm")), _number(element.get("mm.unit")) or 4
-    dots = int(_number(element.get("mm.dots")) or 0)
-    return float(beats * 4 / unit * (2 - Fraction(1, 2**dots))) if beats else None
+    """The quarters a minute that an element says; None if it says none that can be played."""
+    tempo = _number(element.get("midi.bpm", element.get("midi.tempo")))
+    if tempo is None and (microseconds := _number(element.get("midi.mspb"))):
+        tempo = 60_000_000 / microseconds
+    if tempo is None and (beats := _number(element.get("mm"))):
+        dots = int(_number(element.get("mm.dots")) or 0)
+        unit = _number(element.get("mm.unit")) or 4
+        tempo = beats * 4 / unit * (2 - Fraction(1, 2**dots))
+    return float(tempo) if tempo and _SLOWEST <= tempo <= _FASTEST else None
 
 
 def _number(text: str | None) -> Fraction | None:

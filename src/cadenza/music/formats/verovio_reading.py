@@ -162,12 +162,16 @@ def _with_bars(midi: bytes, bars: Sequence[PlayedBar], places: Sequence[dict[str
         track[:] = [
             MetaMessage("text", time=each.time) if each.type in _OF_BARS else each for each in track
         ]
-    begins = {each["measureOn"]: each["qstamp"] for each in places if "measureOn" in each}
-    ends = [*(begins[bar.id] for bar in bars[1:]), places[-1]["qstamp"]]
+    known = {each["measureOn"]: each["qstamp"] for each in places if "measureOn" in each}
+    begins = [0.0]
+    for bar in bars[1:]:
+        begins.append(known.get(bar.id, begins[-1]))  # empty ones may be missing
+    begins.append(places[-1]["qstamp"])
     marks: list[tuple[int, MetaMessage]] = []
     metre, tempo = (0, 0), 0.0
-    for bar, end in zip(bars, ends, strict=True):
-        begin = begins[bar.id]
+    for bar, begin, end in zip(bars, begins, begins[1:], strict=False):
+        if end <= begin:
+            continue
         before, metre = metre, _metre(end - begin, bar.unit)
         if metre != before:
             sign = MetaMessage("time_signature", numerator=metre[0], denominator=metre[1])
@@ -190,6 +194,7 @@ def _with_bars(midi: bytes, bars: Sequence[PlayedBar], places: Sequence[dict[str
 
 def _metre(quarters: float, unit: int) -> tuple[int, int]:
     """The time signature of a bar of that length, with beats of `1 / unit` if they fill it."""
+    unit = unit if unit in BEAT_TYPES else min(BEAT_TYPES)
     while unit < max(BEAT_TYPES) and abs(quarters * unit / 4 - round(quarters * unit / 4)) > _NEAR:
         unit *= 2
     return min(max(round(quarters * unit / 4), 1), _MOST_BEATS), unit
