@@ -187,16 +187,6 @@ def test_info_on_a_song(capsys: pytest.CaptureFixture[str]) -> None:
     assert told["hands"] == "as written, 14 notes for the right and 0 for the left"
 
 
-def test_info_on_a_file(tune: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    main(["info", str(tune)])
-    told = facts(capsys.readouterr().out)
-    assert told["length"] == "0.6 s, 13 steps"
-    assert told["range"] == "C4 to G4 (MIDI 60 to 67)"
-    assert told["at once"] == "up to 2 keys"
-    assert told["fingering"] == "given for 0 of 3 notes; found for 3"
-    assert told["pedal"] == "1 movement"
-
-
 def test_info_on_the_installation(capsys: pytest.CaptureFixture[str]) -> None:
     main(["info"])
     told = facts(capsys.readouterr().out)
@@ -687,14 +677,6 @@ def test_a_plan_may_be_called_like_its_song(mine: str | None, tune: Path) -> Non
     assert read_fingering(f"{tune.with_suffix('.safetensors')}.fingering", TUNE).has_fingering
 
 
-def test_a_plan_is_no_folder(
-    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "plan.safetensors").mkdir()
-    message = refused_in_a_line(capsys, "plan", tune, "-o", tmp_path / "plan.safetensors")
-    assert "plan.safetensors: is a folder; choose another name" in message
-
-
 def test_half_a_plan_is_not_kept(
     tune: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -857,12 +839,6 @@ def test_options_that_make_no_sense(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert message in refused_in_a_line(capsys, "play", "OdeToJoy", *arguments)
-
-
-def test_agents_are_checked_by_name(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "no agent 'pianist'" in refused_in_a_line(
-        capsys, "play", "OdeToJoy", "--agent", "pianist"
-    )
 
 
 @pytest.mark.parametrize("command", ["info", "play", "arrange", "train"])

@@ -171,15 +171,6 @@ def test_a_song_is_arranged_as_sheet_music(
     assert sorted(n.pitch for n in read.notes) == sorted(n.pitch for n in load_song(midi).notes)
 
 
-def test_arrange_has_options_of_the_song_and_of_the_hands(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    with pytest.raises(SystemExit):
-        main(["arrange", "--help"])
-    said = capsys.readouterr().out
-    assert all(option in said for option in ("--level", "--tracks", "--hands", "--output"))
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [

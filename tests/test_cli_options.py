@@ -34,8 +34,9 @@ def help_of(command: str) -> str:
     said.seek(0)
     columns = zip_longest(*(line.split("││") for line in said), fillvalue="")
     text = "\n".join(cell.strip("│ \n") for column in columns for cell in column)
-    options = re.findall(r"^(\S.*)\s+(\(default: .*\)|\(required\))$", text, re.MULTILINE)
-    return "".join(f"    {name} {default}\n" for name, default in sorted(options))
+    text = text.replace("\n(default: ", " (default: ")  # of an option with a long name
+    options = re.findall(r"^(?:-(?!h, |H, ).+|\[.+|.+ \(required\))$", text, re.MULTILINE)
+    return "".join(f"    {option}\n" for option in sorted(options))
 
 
 def listed() -> str:

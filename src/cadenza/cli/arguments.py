@@ -91,10 +91,11 @@ def parse(kind: type[T], prog: str, words: Sequence[str], default: T | None = No
 
 
 def _registry() -> ConstructorRegistry:
-    """Returns how tyro makes options of a dataclass: as it does, but for two things.
+    """Returns how tyro makes options of a dataclass: as it does, but for three things.
 
     Configurations of learning have a task, a scene and a learner, whose options are flat. The
-    docstring of a field becomes a paragraph, as tyro does with that of a class.
+    docstring of a field becomes a paragraph, as tyro does with that of a class. Where nothing is
+    the default, the docstring says what that means, and help not that the default is None.
     """
     registry, asking = ConstructorRegistry(), False
 
@@ -113,6 +114,8 @@ def _registry() -> ConstructorRegistry:
 
 def _option(field: StructFieldSpec) -> StructFieldSpec:
     kind: Any = field.type
+    if field.default is None or field.default == ():
+        kind = Annotated[kind, tyro.conf.arg(help_behavior_hint="")]
     if field.name in _FLAT_IN_OTHERS and is_dataclass(kind):
         kind = Annotated[kind, tyro.conf.arg(name="")]
     return replace(
