@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 _PATIENCE = 30  # [s] for a file
 _MEMORY = 1 << 30  # bytes that Verovio may use
 _OPTIONS = {"breaks": "none", "mdivAll": True, "expandNever": True}
-# Notes are written as they sound, whatever the instrument, and tremolos are written out. Verovio
+# All notes are there, as they sound, whatever the instrument and the signs for engraving. Verovio
 # takes four times as long where marks above and below are defined (RDF).
-_FOR_ENGRAVING = re.compile(r"(?m)(^|\t)\*(?:I?Tr[-dc\d]|tremolo)[^\t\r\n]*")
+_FOR_ENGRAVING = re.compile(r"(?m)(^|\t)\*(?:I?Tr[-dc\d]|tremolo|rep\b)[^\t\r\n]*")
 _LIST = re.compile(r"(?m)^(?:\*\t)*\*>\[")
 _SECTION = re.compile(r"(?:^|\t)\*>(?!\w*\[)")  # the beginning of one
 _LABEL = re.compile(r"(?<=[>\[,])[^\[\],\t]+(?=[\],\t]|$)")  # also each in a list
