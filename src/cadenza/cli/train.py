@@ -58,7 +58,7 @@ class Train:
     the published run script."""
     learner: str = DROQ
     """The algorithm: droq; ppo, for many environments and for --engine warp; one that another
-    package adds, or module:NAME. --help-all shows its options."""
+    package adds, or module:NAME. --help lists its options."""
     resume: Path | None = None
     """Continue the run in this folder, with its own options. --num-steps changes its end. A hand,
     keyboard or learner given as module:NAME has to be given again."""
