@@ -72,6 +72,7 @@ def names(score):
         (bar("c") + bar("d") + bar('<multiRpt num="2"/>') + bar("<mSpace/>"), "cdcd"),
         (bar(note("c", 4) + "<beatRpt/>" + note("d", 4) + "<beatRpt/>"), "ccdd"),
         (bar(f"<beam>{note('c', 4)}{note('d', 4)}</beam><halfmRpt/>"), "cdcd"),
+        (bar(f"<chord>{note('c', 2)}</chord>{note('d', 2)}") + bar("e"), "cde"),
         (bar("c", 'xml:id="m"') + '<measure copyof="#m"/>' + bar("d"), "ccd"),
         (section("A", bar("c") + bar("d")) + '<section copyof="#A"/>', "cdcd"),
         (bar('<note copyof="#b"/><note xml:id="b" copyof="#a"/>')

@@ -72,6 +72,11 @@ def unfolded(content: str) -> tuple[str, list[PlayedBar], Counter[str]]:
                 staff.attrib.setdefault("n", f"{place}")
     root.set("xmlns", _NAMESPACE)
     _Copying(root, counts).resolve(root)
+    for chord in root.iter("chord"):
+        longest = max(chord.iter("note"), key=_length, default=chord)
+        if "dur" not in chord.attrib:  # Verovio asks for the chord's own
+            lengths = {key: longest.get(key) for key in ("dur", "dots")}
+            chord.attrib.update({key: value for key, value in lengths.items() if value})
     for parts in root.iter("parts"):
         _join(parts)
     played: list[PlayedBar] = []
@@ -286,7 +291,9 @@ class _Unfolding:
             for each in bar.measure.iter():
                 if each.tag in ("dir", "repeatMark"):
                     words = _WORDS.get(each.get("func", ""), each.get("func")) or ""
-                    words = " ".join(" ".join((words, *each.itertext())).lower().split())
+                    glyphs = (glyph.get("glyph.name", "") for glyph in each.iter("symbol"))
+                    words = " ".join((words, *each.itertext(), *glyphs)).lower()
+                    words = " ".join(words.split())
                     is_end = (_number(each.get("tstamp")) or 1) > bar.metre[0]
                     jumps.read_text(words, number, min(number + is_end, last))
         jumps.read_signs()
