@@ -149,29 +149,3 @@ def test_a_dataset_is_published_and_read(
     assert "nothing is wrong" in printed(capsys, "dataset", "check", place, "--replays", "1")
     of_policies = "there is no such policy on the hub"
     refused(capsys, of_policies, "play", place)
-
-
-def test_an_entry_is_published_and_verified_by_others(
-    hub: Hub, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_midi(TWO_NOTES, tmp_path / "songs" / "two.mid")
-    main(["import", "midi", "songs", "--name", "hub-songs"])
-    main(["bench", "--songs", "hub-songs", "--agents", "zero", "-o", "bench", "--quiet"])
-    chosen = ["--songs", "hub-songs", "--track", "planning", "--by", "me"]
-    main(["enter", "bench", *chosen, "-o", "entry", "--quiet"])
-    (tmp_path / "entry" / "README.md").write_text("for whoever looks")
-    refused(capsys, "README.md: does not belong to an entry", "publish", "entry", REPO)
-    (tmp_path / "entry" / "README.md").unlink()
-    place = f"hub:{REPO}"
-    assert f"/datasets/{REPO}" in printed(capsys, "publish", "entry", REPO)
-    (kept,) = hub.commits["datasets", REPO].values()
-    assert f"cadenza verify {place}" in kept["README.md"].decode()
-    assert "verified to the bit" in printed(capsys, "verify", place)
-    assert "to the bit; plays every song as" in printed(capsys, "leaderboard", place, "entry")
-
-    card = json.loads(kept["card.json"])
-    card["runs"][0]["metrics"]["f1"] = 1.0
-    hub.commit("datasets", REPO, {"card.json": json.dumps(card).encode()})
-    with pytest.raises(SystemExit, match="1"):
-        main(["verify", place])
-    assert "refused: hub-songs/two, seed 0: f1 is 0." in capsys.readouterr().err

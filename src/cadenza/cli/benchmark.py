@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
@@ -13,13 +13,11 @@ from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.console import counted, in_columns
 from cadenza.cli.progress import progress
 from cadenza.cli.saving import check_writable
-from cadenza.errors import CadenzaError, on_one_line
-from cadenza.evaluation.benchmark.about import About
 
 if TYPE_CHECKING:
-    from cadenza.evaluation.benchmark.verification import Verified
+    from cadenza.evaluation.benchmark.verification import PlayedAgain
 
-_REFUSED = 1  # exit status, beside 2 for a command that makes no sense
+_NOT_VERIFIED = 1  # exit status, as of an entry that is refused
 
 
 @dataclass(frozen=True)
@@ -51,103 +49,111 @@ def benchmark(_command: Benchmark) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Enter(About):
+class Enter:
     """Make an entry to the benchmark of the runs of "cadenza bench".
 
-    Example: cadenza enter bench --songs bundled --track planning -o entry
+    Example: cadenza enter bench --songs bundled --track planning --about "learnt from nothing"
     """
 
     bench: tyro.conf.Positional[Path]
     """Folder of the bench."""
+    songs: str
+    """Set whose songs were played, see "cadenza benchmark"."""
+    track: Literal["one-song", "at-sight", "planning"]
+    """What the agent may know, see "cadenza benchmark"."""
+    about: str
+    """What it has learnt from, for how many steps, and where its code is."""
+    by: str = "anonymous"
+    """Who enters it."""
+    agent: str | None = None
+    """Agent of the bench. By default the only one that played these songs."""
+    name: str | None = None
+    """Name of the row. By default that of the agent."""
     output: Output[Path] = Path("entry")
     """A new folder for the entry."""
     quiet: Quiet = False
 
 
 def enter(command: Enter) -> None:
-    from cadenza.evaluation.benchmark.entry import enter as write_entry
+    from cadenza.evaluation.benchmark.entering import enter as write_entry
 
     with progress("playing again", "runs") as advance:
-        verified = write_entry(command.bench, command.output, command, advance)
-    print(f"{command.output}: {_in_words(verified)}")
+        played = write_entry(
+            command.bench,
+            command.output,
+            songs=command.songs,
+            track=command.track,
+            about=command.about,
+            by=command.by,
+            agent=command.agent,
+            name=command.name,
+            progress=advance,
+        )
+    print(f"{command.output}: verified, {_in_words(played)}")
 
 
 @dataclass(frozen=True)
 class Verify:
     """Play an entry to the benchmark again, and compute its metrics anew.
 
-    Exits with status 1 if it differs from what it claims.
+    Exits with status 1 if one of them is not what the entry claims, to the bit.
 
     Example: cadenza verify entry
     """
 
     entry: tyro.conf.Positional[Path]
-    """Folder of the entry, or hub:OWNER/NAME."""
+    """Folder of the entry."""
     quiet: Quiet = False
 
 
 def verify(command: Verify) -> None:
-    from cadenza.evaluation.benchmark.leaderboard import entries_in
-    from cadenza.evaluation.benchmark.sharing import at_hand
     from cadenza.evaluation.benchmark.verification import verify as play_again
 
-    with at_hand([command.entry]) as (entry,):
-        if entry not in (found := entries_in([entry])):
-            raise CadenzaError(f"{command.entry}: is no entry, but holds one: give {found[0]}")
-        try:
-            with progress("playing again", "runs") as advance:
-                verified = play_again(entry, advance)
-            problems = verified.problems
-        except CadenzaError as error:
-            problems = [str(error)]
-    if problems:
-        print(
-            *(f"refused: {on_one_line(problem)}" for problem in problems),
-            sep="\n",
-            file=sys.stderr,
-        )
-        raise SystemExit(_REFUSED)
-    print(f"{command.entry}: {_in_words(verified)}")
+    with progress("playing again", "runs") as advance:
+        played = play_again(command.entry, advance)
+    for difference in played.differences:
+        print(f"unverified: {difference}", file=sys.stderr)
+    status = "unverified" if played.differences else "verified"
+    print(f"{command.entry}: {status}, {_in_words(played)}")
+    if played.differences:
+        raise SystemExit(_NOT_VERIFIED)
 
 
-def _in_words(verified: Verified) -> str:
-    """Returns a line on an entry that was played again."""
-    from cadenza.evaluation.benchmark.leaderboard import figures
+def _in_words(played: PlayedAgain) -> str:
+    """Returns who was played again, and with what result."""
+    from cadenza.evaluation.benchmark.leaderboard import means
 
-    found, card = figures(verified), verified.card
+    found, entry = means(played), played.entry
     return (
-        f"{card.name} in {card.track} on {card.songs}, {counted(len(card.runs), 'run')}: "
-        f"F1 {found['f1']:.3f}, note onset F1 {found['note_onset_f1']:.3f}; verified "
-        f"{verified.words}"
+        f"{entry.name} in {entry.track} on {entry.songs}, {counted(len(entry.runs), 'run')}: "
+        f"F1 {found['f1']:.3f}, note onset F1 {found['note_onset_f1']:.3f}"
     )
 
 
 @dataclass(frozen=True)
 class Leaderboard:
-    """Verify entries, and make the table of them: a page, CSV and Markdown.
+    """Verify entries, and make the table of them as CSV and in Markdown.
 
     Example: cadenza leaderboard entries -o leaderboard
     """
 
     folders: tyro.conf.Positional[tuple[Path, ...]]
-    """Entries, or folders of entries. An entry may be hub:OWNER/NAME."""
+    """Entries, or folders of entries."""
     output: Output[Path] = Path("leaderboard")
-    """Folder for index.html, leaderboard.csv and leaderboard.md."""
+    """Folder for leaderboard.csv and leaderboard.md."""
     quiet: Quiet = False
 
 
 def leaderboard(command: Leaderboard) -> None:
-    from cadenza.evaluation.benchmark.leaderboard import entries_in, standing, write_leaderboard
-    from cadenza.evaluation.benchmark.sharing import at_hand
+    from cadenza.evaluation.benchmark.leaderboard import entries_in, row_of, write_leaderboard
 
-    with at_hand(command.folders) as folders:
-        entries = entries_in(folders)
-        check_writable(command.output)
-        standings = []
-        with progress("verifying", "entries") as advance:
-            for entry in entries:
-                standings.append(standing(entry))
-                advance(len(standings), len(entries))
-    page, _, text = write_leaderboard(command.output, standings)
+    entries = entries_in(command.folders)
+    check_writable(command.output)
+    rows = []
+    with progress("verifying", "entries") as advance:
+        for entry in entries:
+            rows.append(row_of(entry))
+            advance(len(rows), len(entries))
+    table, text = write_leaderboard(command.output, rows)
     print(text.read_text())
-    print(f"Open {page}")
+    print(f"Wrote {table} and {text}")

@@ -1,4 +1,4 @@
-"""`cadenza publish`: a policy, demonstrations or an entry to the benchmark, for others."""
+"""`cadenza publish`: a policy or demonstrations, for others."""
 
 from __future__ import annotations
 
@@ -13,22 +13,19 @@ from cadenza.cli.arguments import Quiet
 
 @dataclass(frozen=True)
 class Publish:
-    """Upload a policy, demonstrations or an entry to the benchmark to the Hugging Face hub.
+    """Upload a policy or demonstrations to the Hugging Face hub.
 
     Example: cadenza publish run/best me/twinkle; cadenza play hub:me/twinkle
     """
 
     folder: tyro.conf.Positional[Path]
-    """Folder of a policy (its README.md is the card), of "cadenza dataset collect", or an entry."""
+    """Folder of a policy or of "cadenza dataset collect"; a README.md in it is the card."""
     name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="OWNER/NAME")]
     """Name on the hub."""
     quiet: Quiet = False
 
 
 def run(command: Publish) -> None:
-    from cadenza.evaluation.benchmark.card import CARD
-    from cadenza.evaluation.benchmark.sharing import publish_entry
     from cadenza.learning.publishing import publish
 
-    upload = publish_entry if (command.folder / CARD).is_file() else publish
-    print(upload(command.folder, command.name))
+    print(publish(command.folder, command.name))

@@ -51,7 +51,7 @@ def publish(folder: Path, repo: str) -> str:
         import huggingface_hub  # noqa: F401 - before anything is read
     if (folder / EPISODES).is_dir():
         open_dataset(folder)
-        return upload(folder, repo, DATASET, dataset_card(_about_dataset(folder, repo)))
+        return upload(folder, repo, DATASET, _dataset_card(folder, repo))
     learnt = load_policy(folder)
     return upload(folder, repo, POLICY, _policy_card(folder, learnt, repo))
 
@@ -83,15 +83,11 @@ def _policy_card(folder: Path, learnt: LearntPolicy, repo: str) -> str:
     return _card(data, "\n".join([text, *lines, ""]))
 
 
-def _about_dataset(folder: Path, repo: str) -> str:
+def _dataset_card(folder: Path, repo: str) -> str:
+    from huggingface_hub import DatasetCardData
+
     summary = "\n".join(f"- {line}" for line in summarize(folder))
-    return _DATASET.format(place=f"hub:{repo}", summary=summary)
-
-
-def dataset_card(text: str) -> str:
-    """Returns the card of a repository of data, by which the hub finds it, with this text."""
-    with extra_packages("hub", "publishing"):
-        from huggingface_hub import DatasetCardData
+    text = _DATASET.format(place=f"hub:{repo}", summary=summary)
     return _card(DatasetCardData(task_categories=["robotics"], tags=_TAGS), text)
 
 

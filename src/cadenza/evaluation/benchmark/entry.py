@@ -1,192 +1,151 @@
-"""Makes an entry of the runs of a bench."""
+"""An entry: the actions of an agent that played a set, and what its entrant says of them.
+
+ENTRY/entry.json                        what this module reads and writes
+ENTRY/actions/SONG--sSEED.safetensors   the actions of a run, an array `action` (T, A)
+"""
 
 from __future__ import annotations
 
-import math
-import platform
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from cadenza.agents.playback import load_plan
-from cadenza.errors import CadenzaError
-from cadenza.evaluation.benchmark.about import About
-from cadenza.evaluation.benchmark.card import (
-    CARD,
-    FORMAT,
-    Card,
-    Effort,
-    RecordedRun,
-    actions_digest,
-    actions_path,
-    check_track,
-)
-from cadenza.evaluation.benchmark.definition import (
-    METRICS,
-    SCENE,
-    TASK,
-    VERSION,
-    check_frozen,
-    open_set,
-    set_up_song,
-)
-from cadenza.evaluation.benchmark.verification import Verified, engine, verify
-from cadenza.evaluation.results import Result, read_results
-from cadenza.files import checked, new_folder, write_json, write_tensors
-from cadenza.music.arrangement import Arrangement
-from cadenza.music.libraries.imported import Progress, silent
-from cadenza.scene.config import SceneConfig
-from cadenza.tasks.config import TaskConfig, task_identity
+from cadenza.errors import CadenzaError, errors_in, quoted, shortened
+from cadenza.evaluation.benchmark.definition import BENCHMARK, METRICS, TRACKS, open_set, own_track
+from cadenza.files import TENSORS, content_of, folder_name, parsed_json
+from cadenza.music.libraries.songs import Song
 
-_HIDES_FINGERS = ("robot", "human")  # values of --fingering with which a score's are not seen
-_SECONDS_PER_HOUR = 3600
+ENTRY, ACTIONS = "entry.json", "actions"
+Metrics = dict[str, float | None]
+_MOST_BYTES = 2**24  # of entry.json: a thousand songs with twenty seeds take 10 MB
+_MOST_SEEDS = 20  # so that whoever verifies an entry knows how long it takes
+_MOST_TEXT = 300  # characters, as many as a cell of the table shows
+_MOST_SECONDS = 1e12  # more than anybody has spent; sums of it are finite
 
 
-def enter(bench: Path, entry: Path, about: About, progress: Progress = silent) -> Verified:
-    """Writes an entry of the runs of a bench, and plays it again to see that it holds.
+@dataclass(frozen=True)
+class Run:
+    """A song that was played with a seed."""
 
-    Args:
-        bench: the folder of the bench.
-        entry: the folder of the entry, which is not there yet.
-        about: what the runs cannot tell.
-        progress: see `verify`.
+    song: str
+    seed: int
+    song_digest: str
+    """See `song_digest` of the benchmark's definition."""
+    metrics: Metrics
+    """All of `METRICS`."""
+    cpu_seconds: float | None = None
+    """CPU time of planning, playing and simulating; not known of training."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Content of entry.json. Nobody can check what it says of the agent."""
+
+    benchmark: Literal[1]
+    """The version of the benchmark."""
+    name: str
+    """The name of the row."""
+    by: str
+    """Who entered it."""
+    about: str
+    """What the agent has learnt from, for how long, and where its code is."""
+    agent: str
+    """The agent as `cadenza bench` names it."""
+    options: dict[str, Any]
+    """Its options."""
+    track: str
+    songs: str
+    """The set."""
+    fingering: Literal["given", "none"]
+    """Whether it could see the fingers that scores give."""
+    versions: dict[str, str]
+    """The versions of the packages with which it was recorded."""
+    runs: tuple[Run, ...]
+
+    @property
+    def seeds(self) -> list[int]:
+        return sorted({run.seed for run in self.runs})
+
+
+def read_entry(folder: Path) -> Entry:
+    """Reads what an entry says, which makes sense by itself.
 
     Raises:
-        CadenzaError: a run is missing, failed, or was played in another task; or what is said of
-            the entry cannot be; or it does not play as it was recorded.
+        CadenzaError: its file is not there, is too large, or says something else.
     """
-    library = open_set(about.songs)
-    results = _results(bench, {song.name for song in library.songs}, about.agent)
-    first = results[0]
-    effort = _effort(results, about)
-    options = first.job["config"] if isinstance(first.job["config"], dict) else {}
-    check_track(about.track, first.agent, options, about.songs, effort)
-    hidden = first.job["task"]["fingering"] in _HIDES_FINGERS
-    given, runs = False, list[RecordedRun]()
-    with new_folder(entry) as folder:
-        for song in library.songs:
-            own = [result for result in results if result.song.name == song.name]
-            with set_up_song(song) as setup:
-                digest, spec = check_frozen(song, setup), setup.task.spec
-                given |= setup.score.has_fingering and not hidden
-            for result in own:
-                runs.append(_recorded(result, folder, digest, spec.action_low, spec.action_high))
-        fingering: Literal["given", "none"] = "given" if given else "none"
-        card = Card(
-            format=FORMAT,
-            benchmark=VERSION,
-            name=about.name or first.agent,
-            by=about.by,
-            agent=first.agent,
-            options=options,
-            track=about.track,
-            songs=about.songs,
-            fingering=fingering,
-            seeds=tuple(sorted({result.seed for result in results})),
-            data=about.data,
-            hardware=about.hardware or _processor(),
-            versions=first.versions | engine(),
-            runs=tuple(runs),
-            effort=effort,
-        )
-        write_json(folder / CARD, asdict(card))
-        verified = verify(folder, progress)
-        if verified.problems:
-            raise CadenzaError(
-                f"{bench}: does not play as it was recorded: {verified.problems[0]}; was it "
-                "recorded with another version of Cadenza?"
-            )
-    return verified
+    path = folder / ENTRY
+    entry = parsed_json(content_of(path, _MOST_BYTES), Entry, path)
+    with errors_in(path):
+        check_claims(entry)
+    return entry
 
 
-def _results(bench: Path, songs: set[str], agent: str | None) -> list[Result]:
-    """Returns the runs of one agent on these songs, all with the same options, in the task."""
-    results = [result for result in read_results(bench).results if result.song.name in songs]
-    agents = sorted({result.agent for result in results})
-    if not agents:
-        raise CadenzaError(f"{bench}: nobody has played these songs; do so with cadenza bench")
-    if agent is None and len(agents) == 1:
-        agent = agents[0]
-    if agent not in agents:
+def check_claims(entry: Entry) -> None:
+    """Checks what an entry says, as far as that can be told before it is played.
+
+    Raises:
+        CadenzaError: it claims what cannot be.
+    """
+    told = {name: getattr(entry, name) for name in ("name", "by", "about", "agent", "songs")}
+    for what, text in (told | entry.versions).items():
+        if not text.strip() or len(text) > _MOST_TEXT or not text.isprintable():
+            raise CadenzaError(f"{shortened(what)}: give 1 to {_MOST_TEXT} characters on one line")
+    track, songs, seeds = entry.track, entry.songs, entry.seeds
+    if track not in TRACKS:
+        raise CadenzaError(f"track {quoted(track)}: choose from {', '.join(TRACKS)}")
+    if (own := own_track(entry.agent, entry.options)) not in (None, track):
+        raise CadenzaError(f"track {track}: {shortened(entry.agent)} belongs to the track {own}")
+    if track == "at-sight" and songs in (f"{BENCHMARK}:etudes-train", f"{BENCHMARK}:band-train"):
+        raise CadenzaError(f"track at-sight: {songs} is there to learn from; choose another set")
+    if seeds != list(range(len(seeds))) or not 0 < len(seeds) <= _MOST_SEEDS:
         raise CadenzaError(
-            f"{bench}: these songs were played by {', '.join(agents)}; name one with --agent"
+            f"seeds {quoted(seeds)}: an entry has the seeds 0, 1 and so on, up to {_MOST_SEEDS} of "
+            "them, and leaves none out"
         )
-    results = [result for result in results if result.agent == agent]
-    for result in results:
-        _check_task(result)
-        for what in "config", "agent_digest", "task":
-            if not _is_same(result, results[0], what):
-                raise CadenzaError(
-                    f"{result.folder}: {result.agent} has other options than in other runs; "
-                    "give each a bench of its own"
-                )
-    return results
+    for run in entry.runs:
+        if run.metrics.keys() != set(METRICS):
+            raise CadenzaError(f"{shortened(run.song)}: its metrics are not {', '.join(METRICS)}")
+        if not 0 <= (run.cpu_seconds or 0.0) <= _MOST_SECONDS:
+            raise CadenzaError(f"{shortened(run.song)}: its CPU time is not 0 to {_MOST_SECONDS:g}")
 
 
-def _is_same(result: Result, other: Result, what: str) -> bool:
-    """Whether two runs agree; what is trained on a song has its own seed and files."""
-    mine, theirs = result.job.get(what), other.job.get(what)
-    if result.training is not None and isinstance(mine, dict) and isinstance(theirs, dict):
-        return {**mine, "seed": None} == {**theirs, "seed": None}
-    return mine == theirs or result.agent == "pretrained"
+def runs_by_song(entry: Entry) -> list[tuple[Song, list[Run]]]:
+    """Every song of the set with its runs, one for each seed.
+
+    Raises:
+        CadenzaError: there is no such set, or a run is missing, is there twice, or of another song.
+    """
+    songs, seeds = open_set(entry.songs).songs, entry.seeds
+    wanted = {(song.name, seed) for song in songs for seed in seeds}
+    times = Counter((run.song, run.seed) for run in entry.runs)
+    for song, seed in sorted(wanted | times.keys()):
+        if (song, seed) not in wanted:
+            raise CadenzaError(f"{shortened(song)}: is no song of {entry.songs}")
+        if (number := times[song, seed]) != 1:
+            what = "is there twice" if number else "is missing"
+            raise CadenzaError(f"{song}, seed {seed}: {what}")
+    runs = {(run.song, run.seed): run for run in entry.runs}
+    return [(song, [runs[song.name, seed] for seed in seeds]) for song in songs]
 
 
-def _check_task(result: Result) -> None:
-    """Raises a CadenzaError if a run was played in another task than that of the benchmark."""
-    job, where = result.job, result.folder
-    task = checked(job.get("task"), TaskConfig, f"{where}, task")
-    scene = checked(job.get("scene"), SceneConfig, f"{where}, scene")
-    arrangement = checked(job.get("arrangement"), Arrangement, f"{where}, arrangement")
-    if task.randomization.is_on:
-        raise CadenzaError(f"{where}: was played with randomized physics; leave that out")
-    played = task_identity(task, scene, 0, **asdict(arrangement))
-    wanted = task_identity(TASK, SCENE, 0, **asdict(Arrangement()))
-    for name, value in wanted.items():
-        if played[name] != value:
-            option = name.replace("_", "-")
-            raise CadenzaError(
-                f"{where}: was played with {option} {played[name]}, but the benchmark has {value}; "
-                f"give --{option} {value} to cadenza bench"
-            )
+def actions_path(folder: Path, song: str, seed: int) -> Path:
+    """The path of the actions of a run."""
+    return folder / ACTIONS / f"{folder_name(song.replace('/', '-'))}--s{seed}{TENSORS}"
 
 
-def _effort(results: Sequence[Result], about: About) -> Effort:
-    """Returns what was spent on training: as measured where a bench has trained, else as said."""
-    trained = [result for result in results if result.training is not None]
-    if not trained:
-        return Effort(about.training_steps, about.cpu_hours, about.gpu_hours)
-    steps = sum(result.training.steps for result in trained if result.training)
-    core_seconds = math.fsum(r.training.seconds * r.timing.threads for r in trained if r.training)
-    return Effort(steps, round(core_seconds / _SECONDS_PER_HOUR, 3), about.gpu_hours)
+def check_files(folder: Path, entry: Entry) -> None:
+    """Checks that the folder of an entry holds all that it needs, and nothing else.
 
-
-def _processor() -> str:
-    """Returns the name of the processor, as Linux says it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = []
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, "") or platform.machine()
-
-
-def _recorded(result: Result, folder: Path, digest: str, low: Any, high: Any) -> RecordedRun:
-    """Writes the actions of a run; servos take no more than their range, whatever they are told."""
-    actions = load_plan(result.folder / "episode.npz").actions.clip(low, high)
-    write_tensors(actions_path(folder, result.song.name, result.seed), {"action": actions})
-    metrics = {name: _number(result.metrics.get(name)) for name in METRICS}
-    return RecordedRun(
-        song=result.song.name,
-        seed=result.seed,
-        song_digest=digest,
-        steps=len(actions),
-        actions=actions_digest(actions),
-        metrics=metrics,
-        wall_seconds=result.timing.wall_seconds,
-        cpu_seconds=result.timing.cpu_seconds,
-    )
-
-
-def _number(value: Any) -> float | None:
-    return None if value is None else float(value)
+    Raises:
+        CadenzaError: it does not, or something in it is a link.
+    """
+    wanted = {actions_path(folder, run.song, run.seed) for run in entry.runs}
+    wanted |= {folder / ENTRY, folder / ACTIONS}
+    there = {*folder.glob("*"), *(folder / ACTIONS).glob("*")}
+    for path in sorted(wanted ^ there):
+        what = "is missing" if path in wanted else "does not belong to an entry; remove it"
+        raise CadenzaError(f"{path}: {what}")
+    for path in sorted(there):
+        if path.is_symlink():
+            raise CadenzaError(f"{path}: is a link; an entry holds its own files")
