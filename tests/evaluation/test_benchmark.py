@@ -71,9 +71,11 @@ def played(folder: Path, scene: SceneConfig = SCENE) -> Path:
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    import_songs(PITCHES)
-    return played(tmp_path_factory.mktemp("bench"))
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    with pytest.MonkeyPatch.context() as patch:  # no other test finds the songs
+        patch.setenv("CADENZA_DATA", str(tmp_path_factory.mktemp("data")))
+        import_songs(PITCHES)
+        yield played(tmp_path_factory.mktemp("bench"))
 
 
 @pytest.fixture(scope="module")
