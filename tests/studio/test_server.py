@@ -540,13 +540,14 @@ def test_whatever_a_page_says_the_terminal_stays_empty_and_others_watch() -> Non
 
 def test_a_dropped_file_is_listed_once_read(client: TestClient, tmp_path: Path) -> None:
     path = tmp_path / "a.mid"
-    write_midi(Score((Note(0.0, 1.0, 60), Note(1.0, 2.0, 62))), path)
-    url = "/TOKEN/api/songs?name=%3Cb%3EMy%20song.mid"
-    answer = client.post(url, content=path.read_bytes(), headers=SAME)
-    assert answer.status_code == 201, answer.text
-    (first, *_) = client.get("/TOKEN/api/songs").json()["songs"]
-    assert (first["id"], first["title"], first["notes"]) == (answer.json()["id"], "<b>My song", 2)
-    assert client.delete(f"/TOKEN/api/songs/{first['id']}", headers=SAME).status_code == 204
+    notes, url = (Note(0, 1, 60), Note(1, 2, 62)), "/TOKEN/api/songs?name=%3Cb%3EMy%20song.mid"
+    for title, shown in ("Sunrise Drive", "Sunrise Drive"), ("", "<b>My song"):
+        write_midi(Score(notes, title=title), path)
+        answer = client.post(url, content=path.read_bytes(), headers=SAME)
+        assert answer.status_code == 201, answer.text
+        (first, *_) = client.get("/TOKEN/api/songs").json()["songs"]
+        assert (first["id"], first["title"], first["notes"]) == (answer.json()["id"], shown, 2)
+        assert client.delete(f"/TOKEN/api/songs/{first['id']}", headers=SAME).status_code == 204
     assert not any(song["uploaded"] for song in client.get("/TOKEN/api/songs").json()["songs"])
 
 
@@ -556,7 +557,7 @@ def test_a_broken_or_large_file_gives_one_line_and_leaves_nothing(
     for content in b"MThd broken", b"\0" * (5 << 20):
         answer = client.post("/TOKEN/api/songs?name=a.mid", content=content, headers=SAME)
         assert answer.status_code == 400
-        assert answer.json()["error"]
+        assert answer.json()["error"].startswith("a.mid")
         assert "\n" not in answer.json()["error"]
         assert str(tmp_path) not in answer.text
     assert list((tmp_path / "studio" / "uploads").iterdir()) == []
@@ -801,7 +802,7 @@ def test_a_file_that_does_not_come_is_given_up(
     monkeypatch.setattr(Request, "stream", never)
     monkeypatch.setattr(server, "RECEIVE_TIME", 0.05)
     answer = client.post("/TOKEN/api/songs?name=a.mid", content=b"MThd", headers=SAME)
-    assert answer.json()["error"] == "the file takes too long to come"
+    assert answer.json()["error"] == "a.mid takes too long to come"
 
 
 def test_files_that_do_not_come_keep_no_others_out(
@@ -844,7 +845,7 @@ def test_a_page_that_closes_while_it_sends_is_no_fault_of_the_server(
 
     monkeypatch.setattr(Request, "stream", gone)
     answer = client.post("/TOKEN/api/songs?name=a.mid", content=b"MThd", headers=SAME)
-    assert answer.json()["error"] == "the file has not come to its end"
+    assert answer.json()["error"] == "a.mid has not come to its end"
 
 
 def test_a_synthesizer_that_ends_is_started_again() -> None:

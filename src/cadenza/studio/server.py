@@ -20,9 +20,10 @@ from starlette.types import Message, Receive, Scope, Send
 from cadenza.agents.registry import AGENTS as REGISTERED
 from cadenza.agents.registry import PLANNER
 from cadenza.configs import MOST_COUNT, whole_number
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import checked, parsed_json
 from cadenza.music.formats.reading import check_format
+from cadenza.music.formats.titles import printable
 from cadenza.studio.broadcast import Broadcast
 from cadenza.studio.jobs import Job, JobQueue
 from cadenza.studio.limits import MAX_BYTES
@@ -157,21 +158,23 @@ class Studio(PageServer):
 
     async def upload(self, request: Request) -> Response:
         """Takes a file; its name, percent-encoded, is the parameter `name`."""
-        name = request.query_params.get("name", "")[-_MAX_NAME:]
+        name = printable(request.query_params.get("name", "")[-_MAX_NAME:])
         check_format(Path(name))  # whatever its size
-        content = await _body(request, MAX_BYTES, "the file", self._receiving)
+        content = await _body(request, MAX_BYTES, name or "the file", self._receiving)
         write = self.storage.write_upload
         path, id, title, ending = await run_in_threadpool(write, content, name)
         del content  # others may be read before it
         try:
-            async with self._reading:
-                contents = await read_upload(path)
+            with errors_in(name or "the file"):
+                async with self._reading:
+                    contents = await read_upload(path)
         except CadenzaError:
             if not self.storage.is_listed(id):  # else it has been read before, and is the same
                 path.unlink(missing_ok=True)
             raise
+        title = contents.pop("title") or title
         about = {"id": id, "title": title, "ending": ending, **contents}
-        upload = checked(about, Upload, "the file")
+        upload = checked(about, Upload, name or "the file")
         await run_in_threadpool(self.storage.list_upload, upload)
         return JSONResponse({"id": id, "title": title, **contents}, 201)
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from cadenza.errors import CadenzaError
 from cadenza.music.formats.reading import read_score
+from cadenza.music.formats.titles import title_of
 from cadenza.music.score import Score
 from cadenza.studio.limits import MAX_NOTES, MAX_SECONDS, READING, limit
 
@@ -29,11 +30,18 @@ def describe(path: Path) -> dict[str, Any]:
     score = read_score(path)
     check_size(score)
     return {
+        "title": _title(score, path),
         "seconds": score.total_time,
         "notes": len(score.notes),
         "tracks": [asdict(track) for track in score.tracks][:_MAX_TRACKS],
         "remarks": list(score.remarks)[:_MAX_REMARKS],
     }
+
+
+def _title(score: Score, path: Path) -> str:
+    """The title in a file; empty without one, or where it is rather the name of a part."""
+    parts = [track.name for track in score.tracks] if len(score.tracks) > 1 else []
+    return "" if score.title in (title_of(path), *parts) else score.title
 
 
 def check_size(score: Score) -> None:

@@ -122,7 +122,7 @@ async function upload(file) {
   overrideNotice(`Reading ${file.name}`);
   try {
     const content = await file.slice(0, MAX_SENT).arrayBuffer().catch(() => {
-      throw new Refusal(`${file.name} cannot be read. Drop a file, no folder.`);
+      throw new Refusal(`${file.name}: cannot be read; drop a file, no folder`);
     });
     const { id } = await fetchJson(`api/songs?name=${encodeURIComponent(file.name.toWellFormed())}`, "POST", content);
     await listSongs();

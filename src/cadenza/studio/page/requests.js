@@ -5,7 +5,7 @@ const cadenza = window.cadenza = { ready: false, error: null, state: "idle", tim
 const labelledButton = (name, label, run) => make("button", name, { type: "button", "aria-label": label, onclick: run });
 function showError(message) {
   cadenza.error = String(message);
-  $("error").textContent = cadenza.error.charAt(0).toUpperCase() + cadenza.error.slice(1);
+  $("error").textContent = cadenza.error; // as it is: it may begin with the name of a file
   $("error").hidden = false;
 }
 function clearError() {

@@ -78,9 +78,9 @@ async function createStreamedRecording(about) {
   const angles = new Uint8Array(steps * keys), states = new Uint8Array(steps * keys), pedal = new Uint8Array(steps);
   const depths = 4 * width, sounding = depths + keys, timesAt = sounding + keys, pedalAt = timesAt + keys;
   const onsets = createOnsets(about.notes);
-  let filled = 0, received = 0, shown = 0, sums = [0, 0, 0];
+  let filled = 0, received = 0, shown = 0, sums = [0, 0, 0], silent = true; // until a note is wanted or sounds
   const clear = () => {
-    [shown, sums] = [0, [0, 0, 0]];
+    [shown, sums, silent] = [0, [0, 0, 0], true];
     onsets.clear();
     goal.forEach((wants, i) => { states[i] = wants ? COMING : 0; });
     goalPedal.forEach((wants, i) => { pedal[i] = wants ? COMING : 0; });
@@ -104,7 +104,7 @@ async function createStreamedRecording(about) {
     /** Rows that have come. */
     get rows() { return rows(); },
     /** Up to when it can be played [s]. */
-    get available() { return Math.max(rows() - 1, 0) * dt; },
+    get available() { return (rows() < steps ? Math.max(rows() - 1, 0) : steps) * dt; },
     sounds, pedalDown,
     /** MIDI velocity of a key that is struck in a row, else 0. */
     velocity,
@@ -146,12 +146,13 @@ async function createStreamedRecording(about) {
           states[at] = verdict(goal[at], heard);
         }
         pedal[shown] = verdict(goalPedal[shown], pedalDown(shown));
+        silent &&= !(played || want);
         [ratio(2 * hits, played + want), ratio(hits, played), ratio(hits, want)].forEach((value, i) => { sums[i] += value; });
       }
       return shown > first;
     },
-    /** F1, precision and recall of the steps shown, and F1 of note onsets, as in `cadenza.music.metrics`. */
-    get scores() { return shown ? [...sums.map((sum) => sum / shown), onsets.f1(shown * dt)] : [null, null, null, null]; },
+    /** F1, precision and recall of the steps shown, and F1 of note onsets, as in `cadenza.music.metrics`; null in silence. */
+    get scores() { return !silent ? [...sums.map((sum) => sum / shown), onsets.f1(shown * dt)] : [null, null, null, null]; },
   };
 }
 
