@@ -3,8 +3,8 @@
 python examples/train.py [SONG [STEPS]]
 
 With 200000 steps, which take a few minutes, it plays Twinkle well. The folder "run" must not hold a
-run already. JAX is needed:
-pip install 'cadenza[train]'
+run already. JAX is needed: run
+`make install`, or pip install '.[train]' in the folder of Cadenza's sources.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ EVERYWHERE = {
     "configs",
     "episode",
     "hub",
+    "installing",
     "registry",
     "resumable",
     "rounding",

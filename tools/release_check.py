@@ -13,7 +13,6 @@ import argparse
 import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 import tarfile
@@ -195,9 +194,9 @@ def interpreter(python: str) -> str:
 
 
 def uvx() -> None:
-    """Runs the line of the README that plays from the wheel alone."""
-    folder = fresh()
-    shutil.copytree(built()[0].parent, folder / "dist")
+    """Runs the line of the README that plays in a clone that has been set up for nothing."""
+    folder = fresh() / "cadenza"
+    run("git", "clone", "--quiet", ROOT, folder)
     run("uvx", *shlex.split(found(r"^uvx (.+)$", "README.md")), at=folder)
 
 

@@ -9,6 +9,8 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from cadenza.installing import install_line
+
 _LACKS_MEMORY = (
     "allocate memory",  # of the system, and of MuJoCo
     "failed to map segment",  # of the system, where it loads a library
@@ -165,7 +167,7 @@ def extra_packages(extra: str, what: str) -> Iterator[None]:
         if lacks_memory(error):
             raise CadenzaError(explained(error)) from error
         raise CadenzaError(
-            f"{what} needs more packages ({shortened(str(error))}): pip install 'cadenza[{extra}]'"
+            f"{what} needs more packages ({shortened(str(error))}): {install_line(extra)}"
         ) from error
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from cadenza.cli.saving import check_writable
 from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
+from cadenza.installing import install_line
 
 
 @dataclass(frozen=True)
@@ -58,4 +59,4 @@ def run(command: StudioCommand) -> None:
 def need_server() -> None:
     """Raises a CadenzaError if the packages that serve pages are not installed."""
     if any(find_spec(name) is None for name in ("starlette", "uvicorn", "websockets")):
-        raise CadenzaError("pages need a web server: pip install 'cadenza[studio]'")
+        raise CadenzaError(f"pages need a web server: {install_line('studio')}")

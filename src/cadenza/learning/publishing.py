@@ -20,7 +20,7 @@ _POLICY = """
 A policy of [Cadenza](https://github.com/cadenza-piano/cadenza) for {title}: {hands} ({hand}) at
 the keyboard {keyboard}.
 
-    pip install 'cadenza[hub]'
+    pip install 'cadenza[hub] @ git+https://github.com/cadenza-piano/cadenza'
     cadenza play {words}
 """
 _DATASET = """
@@ -28,7 +28,7 @@ _DATASET = """
 
 Recorded with [Cadenza](https://github.com/cadenza-piano/cadenza), to learn from:
 
-    pip install 'cadenza[hub]'
+    pip install 'cadenza[hub] @ git+https://github.com/cadenza-piano/cadenza'
     cadenza dataset info {place}
 
 {summary}
