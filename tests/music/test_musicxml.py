@@ -51,6 +51,35 @@ def test_utf_16(saved):
     assert score.title == "Präludium"
 
 
+@pytest.mark.parametrize(
+    ("declared", "stored"),
+    [
+        ("UTF-16", "utf-8"),
+        ("UTF-16", "latin-1"),
+        ("UTF-8", "utf-16"),
+        ("UTF-8", "utf-16-be"),
+        ("UTF-8", "cp1252"),
+        ("ISO-8859-1", "utf-8"),
+        ("mac-roman", "mac-roman"),
+        ("punycode", "utf-8"),
+        ("no-such", "utf-8-sig"),
+    ],
+)
+def test_whatever_encoding_is_declared_another_may_be_used(declared, stored, saved):
+    text = document([FOUR_QUARTERS + note("C4", 4)], title="Präludium")
+    score = load_score(saved(text.replace("UTF-8", declared).encode(stored)))
+    assert score.title == "Präludium"
+
+
+@pytest.mark.parametrize(
+    ("printed", "number"), [("17", 17), ("0", 0), ("X1", 1), ("", 1), ("9" * 5000, 1), ("²", 1)]
+)
+def test_bars_without_a_number_that_can_be_read_are_counted(printed, number, saved):
+    text = document([FOUR_QUARTERS + note("C4", 4)]).replace('number="1"', f'number="{printed}"')
+    (bar,) = load_score(saved(text)).bars
+    assert bar.number == number
+
+
 def test_tempo_ties_grace_notes_pedal_and_dynamics(saved):
     first = (
         FOUR_QUARTERS
@@ -136,7 +165,8 @@ def test_notes_may_have_velocities_of_their_own(saved):
     strange = note("E4", 4).replace("<note", '<note dynamics="loud"')
     bar = FOUR_QUARTERS + direction("<dynamics><p/></dynamics>") + loud + note("D4", 4)
     score = load_score(saved(document([bar + strange + soft])))
-    assert [n.velocity for n in score.notes] == [99, 49, 49, 1]  # in percent of 90
+    assert [n.velocity for n in score.notes] == [99, 49, 49]  # in percent of 90
+    assert score.remarks == ("1 note of no volume left out",)
 
 
 def test_repeats_are_played_with_the_tempo_and_the_pedal_of_their_place(saved):
@@ -344,6 +374,16 @@ def test_an_archive_with_a_single_document_needs_no_contents(saved):
         else:
             with pytest.raises(CadenzaError, match="2 documents, and no table of contents"):
                 load_score(path)
+
+
+def test_what_macos_adds_to_an_archive_is_no_document(saved):
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        archive.writestr("song/score.xml", document([FOUR_QUARTERS + note("C4", 16)]))
+        archive.writestr("song/META-INF/container.xml", "<container/>")
+        for added in ("__MACOSX/song/._score.xml", "song/._score.xml", "__MACOSX/a.xml"):
+            archive.writestr(added, b"\0\5\26\7")
+    assert pitches(load_score(saved(out.getvalue(), "song.mxl"))) == [60]
 
 
 def test_there_may_be_any_number_of_repeats(saved):
@@ -593,6 +633,17 @@ ATTACKS = {
             + [note("C4", 4) + AGAIN.replace("<repeat", '<repeat times="999"')] * 101
         ),
         "over 100000 bars with all repeats",
+    ),
+    "too many parts": (document(*[[FOUR_QUARTERS]] * 501), "over 500 parts"),
+    "too many tempos with all repeats": (
+        document(
+            [
+                FOUR_QUARTERS
+                + (note("C4", 4) + tempo(90)) * 101
+                + AGAIN.replace("<repeat", '<repeat times="999"')
+            ]
+        ),
+        "over 100000",
     ),
     "timewise": ("<score-timewise/>", "there are no notes"),
     "not a score": ("<opus></opus>", "cannot be read as MusicXML"),

@@ -442,3 +442,215 @@ def test_mei_is_named(saved):
     path = saved('<?xml version="1.0"?><m:mei xmlns:m="x"><m:music/></m:mei>', "song.xml")
     with pytest.raises(CadenzaError, match=r"MEI.* MuseScore"):
         load_score(path)
+
+
+@pytest.mark.parametrize(
+    ("words_at_the_end", "expected"),
+    [
+        ("Menuetto primo D.C. senza repliche", "12312"),
+        ("2nd time D.C. (without repeats) al Fine", "12312"),
+        ("Da Capo, poi segue la Coda", "12312"),
+        ("voice tacet on D.C.", "123"),
+        ("The D.C. al Fine is played softer", "123"),
+        ("D.C. only", "123"),
+        ("D.C. al Fine was added by the editor", "123"),
+    ],
+)
+def test_words_may_mention_a_jump_that_is_none(words_at_the_end, expected, saved):
+    assert order(load_score(saved(bars("", words("Fine"), words(words_at_the_end))))) == expected
+
+
+def test_when_to_go_to_the_coda_may_stand_beside(saved):
+    signs = ("", words("On D.C. to Coda"), words("D.C."), (words("Coda"), ""))
+    assert order(load_score(saved(bars(*signs)))) == "123124"
+
+
+def pitched(pitch, duration, tie="", ornament="", inside=""):
+    ties = "".join(f'<tie type="{kind}"/>' for kind in tie.split())
+    ornaments = f"<notations><ornaments>{ornament}</ornaments></notations>" if ornament else ""
+    return note(pitch, duration, inside=ties + inside + ornaments)
+
+
+SECOND = '<barline location="left"><ending number="2" type="start"/></barline>'
+FIRST = SECOND.replace("2", "1", 1)
+
+
+@pytest.mark.parametrize(
+    ("first", "after"),
+    [
+        (pitched("C4", 16, "start") + AGAIN, pitched("C4", 16, "stop")),  # a repeat of one bar
+        (pitched("C4", 16, "start") + AGAIN, pitched("C4", 16)),  # without the end of the tie
+    ],
+)
+def test_no_tie_leads_back_to_the_beginning_of_a_repeat(first, after, saved):
+    score = load_score(saved(document([TEMPO + first, after])))
+    assert played(score) == [(0, 4, 60), (4, 12, 60)]
+
+
+@pytest.mark.parametrize(("tie", "struck"), [("stop", [0, 8]), ("", [0, 8, 12])])
+def test_a_tie_leads_into_a_second_ending_if_it_ends_there(tie, struck, saved):
+    first = FIRST + pitched("C4", 16, "stop") + AGAIN.replace("<rep", '<ending number="1"/><rep')
+    second = SECOND + pitched("C4", 16, tie)
+    score = load_score(saved(document([TEMPO + pitched("C4", 16, "start"), first, second])))
+    assert [n.start for n in score.notes] == struck
+
+
+def test_an_ornament_on_the_later_part_of_a_tie_begins_there(saved):
+    mark = "<trill-mark/>"
+    later = pitched("C4", 8, "start") + pitched("C4", 4, "stop", mark)
+    starts = [n.start for n in load_score(saved(document([TEMPO + later]))).notes]
+    assert starts[:2] == [0, 2]
+    assert len(starts) == 1 + 12
+    both = pitched("C4", 8, "start", mark) + pitched("C4", 4, "stop", mark)
+    notes = load_score(saved(document([TEMPO + both]))).notes
+    assert [n.pitch for n in notes] == [62, 60] * 18
+
+
+@pytest.mark.parametrize(
+    ("sign", "expected"),
+    [
+        ('<trill-mark trill-step="half" beats="4"/>', [61, 60, 61, 60]),
+        ('<trill-mark trill-step="whole" start-note="main" beats="3"/>', [60, 62, 60]),
+        ('<trill-mark beats="4" two-note-turn="half"/>', [62, 60, 62, 60, 59, 60]),
+        ('<mordent trill-step="half"/>', [60, 59, 60]),
+        ('<mordent beats="5" start-note="below"/>', [59, 60, 59, 60, 59, 60]),
+        ('<inverted-mordent trill-step="half" two-note-turn="whole"/>', [60, 61, 60, 58, 60]),
+        ('<turn trill-step="half" start-note="main"/>', [60, 61, 60, 59, 60]),
+        ('<trill-mark beats="999999999999"/>', [62, 60] * 10),  # of 0.05 s each
+    ],
+)
+def test_what_is_said_for_playback_of_ornaments(sign, expected, saved):
+    score = load_score(saved(document([TEMPO + pitched("C4", 4, ornament=sign)])))
+    assert pitches(score) == expected
+
+
+def test_a_trill_may_accelerate(saved):
+    mark = '<trill-mark beats="6" accelerate="yes"/>'
+    notes = load_score(saved(document([TEMPO + pitched("C4", 4, ornament=mark)]))).notes
+    lengths = [n.end - n.start for n in notes]
+    assert sum(lengths) == pytest.approx(1)
+    assert sorted(lengths, reverse=True) == lengths
+    assert lengths[0] > 1.5 * lengths[-1]
+
+
+def wedge(kind, more=""):
+    return direction(f'<wedge type="{kind}" {more}/>')
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "velocities"),
+    [
+        (wedge("crescendo", 'niente="yes"'), wedge("stop"), [1, 48, 96]),
+        (wedge("diminuendo"), wedge("stop", 'niente="yes"'), [96, 48, 1]),
+        (wedge("diminuendo", 'niente="yes"'), wedge("stop"), [96, 48, 1]),
+        (words("dim. al niente"), marked("<p/>"), [96, 48, 49]),
+    ],
+)
+def test_hairpins_from_and_to_silence(begin, end, velocities, saved):
+    bar = marked("<f/>") + begin + note("C4", 8) + note("D4", 8) + end
+    score = load_score(saved(document([FOUR_QUARTERS + bar, note("E4", 16)])))
+    assert [n.velocity for n in score.notes] == velocities
+
+
+@pytest.mark.parametrize("line", ["dashes", "bracket"])
+def test_a_line_after_words_is_as_long_as_the_change(line, saved):
+    begin, stop = (direction(f'<{line} type="{of}" number="1"/>') for of in ("start", "stop"))
+    together = begin.replace("><d", "><direction-type><words>cresc.</words></direction-type><d", 1)
+    for sign in (words("cresc.") + begin, together):
+        bar = marked("<p/>") + sign + note("C4", 8) + note("D4", 8) + stop
+        after = [note("E4", 16), marked("<f/>") + note("F4", 16)]
+        score = load_score(saved(document([FOUR_QUARTERS + bar, *after])))
+        assert [n.velocity for n in score.notes] == [49, 57, 65, 96]
+
+
+SLASHED = "<attributes><measure-style><slash type='{}'/></measure-style></attributes>"
+
+
+@pytest.mark.parametrize(
+    ("music", "expected", "remark"),
+    [
+        (
+            [note("B4", 16, inside="<notehead>slash</notehead>"), note("C5", 16)],
+            [(4, 8, 72)],
+            "1 note that a slash stands for left out",
+        ),
+        (
+            [SLASHED.format("start") + note("B4", 16), SLASHED.format("stop") + note("C5", 16)],
+            [(4, 8, 72)],
+            "1 note that a slash stands for left out",
+        ),
+        (
+            [note("C4", 8) + note("D4", 8).replace("<note", '<note dynamics="0"')],
+            [(0, 2, 60)],
+            "1 note of no volume left out",
+        ),
+        (
+            [note("C4", 8) + '<sound dynamics="0"/>' + note("D4", 8)],
+            [(0, 2, 60)],
+            "1 note of no volume left out",
+        ),
+        (
+            ["<harmony><kind>major</kind></harmony>" + note("C4", 16)],
+            [(0, 4, 60)],
+            "1 chord symbol left out",
+        ),
+        (
+            [note("C4", 16, inside='<notations><slide type="start"/></notations>')],
+            [(0, 4, 60)],
+            "1 glissando left out",
+        ),
+    ],
+)
+def test_what_is_not_played_as_a_pitch_is_told(music, expected, remark, saved):
+    score = load_score(saved(document([TEMPO + music[0], *music[1:]])))
+    assert (played(score), score.remarks) == (expected, (remark,))
+
+
+@pytest.mark.parametrize("kind", ["ossia", "cue", "alternate", "editorial"])
+def test_a_staff_that_is_not_played_is_left_out_and_is_no_hand(kind, saved):
+    details = f'<staves>3</staves><staff-details number="1"><staff-type>{kind}</staff-type>'
+    head = TEMPO.replace("</attributes>", f"{details}</staff-details></attributes>", 1)
+    bar = note("C6", 16, 1) + BACK + note("C5", 16, 2) + BACK + note("C3", 16, 3)
+    score = load_score(saved(document([head + bar])))
+    assert [(n.pitch, n.hands) for n in score.notes] == [(48, (1,)), (72, (0,))]
+    assert score.remarks == ("1 note of an ossia, or on a staff for reference, left out",)
+
+
+def test_notes_of_cue_size_are_played(saved):
+    small = note("C4", 16, inside='<type size="cue">whole</type>')
+    assert pitches(load_score(saved(document([FOUR_QUARTERS + small])))) == [60]
+
+
+def test_parts_of_no_volume_are_silent_until_they_have_some(saved):
+    text = document(
+        [FOUR_QUARTERS + note("C4", 16)],
+        [FOUR_QUARTERS + note("C5", 16), "{}" + note("D5", 16)],
+    )
+    name = "<part-name>Part 2</part-name>"
+    silent = '<midi-instrument id="P2-I1"><volume>{}</volume></midi-instrument>'
+    text = text.replace(name, name + silent.format(0))
+    score = load_score(saved(text.replace("{}", "")))
+    assert (pitches(score), score.remarks) == ([60], ("2 notes of no volume left out",))
+    score = load_score(saved(text.replace("{}", f"<sound>{silent.format(80)}</sound>")))
+    assert pitches(score) == [60, 74]
+
+
+@pytest.mark.parametrize(("double", "pitch"), [("<double/>", 36), ('<double above="yes"/>', 60)])
+def test_music_may_be_doubled_an_octave_away(double, pitch, saved):
+    attributes = FOUR_QUARTERS.replace(
+        "</attr", f"<transpose><chromatic>0</chromatic>{double}</transpose></attr"
+    )
+    score = load_score(saved(document([attributes + note("C3", 16)])))
+    assert sorted(pitches(score)) == sorted([48, pitch])
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        "<note><rest/><duration>4</duration><voice>2</voice></note>",
+        "<forward><duration>4</duration></forward>",
+    ],
+)
+def test_rests_do_not_make_a_bar_longer(more, saved):
+    bar = TEMPO + note("C4", 16) + BACK + note("C3", 8, 2) + more * 3
+    assert played(load_score(saved(document([bar, note("D4", 16)]))))[2] == (4, 8, 62)

@@ -37,12 +37,14 @@ class Sforzato:
 class Hairpin:
     """A hairpin: from `onset` to `end` notes become louder (`step` 1) or softer (-1) by degrees.
 
-    The end of a word such as cresc. is None: it goes on up to the next dynamic.
+    The end of a word such as cresc. is None: it goes on up to the next dynamic. With `niente` they
+    come from silence, or fade into it.
     """
 
     onset: Fraction
     end: Fraction | None
     step: int
+    niente: bool = False
 
 
 class Loudness:
@@ -82,11 +84,11 @@ class Loudness:
                 self._ramp(hairpin, now, goal, following)
 
     def at(self, place: Fraction) -> int:
-        """The velocity, 1 to 127, of notes at a place [quarters]."""
+        """The velocity, 1 to 127, of notes at a place [quarters]; 0 where a dynamic of 0 holds."""
         velocity = self._alone.get(place, self._at(place))
         if place in self._accented:
             velocity *= SFORZATO
-        return within_midi(velocity)
+        return within_midi(velocity) if velocity else 0
 
     def _at(self, place: Fraction) -> float:
         after = bisect_right(self._segments, place, key=itemgetter(0))
@@ -113,17 +115,22 @@ class Loudness:
             dynamic: the place and the velocity of the next dynamic, if any.
             following: the place of the next hairpin, if any.
         """
-        end, goal = hairpin.end, now + hairpin.step * HAIRPIN_STEP
+        end, grows = hairpin.end, hairpin.step > 0
+        begin = SOFTEST if hairpin.niente and grows else now
+        goal = begin + hairpin.step * HAIRPIN_STEP
+        if hairpin.niente:
+            goal = max(goal, now) if grows else SOFTEST
         if end is None:
             open_end = hairpin.onset + OPEN_HAIRPIN if dynamic is None else dynamic[0]
             end = open_end if following is None else following
         if dynamic is not None:
             end = min(end, dynamic[0])
-            if dynamic[0] <= end + _GOAL_WITHIN and (dynamic[1] - now) * hairpin.step > 0:
+            leads_there = (dynamic[1] - begin) * hairpin.step > 0 and (grows or not hairpin.niente)
+            if dynamic[0] <= end + _GOAL_WITHIN and leads_there:
                 goal = dynamic[1]
         if end > hairpin.onset:
             goal = min(max(goal, SOFTEST), LOUDEST)
-            self._add(hairpin.onset, now, (goal - now) / float(end - hairpin.onset))
+            self._add(hairpin.onset, begin, (goal - begin) / float(end - hairpin.onset))
             self._add(end, goal)
 
 

@@ -12,6 +12,7 @@ _SHARPS = (3, 0, 4, 1, 5, 2, 6)  # the steps that get sharps, in the order of ke
 _WHOLE_TONE = 2
 _LEAST_TRILL = 4  # notes: two shakes
 _FASTEST = 0.05  # [s] a note has no ornament whose notes would be shorter; a choice
+_FIRST = 4 / 3  # of the mean length has the first note of a trill that accelerates; a choice
 _MOST_OF_NOTE = 0.5  # of the note, which a turn after it takes at most
 
 Played = tuple[float, float, int]
@@ -58,21 +59,22 @@ def ornament_notes(note: SignedNote, start: float, end: float, led_to: bool) -> 
     assert sign is not None
     if sign.kind is OrnamentKind.TRILL:
         return _trill(note, sign, start, end, led_to)
-    upper, main, lower = (
-        neighbour(note, 1, sign.above),
-        note.pitch,
-        neighbour(note, -1, sign.below),
-    )
-    turn = [upper, main, lower, main]
+    upper, main, lower = _upper(note, sign), note.pitch, neighbour(note, -1, sign.below)
+    other = upper
+    if sign.kind is OrnamentKind.MORDENT:
+        other = lower if sign.interval is None else main - sign.interval
+    shakes = max((sign.notes - 1) // 2, 1) if sign.notes else 2 if sign.long else 1
+    mordent = [main, *[other, main] * shakes, *_end(main, sign)]
     pitches = {
-        OrnamentKind.MORDENT: [main, *[lower, main] * (2 if sign.long else 1)],
-        OrnamentKind.INVERTED_MORDENT: [main, *[upper, main] * (2 if sign.long else 1)],
-        OrnamentKind.TURN: turn,
+        OrnamentKind.MORDENT: mordent,
+        OrnamentKind.INVERTED_MORDENT: mordent,
+        OrnamentKind.TURN: [upper, main, lower, main],
         OrnamentKind.INVERTED_TURN: [lower, main, upper, main],
         OrnamentKind.SLIDE: [neighbour(note, -2), neighbour(note, -1), main],
     }[sign.kind]
-    if sign.kind is OrnamentKind.INVERTED_MORDENT and sign.begins == 1:
-        pitches = [upper, *pitches]
+    opening = {1: upper, 0: main, -1: lower, None: pitches[0]}[sign.begins]
+    if opening != pitches[0] and sign.kind is not OrnamentKind.SLIDE:
+        pitches = [opening, *pitches]
     each = 1 / NOTES_A_SECOND
     if sign.delayed:
         each = min(each, _MOST_OF_NOTE * (end - start) / len(pitches))
@@ -82,25 +84,54 @@ def ornament_notes(note: SignedNote, start: float, end: float, led_to: bool) -> 
     return _sequence(pitches, start, min(each, (end - start) / len(pitches)), end)
 
 
+def _upper(note: SignedNote, sign: Ornament) -> int:
+    """The pitch of the upper neighbour."""
+    return neighbour(note, 1, sign.above) if sign.interval is None else note.pitch + sign.interval
+
+
+def _end(main: int, sign: Ornament) -> list[int]:
+    """The two notes with which a trill or mordent ends, if the sign has them."""
+    return [main - sign.turn, main] if sign.turn else []
+
+
 def _trill(
     note: SignedNote, sign: Ornament, start: float, end: float, led_to: bool
 ) -> list[Played]:
-    """A whole number of equally long notes that end on the main note.
+    """Equally long notes that end on the main note, if the sign does not say how many there are.
 
     They begin on the upper neighbour (Bach), unless the sign says otherwise or a grace note leads
     to the note.
     """
-    upper, main = neighbour(note, 1, sign.above), note.pitch
+    upper, main = _upper(note, sign), note.pitch
     begins = sign.begins
     if begins is None:
         begins = 0 if led_to else 1
-    odd = begins == 0
-    count = max(int((end - start) * NOTES_A_SECOND + 1e-9), _LEAST_TRILL - odd)
-    count -= (count - odd) % 2
-    pitches = [main if (count - k) % 2 else upper for k in range(count)]
+    odd, last = begins == 0, _end(main, sign)
+    if sign.notes:
+        count = max(min(sign.notes, int((end - start) / _FASTEST) - len(last)), 2)
+    else:
+        fitting = int((end - start) * NOTES_A_SECOND + 1e-9) - len(last)
+        count = max(fitting, _LEAST_TRILL - odd)
+        count -= (count - odd) % 2
+    pitches = [main if k % 2 != odd else upper for k in range(count)]
     if begins == -1:
         pitches[0] = neighbour(note, -1, sign.below)
-    return _sequence(pitches, start, (end - start) / count, end)
+    pitches += last
+    each = (end - start) / len(pitches)
+    if each < _FASTEST:
+        return [(start, end, main)]
+    played = _sequence(pitches, start, each, end)
+    return _accelerated(played, start, end) if sign.accelerates else played
+
+
+def _accelerated(notes: list[Played], start: float, end: float) -> list[Played]:
+    """The notes between two times [s], each shorter than the one before by as much."""
+
+    def moved(time: float) -> float:
+        share = (time - start) / (end - start)
+        return min(start + (end - start) * share * (_FIRST - (_FIRST - 1) * share), end)
+
+    return [(moved(begin), moved(stop), pitch) for begin, stop, pitch in notes]
 
 
 def _sequence(pitches: list[int], first: float, each: float, end: float) -> list[Played]:

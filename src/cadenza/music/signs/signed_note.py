@@ -49,6 +49,11 @@ class Ornament:
     `begins` is the first note where the file says so: 1 for the upper neighbour, 0 for the note
     itself, -1 for the lower neighbour. `delayed` is a turn between this note and the next. A `long`
     mordent has one more beat.
+
+    Further fields are what the file says for playback, which goes before the rest: the `interval`
+    to the neighbour [semitones], the one down to the first of two notes with which a trill or
+    mordent ends (`turn`), how many `notes` there are before those, 0 for as many as are usual, and
+    whether a trill `accelerates`.
     """
 
     kind: OrnamentKind
@@ -57,6 +62,10 @@ class Ornament:
     begins: int | None = None
     delayed: bool = False
     long: bool = False
+    interval: int | None = None
+    turn: int | None = None
+    notes: int = 0
+    accelerates: bool = False
 
 
 class Role(Enum):

@@ -11,6 +11,7 @@ from itertools import zip_longest
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.errors import CadenzaError
 from cadenza.music.signs.conventions import (
     ACCELERANDO,
     CAESURA,
@@ -31,6 +32,9 @@ from cadenza.music.signs.tempo_marks import (
 
 Floats = NDArray[np.float64]
 
+MOST_SEGMENTS = 100_000
+"""More, with all repeats, are taken for damage."""
+_SLOWEST, _FASTEST = 60.0, 0.006  # [s] a quarter lasts at most and at least, however it changes
 _SECONDS_PER_QUARTER = 0.5  # until the score says otherwise, as in MIDI
 _AT_BARLINE = Fraction(1)  # [quarters]: over a barline, a fermata is as long as over a quarter
 
@@ -112,6 +116,9 @@ class TempoMap:
 
         Args:
             sections: the beginning and the end of each section in the written music [quarters].
+
+        Raises:
+            CadenzaError: there would be more than `MOST_SEGMENTS`.
         """
         at, time, silence = Fraction(0), 0.0, 0.0
         segments: list[TempoSegment] = []
@@ -121,6 +128,8 @@ class TempoMap:
             for cut in (self._from(begin, silence), *self.segments[inside]):
                 begun = time + cut.time - first
                 segments.append(replace(cut, place=at + cut.place - begin, time=begun))
+            if len(segments) > MOST_SEGMENTS:
+                raise CadenzaError(f"over {MOST_SEGMENTS} tempos with all repeats, too many")
             silence = last - float(self.ends([end])[0])
             at, time = at + end - begin, time + last - first
         if not segments:
@@ -160,7 +169,7 @@ def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoSegme
     speeds = [TempoSegment(Fraction(0), _SECONDS_PER_QUARTER)]
     before, gradual = _SECONDS_PER_QUARTER, False  # what "a tempo" leads back to; whether in a ramp
     for mark, following in zip_longest(changes, changes[1:]):
-        now = speeds[-1].seconds
+        now = min(max(speeds[-1].seconds, _FASTEST), _SLOWEST)
         if mark.onset in tempos and not isinstance(mark, Tempo) and _is_said(mark, speeds):
             continue
         if isinstance(mark, TempoWord) and mark.change in _GRADUAL:

@@ -19,8 +19,8 @@ _CHANGES = (
     ),
     (Change.ACCELERANDO, r"(accel|string(endo|\b)|affrett|precipit|serrez|beschleunig)"),
 )
-_LOUDER = r"(cresc|rinforzando)"
-_SOFTER = r"(decresc|dim\b|dimin|calando|morendo|smorz|perdendosi)"
+_LOUDER = r"(cresc|rinforzando|dal niente)"
+_SOFTER = r"(decresc|dim\b|dimin|calando|morendo|smorz|perdendosi|al niente)"
 _TRIPLETS = 2, 1  # "Swing": the first note is about twice as long (MuseScore's handbook)
 _EVEN = 1, 1
 

@@ -85,7 +85,7 @@ class _Reader:
             self._read_barline(element, placed.quarter)
 
     def _begin(self, measure: int, quarter: Fraction, printed: str) -> None:
-        counted = int(printed) if printed.isdecimal() else measure + 1
+        counted = int(number(printed, Fraction(measure + 1)))
         end, signs = self._begins[measure + 1], Signs(ending=self._bracket)
         self.bars.append(WrittenBar(measure, quarter, end, counted, self._beat_type, signs))
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from xml.etree.ElementTree import Element
 
-from cadenza.music.formats.musicxml.timeline import Placed
+from cadenza.music.formats.musicxml.timeline import Placed, ends_of_lines, number_or_none
 from cadenza.music.score import LOUDEST
 from cadenza.music.signs.loudness import Dynamic, Hairpin, Loudness, Sforzato, within_midi
 from cadenza.music.signs.words import loudness_step
@@ -45,18 +46,22 @@ class PartLoudness:
         plain: whether hairpins and sforzatos have no effect.
     """
 
-    def __init__(self, part: Iterable[Placed], plain: bool) -> None:
+    def __init__(self, part: Sequence[Placed], plain: bool) -> None:
         self._plain = plain
+        self._end_of_line = ends_of_lines(part)
         self._marks: defaultdict[int | None, list[_Mark]] = defaultdict(list)  # by staff
-        self._open: dict[tuple[str, int | None], tuple[Fraction, int]] = {}
+        self._open: dict[tuple[str, int | None], Hairpin] = {}
         self._known: dict[int | None, tuple[Fraction, Loudness]] = {}
         for placed in part:
             self._read(placed)
-        for (_, staff), (onset, step) in self._open.items():
-            self._marks[staff].append(Hairpin(onset, None, step))
+        for (_, staff), hairpin in self._open.items():
+            self._marks[staff].append(hairpin)
 
     def velocity(self, placed: Placed) -> int:
-        """The velocity of a note: its own for playback, or as the marks before it say."""
+        """The velocity of a note: its own for playback, or as the marks before it say.
+
+        It is 0 for a note that is not to be heard.
+        """
         if (own := _percent(placed.element.get("dynamics"))) is not None:
             return own
         first, loudness = self._loudness(placed.staff)
@@ -91,8 +96,10 @@ class PartLoudness:
             for wedge in element.iterfind("direction-type/wedge"):
                 self._read_wedge(wedge, placed)
             for words in element.iterfind("direction-type/words"):
-                if step := loudness_step(words.text or ""):
-                    self._marks[placed.staff].append(Hairpin(placed.sounds_at(), None, step))
+                text, end = words.text or "", self._end_of_line(placed)
+                if step := loudness_step(text):
+                    hairpin = Hairpin(placed.sounds_at(), end, step, "niente" in text.lower())
+                    self._marks[placed.staff].append(hairpin)
 
     def _mark(self, sign: Element, onset: Fraction, staff: int | None) -> None:
         name = _name(sign)
@@ -105,13 +112,14 @@ class PartLoudness:
             self._marks[staff].append(Dynamic(onset, _ALL[name]))
 
     def _read_wedge(self, wedge: Element, placed: Placed) -> None:
-        key = wedge.get("number", "1"), placed.staff
+        key, niente = (wedge.get("number", "1"), placed.staff), wedge.get("niente") == "yes"
         if step := _STEPS.get(wedge.get("type", "")):
-            self._open[key] = placed.sounds_at(), step
+            self._open[key] = Hairpin(placed.sounds_at(), None, step, niente)
         elif wedge.get("type") == "stop" and key in self._open:
-            onset, step = self._open.pop(key)
-            if onset < placed.sounds_at():
-                self._marks[placed.staff].append(Hairpin(onset, placed.sounds_at(), step))
+            hairpin, end = self._open.pop(key), placed.sounds_at()
+            if hairpin.onset < end:
+                niente |= hairpin.niente
+                self._marks[placed.staff].append(replace(hairpin, end=end, niente=niente))
 
 
 def _name(sign: Element) -> str:
@@ -120,8 +128,11 @@ def _name(sign: Element) -> str:
 
 
 def _percent(text: str | None) -> int | None:
-    """The velocity that an attribute for playback says, if it does: in percent of a forte."""
-    try:
-        return within_midi(float(text or "") * FORTE / 100)
-    except (ValueError, OverflowError):
+    """The velocity that an attribute for playback says, if it does: in percent of a forte.
+
+    It is 0 for none at all.
+    """
+    percent = number_or_none(text)
+    if percent is None or percent < 0:
         return None
+    return within_midi(float(percent) * FORTE / 100) if percent else 0

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import groupby
 
-from cadenza.music.formats.musicxml.timeline import ZERO, Placed, number
+from cadenza.music.formats.musicxml.timeline import MOST_STAVES, ZERO, Placed, number
 
-_STAVES = {1, 2}  # of the right and of the left hand
+_STAVES = 2  # of a part for both hands: the upper one is for the right hand
 
 
 @dataclass(slots=True)
@@ -23,25 +23,33 @@ class _Run:
     sounds: bool = False
 
 
-def hands_of(part: Sequence[Placed]) -> list[int | None]:
+def hands_of(part: Sequence[Placed], others: Sequence[bool]) -> list[int | None]:
     """The hands that play the notes and rests of a part, in their order; None where nobody knows.
 
     The upper staff is the right hand's. A voice that goes to the other staff stays with the hand of
     the staff where it began, unless in a bar it begins on the other while others are on its own.
+
+    Args:
+        part: its elements.
+        others: which of its notes and rests are on a staff that is not played, such as an ossia.
     """
     notes = [placed for placed in part if placed.element.tag == "note"]
-    staves = {placed.staff or 1 for placed in notes}
-    declared = max((number(p.element.findtext("staves")) for p in part), default=0)
-    if staves != _STAVES and not (declared == len(_STAVES) and staves < _STAVES):
-        return [None] * len(notes)
+    played = [(i, note) for i, note in enumerate(notes) if not others[i]]
+    staves = {note.staff or 1 for _, note in played}
+    if len(staves) < _STAVES:
+        declared = max(number(placed.element.findtext("staves")) for placed in part)
+        silent = {note.staff or 1 for note in notes} - staves
+        staves |= {*range(1, min(int(declared), MOST_STAVES) + 1)} - silent
     hands: list[int | None] = [None] * len(notes)
+    if len(staves) != _STAVES:
+        return hands
     home: dict[str, int] = {}  # the staff on which a voice began
-    for _, bar in groupby(enumerate(notes), key=lambda each: each[1].measure):
+    for _, bar in groupby(played, key=lambda each: each[1].measure):
         runs = _runs(bar)
         busy = {run.staff for run in runs if run.sounds}
         for run in runs:
             own = home.setdefault(run.voice, run.staff)
-            hand = (run.staff if own in busy else own) - 1
+            hand = int((run.staff if own in busy else own) == max(staves))
             for index in run.indices:
                 hands[index] = hand
     return hands

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from fractions import Fraction
+from itertools import chain
 from xml.etree.ElementTree import Element
 
 from cadenza.music.formats.musicxml.bar_order import Signs
@@ -13,9 +14,28 @@ from cadenza.music.formats.musicxml.timeline import Placed, exact, number, passe
 
 _DA_CAPO = re.compile(r"\bd\. ?c\b|^dc\b|\bda ?capo\b")
 _DAL_SEGNO = re.compile(r"\bd\. ?s\b|^ds\b|\bdal? segno\b")
-_TO_CODA = re.compile(r"^\W*(to|al|alla) (the )?coda\b")
-_FINE = re.compile(r"^\W*(il )?(fine?|ende|schlu(ss|ß))\W*$")
+_TO_CODA = re.compile(r"\b(to|al|alla) (the )?coda\b")
+_FINE = re.compile(r"^\W*(il )?(fine?|ende|schlu(ss|ß))\b")
 _WORD = re.compile(r"[a-zäöüéè]{5,}")
+_ANY_WORD = re.compile(r"[^\W\d_]+")
+_DANCE = re.compile(r"(men|min)u|trio|scher|mar[cs]|ron[dt]|gavot|bour|polon|mazur|wal[tz]|vals")
+_MOST_BEFORE = 3  # words before a jump, such as "Menuetto primo" or "2nd time"
+_MENTION = re.compile(  # a word before what is no jump itself, such as "on D.S."
+    "on|at|after|before|during|until|till|in|of|the|for|when|while|if|with|without|not?|only|tacet|"
+    "nach|beim?|vor|im|zum|vom|ohne|nicht|nur|auf?|après|avant|sans|dopo|prima|[dn]el|alla?|senza|"
+    "non|solo"
+)
+_WHEN = re.compile(  # a word that may stand with "to coda" and "fine"
+    "on|at|after|last|the|times?|n?[rd]d|st|x|second|third|volt[ae]|[dcs]|da|capo|dal|segno|go|then|"
+    "only|repeat|and|coda"
+)
+_WHERE = re.compile(  # a word that may follow a jump
+    "a|ad|all?|all[ao]|au|to|till|until|bis|zu[mr]?|sino?|fino?|fine|ende?|schlu(ss|ß)|coda|segno|"
+    "sign|senza|sans|ohne|with(out)?|con|mit|avec|no|rep(eats?|lica|liche)?|reprises?|"
+    "r[ei]peti[tz]ion[ei]?s?|wiederholung(en)?|ma|ed?|et|und|and|poi|then|dann|puis|l[ae]|il|das|"
+    "d[ie][er]|[lsdcx]|da|capo|dall?|from|beginning|top|anfang|i+|primo|secondo|times?|volt[ae]|nd|"
+    "fade|out|lib(itum)?|last|poco|molto|rit|rall|tempo|attacca|segue"
+)
 _TRIO = re.compile(r"^\W*trio\b")
 _GOALS = {kind: re.compile(rf"^\W*{kind}( {kind})?\W*\d?$") for kind in ("segno", "coda")}
 _GLYPHS = {"\U0001d10b": " segno ", "\U0001d10c": " coda ", "⊕": " coda "}
@@ -96,20 +116,22 @@ class JumpReader:
         after = self._bars[min(at + 1, len(self._bars) - 1)].signs
         # Long words begin before the bar that they are for.
         back = after if after.times > 1 and not after.begins_repeat else signs
-        if _DA_CAPO.search(text):
+        if self._is_jump(_DA_CAPO.search(text)):
+            if _DAL_SEGNO.search(text):
+                back.dal_segno = back.dal_segno or _UNNAMED
             named = [self._headings[w] for w in _WORD.findall(text) if w in self._headings]
             if named:  # such as "Menuetto da capo"
                 goal = self._bars[named[0]].signs
                 goal.segno = goal.segno or _HEADING
                 back.dal_segno = back.dal_segno or goal.segno
             back.da_capo = True
-        elif _DAL_SEGNO.search(text):
+        elif self._is_jump(_DAL_SEGNO.search(text)):
             back.dal_segno = back.dal_segno or _UNNAMED
         elif _TRIO.search(text) and at:
             self._trios.add(at - 1)
-        elif _TO_CODA.search(text):
+        elif _is_alone(_TO_CODA.search(text)):
             signs.to_coda = signs.to_coda or _UNNAMED
-        elif _FINE.search(text):
+        elif _is_alone(_FINE.search(text)):
             signs.fine = True
         elif _GOALS["segno"].search(text):
             self._segnos.add(begun)
@@ -117,6 +139,17 @@ class JumpReader:
             self._codas.append((at, begun))
         elif (word := _WORD.match(text)) and at:
             self._headings[word[0]] = begun
+
+    def _is_jump(self, found: re.Match[str] | None) -> bool:
+        """Whether words in a text are a jump themselves, and not only mention one."""
+        if found is None:
+            return False
+        before, after = _around(found)
+        return (
+            len(before) <= _MOST_BEFORE
+            and not any(map(_MENTION.fullmatch, before))
+            and all(_WHERE.fullmatch(w) or w in self._headings or _DANCE.match(w) for w in after)
+        )
 
     def read_signs(self) -> None:
         """Reads the segno, trio and coda signs, now that all jumps are known, and ends of fines."""
@@ -155,6 +188,17 @@ def _read_sound(sound: Element, here: Signs, begun: Signs) -> None:
     begun.segno = sound.get("segno", begun.segno)
     begun.coda = sound.get("coda", begun.coda)
     begun.begins_repeat |= sound.get("forward-repeat", "no") == "yes"
+
+
+def _is_alone(found: re.Match[str] | None) -> bool:
+    """Whether nothing stands beside words in a text but when they hold."""
+    return found is not None and all(map(_WHEN.fullmatch, chain(*_around(found))))
+
+
+def _around(found: re.Match[str]) -> tuple[list[str], list[str]]:
+    """The words before and after others in a text."""
+    text = found.string
+    return _ANY_WORD.findall(text[: found.start()]), _ANY_WORD.findall(text[found.end() :])
 
 
 def _text(element: Element) -> str:

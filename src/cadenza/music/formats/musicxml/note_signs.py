@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -43,6 +44,8 @@ _ALTERATIONS = {
     **{"double-sharp": 2, "sharp-sharp": 2, "flat-flat": -2},
 }
 _FIRST = {"upper": 1, "main": 0, "below": -1}  # notes of ornaments
+_INTERVALS = {"whole": 2, "half": 1, "unison": 0}
+_MOST_NOTES = 128  # of an ornament
 _ROLES = {"start": Role.FIRST, "stop": Role.SECOND}
 _STEPS = {"up": 1, "down": -1}
 
@@ -58,8 +61,8 @@ def signs_of(note: Element) -> dict[str, Any]:
             is_measured = tremolo.get("type") != "unmeasured"
             strokes = int(number(tremolo.text)) if is_measured else 0
             found["tremolo"] = Tremolo(strokes, _ROLES.get(tremolo.get("type", ""), Role.ALONE))
-        for ornament in _ornaments(ornaments):
-            found.setdefault("ornament", ornament)
+        if "ornament" not in found and (ornament := next(_ornaments(ornaments), None)):
+            found["ornament"] = ornament
     for wave in note.iterfind("notations/arpeggiate"):
         chord = int(number(wave.get("number"))) or None
         found["arpeggio"] = Arpeggio(chord, _STEPS.get(wave.get("direction", ""), 1))
@@ -83,7 +86,7 @@ def _ornaments(parent: Element) -> Iterator[Ornament]:
             continue
         kind = _ORNAMENTS[sign.tag]
         altered: dict[str, int | None] = {"above": None, "below": None}
-        for mark in signs[i + 1 :]:
+        for mark in islice(signs, i + 1, None):
             if mark.tag != "accidental-mark":
                 break
             usual = "below" if kind is OrnamentKind.MORDENT else "above"
@@ -98,4 +101,8 @@ def _ornaments(parent: Element) -> Iterator[Ornament]:
             begins=_FIRST.get(sign.get("start-note", "")),
             delayed=sign.tag.startswith("delayed"),
             long=sign.get("long") == "yes",
+            interval=_INTERVALS.get(sign.get("trill-step", "")),
+            turn=_INTERVALS.get(sign.get("two-note-turn", "")),
+            notes=min(int(number(sign.get("beats"))), _MOST_NOTES),
+            accelerates=sign.get("accelerate") == "yes",
         )

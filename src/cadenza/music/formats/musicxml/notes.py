@@ -20,13 +20,14 @@ from cadenza.music.formats.musicxml.timeline import (
     exact,
     length_of,
     number,
+    number_or_none,
     passes_of,
 )
 from cadenza.music.score import NATURALS, OCTAVE, STEPS
 from cadenza.music.signs.signed_note import Grace, SignedNote
 
-_OCTAVES = re.compile(r"-?\d{1,2}")
 _FINGERS = "12345"
+_OTHER_STAVES = frozenset(("ossia", "cue", "editorial", "alternate"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,16 +46,20 @@ class WrittenNote:
 
 
 class _Transposition(NamedTuple):
-    """So many steps and semitones an instrument sounds higher than it is written."""
+    """So many steps and semitones an instrument sounds higher than it is written.
 
-    steps: int
-    semitones: int
+    It also sounds `doubled` semitones higher than that, if not 0.
+    """
+
+    steps: int = 0
+    semitones: int = 0
+    doubled: int = 0
 
 
 def notes_of(
     part: Sequence[Placed],
     track: int,
-    is_drum: Callable[[Element], bool],
+    silence: Callable[[Placed], str],
     plain: bool,
     counts: Counter[str],
 ) -> list[WrittenNote]:
@@ -63,19 +68,31 @@ def notes_of(
     Args:
         part: its elements.
         track: its number.
-        is_drum: whether a note belongs to the drums.
+        silence: why the instrument of a note is not heard, as a name in `counts`; "" if it is.
         plain: whether notes are without their signs, as they stand.
         counts: the numbers of notes that are left out or changed, by what they are.
     """
     written = [placed for placed in part if placed.element.tag == "note"]
     loudness = PartLoudness(part, plain)
     key = attribute(part, "key", lambda each: int(number(each.findtext("fifths"))), 0)
-    transposition = attribute(part, "transpose", _transposition, _Transposition(0, 0))
-    graces, hand_of = _graces(written), hands_of(part)
+    transposition = attribute(part, "transpose", _transposition, _Transposition())
+    is_other = attribute(part, "staff-details[staff-type]", _is_other_staff, before=False)
+    is_slashed = attribute(part, "measure-style[slash]", _is_slashed, before=False)
+    others = [is_other(placed) for placed in written]
+    graces, hand_of = _graces(written), hands_of(part, others)
     found: list[WrittenNote] = []
     for index, placed in enumerate(written):
         note, hand, grace = placed.element, hand_of[index], graces.get(index)
-        pitch = _written_pitch(note, is_drum, counts)
+        if note.find("cue") is not None or note.find("rest") is not None:
+            continue
+        is_slash = note.findtext("notehead", "").strip() == "slash" or is_slashed(placed)
+        velocity = loudness.velocity(placed)
+        why = "other staff" if others[index] else silence(placed)
+        why = why or ("slash" if is_slash else "" if velocity else "silent")
+        if why:
+            counts[why] += 1
+            continue
+        pitch = _written_pitch(note, counts)
         if pitch is None:
             continue
         shift, (step, semitones) = transposition(placed), pitch
@@ -85,7 +102,7 @@ def notes_of(
             onset=placed.quarter,
             duration=_shown_length(note) if grace else placed.duration,
             pitch=sounds,
-            velocity=loudness.velocity(placed),
+            velocity=velocity,
             part=track,
             staff=placed.staff or 1,
             voice=f"{placed.voice} {hand}",  # staves may have voices of one name
@@ -101,27 +118,33 @@ def notes_of(
         tied, ties = _ties(note)
         signed = signed.plain if plain else signed
         found.append(WrittenNote(placed.measure, signed, tied, ties, passes_of(note)))
+        if shift.doubled:
+            octave = replace(signed, pitch=signed.pitch + shift.doubled, finger=None)
+            found.append(replace(found[-1], signed=octave))
     return found
 
 
-def _written_pitch(
-    note: Element, is_drum: Callable[[Element], bool], counts: Counter[str]
-) -> tuple[int, int] | None:
-    """The pitch of a note that is played: its number among the white keys, C0 being 0, and in MIDI.
+def _is_other_staff(details: Element) -> bool:
+    """Whether a staff has what may be played instead of another, or is for reference only."""
+    return details.findtext("staff-type", "").strip() in _OTHER_STAVES
 
-    It is None for a rest, a cue and what has no pitch that can be read.
+
+def _is_slashed(style: Element) -> bool:
+    """Whether slashes stand for notes from a style of measures on."""
+    return style.find("slash[@type='start']") is not None
+
+
+def _written_pitch(note: Element, counts: Counter[str]) -> tuple[int, int] | None:
+    """The pitch of a note: its number among the white keys, C0 being 0, and in MIDI.
+
+    It is None for what has no pitch that can be read.
     """
-    if note.find("cue") is not None or note.find("rest") is not None:
-        return None
-    if is_drum(note):
-        counts["drums"] += 1
-        return None
     counts["unpitched"] += note.find("unpitched") is not None
     pitch = note.find("pitch")
     if pitch is None:
         return None
-    step, octave = (pitch.findtext(tag, "").strip() for tag in ("step", "octave"))
-    if step not in [*STEPS] or not _OCTAVES.fullmatch(octave):
+    step, octave = pitch.findtext("step", "").strip(), number_or_none(pitch.findtext("octave"))
+    if step not in [*STEPS] or octave is None:
         counts["unreadable"] += 1
         return None
     alter = number(pitch.findtext("alter"))
@@ -140,7 +163,9 @@ def _transposition(transpose: Element) -> _Transposition:
     octaves = int(number(transpose.findtext("octave-change")))
     semitones = int(number(transpose.findtext("chromatic")))
     steps = int(number(transpose.findtext("diatonic"))) or round(semitones * 7 / 12)
-    return _Transposition(steps + 7 * octaves, semitones + OCTAVE * octaves)
+    double = transpose.find("double")
+    doubled = 0 if double is None else OCTAVE if double.get("above") == "yes" else -OCTAVE
+    return _Transposition(steps + 7 * octaves, semitones + OCTAVE * octaves, doubled)
 
 
 def _graces(notes: Sequence[Placed]) -> dict[int, Grace]:
@@ -189,7 +214,7 @@ def _ties(note: Element) -> tuple[bool, bool]:
 def _finger(note: Element, hand: int | None, counts: Counter[str]) -> Finger | None:
     """The finger of a note that a hand plays, the first where several are written."""
     for sign in note.iterfind("notations/technical/fingering"):
-        digit = re.search(r"\d", sign.text or "")
+        digit = re.search("[0-9]", sign.text or "")
         counts["fingering"] += digit is None
         if digit and digit[0] in _FINGERS and hand is not None:
             return Finger(hand, int(digit[0]) - 1)

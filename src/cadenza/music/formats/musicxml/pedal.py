@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
@@ -112,10 +112,14 @@ def together(pedals: Iterable[list[tuple[_T, int]]]) -> list[tuple[_T, int]]:
     if len(used) == 1:
         return used[0]
     values = [0] * len(used)
+    held = Counter[int]()  # how many pedals have each value
     moved: list[tuple[_T, int]] = []
     # Lifted before others are pressed, so that all may change at once.
     for place, value, i in sorted((*move, i) for i, pedal in enumerate(used) for move in pedal):
+        held += Counter([value])
+        held -= Counter([values[i]])
         values[i] = value
-        if max(values) != (moved[-1][1] if moved else 0):
-            moved.append((place, max(values)))
+        deepest = max(held, default=0)
+        if deepest != (moved[-1][1] if moved else 0):
+            moved.append((place, deepest))
     return moved

@@ -7,12 +7,13 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from operator import itemgetter
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from cadenza.errors import errors_in
+from cadenza.errors import CadenzaError, errors_in
 from cadenza.music.formats.musicxml.bar_order import without_goal
 from cadenza.music.formats.musicxml.bars import WrittenBar, bars_of
 from cadenza.music.formats.musicxml.jumps import JUMPS, read_jumps
@@ -26,7 +27,14 @@ from cadenza.music.formats.musicxml.pedal import (
     together,
 )
 from cadenza.music.formats.musicxml.tempo import TempoMarks, tempo_marks
-from cadenza.music.formats.musicxml.timeline import Placed, passes_of, timeline
+from cadenza.music.formats.musicxml.timeline import (
+    ZERO,
+    Placed,
+    number,
+    number_or_none,
+    passes_of,
+    timeline,
+)
 from cadenza.music.formats.musicxml.tree import tree_of
 from cadenza.music.formats.musicxml.unrolling import (
     Passage,
@@ -44,7 +52,9 @@ from cadenza.music.signs.tempo_map import TempoMap
 from cadenza.music.signs.tempo_marks import Swing, says_tempo
 
 _DECIMALS = 9  # of times [s]: what ends where another begins does so exactly
-_DRUM_CHANNEL = "10"
+_DRUM_CHANNEL = 10
+_AUDIBLE = Fraction(100)  # per cent of the volume
+_MOST_PARTS = 500  # an orchestra has some 50
 _TITLES = ("work/work-title", "movement-title", "credit[credit-type='title']/credit-words")
 
 
@@ -76,6 +86,8 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = (), plain: bool = 
 def _score(root: Element, tracks: Collection[int], plain: bool, title: str) -> Score:
     """The score in a document; without a title in it, it has the `title`."""
     music, counts = root.findall("part"), Counter[str]()
+    if len(music) > _MOST_PARTS:
+        raise CadenzaError(f"over {_MOST_PARTS} parts, too large for a song")
     placed, begins = timeline(music)
     longest = max(placed, key=lambda part: part[-1].measure if part else -1, default=[])
     bars = bars_of(longest, begins)
@@ -125,8 +137,12 @@ def _notes(
         )
         for note in realised(signed, tempo, swings)
     ]
+    of_part: defaultdict[int, list[RawNote]] = defaultdict(list)
+    for raw in found:
+        of_part[raw.tracks[0]].append(raw)
     for part in parts:
-        _hold(found, part.track.number, _timed(played_pedal(part.sostenuto, bars, passages), tempo))
+        moves = _timed(played_pedal(part.sostenuto, bars, passages), tempo)
+        _hold(of_part[part.track.number], moves)
     return found
 
 
@@ -138,13 +154,13 @@ def _timed(moves: Iterable[tuple[Fraction, int]], tempo: TempoMap) -> list[tuple
     ]
 
 
-def _hold(notes: Iterable[RawNote], track: int, moves: Sequence[tuple[float, int]]) -> None:
-    """Has the sostenuto pedal of a track hold the notes that sound when it goes down."""
+def _hold(notes: Iterable[RawNote], moves: Sequence[tuple[float, int]]) -> None:
+    """Has the sostenuto pedal hold those notes of its part that sound when it goes down."""
     down = [time for time, value in moves if value]
     up = [time for time, value in moves if not value]
     for note in notes if down else ():
         before = bisect_left(down, note.end) - 1
-        if track in note.tracks and before >= 0 and down[before] >= note.start:
+        if before >= 0 and down[before] >= note.start:
             end = bisect_right(up, down[before])
             note.end = max(note.end, up[end] if end < len(up) else note.end)
 
@@ -176,14 +192,13 @@ def _parts(
     counts: Counter[str],
 ) -> Iterator[_Part]:
     """Yields the parts with notes; other notes are added to `counts`."""
-    music, number = root.findall("part"), 1
+    music, track_number = root.findall("part"), 1
     for part, elements, listed in zip(music, placed, _listed(root, music), strict=True):
-        is_drum = _drums(listed, part)
-        notes = notes_of(elements, number, is_drum, plain, counts)
+        notes = notes_of(elements, track_number, _silence(listed, part, elements), plain, counts)
         if notes:
-            track = _track(number, printable(listed.findtext("part-name", "")), notes)
+            track = _track(track_number, printable(listed.findtext("part-name", "")), notes)
             yield _Part(track, notes, *(pedal_moves(elements, begins, p) for p in PEDALS))
-            number += 1
+            track_number += 1
 
 
 def _remarks(
@@ -203,6 +218,9 @@ def _remarks(
             (found.unclear, "metronome mark without a tempo", "left out"),
             (counts["microtone"], "microtone", "rounded to a semitone"),
             (counts["unpitched"], "unpitched note", "left out"),
+            (counts["silent"], "note", "of no volume left out"),
+            (counts["slash"], "note", "that a slash stands for left out"),
+            (counts["other staff"], "note", "of an ossia, or on a staff for reference, left out"),
             (counts["unreadable"], "note", "with an unreadable <step> or <octave> left out"),
             *_unread(root),
             (lost, "jump", "without a segno or coda to go to left out"),
@@ -213,9 +231,9 @@ def _remarks(
         yield "the soft pedal is left out"
 
 
-def _track(number: int, name: str, notes: Sequence[WrittenNote]) -> Track:
+def _track(at: int, name: str, notes: Sequence[WrittenNote]) -> Track:
     struck = [note.signed.pitch for note in notes if not note.tied] or [notes[0].signed.pitch]
-    return Track(number, name, name, None, len(struck), min(struck), max(struck))
+    return Track(at, name, name, None, len(struck), min(struck), max(struck))
 
 
 def _listed(root: Element, parts: Iterable[Element]) -> list[Element]:
@@ -230,24 +248,43 @@ def _listed(root: Element, parts: Iterable[Element]) -> list[Element]:
     return found
 
 
-def _drums(listed: Element, part: Element) -> Callable[[Element], bool]:
-    """A function that says whether a note of a part is played by drums.
+def _silence(listed: Element, part: Element, elements: Iterable[Placed]) -> Callable[[Placed], str]:
+    """A function that says why the instrument of a note is not heard, if it is not.
 
-    What is said for MIDI tells it, or where there is nothing, the first clef.
+    That is "drums" where what is said for MIDI tells it, or where there is nothing, the first clef;
+    and "silent" where the volume is 0, from the beginning or from a sound for playback on.
     """
-    channels = {
-        each.get("id", ""): each.findtext("midi-channel", "").strip() == _DRUM_CHANNEL
-        or each.find("midi-unpitched") is not None
-        for each in listed.iterfind("midi-instrument")
-    }
+    is_ossia = printable(listed.findtext("part-name", "")).lower().startswith("ossia")
+    drums: dict[str, bool] = {}
+    volumes: defaultdict[str, list[tuple[Fraction, Fraction]]] = defaultdict(list)
+    for each in listed.iterfind("midi-instrument"):
+        channel = number(each.findtext("midi-channel"))
+        is_drum = channel == _DRUM_CHANNEL or each.find("midi-unpitched") is not None
+        drums[each.get("id", "")] = is_drum
+        volumes[each.get("id", "")].append((ZERO, number(each.findtext("volume"), _AUDIBLE)))
+    for placed in elements:
+        for sound in placed.sounds:
+            for each in sound.iterfind("midi-instrument"):
+                if (volume := number_or_none(each.findtext("volume"))) is not None:
+                    volumes[each.get("id", "")].append((placed.sounds_at(sound), volume))
+    for changes in volumes.values():
+        changes.sort(key=itemgetter(0))
     is_clef = part.findtext("measure/attributes/clef/sign", "").strip() == "percussion"
-    usual = next(iter(channels.values()), is_clef)
+    usual = next(iter(drums), "")
 
-    def is_drum(note: Element) -> bool:
-        instrument = note.find("instrument")
-        return usual if instrument is None else channels.get(instrument.get("id", ""), usual)
+    def silence(placed: Placed) -> str:
+        instrument = placed.element.find("instrument")
+        name = usual if instrument is None else instrument.get("id", "")
+        name = name if name in drums else usual
+        if drums.get(name, is_clef):
+            return "drums"
+        if is_ossia:
+            return "other staff"
+        changes = volumes.get(name, [])
+        begun = bisect_right(changes, placed.quarter, key=itemgetter(0))
+        return "silent" if begun and changes[begun - 1][1] == 0 else ""
 
-    return is_drum
+    return silence
 
 
 def _unread(root: Element) -> Iterator[tuple[int, str, str]]:
@@ -258,3 +295,7 @@ def _unread(root: Element) -> Iterator[tuple[int, str, str]]:
     of_passes = (sound for sound in root.iter("sound") if passes_of(sound))
     count = sum(len(sound) > 0 or not JUMPS.issuperset(sound.keys()) for sound in of_passes)
     yield count, "sound", "for single passes left out"
+    yield sum(1 for _ in root.iter("harmony")), "chord symbol", "left out"
+    yield sum(1 for _ in root.iter("figured-bass")), "figured bass", "left out"
+    slides = (*root.iter("glissando"), *root.iter("slide"))
+    yield sum(each.get("type") == "start" for each in slides), "glissando", "left out"

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 from cadenza.music.formats.musicxml.metronome import is_possible, metronome_of
-from cadenza.music.formats.musicxml.timeline import NOTE_VALUES, ZERO, Placed, number
+from cadenza.music.formats.musicxml.timeline import (
+    NOTE_VALUES,
+    ZERO,
+    Placed,
+    ends_of_lines,
+    number,
+)
 from cadenza.music.signs.conventions import CHORALE_FERMATA, FERMATA, LONG_FERMATA, SHORT_FERMATA
 from cadenza.music.signs.tempo_marks import (
     Caesura,
-    Change,
     Fermata,
     Modulation,
     Swing,
@@ -46,7 +51,7 @@ class TempoMarks:
     unclear: int = 0
 
 
-def tempo_marks(parts: Sequence[Iterable[Placed]], begins: Sequence[Fraction]) -> TempoMarks:
+def tempo_marks(parts: Sequence[Sequence[Placed]], begins: Sequence[Fraction]) -> TempoMarks:
     """The tempo marks in all parts; where they differ, the first part has the last word.
 
     A metronome mark counts where there is no tempo for playback.
@@ -57,9 +62,10 @@ def tempo_marks(parts: Sequence[Iterable[Placed]], begins: Sequence[Fraction]) -
     """
     reader = _Reader(begins)
     for part in reversed(parts):
+        end_of_line = ends_of_lines(part)
         for placed in part:
             if placed.element.tag in ("direction", "sound"):
-                reader.read_direction(placed)
+                reader.read_direction(placed, end_of_line(placed))
             elif placed.element.tag in ("note", "barline"):
                 reader.read_pauses(placed)
     return reader.finished()
@@ -72,8 +78,6 @@ class _Reader:
         self._for_playback: dict[Fraction, Fraction] = {}  # quarters a minute
         self._metronome: dict[Fraction, Fraction] = {}
         self._fermatas: list[Fermata] = []
-        self._words: list[tuple[Fraction, Change, str | None]] = []  # with numbers of their lines
-        self._lines: dict[str, list[Fraction]] = {}  # the ends of dashed lines by their numbers
 
     def finished(self) -> TempoMarks:
         is_chorale = self._is_chorale([fermata.end for fermata in self._fermatas])
@@ -84,13 +88,6 @@ class _Reader:
         tempos = self._metronome | self._for_playback
         for onset, speed in tempos.items():
             self._found.marks.append(Tempo(max(ZERO, onset), _MINUTE / float(speed)))
-        for ends in self._lines.values():
-            ends.sort()
-        for onset, change, line in self._words:
-            ends = self._lines.get(line or "", [])
-            after = bisect_right(ends, onset)
-            end = ends[after] if after < len(ends) else None
-            self._found.marks.append(TempoWord(onset, change, end))
         return self._found
 
     def _is_chorale(self, ends: Iterable[Fraction]) -> bool:
@@ -103,7 +100,8 @@ class _Reader:
             return False
         return _LINE[0] <= bars[-1] / len(bars) <= _LINE[1]
 
-    def read_direction(self, placed: Placed) -> None:
+    def read_direction(self, placed: Placed, end_of_line: Fraction | None) -> None:
+        """Reads a direction, or a sound outside of any, and the line after its words."""
         element, sounds = placed.element, placed.sounds
         spoken = [sound for sound in sounds if sound.get("tempo") is not None]
         for sound in spoken:
@@ -130,19 +128,10 @@ class _Reader:
                 shares = (int(number(sign.findtext(tag))) for tag in ("first", "second"))
                 first, second = (min(max(each, 1), _MOST_SWING) for each in shares)
                 self._swing(placed, first, second, unit)
-        self._read_words(placed, is_told=bool(spoken))
-
-    def _read_words(self, placed: Placed, is_told: bool) -> None:
-        """Reads what a direction says in words, which may be told for playback as well."""
-        lines = placed.element.findall("direction-type/dashes")
-        for line in lines:
-            if line.get("type") == "stop":
-                self._lines.setdefault(line.get("number", "1"), []).append(placed.quarter)
-        begun = next((x.get("number", "1") for x in lines if x.get("type") == "start"), None)
         for words in placed.element.iterfind("direction-type/words"):
             text = words.text or ""
-            if not is_told and (change := tempo_change(text)):
-                self._words.append((placed.sounds_at(), change, begun))
+            if not spoken and (change := tempo_change(text)):
+                self._found.marks.append(TempoWord(placed.sounds_at(), change, end_of_line))
             if (ratio := swing(text)) and placed.element.find("sound/swing") is None:
                 self._swing(placed, *ratio, NOTE_VALUES["eighth"])
 

@@ -8,23 +8,25 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from functools import lru_cache
-from itertools import accumulate, zip_longest
+from itertools import accumulate
 from operator import itemgetter
 from typing import NamedTuple, TypeVar
 from xml.etree.ElementTree import Element
 
 ZERO = Fraction(0)
 _FIRST_VOICE = "1"
-_MOST_STAVES = 16  # of a part; beyond, all are one
+MOST_STAVES = 16
+"""Staves of a part that are told apart; beyond, all are one."""
 _FINEST = 10**6  # parts of a quarter that are told apart; more would make sums slow
 _UNIT = 10_000  # parts of a whole number that are told apart, so that 1.3333333 is 4/3
 _T = TypeVar("_T")
 _REMEMBERED = 4096  # numbers, as a file has few different ones
-_NUMBER = re.compile(r"[+-]?\d{1,12}(\.\d{0,12})?")
+_NUMBER = re.compile(r"[+-]?([0-9]{1,12}(\.[0-9]{0,12})?|\.[0-9]{1,12})")
 _TYPES = "maxima long breve whole half quarter eighth 16th 32nd 64th 128th 256th 512th 1024th"
 NOTE_VALUES = {name: Fraction(32, 2**i) for i, name in enumerate(_TYPES.split())}
 """The lengths of note values [quarters]."""
 _WHOLE = NOTE_VALUES["whole"]
+_LINES = ("dashes", "bracket")  # after words, as far as these hold
 _MOST_DOTS = 4
 
 
@@ -82,7 +84,7 @@ def passes_of(element: Element) -> frozenset[int]:
 
 def numbers_in(text: str) -> frozenset[int]:
     """The whole numbers in a text, such as those of passes."""
-    return frozenset(map(int, re.findall(r"\d{1,3}", text)))
+    return frozenset(map(int, re.findall("[0-9]{1,3}", text)))
 
 
 def length_of(name: str, dots: int) -> Fraction:
@@ -101,8 +103,9 @@ def timeline(parts: Sequence[Element]) -> tuple[list[list[Placed]], list[Fractio
     for part in parts:
         elements, own_lengths = _placed(part)
         placed.append(elements)
-        pairs = zip_longest(lengths, own_lengths, fillvalue=(0, ZERO))
-        lengths = [max(pair) for pair in pairs]
+        for measure, length in enumerate(own_lengths[: len(lengths)]):
+            lengths[measure] = max(lengths[measure], length)
+        lengths += own_lengths[len(lengths) :]
     measures = (each for _, each in lengths)
     begins = [*accumulate(measures, lambda end, each: exact(end + each), initial=ZERO)]
     moved = [
@@ -117,33 +120,39 @@ def _placed(part: Element) -> tuple[list[Placed], list[tuple[int, Fraction]]]:
 
     Before each length stands how much it counts where other parts have others: most where notes
     fill the bar as its metre says, not at all for rests in a bar that is not to be full, and for a
-    measure without contents, which is as long as its metre.
+    measure without contents, which is as long as its metre. Rests do not make a bar longer than its
+    metre.
     """
     placed: list[Placed] = []
     lengths: list[tuple[int, Fraction]] = []
-    divisions, metre = Fraction(1), _WHOLE
+    divisions, metre, is_measured = Fraction(1), _WHOLE, False
     for measure, elements in enumerate(part.iterfind("measure")):
-        now = begun = length = ZERO
-        is_empty, sounds = True, False
+        now = begun = length = sounding = ZERO
+        is_empty = True
         voice = _FIRST_VOICE
         placed.append(Placed(measure, ZERO, elements, divisions, voice))
         for element in elements:
             if element.tag == "attributes":
                 divisions = number(element.findtext("divisions")) or divisions
-                metre = _metre(element) or metre
+                if (time := element.find("time")) is not None:
+                    metre, is_measured = _metre(time) or metre, time.find("beats") is not None
             is_chord = element.tag == "note" and element.find("chord") is not None
             if element.tag == "note":
                 voice = element.findtext("voice", voice if is_chord else _FIRST_VOICE)
             item = Placed(measure, begun if is_chord else now, element, divisions, voice)
             if element.tag in ("note", "forward") and not is_chord:
                 begun, now, is_empty = now, exact(now + item.duration), False
-                sounds |= element.find("pitch") is not None
+                if element.tag == "note" and element.find("rest") is None:
+                    sounding = max(sounding, now)
             elif element.tag == "backup":
                 now = max(ZERO, exact(now - item.duration))
             length = max(length, now)
             placed.append(item)
-        counts = sounds or elements.get("implicit") != "yes"
-        lengths.append((0, metre) if is_empty else (counts + (sounds and length == metre), length))
+        if is_measured and sounding <= metre:
+            length = min(length, metre)
+        counts = sounding > 0 or elements.get("implicit") != "yes"
+        fills = sounding > 0 and length == metre
+        lengths.append((0, metre) if is_empty else (counts + fills, length))
     return placed, lengths
 
 
@@ -173,17 +182,49 @@ def attribute(
     return at
 
 
+def ends_of_lines(part: Iterable[Placed]) -> Callable[[Placed], Fraction | None]:
+    """A function from a direction with words to where the line after them ends, such as dashes.
+
+    The line begins in the direction itself or in another one at its place; None without one.
+    """
+    begun: dict[tuple[Fraction, int | None], tuple[str, str]] = {}  # tags and numbers of lines
+    ends: defaultdict[tuple[str, str], list[Fraction]] = defaultdict(list)
+    for placed in part:
+        for line in _lines(placed):
+            name = line.tag, line.get("number", "1")
+            if line.get("type") == "start":
+                begun[placed.quarter, placed.staff] = name
+            elif line.get("type") == "stop":
+                ends[name].append(placed.sounds_at())
+    for places in ends.values():
+        places.sort()
+
+    def end(placed: Placed) -> Fraction | None:
+        own = (line for line in _lines(placed) if line.get("type") == "start")
+        name = next(((line.tag, line.get("number", "1")) for line in own), None)
+        name = name or begun.get((placed.quarter, placed.staff))
+        places = ends.get(name, []) if name else []
+        after = bisect_right(places, placed.sounds_at())
+        return places[after] if after < len(places) else None
+
+    return end
+
+
+def _lines(placed: Placed) -> list[Element]:
+    """The ends of lines in a direction."""
+    if placed.element.tag != "direction":
+        return []
+    return [each for each in placed.element.iterfind("direction-type/*") if each.tag in _LINES]
+
+
 def _staff(text: str | None) -> int:
     """The number of a staff; 0 for none."""
-    return min(int(number(text)), _MOST_STAVES)
+    return min(int(number(text)), MOST_STAVES)
 
 
-def _metre(attributes: Element) -> Fraction:
-    """The length of a bar as a time signature says [quarters]; 0 without one."""
-    time = attributes.find("time")
-    if time is None:
-        return ZERO
-    beats = [re.findall(r"\d{1,3}", each.text or "") for each in time.iterfind("beats")]
+def _metre(time: Element) -> Fraction:
+    """The length of a bar as a time signature says [quarters]; 0 if it says none."""
+    beats = [re.findall("[0-9]{1,3}", each.text or "") for each in time.iterfind("beats")]
     types = [number(each.text) for each in time.iterfind("beat-type")]
     return sum(
         (
@@ -195,12 +236,21 @@ def _metre(attributes: Element) -> Fraction:
     )
 
 
+def number(text: str | None, otherwise: Fraction = ZERO) -> Fraction:
+    """The number in a text, or what it is `otherwise`."""
+    found = number_or_none(text)
+    return otherwise if found is None else found
+
+
 @lru_cache(_REMEMBERED)
-def number(text: str | None) -> Fraction:
-    """The number in a text of few digits, since others could have billions; 0 for other text."""
+def number_or_none(text: str | None) -> Fraction | None:
+    """The number in a text of few digits, since others could have billions; None for other text.
+
+    All numbers of a document are read here, and groups of up to three digits by `numbers_in`.
+    """
     text = (text or "").strip()
     if not _NUMBER.fullmatch(text):
-        return ZERO
+        return None
     found = Fraction(text)
     return found.limit_denominator(_UNIT) if found.denominator > 1 else found
 

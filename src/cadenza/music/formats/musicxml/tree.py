@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import posixpath
+import re
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import unquote
 from xml.etree.ElementTree import Element, SubElement, TreeBuilder
@@ -22,9 +24,12 @@ DEEPEST = 64  # elements within each other; MusicXML has a dozen
 _CONTENTS = "META-INF/container.xml"
 _MAX_CONTENTS = 2**16  # bytes
 _ENDINGS = (".xml", ".musicxml")
+_FROM_MACOS = re.compile(r"(^|/)(__MACOSX/|\._)")
 _PARTWISE, _TIMEWISE = "score-partwise", "score-timewise"
 _ADVICE = "open it in a notation program such as MuseScore, and export it as MusicXML"
-_MARKS = b"\xef\xbb\xbf\xff\xfe"  # of the encoding, before the document
+_DECLARED = re.compile(rb"""encoding\s*=\s*["']([\w.-]{1,40})""")
+_BEGINNING = 200  # bytes, among which the encoding is declared
+_BYTE_VALUES = bytes(range(256))
 
 
 def tree_of(path: Path) -> Element:
@@ -41,15 +46,38 @@ def tree_of(path: Path) -> Element:
     with errors_in(path):
         if data.startswith(b"PK"):
             data = _document_of(data)
-        beginning = data[:100].replace(b"\0", b"").lstrip(_MARKS + b" \t\r\n").lower()
-        if not beginning.startswith(b"<"):
+        text = _decoded(data)
+        beginning = text[:_BEGINNING].lower()
+        if not beginning.startswith("<"):
             raise CadenzaError(f"not a MusicXML file (it does not begin as XML); {_ADVICE}")
-        if beginning.startswith((b"<!doctype html", b"<html")):
+        if beginning.startswith(("<!doctype html", "<html")):
             raise CadenzaError("is a page (HTML), no music; download the file itself")
-        return _by_parts(_Reader().root_of(data))
+        return _by_parts(_Tree().root_of(text))
 
 
-class _Reader:
+def _decoded(data: bytes) -> str:
+    """The text of a document, whatever encoding it declares: programs err in that.
+
+    What can be read as UTF-8 is. Other text has the encoding that it declares, if that has a letter
+    for each byte, or else that of Windows.
+    """
+    encodings = ["utf-8-sig", "cp1252"]
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        encodings = ["utf-16"]
+    elif b"\0" in data[:2]:
+        encodings = ["utf-16-be" if data.startswith(b"\0") else "utf-16-le"]
+    elif declared := _DECLARED.search(data[:_BEGINNING]):
+        name = declared[1].decode()
+        with suppress(LookupError, UnicodeError):  # no such encoding
+            if len(_BYTE_VALUES.decode(name, "replace")) == len(_BYTE_VALUES):
+                encodings.insert(1, name)
+    for encoding in encodings:
+        with suppress(UnicodeDecodeError):
+            return data.decode(encoding).lstrip()
+    return data.decode("latin-1").lstrip()
+
+
+class _Tree:
     """Builds the tree from events of the parser, and counts elements and attributes."""
 
     def __init__(self) -> None:
@@ -64,12 +92,12 @@ class _Reader:
         self._open: list[str] = []
         self._parts = self._notes = 0
 
-    def root_of(self, data: bytes) -> Element:
+    def root_of(self, text: str) -> Element:
         try:
-            self._parser.Parse(data, True)
+            self._parser.Parse(text, True)
         except CadenzaError:
             raise
-        except Exception as error:  # of the document's encoding, too
+        except Exception as error:
             raise CadenzaError(f"cannot be read as MusicXML ({shortened(str(error))})") from error
         return self._tree.close()
 
@@ -118,21 +146,24 @@ def _document_of(data: bytes) -> bytes:
     except CadenzaError as error:
         raise CadenzaError(f"the compressed MusicXML: {error}") from error
     except Exception as error:  # damage shows in many ways
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = shortened(str(error)) or type(error).__name__
         raise CadenzaError(f"the compressed MusicXML is damaged ({reason})") from error
 
 
 def _name_of_document(archive: ZipFile) -> str:
-    """The first document that the table of contents names; without one, the only document."""
-    names = archive.namelist()
+    """The first document that the table of contents names; without one, the only document.
+
+    What macOS adds to an archive (`__MACOSX`) is no document.
+    """
+    names = [name for name in archive.namelist() if not _FROM_MACOS.search(name)]
     if _CONTENTS in names:
         there = {_plain(name): name for name in names}
-        contents = _Reader().root_of(unpacked(archive, _CONTENTS, _MAX_CONTENTS))
+        contents = _Tree().root_of(_decoded(unpacked(archive, _CONTENTS, _MAX_CONTENTS)))
         listed = [_plain(each.get("full-path", "")) for each in contents.iter("rootfile")]
         found = [there[name] for name in listed if name in there]
         if found:
             return min(found, key=lambda name: not name.lower().endswith(_ENDINGS))
-    documents = [n for n in names if n.lower().endswith(_ENDINGS) and n != _CONTENTS]
+    documents = [n for n in names if n.lower().endswith(_ENDINGS) and not n.endswith(_CONTENTS)]
     if len(documents) != 1:
         raise CadenzaError(
             f"{len(documents)} documents, and no table of contents ({_CONTENTS}) that names one"

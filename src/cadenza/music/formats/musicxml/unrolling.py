@@ -96,9 +96,10 @@ def played_notes(
     for note in notes:
         by_bar[bar_at(bars, note.measure, note.signed.onset)].append(note)
     found: list[SignedNote] = []
-    tied: dict[tuple[int, Fraction], int] = {}  # notes that ties lead on from, by pitch and end
+    # Notes that ties lead on from, and in which passages, by pitch and end.
+    tied: dict[tuple[int, Fraction], tuple[int, Passage]] = {}
     for passage in passages:
-        for note in by_bar[passage.index]:
+        for note in by_bar.get(passage.index, ()):
             if note.passes and passage.turn not in note.passes:
                 continue
             if note.signed.pitch not in PITCHES:
@@ -107,16 +108,27 @@ def played_notes(
             now = passage.cut(note.signed)
             if now is None:
                 continue
-            before = tied.get((now.pitch, now.onset))
-            if before is None or not (note.tied or found[before].voice == now.voice):
-                before = len(found)
-                found.append(now)
+            at, begun = tied.get((now.pitch, now.onset), (-1, passage))
+            goes_on = begun is passage or not passage.jumps  # to what follows on the sheet
+            is_led_to = at >= 0 and (note.tied or (goes_on and found[at].voice == now.voice))
+            if is_led_to and not _is_struck(now, found[at]):
+                found[at] = _joined(found[at], now)
             else:
-                found[before] = _joined(found[before], now)
+                at = len(found)
+                found.append(now)
             if note.ties:
-                tied[now.pitch, found[before].end] = before
+                tied[now.pitch, found[at].end] = at, passage
         _check(len(found), "notes")
     return found
+
+
+def _is_struck(note: SignedNote, before: SignedNote) -> bool:
+    """Whether a note is struck, although a tie leads to it from the one before, for its signs."""
+    if before.grace:
+        return False
+    kinds = [each.ornament and each.ornament.kind for each in (before, note)]
+    is_new_ornament = kinds[1] is not None and kinds[0] is not kinds[1]
+    return is_new_ornament or (note.tremolo is not None and before.tremolo is None)
 
 
 def _joined(note: SignedNote, following: SignedNote) -> SignedNote:
@@ -166,6 +178,7 @@ def played_swings(
         swing = swing or Swing(ZERO, first=1, second=1)
         onset = passage.bar.begin if is_before else swing.onset
         played.append(replace(swing, onset=onset + passage.later, beat=swing.beat + passage.later))
+        _check(len(played), "changes of swing")
     return played
 
 
