@@ -1,7 +1,6 @@
 """Whatever a MIDI file has many of, reading it takes time in proportion."""
 
 import struct
-import time
 from collections import Counter
 from functools import partial
 
@@ -9,12 +8,9 @@ import pytest
 
 from cadenza.music.formats.midi import read_midi
 from cadenza.music.repair import RawNote, repaired_notes
+from proportion import grows_in_proportion
 
 QUARTER = 960  # ticks: songs are short, however much they have
-TIMES = 10
-MOST = 2.5 * TIMES  # as long for ten times as much; it would be 100 times for what is squared
-FIXED = 0.005  # [s] for anything, so that little is no less
-TRIALS = 3  # of which one must do, as other work on the machine takes time, too
 
 NOTE = bytes([0, 0x90, 60, 80, 10, 0x80, 60, 0])
 END = bytes([0, 0xFF, 0x2F, 0])
@@ -89,18 +85,6 @@ KINDS = {
     "bytes between tracks": lambda n: (track(NOTE) + b"\0\1\2\3" * 4) * n,
     "channels of ports": channels_of_ports,
 }  # fmt: skip
-
-
-def grows_in_proportion(work, few):
-    """Whether `work` of ten times as much takes about ten times the time of the processor."""
-
-    def cpu_time(n):
-        do = work(n)
-        begin = time.process_time()
-        do()
-        return time.process_time() - begin + FIXED
-
-    return any(cpu_time(few * TIMES) < MOST * cpu_time(few) for _ in range(TRIALS))
 
 
 @pytest.mark.parametrize("few", [400, pytest.param(4_000, marks=pytest.mark.slow)])

@@ -95,8 +95,9 @@ class PartLoudness:
                         self._marks[placed.staff].append(Dynamic(placed.sounds_at(sound), velocity))
             for wedge in element.iterfind("direction-type/wedge"):
                 self._read_wedge(wedge, placed)
+            end = self._end_of_line(placed)
             for words in element.iterfind("direction-type/words"):
-                text, end = words.text or "", self._end_of_line(placed)
+                text = words.text or ""
                 if step := loudness_step(text):
                     hairpin = Hairpin(placed.sounds_at(), end, step, "niente" in text.lower())
                     self._marks[placed.staff].append(hairpin)
