@@ -511,6 +511,7 @@ def test_an_ornament_on_the_later_part_of_a_tie_begins_there(saved):
     [
         ('<trill-mark trill-step="half" beats="4"/>', [61, 60, 61, 60]),
         ('<trill-mark trill-step="whole" start-note="main" beats="3"/>', [60, 62, 60]),
+        ('<trill-mark/><wavy-line type="start" trill-step="half" beats="2"/>', [61, 60]),
         ('<trill-mark beats="4" two-note-turn="half"/>', [62, 60, 62, 60, 59, 60]),
         ('<mordent trill-step="half"/>', [60, 59, 60]),
         ('<mordent beats="5" start-note="below"/>', [59, 60, 59, 60, 59, 60]),

@@ -27,7 +27,7 @@ _MENTION = re.compile(  # a word before what is no jump itself, such as "on D.S.
 )
 _WHEN = re.compile(  # a word that may stand with "to coda" and "fine"
     "on|at|after|last|the|times?|n?[rd]d|st|x|second|third|volt[ae]|[dcs]|da|capo|dal|segno|go|then|"
-    "only|repeat|and|coda"
+    "only|repeat|and|coda|jump|skip"
 )
 _WHERE = re.compile(  # a word that may follow a jump
     "a|ad|all?|all[ao]|au|to|till|until|bis|zu[mr]?|sino?|fino?|fine|ende?|schlu(ss|ß)|coda|segno|"

@@ -79,8 +79,12 @@ def signs_of(note: Element) -> dict[str, Any]:
 
 
 def _ornaments(parent: Element) -> Iterator[Ornament]:
-    """Yields the ornaments, each with the accidentals that follow it."""
+    """Yields the ornaments, each with the accidentals that follow it.
+
+    What one of them says for playback is for all, such as that of a line after a trill.
+    """
     signs = list(parent)
+    said = {k: v for sign in reversed(signs) if sign.tag in _ORNAMENTS for k, v in sign.items()}
     for i, sign in enumerate(signs):
         if sign.tag not in _ORNAMENTS or (sign.tag == "wavy-line" and sign.get("type") == "stop"):
             continue
@@ -98,11 +102,11 @@ def _ornaments(parent: Element) -> Iterator[Ornament]:
             kind,
             altered["above"],
             altered["below"],
-            begins=_FIRST.get(sign.get("start-note", "")),
+            begins=_FIRST.get(said.get("start-note", "")),
             delayed=sign.tag.startswith("delayed"),
-            long=sign.get("long") == "yes",
-            interval=_INTERVALS.get(sign.get("trill-step", "")),
-            turn=_INTERVALS.get(sign.get("two-note-turn", "")),
-            notes=min(int(number(sign.get("beats"))), _MOST_NOTES),
-            accelerates=sign.get("accelerate") == "yes",
+            long=said.get("long") == "yes",
+            interval=_INTERVALS.get(said.get("trill-step", "")),
+            turn=_INTERVALS.get(said.get("two-note-turn", "")),
+            notes=min(int(number(said.get("beats"))), _MOST_NOTES),
+            accelerates=said.get("accelerate") == "yes",
         )
