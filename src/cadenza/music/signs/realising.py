@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
 
 from cadenza.errors import CadenzaError
-from cadenza.music.signs.arpeggios import break_chords
 from cadenza.music.signs.articulation import articulate, slurred_onsets
-from cadenza.music.signs.chord_signs import with_signs_of_chords
+from cadenza.music.signs.chords import break_chords, tremolo_times, with_signs_of_chords
 from cadenza.music.signs.graces import place_graces
 from cadenza.music.signs.loudness import within_midi
 from cadenza.music.signs.ornaments import Played, ornament_notes
 from cadenza.music.signs.signed_note import SignedNote, SoundingNote
-from cadenza.music.signs.swinging import SwungTimes
 from cadenza.music.signs.tempo_map import TempoMap
 from cadenza.music.signs.tempo_marks import Swing
 from cadenza.music.signs.timed_note import TimedNote, Times, voices_of
-from cadenza.music.signs.tremolos import tremolo_times
 
 MOST_NOTES = 100_000
 """More, with repeats and ornaments, are taken for damage."""
@@ -68,7 +67,7 @@ def _timed(
     """The notes at their written times, which swing and the file's own shifts change."""
     if not notes:
         return []
-    swung = SwungTimes(swings, notes)
+    swung = _SwungTimes(swings, notes)
     starts = tempo.onsets([swung.moved(note, note.onset) + note.attack for note in notes])
     ends = tempo.ends([swung.moved(note, note.end) + note.release for note in notes])
     return [
@@ -83,3 +82,42 @@ def _notes_for(note: TimedNote, times: Mapping[int, Times]) -> Iterable[Played]:
         return ornament_notes(note.of, note.start, note.end, note.led_to)
     own = times.get(id(note), [(note.start, note.end)])
     return ((start, end, note.of.pitch) for start, end in own)
+
+
+class _SwungTimes:
+    """Where notes begin and end that are to swing.
+
+    As in MuseScore, only the middle of a pair moves, and not where shorter notes fill the pair.
+
+    Args:
+        swings: where the rhythm changes.
+        notes: all notes, to know which pairs have shorter ones.
+    """
+
+    def __init__(self, swings: Iterable[Swing], notes: Iterable[SignedNote]) -> None:
+        self._swings = sorted(swings, key=lambda swing: swing.onset)
+        self._filled: set[tuple[int, str, Fraction]] = set()
+        for note in notes:
+            swing = self._at(note.onset)
+            if swing is not None and note.grace is None and note.duration < swing.unit:
+                self._filled.add((note.part, note.voice, _pair(swing, note.onset)))
+
+    def moved(self, note: SignedNote, place: Fraction) -> Fraction:
+        """The place [quarters] where a note begins or ends that is written at `place`."""
+        swing = self._at(place)
+        if swing is None or swing.first == swing.second:
+            return place
+        begin = _pair(swing, place)
+        if place - begin != swing.unit or (note.part, note.voice, begin) in self._filled:
+            return place
+        return begin + 2 * swing.unit * Fraction(swing.first, swing.first + swing.second)
+
+    def _at(self, place: Fraction) -> Swing | None:
+        index = bisect_right(self._swings, place, key=lambda swing: swing.onset)
+        return self._swings[index - 1] if index else None
+
+
+def _pair(swing: Swing, place: Fraction) -> Fraction:
+    """The beginning of the pair in which a place lies."""
+    pair = 2 * swing.unit
+    return swing.beat + (place - swing.beat) // pair * pair

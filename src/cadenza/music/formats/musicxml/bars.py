@@ -47,7 +47,7 @@ def bars_of(part: Sequence[Placed], begins: Sequence[Fraction]) -> list[WrittenB
         part: its elements.
         begins: the quarters at which measures begin, and the end of the last.
     """
-    reader = _Reader(begins)
+    reader = _BarReader(begins)
     for placed in part:
         reader.read(placed)
     for bar in reader.bars:
@@ -61,7 +61,7 @@ def bar_at(bars: Sequence[WrittenBar], measure: int, quarter: Fraction) -> int:
     return max(at - 1, 0)
 
 
-class _Reader:
+class _BarReader:
     """Reads the elements of a part in their order."""
 
     def __init__(self, begins: Sequence[Fraction]) -> None:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from xml.etree.ElementTree import Element
 
-from cadenza.music.formats.musicxml.metronome import is_possible, metronome_of
 from cadenza.music.formats.musicxml.timeline import (
     NOTE_VALUES,
     ZERO,
     Placed,
     ends_of_lines,
+    length_of,
     number,
 )
 from cadenza.music.signs.conventions import CHORALE_FERMATA, FERMATA, LONG_FERMATA, SHORT_FERMATA
@@ -26,6 +28,11 @@ from cadenza.music.signs.tempo_marks import (
     TempoWord,
 )
 from cadenza.music.signs.words import swing, tempo_change
+
+_SLOWEST, _FASTEST = 1, 10_000  # quarters a minute
+_PER_MINUTE = re.compile("[0-9]{1,5}([.,][0-9]{1,3})?")
+_LARGEST_TUPLET = Fraction(64)  # notes
+
 
 _MINUTE = 60  # seconds
 _FERMATAS = {
@@ -60,7 +67,7 @@ def tempo_marks(parts: Sequence[Sequence[Placed]], begins: Sequence[Fraction]) -
         parts: the elements of each part.
         begins: the quarters at which measures begin, and the end of the last.
     """
-    reader = _Reader(begins)
+    reader = _TempoReader(begins)
     for part in reversed(parts):
         end_of_line = ends_of_lines(part)
         for placed in part:
@@ -71,7 +78,7 @@ def tempo_marks(parts: Sequence[Sequence[Placed]], begins: Sequence[Fraction]) -
     return reader.finished()
 
 
-class _Reader:
+class _TempoReader:
     def __init__(self, begins: Sequence[Fraction]) -> None:
         self._begins = begins
         self._found = TempoMarks()
@@ -106,12 +113,12 @@ class _Reader:
         spoken = [sound for sound in sounds if sound.get("tempo") is not None]
         for sound in spoken:
             speed = number(sound.get("tempo"))
-            if is_possible(speed):
+            if _is_possible(speed):
                 self._for_playback[placed.sounds_at(sound)] = speed
             else:
                 self._found.impossible += 1
         for metronome in element.iterfind("direction-type/metronome"):
-            mark, where = metronome_of(metronome), placed.sounds_at()
+            mark, where = _metronome_of(metronome), placed.sounds_at()
             if (shown := mark.quarters_a_minute) is not None:
                 self._metronome[where] = shown
             elif mark.swing is not None:
@@ -148,3 +155,86 @@ class _Reader:
             self._fermatas.append(Fermata(onset, end, factor))
         if element.find("notations/articulations/caesura") is not None:
             self._found.marks.append(Caesura(end))
+
+
+def _is_possible(speed: Fraction) -> bool:
+    """Whether music may have a tempo, in quarters a minute."""
+    return _SLOWEST <= speed <= _FASTEST
+
+
+@dataclass(slots=True)
+class _Metronome:
+    """What a metronome mark says: notes, by their lengths [quarters], and what they are equal to.
+
+    That is a number a minute, or the lengths of notes `after`.
+    """
+
+    before: list[Fraction] = field(default_factory=list)
+    after: list[Fraction] = field(default_factory=list)
+    per_minute: Fraction = ZERO
+
+    @property
+    def quarters_a_minute(self) -> Fraction | None:
+        """The tempo, if a number gives one that may be."""
+        speed = sum(self.before, ZERO) * self.per_minute
+        return speed if _is_possible(speed) else None
+
+    @property
+    def slower(self) -> Fraction | None:
+        """How many times longer notes are now, if those on the left were as long as those on the
+        right are; None if the mark says nothing like it."""
+        old, new = sum(self.before, ZERO), sum(self.after, ZERO)
+        return old / new if old and new else None
+
+    @property
+    def swing(self) -> tuple[int, int] | None:
+        """How two equal notes share their time, where the mark shows two others in their place."""
+        is_pair = len(self.before) == len(self.after) == 2
+        if not is_pair or self.slower != 1 or self.before[0] != self.before[1]:
+            return None
+        share = self.after[0] / sum(self.after)
+        return share.numerator, share.denominator - share.numerator
+
+
+def _metronome_of(mark: Element) -> _Metronome:
+    """Reads a metronome mark."""
+    found = _Metronome()
+    notes, unit, tuplet = found.before, ZERO, Fraction(1)
+    for each in mark:
+        text = (each.text or "").strip()
+        if each.tag == "beat-unit":
+            notes, unit = found.after if found.before else found.before, length_of(text, dots=0)
+            notes.append(unit)
+        elif each.tag == "beat-unit-dot" and notes:
+            unit /= 2
+            notes[-1] += unit
+        elif each.tag == "beat-unit-tied" and notes:
+            notes[-1] += _length(each, "beat-unit")
+        elif each.tag == "metronome-relation":
+            notes = found.after
+        elif each.tag == "metronome-note":
+            bracket = each.find("metronome-tuplet")
+            kind = None if bracket is None else bracket.get("type")
+            if bracket is not None and kind == "start":
+                tuplet = _shortened(bracket)
+            notes.append(_length(each, "metronome-type") * tuplet)
+            if kind == "stop":
+                tuplet = Fraction(1)
+        elif each.tag == "per-minute" and (said := _PER_MINUTE.search(text)):
+            found.per_minute = number(said[0].replace(",", "."))
+    return found
+
+
+def _length(note: Element, tag: str) -> Fraction:
+    """The length of a note in a mark, with its dots [quarters]."""
+    dots = sum(each.tag in ("beat-unit-dot", "metronome-dot") for each in note)
+    return length_of(note.findtext(tag, ""), dots)
+
+
+def _shortened(tuplet: Element) -> Fraction:
+    """What the lengths of the notes in a tuplet are multiplied by."""
+    actual, normal = (
+        min(max(number(tuplet.findtext(tag)), Fraction(1)), _LARGEST_TUPLET)
+        for tag in ("actual-notes", "normal-notes")
+    )
+    return normal / actual

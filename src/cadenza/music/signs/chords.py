@@ -1,0 +1,138 @@
+"""Signs of chords: what all of their notes have, broken chords and tremolos."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from fractions import Fraction
+
+from cadenza.music.signs.conventions import ARPEGGIO_STEP, NOTES_A_SECOND
+from cadenza.music.signs.signed_note import Role, SignedNote
+from cadenza.music.signs.timed_note import Chord, TimedNote, Times, Voice, even_times
+
+
+def with_signs_of_chords(notes: Sequence[SignedNote]) -> list[SignedNote]:
+    """The notes, in their order, each with the signs that its chord has.
+
+    Articulations and tremolos are for all notes of a chord in one voice, and so is the sign of an
+    arpeggio. An ornament that one of them has is for the highest, as it stands above the chord.
+    """
+    chords = defaultdict[tuple[int, str, Fraction], list[int]](list)
+    for index, note in enumerate(notes):
+        if note.grace is None:
+            chords[note.part, note.voice, note.onset].append(index)
+    found = list(notes)
+    for chord in chords.values():
+        if len(chord) > 1:
+            for index, note in zip(chord, _shared([notes[i] for i in chord]), strict=True):
+                found[index] = note
+    return found
+
+
+def _shared(chord: Sequence[SignedNote]) -> list[SignedNote]:
+    marks = frozenset(mark for note in chord for mark in note.marks)
+    tremolo = next((note.tremolo for note in chord if note.tremolo), None)
+    arpeggio = next((note.arpeggio for note in chord if note.arpeggio), None)
+    shared = [
+        replace(
+            note, marks=marks, tremolo=note.tremolo or tremolo, arpeggio=note.arpeggio or arpeggio
+        )
+        for note in chord
+    ]
+    ornaments = [note.ornament for note in chord if note.ornament]
+    if len(ornaments) == 1:
+        shared = [replace(note, ornament=None) for note in shared]
+        top = max(range(len(chord)), key=lambda index: chord[index].pitch)
+        shared[top] = replace(shared[top], ornament=ornaments[0])
+    return shared
+
+
+_MOST_OF_CHORD = 0.5  # of the shortest note, within which the last one begins; a choice
+
+
+def break_chords(notes: Iterable[TimedNote]) -> None:
+    """Has notes with an arpeggio sign begin one after the other, the first of them on the beat.
+
+    All last as long as they are written (Gehrkens); that the first is on the beat is a choice.
+    """
+    groups = defaultdict[tuple[Fraction, int, int | None, int], Chord](list)
+    for note in notes:
+        sign = note.of.arpeggio
+        if sign is not None and sign.step and note.of.grace is None:
+            staff = note.of.staff if sign.number is None else 0
+            groups[note.of.onset, note.of.part, sign.number, staff].append(note)
+    for chord in groups.values():
+        step = chord[0].of.arpeggio.step if chord[0].of.arpeggio else 1
+        chord.sort(key=lambda note: step * note.of.pitch)
+        start = max(note.start for note in chord)
+        room = _MOST_OF_CHORD * min(note.end for note in chord) - _MOST_OF_CHORD * start
+        each = min(ARPEGGIO_STEP, max(room, 0.0) / max(len(chord) - 1, 1))
+        for place, note in enumerate(chord):
+            note.start = start + place * each
+
+
+_UNMEASURED = 3  # marks in place of those that a tremolo without measure lacks
+_MOST_MARKS = 8  # as in MusicXML
+
+
+def tremolo_times(voice: Voice) -> dict[int, Times]:
+    """Notes of a voice with a tremolo, by `id` -> the times [s] from and up to which they sound.
+
+    A tremolo is measured: each of its marks halves the value of its notes, from eighths on. Where
+    they would follow each other faster than `NOTES_A_SECOND`, they are as fast as that.
+    """
+    found: dict[int, Times] = {}
+    first: Chord | None = None
+    for chord in voice.chords.values():
+        role = chord[0].of.tremolo.role if chord[0].of.tremolo else None
+        if role is Role.ALONE:
+            for note in chord:
+                assert note.of.tremolo is not None  # as the whole chord has it
+                count = _count(note.of.duration, note.of.tremolo.marks)
+                found[id(note)] = _even(note.start, note.end, count)
+        elif role is Role.SECOND and first is not None:
+            found |= _alternating(first, chord)
+        first = chord if role is Role.FIRST else None
+    return found
+
+
+def _alternating(first: Chord, second: Chord) -> dict[int, Times]:
+    sign = first[0].of.tremolo
+    assert sign is not None
+    start, end = min(note.start for note in first), max(note.end for note in second)
+    count = _count(first[0].of.duration + second[0].of.duration, sign.marks)
+    times = _even(start, end, max(count, 2), times=2)
+    both = ((first, times[::2]), (second, times[1::2]))
+    return {id(note): turns for chord, turns in both for note in chord}
+
+
+def _count(duration: Fraction, marks: int) -> int:
+    """How many notes a tremolo has that lasts so many quarters."""
+    if duration <= 0:
+        return 1
+    shown = duration * _as_shown(duration)
+    strokes = 2 ** min(marks or _UNMEASURED, _MOST_MARKS)
+    return max(1, round(shown * strokes if shown >= 1 else strokes * (shown * _undotted(shown))))
+
+
+def _as_shown(duration: Fraction) -> Fraction:
+    """What a length in a tuplet is multiplied by to be the one that its notes show: 3/2 of 3."""
+    odd = duration.denominator
+    while odd % 2 == 0:
+        odd //= 2
+    return Fraction(odd, 1 << (odd.bit_length() - 1))
+
+
+def _undotted(shown: Fraction) -> int:
+    """How many of the value of a flagged note, without its dots, are in a quarter."""
+    parts = 1
+    while Fraction(1, parts) > shown:
+        parts *= 2
+    return parts
+
+
+def _even(start: float, end: float, count: int, times: int = 1) -> Times:
+    """So many even notes between two times [s], fewer if too fast; a multiple of `times`."""
+    most = max(int((end - start) * NOTES_A_SECOND + 1e-9), 1)
+    return even_times(start, end, max(min(count, most) // times, 1) * times)
