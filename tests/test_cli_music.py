@@ -94,6 +94,16 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return message
 
 
+def test_arrange_says_what_it_did(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    main(["arrange", "cmajorscaleonehand"])  # the file has the letters of the piece's own name
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert line.startswith("CMajorScaleOneHand.musicxml: 15 notes for the right hand, grade ")
+    assert line.endswith(": all notes kept")
+
+
 def test_info_lists_the_tracks(trio: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["info", str(trio)])
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
@@ -165,7 +175,7 @@ def test_a_song_is_arranged_as_sheet_music(
         main(["arrange", "etudes/band-7", "--first-seconds", "8", "--level", "5", "-o", str(path)])
         said = capsys.readouterr().out
         assert f"{path}: " in said
-        assert "of grade " in said
+        assert " for both hands, grade " in said
     read = load_song(sheet)
     assert {note.finger.hand for note in read.notes if note.finger} == {0, 1}
     assert sorted(n.pitch for n in read.notes) == sorted(n.pitch for n in load_song(midi).notes)

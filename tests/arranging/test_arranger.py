@@ -79,7 +79,7 @@ def test_what_is_playable_is_kept_note_for_note_but_softer_inside(arranger: Arra
     arranged = arranger.arrange(Score(notes))
     assert [n.pitch for n in arranged.score.notes] == [n.pitch for n in Score(notes).notes]
     assert arranged.fidelity.others_kept == 1.0
-    assert str(arranged.fidelity) == "melody and bass whole, 100% of the other notes"
+    assert str(arranged.fidelity) == "all notes kept"
 
 
 def test_a_fidelity_says_all_or_none_only_where_it_is_so() -> None:

@@ -54,6 +54,9 @@ class Fidelity:
 
     def __str__(self) -> str:
         """What was done, in words."""
+        changed = self.notes_moved or self.notes_added
+        if self.melody_kept == self.bass_kept == self.others_kept == 1 and not changed:
+            return "all notes kept"
         melody, bass = _in_words(self.melody_kept), _in_words(self.bass_kept)
         said = f"{melody} of the melody, {bass} of the bass"
         if self.melody_kept == self.bass_kept == 1:

@@ -9,11 +9,13 @@ from typing import Annotated, Literal
 import tyro
 
 from cadenza.cli.arguments import Chosen, Flat, Output
+from cadenza.cli.console import counted
 from cadenza.cli.options import SETUP_HELP
 from cadenza.cli.saving import check_name, check_writable
 from cadenza.files import folder_name
+from cadenza.fingers import SIDES
 from cadenza.music.arrangement import Arrangement
-from cadenza.music.formats.reading import SHEET, name_without_ending
+from cadenza.music.formats.reading import SHEET
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.setups import NamedSetup, setup_named
 
@@ -57,13 +59,13 @@ def run(command: Arrange) -> None:
     from cadenza.tasks.config import TaskConfig
     from cadenza.tasks.goal_track import GoalTrack
 
-    path = command.output or Path(f"{folder_name(name_without_ending(command.song))}{SHEET}")
+    source = resolve(command.song, command.arrangement)
+    path = command.output or Path(f"{folder_name(source.short_name)}{SHEET}")
     if path.suffix != _MIDI:
         check_name(path, SHEET, f"an arrangement is a {SHEET} or {_MIDI} file")
     check_writable(path.parent)
-    source, scene = resolve(command.song, command.arrangement), build_scene(command.scene)
-    found = arrange_song(source.written_for(command.scene.hands), scene)
-    arranged = found.arranged
+    scene = build_scene(command.scene)
+    arranged = arrange_song(source.written_for(command.scene.hands), scene).arranged
     how = TaskConfig(fingering=command.fingering, hands_as_written=command.hands_as_written)
     score = GoalTrack(arranged.score, None, how, scene).fingered().score
     if path.suffix == SHEET:
@@ -72,7 +74,9 @@ def run(command: Arrange) -> None:
     else:
         write_midi(score, path)
         write_fingering(score, path.with_suffix(SUFFIX))
+    hands = {note.finger.hand for note in score.notes if note.finger}
+    whose = "both hands" if len(hands) > 1 else "".join(f"the {SIDES[i]} hand" for i in hands)
     print(
-        f"{path}: arranged for {found.hands}, {len(score.notes)} notes of grade "
-        f"{arranged.grade:.1f}: {arranged.fidelity}"
+        f"{path}: {counted(len(score.notes), 'note')} for {whose}, grade {arranged.grade:.1f}: "
+        f"{arranged.fidelity}"
     )

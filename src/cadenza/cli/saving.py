@@ -171,3 +171,5 @@ def print_losses(performance: Performance) -> None:
     reasons = Counter(reason for _, reason in performance.track.dropped or ())
     for reason, count in reasons.most_common():
         print(f"no finger for {counted(count, 'note')}: {reason}")
+    if performance.advice:
+        print(performance.advice)

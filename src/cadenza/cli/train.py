@@ -139,8 +139,12 @@ def train(command: Train) -> None:
 
 def _name_of(songs: Sequence[str]) -> str:
     """Returns the name of the folder of a run, and what its pages are called."""
+    from cadenza.music.libraries.library import find_song
+    from cadenza.performing.source import is_own_folder
+
     first, *more = songs
-    return folder_name(name_without_ending(first)) + (f"_and_{len(more)}_more" if more else "")
+    name = first if is_own_folder(first) else find_song(first).name
+    return folder_name(name_without_ending(name)) + (f"_and_{len(more)}_more" if more else "")
 
 
 def _title(scores: Sequence[Score]) -> str:

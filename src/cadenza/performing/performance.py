@@ -21,8 +21,9 @@ from cadenza.files import content_of, read_json, write_json
 from cadenza.fingers import NO_FINGER, SIDES, Side
 from cadenza.music.formats.finger_numbers import finger_number
 from cadenza.music.formats.midi import write_midi
-from cadenza.music.performance import played_in
+from cadenza.music.performance import key_runs, played_in
 from cadenza.music.score import Score
+from cadenza.performing.advice import advice
 from cadenza.performing.setup import Setup, SomeAgent, select, set_up
 from cadenza.performing.source import Song
 from cadenza.report.html_pages import write_page
@@ -70,6 +71,8 @@ class Performance:
     """Notes that were missed or let go early, and why; None without a plan to tell by."""
     fates: list[Fate] | None = None
     """What became of each note of a song that was arranged for the hands; None if it was not."""
+    advice: str | None = None
+    """What to try where much of the song was lost, which is among the remarks too."""
 
     def __repr__(self) -> str:
         agent, f1 = self.settings["agent"], self.metrics["f1"]
@@ -275,6 +278,11 @@ def perform(
         track = setup.task.tracks[0]
         metrics = metrics | arrangement.metrics(result.episode, track)
         fates = list(arrangement.fates(track))
+    misses = None if plan is None else misses_of(result.episode, plan)
+    num_notes = len(key_runs(result.episode["goal_keys"])[0])
+    tip = advice(misses or (), num_notes, metrics["f1"], settings, arrangement is not None)
+    if tip:
+        settings = settings | {"remarks": [*settings.get("remarks", ()), tip]}
     return Performance(
         score=setup.score,
         goal=setup.task.score(0),
@@ -283,8 +291,9 @@ def perform(
         settings=settings,
         scene=setup.task.scene,
         track=None if plan is None else plan.track,
-        misses=None if plan is None else misses_of(result.episode, plan),
+        misses=misses,
         fates=fates,
+        advice=tip,
     )
 
 

@@ -253,7 +253,7 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
         selection = replace(selection, source=selection.source.written_for(scene.hands))
         mine = selection.score
     check_written_hands(task, mine, selection.source.name)
-    arranged = _arranged(selection, built)
+    arranged = _arranged(selection, built, progress)
     if arranged is not None:
         selection = selection.with_score(arranged.arranged.score)
     with (
@@ -277,7 +277,7 @@ def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]
         yield Setup(score, agent, piano_task, seed, settings, options, arranged)
 
 
-def _arranged(selection: Selection, scene: Scene) -> HandArrangement | None:
+def _arranged(selection: Selection, scene: Scene, progress: Progress) -> HandArrangement | None:
     """Arranges a song for the hands, but not one that was learnt or practised as it is."""
     learnt, arrangement = selection.learnt, selection.source.arrangement
     if _is_learnt(selection):
@@ -287,7 +287,7 @@ def _arranged(selection: Selection, scene: Scene) -> HandArrangement | None:
                 "--level"
             )
         return None
-    return arranged_for(selection.source, scene)
+    return arranged_for(selection.source, scene, selection.task, progress)
 
 
 def _is_learnt(selection: Selection) -> bool:

@@ -17,7 +17,7 @@ from cadenza.learning.policy_folder import POLICY, LearntPolicy, check_is_no_run
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.reading import name_without_ending
 from cadenza.music.libraries.bundled import songs
-from cadenza.music.libraries.library import check_is_name
+from cadenza.music.libraries.library import check_is_name, find_song
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig, check_modules
 
@@ -32,7 +32,7 @@ class Source:
     """A song, and what else the word stands for that names it; made once by `resolve`."""
 
     name: str
-    """The word, or the title of a score."""
+    """The word, with the letters of the piece's own name, or the title of a score."""
     score: Score
     arrangement: Arrangement = field(default_factory=Arrangement)
     """The part of the song that the score has."""
@@ -89,7 +89,7 @@ def resolve(song: Song, arrangement: Arrangement | None = None) -> Source:
     written = whole if arrangement.expression else None
     for remark in score.remarks:
         warnings.warn(f"{song}: {remark}", CadenzaWarning, stacklevel=3)
-    return Source(str(song), score, arrangement, written)
+    return Source(find_song(song).name, score, arrangement, written)
 
 
 def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score:
