@@ -635,6 +635,19 @@ ATTACKS = {
         "over 100000 bars with all repeats",
     ),
     "too many parts": (document(*[[FOUR_QUARTERS]] * 501), "over 500 parts"),
+    "a trill of years": (
+        document(
+            [
+                FOUR_QUARTERS
+                + note(
+                    "C4",
+                    "999999999999",
+                    inside="<notations><ornaments><trill-mark/></ornaments></notations>",
+                )
+            ]
+        ),
+        "hours; the longest is 4",
+    ),
     "too many tempos with all repeats": (
         document(
             [

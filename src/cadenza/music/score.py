@@ -178,11 +178,7 @@ class Score:
         moments = [self.total_time, *(stroke.end for stroke in self.drums)]
         moments += [event.time for event in pedal[-1:]]
         moments += [abs(time) for bar in self.bars for time in (bar.time, *bar.beats)]
-        if (last := max(moments)) > LONGEST_SCORE:
-            raise CadenzaError(
-                f"a score of {last / 3600:.4g} hours; the longest is {LONGEST_SCORE / 3600:.0f}, "
-                "so correct its times, or leave out silence"
-            )
+        check_end(max(moments))
 
     def __repr__(self) -> str:
         return f"Score({self.title!r}, {len(self.notes)} notes, {self.total_time:.1f} s)"
@@ -359,6 +355,19 @@ def check_length(seconds: float, what: str, advice: str = "") -> None:
         raise CadenzaError(
             f"{what} would last {seconds / 60:.4g} minutes; the longest is {MAX_SECONDS / 60:.0f}"
             f"{advice}"
+        )
+
+
+def check_end(seconds: float) -> None:
+    """Checks that a score ends within `LONGEST_SCORE`.
+
+    Raises:
+        CadenzaError: it ends at so many `seconds`, later.
+    """
+    if not seconds <= LONGEST_SCORE:  # also where it is not a number
+        raise CadenzaError(
+            f"a score of {seconds / 3600:.4g} hours; the longest is {LONGEST_SCORE / 3600:.0f}, "
+            "so correct its times, or leave out silence"
         )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 
 from cadenza.errors import CadenzaError
+from cadenza.music.score import check_end
 from cadenza.music.signs.articulation import articulate, slurred_onsets
 from cadenza.music.signs.chords import break_chords, tremolo_times, with_signs_of_chords
 from cadenza.music.signs.graces import place_graces
@@ -35,7 +36,7 @@ def realised(
         swings: where notes swing.
 
     Raises:
-        CadenzaError: there would be more notes than `MOST_NOTES`.
+        CadenzaError: there would be more notes than `MOST_NOTES`, or one ends too late for a score.
     """
     notes = with_signs_of_chords(list(notes))
     timed = _timed(notes, tempo, swings)
@@ -70,6 +71,7 @@ def _timed(
     swung = _SwungTimes(swings, notes)
     starts = tempo.onsets([swung.moved(note, note.onset) + note.attack for note in notes])
     ends = tempo.ends([swung.moved(note, note.end) + note.release for note in notes])
+    check_end(float(max(ends)))  # before ornaments and tremolos fill hours with notes
     return [
         TimedNote(note, start, end, note.velocity)
         for note, start, end in zip(notes, starts.tolist(), ends.tolist(), strict=True)
