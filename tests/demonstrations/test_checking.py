@@ -122,7 +122,7 @@ def test_a_damaged_song_is_told_of_all_its_episodes(copied: Path, damage: str) -
     assert len(told) == 2
     assert all(line.startswith(f"{path}: ") for line in told)
     with pytest.raises(CadenzaError, match=str(path)):
-        write_minari(open_dataset(copied), copied / "minari", lambda *_: None)
+        write_minari(open_dataset(copied), copied / "minari", "copied-v0", lambda *_: None)
 
 
 def test_a_result_that_is_cut_off(copied: Path) -> None:

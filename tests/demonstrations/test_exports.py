@@ -71,8 +71,15 @@ def test_observations_are_those_of_the_environment(made: Path) -> None:
 def test_minari_loads_what_was_recorded(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    main(["dataset", "export", str(made), "--format", "minari", "-o", str(tmp_path / "minari")])
+    export = ["dataset", "export", str(made), "-o", str(tmp_path / "minari")]
+    main([*export, "--version", "3"])  # in the same folder
+    main([*export, "--name", "cadenza/demonstrations"])
+    with pytest.raises(SystemExit):
+        main([*export, "--name", "../demonstrations"])
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    ids = {"cadenza/demonstrations-v0", f"cadenza/{made.name}-v3"}
+    assert minari.list_local_datasets().keys() == ids
+    assert minari.load_dataset(f"cadenza/{made.name}-v3").total_episodes == 2
     loaded, dataset = minari.load_dataset("cadenza/demonstrations-v0"), open_dataset(made)
     assert (loaded.total_episodes, loaded.total_steps) == (2, dataset.num_steps)
     for number, episode in enumerate(loaded.iterate_episodes()):
@@ -101,9 +108,9 @@ def test_minari_recovers_the_task_that_was_recorded(
     exact = {"random_stretch": 0.0, "random_pitch_shift": 0, "random_hand_position": 0.0}
     collected(tmp_path / "made", Variation(noise=0.0, mirror=False), **(exact | task))
     dataset = open_dataset(tmp_path / "made")
-    minari_export.write_minari(dataset, tmp_path / "minari", lambda *_: None)
+    minari_export.write_minari(dataset, tmp_path / "minari", "made-v0", lambda *_: None)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
-    loaded = minari.load_dataset("cadenza/demonstrations-v0")
+    loaded = minari.load_dataset("made-v0")
     environment = loaded.recover_environment()
     assert environment.observation_space == loaded.observation_space
     (episode,) = loaded.iterate_episodes()
@@ -145,7 +152,7 @@ def test_minari_plays_every_episode_again_to_the_bit_wherever_it_is(
     main(["dataset", "check", "moved"])
     main(["dataset", "export", "moved", "-o", "minari"])
     monkeypatch.setenv("MINARI_DATASETS_PATH", "minari")
-    loaded = minari.load_dataset("cadenza/demonstrations-v0")
+    loaded = minari.load_dataset("cadenza/moved-v0")
     environment = loaded.recover_environment()
     told = list(loaded.storage.get_episode_metadata(range(6)))
     assert {each["song"] for each in told} == {"made-songs/song.mid", "made-songs/other.mid"}
@@ -166,8 +173,9 @@ def test_minari_plays_every_episode_again_to_the_bit_wherever_it_is(
 def test_exports_of_the_same_demonstrations_are_the_same_bytes(
     form: str, made: Path, copied: Path, tmp_path: Path
 ) -> None:
+    name = ["--name", "made"] if form == "minari" else []
     for folder, out in ((made, "first"), (copied, "second")):
-        main(["dataset", "export", str(folder), "--format", form, "-o", str(tmp_path / out)])
+        main(["dataset", "export", str(folder), "--format", form, "-o", str(tmp_path / out), *name])
     first, second = ({p.relative_to(at): p for p in at.rglob("*")} for at in written_to(tmp_path))
     assert first.keys() == second.keys()
     files = [name for name, path in first.items() if path.is_file()]
@@ -188,6 +196,11 @@ def test_lerobot_files_hold_what_was_recorded(
     info = json.loads((folder / "meta/info.json").read_text())
     assert (info["codebase_version"], info["fps"]) == ("v3.0", 20)
     assert info["total_frames"] == dataset.num_steps
+    features, scene = info["features"], dataset.scene
+    assert features["action"]["names"] == [*scene.actuator_names, "sustain_pedal"]
+    assert features["observation.state"]["names"] == list(scene.hand_joint_names)
+    for of in features.values():
+        assert of["names"] is None or len(of["names"]) == of["shape"][0]
     frames = pq.read_table(folder / info["data_path"].format(chunk_index=0, file_index=0))
     assert set(frames.column_names) == set(info["features"])
     assert frames["index"].to_pylist() == list(range(dataset.num_steps))

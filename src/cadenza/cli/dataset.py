@@ -227,9 +227,13 @@ class DatasetExport(RecordedParts):
     folder: tyro.conf.Positional[Path]
     """Folder of the demonstrations."""
     output: Output[Path]
-    """A new folder. To load the dataset with Minari, set MINARI_DATASETS_PATH to it."""
+    """A new folder; for Minari, maybe one with other datasets, which MINARI_DATASETS_PATH names."""
     format: Literal["minari", "lerobot"] = "minari"
     """Format of the dataset."""
+    name: str | None = None
+    """For Minari: name in its id, by default cadenza/ and the name of the folder."""
+    version: int = 0
+    """For Minari: version in its id."""
     video_cameras: tuple[str, ...] = ()
     """For LeRobot: cameras that film every episode, of player, closeup, left, right, back,
     egocentric and topdown."""
@@ -241,17 +245,20 @@ class DatasetExport(RecordedParts):
 def export(command: DatasetExport) -> None:
     from cadenza.demonstrations.dataset import open_dataset
     from cadenza.demonstrations.lerobot_export import write_lerobot
-    from cadenza.demonstrations.minari_export import NAME, write_minari
+    from cadenza.demonstrations.minari_export import minari_id, write_minari
     from cadenza.sim.render import Picture
 
     pictures = [Picture(*command.video_size, name) for name in dict.fromkeys(command.video_cameras)]
     if pictures and command.format != "lerobot":
         raise CadenzaError("--video-cameras: only LeRobot holds videos; add --format lerobot")
+    if command.format != "minari" and (command.name, command.version) != (None, 0):
+        raise CadenzaError("--name, --version: only Minari has them; leave them out")
+    id_ = minari_id(command.folder, command.name, command.version)
     dataset = open_dataset(command.folder)
     with progress("exporting", "episodes") as advance:
         if command.format == "minari":
-            write_minari(dataset, command.output, advance)
+            write_minari(dataset, command.output, id_, advance)
         else:
             write_lerobot(dataset, command.output, advance, pictures)
-    what = f"the dataset {NAME}" if command.format == "minari" else "a LeRobot dataset"
+    what = f"the dataset {id_}" if command.format == "minari" else "a LeRobot dataset"
     print(f"{len(dataset.episodes)} episodes: {what} in {command.output}")

@@ -28,6 +28,7 @@ from cadenza.demonstrations.dataset import Dataset
 from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import new_folder, write_json
+from cadenza.scene.scene import Scene
 from cadenza.sim.render import Picture, Renderer
 
 _MAX_DATA_BYTES = 100 * 2**20  # of a file; then another is begun
@@ -64,9 +65,10 @@ def write_lerobot(
         files, rows = _FrameFiles(folder), _EpisodeTable(folder / _EPISODES)
         index, whole = 0, dict[str, Statistics]()
         features: dict[str, Any] = {}
+        names = _names(dataset.scene)
         for number, episode in enumerate(dataset.episodes):
             frames = _frames(dataset, number, index, tasks[episode.facts.song], fps)
-            features = features or {name: _feature(values) for name, values in frames.items()}
+            features = features or {n: _feature(of, names.get(n)) for n, of in frames.items()}
             of_episode = {name: Statistics.of(values) for name, values in frames.items()}
             places = dict[str, Any]()
             for video in videos:
@@ -156,8 +158,20 @@ def _frames(dataset: Dataset, number: int, first: int, task: int, fps: int) -> A
     }
 
 
-def _feature(values: NDArray[Any]) -> dict[str, Any]:
-    return {"dtype": values.dtype.name, "shape": list(values.shape[1:]) or [1], "names": None}
+def _feature(values: NDArray[Any], names: Sequence[str] | None) -> dict[str, Any]:
+    shape = list(values.shape[1:]) or [1]
+    return {"dtype": values.dtype.name, "shape": shape, "names": names and list(names)}
+
+
+def _names(scene: Scene) -> dict[str, tuple[str, ...]]:
+    """Returns what the numbers of features are called: by joint, or by actuator."""
+    joints, actions = scene.hand_joint_names, (*scene.actuator_names, "sustain_pedal")
+    return {
+        "observation.state": joints,
+        "observation.velocity": joints,
+        "observation.previous_action": actions,
+        "action": actions,
+    }
 
 
 def _column(pa: Any, values: NDArray[Any]) -> Any:

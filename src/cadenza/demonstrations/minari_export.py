@@ -13,6 +13,8 @@ Observations are of the true state, and so the environment has no noise on them.
 from __future__ import annotations
 
 import os
+import re
+import shutil
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -26,23 +28,45 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 
+from cadenza.configs import MOST_COUNT, whole_number
 from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset
 from cadenza.demonstrations.recorded_episode import EpisodeFacts, RecordedEpisode, written
 from cadenza.demonstrations.transitions import Transitions, transitions
-from cadenza.errors import extra_packages
+from cadenza.errors import CadenzaError, extra_packages, quoted
 from cadenza.files import new_folder, plain
 from cadenza.tasks.config import NOISE_ON_OBSERVATIONS
 
-NAME = "cadenza/demonstrations-v0"
 _ROOT = "MINARI_DATASETS_PATH"  # where Minari looks for datasets
+_NAME = re.compile(r"([A-Za-z0-9_-]+/)*[A-Za-z0-9_-]+")  # of which Minari makes folders
+_UNNAMED = re.compile("[^A-Za-z0-9_-]+")
 _MAX_BATCH = 20_000  # steps that are written at once, or a longer episode
 
 
-def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], None]) -> None:
-    """Writes the dataset `NAME` into a new folder, which MINARI_DATASETS_PATH has to name then.
+def minari_id(folder: Path, name: str | None = None, version: int = 0) -> str:
+    """The id of a dataset in Minari, by default `cadenza/` and the name of its `folder`.
 
     Raises:
-        CadenzaError: Minari is not installed, the folder exists, or an episode is damaged.
+        CadenzaError: Minari takes no such name or version.
+    """
+    named = f"cadenza/{_UNNAMED.sub('-', folder.resolve().name)}" if name is None else name
+    if not _NAME.fullmatch(named):
+        raise CadenzaError(
+            f"name {quoted(named)}: give letters, digits, - or _, maybe with folders before them, "
+            "such as cadenza/chopin"
+        )
+    return f"{named}-v{whole_number(version, 'version', 0, MOST_COUNT)}"
+
+
+def write_minari(
+    dataset: Dataset, path: Path, id_: str, advance: Callable[[int, int], None]
+) -> None:
+    """Writes the dataset of that id to a folder, which MINARI_DATASETS_PATH has to name then.
+
+    Others may lie there.
+
+    Raises:
+        CadenzaError: Minari is not installed, there is a dataset of that id in the folder, or an
+            episode is damaged.
     """
     with extra_packages("export", "exporting"):
         import minari
@@ -53,10 +77,10 @@ def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], Non
     high = np.ones_like(low)
     joints = slice(len(low) - first.joints.shape[1], len(low))
     low[joints], high[joints] = -np.inf, np.inf
-    with new_folder(path) as folder, _root(folder), warnings.catch_warnings():
+    with new_folder(path / id_) as folder, _root(folder), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # that it has no author
         made = minari.create_dataset_from_buffers(
-            NAME,
+            id_,
             [_buffer(EpisodeBuffer, first, dataset.episodes[0])],
             env=_environment(dataset),
             observation_space=spaces.Box(low, high, dtype=np.float32),
@@ -73,6 +97,9 @@ def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], Non
             )
             advance(some[-1] + 1, count)
         made.storage.update_episode_metadata(_metadata(e.facts) for e in dataset.episodes)
+        for part in (folder / id_).iterdir():
+            part.rename(folder / part.name)
+        shutil.rmtree(folder / id_.split("/")[0])
 
 
 def _environment(dataset: Dataset) -> EnvSpec:

@@ -3,6 +3,7 @@
 NAME/job.json         what the run is
 NAME/training/        the run of training, of a policy that is trained first
 NAME/episode.npz      and the other files of `cadenza play`, report.html where a page is wanted
+NAME/score.json       what was to be played, with fingers, where no page is wanted yet
 NAME/result.json      how well it went; written last, so that a run with it is finished
 NAME/failed.json      or why there is none; and what `cadenza.evaluation.run_status` leaves
 
@@ -22,7 +23,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from cadenza.agents.agent import Progress
-from cadenza.agents.rollout import begin_episodes
 from cadenza.evaluation.jobs import Job, JobSpec
 from cadenza.evaluation.results import (
     FORMAT,
@@ -40,12 +40,15 @@ from cadenza.evaluation.run_status import (
     progress_writer,
     versions,
 )
-from cadenza.files import write_json
+from cadenza.files import read_json, write_json
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.cpu_affinity import claimed_cores
 from cadenza.learning.run_folder import RunFolder
+from cadenza.music.formats.written_score import WrittenScore
 from cadenza.performing.performance import add_page, perform
 from cadenza.performing.setup import Selection, select, set_up
+
+_SCORE = "score.json"
 
 
 def carry_out(
@@ -65,7 +68,7 @@ def carry_out(
         if not ours:
             return
         if is_finished(folder):
-            _add_page(job.spec, folder)
+            _add_page(folder)
             return
         with failure_recorded(folder):
             result = _result(job, folder, num_threads, stop)
@@ -80,13 +83,10 @@ def is_complete(job: Job, folder: Path) -> bool:
     return is_finished(folder) and (not job.page or (folder / PAGE).exists())
 
 
-def _add_page(spec: JobSpec, folder: Path) -> None:
+def _add_page(folder: Path) -> None:
     """Makes the page of a finished run; one of which none can be made keeps its result."""
     try:
-        check_song(spec)
-        with set_up(_selection(spec, folder)) as setup:  # as it was when it was played
-            begin_episodes(setup.task, [spec.seed])
-            add_page(folder, setup.task.score(0))
+        add_page(folder, read_json(folder / _SCORE, WrittenScore).score)
     except Exception:
         traceback.print_exc()
 
@@ -110,6 +110,8 @@ def _result(
     else:
         seconds, cpu_seconds = trained.seconds, None
     performance.save(folder, progress=progress, page=job.page)
+    if not job.page:  # of which one may be made later, without looking for fingers again
+        write_json(folder / _SCORE, asdict(WrittenScore.of(performance.fingered_goal)))
     return ResultFile(
         format=FORMAT,
         job=spec.as_json(),

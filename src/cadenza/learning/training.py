@@ -265,7 +265,7 @@ class Training:
             with closing(self._task_of([score])) as task:
                 metrics = play_episode(task, learnt.agent, self.config.seed).metrics
             for name, value in metrics.items():
-                if isinstance(value, int | float):
+                if isinstance(value, int | float) and not math.isnan(value):  # which has a value
                     values[name].append(float(value))
         row = {f"eval/{name}": float(np.mean(of_songs)) for name, of_songs in values.items()}
         return {"eval_step": step} | row, learnt
