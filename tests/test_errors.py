@@ -57,6 +57,17 @@ def test_what_was_read_is_quoted_in_a_short_line(value: object, said: str) -> No
     assert quoted(value) == said
 
 
+def test_an_argument_of_any_length_is_told_in_a_short_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for words in ["songs", "--sort", "9" * 5000], ["results", "x" * 5000], ["play", "x" * 5000]:
+        with pytest.raises(SystemExit) as stop:
+            main(words)
+        assert stop.value.code == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert len(line) < 1600
+
+
 def test_words_of_others_become_a_short_line() -> None:
     assert shortened(" no\tsuch\n  \x07table ") == r"no such \x07table"
     assert shortened("word " * 1000, 12) == "word word..."

@@ -38,6 +38,8 @@ class CadenzaWarning(UserWarning):
 _MOST_QUOTED = 100  # letters of what was read: enough to find it again
 _MOST_OTHERS = 300  # letters of a message that others word, and may fill with what they have read
 
+_MOST_SHOWN = 1500  # letters of a message, which is a screen of them
+
 
 def quoted(value: object, most: int = _MOST_QUOTED) -> str:
     """What was read or given, as a message may quote it: a line of at most `most` letters.
@@ -68,8 +70,13 @@ def shortened(text: str, most: int = _MOST_OTHERS) -> str:
 
 
 def on_one_line(message: str) -> str:
-    """The message; what cannot be printed, as in the name of a file, is escaped."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
+    """The message; what cannot be printed, as in the name of a file, is escaped.
+
+    One that is longer than a screen, as it repeats an argument, loses its middle: its end advises.
+    """
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
+    half = _MOST_SHOWN // 2
+    return line if len(line) <= _MOST_SHOWN else f"{line[:half]}...{line[-half:]}"
 
 
 def is_full(error: Exception) -> bool:

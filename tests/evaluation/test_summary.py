@@ -7,6 +7,7 @@ import json
 import math
 import statistics
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -254,6 +255,24 @@ def test_a_corrupt_run_is_reported_and_left_out(tmp_path: Path, content: str) ->
     (case,) = caveats(tmp_path)["1 run cannot be read, and is left out."]
     assert case.startswith(f"{run.name}: ")
     assert len(summary_of(tmp_path).runs) == len(TWO_AGENTS) - 1
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"job": {"agent": "a"}}, "Expected `int`, got `null` - at `$.seed`"),
+        ({"job": {"agent": ["a"], "seed": 0}}, "Expected `str`, got `array` - at `$.agent`"),
+        ({"metrics": {"f1": "high"}}, "its result holds no F1"),
+    ],
+)
+def test_a_run_of_nobody_or_of_no_number_is_left_out(
+    tmp_path: Path, change: dict[str, Any], said: str
+) -> None:
+    write(tmp_path, TWO_AGENTS)
+    write_result(tmp_path, "odd", result("c", "good", 0, {"f1": 0.5}) | change)
+    (case,) = caveats(tmp_path)["1 run cannot be read, and is left out."]
+    assert said in case
+    assert len(summary_of(tmp_path).runs) == len(TWO_AGENTS)
 
 
 def test_a_run_without_f1_is_reported_and_left_out(tmp_path: Path) -> None:

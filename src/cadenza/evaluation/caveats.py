@@ -20,14 +20,18 @@ _AS_WRITTEN = dict(flat(plain(_MUSIC)))  # the options of a job with which a pie
 
 def usable(found: Results) -> list[Result]:
     """Returns the results that can be summed up."""
-    return [result for result in found.results if result.metrics.get("f1") is not None]
+    return [result for result in found.results if _has_f1(result)]
+
+
+def _has_f1(result: Result) -> bool:
+    return isinstance(result.metrics.get("f1"), int | float)
 
 
 def caveats(found: Results) -> Iterator[tuple[str, list[str]]]:
     """Yields what to know before comparing runs: a line, and its cases."""
     results = usable(found)
     broken = [f"{run.name}: {run.reason}" for run in found.broken]
-    without = [run.folder.name for run in found.results if run.metrics.get("f1") is None]
+    without = [run.folder.name for run in found.results if not _has_f1(run)]
     broken += [f"{name}: its result holds no F1" for name in without]
     if broken:
         yield f"{counted(len(broken), 'run')} cannot be read, and {_are(broken)} left out.", broken

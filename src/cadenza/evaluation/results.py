@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.jobs import Job, SongFacts, key_of
-from cadenza.files import read_json, write_json
+from cadenza.files import checked, read_json, write_json
 
 FORMAT: Literal[1] = 1
 RESULT, FAILED, PAGE = "result.json", "failed.json", "report.html"
@@ -70,6 +70,14 @@ class Result(ResultFile):
     @property
     def seed(self) -> int:
         return int(self.job["seed"])
+
+
+@dataclass(frozen=True)
+class _Who:
+    """What every job says of who plays."""
+
+    agent: str
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -162,6 +170,7 @@ def read_result(run: Path) -> Result:
             f"{path}: does not belong to its folder, which was copied or renamed, or the job was "
             "changed; delete the folder"
         )
+    checked({name: file.job.get(name) for name in ("agent", "seed")}, _Who, path)
     return Result(**vars(file), folder=run)
 
 

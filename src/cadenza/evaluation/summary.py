@@ -113,7 +113,7 @@ def run_metrics(result: Result) -> dict[str, float]:
 
 
 def _number(value: Any) -> float:
-    return math.nan if value is None else float(value)
+    return float(value) if isinstance(value, int | float) else math.nan
 
 
 # Statistics
