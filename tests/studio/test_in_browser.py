@@ -782,7 +782,8 @@ def test_an_arrangement_is_chosen_and_explained(
     browser.evaluate("document.getElementById('start').click()")
     wait(browser, "cadenza.state === 'kept' && !!document.querySelector('#misses tbody')")
     assert "as written" in text(browser, "facts")
-    assert "arranged" not in text(browser, "facts")
+    assert "arranged for both hands: " not in text(browser, "facts")
+    assert "try it arranged for the hands (--level 10)" in text(browser, "facts")
     assert browser.evaluate("document.getElementById('changes').closest('.card').hidden")
     assert browser.evaluate("cadenza.live.fingers.length") > 0  # numbers in the roll
     missed = browser.evaluate(rows.format("misses"))
