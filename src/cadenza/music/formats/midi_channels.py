@@ -167,7 +167,7 @@ class Port:
         return self.states[number].is_drums and number not in self.managers
 
     def shift(self, number: int) -> int:
-        """By how many semitones the notes of a channel are transposed."""
+        """The transposition of the notes of a channel [semitones]."""
         tuning = self.states[number].tuning
         own = tuning.coarse + tuning.key_shift
         return 0 if self.is_drums(number) else own + self.key_shift

@@ -25,9 +25,9 @@ class Sets(Enum):
     DRUMS = auto()
     """Whether a channel plays drums."""
     KEY_SHIFT = auto()
-    """By how many semitones a channel, or all of them, are transposed."""
+    """The transposition of a channel, or of all of them [semitones]."""
     BEND_RANGE = auto()
-    """By how many semitones the pitch wheel moves a channel at most."""
+    """The largest bend of the pitch wheel of a channel [semitones]."""
 
 
 class Setting(NamedTuple):

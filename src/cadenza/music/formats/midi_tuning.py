@@ -42,7 +42,7 @@ class Tuning:
 
     @property
     def bend(self) -> float:
-        """By how many semitones the wheel bends."""
+        """The bend of the pitch wheel [semitones]."""
         return self.wheel * self.bend_range
 
     def control(self, control: int, value: int) -> tuple[int, int] | None:
@@ -69,7 +69,7 @@ class Tuning:
             self.bends.append((now, bend))
 
     def bend_of(self, start: float, end: float) -> tuple[int, bool]:
-        """By how many semitones a note that begins under a bend is moved, and whether exactly so.
+        """The transposition of a note that begins under a bend [semitones]; whether it is exact.
 
         A bend that does not last for half of the note moves nothing.
         """
