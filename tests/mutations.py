@@ -21,7 +21,7 @@ from cadenza.errors import CadenzaError
 
 Arrays = dict[str, np.ndarray]
 
-MOST_LETTERS = 1000
+MAX_LETTERS = 1000
 """More than a message of one line has, whatever it quotes."""
 _VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, 1, -1, 2.5, 10**6, -(10**30), 10**30, 10**400, 1e308, 1e-320),
@@ -40,7 +40,7 @@ def at_most_refused() -> Iterator[None]:
         except CadenzaError as error:
             refused = str(error)
     assert refused.isprintable(), refused
-    assert len(refused) < MOST_LETTERS, refused
+    assert len(refused) < MAX_LETTERS, refused
 
 
 def other_json(rng: np.random.Generator, value: Any) -> Any:

@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 HANDS = players_of(build_scene())
 EASIEST_F1 = 0.97  # expected of what is of grade 1
-LEAST_ERROR = 1e-3  # of 1 - F1: a song without an error is not infinitely easy
+MIN_ERROR = 1e-3  # of 1 - F1: a song without an error is not infinitely easy
 RIDGE = 0.3  # features that go together share their weight
 
 
@@ -106,7 +106,7 @@ def data_of(path: Path) -> tuple[Array, Array, list[str]]:
     for row in rows:
         score, _ = find_fingering(opening(load_score(row["song"]), row["seconds"]), HANDS)
         features.append(astuple(features_of(score)))
-    error = np.maximum(1 - np.array([row["f1"] for row in rows]), LEAST_ERROR)
+    error = np.maximum(1 - np.array([row["f1"] for row in rows]), MIN_ERROR)
     return np.array(features), np.log(error / (1 - error)), [row["library"] for row in rows]
 
 

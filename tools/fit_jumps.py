@@ -41,8 +41,8 @@ from cadenza.tasks.piano_task import PianoTask
 Array = NDArray[np.float64]
 
 DT = 0.05  # [s] a control step
-CHORDS, LASTS, MOST_AHEAD = 10, 9, 5  # of an etude; steps that each lasts; of them without keys
-MOST_WAY = 0.35  # [m]
+CHORDS, LASTS, MAX_AHEAD = 10, 9, 5  # of an etude; steps that each lasts; of them without keys
+MAX_WAY = 0.35  # [m]
 LOWEST = 21  # MIDI number of the first key
 LATEST = 6  # steps; later is a hand that is caught, not one that is on its way
 Chord = list[tuple[int, int]]  # pitches and their fingers
@@ -136,7 +136,7 @@ def made_up(rest: Array, rng: np.random.Generator) -> tuple[list[Chord], list[fl
     end = PIANO.grid_y.max() - 0.1
     place, chords, places = 0.0, list[Chord](), []
     while len(chords) < CHORDS:
-        way = rng.uniform(0.02, MOST_WAY)
+        way = rng.uniform(0.02, MAX_WAY)
         there = place + way * (-1) ** rng.integers(2)
         size = rng.choice([1, 2, 3], p=[0.5, 0.25, 0.25])
         fingers = np.sort(rng.choice(len(rest), min(size, len(rest)), replace=False))
@@ -154,7 +154,7 @@ def made_up(rest: Array, rng: np.random.Generator) -> tuple[list[Chord], list[fl
 def score_of(chords: list[Chord], rng: np.random.Generator) -> Score:
     notes = []
     for i, chord in enumerate(chords):
-        start, ahead = i * LASTS * DT, rng.integers(MOST_AHEAD) * DT
+        start, ahead = i * LASTS * DT, rng.integers(MAX_AHEAD) * DT
         end = start + LASTS * DT - ahead
         notes += [Note(start, end, pitch, 80, Finger(0, finger)) for pitch, finger in chord]
     return Score(tuple(notes), title="jumps")
@@ -167,12 +167,12 @@ def fit(jumps: list[Jump], hand: Hand) -> None:
     """Prints how late jumps land, and the figures that say so best."""
     way, left, struck, ahead, late = np.array(jumps).T
     single = (left == 1) & (struck == 1)
-    edges = np.array([0.0, 0.05, 0.1, 0.15, 0.2, MOST_WAY])
+    edges = np.array([0.0, 0.05, 0.1, 0.15, 0.2, MAX_WAY])
     for name, some in (("single keys", single), ("chords", ~single)):
         print(f"{name}: steps late (jumps), by steps let go before")
         for low, high in pairwise(edges):
             cells = [
-                some & (way >= low) & (way < high) & (ahead == n * DT) for n in range(MOST_AHEAD)
+                some & (way >= low) & (way < high) & (ahead == n * DT) for n in range(MAX_AHEAD)
             ]
             means = (f"{late[c].mean() / DT:.1f} ({c.sum()})" if c.any() else "-" for c in cells)
             print(f"  {low:.2f} to {high:.2f} m: " + "  ".join(means))

@@ -26,8 +26,8 @@ from urllib.parse import urlsplit
 
 ROOT = Path(__file__).parents[1]
 PYTHONS = ("3.11", "3.12", "3.13")
-MOST_OF_A_FILE = 2 * 2**20  # bytes of one file in the wheel: networks take up to 1.4 million
-MOST_OF_THE_WHEEL = 10 * 2**20  # bytes
+MAX_OF_A_FILE = 2 * 2**20  # bytes of one file in the wheel: networks take up to 1.4 million
+MAX_OF_THE_WHEEL = 10 * 2**20  # bytes
 LICENCES = ("LICENSE", "NOTICE", "three.LICENSE.txt", "uplot.LICENSE.txt")
 SMOKE = """
 import importlib, pkgutil
@@ -139,9 +139,9 @@ def problems_of_wheel(sizes: dict[str, int]) -> Iterator[str]:
             yield f"{name} is not of the package"
         if re.search(r"__pycache__|\.pyc$|(^|/)tests?/|/\.", name):
             yield f"{name} is of no use to anyone"
-        if size > MOST_OF_A_FILE:
+        if size > MAX_OF_A_FILE:
             yield f"{name} takes {size:,} bytes"
-    if sum(sizes.values()) > MOST_OF_THE_WHEEL:
+    if sum(sizes.values()) > MAX_OF_THE_WHEEL:
         yield f"it takes {sum(sizes.values()):,} bytes"
     there = {name.rpartition("/")[2] for name in sizes if name.startswith(f"{about}licenses/")}
     yield from (f"{name} is missing" for name in LICENCES if name not in there)

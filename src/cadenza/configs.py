@@ -15,8 +15,8 @@ from cadenza.errors import CadenzaError, quoted
 
 T = TypeVar("T")
 
-MOST_SEED = 2**128  # numpy takes any
-MOST_COUNT = 2**53  # where there is no other limit: the largest whole number of JSON in JavaScript
+MAX_SEED = 2**128  # numpy takes any
+MAX_COUNT = 2**53  # where there is no other limit: the largest whole number of JSON in JavaScript
 
 _FILE = "file"  # key in the metadata of a field
 
@@ -147,7 +147,7 @@ def check_positive(config: object, names: Iterable[str]) -> None:
 
 def _check_range(value: float, name: str, least: float, most: float) -> None:
     if not least <= value <= most:
-        wanted = f"{least} or more" if most >= MOST_COUNT > value else f"{least} to {most}"
+        wanted = f"{least} or more" if most >= MAX_COUNT > value else f"{least} to {most}"
         raise CadenzaError(f"{name} {value}: choose {wanted}")
 
 

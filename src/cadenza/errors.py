@@ -35,13 +35,13 @@ class CadenzaWarning(UserWarning):
     """
 
 
-_MOST_QUOTED = 100  # letters of what was read: enough to find it again
-_MOST_OTHERS = 300  # letters of a message that others word, and may fill with what they have read
+_MAX_QUOTED = 100  # letters of what was read: enough to find it again
+_MAX_OTHERS = 300  # letters of a message that others word, and may fill with what they have read
 
-_MOST_SHOWN = 1500  # letters of a message, which is a screen of them
+_MAX_SHOWN = 1500  # letters of a message, which is a screen of them
 
 
-def quoted(value: object, most: int = _MOST_QUOTED) -> str:
+def quoted(value: object, most: int = _MAX_QUOTED) -> str:
     """What was read or given, as a message may quote it: a line of at most `most` letters.
 
     Text stands in quotation marks, and what cannot be printed in it is escaped. Every message that
@@ -58,7 +58,7 @@ def quoted(value: object, most: int = _MOST_QUOTED) -> str:
     return shortened(said, most)
 
 
-def shortened(text: str, most: int = _MOST_OTHERS) -> str:
+def shortened(text: str, most: int = _MAX_OTHERS) -> str:
     """Text that others have worded, such as the message of a library, as a line of a message.
 
     Args:
@@ -75,8 +75,8 @@ def on_one_line(message: str) -> str:
     One that is longer than a screen, as it repeats an argument, loses its middle: its end advises.
     """
     line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
-    half = _MOST_SHOWN // 2
-    return line if len(line) <= _MOST_SHOWN else f"{line[:half]}...{line[-half:]}"
+    half = _MAX_SHOWN // 2
+    return line if len(line) <= _MAX_SHOWN else f"{line[:half]}...{line[-half:]}"
 
 
 def is_full(error: Exception) -> bool:

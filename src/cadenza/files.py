@@ -29,7 +29,7 @@ import numpy as np
 import safetensors.numpy
 from numpy.typing import NDArray
 
-from cadenza.configs import MOST_SEED
+from cadenza.configs import MAX_SEED
 from cadenza.errors import CadenzaError, is_full, quoted, shortened
 
 T = TypeVar("T")
@@ -38,9 +38,9 @@ TEMPORARY = ".cadenza-"  # what the name of a file begins with while it is writt
 _FLAGS = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _WRITING = _FLAGS | getattr(os, "O_NOFOLLOW", 0)
 _READING = _FLAGS | getattr(os, "O_NONBLOCK", 0) | os.O_RDONLY
-MOST_JSON = 32 * 2**20
+MAX_JSON = 32 * 2**20
 """Bytes of a file that is read as a whole; a song of half a million notes takes as many."""
-_MOST_TEXT = 4 * MOST_JSON  # bytes, of which numpy takes four for a letter
+_MAX_TEXT = 4 * MAX_JSON  # bytes, of which numpy takes four for a letter
 _PIECE = 2**20  # bytes that are read at once of a file that may be of any size
 TENSORS = ".safetensors"
 """The ending of the names of our own files of arrays."""
@@ -209,7 +209,7 @@ def _readable(path: Path, most: int | None) -> Iterator[IO[bytes]]:
         raise CadenzaError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def content_of(path: Path, most: int = MOST_JSON) -> bytes:
+def content_of(path: Path, most: int = MAX_JSON) -> bytes:
     """Reads all of a file, and nothing of one of over `most` bytes.
 
     Raises:
@@ -408,7 +408,7 @@ def _check_values(value: Any, at: str) -> None:
             _check_values(part, f"{at}[{i}]")
     elif isinstance(value, float) and not math.isfinite(value):
         raise CadenzaError(f"Expected a finite number, got {value} - at `{at}`")
-    elif isinstance(value, int) and abs(value) > MOST_SEED:
+    elif isinstance(value, int) and abs(value) > MAX_SEED:
         raise CadenzaError(f"Expected a number of fewer digits, got {quoted(value)} - at `{at}`")
     elif isinstance(value, str) and not _is_text(value):
         raise CadenzaError(f"Expected text, got {quoted(value)} - at `{at}`")
@@ -595,7 +595,7 @@ def _array(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     """
     with opened_member(file, member.filename) as packed:
         shape, dtype = array_header(packed)
-        if dtype.kind in TEXT and member.file_size > _MOST_TEXT:
+        if dtype.kind in TEXT and member.file_size > _MAX_TEXT:
             raise ValueError("too much text")
         if math.prod(shape) * dtype.itemsize != member.file_size - packed.tell():
             raise ValueError("not as long as its header says")

@@ -29,7 +29,7 @@ from melodies import BUFFER, COARSER, FINER, melody, whole_plan
 @pytest.fixture
 def short_windows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nominal_trajectory, "_FIRST_WINDOW", 1.0)
-    monkeypatch.setattr(nominal_trajectory, "_LONGEST_WINDOW", 1.5)
+    monkeypatch.setattr(nominal_trajectory, "_MAX_WINDOW", 1.5)
     monkeypatch.setattr(nominal_trajectory, "_OVERLAP", 1.5)
 
 

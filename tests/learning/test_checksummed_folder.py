@@ -75,7 +75,7 @@ def test_a_file_that_is_far_too_large_is_not_read(folder: Path, name: str) -> No
 def test_what_could_not_be_read_again_is_not_written(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cadenza.learning.checksummed_folder._MOST_ARRAYS", 2**20)
+    monkeypatch.setattr("cadenza.learning.checksummed_folder._MAX_ARRAYS", 2**20)
     with pytest.raises(CadenzaError, match=r"its arrays take 8 MiB; a thing holds up to 1 MiB"):
         write_checksummed(folder, "thing", FACTS, {"a": np.zeros(2**20)})
     assert read_checksummed(folder, "thing")[0] == FACTS

@@ -156,7 +156,7 @@ def test_resumed_it_ends_with_the_same_bits(
 def test_what_does_not_fit_into_memory_is_learnt_with_the_same_bits(
     demonstrations: Path, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cadenza.learning.imitation._MOST_CACHED", 1_000)
+    monkeypatch.setattr("cadenza.learning.imitation._MAX_CACHED", 1_000)
     trained(CONFIG, demonstrations, tmp_path / "too-large")
     arrays = Path("last") / "arrays.safetensors"
     assert (tmp_path / "too-large" / arrays).read_bytes() == (run / arrays).read_bytes()

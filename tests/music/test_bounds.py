@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from cadenza.errors import CadenzaError
 from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.goals import MAX_STEPS, score_to_goals
-from cadenza.music.score import LONGEST_SCORE, MAX_SECONDS, Bar, Note, PedalEvent, Score
+from cadenza.music.score import MAX_SCORE_LENGTH, MAX_SECONDS, Bar, Note, PedalEvent, Score
 from players import find_fingering
 
 SHORT = Score((Note(0.0, 10.0, 60),), (PedalEvent(1.0, 127),))
@@ -39,7 +39,9 @@ def test_no_score_lasts_longer_than_memory_has_room_for_its_bars(parts):
         Score(**{"notes": (Note(0.0, 1.0, 60),), **parts})
 
 
-@pytest.mark.parametrize(("seconds", "step"), [(10.0, 1e-9), (10.0, 1e-320), (LONGEST_SCORE, 0.01)])
+@pytest.mark.parametrize(
+    ("seconds", "step"), [(10.0, 1e-9), (10.0, 1e-320), (MAX_SCORE_LENGTH, 0.01)]
+)
 def test_more_steps_than_memory_has_room_for(seconds, step):
     with pytest.raises(CadenzaError, match=f"control steps; the maximum is {MAX_STEPS}"):
         score_to_goals(Score((Note(0.0, seconds, 60),)), step)

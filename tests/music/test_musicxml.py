@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cadenza.errors import CadenzaError
 from cadenza.fingers import LEFT, RIGHT
 from cadenza.music.formats.musicxml.reader import read_musicxml
-from cadenza.music.formats.musicxml.tree import DEEPEST, MAX_XML_BYTES, MOST_NOTES, MOST_PARTS
+from cadenza.music.formats.musicxml.tree import DEEPEST, MAX_NOTES, MAX_PARTS, MAX_XML_BYTES
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import PedalEvent
 from musicxml_documents import (
@@ -347,7 +347,7 @@ def test_a_prefix_makes_no_difference(saved):
 
 
 def test_what_stands_in_comments_and_sections_of_text_is_not_counted(saved):
-    notes = "<note/>" * 2 * MOST_NOTES
+    notes = "<note/>" * 2 * MAX_NOTES
     music = f"<!--{notes}-->{FOUR_QUARTERS}{note('C4', 16)}"
     text = document([music], title=f"<![CDATA[{notes}]]>")
     assert pitches(load_score(saved(text))) == [60]
@@ -613,18 +613,18 @@ ATTACKS = {
         ),
         "XML entities or the like",
     ),
-    "too many tags": ("<score-partwise>" + "<a/>" * MOST_PARTS, "too large for a song"),
+    "too many tags": ("<score-partwise>" + "<a/>" * MAX_PARTS, "too large for a song"),
     "too many attributes": (
-        "<score-partwise>" + '<a b="" c="" d=""/>' * (MOST_PARTS // 4),
+        "<score-partwise>" + '<a b="" c="" d=""/>' * (MAX_PARTS // 4),
         "too large for a song",
     ),
-    "too many notes": ("<score-partwise>" + "<note/>" * (MOST_NOTES + 1), "over 40000 notes"),
+    "too many notes": ("<score-partwise>" + "<note/>" * (MAX_NOTES + 1), "over 40000 notes"),
     "too many notes of a namespace": (
-        f'<m:score-partwise xmlns:m="x">{"<m:note/>" * (MOST_NOTES + 1)}',
+        f'<m:score-partwise xmlns:m="x">{"<m:note/>" * (MAX_NOTES + 1)}',
         "over 40000 notes",
     ),
     "too many notes in UTF-16": (
-        ("<score-partwise>" + "<note/>" * (MOST_NOTES + 1)).encode("utf-16"),
+        ("<score-partwise>" + "<note/>" * (MAX_NOTES + 1)).encode("utf-16"),
         "over 40000 notes",
     ),
     "too many repeats": (

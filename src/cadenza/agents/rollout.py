@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import Agent, Progress, silent
 from cadenza.agents.planner.plan.song_plan import SongPlan
-from cadenza.configs import MOST_SEED, whole_number
+from cadenza.configs import MAX_SEED, whole_number
 from cadenza.episode import KEY_EVENTS, Episode
 from cadenza.errors import CadenzaError, by_others
 from cadenza.music.expressive_metrics import expressive_metrics
@@ -56,7 +56,7 @@ def begin_episodes(task: PianoTask, seeds: Sequence[int]) -> list[np.random.Gene
         raise CadenzaError(
             f"{len(seeds)} seeds for {task.num_envs} environments: give one for each"
         )
-    seeds = [whole_number(seed, "seed", 0, MOST_SEED) for seed in seeds]
+    seeds = [whole_number(seed, "seed", 0, MAX_SEED) for seed in seeds]
     spawned = [np.random.default_rng(seed).spawn(2) for seed in seeds]
     task.reset([task_rng for task_rng, _ in spawned], range(len(spawned)))
     return [agent_rng for _, agent_rng in spawned]

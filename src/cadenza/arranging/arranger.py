@@ -122,7 +122,7 @@ def _lifted(note: Note, again: float) -> Note:
 
 _RISE = 0.05  # [s] in which a finger gets off its key
 _SPARE = 0.05  # [s] since planners release notes on control steps
-_LONGEST_JUMP = 1.0  # [s]
+_MAX_JUMP = 1.0  # [s]
 
 
 def held_as_possible(score: Score, players: Players, times: JumpTimes) -> Score:
@@ -164,7 +164,7 @@ def _end_for_jumps(
     held: list[int] = []
     for chord, after in pairwise(struck):
         begins = notes[after[0]].start
-        held = [i for i in (*held, *chord) if notes[i].end > begins - _LONGEST_JUMP]
+        held = [i for i in (*held, *chord) if notes[i].end > begins - _MAX_JUMP]
         for i in held:
             holding = notes[i].end > begins + _RISE
             from_place = place(i) if holding or i not in chord else mean(chord)

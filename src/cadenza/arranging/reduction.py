@@ -27,12 +27,12 @@ from cadenza.hands.reach import JumpTimes
 from cadenza.music.score import OCTAVE, RELEASE_TIME
 
 _BEAM = 6  # states that are kept; more cost time and change little
-_MOST_HARMONY = 3  # notes that a hand adds to melody or bass
+_MAX_HARMONY = 3  # notes that a hand adds to melody or bass
 _SHIFTS = 0, -OCTAVE, OCTAVE, -2 * OCTAVE, 2 * OCTAVE
 _LONG_AGO = -10.0  # [s]
-_LEAST_HELD = 0.03  # [s] for which a hand holds what it strikes
+_MIN_HELD = 0.03  # [s] for which a hand holds what it strikes
 _FASTEST_REPETITION = 0.1  # [s]
-_LEAST_LATE = 0.15  # [s] for which a note sounds that is struck late
+_MIN_LATE = 0.15  # [s] for which a note sounds that is struck late
 # [s] in which C4 (MIDI 60) falls by 20 dB on a piano. It decays at first by 10 dB a second, C2 by 2
 # and C7 by 80 (Bensa et al., JASA 114, 2003), then more slowly (Weinreich, JASA 62, 1977).
 _LASTS, _LASTING = 3.6, 60
@@ -137,7 +137,7 @@ class Struck(NamedTuple):
     @property
     def end(self) -> float:
         """When it ends [s], if the hand can hold it for so long."""
-        return max(self.source.end, self.time + _LEAST_LATE) if self.late else self.source.end
+        return max(self.source.end, self.time + _MIN_LATE) if self.late else self.source.end
 
 
 class Action(NamedTuple):
@@ -300,7 +300,7 @@ class _HandAtMoment:
                 return
             yield base
         for note in self._harmony:
-            if len(struck) - len(base) == _MOST_HARMONY:
+            if len(struck) - len(base) == _MAX_HARMONY:
                 return
             shift = self._shift(note, pitches)
             if shift is not None:
@@ -332,7 +332,7 @@ class _HandAtMoment:
         if before.struck:
             jump = self._one.jump_time(before.struck, pitches, bool(kept))
             repeats = since < _FASTEST_REPETITION and not set(before.struck).isdisjoint(pitches)
-            if repeats or jump > since - _LEAST_HELD:
+            if repeats or jump > since - _MIN_HELD:
                 return None
         cost = _HASTE * (jump / since) ** 2
         cost += _BUSY_COST * (len(struck) - 1) * min(_BUSY / since, 1.0)

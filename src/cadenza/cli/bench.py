@@ -13,7 +13,7 @@ from cadenza.cli.arguments import Flat, Output, Quiet
 from cadenza.cli.console import counted
 from cadenza.cli.options import TRAIN, Options, Read, split_agents
 from cadenza.cli.runs import Execution, Work, check_execution, run_all
-from cadenza.configs import MOST_SEED, whole_number
+from cadenza.configs import MAX_SEED, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning, quoted
 from cadenza.learning.config import preset
 from cadenza.learning.learner import Preset
@@ -21,8 +21,8 @@ from cadenza.learning.learner import Preset
 if TYPE_CHECKING:
     from cadenza.evaluation.jobs import Contender, Job
 
-_MOST_SEEDS = 10_000  # of one range, so that a typo ends at once
-_MOST_RUNS = 20_000  # which take days
+_MAX_SEEDS = 10_000  # of one range, so that a typo ends at once
+_MAX_RUNS = 20_000  # which take days
 _RESIDUAL = "-residual"
 
 
@@ -63,11 +63,11 @@ def run(command: Bench, read: Read[Bench]) -> None:
     check_execution(command)
     contenders = _contenders(command, read, agents)
     library = open_library(command.songs)
-    if (runs := len(library.songs) * len(agents) * len(seeds)) > _MOST_RUNS:
+    if (runs := len(library.songs) * len(agents) * len(seeds)) > _MAX_RUNS:
         parts = (library.songs, "song"), (agents, "agent"), (seeds, "seed")
         what = ", ".join(counted(len(each), noun) for each, noun in parts)
         raise CadenzaError(
-            f"{what}: {runs} runs, but a bench holds up to {_MOST_RUNS}; choose fewer, such as a "
+            f"{what}: {runs} runs, but a bench holds up to {_MAX_RUNS}; choose fewer, such as a "
             "split or a smaller folder of songs"
         )
     jobs = bench_jobs(library, contenders, seeds, command.arrangement, command.pages)
@@ -99,9 +99,9 @@ def _seeds(parts: Sequence[str]) -> list[int]:
         except ValueError as error:
             raise CadenzaError(f"seeds {part}: give whole numbers such as 0-2 or 0,5") from error
         for end in ends:
-            whole_number(end, "seed", 0, MOST_SEED)
-        if not 0 <= ends[1] - ends[0] < _MOST_SEEDS:
-            raise CadenzaError(f"seeds {part}: give them as FIRST-LAST, at most {_MOST_SEEDS}")
+            whole_number(end, "seed", 0, MAX_SEED)
+        if not 0 <= ends[1] - ends[0] < _MAX_SEEDS:
+            raise CadenzaError(f"seeds {part}: give them as FIRST-LAST, at most {_MAX_SEEDS}")
         seeds |= dict.fromkeys(range(ends[0], ends[1] + 1))
     if not seeds:
         raise CadenzaError("no seed: name at least one")

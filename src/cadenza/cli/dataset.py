@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cadenza.evaluation.collecting.collect import Demonstrator
     from cadenza.evaluation.jobs import Job
 
-_MOST_EPISODES = 1_000_000
+_MAX_EPISODES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def _check(command: Collect) -> None:
     from cadenza.tasks.piano_task import PianoTask
 
     check_execution(command)
-    whole_number(command.episodes, "episodes", 1, _MOST_EPISODES)
+    whole_number(command.episodes, "episodes", 1, _MAX_EPISODES)
     check_ranges(command, {"least_f1": (0, 1)})
     check_ranges(command.variation, {"noise": (0, 10)})
     if command.variation.excerpt is not None:
@@ -167,7 +167,7 @@ def check(command: DatasetCheck) -> None:
 
     from cadenza.demonstrations.checking import problems
 
-    whole_number(command.replays, "replays", 0, _MOST_EPISODES)
+    whole_number(command.replays, "replays", 0, _MAX_EPISODES)
     found = 0
     with progress("checking", "episodes") as advance:
         for problem in problems(command.folder, command.replays, advance):

@@ -40,14 +40,14 @@ class Etude:
 def etude(command: Etude) -> None:
     import numpy as np
 
-    from cadenza.configs import MOST_SEED, whole_number
+    from cadenza.configs import MAX_SEED, whole_number
     from cadenza.music.etudes.library import BAND, etude_name, make_etude
     from cadenza.music.formats.midi import write_midi
 
     if command.output is not None:
         check_name(command.output, ".mid", "an etude is a .mid file")
     seed = int(np.random.default_rng().integers(2**31)) if command.seed is None else command.seed
-    rng = np.random.default_rng(whole_number(seed, "seed", 0, MOST_SEED))
+    rng = np.random.default_rng(whole_number(seed, "seed", 0, MAX_SEED))
     kind = KINDS[int(rng.integers(len(KINDS)))] if command.kind is None else command.kind
     if kind == BAND:
         _write_song(command, seed)

@@ -114,11 +114,11 @@ def _continued(
 
 
 def _check(command: PracticeCommand) -> None:
-    from cadenza.agents.planner.practice.practice import MOST_EFFORT
+    from cadenza.agents.planner.practice.practice import MAX_EFFORT
 
     if command.effort is not None and command.minutes is not None:
         raise CadenzaError("--effort and --minutes: give one of them")
-    for name, most in ("effort", MOST_EFFORT), ("minutes", 1e6):
+    for name, most in ("effort", MAX_EFFORT), ("minutes", 1e6):
         value = getattr(command, name)
         if value is not None and not 0 <= value <= most:
             raise CadenzaError(f"--{name} {value}: choose 0 to {most:.0f}")
@@ -179,7 +179,7 @@ def _practise(
     practising: Practising, effort: float, minutes: float | None, stop: Callable[[], bool]
 ) -> None:
     """Practises until the effort is made, the time is over, or `stop`; saves it now and then."""
-    from cadenza.agents.planner.practice.practice import MOST_EFFORT
+    from cadenza.agents.planner.practice.practice import MAX_EFFORT
 
     practice = practising.practice
     score, num_printed = practice.plan.track.delayed_score, len(practice.history)
@@ -200,7 +200,7 @@ def _practise(
                 practising.save_plan_if_due(at_once=played_first)
             return not stop() and (minutes is None or done < total)
 
-        practice.run(effort if minutes is None else MOST_EFFORT, should_continue)
+        practice.run(effort if minutes is None else MAX_EFFORT, should_continue)
         should_continue()
     if not practice.history:
         print("stopped within the first take; what follows is played as planned, without a search")

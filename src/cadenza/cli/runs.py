@@ -19,7 +19,7 @@ from cadenza.cli.progress import QUIET
 from cadenza.cli.saving import check_writable
 from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
-from cadenza.sim.threads import MOST_THREADS
+from cadenza.sim.threads import MAX_THREADS
 
 if TYPE_CHECKING:
     from cadenza.evaluation.bench import BenchState, CarryOut, Executor
@@ -56,7 +56,7 @@ def check_execution(command: _Command) -> None:
     execution = command.execution
     for name, number in ("num_threads", command.num_threads), ("jobs", execution.jobs):
         if number is not None:
-            whole_number(number, name, 1, MOST_THREADS)
+            whole_number(number, name, 1, MAX_THREADS)
     if execution.executor == "local" and execution.address is not None:
         raise CadenzaError("--address is that of a Ray cluster: add --executor ray")
 

@@ -28,7 +28,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 
-from cadenza.configs import MOST_COUNT, whole_number
+from cadenza.configs import MAX_COUNT, whole_number
 from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset
 from cadenza.demonstrations.recorded_episode import EpisodeFacts, RecordedEpisode, written
 from cadenza.demonstrations.transitions import Transitions, transitions
@@ -54,7 +54,7 @@ def minari_id(folder: Path, name: str | None = None, version: int = 0) -> str:
             f"name {quoted(named)}: give letters, digits, - or _, maybe with folders before them, "
             "such as cadenza/chopin"
         )
-    return f"{named}-v{whole_number(version, 'version', 0, MOST_COUNT)}"
+    return f"{named}-v{whole_number(version, 'version', 0, MAX_COUNT)}"
 
 
 def write_minari(

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Literal
 
 from cadenza.configs import files_named
 from cadenza.errors import CadenzaWarning, in_a_line
-from cadenza.files import MOST_JSON, folder_name, plain, sha256_of
+from cadenza.files import MAX_JSON, folder_name, plain, sha256_of
 from cadenza.learning.config import TrainingConfig
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.fingering_file import SUFFIX
@@ -202,7 +202,7 @@ def song_digest(song: Song) -> str:
     files = [part for part in getattr(song.read, "args", ()) if isinstance(part, Path)]
     if files:
         fingers = [path for file in files if os.path.isfile(path := file.with_suffix(SUFFIX))]
-        return sha256_of(*files, *fingers, most=MOST_JSON)[:_HASH]  # no song takes more
+        return sha256_of(*files, *fingers, most=MAX_JSON)[:_HASH]  # no song takes more
     score = song.load()
     notes = [  # `astuple` of the whole takes as long as writing an etude
         (note.start, note.end, note.pitch, note.velocity, note.finger and astuple(note.finger))

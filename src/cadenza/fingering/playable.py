@@ -228,8 +228,8 @@ class _Limits:
         return sets
 
 
-_MOST_PLAYERS = 8  # of which limits are kept; a process rarely has more than one or two
-_limits = lru_cache(_MOST_PLAYERS)(_Limits)
+_MAX_PLAYERS = 8  # of which limits are kept; a process rarely has more than one or two
+_limits = lru_cache(_MAX_PLAYERS)(_Limits)
 
 
 def _nth(count: int) -> list[list[int]]:

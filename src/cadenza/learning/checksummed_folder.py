@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cadenza.errors import CadenzaError
 from cadenza.files import (
     ANY,
-    MOST_JSON,
+    MAX_JSON,
     Expected,
     read_json,
     read_tensors,
@@ -30,8 +30,8 @@ from cadenza.files import (
 
 MANIFEST, _FACTS, _ARRAYS = "manifest.json", "facts.json", "arrays.safetensors"
 FILES = (MANIFEST, _FACTS, _ARRAYS)
-_MOST_ARRAYS = 2**30  # bytes: policies take a few million, checkpoints ten times as many
-MOST_BYTES = _MOST_ARRAYS + 2 * MOST_JSON
+_MAX_ARRAYS = 2**30  # bytes: policies take a few million, checkpoints ten times as many
+MAX_BYTES = _MAX_ARRAYS + 2 * MAX_JSON
 """Bytes that all files of a folder may take."""
 
 
@@ -61,10 +61,10 @@ def write_checksummed(
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
     files[MANIFEST] = json.dumps({"kind": kind, "sha256": digests}, indent=1).encode()
     try:
-        if (size := len(files[_ARRAYS])) > _MOST_ARRAYS:
+        if (size := len(files[_ARRAYS])) > _MAX_ARRAYS:
             raise CadenzaError(
                 f"{folder}: its arrays take {size >> 20:,} MiB; a {kind} holds up to "
-                f"{_MOST_ARRAYS >> 20:,} MiB"
+                f"{_MAX_ARRAYS >> 20:,} MiB"
             )
         for name, content in files.items():
             with write_atomically(new / name) as file:
@@ -107,7 +107,7 @@ def read_checksummed(
     manifest = read_json(folder / MANIFEST, _Manifest)
     if manifest["kind"] != kind:
         raise CadenzaError(f"{folder}: is not a {kind} written by Cadenza")
-    for name, most in ((_FACTS, MOST_JSON), (_ARRAYS, _MOST_ARRAYS)):
+    for name, most in ((_FACTS, MAX_JSON), (_ARRAYS, _MAX_ARRAYS)):
         if not (folder / name).is_file():
             raise CadenzaError(f"{folder}: the {kind} is incomplete; use another copy")
         if manifest["sha256"].get(name) != sha256_of(folder / name, most=most):
@@ -115,7 +115,7 @@ def read_checksummed(
     facts = read_json(folder / _FACTS, dict[str, Any])
     if not expected:
         return facts, {}
-    return facts, read_tensors(folder / _ARRAYS, expected, _MOST_ARRAYS)[0]
+    return facts, read_tensors(folder / _ARRAYS, expected, _MAX_ARRAYS)[0]
 
 
 def _remove(path: Path) -> None:

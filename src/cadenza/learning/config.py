@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from cadenza.configs import MOST_COUNT, check_ranges, in_short
+from cadenza.configs import MAX_COUNT, check_ranges, in_short
 from cadenza.errors import CadenzaError
 from cadenza.learning.algorithms.cloning.config import CloningConfig
 from cadenza.learning.learner import DROQ, LearnerConfig, Preset, learner_config
@@ -129,16 +129,16 @@ def _fast_residual() -> TrainingConfig:
 
 
 _RANGES: dict[str, tuple[float, float]] = {
-    "num_steps": (1, MOST_COUNT),
+    "num_steps": (1, MAX_COUNT),
     "num_envs": (1, 10_000),
-    "learning_starts": (0, MOST_COUNT),
-    "train_freq": (1, MOST_COUNT),
-    "gradient_steps": (1, MOST_COUNT),
-    "buffer_size": (1, MOST_COUNT),
-    "eval_interval": (1, MOST_COUNT),
+    "learning_starts": (0, MAX_COUNT),
+    "train_freq": (1, MAX_COUNT),
+    "gradient_steps": (1, MAX_COUNT),
+    "buffer_size": (1, MAX_COUNT),
+    "eval_interval": (1, MAX_COUNT),
     "checkpoint_interval": (0, math.inf),
-    "log_interval": (1, MOST_COUNT),
-    "seed": (0, MOST_COUNT),
+    "log_interval": (1, MAX_COUNT),
+    "seed": (0, MAX_COUNT),
 }
 
 _OFF_POLICY = {"learning_starts": 0, "parallel": False, "buffer_size": TrainingConfig.buffer_size}
@@ -189,12 +189,12 @@ class ImitationConfig:
         check_ranges(
             self,
             {
-                "num_updates": (1, MOST_COUNT),
-                "held_out": (0, MOST_COUNT),
+                "num_updates": (1, MAX_COUNT),
+                "held_out": (0, MAX_COUNT),
                 "n_steps_lookahead": (0, 10_000),
                 "checkpoint_interval": (0, math.inf),
-                "log_interval": (1, MOST_COUNT),
-                "seed": (0, MOST_COUNT),
+                "log_interval": (1, MAX_COUNT),
+                "seed": (0, MAX_COUNT),
             },
         )
         self.learner.check()

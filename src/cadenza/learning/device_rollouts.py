@@ -14,7 +14,7 @@ from cadenza.learning.config import TrainingConfig
 from cadenza.learning.experience import Saved
 from cadenza.learning.learner import OnPolicyLearner
 from cadenza.learning.observation import Inputs
-from cadenza.learning.on_policy import MOST_SEED, RolloutExperience
+from cadenza.learning.on_policy import MAX_SEED, RolloutExperience
 from cadenza.learning.ranges import Ranges
 from cadenza.learning.rollout import Rollout
 from cadenza.learning.run_folder import Arrays
@@ -66,7 +66,7 @@ class DeviceRollouts(RolloutExperience):
         self._task, self._ranges = task, ranges
         self._kept = np.array(inputs.kept)
         self._joints = task.spec.observation_layout.get("joints", slice(0, 0))
-        self._key = jax.random.key(int(rng.integers(MOST_SEED)))
+        self._key = jax.random.key(int(rng.integers(MAX_SEED)))
         self._collect = jax.jit(
             self._rollout, static_argnames=("learner", "num_steps"), donate_argnames="progress"
         )

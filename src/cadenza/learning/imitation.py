@@ -31,10 +31,10 @@ from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import from_range
 
 _UPDATES_AT_ONCE = 20  # between two questions whether to go on
-_MOST_HELD_OUT = 5_000  # steps on which the error on held-out demonstrations is measured
-_MOST_CACHED = 2**30  # bytes of examples; of more, those of each update are made anew
+_MAX_HELD_OUT = 5_000  # steps on which the error on held-out demonstrations is measured
+_MAX_CACHED = 2**30  # bytes of examples; of more, those of each update are made anew
 _CACHED_AT_ONCE = 4_096  # examples
-_LEAST_RANGE = 0.05  # of a joint's or a servo's range, where demonstrations hardly move it
+_MIN_RANGE = 0.05  # of a joint's or a servo's range, where demonstrations hardly move it
 
 
 class Examples(NamedTuple):
@@ -111,7 +111,7 @@ class Imitation(CheckpointedRun):
         self._held_out: Examples | None = None
         if manifest.held_out:
             held_out = Dataset([episodes[name] for name in manifest.held_out])
-            every = -(-held_out.num_steps // _MOST_HELD_OUT)
+            every = -(-held_out.num_steps // _MAX_HELD_OUT)
             self._held_out = self._examples(held_out, np.arange(0, held_out.num_steps, every))
         with extra_packages("train", "training"):
             from cadenza.learning.algorithms.cloning.learner import Cloning
@@ -157,7 +157,7 @@ class Imitation(CheckpointedRun):
         config, count = self.config, self._dataset.num_steps
         sizes = len(self._inputs.kept), self._ranges.actions.shape[1]
         needed = config.num_updates * config.learner.batch_size
-        if np.dtype(np.float32).itemsize * sum(sizes) * count > _MOST_CACHED or needed < count:
+        if np.dtype(np.float32).itemsize * sum(sizes) * count > _MAX_CACHED or needed < count:
             return None
         every = Examples(*(np.empty((count, size), np.float32) for size in sizes))
         for first in range(0, count, _CACHED_AT_ONCE):
@@ -253,10 +253,10 @@ def _ranges(dataset: Dataset, limits: NDArray[np.float64]) -> Ranges:
 
 
 def _used(arrays: Sequence[NDArray[Any]], limits: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns the range (2, N) of arrays (..., N), at least `_LEAST_RANGE` of the limits (2, N)."""
+    """Returns the range (2, N) of arrays (..., N), at least `_MIN_RANGE` of the limits (2, N)."""
     low = np.min([array.min(axis=0) for array in arrays], axis=0).astype(np.float64)
     high = np.max([array.max(axis=0) for array in arrays], axis=0).astype(np.float64)
-    missing = np.maximum(_LEAST_RANGE * (limits[1] - limits[0]) - (high - low), 0) / 2
+    missing = np.maximum(_MIN_RANGE * (limits[1] - limits[0]) - (high - low), 0) / 2
     return np.clip(np.stack([low - missing, high + missing]), *limits)
 
 

@@ -111,7 +111,7 @@ class OnPolicyLearner(AnyLearner[State], Protocol[State]):
         """
 
 
-MOST_BATCH = 2**16  # transitions, which fit into the memory of a small machine
+MAX_BATCH = 2**16  # transitions, which fit into the memory of a small machine
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class LearnerConfig:
 
     def check(self) -> None:
         """Checks the options; raises a CadenzaError if one makes no sense."""
-        check_ranges(self, {"batch_size": (1, MOST_BATCH)})
+        check_ranges(self, {"batch_size": (1, MAX_BATCH)})
 
     def make(self, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)) -> Any:
         """Returns the `Learner` that these options describe, or the `OnPolicyLearner`.

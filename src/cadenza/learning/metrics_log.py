@@ -15,7 +15,7 @@ from msgspec import Meta
 from cadenza.errors import CadenzaError
 from cadenza.files import content_of, opened_in_place, parsed_json
 
-_MOST_BYTES = 2**28  # half a million rows
+_MAX_BYTES = 2**28  # half a million rows
 
 _Row = dict[str, Annotated[int, Meta(ge=-(2**53), le=2**53)] | float | None]
 
@@ -43,7 +43,7 @@ class MetricsLog:
         path, rows, others = self._path, [], 0
         if not path.exists():
             return []
-        for line in content_of(path, _MOST_BYTES).split(b"\n")[:-1]:
+        for line in content_of(path, _MAX_BYTES).split(b"\n")[:-1]:
             try:
                 row = parsed_json(line.strip(b"\0"), _Row, path)
             except CadenzaError:

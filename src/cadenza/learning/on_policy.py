@@ -19,7 +19,7 @@ from cadenza.learning.run_folder import Arrays, Chunk, RunFolder
 
 Array = Any  # of NumPy or of JAX
 
-MOST_SEED = 2**31
+MAX_SEED = 2**31
 
 
 class RolloutExperience(ABC):
@@ -43,7 +43,7 @@ class RolloutExperience(ABC):
 
     def round(self, learner: OnPolicyLearner[Any], state: Any, policy: Policy, step: int) -> Round:
         config = self._config
-        seed = int(self._sample_rng.integers(MOST_SEED))
+        seed = int(self._sample_rng.integers(MAX_SEED))
         rollout, finished, more = self.rollout(learner, state, config.train_freq, seed)
         state, metrics = learner.update(state, rollout, self._rows())
         metrics |= {name: np.full(config.gradient_steps, value) for name, value in more.items()}

@@ -15,7 +15,7 @@ from cadenza.hub import Kind, fetched
 from cadenza.learning.actions import Reference
 from cadenza.learning.checksummed_folder import (
     FILES,
-    MOST_BYTES,
+    MAX_BYTES,
     read_checksummed,
     write_checksummed,
 )
@@ -31,7 +31,7 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 _KIND = "policy"
-POLICY = Kind(_KIND, "model", FILES, MOST_BYTES)
+POLICY = Kind(_KIND, "model", FILES, MAX_BYTES)
 """A policy as the hub keeps it."""
 _FORMAT = 3
 _REFERENCE, _RANGES, _POLICY = "reference/", "ranges/", "policy/"  # begin names of arrays

@@ -17,7 +17,7 @@ from cadenza.learning.observation import Floats, Observer
 
 Rows = NDArray[np.int64]
 
-_LEAST_COMPLETE = 1 / 8  # of the frames; of fewer, rejection sampling takes too many attempts
+_MIN_COMPLETE = 1 / 8  # of the frames; of fewer, rejection sampling takes too many attempts
 
 
 class Batch(NamedTuple):
@@ -115,7 +115,7 @@ class ReplayBuffer:
     def _draw(self, rng: np.random.Generator, number: int) -> tuple[Rows, Rows]:
         num_envs, length = self._shape
         written = int(min(self._count.max(), length))
-        if self._size < _LEAST_COMPLETE * num_envs * written:  # much was lost
+        if self._size < _MIN_COMPLETE * num_envs * written:  # much was lost
             complete = np.flatnonzero(self._frames["complete"][:, :written])
             drawn = rng.choice(complete, number)
             return drawn // written, drawn % written

@@ -40,7 +40,7 @@ from cadenza.scene.config import check_modules
 
 _VERSIONS = ("cadenza", "mujoco", "numpy", "jax", "flax", "optax")
 _KIND = "checkpoint"
-_MOST_HEADERS = 2**12  # bytes, of the arrays of experience
+_MAX_HEADERS = 2**12  # bytes, of the arrays of experience
 _NUM_CHECKPOINTS = 2  # should the newest be damaged, there is the one before
 # Names of what is written here; other files are left alone.
 _CHECKPOINT, _CHUNK = r"\d{12,}", r"\d{12,}\.\d+\.npz"
@@ -296,7 +296,7 @@ class RunFolder(ResumableFolder):
 
     def _chunk(self, name: str, most: int | None) -> Arrays | None:
         try:
-            return read_arrays(self._replay / name, ANY, most and most + _MOST_HEADERS)
+            return read_arrays(self._replay / name, ANY, most and most + _MAX_HEADERS)
         except CadenzaError as error:
             print(error, file=sys.stderr)
             return None

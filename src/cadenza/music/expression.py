@@ -28,7 +28,7 @@ Mask = NDArray[np.bool_]
 VELOCITY_PER_DECIBEL = 2.8
 
 _SAME_LENGTH = 1e-3  # [s] to which Director Musices rounds durations that it compares
-_LEAST_INTERVAL = 0.2  # of a written interval, which no rules together make shorter
+_MIN_INTERVAL = 0.2  # of a written interval, which no rules together make shorter
 
 # A gap in the melody counts as a rest, and not as staccato, if it is this long.
 _REST = 0.2  # [s]
@@ -67,7 +67,7 @@ _LEAP = (
     12 - 7
 )  # semitones, an octave less a fifth, of leaps between groups; smaller ones hardly weigh
 _FIGURE, _FIGURE_LEAPS = 6, 2  # more such leaps within so many notes are of a figure, as arpeggios
-_LARGEST_LEAP = 1.5  # of both neighbouring intervals, which a leap between groups exceeds
+_MAX_LEAP = 1.5  # of both neighbouring intervals, which a leap between groups exceeds
 
 # Final ritard: Friberg and Sundberg (J. Acoust. Soc. Am. 105, 1999, 1469-1484)
 _RITARD_CURVATURE = 3.0  # q, of runners who stop
@@ -213,7 +213,7 @@ def _added_time(
         + _of_next(inequality)
         - inequality
     )
-    added = np.maximum(added, (_LEAST_INTERVAL - 1) * interval)
+    added = np.maximum(added, (_MIN_INTERVAL - 1) * interval)
     longer = interval + added
     return added - longer * (added.sum() / longer.sum())
 
@@ -407,7 +407,7 @@ def _micropauses(melody: _Melody) -> Floats:
         (size >= _LEAP)
         & (before * leap < 0)
         & (leap * after < 0)
-        & (size > _LARGEST_LEAP * np.maximum(np.abs(before), np.abs(after)))
+        & (size > _MAX_LEAP * np.maximum(np.abs(before), np.abs(after)))
     )
     near = np.convolve(leaps, np.ones(2 * _FIGURE + 1))[_FIGURE:-_FIGURE]
     ends |= leaps & (near <= _FIGURE_LEAPS)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from cadenza.configs import check_ranges, in_short
 from cadenza.errors import CadenzaError
 
-MOST_QUANTITY = 10
+MAX_QUANTITY = 10
 """The most of a rule, and of the dose of all; 5 is a caricature already."""
 
 
@@ -47,6 +47,6 @@ def check_quantities(dose: float, rules: ExpressionRules) -> None:
     Raises:
         CadenzaError: one is out of range.
     """
-    if not 0 <= dose <= MOST_QUANTITY:
-        raise CadenzaError(f"expression {dose}: choose 0 to {MOST_QUANTITY}")
-    check_ranges(rules, {each.name: (0, MOST_QUANTITY) for each in fields(rules)}, "rules.")
+    if not 0 <= dose <= MAX_QUANTITY:
+        raise CadenzaError(f"expression {dose}: choose 0 to {MAX_QUANTITY}")
+    check_ranges(rules, {each.name: (0, MAX_QUANTITY) for each in fields(rules)}, "rules.")

@@ -29,7 +29,7 @@ PEDAL_DOWN = 64
 """The least value of a pedal that is down."""
 MIRROR = 124  # sum of a pitch and its mirror image: twice D4, about which black keys are symmetric
 MAX_SECONDS = 3600.0  # of music that is played; a longer song is taken for a mistake
-LONGEST_SCORE = 4 * 3600.0  # [s], of which a part may be played; bars of days would fill memory
+MAX_SCORE_LENGTH = 4 * 3600.0  # [s], of which a part may be played; bars of days would fill memory
 CHORD_TOLERANCE = 0.03  # [s] within which notes begin together
 RELEASE_TIME = 0.05  # [s] a note with less left than this does not keep its finger from the next
 BEAT_TYPES = frozenset(1 << k for k in range(7))  # whole notes to 64ths
@@ -158,7 +158,7 @@ class Score:
     are equal.
 
     Raises:
-        CadenzaError: something in it is later than `LONGEST_SCORE`.
+        CadenzaError: something in it is later than `MAX_SCORE_LENGTH`.
     """
 
     notes: tuple[Note, ...]
@@ -359,14 +359,14 @@ def check_length(seconds: float, what: str, advice: str = "") -> None:
 
 
 def check_end(seconds: float) -> None:
-    """Checks that a score ends within `LONGEST_SCORE`.
+    """Checks that a score ends within `MAX_SCORE_LENGTH`.
 
     Raises:
         CadenzaError: it ends at so many `seconds`, later.
     """
-    if not seconds <= LONGEST_SCORE:  # also where it is not a number
+    if not seconds <= MAX_SCORE_LENGTH:  # also where it is not a number
         raise CadenzaError(
-            f"a score of {seconds / 3600:.4g} hours; the longest is {LONGEST_SCORE / 3600:.0f}, "
+            f"a score of {seconds / 3600:.4g} hours; the longest is {MAX_SCORE_LENGTH / 3600:.0f}, "
             "so correct its times, or leave out silence"
         )
 

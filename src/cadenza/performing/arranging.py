@@ -26,14 +26,14 @@ from cadenza.tasks.augmentation import prepare_tracks
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack, players_of
 
-_MOST_OUT_OF_REACH = 0.1  # share of the notes of music for one instrument, as it is for hands
+_MAX_OUT_OF_REACH = 0.1  # share of the notes of music for one instrument, as it is for hands
 # Share of the notes of music for several that may be foreseen to be missed. In 16 passages of
 # string quartets, the planner missed 0.65 of what was foreseen, and 5 % of the notes besides
 # (correlation 0.76): here, it is more than one in ten. Arranged, eight of them had 3 % of their
 # notes missed, not 13 %; more of the melody was heard (95 %, not 89 %) and of the bass (98 %, not
 # 94 %), but less of the song (74 %, not 87 %).
-_MOST_MISSED = 0.1
-_MOST_OF_LINES = 0.01  # of its melody and bass, which hands may leave out
+_MAX_MISSED = 0.1
+_MAX_OF_LINES = 0.01  # of its melody and bass, which hands may leave out
 _TWO_HANDS = 2  # tracks of one player
 
 
@@ -175,12 +175,12 @@ def _is_playable(score: Score, scene: Scene, task: TaskConfig, progress: Progres
     track = track.fingered(partial(progress, "fingers"))
     dropped = track.dropped or ()
     if not _is_for_several(score):
-        return len(dropped) <= _MOST_OUT_OF_REACH * len(track.score.notes)
+        return len(dropped) <= _MAX_OUT_OF_REACH * len(track.score.notes)
     lines = {
         (note.start, note.pitch) for note in sources_of(track.score) if note.melody or note.bass
     }
     lost = sum((note.start, note.pitch) in lines for note, _ in dropped)
-    return foreseen_misses(track) <= _MOST_MISSED and lost <= _MOST_OF_LINES * len(lines)
+    return foreseen_misses(track) <= _MAX_MISSED and lost <= _MAX_OF_LINES * len(lines)
 
 
 def _is_for_several(score: Score) -> bool:

@@ -36,8 +36,8 @@ _COMING = (
 _GLOW = 0.35  # of what sounds, so that its colour is the same in shadow
 # Of the camera over the keys: before hands, and over arms, which stand before the keys
 _ELEVATION, _OVER_ARMS = np.deg2rad(47.0), np.deg2rad(78.0)
-_LEAST_SIDE, _MOST_SIDE = 64, 2160  # [px]
-_MOST_FPS = 120
+_MIN_SIDE, _MAX_SIDE = 64, 2160  # [px]
+_MAX_FPS = 120
 _SHARPER = 1.25  # times the size at which pictures are drawn, which smooths their edges
 _SHADOW_MAP = 640  # [px]; what it costs grows with its area
 _TALL_SHADOWS = 0.6  # how far shadows reach in a tall picture, compared with a wide one
@@ -91,13 +91,13 @@ class Look:
             CadenzaError: the film is too small, too large, too slow or too fast.
         """
         sides = self.width, self.height
-        if not (min(sides) >= _LEAST_SIDE and max(sides) <= _MOST_SIDE):
+        if not (min(sides) >= _MIN_SIDE and max(sides) <= _MAX_SIDE):
             raise CadenzaError(
-                f"a film of {self.width} x {self.height} pixels: choose {_LEAST_SIDE} to "
-                f"{_MOST_SIDE} for each side"
+                f"a film of {self.width} x {self.height} pixels: choose {_MIN_SIDE} to "
+                f"{_MAX_SIDE} for each side"
             )
-        if not 1 <= self.fps <= _MOST_FPS:
-            raise CadenzaError(f"{self.fps} pictures a second: choose 1 to {_MOST_FPS}")
+        if not 1 <= self.fps <= _MAX_FPS:
+            raise CadenzaError(f"{self.fps} pictures a second: choose 1 to {_MAX_FPS}")
 
 
 class FilmRenderer(Canvas):

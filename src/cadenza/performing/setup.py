@@ -27,7 +27,7 @@ from cadenza.agents.registry import (
     make_agent,
     options_name,
 )
-from cadenza.configs import MOST_SEED, as_config, whole_number
+from cadenza.configs import MAX_SEED, as_config, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning, quoted
 from cadenza.hub import is_on_hub
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
@@ -39,7 +39,7 @@ from cadenza.performing.arranging import HandArrangement, arranged_for
 from cadenza.performing.source import PRACTICE, PRACTISED, Song, Source, resolve
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
-from cadenza.sim.threads import MOST_THREADS
+from cadenza.sim.threads import MAX_THREADS
 from cadenza.tasks.config import TaskConfig, task_identity, with_time_to_begin
 from cadenza.tasks.goal_track import GoalTrack, check_written_hands
 from cadenza.tasks.piano_task import PianoTask
@@ -91,12 +91,12 @@ class Selection:
             CadenzaError: an option makes no sense.
         """
         if num_threads is not None:
-            num_threads = whole_number(num_threads, "num_threads", 1, MOST_THREADS)
+            num_threads = whole_number(num_threads, "num_threads", 1, MAX_THREADS)
         return replace(
             self,
             task=as_config(self.task if task is None else task, TaskConfig),
             scene=as_config(self.scene if scene is None else scene, SceneConfig),
-            seed=whole_number(seed, "seed", 0, MOST_SEED),
+            seed=whole_number(seed, "seed", 0, MAX_SEED),
             num_threads=num_threads,
         )
 

@@ -26,11 +26,11 @@ from cadenza.report.html_pages import COMPACT, packed_text
 
 _WIDTH = 2600  # of a system, in Verovio's pixels, of which a staff is 72 high
 _MUSIC_FONT = "Leipzig"
-_LONGEST_PAGE = 60_000  # the greatest height of a page that Verovio takes
+_MAX_PAGE_LENGTH = 60_000  # the greatest height of a page that Verovio takes
 _MARGIN = 400  # about the systems of a document and between them, in tenths of these
 _OPTIONS = {
     "pageWidth": _WIDTH,
-    "pageHeight": _LONGEST_PAGE,
+    "pageHeight": _MAX_PAGE_LENGTH,
     "adjustPageHeight": True,
     "systemMaxPerPage": 1,  # so that each page is a drawing of one system
     "header": "none",
@@ -53,7 +53,7 @@ _STYLES = (
     "text{font-family:Times,serif}.fing,.tempo{font-weight:bold}.number,.mark{font-style:italic}"
 )
 _A4 = 210  # [mm], the width of a document
-_MOST_SYMBOLS = 15_000  # bars, rests, and notes with what they are tied to, of a score on a page
+_MAX_SYMBOLS = 15_000  # bars, rests, and notes with what they are tied to, of a score on a page
 
 
 @dataclass(frozen=True)
@@ -270,11 +270,11 @@ def engraving_of(score: Score) -> str:
     Args:
         score: what is to be played, with its fingers, on the clock of the performance.
     """
-    if not 0 < len(score.notes) <= _MOST_SYMBOLS:
+    if not 0 < len(score.notes) <= _MAX_SYMBOLS:
         return ""
     sheet = sheet_of(score)
     symbols = len(sheet.measures) + sum(max(len(each.notes), 1) for each in sheet.symbols)
-    if not sheet.is_sure or symbols > _MOST_SYMBOLS:
+    if not sheet.is_sure or symbols > _MAX_SYMBOLS:
         return ""
     drawn = engraved(sheet)
     about = {

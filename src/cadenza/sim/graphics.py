@@ -20,7 +20,7 @@ from cadenza.scene.scene import Scene
 
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 _RENDERED_IN: set[int] = set()  # this process, or the one that it was forked from
-_MOST_GEOMS = 2000
+_MAX_GEOMS = 2000
 
 
 class Canvas:
@@ -36,7 +36,7 @@ class Canvas:
         self._gl, self._context = _opened(model, width, height)
         self.close = weakref.finalize(self, _free, self._context, self._gl)
         """Frees the graphics context, at the latest when the program ends."""
-        self._drawn = mujoco.MjvScene(model, maxgeom=_MOST_GEOMS)
+        self._drawn = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
         self._options, self._data = mujoco.MjvOption(), mujoco.MjData(model)
         self._key_of_geom = key_geoms(model, scene)
 

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 PHYSICS_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
-MOST_ENVS = 10_000
+MAX_ENVS = 10_000
 """The most simulations of a batch. Each takes about 1 MB, or 1.5 MB with a model of its own."""
 _LOG = logging.getLogger(__name__)
 _AWAKE = "nbody_awake", "nparent_awake", "nv_awake", "ntree_awake"  # MuJoCo does not pickle these
@@ -67,7 +67,7 @@ class MujocoSimulation:
             CadenzaError: a number is not positive or the timesteps do not divide.
         """
         self.scene = scene
-        self.num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
+        self.num_envs = whole_number(num_envs, "num_envs", 1, MAX_ENVS)
         self.control_timestep = control_timestep
         self.num_substeps = physics_steps(control_timestep, scene.model.opt.timestep)
         self._lock = Lock()

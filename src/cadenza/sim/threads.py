@@ -11,7 +11,7 @@ from cadenza.configs import whole_number
 
 _T = TypeVar("_T")
 
-MOST_THREADS = 1024
+MAX_THREADS = 1024
 
 
 def available_cores() -> int:
@@ -33,7 +33,7 @@ class Threads:
         Raises:
             CadenzaError: the number is not positive.
         """
-        self._num_threads = whole_number(num_threads, "num_threads", 1, MOST_THREADS)
+        self._num_threads = whole_number(num_threads, "num_threads", 1, MAX_THREADS)
         self._pool: ThreadPoolExecutor | None = None
         self._pool_of = os.getpid()
 

@@ -38,7 +38,7 @@ with extra_packages("gpu", "the engine warp"):
 
 _LOG = logging.getLogger(__name__)
 
-MOST_WORLDS = 65_536
+MAX_WORLDS = 65_536
 _LOST = mjw.OverflowType.ALL & ~(mjw.OverflowType.ITERATIONS | mjw.OverflowType.LS_ITERATIONS)
 """Overflows by which contacts or constraints are left out."""
 _DIVERGED = 1e10
@@ -111,7 +111,7 @@ class WarpPhysics:
             CadenzaError: a number makes no sense.
         """
         self.scene = scene
-        self.num_envs = whole_number(num_envs, "num_envs", 1, MOST_WORLDS)
+        self.num_envs = whole_number(num_envs, "num_envs", 1, MAX_WORLDS)
         self.num_substeps = physics_steps(control_timestep, scene.model.opt.timestep)
         self._substep = control_timestep / self.num_substeps
         self._buffers = buffers or Buffers()

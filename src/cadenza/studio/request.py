@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cadenza.configs import MOST_COUNT, check_ranges
+from cadenza.configs import MAX_COUNT, check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.files import checked
 from cadenza.hands.registry import HANDS
@@ -27,7 +27,7 @@ _MAX_TRACKS = 64  # that are chosen
 _RANGES: dict[str, tuple[float, float]] = {
     "tempo": (0.25, 4),
     "transpose": (-48, 48),
-    "seed": (0, MOST_COUNT),
+    "seed": (0, MAX_COUNT),
 }
 _ID_DIGITS = 16  # of the name of a practice folder
 # Files of a performance; earlier ones, live.json and live.rows, had other rows

@@ -19,7 +19,7 @@ from starlette.types import Message, Receive, Scope, Send
 
 from cadenza.agents.registry import AGENTS as REGISTERED
 from cadenza.agents.registry import PLANNER
-from cadenza.configs import MOST_COUNT, whole_number
+from cadenza.configs import MAX_COUNT, whole_number
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import checked, parsed_json
 from cadenza.music.formats.reading import check_format
@@ -203,7 +203,7 @@ class Studio(PageServer):
         """Trains a policy on a song, for so many `steps`."""
         content = await _body(request, _MAX_JSON, "the request")
         asked = parsed_json(content, dict[str, Any], "request")
-        steps = whole_number(asked.pop("steps", None), "steps", 1, MOST_COUNT)
+        steps = whole_number(asked.pop("steps", None), "steps", 1, MAX_COUNT)
         wanted = self._play_request(asked)
         title, source, _ = await run_in_threadpool(self.storage.source, wanted.song)
         name = await self.jobs.trainings.begin(wanted, title, source, steps)

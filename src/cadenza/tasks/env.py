@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from cadenza.configs import MOST_COUNT, whole_number
+from cadenza.configs import MAX_COUNT, whole_number
 from cadenza.errors import CadenzaError, quoted
 from cadenza.files import checked
 from cadenza.music.formats.written_score import WrittenScore
@@ -226,7 +226,7 @@ class PianoVectorEnv(VectorEnv):
             EpisodeStart(
                 self._song(song, score),
                 None if start is None else finite_array("start", start, shape, wanted),
-                None if drawn is None else whole_number(drawn, "randomization", 0, MOST_COUNT),
+                None if drawn is None else whole_number(drawn, "randomization", 0, MAX_COUNT),
             )
             for song, score, start, drawn in zip(*given, strict=True)
         ]

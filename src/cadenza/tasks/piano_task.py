@@ -20,7 +20,7 @@ from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.hands_apart import HandsApart
-from cadenza.sim.mujoco_simulation import MOST_ENVS, MujocoSimulation
+from cadenza.sim.mujoco_simulation import MAX_ENVS, MujocoSimulation
 from cadenza.sim.protocol import MakeSimulation
 from cadenza.tasks import augmentation
 from cadenza.tasks.config import TaskConfig
@@ -112,7 +112,7 @@ class PianoTask:
         """
         self.config = as_config(config, TaskConfig)
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
-        self.num_envs = num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
+        self.num_envs = num_envs = whole_number(num_envs, "num_envs", 1, MAX_ENVS)
         self.draw_from(scores, progress)
         self._offset_joints = offset_joints(self.config, self.scene)
         self.simulation = (make_simulation or _engine(self.scene.config))(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.configs import MOST_COUNT, check_ranges
+from cadenza.configs import MAX_COUNT, check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.scene.randomization import Factors, shapes, sliding
 from cadenza.scene.scene import Scene
@@ -20,10 +20,10 @@ from cadenza.tasks.config import SAME, DomainRandomization
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
-_LEAST_FACTOR = {"mass": 0.01}  # MuJoCo refuses bodies without mass; 0 for all others
-_MOST_FACTOR = 100.0
-_MOST_LATENCY = 1.0  # [s]
-_MOST_NOISE = {
+_MIN_FACTOR = {"mass": 0.01}  # MuJoCo refuses bodies without mass; 0 for all others
+_MAX_FACTOR = 100.0
+_MAX_LATENCY = 1.0  # [s]
+_MAX_NOISE = {
     "joint_noise": math.pi,  # [rad], half a turn
     "slide_noise": 1.0,  # [m], nearly the keyboard
     "key_noise": 1.0,  # all the way down
@@ -173,7 +173,7 @@ class Randomization:
         for env, rng, seed in zip(env_ids, rngs, seeds, strict=True):
             if seed is None:
                 seed = self._ranges.config.seed
-            factors = self._draw(env, int(rng.integers(MOST_COUNT)) if seed is None else seed)
+            factors = self._draw(env, int(rng.integers(MAX_COUNT)) if seed is None else seed)
             if factors and isinstance(self._simulation, RandomizableSimulation):
                 self._simulation.randomize(env, factors)
         if LATENCY in self.drawn:
@@ -259,15 +259,15 @@ class Randomization:
 
 
 def _check(config: DomainRandomization, factors: Sequence[str]) -> None:
-    limits = {name: (_LEAST_FACTOR.get(name, 0.0), _MOST_FACTOR) for name in factors}
-    for name, (least, most) in (limits | {LATENCY: (0.0, _MOST_LATENCY)}).items():
+    limits = {name: (_MIN_FACTOR.get(name, 0.0), _MAX_FACTOR) for name in factors}
+    for name, (least, most) in (limits | {LATENCY: (0.0, _MAX_LATENCY)}).items():
         low, high = getattr(config, name)
         if not least <= low <= high <= most:
             raise CadenzaError(
                 f"{_PREFIX}{name} {low} {high}: give the least and the greatest, both from "
                 f"{least:g} to {most:g}"
             )
-    numbers = {name: (0.0, most) for name, most in _MOST_NOISE.items()}
+    numbers = {name: (0.0, most) for name, most in _MAX_NOISE.items()}
     if config.seed is not None:
-        numbers[SEED] = (0, MOST_COUNT)
+        numbers[SEED] = (0, MAX_COUNT)
     check_ranges(config, numbers, _PREFIX)

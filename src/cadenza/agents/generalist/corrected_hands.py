@@ -13,7 +13,7 @@ from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
 
-MOST_LOWER = 1.5
+MAX_LOWER = 1.5
 """How much lower a finger is led at most where it strikes, or higher [cm]."""
 _CM = 0.01  # [m]
 
@@ -80,7 +80,7 @@ class CorrectedHands:
         servos is less by the second, a share; that of the whole hand is less by the mean share of
         the fingers that strike. Touches of fingers that do not strike are 0.
         """
-        lower = np.clip(touch[..., 0], -MOST_LOWER, MOST_LOWER) * _CM
+        lower = np.clip(touch[..., 0], -MAX_LOWER, MAX_LOWER) * _CM
         less, striking = np.clip(touch[..., 1], 0.0, 1.0), touch.any(axis=2)
         hand = less.sum(axis=1, keepdims=True) / np.maximum(striking.sum(axis=1, keepdims=True), 1)
         lower = np.where(self._is_finger, lower[:, self._finger], 0.0)

@@ -12,7 +12,7 @@ from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.song_plan import SongPlan, song_plans
-from cadenza.agents.planner.practice.practice import MOST_EFFORT, Practice
+from cadenza.agents.planner.practice.practice import MAX_EFFORT, Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedPlanner
 from cadenza.agents.planner.search.hands_in_scene import HandsInScene
 from cadenza.configs import check_ranges
@@ -42,7 +42,7 @@ class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
                 "num_candidates": (4, 10_000),
                 "iterations": (1, 10_000),
                 "horizon": (0, 60),
-                "effort": (0, MOST_EFFORT),
+                "effort": (0, MAX_EFFORT),
             },
         )
         self.keeps_fingering = self.config.fingering == "score"

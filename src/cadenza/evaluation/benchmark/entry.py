@@ -18,10 +18,10 @@ from cadenza.music.libraries.songs import Song
 
 ENTRY, ACTIONS = "entry.json", "actions"
 Metrics = dict[str, float | None]
-_MOST_BYTES = 2**24  # of entry.json: a thousand songs with twenty seeds take 10 MB
-_MOST_SEEDS = 20  # so that whoever verifies an entry knows how long it takes
-_MOST_TEXT = 300  # characters, as many as a cell of the table shows
-_MOST_SECONDS = 1e12  # more than anybody has spent; sums of it are finite
+_MAX_BYTES = 2**24  # of entry.json: a thousand songs with twenty seeds take 10 MB
+_MAX_SEEDS = 20  # so that whoever verifies an entry knows how long it takes
+_MAX_TEXT = 300  # characters, as many as a cell of the table shows
+_MAX_SECONDS = 1e12  # more than anybody has spent; sums of it are finite
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def read_entry(folder: Path) -> Entry:
         CadenzaError: its file is not there, is too large, or says something else.
     """
     path = folder / ENTRY
-    entry = parsed_json(content_of(path, _MOST_BYTES), Entry, path)
+    entry = parsed_json(content_of(path, _MAX_BYTES), Entry, path)
     with errors_in(path):
         check_claims(entry)
     return entry
@@ -89,8 +89,8 @@ def check_claims(entry: Entry) -> None:
     """
     told = {name: getattr(entry, name) for name in ("name", "by", "about", "agent", "songs")}
     for what, text in (told | entry.versions).items():
-        if not text.strip() or len(text) > _MOST_TEXT or not text.isprintable():
-            raise CadenzaError(f"{shortened(what)}: give 1 to {_MOST_TEXT} characters on one line")
+        if not text.strip() or len(text) > _MAX_TEXT or not text.isprintable():
+            raise CadenzaError(f"{shortened(what)}: give 1 to {_MAX_TEXT} characters on one line")
     track, songs, seeds = entry.track, entry.songs, entry.seeds
     if track not in TRACKS:
         raise CadenzaError(f"track {quoted(track)}: choose from {', '.join(TRACKS)}")
@@ -98,16 +98,16 @@ def check_claims(entry: Entry) -> None:
         raise CadenzaError(f"track {track}: {shortened(entry.agent)} belongs to the track {own}")
     if track == "at-sight" and songs in (f"{BENCHMARK}:etudes-train", f"{BENCHMARK}:band-train"):
         raise CadenzaError(f"track at-sight: {songs} is there to learn from; choose another set")
-    if seeds != list(range(len(seeds))) or not 0 < len(seeds) <= _MOST_SEEDS:
+    if seeds != list(range(len(seeds))) or not 0 < len(seeds) <= _MAX_SEEDS:
         raise CadenzaError(
-            f"seeds {quoted(seeds)}: an entry has the seeds 0, 1 and so on, up to {_MOST_SEEDS} of "
+            f"seeds {quoted(seeds)}: an entry has the seeds 0, 1 and so on, up to {_MAX_SEEDS} of "
             "them, and leaves none out"
         )
     for run in entry.runs:
         if run.metrics.keys() != set(METRICS):
             raise CadenzaError(f"{shortened(run.song)}: its metrics are not {', '.join(METRICS)}")
-        if not 0 <= (run.cpu_seconds or 0.0) <= _MOST_SECONDS:
-            raise CadenzaError(f"{shortened(run.song)}: its CPU time is not 0 to {_MOST_SECONDS:g}")
+        if not 0 <= (run.cpu_seconds or 0.0) <= _MAX_SECONDS:
+            raise CadenzaError(f"{shortened(run.song)}: its CPU time is not 0 to {_MAX_SECONDS:g}")
 
 
 def runs_by_song(entry: Entry) -> list[tuple[Song, list[Run]]]:

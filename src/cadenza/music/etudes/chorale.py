@@ -34,7 +34,7 @@ _SOPRANO_STAYS = 50
 _LEAP = 12  # per semitone beyond a second
 _OFF_TARGET = 8  # per semitone between the soprano and its random target
 _RANDOM = 60  # largest random cost of a voicing
-_SECOND, _LARGEST_LEAP = 2, 7  # [semitones]; the bass may leap by more, up to an octave
+_SECOND, _MAX_LEAP = 2, 7  # [semitones]; the bass may leap by more, up to an octave
 _TWO_VOICES, _THREE_VOICES = 2, 4  # difficulties up to which there are so many voices
 _PASSING_NOTES = 7  # difficulty from which thirds are filled
 
@@ -129,7 +129,7 @@ def _voice_leading_costs(before: _Voicings, after: _Voicings) -> Costs:
     cost += _SOPRANO_STAYS * (moved[..., -1] == 0)
     degrees = after.degrees - before.degrees[:, None]
     wrong = is_awkward_leap(degrees, moved).any(axis=-1) | (leap > OCTAVE).any(axis=-1)
-    wrong |= (leap[..., 1:] > _LARGEST_LEAP).any(axis=-1)
+    wrong |= (leap[..., 1:] > _MAX_LEAP).any(axis=-1)
     for low, high in combinations(range(old.shape[-1]), 2):
         voices = old[..., low], old[..., high], new[..., low], new[..., high]
         wrong |= are_parallel(*voices)

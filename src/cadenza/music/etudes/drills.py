@@ -12,7 +12,7 @@ DRILLS = {"notes": 1, "dyads": 2, "triads": 3, "tetrads": 4}
 _LOWEST, _HIGHEST = 48, 72  # C3 to C5, the keys of the mini keyboard
 _BEAT, _LENGTH = 0.75, 0.5  # [s] from one note to the next, and of each
 _ACCIDENTALS = 2  # at most
-_LARGEST_STEP = 4  # degrees from one note or chord to the next
+_MAX_STEP = 4  # degrees from one note or chord to the next
 _DYADS = (2, 5)  # degrees between the notes of a dyad: a third to a sixth
 
 
@@ -28,7 +28,7 @@ def drill(kind: str, count: int, rng: np.random.Generator) -> Score:
         places = np.arange(len(scale) - intervals[-1])
         if lowest is not None:
             step = np.abs(places - lowest)
-            places = places[(step > 0) & (step <= _LARGEST_STEP)]
+            places = places[(step > 0) & (step <= _MAX_STEP)]
         lowest = int(rng.choice(places))
         notes += [Note(float(start), start + _LENGTH, scale[lowest + i]) for i in intervals]
     return Score(tuple(notes), title=f"{kind.capitalize()} in {key.name}, {count}")

@@ -19,7 +19,7 @@ _MINOR: dict[Form, tuple[int, ...]] = {
     "melodic": (0, 2, 3, 5, 7, 9, 11),
 }
 _FLATS, _SHARPS = 5, 6  # with more than these, a key has an enharmonic name with fewer
-_MOST_FLATS = 6  # of the first of `_NAMES`
+_MAX_FLATS = 6  # of the first of `_NAMES`
 # Tonics by fifths, from G-flat major with its six flats. The tonic of a minor key is three fifths
 # above that of its relative major key.
 _NAMES = (
@@ -41,7 +41,7 @@ class Key:
     @property
     def name(self) -> str:
         """The name of the key, such as "E-flat major"."""
-        tonic = _NAMES[self.sharps + _MOST_FLATS + self.minor * _FIFTHS_TO_MINOR]
+        tonic = _NAMES[self.sharps + _MAX_FLATS + self.minor * _FIFTHS_TO_MINOR]
         return f"{tonic} {'minor' if self.minor else 'major'}"
 
     @property

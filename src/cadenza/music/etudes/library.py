@@ -15,7 +15,7 @@ from itertools import product
 
 import numpy as np
 
-from cadenza.configs import MOST_SEED, whole_number
+from cadenza.configs import MAX_SEED, whole_number
 from cadenza.errors import CadenzaError, quoted
 from cadenza.music.etudes.band import band_score, make_band
 from cadenza.music.etudes.chorale import chorale
@@ -107,7 +107,7 @@ def _checked(kind: str, difficulty: int, seed: int) -> tuple[str, int, int]:
         kinds = ", ".join((*KINDS, *DRILLS, BAND))
         raise CadenzaError(f"no etudes of kind {quoted(kind)}: choose from {kinds}")
     difficulty = whole_number(difficulty, "difficulty", 1, HARDEST)
-    return kind, difficulty, whole_number(seed, "seed", 0, MOST_SEED)
+    return kind, difficulty, whole_number(seed, "seed", 0, MAX_SEED)
 
 
 def _sheet(kind: _Kind, difficulty: int, rng: np.random.Generator) -> Sheet:
@@ -157,7 +157,7 @@ def etude_names(count: int, seed: int = 0) -> list[str]:
         CadenzaError: `seed` or `count` is no such number.
     """
     count = whole_number(count, "count", 1, 1_000_000)
-    rng = np.random.default_rng(whole_number(seed, "seed", 0, MOST_SEED))
+    rng = np.random.default_rng(whole_number(seed, "seed", 0, MAX_SEED))
     names: list[str] = []
     every = list(product(KINDS, range(1, HARDEST + 1)))
     while len(names) < count:
@@ -201,7 +201,7 @@ def etude_song(name: str) -> Song:
         CadenzaError: no etude is called so.
     """
     if band := _BAND_NAME.fullmatch(name.lower()):
-        seed = whole_number(int(band[1]), "seed", 0, MOST_SEED)
+        seed = whole_number(int(band[1]), "seed", 0, MAX_SEED)
         return Song(band_name(seed), partial(_read_band, seed), source="practice piece")
     found = _ETUDE_NAME.fullmatch(name.lower())
     if not found:

@@ -10,7 +10,7 @@ from cadenza.music.etudes.sheet import Sheet, Tone, pick
 _OCTAVE_UP_AND_DOWN = 16  # steps of a scale over an octave, with the last note held
 _TENTH = STEPS + 2  # degrees between the hands
 _CONTRARY = 8  # difficulty from which the hands of a finger exercise may move against each other
-_MOST_NOTES = 8  # of a figure
+_MAX_NOTES = 8  # of a figure
 
 
 def scales(sheet: Sheet) -> Iterator[Tone]:
@@ -60,7 +60,7 @@ def _scale(key: Key, motion: str, octaves: int, at: int) -> Iterator[Tone]:
 
 def hanon(sheet: Sheet) -> Iterator[Tone]:
     """Yields a figure of up to eight notes that climbs the scale and, reversed, descends."""
-    size = min(_MOST_NOTES, sheet.bar)
+    size = min(_MAX_NOTES, sheet.bar)
     figure = _figure(sheet, size)
     count = (sheet.length - sheet.bar) // size
     contrary = sheet.difficulty >= _CONTRARY and pick(sheet.rng, (False, True))

@@ -24,7 +24,7 @@ from cadenza.files import content_of, number_in, whole_number_in, write_atomical
 from cadenza.fingers import Finger
 from cadenza.music.formats.finger_numbers import finger_from, finger_number
 from cadenza.music.formats.source import decoded
-from cadenza.music.score import LONGEST_SCORE, MIDI_PITCHES, Score
+from cadenza.music.score import MAX_SCORE_LENGTH, MIDI_PITCHES, Score
 
 SUFFIX = ".fingering"
 _MAX_BYTES = 16 * 2**20  # with half a million lines
@@ -91,7 +91,7 @@ def _parsed(content: list[str], where: str) -> tuple[float, int, Finger | None]:
     start, pitch, finger = content
     with errors_in(where):
         return (
-            number_in(start, "start [s]", 0, LONGEST_SCORE),
+            number_in(start, "start [s]", 0, MAX_SCORE_LENGTH),
             whole_number_in(pitch, "pitch", MIDI_PITCHES[0], MIDI_PITCHES[-1]),
             finger_from(finger),
         )

@@ -21,8 +21,8 @@ from cadenza.music.formats.musicxml.jumps import JumpReader
 _ID = "xml:id"
 _NAMESPACE = "http://www.music-encoding.org/ns/mei"
 _MOST = 100_000  # bars, with repeats
-_MOST_STAVES = 100  # of a part
-_MOST_PASSES = 64
+_MAX_STAVES = 100  # of a part
+_MAX_PASSES = 64
 _ENDLESS = 10**9  # for a number in MEI
 _ZERO = Fraction(0)
 _SLOWEST, _FASTEST = 4, 2000  # quarters a minute; slower ones MIDI cannot say
@@ -92,7 +92,7 @@ def _join(parts: Element) -> None:
     for number, part in enumerate(others, start=1):
         for staff in part.iter():
             if staff.tag in ("staff", "staffDef"):
-                staff.set("n", f"{number * _MOST_STAVES + int(_number(staff.get('n')) or 1)}")
+                staff.set("n", f"{number * _MAX_STAVES + int(_number(staff.get('n')) or 1)}")
         for own, its in zip(score.iter("measure"), part.iter("measure"), strict=False):
             own.extend(its)
         if (staves := score.find(".//staffGrp")) is not None:
@@ -447,8 +447,8 @@ def _passes(text: str) -> frozenset[int]:
     """The passes that the number of an ending is for, such as "1, 2", "1-3" and "2."."""
     found = set[int]()
     for first, last in re.findall(r"(\d+)(?:\s*[-–]\s*(\d+))?", text):
-        found.update(range(int(first), min(int(last or first), _MOST_PASSES) + 1))
-    return frozenset(each for each in found if 0 < each <= _MOST_PASSES)
+        found.update(range(int(first), min(int(last or first), _MAX_PASSES) + 1))
+    return frozenset(each for each in found if 0 < each <= _MAX_PASSES)
 
 
 def _without_beams(element: Element) -> Iterator[Element]:

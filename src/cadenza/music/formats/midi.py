@@ -32,7 +32,7 @@ _TICKS_PER_SECOND = 2 * _TICKS_PER_QUARTER
 _DEFAULT_TEMPO = 500_000  # [us] per quarter, until the file says otherwise
 _PUNCTUATION = "‘’“”–—…"
 _STROKE = 0.05  # [s] for which a drum sounds, whatever the file says
-_MOST_BARS, _MOST_BEATS = 20_000, 100_000  # more are taken for damage
+_MAX_BARS, _MAX_BEATS = 20_000, 100_000  # more are taken for damage
 
 
 def read_midi(
@@ -277,7 +277,7 @@ def _bars(
             if not times or times[0] > until:
                 break
             beats += numerator
-            if len(bars) == _MOST_BARS or beats > _MOST_BEATS:
+            if len(bars) == _MAX_BARS or beats > _MAX_BEATS:
                 return ()
             bars.append(Bar(times[0], len(bars) + 1, tuple(times), denominator))
     return tuple(bars)

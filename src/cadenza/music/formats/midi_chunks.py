@@ -24,7 +24,7 @@ _CHANNELS = range(0x80, 0xF0)  # the status bytes of messages to a channel
 _NOTES, _CONTROL = (0x8, 0x9), 0xB  # their upper halves
 _LENGTHS = {0xC: 1, 0xD: 1}  # bytes after the status, by its upper half; else two
 _SYSTEM_LENGTHS = {0xF1: 1, 0xF2: 2, 0xF3: 1}  # else none
-_LONGEST_NUMBER = 8  # bytes; the format allows numbers of 4
+_MAX_DIGITS = 8  # bytes; the format allows numbers of 4
 _MAC_BINARY = 128  # bytes of a header that old Macintosh programs put before a file
 _PREFIX, _HEADER = 8, 6  # bytes: name and size of any chunk; format, tracks and division
 
@@ -247,7 +247,7 @@ class _Track:
     def _number(self) -> int:
         """The next number: seven bits a byte, of which the last has its highest bit unset."""
         number = 0
-        for _ in range(_LONGEST_NUMBER):
+        for _ in range(_MAX_DIGITS):
             byte = self._bytes(1)[0]
             number = number << 7 | byte & 0x7F
             if byte < 0x80:

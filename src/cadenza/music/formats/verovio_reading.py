@@ -40,7 +40,7 @@ _SECTION = re.compile(r"(?:^|\t)\*>(?!\w*\[)")  # the beginning of one
 _LABEL = re.compile(r"(?<=[>\[,])[^\[\],\t]+(?=[\],\t]|$)")  # also each in a list
 _OF_BARS = frozenset(("set_tempo", "time_signature"))
 _NEAR = 1e-3  # beats by which Verovio may round
-_MOST_BEATS = 255  # of a time signature in MIDI
+_MAX_BEATS = 255  # of a time signature in MIDI
 
 
 def read_by_verovio(path: Path, form: str, tracks: Collection[int] = ()) -> Score:
@@ -197,7 +197,7 @@ def _metre(quarters: float, unit: int) -> tuple[int, int]:
     unit = unit if unit in BEAT_TYPES else min(BEAT_TYPES)
     while unit < max(BEAT_TYPES) and abs(quarters * unit / 4 - round(quarters * unit / 4)) > _NEAR:
         unit *= 2
-    return min(max(round(quarters * unit / 4), 1), _MOST_BEATS), unit
+    return min(max(round(quarters * unit / 4), 1), _MAX_BEATS), unit
 
 
 if __name__ == "__main__":

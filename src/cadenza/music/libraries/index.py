@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from cadenza.configs import MOST_COUNT
+from cadenza.configs import MAX_COUNT
 from cadenza.errors import CadenzaError, quoted, shortened
 from cadenza.files import number_in, whole_number_in, write_atomically
 from cadenza.music.formats.source import decoded, read_bytes
@@ -105,5 +105,5 @@ def _facts(cells: Mapping[str, str]) -> Facts:
     numbers = dict.fromkeys(_NUMBERS)
     for name, read in _NUMBERS.items():
         with suppress(CadenzaError):
-            numbers[name] = read(cells.get(name, ""), name, 0, MOST_COUNT)
+            numbers[name] = read(cells.get(name, ""), name, 0, MAX_COUNT)
     return texts | numbers

@@ -22,7 +22,7 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 from zipfile import ZipFile
 
-from cadenza.configs import MOST_COUNT
+from cadenza.configs import MAX_COUNT
 from cadenza.errors import CadenzaError, errors_in, quoted, shortened
 from cadenza.files import files_in, number_in, opened, opened_archive, unpacked, whole_number_in
 from cadenza.fingers import Finger
@@ -54,7 +54,7 @@ _PITCH = re.compile(r"([A-G])(##|#|x|bb|b|)(\d)", re.ASCII)
 _FINGER = re.compile(r"(-?)([1-5])(_(-?[1-5])?)*", re.ASCII)
 _ACCIDENTALS = {"": 0, "#": 1, "##": 2, "x": 2, "b": -1, "bb": -2}
 _COLUMNS = "number, onset, offset, pitch, two velocities, channel, finger"
-_MOST_NAMED = 10  # other lines of a file that are wrong
+_MAX_NAMED = 10  # other lines of a file that are wrong
 
 _Files = Mapping[PurePosixPath, Callable[[], bytes]]
 """Path of a file within the dataset -> function that reads it."""
@@ -205,7 +205,7 @@ def _pieces(content: bytes, where: str, left_out: list[str]) -> list[_Piece]:
     for line, cells in rows:
         title = printable(cells.get(titles, ""))
         try:
-            number = whole_number_in(cells.get(column, ""), "number of a piece", 0, MOST_COUNT)
+            number = whole_number_in(cells.get(column, ""), "number of a piece", 0, MAX_COUNT)
         except CadenzaError as error:
             left_out.append(f"{where}:{line}: {error}")
             continue
@@ -276,7 +276,7 @@ def _note(line: str) -> tuple[int, RawNote, int]:
     if len(cells) != 8:
         raise CadenzaError(f"{len(cells)} columns; expected eight: {_COLUMNS}")
     id_, onset, offset, pitch, loud, release, channel, finger = cells
-    number = whole_number_in(id_, "the number of the note", 0, MOST_COUNT)
+    number = whole_number_in(id_, "the number of the note", 0, MAX_COUNT)
     start, end = (
         number_in(text, f"{what} [s]", 0, MAX_SECONDS)
         for what, text in (("onset", onset), ("offset", offset))
@@ -317,6 +317,6 @@ def _and_lines(numbers: list[int]) -> str:
     """The end of an error that names the other lines, if any."""
     if not numbers:
         return ""
-    named = ", ".join(map(str, numbers[:_MOST_NAMED]))
-    more = f" and {len(numbers) - _MOST_NAMED} more" if len(numbers) > _MOST_NAMED else ""
+    named = ", ".join(map(str, numbers[:_MAX_NAMED]))
+    more = f" and {len(numbers) - _MAX_NAMED} more" if len(numbers) > _MAX_NAMED else ""
     return f"; also wrong: line{'s' * (len(numbers) > 1)} {named}{more}"

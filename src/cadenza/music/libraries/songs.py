@@ -15,7 +15,7 @@ Read = Callable[[Collection[int], bool], Score]
 
 It plays notes as they stand, whatever signs they have, if the second argument is true."""
 
-_MOST_MEANT = 3  # songs that a misspelt name may mean
+_MAX_SUGGESTIONS = 3  # songs that a misspelt name may mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,9 @@ def song_named(name: str, library: Library) -> Song:
         if wanted in known:
             return known[wanted]
     begun = [each for each in known if name and each.startswith(name.lower())]
-    close = begun[:_MOST_MEANT] or get_close_matches(name.lower(), known, _MOST_MEANT, cutoff=0.5)
+    close = begun[:_MAX_SUGGESTIONS] or get_close_matches(
+        name.lower(), known, _MAX_SUGGESTIONS, cutoff=0.5
+    )
     hint = f"did you mean {' or '.join(known[each].name for each in close)}? " if close else ""
     raise CadenzaError(
         f"no song named {quoted(name)}: {hint}run `cadenza songs` for all names, "

@@ -22,7 +22,7 @@ _USUAL_BEAT = 0.5  # [s] of a quarter, where a single beat is all that is known
 _SHORTEST = 1e-3  # [s] of a beat; less is a rounding error
 _LONGEST = 8.0  # [s] of a bar whose beats are unknown
 _LATE = 0.25  # of a beat: what ends so much after the last bar has another
-_MOST_ADDED = 10_000  # bars before the first or after the last
+_MAX_ADDED = 10_000  # bars before the first or after the last
 _PICKUP_STEP = QUARTER // 4  # a 16th; a grace note that begins a file may shift it by one
 _NEAR = QUARTER // 16  # ticks about a bar line that are at it
 _HELD = 2.0  # accents that a chord held across a bar line outweighs
@@ -77,12 +77,12 @@ def metre_of(score: Score) -> Metre:
     if is_estimated:
         timed = _timed(estimated_bars(score.notes))
     first, end = score.notes[0].start, score.total_time
-    while first < timed[0].times[0] - CHORD_TOLERANCE and len(timed) < _MOST_ADDED:
+    while first < timed[0].times[0] - CHORD_TOLERANCE and len(timed) < _MAX_ADDED:
         timed.insert(0, timed[0].repeated(-1))
     while len(timed) > 1 and timed[0].times[-1] <= first + CHORD_TOLERANCE:
         del timed[0]
     last_start = score.notes[-1].start
-    for _ in range(_MOST_ADDED):
+    for _ in range(_MAX_ADDED):
         late = timed[-1].times[-1] + _LATE * timed[-1].last_beat
         if end <= late and last_start < timed[-1].times[-1]:
             break

@@ -17,7 +17,7 @@ from cadenza.music.score import Note, chords
 # of what a deviation of an onset by `_SPREAD` costs twice; chosen by eye.
 _GRIDS = {1: 0.0, 2: 0.3, 4: 0.8, 3: 1.2, 8: 2.0, 6: 2.2, 5: 4.0, 12: 6.0, 16: 4.5, 7: 4.5}
 _SPREAD = 0.05  # standard deviation of onsets that are played, in cells ...
-_LEAST_SPREAD, _MOST_SPREAD = 0.025, 0.04  # [s] ... within these
+_MIN_SPREAD, _MAX_SPREAD = 0.025, 0.04  # [s] ... within these
 _EXACT_SPREAD = 0.012  # [s] of onsets that are not
 _COMMON = 12  # parts of a cell, on which onsets are that nobody has played ...
 _NEAR = 0.02  # ... up to so much of a part
@@ -28,7 +28,7 @@ _APART = 0.5  # cost of grids that differ between voices
 _MERGED = 1.5  # cost of chords that fall together
 _REPEATED = 20.0  # cost of chords with the same pitch that fall together
 _FILLED = 0.5  # of the time to the next onset, up to which a gap is not written as a rest
-_LONGEST_FILLED = QUARTER
+_MAX_FILLED = QUARTER
 
 
 @dataclass(slots=True)
@@ -121,7 +121,7 @@ _Onsets = list[tuple[float, list[Note]]]
 
 def _chosen(onsets: list[_Onsets], seconds: float, length: int, is_exact: bool) -> list[int]:
     """The grid of each voice in a cell of `seconds` [s] and `length` [ticks]."""
-    played = min(max(_SPREAD * seconds, _LEAST_SPREAD), _MOST_SPREAD)
+    played = min(max(_SPREAD * seconds, _MIN_SPREAD), _MAX_SPREAD)
     spread = (_EXACT_SPREAD if is_exact else played) / seconds
     possible = [
         grid
@@ -182,7 +182,7 @@ def _stream(merged: list[Chord], grids: dict[int, int], ticks: list[int]) -> Str
         end = max(_end(chord.end, grids, ticks), chord.start + _least(chord, grids, ticks))
         if following is not None:
             gap = following - end
-            is_short = gap <= _FILLED * (following - chord.start) and gap < _LONGEST_FILLED
+            is_short = gap <= _FILLED * (following - chord.start) and gap < _MAX_FILLED
             end = following if is_short else end
         chord.end = min(end, ticks[-1])
     return Stream(merged, {cell: grid for cell, grid in grids.items() if grid & (grid - 1)})

@@ -15,8 +15,8 @@ _FIFTHS = {step: fifths for fifths, step in enumerate(_LINE_OF_FIFTHS, start=-1)
 _SHARP = 7  # fifths from a step to the same with a sharp
 _ENHARMONIC = 12  # fifths between two names of a pitch
 _CANDIDATES = 3  # likeliest keys, of which the one with fewest accidentals is taken
-_MOST_SIGNS = 6  # of a key signature; rather five flats than seven sharps
-_MOST_ALTERED = 2  # sharps or flats of a note
+_MAX_SIGNS = 6  # of a key signature; rather five flats than seven sharps
+_MAX_ALTERED = 2  # sharps or flats of a note
 # Of ps13, in which letters count from A, and pitch classes from it.
 _BEFORE, _AFTER = 10, 40  # notes that are heard around one
 _LETTERS = 7
@@ -58,7 +58,7 @@ def spelled(notes: Sequence[Note]) -> tuple[int, list[Spelling]]:
     keys = _likeliest_keys(notes)[:_CANDIDATES]
     keys = [_nearest(key, float(np.median(line)) - _MIDDLE) for key in keys]
     key = min(keys, key=lambda k: int(((line < k - 1) | (line > k + 5)).sum()))
-    if abs(key) > _MOST_SIGNS:
+    if abs(key) > _MAX_SIGNS:
         shift = -_ENHARMONIC if key > 0 else _ENHARMONIC
         key, spellings = key + shift, [_renamed(spelling, shift) for spelling in spellings]
     return key, [_simplified(spelling) for spelling in spellings]
@@ -107,7 +107,7 @@ def _nearest(key: int, fifths: float) -> int:
 
 def _simplified(spelling: Spelling) -> Spelling:
     """The same pitch with at most two sharps or flats."""
-    while abs(spelling.alter) > _MOST_ALTERED:
+    while abs(spelling.alter) > _MAX_ALTERED:
         spelling = _renamed(spelling, -_ENHARMONIC if spelling.alter > 0 else _ENHARMONIC)
     return spelling
 

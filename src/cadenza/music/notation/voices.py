@@ -19,7 +19,7 @@ from cadenza.music.viterbi import cheapest_sequence
 UPPER, LOWER = 0, 1
 _LEGATO = QUARTER / 6  # ticks by which a chord may overlap the next: players connect them so
 _ROUNDING = QUARTER / 32  # the same where nobody has played
-_MOST_LOST = 2 * QUARTER  # of a note that is cut; what is more costs no more
+_MAX_LOST = 2 * QUARTER  # of a note that is cut; what is more costs no more
 _SECOND = 0.35 * QUARTER  # cost of a chord that is shared by both voices
 _ALONE = 0.15 * QUARTER  # cost of a chord in the lower voice while the upper rests
 _CROSSED = 0.5 * QUARTER  # cost of a note on the wrong side of the other voice
@@ -41,7 +41,7 @@ class _Voice(NamedTuple):
     def lost(self, onset: float, legato: float) -> float:
         """The cost of ending at `onset`."""
         cut = (end - onset for end in self.ends)
-        return sum(min(length, _MOST_LOST) for length in cut if length > legato)
+        return sum(min(length, _MAX_LOST) for length in cut if length > legato)
 
 
 class _History(NamedTuple):
@@ -113,7 +113,7 @@ def _uneven(part: list[Timed], legato: float) -> float:
     """The cost of writing the notes of a chord as long as the longest."""
     end = max((each.end for each in part), default=0.0)
     gaps = (end - each.end for each in part)
-    return _UNEVEN * sum(min(gap, _MOST_LOST) for gap in gaps if gap > legato)
+    return _UNEVEN * sum(min(gap, _MAX_LOST) for gap in gaps if gap > legato)
 
 
 def _crossing(history: _History, upper: list[Timed], lower: list[Timed], onset: float) -> float:

@@ -19,7 +19,7 @@ from cadenza.music.signs.conventions import (
 from cadenza.music.signs.signed_note import Mark, SignedNote
 from cadenza.music.signs.timed_note import Chord, TimedNote, Voice
 
-_MOST_LIFTED = 0.5  # of a note, by which it ends earlier at most
+_MAX_LIFTED = 0.5  # of a note, by which it ends earlier at most
 
 
 def articulate(voice: Voice, slurred: set[Fraction]) -> None:
@@ -115,4 +115,4 @@ def _join(note: TimedNote, following: Chord | None) -> None:
 
 def _lift(note: TimedNote, seconds: float) -> None:
     """Ends a note earlier by a time [s], or half of it."""
-    note.end_by(note.end - min(seconds, _MOST_LIFTED * note.length))
+    note.end_by(note.end - min(seconds, _MAX_LIFTED * note.length))

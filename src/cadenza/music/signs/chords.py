@@ -48,7 +48,7 @@ def _shared(chord: Sequence[SignedNote]) -> list[SignedNote]:
     return shared
 
 
-_MOST_OF_CHORD = 0.5  # of the shortest note, within which the last one begins; a choice
+_MAX_OF_CHORD = 0.5  # of the shortest note, within which the last one begins; a choice
 
 
 def break_chords(notes: Iterable[TimedNote]) -> None:
@@ -66,14 +66,14 @@ def break_chords(notes: Iterable[TimedNote]) -> None:
         step = chord[0].of.arpeggio.step if chord[0].of.arpeggio else 1
         chord.sort(key=lambda note: step * note.of.pitch)
         start = max(note.start for note in chord)
-        room = _MOST_OF_CHORD * min(note.end for note in chord) - _MOST_OF_CHORD * start
+        room = _MAX_OF_CHORD * min(note.end for note in chord) - _MAX_OF_CHORD * start
         each = min(ARPEGGIO_STEP, max(room, 0.0) / max(len(chord) - 1, 1))
         for place, note in enumerate(chord):
             note.start = start + place * each
 
 
 _UNMEASURED = 3  # marks in place of those that a tremolo without measure lacks
-_MOST_MARKS = 8  # as in MusicXML
+_MAX_MARKS = 8  # as in MusicXML
 
 
 def tremolo_times(voice: Voice) -> dict[int, Times]:
@@ -112,7 +112,7 @@ def _count(duration: Fraction, marks: int) -> int:
     if duration <= 0:
         return 1
     shown = duration * _as_shown(duration)
-    strokes = 2 ** min(marks or _UNMEASURED, _MOST_MARKS)
+    strokes = 2 ** min(marks or _UNMEASURED, _MAX_MARKS)
     return max(1, round(shown * strokes if shown >= 1 else strokes * (shown * _undotted(shown))))
 
 

@@ -13,8 +13,8 @@ from cadenza.music.signs.signed_note import Grace, OrnamentKind
 from cadenza.music.signs.tempo_map import TempoMap
 from cadenza.music.signs.timed_note import Chord, Voice, even_times
 
-_MOST_OF_NOTE = 0.5  # of the note before or after grace notes, which they take; a choice
-_LEAST_SHARE = 0.01  # of a neighbour, as files give per cents
+_MAX_OF_NOTE = 0.5  # of the note before or after grace notes, which they take; a choice
+_MIN_SHARE = 0.01  # of a neighbour, as files give per cents
 _HALF, _TWO_THIRDS = Fraction(1, 2), Fraction(2, 3)
 _THREE = 3  # a dotted note has so many halves of the next smaller value
 
@@ -53,7 +53,7 @@ def _on_the_beat(graces: Sequence[Chord], main: Chord, tempo: TempoMap) -> bool:
     grace = graces[0][0]
     if _grace(graces[0]).of_following:
         share = sum(_share(_grace(chord).of_following) for chord in graces)
-        delayed, length = main, min(share, _MOST_OF_NOTE) * min(note.length for note in main)
+        delayed, length = main, min(share, _MAX_OF_NOTE) * min(note.length for note in main)
     elif _is_appoggiatura(graces):
         delayed = [min(main, key=lambda note: abs(note.of.pitch - grace.of.pitch))]
         end = delayed[0].of.onset + min(grace.of.duration, _most(delayed[0].of.duration))
@@ -102,7 +102,7 @@ def _before_the_beat(
         if grace.of_previous:
             length = sum(_share(_grace(chord).of_previous) for chord in graces) * (beat - begun)
             steals = True
-        length = min(length, _MOST_OF_NOTE * (beat - begun))
+        length = min(length, _MAX_OF_NOTE * (beat - begun))
     _in_turn(graces, beat - length, beat)
     if previous is not None and steals:
         for note in previous:
@@ -117,4 +117,4 @@ def _in_turn(graces: Sequence[Chord], start: float, end: float) -> None:
 
 
 def _share(share: float | None) -> float:
-    return min(max(share or 0.0, _LEAST_SHARE), 1.0)
+    return min(max(share or 0.0, _MIN_SHARE), 1.0)

@@ -10,10 +10,10 @@ from cadenza.music.signs.signed_note import Ornament, OrnamentKind, SignedNote
 
 _SHARPS = (3, 0, 4, 1, 5, 2, 6)  # the steps that get sharps, in the order of keys: F, C, G, ...
 _WHOLE_TONE = 2
-_LEAST_TRILL = 4  # notes: two shakes
+_MIN_TRILL = 4  # notes: two shakes
 _FASTEST = 0.05  # [s] a note has no ornament whose notes would be shorter; a choice
 _FIRST = 4 / 3  # of the mean length has the first note of a trill that accelerates; a choice
-_MOST_OF_NOTE = 0.5  # of the note, which a turn after it takes at most
+_MAX_OF_NOTE = 0.5  # of the note, which a turn after it takes at most
 
 Played = tuple[float, float, int]
 """A note of an ornament: start and end [s], and pitch."""
@@ -77,7 +77,7 @@ def ornament_notes(note: SignedNote, start: float, end: float, led_to: bool) -> 
         pitches = [opening, *pitches]
     each = 1 / NOTES_A_SECOND
     if sign.delayed:
-        each = min(each, _MOST_OF_NOTE * (end - start) / len(pitches))
+        each = min(each, _MAX_OF_NOTE * (end - start) / len(pitches))
         first = end - each * len(pitches)
         turned = _sequence(pitches, first, each, end)
         return [(start, first, main), *turned] if len(turned) > 1 else [(start, end, main)]
@@ -111,7 +111,7 @@ def _trill(
         count = max(min(sign.notes, int((end - start) / _FASTEST) - len(last)), 2)
     else:
         fitting = int((end - start) * NOTES_A_SECOND + 1e-9) - len(last)
-        count = max(fitting, _LEAST_TRILL - odd)
+        count = max(fitting, _MIN_TRILL - odd)
         count -= (count - odd) % 2
     pitches = [main if k % 2 != odd else upper for k in range(count)]
     if begins == -1:

@@ -18,7 +18,7 @@ from cadenza.music.signs.tempo_map import TempoMap
 from cadenza.music.signs.tempo_marks import Swing
 from cadenza.music.signs.timed_note import TimedNote, Times, voices_of
 
-MOST_NOTES = 100_000
+MAX_NOTES = 100_000
 """More, with repeats and ornaments, are taken for damage."""
 
 
@@ -36,7 +36,7 @@ def realised(
         swings: where notes swing.
 
     Raises:
-        CadenzaError: there would be more notes than `MOST_NOTES`, or one ends too late for a score.
+        CadenzaError: there would be more notes than `MAX_NOTES`, or one ends too late for a score.
     """
     notes = with_signs_of_chords(list(notes))
     timed = _timed(notes, tempo, swings)
@@ -54,9 +54,9 @@ def realised(
         velocity = within_midi(note.velocity)
         for start, end, pitch in _notes_for(note, times):
             sounding.append(SoundingNote(start, end, pitch, velocity, note.of))
-        if len(sounding) > MOST_NOTES:
+        if len(sounding) > MAX_NOTES:
             raise CadenzaError(
-                f"over {MOST_NOTES} notes with all ornaments and repeats, too many; read the song "
+                f"over {MAX_NOTES} notes with all ornaments and repeats, too many; read the song "
                 "as plain"
             )
     return sorted(sounding, key=lambda note: (note.start, note.pitch))

@@ -32,7 +32,7 @@ from cadenza.music.signs.tempo_marks import (
 
 Floats = NDArray[np.float64]
 
-MOST_SEGMENTS = 100_000
+MAX_SEGMENTS = 100_000
 """More, with all repeats, are taken for damage."""
 _SLOWEST, _FASTEST = 60.0, 0.006  # [s] a quarter lasts at most and at least, however it changes
 _SECONDS_PER_QUARTER = 0.5  # until the score says otherwise, as in MIDI
@@ -118,7 +118,7 @@ class TempoMap:
             sections: the beginning and the end of each section in the written music [quarters].
 
         Raises:
-            CadenzaError: there would be more than `MOST_SEGMENTS`.
+            CadenzaError: there would be more than `MAX_SEGMENTS`.
         """
         at, time, silence = Fraction(0), 0.0, 0.0
         segments: list[TempoSegment] = []
@@ -128,8 +128,8 @@ class TempoMap:
             for cut in (self._from(begin, silence), *self.segments[inside]):
                 begun = time + cut.time - first
                 segments.append(replace(cut, place=at + cut.place - begin, time=begun))
-            if len(segments) > MOST_SEGMENTS:
-                raise CadenzaError(f"over {MOST_SEGMENTS} tempos with all repeats, too many")
+            if len(segments) > MAX_SEGMENTS:
+                raise CadenzaError(f"over {MAX_SEGMENTS} tempos with all repeats, too many")
             silence = last - float(self.ends([end])[0])
             at, time = at + end - begin, time + last - first
         if not segments:

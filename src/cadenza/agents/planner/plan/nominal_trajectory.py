@@ -52,7 +52,7 @@ _DAMPING = 2e-6  # [m^2] of what lowers a fingertip, which matters where its ser
 # Windows.
 _FIRST_WINDOW = 2.5  # [s] kept: who plays a second has rehearsed more than two
 _GROWTH = 3.0  # times what has been planned is what the next window plans
-_LONGEST_WINDOW = 26.0  # [s] kept
+_MAX_WINDOW = 26.0  # [s] kept
 _OVERLAP = 4.0  # [s] that a window plans besides, and the next one plans again
 _SETTLED = 0.5  # [s] before a window in which presses have ended that do not matter to it
 
@@ -196,7 +196,7 @@ class MotionPlanner:
             The plan, how many of its steps to keep, and the warm start of the next window.
         """
         first, dt = plan.num_steps, self._dt
-        shortest, longest = steps_in(_FIRST_WINDOW, dt), steps_in(_LONGEST_WINDOW, dt)
+        shortest, longest = steps_in(_FIRST_WINDOW, dt), steps_in(_MAX_WINDOW, dt)
         kept = min(max(round(_GROWTH * first), shortest), longest)
         last = min(first + kept + steps_in(_OVERLAP, dt), len(fingers))
         if last == len(fingers):

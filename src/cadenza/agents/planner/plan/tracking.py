@@ -15,7 +15,7 @@ from cadenza.scene.servos import Servos
 
 Steps = int | NDArray[np.intp]
 
-_LONGEST_CACHED = 2000  # steps of plans whose gains are kept, 2 kB each for two hands
+_MAX_CACHED = 2000  # steps of plans whose gains are kept, 2 kB each for two hands
 # Weight of a control's squared distance from what leads along the reference, where that of the
 # servo's distance is 1: small, so that the servo is in place, but not 0, so that controls are calm.
 _CONTROL_WEIGHT = 0.02
@@ -66,7 +66,7 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
     """
     step, push = discretised(servos, dt)
     steps, count = len(reference) - 1, len(servos.low)
-    feedback = _cached_feedback if steps <= _LONGEST_CACHED else _feedback
+    feedback = _cached_feedback if steps <= _MAX_CACHED else _feedback
     gain, curvature, closed = feedback(servos, dt, steps)
     before, now, after = servos.lead(dt)
     earlier = np.concatenate([reference[:1] - dt * start[:, 1], reference[:-2]])

@@ -35,7 +35,7 @@ T = TypeVar("T", Variant, Trajectory)
 
 _CHUNK = 1.0  # [s] that are played at a time
 _MAX_DELAY = 0.1  # [s] by which hands delay their releases before a jump
-_MOST_ROLLOUTS = 4  # of each chunk, by hands that follow a spliced trajectory
+_MAX_ROLLOUTS = 4  # of each chunk, by hands that follow a spliced trajectory
 
 Parts = dict[str, dict[str, Any]]
 """The arrays of a state by part and name."""
@@ -219,7 +219,7 @@ class InitialTrajectories:
         """Follows the spliced trajectory, again and again until it loses no more than that."""
         planned, wanted, chunks = self._planned, self._spliced.trajectory, list[_Chunk]()
         loss = wanted.loss[first:last].sum()
-        while len(chunks) < _MOST_ROLLOUTS and all(c.played.loss.sum() > loss for c in chunks):
+        while len(chunks) < _MAX_ROLLOUTS and all(c.played.loss.sum() > loss for c in chunks):
             rng = np.random.default_rng((self.seed, self._num_tried, first, len(chunks)))
             planned.follow(wanted, first, rng.spawn(len(planned.goals)))
             chunks.append(self._play(first, last))

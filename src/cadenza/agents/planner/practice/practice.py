@@ -53,7 +53,7 @@ from cadenza.tasks.view import View
 
 EFFORT = 100
 """Control steps that each hand simulates for each one of the song at effort 1."""
-MOST_EFFORT = 1e6
+MAX_EFFORT = 1e6
 """The greatest effort that can be chosen."""
 _FIRST_SWEEP, _SWEEP = 0.5, 1.0  # effort: the first one finds the easy faults, and is over sooner
 _APART = 0.5  # [s] between passages
@@ -63,7 +63,7 @@ _STRIDE = 3  # intervals from one window to the next
 _CONSEQUENCES = 2  # intervals after a window whose cost counts too
 _AROUND = 0.15  # [s] before and after a step that share its failed attempts
 _OF_A_SWEEP = "sweep", "before"  # parts of a state, saved only within one
-_MOST_BYTES = 2**32  # of a file: hours of music
+_MAX_BYTES = 2**32  # of a file: hours of music
 
 
 class _Sweep(NamedTuple):
@@ -386,7 +386,7 @@ class Practice:
         Raises:
             CadenzaError: the file is of another practice, or damaged.
         """
-        arrays, facts = read_tensors(path, ANY, _MOST_BYTES)
+        arrays, facts = read_tensors(path, ANY, _MAX_BYTES)
         if facts.get("practice") != self._identity:
             raise CadenzaError(
                 f"{path}: is the practice of another song, or with other options or another "

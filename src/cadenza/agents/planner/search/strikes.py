@@ -23,7 +23,7 @@ TOLERANCE = np.array([0.003, 0.15])
 _LARGE = 2.0  # error beyond which the cost grows by 1 for 1: a wrong onset costs anyway
 _NOT_STRUCK = np.array([8.0, 0.0])  # costs, as of an onset that is a control step of 50 ms late
 _AFTER = 3  # steps after that of a strike in which it may be at fault: its finger may bounce off
-_LEAST_SPEED = 0.05  # [rad/s] with which a key that hardly moves counts, for the logarithm
+_MIN_SPEED = 0.05  # [rad/s] with which a key that hardly moves counts, for the logarithm
 
 
 def strike_costs(outcome: Array, wanted: Array) -> Array:
@@ -39,7 +39,7 @@ def strike_costs(outcome: Array, wanted: Array) -> Array:
 
 def as_heard(speed: Array) -> Array:
     """log2 of angular speeds of keys [rad/s]."""
-    return np.log2(np.maximum(speed, _LEAST_SPEED))
+    return np.log2(np.maximum(speed, _MIN_SPEED))
 
 
 class HorizonStrikes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
-from cadenza.configs import MOST_COUNT, check_positive, check_ranges
+from cadenza.configs import MAX_COUNT, check_positive, check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.learning.learner import LearnerConfig, Preset, check_hidden_sizes
 from cadenza.learning.policy import Activation
@@ -99,7 +99,7 @@ class DroQConfig(LearnerConfig):
         check_ranges(
             self,
             {
-                **dict.fromkeys(("num_critics", "policy_delay"), (1, MOST_COUNT)),
+                **dict.fromkeys(("num_critics", "policy_delay"), (1, MAX_COUNT)),
                 **dict.fromkeys(rates, (0, 1)),
             },
         )

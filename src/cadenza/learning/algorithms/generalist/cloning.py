@@ -54,7 +54,7 @@ from cadenza.tasks.goal_track import GoalTrack
 
 _FOLDS = 5  # into which songs are divided
 _ENSEMBLE = 3  # perceptrons of a network, each without the songs of one fold
-_LEAST_STD = 1e-3  # of an input that is normalised
+_MIN_STD = 1e-3  # of an input that is normalised
 _EXAMPLES: Expected = {
     "inputs": ArrayOf(FLOATS, ("examples", "inputs"), needed=True, finite=True),
     "corrections": ArrayOf(FLOATS, ("examples", "servos"), needed=True, finite=True),
@@ -167,7 +167,7 @@ class GeneralistCloning(CheckpointedRun):
         """Returns mean and standard deviation (I,) of what a network sees."""
         seen = _of_parts(self._songs, inputs, servos).inputs
         std = seen.std(axis=0)
-        return seen.mean(axis=0), np.where(std < _LEAST_STD, 1.0, std)
+        return seen.mean(axis=0), np.where(std < _MIN_STD, 1.0, std)
 
     def _arrays(self) -> Arrays:
         return {

@@ -5,19 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from cadenza.configs import MOST_COUNT, check_ranges
+from cadenza.configs import MAX_COUNT, check_ranges
 
 _COUNTS = "num_songs", "num_rounds", "num_envs", "rollout_steps", "batch_size", "num_epochs"
 _SHARES = "weight_decay", "previous_dropout", "discount", "gae_lambda", "clip", "ema"
 _RANGES = {
-    **dict.fromkeys((*_COUNTS, "patience"), (1, MOST_COUNT)),
+    **dict.fromkeys((*_COUNTS, "patience"), (1, MAX_COUNT)),
     **dict.fromkeys((*_SHARES, "learning_rate", "value_learning_rate"), (0, 1)),
     "dropout": (0, 0.99),
     "noise": (0.001, 1),
     "seconds": (1, 3600),
-    "value_warmup": (0, MOST_COUNT),
+    "value_warmup": (0, MAX_COUNT),
     "checkpoint_interval": (0, math.inf),
-    "seed": (0, MOST_COUNT),
+    "seed": (0, MAX_COUNT),
 }
 
 

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from cadenza.agents.generalist.corrected_hands import MOST_LOWER
+from cadenza.agents.generalist.corrected_hands import MAX_LOWER
 from cadenza.agents.planner.search.networks.weights import CONSTANTS, INPUT_LIMIT, Network, Weights
 from cadenza.agents.planner.search.strikes import UNIT, WEIGHT, as_heard
 from cadenza.errors import CadenzaError
@@ -45,7 +45,7 @@ _CRITIC_HIDDEN = (128, 64)
 _CRITIC_OUTPUTS = 2 + 3  # the outcome, and whether the key sounds in three steps
 _CRITIC_RATE, _CRITIC_DECAY = 2e-3, 0.03  # AdamW
 _HIDDEN_INPUTS = 0.1  # of a critic's, in training
-_LEAST_STD = 1e-3  # of an input that is normalised
+_MIN_STD = 1e-3  # of an input that is normalised
 _MAX_GRADIENT_NORM = 5.0
 
 # Touches that are drawn.
@@ -119,12 +119,12 @@ def _drawn(weights: Weights, inputs: Array, striking: Array, rng: np.random.Gene
     touch = np.zeros((*striking.shape, 2))
     if weights.striking:
         touch += weights.touch(inputs)
-        touch = np.clip(touch, [-MOST_LOWER, 0.0], [MOST_LOWER, 1.0])
+        touch = np.clip(touch, [-MAX_LOWER, 0.0], [MAX_LOWER, 1.0])
     spread = _SPREAD * rng.choice(_SPREADS, size=striking.shape)
     touch[..., 0] += spread * rng.standard_normal(striking.shape)
     drawn = rng.random(striking.shape) < _LESS_DRAWN
     touch[..., 1] += drawn * rng.uniform(-_LESS, _LESS, striking.shape)
-    return np.clip(touch, [-MOST_LOWER, 0.0], [MOST_LOWER, 1.0]) * striking[..., None]
+    return np.clip(touch, [-MAX_LOWER, 0.0], [MAX_LOWER, 1.0]) * striking[..., None]
 
 
 def _strikes(before: _Step, now: _Step, after: _Step) -> list[Any]:
@@ -224,7 +224,7 @@ def _part(of: Network, fingers: Array, strikes: Strikes) -> tuple[_Part, Array, 
     inputs = np.concatenate([own.inputs, constants], axis=1)
     seen = np.take_along_axis(inputs, of.inputs[np.searchsorted(fingers, own.finger)], axis=1)
     mean, std = seen.mean(axis=0), seen.std(axis=0)
-    std = np.where(std < _LEAST_STD, 1.0, std)
+    std = np.where(std < _MIN_STD, 1.0, std)
     seen = np.clip((seen - mean) / std, -INPUT_LIMIT, INPUT_LIMIT)
     time = np.nan_to_num(own.outcome[:, 0], nan=_LATEST)
     outcome = np.stack([np.clip(time, _EARLIEST, _LATEST), own.outcome[:, 1]], axis=1)
@@ -259,7 +259,7 @@ def _critic_loss(critics: Layers, part: _Part) -> Any:
 
 def _touch_loss(critics: Layers, policy: Layers, part: _Part) -> Any:
     raw = forward(policy, part.seen[None]).mean(axis=0)
-    touch = jnp.clip(raw, jnp.array([-MOST_LOWER, 0.0]), jnp.array([MOST_LOWER, 1.0]))
+    touch = jnp.clip(raw, jnp.array([-MAX_LOWER, 0.0]), jnp.array([MAX_LOWER, 1.0]))
     predicted = _predicted(critics, part.seen, touch)
     outcome = predicted[..., :2] * _SCALE + _MIDDLE
     error = jnp.abs(outcome - part.wanted) / UNIT

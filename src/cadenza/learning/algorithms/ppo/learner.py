@@ -33,7 +33,7 @@ from cadenza.learning.rollout import Decision, Rollout
 Array = Any  # of JAX
 Params = Any  # nested dictionaries of arrays
 
-_LEAST_STD = 0.1
+_MIN_STD = 0.1
 """Least standard deviation to which an observation is normalised: a goal that is hardly ever
 there is not blown up when it is."""
 _SMALL_GAIN = 0.01  # of the first mean actions, which are then nearly 0 (Andrychowicz et al., 2021)
@@ -63,8 +63,8 @@ class Normalisation(NamedTuple):
 
     @property
     def std(self) -> Array:
-        """Standard deviations (D,), `_LEAST_STD` or more."""
-        return jnp.maximum(jnp.sqrt(self.variance), _LEAST_STD)
+        """Standard deviations (D,), `_MIN_STD` or more."""
+        return jnp.maximum(jnp.sqrt(self.variance), _MIN_STD)
 
 
 class PPOState(NamedTuple):

@@ -16,7 +16,7 @@ from cadenza.music.formats.general_midi import INSTRUMENTS
 from cadenza.music.score import OCTAVE
 
 _CHANNELS = 16
-_FEWEST_CHAIRS = 2
+_MIN_CHAIRS = 2
 _LEAD_NAMES = (
     *("Vocal", "Vocals", "Lead Vocal", "VOCAL", "Voice", "Lead Vox", "Singer"),
     *("Melody", "MELODY", "Melodie", "Main Melody", "Lead", "Lead Line", "LEAD"),
@@ -112,7 +112,7 @@ def random_cast(rng: np.random.Generator, style: Style) -> Cast:
     lead = player(_LEAD_NAMES, pick(rng, style.leads), "melody")
     chosen = [chair for chair in style.chairs if happens(rng, chair.share)]
     chairs: list[Player] = []
-    for chair in chosen if len(chosen) >= _FEWEST_CHAIRS else style.chairs[:_FEWEST_CHAIRS]:
+    for chair in chosen if len(chosen) >= _MIN_CHAIRS else style.chairs[:_MIN_CHAIRS]:
         chairs.append(player(chair.names, pick(rng, chair.programs), "chords"))
         chairs[-1].chair, chairs[-1].pedal = chair, chair.pedal and happens(rng, _PEDAL)
     other = [program for program in style.solos if program != lead.program]

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cadenza.configs import MOST_SEED, whole_number
+from cadenza.configs import MAX_SEED, whole_number
 from cadenza.music.etudes.band.cast import Cast, Player, random_cast
 from cadenza.music.etudes.band.melody import Singing, answers, melody, second_voice
 from cadenza.music.etudes.band.parts import Band, Section
@@ -130,7 +130,7 @@ def make_band(seed: int) -> Band:
     Raises:
         CadenzaError: `seed` is no such number.
     """
-    seed = whole_number(seed, "seed", 0, MOST_SEED)
+    seed = whole_number(seed, "seed", 0, MAX_SEED)
     rng = np.random.default_rng([zlib.crc32(b"band"), seed])
     style = pick(rng, list(styles()))
     plan = planned(rng, styles()[style])

@@ -49,7 +49,7 @@ _LONG = 1.5  # quarters from which a note is as important as one on a strong bea
 _SONG_STEP = 2  # [semitones]
 _SECOND_VOICE = (4, 3, 5, 2, 6, 7)  # semitones from the melody, the first that fits is taken
 _RUN = 0.5  # quarters of the notes of an answer
-_SHORTEST_ANSWERED = 2  # quarters of a rest
+_MIN_ANSWERED = 2  # quarters of a rest
 _SAME_TIME = 0.5  # quarters by which a note on a weak beat may anticipate a chord
 _INTERVALS = np.array([8, 6, 2, 12, 20, 30, 250, 48, 120, 110, 250, 350, 100])
 """Costs by semitones: steps are cheapest, then repeated notes; tritones and sevenths are rare."""
@@ -243,7 +243,7 @@ def answers(passage: Passage, tones: Sequence[Tone], singing: Singing) -> Iterat
     rests.append((tones[-1].at + tones[-1].length, passage.length))
     for begin, end in rests:
         onsets = np.arange(np.ceil(begin / _RUN) * _RUN + _RUN, end, _RUN).tolist()
-        if onsets and end - begin >= _SHORTEST_ANSWERED:
+        if onsets and end - begin >= _MIN_ANSWERED:
             slots = [_Slot(at, _RUN, strong=at == onsets[0]) for at in onsets]
             pitches = _pitches(passage, singing, slots, [], None, last=False)
             yield from (Tone(s.at, s.length, p) for s, p in zip(slots, pitches, strict=True))

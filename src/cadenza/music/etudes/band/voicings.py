@@ -21,7 +21,7 @@ Slots = tuple[tuple[int, int], ...]
 _STRINGS = (40, 45, 50, 55, 59, 64)  # E2 A2 D3 G3 B3 E4
 _OPEN_ROOTS = {0: 1, 2: 2, 4: 0, 7: 0, 9: 1}  # roots of open chords -> their lowest string
 _OPEN_FRETS, _SPAN = 3, 3  # the highest fret of open chords; frets from a barre to the last finger
-_MOST_BARRE = 7  # the highest fret of a barre on the lowest string; higher ones go to the next
+_MAX_BARRE = 7  # the highest fret of a barre on the lowest string; higher ones go to the next
 # Costs of voicings.
 _MOVE = 10  # a semitone that a voice moves
 _PARALLEL = 60  # parallel fifths or octaves of two voices
@@ -33,7 +33,7 @@ def guitar(chord: SongChord) -> Voicing:
     """The pitches of a strummed chord: open where there is an open one, else with a barre."""
     if chord.root in _OPEN_ROOTS:
         return _fretted(chord, _OPEN_ROOTS[chord.root], 0, _OPEN_FRETS)
-    string = 0 if (chord.root - _STRINGS[0]) % OCTAVE <= _MOST_BARRE else 1
+    string = 0 if (chord.root - _STRINGS[0]) % OCTAVE <= _MAX_BARRE else 1
     fret = (chord.root - _STRINGS[string]) % OCTAVE
     return _fretted(chord, string, fret, fret + _SPAN)
 

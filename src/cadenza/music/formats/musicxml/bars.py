@@ -12,8 +12,8 @@ from cadenza.music.formats.musicxml.bar_order import Signs
 from cadenza.music.formats.musicxml.timeline import Placed, number, numbers_in
 from cadenza.music.score import BEAT_TYPES
 
-_MOST_TIMES = 999  # that a section is played, as endings are numbered
-_MOST_BEATS = 64  # of a bar; a longer one has no metre
+_MAX_TIMES = 999  # that a section is played, as endings are numbered
+_MAX_BEATS = 64  # of a bar; a longer one has no metre
 
 
 @dataclass(slots=True)
@@ -35,7 +35,7 @@ class WrittenBar:
     def beats(self) -> list[Fraction]:
         """The times at which beats begin; the first is `begin`, and there are none of very many."""
         count = max(1, round((self.end - self.begin) * self.beat_type / 4))
-        if count > _MOST_BEATS:
+        if count > _MAX_BEATS:
             return []
         return [self.begin + Fraction(4 * beat, self.beat_type) for beat in range(count)]
 
@@ -106,7 +106,7 @@ class _BarReader:
         direction = repeat.get("direction")
         if direction == "backward":
             repeated = self.bars[-2 if location == "left" and len(self.bars) > 1 else -1].signs
-            repeated.times = min(max(2, int(number(repeat.get("times")))), _MOST_TIMES)
+            repeated.times = min(max(2, int(number(repeat.get("times")))), _MAX_TIMES)
             repeated.after_jump = repeat.get("after-jump") == "yes"
         if direction and location == "middle" and quarter > bar.begin:
             self._begin(bar.measure, quarter, str(bar.number))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import groupby
 
-from cadenza.music.formats.musicxml.timeline import MOST_STAVES, ZERO, Placed, number
+from cadenza.music.formats.musicxml.timeline import MAX_STAVES, ZERO, Placed, number
 
 _STAVES = 2  # of a part for both hands: the upper one is for the right hand
 
@@ -39,7 +39,7 @@ def hands_of(part: Sequence[Placed], others: Sequence[bool]) -> list[int | None]
     if len(staves) < _STAVES:
         declared = max(number(placed.element.findtext("staves")) for placed in part)
         silent = {note.staff or 1 for note in notes} - staves
-        staves |= {*range(1, min(int(declared), MOST_STAVES) + 1)} - silent
+        staves |= {*range(1, min(int(declared), MAX_STAVES) + 1)} - silent
     hands: list[int | None] = [None] * len(notes)
     if len(staves) != _STAVES:
         return hands

@@ -19,7 +19,7 @@ _FINE = re.compile(r"^\W*(il )?(fine?|ende|schlu(ss|ß))\b")
 _WORD = re.compile(r"[a-zäöüéè]{5,}")
 _ANY_WORD = re.compile(r"[^\W\d_]+")
 _DANCE = re.compile(r"(men|min)u|trio|scher|mar[cs]|ron[dt]|gavot|bour|polon|mazur|wal[tz]|vals")
-_MOST_BEFORE = 3  # words before a jump, such as "Menuetto primo" or "2nd time"
+_MAX_BEFORE = 3  # words before a jump, such as "Menuetto primo" or "2nd time"
 _MENTION = re.compile(  # a word before what is no jump itself, such as "on D.S."
     "on|at|after|before|during|until|till|in|of|the|for|when|while|if|with|without|not?|only|tacet|"
     "nach|beim?|vor|im|zum|vom|ohne|nicht|nur|auf?|après|avant|sans|dopo|prima|[dn]el|alla?|senza|"
@@ -146,7 +146,7 @@ class JumpReader:
             return False
         before, after = _around(found)
         return (
-            len(before) <= _MOST_BEFORE
+            len(before) <= _MAX_BEFORE
             and not any(map(_MENTION.fullmatch, before))
             and all(_WHERE.fullmatch(w) or w in self._headings or _DANCE.match(w) for w in after)
         )

@@ -45,7 +45,7 @@ _ALTERATIONS = {
 }
 _FIRST = {"upper": 1, "main": 0, "below": -1}  # notes of ornaments
 _INTERVALS = {"whole": 2, "half": 1, "unison": 0}
-_MOST_NOTES = 128  # of an ornament
+_MAX_NOTES = 128  # of an ornament
 _ROLES = {"start": Role.FIRST, "stop": Role.SECOND}
 _STEPS = {"up": 1, "down": -1}
 
@@ -107,6 +107,6 @@ def _ornaments(parent: Element) -> Iterator[Ornament]:
             long=said.get("long") == "yes",
             interval=_INTERVALS.get(said.get("trill-step", "")),
             turn=_INTERVALS.get(said.get("two-note-turn", "")),
-            notes=min(int(number(said.get("beats"))), _MOST_NOTES),
+            notes=min(int(number(said.get("beats"))), _MAX_NOTES),
             accelerates=said.get("accelerate") == "yes",
         )

@@ -54,7 +54,7 @@ from cadenza.music.signs.tempo_marks import Swing, says_tempo
 _DECIMALS = 9  # of times [s]: what ends where another begins does so exactly
 _DRUM_CHANNEL = 10
 _AUDIBLE = Fraction(100)  # per cent of the volume
-_MOST_PARTS = 500  # an orchestra has some 50
+_MAX_PARTS = 500  # an orchestra has some 50
 _TITLES = ("work/work-title", "movement-title", "credit[credit-type='title']/credit-words")
 
 
@@ -86,8 +86,8 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = (), plain: bool = 
 def _score(root: Element, tracks: Collection[int], plain: bool, title: str) -> Score:
     """The score in a document; without a title in it, it has the `title`."""
     music, counts = root.findall("part"), Counter[str]()
-    if len(music) > _MOST_PARTS:
-        raise CadenzaError(f"over {_MOST_PARTS} parts, too large for a song")
+    if len(music) > _MAX_PARTS:
+        raise CadenzaError(f"over {_MAX_PARTS} parts, too large for a song")
     placed, begins = timeline(music)
     longest = max(placed, key=lambda part: part[-1].measure if part else -1, default=[])
     bars = bars_of(longest, begins)

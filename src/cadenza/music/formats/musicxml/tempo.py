@@ -31,7 +31,7 @@ from cadenza.music.signs.words import swing, tempo_change
 
 _SLOWEST, _FASTEST = 1, 10_000  # quarters a minute
 _PER_MINUTE = re.compile("[0-9]{1,5}([.,][0-9]{1,3})?")
-_LARGEST_TUPLET = Fraction(64)  # notes
+_MAX_TUPLET = Fraction(64)  # notes
 
 
 _MINUTE = 60  # seconds
@@ -39,9 +39,9 @@ _FERMATAS = {
     **dict.fromkeys(("angled", "double-angled"), SHORT_FERMATA),
     **dict.fromkeys(("square", "double-square"), LONG_FERMATA),
 }
-_LEAST_LINES = 4  # of a chorale
+_MIN_LINES = 4  # of a chorale
 _LINE = 1.5, 6.0  # bars of its lines, in the mean
-_MOST_SWING = 16  # times as long as the other note of a pair
+_MAX_SWING = 16  # times as long as the other note of a pair
 
 
 @dataclass(slots=True)
@@ -103,7 +103,7 @@ class _TempoReader:
         Then there are some, a few bars apart, up to the end.
         """
         bars = sorted({bisect_left(self._begins, end) for end in ends})
-        if len(bars) < _LEAST_LINES or len(self._begins) - 1 - bars[-1] > _LINE[1]:
+        if len(bars) < _MIN_LINES or len(self._begins) - 1 - bars[-1] > _LINE[1]:
             return False
         return _LINE[0] <= bars[-1] / len(bars) <= _LINE[1]
 
@@ -133,7 +133,7 @@ class _TempoReader:
                     sign.findtext("swing-type", "").strip(), NOTE_VALUES["eighth"]
                 )
                 shares = (int(number(sign.findtext(tag))) for tag in ("first", "second"))
-                first, second = (min(max(each, 1), _MOST_SWING) for each in shares)
+                first, second = (min(max(each, 1), _MAX_SWING) for each in shares)
                 self._swing(placed, first, second, unit)
         for words in placed.element.iterfind("direction-type/words"):
             text = words.text or ""
@@ -234,7 +234,7 @@ def _length(note: Element, tag: str) -> Fraction:
 def _shortened(tuplet: Element) -> Fraction:
     """What the lengths of the notes in a tuplet are multiplied by."""
     actual, normal = (
-        min(max(number(tuplet.findtext(tag)), Fraction(1)), _LARGEST_TUPLET)
+        min(max(number(tuplet.findtext(tag)), Fraction(1)), _MAX_TUPLET)
         for tag in ("actual-notes", "normal-notes")
     )
     return normal / actual

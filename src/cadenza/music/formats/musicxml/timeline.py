@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element
 
 ZERO = Fraction(0)
 _FIRST_VOICE = "1"
-MOST_STAVES = 16
+MAX_STAVES = 16
 """Staves of a part that are told apart; beyond, all are one."""
 _FINEST = 10**6  # parts of a quarter that are told apart; more would make sums slow
 _UNIT = 10_000  # parts of a whole number that are told apart, so that 1.3333333 is 4/3
@@ -27,7 +27,7 @@ NOTE_VALUES = {name: Fraction(32, 2**i) for i, name in enumerate(_TYPES.split())
 """The lengths of note values [quarters]."""
 _WHOLE = NOTE_VALUES["whole"]
 _LINES = ("dashes", "bracket")  # after words, as far as these hold
-_MOST_DOTS = 4
+_MAX_DOTS = 4
 
 
 class Placed(NamedTuple):
@@ -89,7 +89,7 @@ def numbers_in(text: str) -> frozenset[int]:
 
 def length_of(name: str, dots: int) -> Fraction:
     """The length of a note value with dots [quarters]; 0 for an unknown one."""
-    return NOTE_VALUES.get(name.strip(), ZERO) * (2 - Fraction(1, 2 ** min(dots, _MOST_DOTS)))
+    return NOTE_VALUES.get(name.strip(), ZERO) * (2 - Fraction(1, 2 ** min(dots, _MAX_DOTS)))
 
 
 def timeline(parts: Sequence[Element]) -> tuple[list[list[Placed]], list[Fraction]]:
@@ -219,7 +219,7 @@ def _lines(placed: Placed) -> list[Element]:
 
 def _staff(text: str | None) -> int:
     """The number of a staff; 0 for none."""
-    return min(int(number(text)), MOST_STAVES)
+    return min(int(number(text)), MAX_STAVES)
 
 
 def _metre(time: Element) -> Fraction:

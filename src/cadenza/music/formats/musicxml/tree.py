@@ -18,8 +18,8 @@ from cadenza.music.formats.source import read_bytes
 
 MAX_XML_BYTES = 16 * 2**20
 # A long sonata has a tenth of these.
-MOST_PARTS = 800_000  # elements and attributes
-MOST_NOTES = 40_000
+MAX_PARTS = 800_000  # elements and attributes
+MAX_NOTES = 40_000
 DEEPEST = 64  # elements within each other; MusicXML has a dozen
 _CONTENTS = "META-INF/container.xml"
 _MAX_CONTENTS = 2**16  # bytes
@@ -109,10 +109,10 @@ class _Tree:
         name = name.rpartition(":")[2]
         self._parts += 1 + len(attributes)
         self._notes += name == "note"
-        if self._parts > MOST_PARTS:
-            raise CadenzaError(f"over {MOST_PARTS} elements and attributes, too large for a song")
-        if self._notes > MOST_NOTES:
-            raise CadenzaError(f"over {MOST_NOTES} notes, too large for a song")
+        if self._parts > MAX_PARTS:
+            raise CadenzaError(f"over {MAX_PARTS} elements and attributes, too large for a song")
+        if self._notes > MAX_NOTES:
+            raise CadenzaError(f"over {MAX_NOTES} notes, too large for a song")
         if len(self._open) == DEEPEST:
             raise CadenzaError(f"over {DEEPEST} elements within each other, which no music has")
         self._open.append(name)
