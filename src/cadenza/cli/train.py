@@ -281,8 +281,7 @@ def _write_curves(folder: Path, song: str, config: TrainingConfig, going_on: boo
     pages = {"the best policy plays": "best_played/report.html", "video": "best_played/video.mp4"}
     links = {label: page for label, page in pages.items() if (folder / page).exists()}
     settings = plain(asdict(config))
-    curve = replace(_curve(folder), num_steps=config.num_steps)
-    page = training_page(song, [curve], settings, links, going_on)
+    page = training_page(song, [_curve(folder)], settings, links, going_on)
     write_page(folder / _PAGE, page)
 
 

@@ -68,7 +68,6 @@ def line_chart(
     x_label: str,
     x_end: float,
     lines: Sequence[Line],
-    x_unit: Literal["number", "seconds"] = "number",
     y_unit: Literal["number", "share", "log"] = "number",
 ) -> LineChart:
     """Returns the chart of `lines`, later ones over earlier ones.
@@ -77,14 +76,12 @@ def line_chart(
         title: of the chart.
         x_label: what x is.
         x_end: of the x axis, which begins at 0.
-        lines: of which those without points are left out.
-        x_unit: what the x axis measures.
+        lines: those without points are left out.
         y_unit: what the y axis measures; a share is drawn from 0 to 1.
     """
     lines = [line for line in lines if len(line.points.x)]
     ends = (f"{line.name} ends at {compact_number(line.points.y[-1])}" for line in lines)
-    data = {"along": x_label, "end": x_end, "x": x_unit, "y": y_unit}
-    data |= {"lines": list(map(_line_data, lines))}
+    data = {"along": x_label, "end": x_end, "y": y_unit, "lines": list(map(_line_data, lines))}
     return LineChart(title, f"{title} by {x_label}: {', '.join(ends)}", data)
 
 

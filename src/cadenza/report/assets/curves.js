@@ -1,6 +1,5 @@
 // Line charts, whose numbers charts.py leaves on a page.
 
-const DASHES = { precision: [0.1, 4], recall: [6, 4] };
 const DOTTED = 40; // lines of no more points than this show each of them
 
 /** What a line is worth at a place, between its points too; nothing beside them. */
@@ -16,19 +15,18 @@ function valueAt(x, y, index) {
 const roundly = (chart, low, high) => [INCREMENTS.number.findLast((n) => n < low), INCREMENTS.number.find((n) => n > high)];
 
 function drawCurves(element) {
-  const { along, end, x, y, lines } = JSON.parse(element.querySelector("script").textContent);
+  const { along, end, y, lines } = JSON.parse(element.querySelector("script").textContent);
   const tables = lines.map((line) => [line.x, line.y, ...(line.band ?? [])]);
   const bold = lines.some(({ kind }) => kind === "mean") ? "mean" : "run", series = [], bands = [];
   for (const { kind, name, y: { length }, band } of lines) {
-    const colour = () => css(`--${kind}`), isBest = kind === "best";
+    const colour = () => css(`--${kind}`);
     series.push({
       label: name,
       class: kind,
       stroke: colour,
-      width: isBest ? 0 : kind.startsWith(bold) ? 2.5 : 1.5,
+      width: kind.startsWith(bold) ? 2.5 : 1.5,
       cap: "round",
-      dash: DASHES[kind],
-      points: { show: length <= DOTTED && !DASHES[kind], size: isBest ? 11 : 5, width: 0, fill: colour, stroke: colour },
+      points: { show: length <= DOTTED, size: 5, width: 0, fill: colour, stroke: colour },
       value: (chart, _, i, index) => (index === null ? "" : shown(valueAt(chart.data[0], chart.data[i], index))),
     });
     if (!band) continue;
@@ -44,10 +42,10 @@ function drawCurves(element) {
     },
     padding: [8, 20, 0, 0], // half of the last label
     axes: [
-      axis(x, { label: along, labelSize: 20, size: 24, space: 55 }),
+      axis("number", { label: along, labelSize: 20, size: 24, space: 55 }),
       axis(y === "log" ? "log" : "number", { size: (chart, labels) => 4 + 8 * Math.max(6, ...(labels ?? []).map(({ length }) => length)), space: 22 }),
     ],
-    series: [{ label: along, value: (chart, value) => (value === null ? "" : inWords(value, x)) }, ...series],
+    series: [{ label: along, value: (chart, value) => (value === null ? "" : inWords(value)) }, ...series],
     bands,
   }, uPlot.join(tables));
 }
