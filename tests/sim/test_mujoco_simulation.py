@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import logging
-import pickle
-import threading
-from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -102,22 +99,3 @@ def test_a_diverging_simulation_is_reported_once_and_harms_no_other(
 def test_says_what_is_wrong(scene: Scene, options: dict, message: str) -> None:
     with pytest.raises(CadenzaError, match=message):
         MujocoSimulation(scene, **options)
-
-
-def test_a_copy_that_is_made_while_another_thread_steps(scene: Scene) -> None:
-    simulation, done = MujocoSimulation(scene, 2), threading.Event()
-    ctrl = np.zeros((2, len(scene.action_low) - 1))
-
-    def step() -> None:
-        while not done.is_set():
-            simulation.step(ctrl)
-
-    thread = threading.Thread(target=step)
-    thread.start()
-    try:
-        for _ in range(20):
-            deepcopy(simulation).step(ctrl)
-            pickle.loads(pickle.dumps(simulation)).step(ctrl)
-    finally:
-        done.set()
-        thread.join()

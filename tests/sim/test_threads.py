@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 
 import pytest
@@ -54,4 +55,15 @@ def test_of_calls_together_none_is_under_way_once_an_error_is_raised() -> None:
     count = len(done)
     threading.Event().wait(0.05)
     assert len(done) == count  # nothing comes after that
+    threads.close()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+def test_a_forked_process_starts_threads_of_its_own() -> None:
+    threads, done = Threads(2), set()
+    threads.for_each(range(4), done.add)
+    if (child := os.fork()) == 0:
+        threads.for_each(range(4, 8), done.add)
+        os._exit(len(done))
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 8
     threads.close()

@@ -28,7 +28,7 @@ from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.libraries.library import songs
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
-from cadenza.sim.render import Drawing
+from cadenza.sim.render import Renderer
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.env import PianoEnv, PianoVectorEnv
 from cadenza.tasks.piano_task import PianoTask
@@ -316,11 +316,12 @@ def test_keys_are_drawn_by_what_was_wanted_when_they_were_pressed(
 ) -> None:
     drawn, goals = [], []
 
-    def frame(_self: Drawing, _hand: Any, _keys: Any, sounding: Any, wanted: Any) -> np.ndarray:
+    def frame(_self: Renderer, _hand: Any, _keys: Any, sounding: Any, wanted: Any) -> np.ndarray:
         drawn.append((sounding.copy(), wanted.copy()))
         return np.zeros(1)
 
-    monkeypatch.setattr(Drawing, "frame", frame)
+    monkeypatch.setattr(Renderer, "__init__", lambda _self, _scene, _picture: None)
+    monkeypatch.setattr(Renderer, "frame", frame)
     env = PianoEnv(SHORT, hands="none", render_mode="rgb_array")
     observation, _ = env.reset(seed=0)
     for _ in range(SHORT_STEPS):
@@ -446,15 +447,12 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
         (lambda: PianoVectorEnv(SHORT, num_envs=2).reset(seed=[1]), "1 seeds for 2"),
         (
             lambda: PianoVectorEnv(SHORT, num_envs=2).reset(seed=[1, "x"]),
-            "seed 'x': Seed must be a python integer, actual type: <class 'str'>",
+            "seed 'x': give a whole number",
         ),
-        (lambda: PianoVectorEnv(SHORT).reset(seed=1.5), "seed 1.5: Seed must be a python integer"),
-        (
-            lambda: PianoVectorEnv(SHORT).reset(seed=-1),
-            "seed -1: Seed must be greater or equal to zero",
-        ),
-        (lambda: PianoEnv(SHORT).reset(seed=1.5), "seed 1.5: Seed must be a python integer"),
-        (lambda: PianoEnv(SHORT).reset(seed=-1), "seed -1: Seed must be greater or equal to"),
+        (lambda: PianoVectorEnv(SHORT).reset(seed=1.5), "seed 1.5: give a whole number"),
+        (lambda: PianoVectorEnv(SHORT).reset(seed=-1), "seed -1: choose 0 or more"),
+        (lambda: PianoEnv(SHORT).reset(seed=1.5), "seed 1.5: give a whole number"),
+        (lambda: PianoEnv(SHORT).reset(seed=-1), "seed -1: choose 0 or more"),
         (lambda: PianoEnv("Twinkl"), "did you mean TwinkleTwinkleLittleStar?"),
         (
             lambda: PianoVectorEnv(SHORT, num_envs=2).reset(options={"reset_mask": [True]}),
@@ -489,10 +487,6 @@ def test_seeds_of_gymnasium_and_of_numpy_are_the_same() -> None:
         env.reset(seed=seed)
         envs.reset(seed=seed)
         assert env.np_random.random() == envs.np_random.random() == drawn
-    with pytest.raises(gym.error.Error) as theirs:
-        gym.utils.seeding.np_random(-1)
-    with pytest.raises(CadenzaError, match=str(theirs.value)):
-        env.reset(seed=-1)
 
 
 @pytest.mark.parametrize("kind", [PianoEnv, PianoVectorEnv])
@@ -517,7 +511,7 @@ def test_a_metric_without_a_value_is_left_out_of_infos() -> None:
     assert info["metrics/f1"] < 1
     assert "metrics/timing_error" not in info
     assert_array_equal(infos["_metrics/f1"], [True, True])
-    assert_array_equal(infos["_metrics/timing_error"], [False, False])
+    assert "metrics/timing_error" not in infos
     assert not any(np.isnan(v).any() for n, v in infos.items() if n.startswith("metrics/"))
 
 
@@ -533,8 +527,6 @@ def test_wrong_shape_of_actions() -> None:
     envs.reset(seed=0)
     with pytest.raises(CadenzaError, match=r"actions of shape \(39,\): give \(2, 39\)"):
         envs.step(np.zeros(39))
-    with pytest.raises(CadenzaError, match="actions of type <U1: give numbers"):
-        envs.step(np.full((2, 39), "a"))
     env = PianoEnv(SHORT)
     env.reset(seed=0)
     with pytest.raises(CadenzaError, match=r"action of shape \(38,\): give \(39,\)"):

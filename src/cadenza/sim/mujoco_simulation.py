@@ -16,7 +16,6 @@ from cadenza.errors import CadenzaError
 from cadenza.scene.randomization import Factors, scale
 from cadenza.scene.scene import Scene
 from cadenza.sim.key_crossings import last_key_events
-from cadenza.sim.lock import Lock, synchronised
 from cadenza.sim.protocol import Held, State
 from cadenza.sim.threads import Threads
 
@@ -39,8 +38,7 @@ class MujocoSimulation:
     """N simulations, each with its own `MjData`; implements `protocol.RandomizableSimulation`.
 
     Every simulation is stepped by one thread at a time and shares nothing with the others, so the
-    results are the same bits for any number of threads. Threads that call its methods wait for each
-    other.
+    results are the same bits for any number of threads.
 
     Attributes:
         state: the state after the last step; its arrays are never written to again.
@@ -70,7 +68,6 @@ class MujocoSimulation:
         self.num_envs = whole_number(num_envs, "num_envs", 1, MAX_ENVS)
         self.control_timestep = control_timestep
         self.num_substeps = physics_steps(control_timestep, scene.model.opt.timestep)
-        self._lock = Lock()
         self._threads = Threads(num_threads)
         self._data = [mujoco.MjData(scene.model) for _ in range(num_envs)]
         self._models = [scene.model] * num_envs  # the nominal one until it is randomized
@@ -79,7 +76,6 @@ class MujocoSimulation:
         self.state = State.zeros(scene, num_envs)
         self.reset()
 
-    @synchronised
     def reset(self, env_ids: Sequence[int] | None = None, hand_qpos: Array | None = None) -> None:
         """Puts simulations back to the start.
 
@@ -95,7 +91,6 @@ class MujocoSimulation:
 
         self._change(change, env_ids)
 
-    @synchronised
     def randomize(self, env_id: int, factors: Factors) -> None:
         """Scales a copy of the nominal model for one simulation, which is to be reset next.
 
@@ -119,7 +114,6 @@ class MujocoSimulation:
                 values[i] = np.nan
         self.state = state
 
-    @synchronised
     def step(
         self, ctrl: Array, env_ids: Sequence[int] | None = None, held: Held | None = None
     ) -> None:
@@ -196,7 +190,6 @@ class MujocoSimulation:
             _LOG.warning("simulation %d became unstable", i)
         self.state = state
 
-    @synchronised
     def copy_to(self, data: Sequence[mujoco.MjData], env_id: int) -> None:
         """Puts all of `data`, of the nominal model, into the physical state of `env_id`."""
         for each in data:
@@ -204,7 +197,6 @@ class MujocoSimulation:
             if self._models[env_id] is not self.scene.model:
                 mujoco.mj_step1(self.scene.model, each)  # derived quantities by the nominal model
 
-    @synchronised
     def physics_state(self, env_id: int) -> Array:
         """(S,) the full state of simulation `env_id`, except for which keys sleep."""
         model = self.scene.model
@@ -212,14 +204,12 @@ class MujocoSimulation:
         mujoco.mj_getState(model, self._data[env_id], state, PHYSICS_STATE)
         return state
 
-    @synchronised
     def close(self) -> None:
         """Stops the threads."""
         self._threads.close()
 
-    @synchronised
     def __getstate__(self) -> dict[str, Any]:
-        # Nobody else may step what is copied, once this has returned. Models are scaled anew.
+        # Models are scaled anew.
         awake = [[getattr(data, name) for name in _AWAKE] for data in self._data]
         data = [copy(data) for data in self._data]
         return {**self.__dict__, "_data": data, "_awake": awake, "_models": None}

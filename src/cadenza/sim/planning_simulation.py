@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.sim.hands_apart import HandsApart
-from cadenza.sim.lock import synchronised
 from cadenza.sim.mujoco_simulation import PHYSICS_STATE, MujocoSimulation
 from cadenza.sim.protocol import Simulation, State
 
@@ -38,7 +37,6 @@ def as_mujoco(simulation: Simulation) -> MujocoSimulation:
 class PlanningSimulation(MujocoSimulation):
     """N simulations that can be put into any state, and rolled out for several steps."""
 
-    @synchronised
     def rollout(self, ctrl: Array) -> State:
         """Takes K control steps in every simulation and returns all states on the way.
 
@@ -64,7 +62,6 @@ class PlanningSimulation(MujocoSimulation):
         self._set_state(State._make(values[:, -1] for values in states))
         return states
 
-    @synchronised
     def copy_from(self, other: MujocoSimulation, env_id: int) -> None:
         """Puts every simulation of this batch into the physical state of `other`'s `env_id`.
 
@@ -80,7 +77,6 @@ class PlanningSimulation(MujocoSimulation):
             self._read(i, state, i)
         self.state = state
 
-    @synchronised
     def set_joints(
         self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array, key_qvel: Array | float = 0.0
     ) -> None:
@@ -102,7 +98,6 @@ class PlanningSimulation(MujocoSimulation):
 
         self._change(change)
 
-    @synchronised
     def set_physics_state(self, state: Array) -> None:
         """Puts every simulation of this batch into a state (S,) that `physics_state` returned.
 
@@ -115,7 +110,6 @@ class PlanningSimulation(MujocoSimulation):
 
         self._change(change)
 
-    @synchronised
     def coordinates(self) -> Array:
         """(N, 2 V) positions and velocities of all V joints, keys and hands, in MuJoCo's order."""
         return np.array([np.concatenate([data.qpos, data.qvel]) for data in self._data])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import threading
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,45 +79,6 @@ class Renderer(Canvas):
                 geom.rgba[:] = HIT_RGBA if goal[key] else WRONG_RGBA
                 geom.emission = _GLOW
         return self._picture()
-
-
-class Drawing:
-    """Draws from any thread: each has a renderer of its own, as a graphics context belongs to one.
-
-    Renderers are made when they are first needed; a copy makes its own. A forked child cannot draw
-    once its parent has.
-    """
-
-    def __init__(self, scene: Scene, picture: Picture) -> None:
-        self._scene, self._picture = scene, picture
-        self._mine = threading.local()
-
-    def frame(self, *state: NDArray[Any]) -> NDArray[np.uint8]:
-        """Draws a picture (height, width, 3) of the arrays that `Renderer.frame` takes.
-
-        Raises:
-            CadenzaError: this machine cannot draw, or the picture makes no sense.
-        """
-        return self._renderer().frame(*state)
-
-    def _renderer(self) -> Renderer:
-        renderer, process = getattr(self._mine, "made", (None, None))
-        if renderer is not None and process == os.getpid():
-            return renderer
-        if renderer is not None:
-            renderer.close.detach()  # its graphics context is the parent's
-        self._mine.made = Renderer(self._scene, self._picture), os.getpid()
-        return self._mine.made[0]
-
-    def close(self) -> None:
-        """Frees this thread's graphics; those of other threads go when these end."""
-        renderer, process = getattr(self._mine, "made", (None, None))
-        if renderer is not None and process == os.getpid():
-            renderer.close()
-        self._mine = threading.local()
-
-    def __reduce__(self) -> tuple[type[Drawing], tuple[Scene, Picture]]:
-        return Drawing, (self._scene, self._picture)
 
 
 def _fixed_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:

@@ -14,15 +14,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from cadenza.configs import MAX_COUNT, whole_number
+from cadenza.configs import MAX_COUNT, MAX_SEED, whole_number
 from cadenza.errors import CadenzaError, quoted
 from cadenza.files import checked
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
-from cadenza.sim.lock import Lock, synchronised
-from cadenza.sim.render import Drawing, Picture
+from cadenza.sim.render import Picture, Renderer
 from cadenza.tasks.augmentation import find_song, unchanged_track
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
@@ -94,8 +93,6 @@ class PianoVectorEnv(VectorEnv):
     "randomization/<name>". Which environments have one, "_metrics/<name>" says and so on: a metric
     without a value, such as the timing error of an episode in which no note was hit, is left out.
 
-    Threads that call the methods of one environment wait for each other.
-
     The score's end truncates an episode (the published environment gives it a discount of 1); a
     wrong key that ends it, or a simulation that became unstable, terminates it.
     """
@@ -138,30 +135,20 @@ class PianoVectorEnv(VectorEnv):
         self.closed = True  # Gymnasium before 1.3 closes even what could not be made
         if render_mode not in (None, "rgb_array"):
             raise CadenzaError(f"render_mode {render_mode!r}: choose 'rgb_array' or None")
-        if not isinstance(picture, Picture | None):
-            raise CadenzaError(f"picture {quoted(picture)}: give a Picture")
-        try:
-            autoreset_mode = AutoresetMode(autoreset_mode)
-        except ValueError as error:
-            raise CadenzaError(
-                f"autoreset_mode {quoted(autoreset_mode)}: choose one of "
-                "gymnasium.vector.AutoresetMode"
-            ) from error
         self._given: list[Any] = list(song) if isinstance(song, list | tuple) else [song]
         self.task = _make_task(
             self._given, num_envs, num_threads, task, scene, reward_terms, options
         )
-        self._lock = Lock()
         self.num_envs = self.task.num_envs
         self.render_mode = render_mode
         self.metadata = {
             "render_modes": ["rgb_array"],
             "render_fps": round(1 / self.task.config.control_timestep),
-            "autoreset_mode": autoreset_mode,
+            "autoreset_mode": AutoresetMode(autoreset_mode),
         }
         self._picture = picture or Picture()
         self._pixels = pixels
-        self._drawing = Drawing(self.task.scene, self._picture)
+        self._renderer: Renderer | None = None  # made when it is first needed
         self._rngs: list[np.random.Generator] = []
         self._finished = np.zeros(self.num_envs, bool)
         self.single_action_space = spaces.Box(-1.0, 1.0, (self.task.spec.action_size,), np.float32)
@@ -182,7 +169,6 @@ class PianoVectorEnv(VectorEnv):
         shape = (self._picture.height, self._picture.width, 3)
         return spaces.Dict({"state": state, "pixels": spaces.Box(0, 255, shape, np.uint8)})
 
-    @synchronised
     def reset(
         self,
         *,
@@ -270,11 +256,10 @@ class PianoVectorEnv(VectorEnv):
         """Infos on the metrics of the episodes that end."""
         infos: dict[str, Any] = {}
         for env in np.flatnonzero(ended).tolist():
-            for name, value in self.task.episode_metrics(env).items():
-                values = infos.setdefault(f"metrics/{name}", np.zeros(self.num_envs))
-                known = infos.setdefault(f"_metrics/{name}", np.zeros(self.num_envs, bool))
-                if not np.isnan(value):  # what is undefined is left out, so that means stay right
-                    values[env], known[env] = value, True
+            metrics = self.task.episode_metrics(env).items()
+            # What is undefined is left out, so that means stay right.
+            values = {f"metrics/{name}": value for name, value in metrics if not np.isnan(value)}
+            infos = self._add_info(infos, values, env)
         return infos
 
     def _seed(self, seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]) -> None:
@@ -302,7 +287,6 @@ class PianoVectorEnv(VectorEnv):
             rngs, fixed = [self._rngs[i] for i in env_ids], starts and [starts[i] for i in env_ids]
             self.task.reset(rngs, env_ids.tolist(), fixed)
 
-    @synchronised
     def step(
         self, actions: NDArray[Any]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
@@ -312,8 +296,6 @@ class PianoVectorEnv(VectorEnv):
         if not self._rngs:
             raise CadenzaError("no episode has started: call reset() before step()")
         _check_shape("actions", actions, self.action_space)
-        if (kind := np.asarray(actions).dtype).kind not in "biuf":
-            raise CadenzaError(f"actions of type {kind}: give numbers")
         if mode == AutoresetMode.DISABLED and self._finished.any():
             over = np.flatnonzero(self._finished).tolist()
             raise CadenzaError(f"episodes {over} have ended: reset them before the next step")
@@ -350,14 +332,10 @@ class PianoVectorEnv(VectorEnv):
 
     def _draw(self) -> NDArray[np.uint8]:
         state, task = self.task.state, self.task
-        return np.stack(
-            [
-                self._drawing.frame(state.hand_qpos[i], state.key_qpos[i], sounding, task.wanted[i])
-                for i, sounding in enumerate(task.sounding)
-            ]
-        )
+        self._renderer = renderer = self._renderer or Renderer(task.scene, self._picture)
+        drawn = zip(state.hand_qpos, state.key_qpos, task.sounding, task.wanted, strict=True)
+        return np.stack([renderer.frame(*each) for each in drawn])
 
-    @synchronised
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture (height, width, 3) of each environment, if `render_mode` asks for it."""
         self._check_open()
@@ -367,11 +345,15 @@ class PianoVectorEnv(VectorEnv):
         if self.closed:
             raise CadenzaError("the environment is closed: make another")
 
-    @synchronised
     def close_extras(self, **kwargs: Any) -> None:
         """Frees threads and graphics."""
         self.task.close()
-        self._drawing.close()
+        if self._renderer:
+            self._renderer.close()
+            self._renderer = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_renderer": None}  # each copy draws with graphics of its own
 
 
 class PianoEnv(gymnasium.Env):
@@ -394,7 +376,6 @@ class PianoEnv(gymnasium.Env):
         self._batch = PianoVectorEnv(
             song, autoreset_mode=AutoresetMode.DISABLED, render_mode=render_mode, **options
         )
-        self._lock = self._batch._lock
         self.task = self._batch.task
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": self._batch.metadata["render_fps"]}
@@ -406,7 +387,6 @@ class PianoEnv(gymnasium.Env):
         """Name -> slice of an observation (see `PianoTask.observation`)."""
         return self.task.spec.observation_layout
 
-    @synchronised
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -460,17 +440,9 @@ def checked_seed(seed: Any) -> int | None:
     """The seed as Python's int, or None.
 
     Raises:
-        CadenzaError: it is none; the message is Gymnasium's, and says which it was.
+        CadenzaError: it is none.
     """
-    if seed is None:
-        return None
-    if not isinstance(seed, int | np.integer):
-        wrong = f"Seed must be a python integer, actual type: {type(seed)}"
-    elif seed < 0:
-        wrong = f"Seed must be greater or equal to zero, actual value: {quoted(seed)}"
-    else:
-        return int(seed)
-    raise CadenzaError(f"seed {quoted(seed)}: {wrong}")
+    return None if seed is None else whole_number(seed, "seed", 0, MAX_SEED)
 
 
 def _infos(values: Mapping[str, Any], known: NDArray[np.bool_]) -> dict[str, Any]:
