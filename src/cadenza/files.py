@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import io
 import json
 import math
 import os
@@ -16,13 +15,12 @@ import re
 import secrets
 import shutil
 import stat
-import sys
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import IO, Any, NamedTuple, TypeVar, cast
+from typing import IO, Any, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -40,8 +38,6 @@ _WRITING = _FLAGS | getattr(os, "O_NOFOLLOW", 0)
 _READING = _FLAGS | getattr(os, "O_NONBLOCK", 0) | os.O_RDONLY
 MAX_JSON = 32 * 2**20
 """Bytes of a file that is read as a whole; a song of half a million notes takes as many."""
-_MAX_TEXT = 4 * MAX_JSON  # bytes, of which numpy takes four for a letter
-_PIECE = 2**20  # bytes that are read at once of a file that may be of any size
 TENSORS = ".safetensors"
 """The ending of the names of our own files of arrays."""
 _FACTS = "facts"  # in the header of such a file
@@ -232,51 +228,22 @@ def sha256_of(*paths: Path, most: int | None = None) -> str:
     return digest.hexdigest()
 
 
-_DEEPEST = 64  # folders within each other; the walk would recurse into any number of them
-
-
-def files_in(folder: Path, deepest: int = _DEEPEST) -> Iterator[Path]:
-    """Yields the files up to `deepest` folders within a folder, by their paths within it.
+def files_in(folder: Path) -> Iterator[Path]:
+    """Yields the files in a folder and in the folders in it, by their paths within it.
 
     Hidden ones are left out, and so are folders that cannot be read. Links to folders are not
     followed.
     """
-    for place, folders, files in os.walk(folder):
-        here = Path(place).relative_to(folder)
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        if len(here.parts) == deepest:
-            folders.clear()
-        yield from (here / name for name in files if not name.startswith("."))
-
-
-# Archives
-
-
-class _Sparing(io.BufferedReader):
-    """Reads no more than `most` bytes at once."""
-
-    most = 2**20
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        within = size is not None and 0 <= size <= self.most
-        content = super().read(size if within else self.most + 1)
-        if len(content) > self.most:
-            raise CadenzaError("holds too many files")
-        return content
-
-
-@contextmanager
-def opened_archive(stream: IO[bytes]) -> Iterator[zipfile.ZipFile]:
-    """Yields a ZIP file, whose members are read with `unpacked` or `opened_member`.
-
-    Raises:
-        CadenzaError: it holds more files than any that we read.
-        Exception: it is damaged, which shows in many ways.
-    """
-    sparing = _Sparing(cast(Any, stream))
-    with zipfile.ZipFile(sparing) as archive:  # its list of files may be as long as it likes
-        sparing.most = sys.maxsize - 1  # a member is as long as it says
-        yield archive
+    folders = [folder]
+    while folders:
+        with suppress(OSError), os.scandir(folders.pop()) as entries:
+            for entry in entries:
+                if entry.name.startswith("."):
+                    continue
+                if entry.is_dir(follow_symlinks=False):
+                    folders.append(Path(entry.path))
+                elif not entry.is_dir():
+                    yield Path(entry.path).relative_to(folder)
 
 
 def unpacked(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
@@ -286,26 +253,13 @@ def unpacked(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
         CadenzaError: it holds more, or is packed in a way that may unpack any amount at once.
         Exception: it is damaged, which shows in many ways.
     """
-    content = bytearray()
-    with opened_member(archive, name) as stream:
-        while piece := stream.read(_PIECE):
-            content += piece
-            if len(content) > most:
-                raise CadenzaError(f"over {most >> 20} MiB unpacked, too large for a song")
-    return bytes(content)
-
-
-def opened_member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
-    """Opens a member, of which no more is unpacked than is read.
-
-    Raises:
-        CadenzaError: it is packed in a way that may unpack any amount at once.
-        Exception: it is damaged, which shows in many ways.
-    """
-    member = archive.getinfo(name)
-    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+    if archive.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise CadenzaError("packed in an unusual way; pack it again as a plain ZIP file (deflate)")
-    return archive.open(member)
+    with archive.open(name) as stream:
+        content = stream.read(most + 1)
+    if len(content) > most:
+        raise CadenzaError(f"over {most >> 20} MiB unpacked, too large for a song")
+    return content
 
 
 # Numbers in text
@@ -483,16 +437,20 @@ def read_arrays(path: Path, expected: Expected, most: int | None = None) -> dict
         CadenzaError: the file is not there, is no such file, holds more, or something else.
     """
     try:
-        with opened(path) as stream, opened_archive(stream) as file:
+        with opened(path) as stream, np.load(stream, allow_pickle=False) as file:
             size = stream.seek(0, os.SEEK_END)
-            members = {name: m for name, m in _members(file) if first_fitting(name, expected)}
-            total = sum(member.file_size for member in members.values())
-            if total > (limit := size if most is None else most):
+            members = {m.filename.removesuffix(".npy"): m.file_size for m in file.zip.infolist()}
+            sizes = {name: n for name, n in members.items() if first_fitting(name, expected)}
+            total, limit = sum(sizes.values()), size if most is None else most
+            if total > limit:
                 raise CadenzaError(
                     f"its arrays would take {total / 2**20:,.0f} MiB, but such a file "
                     f"needs no more than {limit / 2**20:,.0f} MiB; {_ANOTHER}"
                 )
-            arrays = {name: _array(file, member) for name, member in members.items()}
+            arrays = {name: np.asarray(file[name]) for name in sizes}
+        text = [str(t) for each in arrays.values() if each.dtype.kind in TEXT for t in each.flat]
+        if not (all(map(str.isprintable, arrays)) and all(map(_is_text, text))):
+            raise ValueError("names or text that nobody writes")
     except FileNotFoundError as error:
         raise CadenzaError(f"{path}: there is no such file") from error
     except CadenzaError as error:
@@ -564,13 +522,6 @@ def check_arrays(arrays: Mapping[str, NDArray[Any]], expected: Expected, where: 
                 raise CadenzaError(f"{where}: {name} is not within {least} and {most}; {_ANOTHER}")
 
 
-def _members(file: zipfile.ZipFile) -> Iterator[tuple[str, zipfile.ZipInfo]]:
-    for member in file.infolist():
-        if not member.filename.isprintable():
-            raise ValueError("no name that numpy gives")
-        yield member.filename.removesuffix(".npy"), member
-
-
 def first_fitting(name: str, by_pattern: Mapping[str, T]) -> T | None:
     """Returns the value of the first pattern that fits a name; `*` stands for any part of one."""
     return next((of for known, of in by_pattern.items() if fnmatchcase(name, known)), None)
@@ -585,37 +536,6 @@ def _fits(
         want == "*" or size == (sizes.setdefault(want, size) if isinstance(want, str) else want)
         for size, want in zip(shape, form, strict=True)
     )
-
-
-def _array(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
-    """Reads an array that takes as much as the archive's directory says, and never more.
-
-    Raises:
-        ValueError: its header says something else, or text of more than any of ours.
-    """
-    with opened_member(file, member.filename) as packed:
-        shape, dtype = array_header(packed)
-        if dtype.kind in TEXT and member.file_size > _MAX_TEXT:
-            raise ValueError("too much text")
-        if math.prod(shape) * dtype.itemsize != member.file_size - packed.tell():
-            raise ValueError("not as long as its header says")
-        packed.seek(0)
-        array = np.lib.format.read_array(packed, allow_pickle=False)
-    if array.dtype.kind in TEXT and not all(map(_is_text, array.ravel().tolist())):
-        raise ValueError("no text")
-    return array
-
-
-def array_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Reads shape and type of the array in an .npy file.
-
-    Raises:
-        ValueError: it is none. A later version of the format may have a header of any size.
-    """
-    if np.lib.format.read_magic(stream) != (1, 0):
-        raise ValueError("not of version 1.0")
-    shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
-    return shape, dtype
 
 
 def write_json(path: Path, content: Any) -> None:

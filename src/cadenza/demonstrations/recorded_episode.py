@@ -27,9 +27,7 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError, quoted
 from cadenza.files import (
-    array_header,
     checked,
-    opened,
     plain,
     read_json,
     sha256_of,
@@ -257,8 +255,6 @@ def mapped(path: Path) -> Array:
     if path.exists() and not path.is_file():  # such as a pipe that nobody writes to
         raise CadenzaError(f"{path}: no regular file; {MAKE_AGAIN}")
     try:
-        with opened(path) as file:
-            array_header(file)  # which may say that it is as long as the file
         # As a plain array: what `numpy.memmap` adds to it takes longer than to read a row.
         return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
     except FileNotFoundError as error:

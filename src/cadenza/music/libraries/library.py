@@ -25,7 +25,7 @@ from cadenza.registry import Entry, Registry
 __all__ = ["LIBRARIES", "Piece", "find_song", "libraries", "load_score", "open_library", "songs"]
 
 ETUDES = "etudes"
-_WEB = ("http:/", "https:/", "ftp:/")  # of an address, also of one that became a path
+_WEB = ("http:/", "https:/", "ftp:/", "file:/")  # of an address, also of one that became a path
 LIBRARIES = Registry(
     "song library",
     "cadenza.songs",
@@ -115,7 +115,7 @@ def find_song(name_or_path: str | Path) -> Song:
     check_is_name(name_or_path)
     path, name = Path(name_or_path), str(name_or_path)
     if name.startswith(_WEB):
-        raise CadenzaError(f"{name}: is an address; download the file first, and give its path")
+        raise CadenzaError(f"{name}: is an address; give a path, of a file that you download first")
     if path.suffix.lower() in (*MUSIC, *NOT_READ) or os.path.isfile(path):
         return Song(name, partial(read_score, path))
     library, _, piece = name.partition("/")

@@ -14,21 +14,21 @@ import io
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
-from pathlib import Path, PurePosixPath
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 from zipfile import ZipFile
 
 from cadenza.configs import MAX_COUNT
-from cadenza.errors import CadenzaError, errors_in, quoted, shortened
-from cadenza.files import files_in, number_in, opened, opened_archive, unpacked, whole_number_in
+from cadenza.errors import CadenzaError, errors_in, is_full, quoted
+from cadenza.files import files_in, number_in, opened, whole_number_in
 from cadenza.fingers import Finger
 from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
 from cadenza.music.formats.midi import write_midi
-from cadenza.music.formats.source import MAX_BYTES, decoded, read_bytes
+from cadenza.music.formats.source import decoded, read_bytes
 from cadenza.music.formats.titles import printable
 from cadenza.music.libraries.folder import short, unique
 from cadenza.music.libraries.imported import Grade, NewLibrary, Progress, new_library, silent
@@ -48,16 +48,12 @@ from cadenza.music.score import (
 
 _LIST, _FINGERINGS = "list.csv", "FingeringFiles"
 _FILE = re.compile(r"(\d{1,6})-(\d{1,6})_fingering\.txt", re.ASCII)
-_DEEPEST = 3  # folders from the one that is given down to the files
+_MAX_UNPACKED = 256 * 2**20  # bytes, many times the dataset
 
 _PITCH = re.compile(r"([A-G])(##|#|x|bb|b|)(\d)", re.ASCII)
 _FINGER = re.compile(r"(-?)([1-5])(_(-?[1-5])?)*", re.ASCII)
 _ACCIDENTALS = {"": 0, "#": 1, "##": 2, "x": 2, "b": -1, "bb": -2}
 _COLUMNS = "number, onset, offset, pitch, two velocities, channel, finger"
-_MAX_NAMED = 10  # other lines of a file that are wrong
-
-_Files = Mapping[PurePosixPath, Callable[[], bytes]]
-"""Path of a file within the dataset -> function that reads it."""
 
 
 def import_pig(
@@ -71,9 +67,11 @@ def import_pig(
     Raises:
         CadenzaError: it is not the dataset, nothing in it can be read, or it was imported before.
     """
-    with _files(source) as files, new_library(ALL, replace, grade) as library:
+    with _folder_of(source) as folder, new_library(ALL, replace, grade) as library:
+        files = list(files_in(folder))
         list_file = _list_file(files, source)
-        pieces = _pieces(files[list_file](), f"{source}/{list_file}", library.left_out)
+        content = read_bytes(folder / list_file)
+        pieces = _pieces(content, f"{source}/{list_file}", library.left_out)
         fingered = _first_fingerings(files, list_file.parent)
         names = unique(short(published_name(piece.title)) for piece in pieces)
         for done, (piece, name) in enumerate(zip(pieces, names, strict=True)):
@@ -84,13 +82,13 @@ def import_pig(
                     raise CadenzaError(
                         f"{piece.where}: no file of fingers for {quoted(piece.title)}"
                     )
-                _add(library, name, piece, files[file], f"{source}/{file}")
+                _add(library, name, piece, read_bytes(folder / file), f"{source}/{file}")
         for file in fingered.values():
             library.left_out.append(f"{source}/{file}: there is no such piece in {list_file.name}")
     return library
 
 
-class _Piece(NamedTuple):
+class _ListedPiece(NamedTuple):
     where: str
     """The file of the list, and the line in it."""
     number: int
@@ -98,10 +96,8 @@ class _Piece(NamedTuple):
     composer: str
 
 
-def _add(
-    library: NewLibrary, name: str, piece: _Piece, read: Callable[[], bytes], where: str
-) -> None:
-    score = replace(read_fingered(read(), where), title=piece.title)
+def _add(library: NewLibrary, name: str, piece: _ListedPiece, content: bytes, where: str) -> None:
+    score = replace(read_fingered(content, where), title=piece.title)
     path = library.folder / f"{name}.mid"
     write_midi(score, path)
     write_fingering(score, path.with_suffix(SUFFIX))
@@ -115,55 +111,30 @@ def _add(
 
 
 @contextmanager
-def _files(source: Path) -> Iterator[_Files]:
-    """Yields the files of a folder, or of a ZIP file, which is not unpacked to the disk."""
+def _folder_of(source: Path) -> Iterator[Path]:
+    """Yields the folder of the dataset, into which a ZIP file is unpacked for the block."""
     if os.path.isdir(source):
-        yield {
-            PurePosixPath(path.as_posix()): partial(read_bytes, source / path)
-            for path in files_in(source, _DEEPEST)
-        }
+        yield source
         return
-    with ExitStack() as stack:
+    with TemporaryDirectory() as folder:
         try:
-            stream = stack.enter_context(opened(source))
-            archive = stack.enter_context(opened_archive(stream))
-        except FileNotFoundError:
-            raise CadenzaError(f"{source}: there is no such folder or ZIP file") from None
-        except OSError as error:
-            raise CadenzaError(f"{source}: cannot be read ({error.strerror})") from error
-        except CadenzaError as error:
-            raise CadenzaError(f"{source}: {error}") from error
+            with opened(source) as stream, ZipFile(stream) as archive:
+                if sum(member.file_size for member in archive.infolist()) > _MAX_UNPACKED:
+                    raise CadenzaError(f"over {_MAX_UNPACKED >> 20} MiB unpacked")
+                archive.extractall(folder)  # nothing lies outside it
+        except FileNotFoundError as error:
+            raise CadenzaError(f"{source}: there is no such folder or ZIP file") from error
         except Exception as error:  # damage shows in many ways
+            if is_full(error):
+                raise
             raise CadenzaError(
-                f"{source}: neither a folder nor a readable ZIP file; get the dataset at {WEBSITE}"
+                f"{source}: neither a folder nor a readable ZIP file of the dataset; get it at "
+                f"{WEBSITE}"
             ) from error
-        # `is_dir` fails on a member without a name.
-        members = [m for m in archive.infolist() if not m.filename.endswith("/")]
-        for member in members:
-            path = PurePosixPath(member.filename)
-            if path.is_absolute() or ".." in path.parts or "\\" in member.filename:
-                raise CadenzaError(
-                    f"{source}: has a file that would lie outside it, "
-                    f"{quoted(member.filename)}; get the "
-                    f"dataset at {WEBSITE}"
-                )
-        yield {
-            PurePosixPath(member.filename): partial(_unpacked, archive, member.filename, source)
-            for member in members
-        }
+        yield Path(folder)
 
 
-def _unpacked(archive: ZipFile, member: str, source: Path) -> bytes:
-    where = f"{source}/{printable(member)}"
-    try:
-        return unpacked(archive, member, MAX_BYTES)
-    except CadenzaError as error:
-        raise CadenzaError(f"{where}: {error}") from error
-    except Exception as error:  # damage shows in many ways
-        raise CadenzaError(f"{where}: cannot be unpacked ({shortened(str(error))})") from error
-
-
-def _list_file(files: _Files, source: Path) -> PurePosixPath:
+def _list_file(files: Sequence[Path], source: Path) -> Path:
     """The list of pieces, in the fewest folders if there are several."""
     lists = [path for path in files if path.name.lower() == _LIST]
     if not lists:
@@ -173,20 +144,21 @@ def _list_file(files: _Files, source: Path) -> PurePosixPath:
     return min(lists, key=lambda path: (len(path.parts), path))
 
 
-def _first_fingerings(files: _Files, folder: PurePosixPath) -> dict[int, PurePosixPath]:
+def _first_fingerings(files: Sequence[Path], folder: Path) -> dict[int, Path]:
     """Number of a piece -> the file of its first annotator."""
-    found = []
-    for path in files:
-        match = _FILE.fullmatch(path.name)
-        if match and path.parent == folder / _FINGERINGS:
-            found.append((int(match[1]), int(match[2]), path))
-    return {number: path for number, _, path in sorted(found, reverse=True)}
+    matches = [(path, _FILE.fullmatch(path.name)) for path in files]
+    numbered = [
+        (int(match[1]), int(match[2]), path)
+        for path, match in matches
+        if match and path.parent == folder / _FINGERINGS
+    ]
+    return {number: path for number, _, path in sorted(numbered, reverse=True)}
 
 
 # The list of pieces
 
 
-def _pieces(content: bytes, where: str, left_out: list[str]) -> list[_Piece]:
+def _pieces(content: bytes, where: str, left_out: list[str]) -> list[_ListedPiece]:
     """The pieces in `List.csv`; lines that name none are added to `left_out`.
 
     Raises:
@@ -201,7 +173,7 @@ def _pieces(content: bytes, where: str, left_out: list[str]) -> list[_Piece]:
     if titles is None:
         raise CadenzaError(f"{where}:1: there is no column Piece or Title, which has the titles")
     column = "id" if "id" in header else header[0]
-    pieces: dict[int, _Piece] = {}
+    pieces: dict[int, _ListedPiece] = {}
     for line, cells in rows:
         title = printable(cells.get(titles, ""))
         try:
@@ -215,7 +187,7 @@ def _pieces(content: bytes, where: str, left_out: list[str]) -> list[_Piece]:
             left_out.append(f"{where}:{line}: a second line for piece {number}")
         else:
             composer = printable(cells.get("composer", ""))
-            pieces[number] = _Piece(f"{where}:{line}", number, title, composer)
+            pieces[number] = _ListedPiece(f"{where}:{line}", number, title, composer)
     return list(pieces.values())
 
 
@@ -232,42 +204,26 @@ def read_fingered(content: bytes, where: str) -> Score:
         CadenzaError: it is no text or has no notes, it lasts over an hour, or a line is wrong.
     """
     notes: list[RawNote] = []
-    ids: dict[int, int] = {}  # where the notes stand
-    wrong: dict[int, str] = {}
-    other_hand: list[int] = []
+    doubts: list[str] = []
     lines = io.StringIO(decoded(content, where), newline=None)
     for number, line in enumerate(lines, start=1):
-        said = line.partition("//")[0]
-        if not said.strip():
+        written = line.partition("//")[0]
+        if not written.strip():
             continue
-        try:
-            id_, note, channel = _note(said)
-        except CadenzaError as error:
-            wrong[number] = str(error)
-            continue
-        if id_ in ids:
-            wrong[number] = f"note {id_} stands in line {ids[id_]} already"
-        ids.setdefault(id_, number)
+        with errors_in(f"{where}:{number}"):
+            note, channel = _note(written)
         notes.append(note)
         if note.finger and note.finger.hand != channel:
-            other_hand.append(number)
-    if wrong:
-        first, *others = wrong
-        raise CadenzaError(f"{where}:{first}: {wrong[first]}{_and_lines(others)}")
-    doubts = []
-    if other_hand:
-        first, *others = other_hand
-        doubts = [
-            f"{where}:{first}: channel and finger are of different hands, the finger is taken"
-            f"{_and_lines(others)}"
-        ]
+            doubts.append(
+                f"{where}:{number}: channel and finger are of different hands, the finger is taken"
+            )
     with errors_in(where):
         playing, repairs = repaired_notes(notes, Counter(), ())
     return Score(playing, remarks=(*doubts, *(f"{where}: {repair}" for repair in repairs)))
 
 
-def _note(line: str) -> tuple[int, RawNote, int]:
-    """The number of a line's note, the note, and its channel.
+def _note(line: str) -> tuple[RawNote, int]:
+    """The note of a line, and its channel.
 
     Raises:
         CadenzaError: it is wrong.
@@ -275,8 +231,7 @@ def _note(line: str) -> tuple[int, RawNote, int]:
     cells = line.split()
     if len(cells) != 8:
         raise CadenzaError(f"{len(cells)} columns; expected eight: {_COLUMNS}")
-    id_, onset, offset, pitch, loud, release, channel, finger = cells
-    number = whole_number_in(id_, "the number of the note", 0, MAX_COUNT)
+    _, onset, offset, pitch, loud, _, channel, finger = cells
     start, end = (
         number_in(text, f"{what} [s]", 0, MAX_SECONDS)
         for what, text in (("onset", onset), ("offset", offset))
@@ -288,9 +243,8 @@ def _note(line: str) -> tuple[int, RawNote, int]:
             f"channel {quoted(channel)}; expected 0 for the right hand or 1 for the left"
         )
     velocity = whole_number_in(loud, "onset velocity", SOFTEST, LOUDEST)
-    whole_number_in(release, "offset velocity", 0, LOUDEST)
     note = RawNote(start, end, _pitch(pitch), velocity, True, _finger(finger))
-    return number, note, int(channel)
+    return note, int(channel)
 
 
 def _pitch(text: str) -> int:
@@ -311,12 +265,3 @@ def _finger(text: str) -> Finger:
             f"finger {quoted(text)}; expected 1 to 5, -1 to -5, or several such as 4_1"
         )
     return Finger(hand=1 if match[1] else 0, index=int(match[2]) - 1)
-
-
-def _and_lines(numbers: list[int]) -> str:
-    """The end of an error that names the other lines, if any."""
-    if not numbers:
-        return ""
-    named = ", ".join(map(str, numbers[:_MAX_NAMED]))
-    more = f" and {len(numbers) - _MAX_NAMED} more" if len(numbers) > _MAX_NAMED else ""
-    return f"; also wrong: line{'s' * (len(numbers) > 1)} {named}{more}"

@@ -13,7 +13,7 @@ from xml.parsers import expat
 from zipfile import ZipFile
 
 from cadenza.errors import CadenzaError, errors_in, shortened
-from cadenza.files import opened_archive, unpacked
+from cadenza.files import unpacked
 from cadenza.music.formats.source import read_bytes
 
 MAX_XML_BYTES = 16 * 2**20
@@ -141,7 +141,7 @@ def _by_parts(root: Element) -> Element:
 def _document_of(data: bytes) -> bytes:
     """The document in a compressed MusicXML file."""
     try:
-        with opened_archive(io.BytesIO(data)) as archive:
+        with ZipFile(io.BytesIO(data)) as archive:
             return unpacked(archive, _name_of_document(archive), MAX_XML_BYTES)
     except CadenzaError as error:
         raise CadenzaError(f"the compressed MusicXML: {error}") from error
