@@ -37,7 +37,7 @@ _MAX_SECONDS = 4 * 3600.0
 _MAX_BYTES = 2 * 2**30  # an hour at 20 steps a second takes a sixth of it
 
 
-class _Geom(TypedDict):
+class _DrawnGeom(TypedDict):
     body: int
     finger: int | None
     palm: NotRequired[bool]
@@ -48,7 +48,7 @@ class _Geom(TypedDict):
     rgba: list[float]
 
 
-class _Key(TypedDict):
+class _DrawnKey(TypedDict):
     pos: list[float]
     size: list[float]
     hinge: list[float]
@@ -57,24 +57,24 @@ class _Key(TypedDict):
     black: bool
 
 
-class _Joint(TypedDict):
+class _DrawnJoint(TypedDict):
     type: str
     axis: list[float]
     index: int
 
 
-class _Body(TypedDict):
+class _DrawnBody(TypedDict):
     parent: int
     pos: list[float]
     quat: list[float]
-    joints: list[_Joint]
+    joints: list[_DrawnJoint]
 
 
 _SCENE: dict[str, Any] = {  # types of what `cadenza.scene.drawing` makes
     "bodies": list[str],
-    "skeleton": list[_Body],
-    "geoms": list[_Geom],
-    "keys": list[_Key],
+    "skeleton": list[_DrawnBody],
+    "geoms": list[_DrawnGeom],
+    "keys": list[_DrawnKey],
 }
 
 KEY_EVENTS = ("key_onset", "key_offset", "key_velocity")

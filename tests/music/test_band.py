@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cadenza.errors import CadenzaError
-from cadenza.music.etudes.band import ROLES, Band, Part, make_band, write_band
+from cadenza.music.etudes.band import ROLES, Band, BandPart, make_band, write_band
 from cadenza.music.formats.general_midi import INSTRUMENTS
 from cadenza.music.formats.midi import read_midi
 from cadenza.music.libraries.library import load_score, open_library
@@ -28,7 +28,7 @@ def bands() -> tuple[Band, ...]:
     return tuple(map(make_band, SEEDS))
 
 
-def pitched(band: Band) -> list[Part]:
+def pitched(band: Band) -> list[BandPart]:
     return [part for part in band.parts if part.channel != 10]
 
 

@@ -16,7 +16,7 @@ from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.hands_apart import HandsApart
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.sim.planning_simulation import PlanningSimulation
-from cadenza.sim.protocol import Held
+from cadenza.sim.protocol import HeldControls
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_a_planner_takes_over_the_state_and_not_the_model(scene: Scene) -> None:
 def test_late_controls_are_those_of_mujoco_stepped_by_hand(scene: Scene, late: int) -> None:
     simulation, data = MujocoSimulation(scene), mujoco.MjData(scene.model)
     (before,), (then,), *_ = controls(scene, 1)
-    simulation.step(then[None], None, Held(before[None], np.array([late])))
+    simulation.step(then[None], None, HeldControls(before[None], np.array([late])))
     for k in range(10):
         data.ctrl = before if k < late else then
         mujoco.mj_step(scene.model, data)

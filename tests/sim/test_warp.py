@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from cadenza.scene.randomization import shapes
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.mujoco_simulation import MujocoSimulation
-from cadenza.sim.protocol import Held, RandomizableSimulation
+from cadenza.sim.protocol import HeldControls, RandomizableSimulation
 
 pytestmark = pytest.mark.slow  # it compiles for a minute
 pytest.importorskip("mujoco_warp")
@@ -100,7 +100,7 @@ def test_randomized_worlds_with_late_controls(scene: Scene, ctrl: np.ndarray) ->
     late = np.array([3, 9])
     for before, row in itertools.pairwise(ctrl[:9]):
         for each in (ours, theirs):
-            each.step(np.tile(row, (2, 1)), None, Held(np.tile(before, (2, 1)), late))
+            each.step(np.tile(row, (2, 1)), None, HeldControls(np.tile(before, (2, 1)), late))
         for name in ("key_qpos", "hand_qpos", "fingertip_xpos"):
             found, expected = getattr(ours.state, name), getattr(theirs.state, name)
             assert_allclose(found, expected, atol=POSITIONS, err_msg=name)

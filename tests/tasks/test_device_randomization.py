@@ -17,7 +17,7 @@ from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.protocol import State
 from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import EpisodeStart, PianoTask
-from cadenza.tasks.randomization import Randomization, Ranges
+from cadenza.tasks.randomization import DrawRanges, Randomization
 from cadenza.tasks.view import task_spec
 
 jax = pytest.importorskip("jax")
@@ -109,7 +109,7 @@ def test_models_are_those_of_the_cpu(scene: Scene) -> None:
     draws = random.begin(key, np.tile(scene.hand_start, (2, 1)))
     _, _, others = random.send(draws, np.zeros((2, len(scene.action_low))), key)
     model = copy(scene.model)
-    scale(model, scene, Ranges(config, scene, DT).factors(5), mujoco.MjData(scene.model))
+    scale(model, scene, DrawRanges(config, scene, DT).factors(5), mujoco.MjData(scene.model))
     for name, values in others["models"].items():
         assert_array_equal(values[1], getattr(model, name).astype(np.float32), err_msg=name)
     changed = {name for fields in SCALED_FIELDS.values() for name in fields}

@@ -38,7 +38,7 @@ _UP: Quaternion = (_HALF, _HALF, 0.0, 0.0)  # rpy (pi/2, 0, 0)
 _OVER: Quaternion = (0.0, 0.0, _HALF, _HALF)  # rpy (pi/2, 0, pi), and (-pi/2, pi, 0)
 
 
-class _Part(NamedTuple):
+class _ArmLink(NamedTuple):
     """A link and the joint before it, as the URDF has them."""
 
     pos: Vector
@@ -66,37 +66,37 @@ def _rod(start: Vector, end: Vector, radius: float) -> Geom:
 
 
 _PARTS = (
-    _Part(
+    _ArmLink(
         (0, 0, 0.15), IDENTITY, 2.9670597283903604, 3.4525,
         (0, -0.03, 0.12), (0.02183, 0.007703, 0.02083), (0, 0, -0.003887),
         4400.0, 250.0, (_rod((0, 0, 0), (0, 0, 0.19), 0.068),),
     ),
-    _Part(
+    _ArmLink(
         (0, 0, 0.19), _OVER, 2.0943951023931953, 3.4821,
         (0.0003, 0.059, 0.042), (0.02076, 0.02179, 0.00779), (0, -0.003626, 0),
         4600.0, 265.0, (_rod((0, 0, 0), (0, 0.21, 0), 0.068),),
     ),
-    _Part(
+    _ArmLink(
         (0, 0.21, 0), _OVER, 2.9670597283903604, 4.05623,
         (0, 0.03, 0.13), (0.03204, 0.00972, 0.03042), (0, 0, 0.006227),
         1800.0, 100.0, (_rod((0, 0, 0), (0, 0, 0.19), 0.063),),
     ),
-    _Part(
+    _ArmLink(
         (0, 0, 0.19), _UP, 2.0943951023931953, 3.4822,
         (0, 0.067, 0.034), (0.02178, 0.02075, 0.007785), (0, 0, -0.003625),
         1800.0, 100.0, (_rod((0, 0, 0), (0, 0.21, 0), 0.063),),
     ),
-    _Part(
+    _ArmLink(
         (0, 0.21, 0), _OVER, 2.9670597283903604, 2.1633,
         (0.0001, 0.021, 0.076), (0.01287, 0.005708, 0.01112), (0, 0, -0.003946),
         2000.0, 40.0, (_rod((0, 0, 0), (0, 0.03, 0.12), 0.05),),
     ),
-    _Part(
+    _ArmLink(
         (0, 0.0607, 0.19), _UP, 2.0943951023931953, 2.3466,
         (0, 0.0006, 0.0004), (0.006509, 0.006259, 0.004527), (0, 0, 0.00031891),
         2000.0, 40.0, (_rod((0, 0, 0), (0, 0, 0.06), 0.05),),
     ),
-    _Part(
+    _ArmLink(
         (0, 0.081, 0.0607), _OVER, 3.0543261909900763, 3.129,
         (0, 0, 0.02), (0.01464, 0.01465, 0.002872), (0.0005912, 0, 0),
         300.0, 4.0, (Geom("cylinder", (0.045, 0.035), (0, 0, 0.015)),),
@@ -130,7 +130,7 @@ def _arm() -> tuple[Link, ...]:
     return base, *chain
 
 
-def _link(name: str, parent: str, joint: str, part: _Part) -> Link:
+def _link(name: str, parent: str, joint: str, part: _ArmLink) -> Link:
     inertia, quat = _principal(part.moments, part.products)
     return Link(
         name, parent, part.pos, part.mass, part.com, inertia, quat, quat=part.quat,
@@ -139,7 +139,7 @@ def _link(name: str, parent: str, joint: str, part: _Part) -> Link:
     )  # fmt: skip
 
 
-def _shells(part: _Part) -> tuple[Shell, ...]:
+def _shells(part: _ArmLink) -> tuple[Shell, ...]:
     """A cover along the link, and what one sees of its motor: a band around it, or two caps."""
     (geom,) = part.geoms
     radius, half_length = geom.size

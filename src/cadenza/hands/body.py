@@ -119,7 +119,7 @@ class Coupling:
 
 
 @dataclass(frozen=True)
-class Options:
+class HandOptions:
     """The options of a `SceneConfig` that concern the hands."""
 
     reduced_action_space: bool
@@ -185,7 +185,7 @@ _CONTACT_BITS: dict[Side, int] = {"right": 8, "left": 16}  # bits of contype and
 class BodyBuilder:
     """Builds the body of one hand into a scene."""
 
-    def __init__(self, body: Body, spec: mujoco.MjSpec, side: Side, options: Options) -> None:
+    def __init__(self, body: Body, spec: mujoco.MjSpec, side: Side, options: HandOptions) -> None:
         self._body, self._spec, self._side, self._options = body, spec, side, options
         self._prefix = prefix(side)
         self._locked = body.locked if options.reduced_action_space else ()

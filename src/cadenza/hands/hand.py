@@ -15,7 +15,16 @@ import numpy as np
 from cadenza.errors import CadenzaError, quoted
 from cadenza.fingers import Side
 from cadenza.hands import forearm
-from cadenza.hands.body import GEOM_TYPES, Body, BodyBuilder, Geom, Link, Options, mirrored, prefix
+from cadenza.hands.body import (
+    GEOM_TYPES,
+    Body,
+    BodyBuilder,
+    Geom,
+    HandOptions,
+    Link,
+    mirrored,
+    prefix,
+)
 from cadenza.hands.reach import JumpTimes, Reach
 from cadenza.hands.servo import Servo
 
@@ -85,7 +94,7 @@ class Hand:
         """The links that hide keys from above."""
         return tuple(link.name for link in self.body.links if link.hides_keys)
 
-    def add_to(self, spec: mujoco.MjSpec, side: Side, options: Options) -> tuple[str, ...]:
+    def add_to(self, spec: mujoco.MjSpec, side: Side, options: HandOptions) -> tuple[str, ...]:
         """Adds the hand of one side to a scene; returns the names of its fingertips' sites."""
         BodyBuilder(self.body, spec, side, options).build()
         return tuple(_add_fingertip(spec, side, each, options.touch) for each in self.fingers)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cadenza.errors import CadenzaError, quoted
-from cadenza.keyboards.loudness import Action
+from cadenza.keyboards.loudness import PianoAction
 
 Array = NDArray[np.float64]
 Colour = tuple[float, float, float, float]
@@ -105,7 +105,7 @@ class Keyboard:
     """The distance from its stop at which a key sounds [rad]."""
     contact_solref: tuple[float, float]
     """MuJoCo's time constant and damping ratio of contacts with keys."""
-    action: Action = field(default_factory=Action)
+    action: PianoAction = field(default_factory=PianoAction)
     """How loud a key sounds."""
 
     def __post_init__(self) -> None:

@@ -12,7 +12,7 @@ VELOCITIES = 1, 127
 
 
 @dataclass(frozen=True)
-class Action:
+class PianoAction:
     """The action between the keys and the strings of a piano.
 
     The MIDI velocity of a note is `velocity_at_1 + per_doubling * log2(v)`, where v is the speed of

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from cadenza.keyboards.keyboard import Keyboard, KeyServo, KeyShape, KeySpring
-from cadenza.keyboards.loudness import Action
+from cadenza.keyboards.loudness import PianoAction
 from cadenza.keyboards.piano import PIANO
 
 _LENGTH_RATIO = 1.5  # of a piano's keys to these
@@ -51,5 +51,5 @@ MINI = Keyboard(
     sound_tolerance=PIANO.sound_tolerance,
     contact_solref=PIANO.contact_solref,
     # It measures how fast keys turn: as fast as a piano's for the same loudness.
-    action=Action(hammer_ratio=PIANO.action.hammer_ratio * _LENGTH_RATIO),
+    action=PianoAction(hammer_ratio=PIANO.action.hammer_ratio * _LENGTH_RATIO),
 )

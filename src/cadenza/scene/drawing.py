@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cadenza.hands.body import GEOM_TYPES, prefix
 from cadenza.hands.shell import METAL, as_json
 from cadenza.keyboards.keyboard import Keyboard
-from cadenza.scene.furniture import IVORY, LACQUER, Piece, furniture
+from cadenza.scene.furniture import IVORY, LACQUER, CasePiece, furniture
 from cadenza.scene.scene import Scene
 
 # MuJoCo's type of a geom -> its name, and how many numbers its size has.
@@ -123,7 +123,7 @@ def _shape(model: mujoco.MjModel, g: int, fixed: bool) -> dict[str, Any]:
     }
 
 
-def _piece(piece: Piece) -> dict[str, Any]:
+def _piece(piece: CasePiece) -> dict[str, Any]:
     size, pos, quat = (np.array(a) for a in (piece.half_size, piece.pos, piece.quat))
     place = {"size": _rounded(size), "pos": _rounded(pos), "quat": _rounded(quat)}
     return place | piece.material.as_json()

@@ -46,7 +46,7 @@ Ends = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Piece:
+class CasePiece:
     """A box of the case."""
 
     half_size: tuple[float, float, float]
@@ -77,7 +77,7 @@ def floor_height(keyboard: Keyboard) -> float:
     return float(keyboard.bounds[0][2]) - 2 * _BED - 2 * _SLIT
 
 
-def furniture(keyboard: Keyboard) -> tuple[Piece, ...]:
+def furniture(keyboard: Keyboard) -> tuple[CasePiece, ...]:
     """The case around the keys of a keyboard."""
     scale, (low, high) = _scale(keyboard), keyboard.bounds
     rear, front, bottom = float(low[0]), float(high[0]), float(low[2])
@@ -110,13 +110,13 @@ def furniture(keyboard: Keyboard) -> tuple[Piece, ...]:
     )
 
 
-def _box(x: Ends, y: Ends, z: Ends, material: Material = LACQUER) -> Piece:
+def _box(x: Ends, y: Ends, z: Ends, material: Material = LACQUER) -> CasePiece:
     ends = np.array([x, y, z])
     half, middle = (ends[:, 1] - ends[:, 0]) / 2, ends.mean(axis=1)
-    return Piece(tuple(half.tolist()), tuple(middle.tolist()), material)
+    return CasePiece(tuple(half.tolist()), tuple(middle.tolist()), material)
 
 
-def _both(half: float, middle: float, x: Ends, z: Ends) -> Iterator[Piece]:
+def _both(half: float, middle: float, x: Ends, z: Ends) -> Iterator[CasePiece]:
     """A box at either end of the keyboard, at y = -`middle` and `middle`."""
     return (_box(x, (end * middle - half, end * middle + half), z) for end in (-1, 1))
 
@@ -127,7 +127,7 @@ def _end_of_board(keyboard: Keyboard) -> tuple[float, float]:
     return x - BOARD_LENGTH * float(np.cos(SLOPE)), z + BOARD_LENGTH * float(np.sin(SLOPE))
 
 
-def _fall_board(keyboard: Keyboard) -> tuple[Piece, ...]:
+def _fall_board(keyboard: Keyboard) -> tuple[CasePiece, ...]:
     """The sloping board, what it stands on, and a rail at either end of it."""
     x, z = board_origin(keyboard)
     back, up = np.array([-np.cos(SLOPE), np.sin(SLOPE)]), np.array([np.sin(SLOPE), np.cos(SLOPE)])
@@ -136,10 +136,10 @@ def _fall_board(keyboard: Keyboard) -> tuple[Piece, ...]:
     middle = np.array([x, z]) + (half - 0.008) * back - (_BOARD_BELOW + _BOARD_HALF) * up
     mx, mz = middle.tolist()
     rails = (
-        Piece((half, rail, 2 * _BOARD_HALF), (mx, side * (width + rail), mz), slope=SLOPE)
+        CasePiece((half, rail, 2 * _BOARD_HALF), (mx, side * (width + rail), mz), slope=SLOPE)
         for side in (-1, 1)
     )
-    return (Piece((half, width, _BOARD_HALF), (mx, 0.0, mz), slope=SLOPE), *rails)
+    return (CasePiece((half, width, _BOARD_HALF), (mx, 0.0, mz), slope=SLOPE), *rails)
 
 
 def _scale(keyboard: Keyboard) -> float:

@@ -16,7 +16,7 @@ from cadenza.configs import as_config
 from cadenza.errors import CadenzaError
 from cadenza.fingers import SIDES, Fingers, Side
 from cadenza.hands import forearm
-from cadenza.hands.body import Options, prefix
+from cadenza.hands.body import HandOptions, prefix
 from cadenza.hands.hand import Hand
 from cadenza.hands.registry import hand_named
 from cadenza.keyboards.keyboard import Keyboard
@@ -233,8 +233,8 @@ def _sides(config: SceneConfig) -> tuple[Side, ...]:
             return (side,)
 
 
-def _options(config: SceneConfig, keyboard: Keyboard) -> Options:
-    return Options(
+def _options(config: SceneConfig, keyboard: Keyboard) -> HandOptions:
+    return HandOptions(
         reduced_action_space=config.reduced_action_space,
         forearm_dofs=config.forearm_dofs,
         hand_spacing=config.hand_spacing,

@@ -12,7 +12,7 @@ from cadenza.fingers import SIDES, Side
 from cadenza.scene.randomization import Factors
 from cadenza.scene.scene import HandAlone, Scene, as_ids, hand_alone
 from cadenza.sim.mujoco_simulation import MujocoSimulation
-from cadenza.sim.protocol import Held, State
+from cadenza.sim.protocol import HeldControls, State
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class HandsApart:
             part.randomize(env_id, mine)
 
     def step(
-        self, ctrl: Array, env_ids: Sequence[int] | None = None, held: Held | None = None
+        self, ctrl: Array, env_ids: Sequence[int] | None = None, held: HeldControls | None = None
     ) -> None:
         stepped = slice(None) if env_ids is None else list(env_ids)
         for alone, part, sounded in zip(self._alone, self._parts, self._sounded, strict=True):

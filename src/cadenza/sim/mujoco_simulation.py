@@ -16,7 +16,7 @@ from cadenza.errors import CadenzaError
 from cadenza.scene.randomization import Factors, scale
 from cadenza.scene.scene import Scene
 from cadenza.sim.key_crossings import last_key_events
-from cadenza.sim.protocol import Held, State
+from cadenza.sim.protocol import HeldControls, State
 from cadenza.sim.threads import Threads
 
 Array = NDArray[np.float64]
@@ -115,7 +115,7 @@ class MujocoSimulation:
         self.state = state
 
     def step(
-        self, ctrl: Array, env_ids: Sequence[int] | None = None, held: Held | None = None
+        self, ctrl: Array, env_ids: Sequence[int] | None = None, held: HeldControls | None = None
     ) -> None:
         """Applies `ctrl` (N, A) in actuator units for one control step.
 
@@ -139,7 +139,7 @@ class MujocoSimulation:
     def _ids(self, env_ids: Sequence[int] | None) -> Sequence[int]:
         return range(self.num_envs) if env_ids is None else env_ids
 
-    def _advance(self, i: int, ctrl: Array, held: Held | None, key_path: Array) -> None:
+    def _advance(self, i: int, ctrl: Array, held: HeldControls | None, key_path: Array) -> None:
         """Takes a step of simulation `i`, and writes where its keys are on the way.
 
         `key_path` (S + 1, K) are their angles before the step and after each physics step [rad].

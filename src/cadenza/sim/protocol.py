@@ -111,7 +111,7 @@ class Simulation(Protocol):
         """Frees threads and other resources; a later step starts them again."""
 
 
-class Held(NamedTuple):
+class HeldControls(NamedTuple):
     """Controls that are held at the beginning of a control step, until its own ones arrive."""
 
     ctrl: Array
@@ -132,7 +132,9 @@ class RandomizableSimulation(Simulation, Protocol):
             factors: see `cadenza.scene.randomization.shapes`; the same names every time.
         """
 
-    def step(self, ctrl: Array, env_ids: Sequence[int] | None, held: Held | None = None) -> None:
+    def step(
+        self, ctrl: Array, env_ids: Sequence[int] | None, held: HeldControls | None = None
+    ) -> None:
         """Takes one control step, as `Simulation.step`, with controls that may arrive late.
 
         Until `ctrl` arrives, the controls of `held` are applied.

@@ -24,7 +24,7 @@ from cadenza.scene.randomization import Factors, affected_fields, scaled_fields
 from cadenza.scene.scene import Scene
 from cadenza.sim.key_crossings import dense_key_events
 from cadenza.sim.mujoco_simulation import MujocoSimulation, physics_steps
-from cadenza.sim.protocol import Held, State
+from cadenza.sim.protocol import HeldControls, State
 
 with extra_packages("gpu", "the engine warp"):
     import jax
@@ -134,7 +134,7 @@ class WarpPhysics:
         self,
         physics: Physics,
         ctrl: Any,
-        held: Held | None = None,
+        held: HeldControls | None = None,
         models: Mapping[str, Any] | None = None,
     ) -> tuple[Physics, State]:
         """The worlds after a control step with controls (N, A), in actuator units.
@@ -366,7 +366,7 @@ class WarpSimulation:
         self,
         ctrl: NDArray[np.float64],
         env_ids: Sequence[int] | None = None,
-        held: Held | None = None,
+        held: HeldControls | None = None,
     ) -> None:
         physics, state = self._step(self._physics, ctrl, held, self._models)
         mask = np.ones(len(ctrl), bool)

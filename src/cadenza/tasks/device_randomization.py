@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 from cadenza.errors import extra_packages
 from cadenza.scene.randomization import scaled_fields
 from cadenza.scene.scene import Scene
-from cadenza.sim.protocol import Held
+from cadenza.sim.protocol import HeldControls
 from cadenza.tasks.config import DomainRandomization
-from cadenza.tasks.randomization import Ranges
+from cadenza.tasks.randomization import DrawRanges
 
 with extra_packages("gpu", "the engine warp"):
     import jax
@@ -26,7 +26,7 @@ class Draws(NamedTuple):
     """What is random in the episodes of N environments."""
 
     seed: Array
-    """(N,) int32, the seed from which models and latencies follow, as in `Ranges`."""
+    """(N,) int32, the seed from which models and latencies follow, as in `DrawRanges`."""
     sent: Array
     """(N, L, A + 1) the last actions in actuator units, the newest first."""
     offset: Array
@@ -56,7 +56,7 @@ class DeviceRandomization:
         Raises:
             CadenzaError: a range makes no sense.
         """
-        self._ranges = ranges = Ranges(config, scene, control_timestep)
+        self._ranges = ranges = DrawRanges(config, scene, control_timestep)
         self._num_envs, self.scaled = num_envs, tuple(ranges.shapes)
         self._first, count = (0, VARIANTS) if config.seed is None else (config.seed, 1)
         self._count = count if self.scaled or ranges.has_latency else 1
@@ -105,7 +105,7 @@ class DeviceRandomization:
             steps, substeps = divmod(self._latency_steps[variant], ranges.substeps)
             envs = jnp.arange(self._num_envs)
             ctrl = sent[envs, steps]
-            others["held"] = Held(sent[envs, steps + 1, :-1], substeps)
+            others["held"] = HeldControls(sent[envs, steps + 1, :-1], substeps)
         if self._models:
             others["models"] = {name: values[variant] for name, values in self._models.items()}
         return draws, ctrl, others

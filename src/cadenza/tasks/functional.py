@@ -36,7 +36,7 @@ Array = Any  # of JAX
 METRICS = "precision", "recall", "f1"
 
 
-class Songs(NamedTuple):
+class SongGoals(NamedTuple):
     """The goals of S songs, padded to the T control steps of the longest."""
 
     goal: Array
@@ -291,7 +291,7 @@ def _about(episodes: Episodes) -> dict[str, Array]:
     return {"song": episodes.song, **drawn}
 
 
-def _padded(goals: Sequence[Goals], lookahead: int) -> Songs:
+def _padded(goals: Sequence[Goals], lookahead: int) -> SongGoals:
     longest = max(each.num_steps for each in goals)
 
     def stacked(arrays: Sequence[np.ndarray], more: int, filled_with: int) -> Array:
@@ -302,7 +302,7 @@ def _padded(goals: Sequence[Goals], lookahead: int) -> Songs:
         return jnp.asarray(np.stack(padded))
 
     wanted = [np.column_stack([each.keys, each.sustain]) for each in goals]
-    return Songs(
+    return SongGoals(
         stacked(wanted, lookahead, 0),
         stacked([each.fingers for each in goals], 0, -1),
         stacked([each.fingers_wanted for each in goals], 0, 0),

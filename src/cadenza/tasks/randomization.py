@@ -14,7 +14,7 @@ from cadenza.errors import CadenzaError
 from cadenza.scene.randomization import Factors, shapes, sliding
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
-from cadenza.sim.protocol import Held, RandomizableSimulation, Simulation
+from cadenza.sim.protocol import HeldControls, RandomizableSimulation, Simulation
 from cadenza.tasks.config import SAME, DomainRandomization
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ _CONTROL, _OBSERVATION = "control", "observation"
 _OTHERS = (LATENCY, _CONTROL, _OBSERVATION)  # draws, beside the factors, with own generators
 
 
-class Ranges:
+class DrawRanges:
     """The ranges of a task in its scene. All draws of an episode follow from them and from a seed.
 
     Each field has a generator of its own, so that it does not depend on what else is on.
@@ -104,7 +104,7 @@ class Randomization:
     """The randomization of the physics, actions and observations of N environments.
 
     At each reset an environment draws a seed, from which all that is random in its episode follows,
-    see `Ranges`.
+    see `DrawRanges`.
 
     Attributes:
         drawn: name -> (N, ...) draws for the episode of each environment: "seed"; "latency" [s];
@@ -132,7 +132,7 @@ class Randomization:
         Raises:
             CadenzaError: a range makes no sense, or the simulation cannot be randomized.
         """
-        self._ranges = ranges = Ranges(config, scene, control_timestep)
+        self._ranges = ranges = DrawRanges(config, scene, control_timestep)
         self._simulation = simulation
         self._env_ids = np.arange(num_envs)
         self.drawn: dict[str, NDArray[np.float64] | NDArray[np.int64]] = {}
@@ -219,14 +219,14 @@ class Randomization:
         self._draw_noise(moving)
         return ctrl
 
-    def _arriving(self, ctrl: Array, moving: slice | Ids) -> tuple[Array, Held]:
+    def _arriving(self, ctrl: Array, moving: slice | Ids) -> tuple[Array, HeldControls]:
         """(N, A + 1) the actions that hold at the end of the step, and those held before."""
         sent = self._sent
         sent[moving, 1:] = sent[moving, :-1]
         sent[moving, 0] = ctrl[moving]
         steps, substeps = np.divmod(self._latency_steps, self._ranges.substeps)
         before = sent[self._env_ids, steps + 1]
-        return sent[self._env_ids, steps], Held(before[:, :-1], substeps)
+        return sent[self._env_ids, steps], HeldControls(before[:, :-1], substeps)
 
     def _with_noise(self, ctrl: Array, moving: slice | Ids) -> Array:
         noisy, ranges = ctrl.copy(), self._ranges

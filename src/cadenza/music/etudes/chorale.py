@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.etudes.harmony import LEADING, TONIC, Chord, progression
+from cadenza.music.etudes.harmony import LEADING, TONIC, Triad, progression
 from cadenza.music.etudes.keys import STEPS
-from cadenza.music.etudes.sheet import Sheet, Tone, pick
+from cadenza.music.etudes.sheet import EtudeSheet, Tone, pick
 from cadenza.music.etudes.voice_leading import (
     FORBIDDEN,
     Costs,
@@ -47,7 +47,7 @@ class _Voicings(NamedTuple):
     costs: Costs
 
 
-def chorale(sheet: Sheet) -> Iterator[Tone]:
+def chorale(sheet: EtudeSheet) -> Iterator[Tone]:
     """Yields phrases of eight beats; harder etudes fill thirds with passing notes."""
     names = _VOICES[(sheet.difficulty > _TWO_VOICES) + (sheet.difficulty > _THREE_VOICES)]
     beats = sheet.bars * sheet.beats
@@ -75,7 +75,7 @@ def chorale(sheet: Sheet) -> Iterator[Tone]:
                 yield Tone(at, length, pitch)
 
 
-def _voicings(sheet: Sheet, chord: Chord, names: Sequence[str], ends: bool) -> _Voicings:
+def _voicings(sheet: EtudeSheet, chord: Triad, names: Sequence[str], ends: bool) -> _Voicings:
     """The voicings of a chord that keep the rules, in root position if it `ends` a phrase."""
     degrees = np.arange(-3 * STEPS, 3 * STEPS)
     pitches = np.array([sheet.pitch(int(degree), chord) for degree in degrees])
@@ -115,7 +115,7 @@ def _is_close(pitches: Pitches) -> NDArray[np.bool_]:
     return (gaps > 0).all(axis=1) & (gaps[:, 0] <= below) & (gaps[:, 1:] <= OCTAVE).all(axis=1)
 
 
-def _is_diminished(sheet: Sheet, chord: Chord) -> bool:
+def _is_diminished(sheet: EtudeSheet, chord: Triad) -> bool:
     root, fifth = (sheet.pitch(chord.tone(i), chord) for i in (0, 2))
     return fifth - root == OCTAVE // 2
 
@@ -144,7 +144,7 @@ def _voice_leading_costs(before: _Voicings, after: _Voicings) -> Costs:
 
 
 def _passing(
-    sheet: Sheet, chord: Chord, degrees: Sequence[Pitches], pitches: Sequence[Pitches]
+    sheet: EtudeSheet, chord: Triad, degrees: Sequence[Pitches], pitches: Sequence[Pitches]
 ) -> tuple[int, int] | None:
     """A voice that moves by a third, and the passing note between, if no rule forbids it."""
     moved = degrees[1] - degrees[0]

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from cadenza.music.etudes.keys import STEPS, Form
-from cadenza.music.etudes.sheet import PHRASE, Sheet, Tone
+from cadenza.music.etudes.sheet import PHRASE, EtudeSheet, Tone
 from cadenza.music.etudes.voice_leading import (
     FORBIDDEN,
     Costs,
@@ -41,7 +41,7 @@ class _Pair:
     form: Form
 
 
-def counterpoint(sheet: Sheet) -> Iterator[Tone]:
+def counterpoint(sheet: EtudeSheet) -> Iterator[Tone]:
     """Yields two voices, which take turns to be the faster one in the second and third species."""
     easy, moderate = (sheet.difficulty <= at_most for at_most in (_FIRST_SPECIES, _SECOND_SPECIES))
     against = 1 if easy else 2 if moderate else 4
@@ -61,7 +61,7 @@ def counterpoint(sheet: Sheet) -> Iterator[Tone]:
             yield Tone(at + i, 1, pitch)
 
 
-def _first_species(sheet: Sheet, count: int, per_phrase: int) -> list[_Pair]:
+def _first_species(sheet: EtudeSheet, count: int, per_phrase: int) -> list[_Pair]:
     """The pairs of first species, note against note, on which the faster voice is built."""
     low, high = (grid.ravel() for grid in np.meshgrid(_LOW, _HIGH, indexing="ij"))
     forms: list[Form] = ["natural"] * count
@@ -84,7 +84,7 @@ def _first_species(sheet: Sheet, count: int, per_phrase: int) -> list[_Pair]:
     return [_Pair(int(low[c]), int(high[c]), form) for c, form in zip(chosen, forms, strict=True)]
 
 
-def _pitches(sheet: Sheet, degrees: Pitches, form: Form) -> Pitches:
+def _pitches(sheet: EtudeSheet, degrees: Pitches, form: Form) -> Pitches:
     return np.array([sheet.key.pitch(int(degree), form) for degree in degrees])
 
 
@@ -109,7 +109,7 @@ def _melodic_costs(degrees: Pitches, pitches: Pitches, then: Pitches) -> Costs:
     return np.where(wrong, FORBIDDEN, cost)
 
 
-def _florid(sheet: Sheet, phrase: Sequence[_Pair], upper: bool, against: int) -> list[int]:
+def _florid(sheet: EtudeSheet, phrase: Sequence[_Pair], upper: bool, against: int) -> list[int]:
     """The pitches of the faster voice up to the last pair, which begins what follows."""
     degrees = _HIGH if upper else _LOW
     costs, steps = [], []
@@ -128,7 +128,9 @@ def _florid(sheet: Sheet, phrase: Sequence[_Pair], upper: bool, against: int) ->
     ]
 
 
-def _florid_costs(sheet: Sheet, degrees: Pitches, upper: bool, now: _Pair, then: _Pair) -> Costs:
+def _florid_costs(
+    sheet: EtudeSheet, degrees: Pitches, upper: bool, now: _Pair, then: _Pair
+) -> Costs:
     """(n, n) costs of the motion from a note against that held in `now` to one against `then`'s."""
     pitches, will = _pitches(sheet, degrees, now.form), _pitches(sheet, degrees, then.form)
     held, held_then = (

@@ -30,7 +30,7 @@ _RANDOM = 100  # largest random cost of a chord
 
 
 @dataclass(frozen=True)
-class Chord:
+class Triad:
     """A triad on a degree of the scale."""
 
     root: int
@@ -65,7 +65,7 @@ def _transition_costs() -> Costs:
     return costs
 
 
-def progression(rng: np.random.Generator, phrases: int, length: int) -> list[Chord]:
+def progression(rng: np.random.Generator, phrases: int, length: int) -> list[Triad]:
     """A progression of phrases of `length` chords; the last ends with V - I, others on V or I."""
     count = phrases * length
     fixed = {0: TONIC}
@@ -80,4 +80,4 @@ def progression(rng: np.random.Generator, phrases: int, length: int) -> list[Cho
         if i in fixed:
             cost[np.arange(STEPS) != fixed[i]] = FORBIDDEN
         costs.append(cost)
-    return [Chord(root) for root in cheapest_sequence(costs, [_transition_costs()] * (count - 1))]
+    return [Triad(root) for root in cheapest_sequence(costs, [_transition_costs()] * (count - 1))]

@@ -11,9 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from cadenza.fingers import Side
-from cadenza.music.etudes.harmony import Chord
+from cadenza.music.etudes.harmony import Triad
 from cadenza.music.etudes.keys import STEPS
-from cadenza.music.etudes.sheet import PHRASE, Sheet, Tone, pick
+from cadenza.music.etudes.sheet import PHRASE, EtudeSheet, Tone, pick
 from cadenza.music.etudes.voice_leading import FORBIDDEN, random_costs
 from cadenza.music.score import LOWEST_PITCH, OCTAVE
 from cadenza.music.viterbi import cheapest_sequence
@@ -50,7 +50,7 @@ _INTERVAL_COSTS = np.array([60, 0, 20, 50, 90, 140, 180, 200])  # by degrees: se
 _RANDOM = 100  # largest random cost of a note
 
 
-def alberti(sheet: Sheet) -> Iterator[Tone]:
+def alberti(sheet: EtudeSheet) -> Iterator[Tone]:
     """Yields a melody over an Alberti bass."""
     *chords, _ = sheet.chords()
     for at, length, degree, chord in _melody(sheet, chords, 2, STEPS + 4):
@@ -63,7 +63,7 @@ def alberti(sheet: Sheet) -> Iterator[Tone]:
     yield from sheet.ending(right=STEPS)
 
 
-def leaps(sheet: Sheet) -> Iterator[Tone]:
+def leaps(sheet: EtudeSheet) -> Iterator[Tone]:
     """Yields leaps of the left hand from bass to chord, in harder etudes of the right one, too."""
     *chords, _ = sheet.chords()
     widest = 2 * (2 + sheet.difficulty)  # [semitones]
@@ -77,7 +77,7 @@ def leaps(sheet: Sheet) -> Iterator[Tone]:
     yield from sheet.ending(right=STEPS)
 
 
-def _stride(sheet: Sheet, bar: int, chord: Chord, widest: int) -> Iterator[Tone]:
+def _stride(sheet: EtudeSheet, bar: int, chord: Triad, widest: int) -> Iterator[Tone]:
     """Yields bass and chord in turn, as in a march; in triple metre bass, chord, chord."""
     pitches = sheet.voicing(chord, chord.nearest(-STEPS + 1), sheet.thickness)
     bass = sheet.pitch(chord.root - STEPS, chord)
@@ -95,7 +95,7 @@ def _stride(sheet: Sheet, bar: int, chord: Chord, widest: int) -> Iterator[Tone]
 
 
 def _leap_up(
-    sheet: Sheet, at: float, length: float, degree: int, chord: Chord, widest: int
+    sheet: EtudeSheet, at: float, length: float, degree: int, chord: Triad, widest: int
 ) -> Iterator[Tone]:
     """Yields a note, and then the highest tone of the chord at most `widest` semitones above it."""
     low = sheet.pitch(degree, chord)
@@ -106,7 +106,7 @@ def _leap_up(
     yield Tone(at + length / 2, length / 2, sheet.pitch(chord.tone(index), chord), _LOUD)
 
 
-def trills(sheet: Sheet) -> Iterator[Tone]:
+def trills(sheet: EtudeSheet) -> Iterator[Tone]:
     """Yields a trill with a turn in each bar, of one hand over chords, in harder etudes of both."""
     *chords, _ = sheet.chords()
     for bar, chord in enumerate(chords):
@@ -122,7 +122,7 @@ def trills(sheet: Sheet) -> Iterator[Tone]:
     yield from sheet.ending()
 
 
-def _trill(sheet: Sheet, bar: int, chord: Chord, main: int) -> Iterator[Tone]:
+def _trill(sheet: EtudeSheet, bar: int, chord: Triad, main: int) -> Iterator[Tone]:
     """Yields main note and upper neighbour in turn; before the end the lower neighbour."""
     at = bar * sheet.bar
     for i in range(sheet.bar - 2):
@@ -132,21 +132,21 @@ def _trill(sheet: Sheet, bar: int, chord: Chord, main: int) -> Iterator[Tone]:
 
 
 def _held_chord(
-    sheet: Sheet, bar: int, chord: Chord, lowest: int, count: int, velocity: int
+    sheet: EtudeSheet, bar: int, chord: Triad, lowest: int, count: int, velocity: int
 ) -> Iterator[Tone]:
     """Yields `count` tones of a chord from its tone `lowest` upwards, held for a bar."""
     for pitch in sheet.voicing(chord, lowest, count):
         yield Tone(bar * sheet.bar, sheet.bar, pitch, velocity)
 
 
-def arpeggios(sheet: Sheet) -> Iterator[Tone]:
+def arpeggios(sheet: EtudeSheet) -> Iterator[Tone]:
     """Yields arpeggios, up in the first half of each bar and down in the second."""
     half = sheet.bar // 2
     wave = [half - abs(half - i) for i in range(sheet.bar)]
     yield from _figures(sheet, wave, wave)
 
 
-def broken_chords(sheet: Sheet) -> Iterator[Tone]:
+def broken_chords(sheet: EtudeSheet) -> Iterator[Tone]:
     """Yields broken chords, four notes on each inversion, upwards and downwards in turn."""
     cell = pick(sheet.rng, _CELLS)
     cells = range(sheet.bar // len(cell))
@@ -155,7 +155,7 @@ def broken_chords(sheet: Sheet) -> Iterator[Tone]:
     yield from _figures(sheet, rising, falling)
 
 
-def _figures(sheet: Sheet, odd: Sequence[int], even: Sequence[int]) -> Iterator[Tone]:
+def _figures(sheet: EtudeSheet, odd: Sequence[int], even: Sequence[int]) -> Iterator[Tone]:
     """Yields figures of odd and even bars, as tones of a chord; an idle hand holds a chord."""
     *chords, _ = sheet.chords()
     # In the easiest etudes the other hand has nothing to do.
@@ -177,7 +177,7 @@ def _figures(sheet: Sheet, odd: Sequence[int], even: Sequence[int]) -> Iterator[
     yield from sheet.ending()
 
 
-def repeated_notes(sheet: Sheet) -> Iterator[Tone]:
+def repeated_notes(sheet: EtudeSheet) -> Iterator[Tone]:
     """Yields a melody of repeated notes over basses or chords."""
     *chords, _ = sheet.chords()
     below = (0, -2) if sheet.difficulty >= _REPEATED_THIRDS else (0,)
@@ -190,7 +190,7 @@ def repeated_notes(sheet: Sheet) -> Iterator[Tone]:
     yield from sheet.ending()
 
 
-def _basses(sheet: Sheet, bar: int, chord: Chord) -> Iterator[Tone]:
+def _basses(sheet: EtudeSheet, bar: int, chord: Triad) -> Iterator[Tone]:
     """Yields the accompaniment of a bar: a bass, in harder etudes chords on beats or steps."""
     easy, hard = sheet.difficulty <= 2, sheet.difficulty >= 8
     every = sheet.bar if easy else 1 if hard else sheet.division
@@ -203,8 +203,8 @@ def _basses(sheet: Sheet, bar: int, chord: Chord) -> Iterator[Tone]:
 
 
 def _melody(
-    sheet: Sheet, chords: Sequence[Chord], low: int, high: int, slow: bool = False
-) -> Iterator[tuple[float, float, int, Chord]]:
+    sheet: EtudeSheet, chords: Sequence[Triad], low: int, high: int, slow: bool = False
+) -> Iterator[tuple[float, float, int, Triad]]:
     """Yields the notes of a melody over a chord a bar: (at, length) in steps, degree, chord.
 
     Bars begin with a tone of the chord. Other notes are tones of the chord, too, or are reached and
@@ -233,8 +233,8 @@ def _melody(
 
 
 def _melody_rhythm(
-    sheet: Sheet, chords: Sequence[Chord], slow: bool
-) -> Iterator[tuple[float, float, Chord]]:
+    sheet: EtudeSheet, chords: Sequence[Triad], slow: bool
+) -> Iterator[tuple[float, float, Triad]]:
     """Yields times and lengths of notes [steps], and chords. All phrases have the same rhythm."""
     known = _RHYTHMS[sheet.beats]
     if slow:

@@ -31,7 +31,7 @@ from cadenza.music.etudes.homophony import (
 )
 from cadenza.music.etudes.keys import random_key
 from cadenza.music.etudes.scales import hanon, scales
-from cadenza.music.etudes.sheet import Sheet, Tone, pick
+from cadenza.music.etudes.sheet import EtudeSheet, Tone, pick
 from cadenza.music.libraries.songs import Library, Song
 from cadenza.music.score import Score
 
@@ -46,11 +46,11 @@ _DEFAULT_COUNT = 100
 
 
 @dataclass(frozen=True)
-class _Kind:
+class _EtudeKind:
     """A kind of etude: how it is written, and its steps a second at difficulties 1 and 10."""
 
     title: str
-    write: Callable[[Sheet], Iterator[Tone]]
+    write: Callable[[EtudeSheet], Iterator[Tone]]
     slowest: float
     fastest: float
     divisions: tuple[int, ...] = (1, 2, 4)
@@ -58,16 +58,16 @@ class _Kind:
 
 
 _KINDS = {
-    "scales": _Kind("Scales", scales, 1.5, 10),
-    "arpeggios": _Kind("Arpeggios", arpeggios, 1.3, 8, (1, 2, 3, 4)),
-    "broken-chords": _Kind("Broken chords", broken_chords, 1.4, 8),
-    "hanon": _Kind("Finger exercise", hanon, 1.5, 9),
-    "alberti": _Kind("Alberti bass", alberti, 1.6, 8),
-    "chorale": _Kind("Chorale", chorale, 1.2, 4, (2,)),
-    "counterpoint": _Kind("Counterpoint", counterpoint, 0.8, 6),
-    "leaps": _Kind("Leaps", leaps, 1, 6, (1, 2), (3, 4)),
-    "trills": _Kind("Trills", trills, 2.5, 11, (2, 4)),
-    "repeated-notes": _Kind("Repeated notes", repeated_notes, 1.5, 8),
+    "scales": _EtudeKind("Scales", scales, 1.5, 10),
+    "arpeggios": _EtudeKind("Arpeggios", arpeggios, 1.3, 8, (1, 2, 3, 4)),
+    "broken-chords": _EtudeKind("Broken chords", broken_chords, 1.4, 8),
+    "hanon": _EtudeKind("Finger exercise", hanon, 1.5, 9),
+    "alberti": _EtudeKind("Alberti bass", alberti, 1.6, 8),
+    "chorale": _EtudeKind("Chorale", chorale, 1.2, 4, (2,)),
+    "counterpoint": _EtudeKind("Counterpoint", counterpoint, 0.8, 6),
+    "leaps": _EtudeKind("Leaps", leaps, 1, 6, (1, 2), (3, 4)),
+    "trills": _EtudeKind("Trills", trills, 2.5, 11, (2, 4)),
+    "repeated-notes": _EtudeKind("Repeated notes", repeated_notes, 1.5, 8),
 }
 KINDS = tuple(_KINDS)
 """Kinds of etudes for two hands; those for one are `DRILLS`."""
@@ -110,7 +110,7 @@ def _checked(kind: str, difficulty: int, seed: int) -> tuple[str, int, int]:
     return kind, difficulty, whole_number(seed, "seed", 0, MAX_SEED)
 
 
-def _sheet(kind: _Kind, difficulty: int, rng: np.random.Generator) -> Sheet:
+def _sheet(kind: _EtudeKind, difficulty: int, rng: np.random.Generator) -> EtudeSheet:
     """A sheet with a random key, metre and tempo; steps a second are exponential in difficulty."""
     key = random_key(rng, difficulty - 1)
     beats = pick(rng, kind.metres)
@@ -121,7 +121,7 @@ def _sheet(kind: _Kind, difficulty: int, rng: np.random.Generator) -> Sheet:
     usual = [division for division, tempo in tempi.items() if tempo in _TEMPI]
     usual = usual or [min(tempi, key=lambda division: abs(tempi[division] - _USUAL_TEMPO))]
     division = pick(rng, usual)
-    return Sheet(difficulty, rng, key, tempi[division], beats, division)
+    return EtudeSheet(difficulty, rng, key, tempi[division], beats, division)
 
 
 # Names

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cadenza.music.etudes.keys import STEPS, Key
-from cadenza.music.etudes.sheet import Sheet, Tone, pick
+from cadenza.music.etudes.sheet import EtudeSheet, Tone, pick
 
 _OCTAVE_UP_AND_DOWN = 16  # steps of a scale over an octave, with the last note held
 _TENTH = STEPS + 2  # degrees between the hands
@@ -13,7 +13,7 @@ _CONTRARY = 8  # difficulty from which the hands of a finger exercise may move a
 _MAX_NOTES = 8  # of a figure
 
 
-def scales(sheet: Sheet) -> Iterator[Tone]:
+def scales(sheet: EtudeSheet) -> Iterator[Tone]:
     """Yields scales up and down over one, two or four octaves, the third in the relative key."""
     at, count = 0, 0
     while at < sheet.length:
@@ -31,7 +31,7 @@ def scales(sheet: Sheet) -> Iterator[Tone]:
         count += 1
 
 
-def _motion(sheet: Sheet, count: int) -> str:
+def _motion(sheet: EtudeSheet, count: int) -> str:
     """The hand that plays the scale of this number, or the motion of both hands."""
     if sheet.difficulty <= 2:
         return ("right", "left")[count % 2]
@@ -58,7 +58,7 @@ def _scale(key: Key, motion: str, octaves: int, at: int) -> Iterator[Tone]:
             yield Tone(at + i, length, key.pitch(left, "harmonic"))
 
 
-def hanon(sheet: Sheet) -> Iterator[Tone]:
+def hanon(sheet: EtudeSheet) -> Iterator[Tone]:
     """Yields a figure of up to eight notes that climbs the scale and, reversed, descends."""
     size = min(_MAX_NOTES, sheet.bar)
     figure = _figure(sheet, size)
@@ -77,7 +77,7 @@ def hanon(sheet: Sheet) -> Iterator[Tone]:
     yield from sheet.ending()
 
 
-def _figure(sheet: Sheet, size: int) -> list[int]:
+def _figure(sheet: EtudeSheet, size: int) -> list[int]:
     """Degrees above the first note, each different from its neighbours, within a sixth."""
     widest = min(2 + sheet.difficulty // 2, STEPS - 2)
     figure = [0]

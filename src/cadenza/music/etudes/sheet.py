@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from cadenza.fingers import SIDES, Side
-from cadenza.music.etudes.harmony import TONIC, Chord, progression
+from cadenza.music.etudes.harmony import TONIC, Triad, progression
 from cadenza.music.etudes.keys import STEPS, Key
 from cadenza.music.score import Bar, Note
 
@@ -39,7 +39,7 @@ class Tone:
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet:
+class EtudeSheet:
     """Difficulty, key and time of an etude, and the generator of its random choices."""
 
     difficulty: int
@@ -73,21 +73,21 @@ class Sheet:
         """Number of notes in a chord of one hand."""
         return 1 if self.difficulty <= 2 else 2 if self.difficulty <= 4 else 3
 
-    def pitch(self, degree: int, chord: Chord | None = None) -> int:
+    def pitch(self, degree: int, chord: Triad | None = None) -> int:
         """The pitch of a degree of the scale, over a chord if one is given."""
         return self.key.pitch(degree, chord.form if chord else "natural")
 
-    def voicing(self, chord: Chord, lowest: int, count: int) -> list[int]:
+    def voicing(self, chord: Triad, lowest: int, count: int) -> list[int]:
         """Pitches of `count` tones of a chord in close position, from its tone `lowest` upwards."""
         return [self.pitch(chord.tone(lowest + i), chord) for i in range(count)]
 
-    def chords(self) -> list[Chord]:
+    def chords(self) -> list[Triad]:
         """A progression of a chord for each bar."""
         return progression(self.rng, self.bars // PHRASE, PHRASE)
 
     def ending(self, right: int = 0) -> list[Tone]:
         """A tonic chord for the last bar, upwards from a degree of the right hand, over a bass."""
-        chord = Chord(TONIC)
+        chord = Triad(TONIC)
         upper = self.voicing(chord, chord.nearest(right), self.thickness)
         pitches = (*upper, self.pitch(chord.root - STEPS))
         return [Tone(self.length - self.bar, self.bar, pitch) for pitch in pitches]

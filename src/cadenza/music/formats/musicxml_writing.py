@@ -14,7 +14,7 @@ from cadenza.files import write_atomically
 from cadenza.fingers import RIGHT
 from cadenza.music.formats.musicxml.dynamics import FORTE
 from cadenza.music.formats.titles import printable
-from cadenza.music.notation.marks import PedalMark, Tempo
+from cadenza.music.notation.marks import PedalMark, TempoMark
 from cadenza.music.notation.metre import QUARTER
 from cadenza.music.notation.note_values import TYPES
 from cadenza.music.notation.sheet import Sheet, Symbol, WrittenMeasure, sheet_of
@@ -320,7 +320,7 @@ def _directions(here: WrittenMeasure, hand: int) -> Iterator[tuple[int, Element]
     yield from ((tempo.tick, _tempo(tempo, here)) for tempo in here.tempos)
 
 
-def _tempo(tempo: Tempo, here: WrittenMeasure) -> Element:
+def _tempo(tempo: TempoMark, here: WrittenMeasure) -> Element:
     per_minute = _MINUTE / tempo.seconds
     sound = Element("sound", tempo=f"{per_minute:.4f}")
     if not tempo.shown:

@@ -27,7 +27,7 @@ _MUCH_LOUDER = 24  # change of that of a single measure that has one
 _PEDAL_PARTS = 4  # of a cell, on which pedal marks stand
 
 
-class Tempo(NamedTuple):
+class TempoMark(NamedTuple):
     """A quarter lasts so many `seconds` [s] from `tick` on; the tempo may be `shown` as a mark."""
 
     tick: int
@@ -58,7 +58,7 @@ def clefs(pitches: Sequence[Sequence[int]], usual: str) -> list[str]:
     return [kinds[i] for i in cheapest_sequence(costs, [change] * (len(costs) - 1))]
 
 
-def tempos(metre: Metre) -> list[Tempo]:
+def tempos(metre: Metre) -> list[TempoMark]:
     """The tempos from which the times of all cells follow to 0.01 s.
 
     Each holds as long as it can, which the swing filter finds (Elmeleegy et al. 2009, Online
@@ -72,7 +72,7 @@ def tempos(metre: Metre) -> list[Tempo]:
     seconds = 0.0
     for tick in sorted({*seconds_at, *shown}):
         seconds = seconds_at.get(tick, seconds)
-        found.append(Tempo(tick, seconds, tick in shown))
+        found.append(TempoMark(tick, seconds, tick in shown))
     return found
 
 

@@ -32,7 +32,7 @@ _MAX_FILLED = QUARTER
 
 
 @dataclass(slots=True)
-class Chord:
+class WrittenChord:
     """Notes of a voice that begin together at tick `start` and end at tick `end`."""
 
     notes: list[Note]
@@ -44,12 +44,12 @@ class Chord:
 class Stream:
     """A voice: its chords in time, and by cell the number of parts if that is no power of two."""
 
-    chords: list[Chord] = field(default_factory=list)
+    chords: list[WrittenChord] = field(default_factory=list)
     tuplets: dict[int, int] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
-class _Group:
+class _OnsetGroup:
     """Notes of a voice that begin together, with onset and end in ticks, with fractions."""
 
     notes: list[Note]
@@ -79,7 +79,7 @@ def quantised(
     """
     ticks = metre.ticks.tolist()
     groups = [list(_groups(voice)) for voice in voices]
-    by_cell: defaultdict[int, list[list[_Group]]] = defaultdict(lambda: [[] for _ in voices])
+    by_cell: defaultdict[int, list[list[_OnsetGroup]]] = defaultdict(lambda: [[] for _ in voices])
     for v, of_voice in enumerate(groups):
         for group in of_voice:
             by_cell[_cell(ticks, group.onset)][v].append(group)
@@ -105,11 +105,11 @@ def quantised(
     return streams, left_out
 
 
-def _groups(voice: Sequence[Timed]) -> Iterator[_Group]:
+def _groups(voice: Sequence[Timed]) -> Iterator[_OnsetGroup]:
     """Yields the notes of a voice that begin together, at the mean of their onsets."""
     for group in chords(voice, start=lambda each: each.note.start):
         onset, end = mean(each.onset for each in group), max(each.end for each in group)
-        yield _Group([each.note for each in group], onset, end)
+        yield _OnsetGroup([each.note for each in group], onset, end)
 
 
 def _cell(ticks: list[int], at: float) -> int:
@@ -160,9 +160,9 @@ def _coarsest(grid: int, steps: list[int]) -> int:
     )
 
 
-def _merged(groups: list[_Group], starts: list[int]) -> tuple[list[Chord], int]:
+def _merged(groups: list[_OnsetGroup], starts: list[int]) -> tuple[list[WrittenChord], int]:
     """Chords at their starts, with ends not yet on the grid, and the number of notes left out."""
-    merged: list[Chord] = []
+    merged: list[WrittenChord] = []
     left_out = 0
     for group, start in zip(groups, starts, strict=True):
         if merged and merged[-1].start >= start:
@@ -172,11 +172,11 @@ def _merged(groups: list[_Group], starts: list[int]) -> tuple[list[Chord], int]:
             merged[-1].notes += added
             merged[-1].end = max(merged[-1].end, round(group.end))
         else:
-            merged.append(Chord(list(group.notes), start, round(group.end)))
+            merged.append(WrittenChord(list(group.notes), start, round(group.end)))
     return merged, left_out
 
 
-def _stream(merged: list[Chord], grids: dict[int, int], ticks: list[int]) -> Stream:
+def _stream(merged: list[WrittenChord], grids: dict[int, int], ticks: list[int]) -> Stream:
     """The chords with their ends on the grid."""
     for chord, following in zip_longest(merged, [chord.start for chord in merged[1:]]):
         end = max(_end(chord.end, grids, ticks), chord.start + _least(chord, grids, ticks))
@@ -195,7 +195,7 @@ def _end(at: int, grids: dict[int, int], ticks: list[int]) -> int:
     return ticks[cell] + round((at - ticks[cell]) / unit) * unit
 
 
-def _least(chord: Chord, grids: dict[int, int], ticks: list[int]) -> int:
+def _least(chord: WrittenChord, grids: dict[int, int], ticks: list[int]) -> int:
     """The least length of a chord [ticks]."""
     return _unit(_cell(ticks, chord.start), grids, ticks)
 

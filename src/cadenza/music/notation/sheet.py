@@ -16,7 +16,7 @@ from cadenza.music.notation.marks import (
     BASS,
     TREBLE,
     PedalMark,
-    Tempo,
+    TempoMark,
     clefs,
     dynamics,
     pedal_marks,
@@ -30,7 +30,7 @@ from cadenza.music.notation.voices import LOWER, UPPER, Timed, staves, voices
 from cadenza.music.repair import counted_remarks
 from cadenza.music.score import Note, Score
 
-_Mark = TypeVar("_Mark", Tempo, PedalMark)
+_Mark = TypeVar("_Mark", TempoMark, PedalMark)
 _USUAL_CLEF = {RIGHT: TREBLE, LEFT: BASS}
 
 
@@ -68,7 +68,7 @@ class WrittenMeasure:
     divisions: Divisions
     staves: tuple[Staff, Staff]
     dynamic: str | None
-    tempos: tuple[Tempo, ...]
+    tempos: tuple[TempoMark, ...]
     pedal: tuple[PedalMark, ...]
 
 

@@ -27,7 +27,7 @@ _UNEVEN = 0.5  # cost of a tick by which a note is written longer than it is
 _KEPT = 8  # best histories that are followed
 
 
-class _Voice(NamedTuple):
+class _LatestChord(NamedTuple):
     """The latest chord of a voice: the ends of its notes [ticks], its lowest and highest pitch."""
 
     ends: tuple[float, ...] = ()
@@ -46,7 +46,7 @@ class _Voice(NamedTuple):
 
 class _History(NamedTuple):
     cost: float
-    voices: tuple[_Voice, _Voice]
+    voices: tuple[_LatestChord, _LatestChord]
     path: tuple[Any, ...]  # linked: how many notes the upper voice has, and the path before
 
 
@@ -65,7 +65,7 @@ def voices(timed: Sequence[Timed], is_exact: bool) -> list[int]:
     little is cut of held notes, voices rarely cross, and most is written in one voice. The best
     division is found by a beam search. Unless all `is_exact`, notes may overlap a little.
     """
-    histories = [_History(0.0, (_Voice(), _Voice()), ())]
+    histories = [_History(0.0, (_LatestChord(), _LatestChord()), ())]
     groups = list(chords(timed, start=lambda each: each.note.start))
     for group in groups:
         chord = sorted(group, key=lambda each: -each.note.pitch)
@@ -91,7 +91,7 @@ def _continued(histories: list[_History], chord: list[Timed], legato: float) -> 
     if is_free and max(ends) - min(ends) <= legato:  # the usual case: nothing to be divided
         parts = parts[-1:]
     made = [tuple((_made(part), _uneven(part, legato)) for part in pair) for pair in parts]
-    best: dict[tuple[_Voice, _Voice], _History] = {}
+    best: dict[tuple[_LatestChord, _LatestChord], _History] = {}
     for history in histories:
         lost = [voice.lost(onset, legato) for voice in history.voices]
         for (upper, lower), ((high, rough), (low, rougher)) in zip(parts, made, strict=True):
@@ -103,10 +103,10 @@ def _continued(histories: list[_History], chord: list[Timed], legato: float) -> 
     return sorted(best.values(), key=lambda history: history.cost)[:_KEPT]
 
 
-def _made(part: list[Timed]) -> _Voice | None:
+def _made(part: list[Timed]) -> _LatestChord | None:
     if not part:
         return None
-    return _Voice(tuple(each.end for each in part), part[-1].note.pitch, part[0].note.pitch)
+    return _LatestChord(tuple(each.end for each in part), part[-1].note.pitch, part[0].note.pitch)
 
 
 def _uneven(part: list[Timed], legato: float) -> float:

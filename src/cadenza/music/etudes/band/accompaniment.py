@@ -9,7 +9,7 @@ from itertools import count
 import numpy as np
 
 from cadenza.music.etudes.band.chords import SongChord
-from cadenza.music.etudes.band.passage import Passage
+from cadenza.music.etudes.band.passage import SongPassage
 from cadenza.music.etudes.band.rhythm_section import MEDIUM, Pattern
 from cadenza.music.etudes.band.voicings import Slots, Voicing, guitar, led_voicings, nearest
 from cadenza.music.etudes.sheet import Tone, pick
@@ -41,7 +41,7 @@ def chords(
 ) -> Pattern:
     """Chords in one of these rhythms."""
 
-    def play(passage: Passage) -> Iterator[Tone]:
+    def play(passage: SongPassage) -> Iterator[Tone]:
         pitches = list(voicings(passage.chords))
         for at, length in passage.in_bars(pick(passage.rng, rhythms)):
             velocity = MEDIUM if at % 1 == 0 else _LIGHT
@@ -54,7 +54,7 @@ def chords(
 def held(slots: Slots) -> Pattern:
     """Chords that are held as long as the harmony; a voice that stays is held on, up to 2 bars."""
 
-    def play(passage: Passage) -> Iterator[Tone]:
+    def play(passage: SongPassage) -> Iterator[Tone]:
         voicings = led_voicings(passage.chords, slots)
         sounding: dict[int, Tone] = {}
         for harmony, pitches in zip(passage.harmonies, voicings, strict=True):
@@ -78,7 +78,7 @@ def piano(slots: Slots, left: Rhythm, *right: Rhythm) -> Pattern:
     """Chords of the right hand, and roots, fifths and octaves or tenths of the left."""
     above = chords(partial(led_voicings, slots=slots), *right)
 
-    def play(passage: Passage) -> Iterator[Tone]:
+    def play(passage: SongPassage) -> Iterator[Tone]:
         yield from above(passage)
         starts = {harmony.at for harmony in passage.harmonies}
         wide = pick(passage.rng, ("octaves", "fifths", "broken"))
@@ -100,7 +100,7 @@ def piano(slots: Slots, left: Rhythm, *right: Rhythm) -> Pattern:
     return play
 
 
-def picked(passage: Passage) -> Iterator[Tone]:
+def picked(passage: SongPassage) -> Iterator[Tone]:
     """Yields broken chords of a guitar in eighths, which ring on until the chord changes."""
     for harmony in passage.harmonies:
         strings = guitar(harmony.chord)
@@ -113,7 +113,7 @@ def picked(passage: Passage) -> Iterator[Tone]:
             yield Tone(harmony.at + at, min(2, harmony.length - at), strings[place], _LIGHT)
 
 
-def boom_chick(passage: Passage) -> Iterator[Tone]:
+def boom_chick(passage: SongPassage) -> Iterator[Tone]:
     """Yields a root on the beat and the upper strings after it, as a country guitar does."""
     for harmony in passage.harmonies:
         strings = guitar(harmony.chord)
@@ -130,7 +130,7 @@ def boom_chick(passage: Passage) -> Iterator[Tone]:
 def riff(lowest: int, *rhythms: Sequence[float]) -> Pattern:
     """A figure of single notes that comes again in every bar, on the tones of its chord."""
 
-    def play(passage: Passage) -> Iterator[Tone]:
+    def play(passage: SongPassage) -> Iterator[Tone]:
         onsets = pick(passage.rng, rhythms)
         places = passage.rng.integers(0, _RIFF_TONES, len(onsets))
         lengths = np.diff([*onsets, passage.beats])
@@ -147,7 +147,7 @@ def riff(lowest: int, *rhythms: Sequence[float]) -> Pattern:
 def broken(lowest: int, step: float, *orders: Sequence[int]) -> Pattern:
     """Arpeggios of a synthesizer: tones of the chord from `lowest` on in one of these orders."""
 
-    def play(passage: Passage) -> Iterator[Tone]:
+    def play(passage: SongPassage) -> Iterator[Tone]:
         order = pick(passage.rng, orders)
         for harmony in passage.harmonies:
             ladder = [p for p in range(lowest, lowest + 3 * OCTAVE) if harmony.chord.has(p)]

@@ -11,9 +11,9 @@ import numpy as np
 from cadenza.configs import MAX_SEED, whole_number
 from cadenza.music.etudes.band.cast import Cast, Player, random_cast
 from cadenza.music.etudes.band.melody import Singing, answers, melody, second_voice
-from cadenza.music.etudes.band.parts import Band, Section
-from cadenza.music.etudes.band.passage import Passage, happens
-from cadenza.music.etudes.band.plan import Plan, planned, played, random_hand
+from cadenza.music.etudes.band.parts import Band, BandSection
+from cadenza.music.etudes.band.passage import SongPassage, happens
+from cadenza.music.etudes.band.plan import SongPlan, planned, played, random_hand
 from cadenza.music.etudes.band.styles import styles
 from cadenza.music.etudes.band.voicings import nearest
 from cadenza.music.etudes.sheet import Tone, pick
@@ -32,12 +32,12 @@ _LONG = 1  # quarters of a note that can be two
 _UNUSED_SHARE = 4  # verses leave out the highest of so many parts of a range, choruses the lowest
 
 
-def give_melodies(rng: np.random.Generator, plan: Plan, cast: Cast) -> list[Player | None]:
+def give_melodies(rng: np.random.Generator, plan: SongPlan, cast: Cast) -> list[Player | None]:
     """Gives lead, soloist, second voice and double what they play; who leads each section."""
     who = _who_leads(rng, plan, cast)
     pickups, replies = happens(rng, _PICKUPS), happens(rng, _ANSWERS)
     along = {passage.kind for passage in plan.passages} if happens(rng, _DOUBLES_ALL) else set()
-    known: dict[str, tuple[Passage, list[Tone]]] = {}
+    known: dict[str, tuple[SongPassage, list[Tone]]] = {}
     last: dict[Player, int] = {}
     for (passage, start), player in zip(plan.placed, who, strict=True):
         if player is None:
@@ -61,7 +61,7 @@ def give_melodies(rng: np.random.Generator, plan: Plan, cast: Cast) -> list[Play
     return who
 
 
-def _who_leads(rng: np.random.Generator, plan: Plan, cast: Cast) -> list[Player | None]:
+def _who_leads(rng: np.random.Generator, plan: SongPlan, cast: Cast) -> list[Player | None]:
     lead, solo = cast.lead, cast.solo
     who: dict[str, Player | None] = {
         "intro": solo if happens(rng, _INTRO_BY_SOLO) else None,
@@ -79,7 +79,9 @@ def _who_leads(rng: np.random.Generator, plan: Plan, cast: Cast) -> list[Player 
     return players
 
 
-def _melody(passage: Passage, singing: Singing, pickups: bool, before: int | None) -> list[Tone]:
+def _melody(
+    passage: SongPassage, singing: Singing, pickups: bool, before: int | None
+) -> list[Tone]:
     low, high = singing.low, singing.high
     if passage.final:
         tonic = nearest([passage.key.pitch(0) % OCTAVE], (low + high) // 2)
@@ -105,7 +107,7 @@ def _with_other_words(rng: np.random.Generator, tones: Sequence[Tone], raised: i
 
 
 def _play_along(
-    passage: Passage, start: int, cast: Cast, tones: Sequence[Tone], doubled: bool
+    passage: SongPassage, start: int, cast: Cast, tones: Sequence[Tone], doubled: bool
 ) -> None:
     """Gives the double the melody, and the second voice thirds to it."""
     if cast.double and doubled:
@@ -145,7 +147,7 @@ def make_band(seed: int) -> Band:
     return Band(title, style, plan.tempo, plan.style.beats, parts, sections)
 
 
-def _accompany(rng: np.random.Generator, plan: Plan, cast: Cast) -> None:
+def _accompany(rng: np.random.Generator, plan: SongPlan, cast: Cast) -> None:
     """Gives chords, bass and drums to those who play them."""
     bass = pick(rng, plan.style.bass)
     has_drums, late = happens(rng, _DRUMS), happens(rng, _LATE_RHYTHM)
@@ -170,9 +172,11 @@ def _below_solo(player: Player, tones: list[Tone], start: float, end: float) -> 
     return [tone for tone in tones if tone.pitch < lowest]
 
 
-def _sections(plan: Plan, players: list[Player], who: list[Player | None]) -> tuple[Section, ...]:
+def _sections(
+    plan: SongPlan, players: list[Player], who: list[Player | None]
+) -> tuple[BandSection, ...]:
     return tuple(
-        Section(
+        BandSection(
             passage.kind,
             plan.seconds(start),
             plan.seconds(start + passage.length),

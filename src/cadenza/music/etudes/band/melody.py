@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.music.etudes.band.chords import SongChord, melody_scale
-from cadenza.music.etudes.band.passage import Passage, happens, one_at_a_time
+from cadenza.music.etudes.band.passage import SongPassage, happens, one_at_a_time
 from cadenza.music.etudes.band.styles import tables
 from cadenza.music.etudes.sheet import Tone, pick
 from cadenza.music.etudes.voice_leading import FORBIDDEN, Costs, Pitches, random_costs
@@ -73,14 +73,14 @@ class _Slot:
     length: float
     strong: bool
 
-    def chord(self, passage: Passage) -> SongChord:
+    def chord(self, passage: SongPassage) -> SongChord:
         """The chord to which it belongs: that which it anticipates, if it is held into it."""
         held = self.length > _SAME_TIME and self.at % 1 == _SAME_TIME
         return passage.chord(self.at + _SAME_TIME if held else self.at)
 
 
 def melody(
-    passage: Passage, singing: Singing, pickups: bool, before: int | None = None
+    passage: SongPassage, singing: Singing, pickups: bool, before: int | None = None
 ) -> list[Tone]:
     """The melody of a section, one note at a time, by a player whose last pitch was `before`.
 
@@ -108,7 +108,7 @@ def melody(
     return one_at_a_time(tones)
 
 
-def _phrase_rhythm(passage: Passage, singing: Singing, bars: int, pickup: Rhythm) -> Phrase:
+def _phrase_rhythm(passage: SongPassage, singing: Singing, bars: int, pickup: Rhythm) -> Phrase:
     """The rhythm of a phrase, whose second half often is like the first, after a breath."""
     rng, beats = passage.rng, passage.beats
     until = beats - _BREATH + min(pickup, default=0)  # so that there is time before the next one
@@ -137,7 +137,7 @@ def _slots(phrase: Phrase, start: float, beats: int) -> list[_Slot]:
 
 
 def _pitches(
-    passage: Passage,
+    passage: SongPassage,
     singing: Singing,
     slots: Sequence[_Slot],
     model: Sequence[int],
@@ -171,7 +171,7 @@ def _pitches(
     return [int(pitches[i]) for pitches, i in zip(candidates, chosen, strict=True)]
 
 
-def _candidates(passage: Passage, singing: Singing, slot: _Slot) -> Pitches:
+def _candidates(passage: SongPassage, singing: Singing, slot: _Slot) -> Pitches:
     scale = melody_scale(passage.key, slot.chord(passage), singing.colour)
     pitches = np.arange(singing.low, singing.high + 1)
     return pitches[np.isin(pitches % OCTAVE, list(scale))]
@@ -181,7 +181,7 @@ def _in_chord(chord: SongChord, pitches: Pitches) -> NDArray[np.bool_]:
     return np.isin(pitches % OCTAVE, chord.classes)
 
 
-def _dissonance(passage: Passage, singing: Singing, slot: _Slot, pitches: Pitches) -> Costs:
+def _dissonance(passage: SongPassage, singing: Singing, slot: _Slot, pitches: Pitches) -> Costs:
     """Costs of pitches that are no chord tones, at the note or at a chord within its time."""
     important = _BLUE_NOTE if singing.colour == "blues" else _STRONG_DISSONANCE
     total = np.zeros(len(pitches), np.int64)
@@ -219,7 +219,7 @@ def _moves(
     return _interval_costs(semitones) + _NOT_BY_STEP * (np.abs(semitones) > _SONG_STEP) * dissonant
 
 
-def second_voice(passage: Passage, tones: Sequence[Tone], above: bool, low: int) -> list[Tone]:
+def second_voice(passage: SongPassage, tones: Sequence[Tone], above: bool, low: int) -> list[Tone]:
     """A voice a third or so above or below a melody, which is silent where it would be below `low`.
 
     Its long notes are tones of the chord.
@@ -237,7 +237,7 @@ def second_voice(passage: Passage, tones: Sequence[Tone], above: bool, low: int)
     return found
 
 
-def answers(passage: Passage, tones: Sequence[Tone], singing: Singing) -> Iterator[Tone]:
+def answers(passage: SongPassage, tones: Sequence[Tone], singing: Singing) -> Iterator[Tone]:
     """Yields short runs of another instrument in the rests of a melody."""
     rests = [(a.at + a.length, b.at) for a, b in pairwise(tones)]
     rests.append((tones[-1].at + tones[-1].length, passage.length))

@@ -23,7 +23,7 @@ TICKS_PER_BEAT = 480
 
 
 @dataclass(frozen=True)
-class Part:
+class BandPart:
     """What one instrument plays: notes by (start, pitch), and the role of each.
 
     `program` is that of General MIDI, counted from 0, `channel` that of MIDI, counted from 1.
@@ -38,7 +38,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Section:
+class BandSection:
     """A section such as a verse, from `start` to `end` [s].
 
     `melody` is the index of the part that has the melody, None if none has.
@@ -58,8 +58,8 @@ class Band:
     style: str
     tempo: int
     beats: int
-    parts: tuple[Part, ...]
-    sections: tuple[Section, ...]
+    parts: tuple[BandPart, ...]
+    sections: tuple[BandSection, ...]
 
     def notes(self, role: Role) -> tuple[Note, ...]:
         """The notes of all parts that have this role, by (start, pitch)."""

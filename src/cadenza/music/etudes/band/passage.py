@@ -16,7 +16,7 @@ from cadenza.music.etudes.sheet import Tone
 
 
 @dataclass(frozen=True, eq=False)
-class Passage:
+class SongPassage:
     """A section: its kind, such as "verse", its length in bars, its chords.
 
     All times are in quarters from its beginning. `rng` is for those who play it.

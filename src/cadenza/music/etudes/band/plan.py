@@ -15,13 +15,13 @@ from cadenza.music.etudes.band.cast import Player
 from cadenza.music.etudes.band.chords import harmonies
 from cadenza.music.etudes.band.parts import (
     TICKS_PER_BEAT,
-    Part,
+    BandPart,
     Role,
     microseconds_per_beat,
     seconds,
     ticks,
 )
-from cadenza.music.etudes.band.passage import Passage, happens
+from cadenza.music.etudes.band.passage import SongPassage, happens
 from cadenza.music.etudes.band.rhythm_section import MEDIUM
 from cadenza.music.etudes.band.styles import SECTIONS, Style
 from cadenza.music.etudes.keys import Key
@@ -38,13 +38,13 @@ _RAISED = {1: -5, 2: 2}
 
 
 @dataclass(frozen=True)
-class Plan:
+class SongPlan:
     """What holds for a whole song, with quarters a minute as `tempo`."""
 
     style: Style
     key: Key
     tempo: int
-    passages: tuple[Passage, ...]
+    passages: tuple[SongPassage, ...]
 
     @cached_property
     def starts(self) -> list[int]:
@@ -52,11 +52,11 @@ class Plan:
         return [0, *accumulate(passage.length for passage in self.passages[:-1])]
 
     @property
-    def placed(self) -> Iterator[tuple[Passage, int]]:
+    def placed(self) -> Iterator[tuple[SongPassage, int]]:
         """The sections and the quarters at which they begin."""
         return zip(self.passages, self.starts, strict=True)
 
-    def passage(self, at: float) -> Passage:
+    def passage(self, at: float) -> SongPassage:
         """The section in which a time [quarters] lies; the first before the song."""
         return self.passages[max(bisect_right(self.starts, at) - 1, 0)]
 
@@ -75,7 +75,7 @@ class Plan:
         return seconds(self.ticks(at), self.tempo)
 
 
-def planned(rng: np.random.Generator, style: Style) -> Plan:
+def planned(rng: np.random.Generator, style: Style) -> SongPlan:
     """The plan of a song of a style; sections of the same kind have the same chords."""
     minor = happens(rng, style.minor)
     key = Key(int(rng.integers(-_ACCIDENTALS, _ACCIDENTALS, endpoint=True)), minor)
@@ -91,8 +91,8 @@ def planned(rng: np.random.Generator, style: Style) -> Plan:
         bars = style.bars[kind]
         chords = harmonies(written[kind], here, style.beats, bars)
         final = kind == "ending"
-        passages.append(Passage(kind, here, style.beats, bars, chords, rng, final, by))
-    return Plan(style, key, tempo, tuple(passages))
+        passages.append(SongPassage(kind, here, style.beats, bars, chords, rng, final, by))
+    return SongPlan(style, key, tempo, tuple(passages))
 
 
 def _fitting_forms(style: Style, tempo: int) -> list[list[str]]:
@@ -128,7 +128,7 @@ _PEDAL_DOWN = 60  # [ticks] after a change of harmony
 
 
 @dataclass(slots=True)
-class _Event:
+class _TickNote:
     """A note in ticks."""
 
     start: int
@@ -139,20 +139,20 @@ class _Event:
 
 
 @dataclass(frozen=True)
-class Hand:
+class Manner:
     """How all players of a song play: with jitter of `late` ticks at most, or `flat`, all alike."""
 
     late: int
     flat: bool
 
 
-def random_hand(rng: np.random.Generator, plan: Plan) -> Hand:
+def random_hand(rng: np.random.Generator, plan: SongPlan) -> Manner:
     """Players who are in time or not quite, and mostly with dynamics."""
     late = ticks(_JITTER, plan.tempo) if happens(rng, _HUMAN) else 0
-    return Hand(late, happens(rng, _FLAT))
+    return Manner(late, happens(rng, _FLAT))
 
 
-def played(rng: np.random.Generator, plan: Plan, player: Player, hand: Hand) -> Part:
+def played(rng: np.random.Generator, plan: SongPlan, player: Player, hand: Manner) -> BandPart:
     """The part of a player, in which no two notes of a pitch, or of a melody, overlap."""
     events = [_event(rng, plan, player, tone, role, hand) for tone, role in player.tones]
     events = sorted(_apart(events), key=attrgetter("start", "pitch"))
@@ -162,12 +162,12 @@ def played(rng: np.random.Generator, plan: Plan, player: Player, hand: Hand) -> 
     )
     roles = tuple(event.role for event in events)
     pedal = _pedal(plan) if player.pedal else ()
-    return Part(player.name, player.program, player.channel, tuple(notes), roles, pedal)
+    return BandPart(player.name, player.program, player.channel, tuple(notes), roles, pedal)
 
 
 def _event(
-    rng: np.random.Generator, plan: Plan, player: Player, tone: Tone, role: Role, hand: Hand
-) -> _Event:
+    rng: np.random.Generator, plan: SongPlan, player: Player, tone: Tone, role: Role, hand: Manner
+) -> _TickNote:
     start, end = plan.ticks(tone.at), plan.ticks(tone.at + player.legato * tone.length)
     length = max(end - start - min(_RELEASE, (end - start) // _RELEASE_SHARE), 1)
     velocity = player.loud
@@ -175,16 +175,16 @@ def _event(
         velocity += tone.velocity - MEDIUM + _ENERGY[plan.passage(tone.at).kind]
         velocity += int(rng.integers(-_SPREAD, _SPREAD, endpoint=True))
     start = max(start + int(rng.integers(-hand.late, hand.late, endpoint=True)), 0)
-    return _Event(start, start + length, tone.pitch, min(velocity, LOUDEST), role)
+    return _TickNote(start, start + length, tone.pitch, min(velocity, LOUDEST), role)
 
 
-def _apart(events: list[_Event]) -> list[_Event]:
+def _apart(events: list[_TickNote]) -> list[_TickNote]:
     """The events with those cut at which the next of their pitch, or of the melody, begins.
 
     Of equal pitches that begin together one is left, that of the melody first.
     """
-    kept: list[_Event] = []
-    latest: dict[int | str, _Event] = {}
+    kept: list[_TickNote] = []
+    latest: dict[int | str, _TickNote] = {}
     for event in sorted(events, key=lambda e: (e.start, e.role != "melody", e.pitch)):
         lines = (event.pitch, event.role) if event.role == "melody" else (event.pitch,)
         before = [latest[line] for line in lines if line in latest]
@@ -197,7 +197,7 @@ def _apart(events: list[_Event]) -> list[_Event]:
     return kept
 
 
-def _pedal(plan: Plan) -> tuple[PedalEvent, ...]:
+def _pedal(plan: SongPlan) -> tuple[PedalEvent, ...]:
     """A pedal that is lifted where harmonies change, and goes down right after."""
     events = []
     for passage, start in plan.placed:

@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 
 from cadenza.music.etudes.band.chords import SongChord
-from cadenza.music.etudes.band.passage import Passage, happens
+from cadenza.music.etudes.band.passage import SongPassage, happens
 from cadenza.music.etudes.band.voicings import nearest
 from cadenza.music.etudes.sheet import Tone, pick
 from cadenza.music.score import OCTAVE
 
-Pattern = Callable[[Passage], Iterator[Tone]]
+Pattern = Callable[[SongPassage], Iterator[Tone]]
 """What an instrument plays in a section; the velocity 72 is neither accented nor light."""
 MEDIUM = 72
 _ACCENT, _LIGHT, _GHOST = 84, 62, 44  # velocities
@@ -39,7 +39,7 @@ def patterned_bass(rhythm: Sequence[tuple[float, float, str]]) -> Pattern:
     Tones are "r" for the root, "f" for the fifth below or above it, "o" for the octave.
     """
 
-    def play(passage: Passage) -> Iterator[Tone]:
+    def play(passage: SongPassage) -> Iterator[Tone]:
         tones = {at: tone for at, _, tone in rhythm}
         bars = 1 + int(max(tones)) // passage.beats
         starts = {harmony.at for harmony in passage.harmonies}
@@ -55,7 +55,7 @@ def patterned_bass(rhythm: Sequence[tuple[float, float, str]]) -> Pattern:
 def approached(play: Pattern, percent: int) -> Pattern:
     """A bass that often comes to new roots by a step in the last half of a beat."""
 
-    def play_approached(passage: Passage) -> Iterator[Tone]:
+    def play_approached(passage: SongPassage) -> Iterator[Tone]:
         tones = list(play(passage))
         starts = {harmony.at for harmony in passage.harmonies}
         for tone, after in pairwise(tones):
@@ -73,7 +73,7 @@ def approached(play: Pattern, percent: int) -> Pattern:
     return play_approached
 
 
-def walking_bass(passage: Passage) -> Iterator[Tone]:
+def walking_bass(passage: SongPassage) -> Iterator[Tone]:
     """Yields quarters: roots, tones of the chord, and a step to the next root."""
     if passage.final:
         yield Tone(0, passage.length, _root(passage.chord(0)))
@@ -97,7 +97,7 @@ def walking_bass(passage: Passage) -> Iterator[Tone]:
             yield Tone(harmony.at + beat, 1, pitch, pick(passage.rng, (MEDIUM, _LIGHT)))
 
 
-def _between(passage: Passage, chord: SongChord, pitch: int, start: int, goal: int) -> int:
+def _between(passage: SongPassage, chord: SongChord, pitch: int, start: int, goal: int) -> int:
     """Another tone of the chord near the one before, rather towards the goal."""
     towards = 3 if goal >= start else -3
     classes = [c for c in chord.classes[:3] if c != pitch % OCTAVE]
@@ -140,7 +140,7 @@ def drums(*patterns: Mapping[str, str]) -> Pattern:
     an accent, `x` a stroke, `o` a light one, `.` a ghost note, `-` nothing.
     """
 
-    def play(passage: Passage) -> Iterator[Tone]:
+    def play(passage: SongPassage) -> Iterator[Tone]:
         if passage.final:
             yield from (Tone(0, _STROKE, drum, _ACCENT) for drum in (_KICK, _CRASH))
             return
@@ -164,7 +164,7 @@ def drums(*patterns: Mapping[str, str]) -> Pattern:
     return play
 
 
-def _fill(passage: Passage, start: float) -> Iterator[Tone]:
+def _fill(passage: SongPassage, start: float) -> Iterator[Tone]:
     """Yields a beat of strokes on snare and toms."""
     struck = pick(passage.rng, ((_SNARE,) * 4, (_SNARE, _SNARE, *_TOMS[1:3]), _TOMS))
     for i, (drum, sign) in enumerate(zip(struck, pick(passage.rng, _FILLS), strict=True)):
