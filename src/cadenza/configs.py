@@ -6,14 +6,16 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from types import NoneType, UnionType
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 import numpy as np
 
-from cadenza.errors import CadenzaError, quoted
+from cadenza.errors import CadenzaError, quoted, shortened
 
 T = TypeVar("T")
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 
 MAX_SEED = 2**128  # numpy takes any
 MAX_COUNT = 2**53  # where there is no other limit: the largest whole number of JSON in JavaScript
@@ -66,6 +68,21 @@ def _nested(value: Any, kind: type[T], name: str) -> T:
     if not isinstance(value, kind):
         raise CadenzaError(f"{name} {quoted(value)}: give a {kind.__name__} or a dictionary")
     return _plain(value, kind, f"{name}.")
+
+
+def wrong_types(value: Any) -> Iterator[str]:
+    """Yields a line for each field of a dataclass whose value its annotation does not allow.
+
+    Annotations may have bounds, as `Positive` has. Numbers have to be finite: as JSON, in which
+    values are checked, they are null otherwise.
+    """
+    hints = get_type_hints(type(value), include_extras=True)
+    for each in fields(value):
+        try:
+            plain = msgspec.json.encode(getattr(value, each.name), enc_hook=lambda v: v.tolist())
+            msgspec.json.decode(plain, type=hints[each.name])
+        except (msgspec.ValidationError, TypeError, AttributeError) as error:
+            yield f"{each.name}: {shortened(str(error))}"
 
 
 def in_short(config: Any) -> str:

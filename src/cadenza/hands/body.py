@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
 
+from cadenza.configs import NotNegative, Positive
 from cadenza.fingers import Side
 from cadenza.hands import forearm
 from cadenza.hands.shell import Shell
@@ -47,12 +48,12 @@ def prefix(side: Side) -> str:
 class Geom:
     """A shape fixed to a link; `mirrored` is False for the few that are the same on both hands."""
 
-    type: str
-    size: tuple[float, ...]
+    type: Literal["sphere", "capsule", "cylinder", "box", "ellipsoid"]
+    size: tuple[Positive, ...]
     pos: Vector = (0.0, 0.0, 0.0)
     quat: Quaternion = IDENTITY
     mirrored: bool = True
-    left_size: tuple[float, ...] | None = None
+    left_size: tuple[Positive, ...] | None = None
     left_quat: Quaternion | None = None
 
 
@@ -79,7 +80,7 @@ class Link:
     name: str
     parent: str
     pos: Vector
-    mass: float
+    mass: NotNegative
     com: Vector
     inertia: Vector
     inertia_quat: Quaternion = IDENTITY
@@ -103,8 +104,8 @@ class Actuator:
 
     target: str
     """A joint or a coupling."""
-    kp: float
-    force: float
+    kp: Positive
+    force: Positive
     kv: float = 0.0
     """The damping [N m s/rad]."""
 

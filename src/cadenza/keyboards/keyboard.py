@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from numbers import Integral
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cadenza.errors import CadenzaError, quoted
+from cadenza.configs import NotNegative, Positive, wrong_types
+from cadenza.errors import CadenzaError
 from cadenza.keyboards.loudness import PianoAction
 
 Array = NDArray[np.float64]
@@ -31,11 +31,11 @@ _FROM_GROUP_START = np.array([2, 0, 0, 1, 0, 0, 1])
 class KeyShape:
     """A kind of key: a box whose hinge runs along y through the end away from the player."""
 
-    half_size: tuple[float, float, float]
+    half_size: tuple[Positive, Positive, Positive]
     centre_x: float
     centre_z: float
-    mass: float
-    dip: float
+    mass: Positive
+    dip: Positive
     """Depth to which the player's end goes down [m]."""
     rgba: Colour
 
@@ -79,9 +79,9 @@ class Base:
     """The box behind the keys."""
 
     pos: tuple[float, float, float]
-    half_depth: float
-    half_height: float
-    density: float
+    half_depth: Positive
+    half_height: Positive
+    density: Positive
     rgba: Colour
 
 
@@ -96,7 +96,7 @@ class Keyboard:
     """K, the number of keys."""
     white: KeyShape
     black: KeyShape
-    gap: float
+    gap: NotNegative
     """Gap between white keys [m]."""
     spring: KeySpring
     servo: KeyServo
@@ -290,37 +290,15 @@ class Keyboard:
 
 
 def _faults(keyboard: Keyboard) -> Iterator[str]:
+    yield from wrong_types(keyboard)
     first, count = keyboard.lowest_pitch, keyboard.num_keys
-    if not (isinstance(first, Integral) and isinstance(count, Integral)):
-        yield f"lowest_pitch is {quoted(first)} and num_keys {quoted(count)}; give whole numbers"
-    if count < 1:
-        yield f"num_keys is {count}; give 1 or more"
-    if not 0 <= first <= 128 - count:
+    if not 0 <= first < first + count <= 128:
         yield f"has {count} keys from pitch {first} on; MIDI's pitches are 0 to 127"
     if first % 12 in _BLACK_IN_OCTAVE:
         yield f"its first key, lowest_pitch {first}, is black; begin with a white one"
-    for name, shape in {"white": keyboard.white, "black": keyboard.black}.items():
-        if not isinstance(shape.half_size, tuple) or len(shape.half_size) != 3:
-            yield f"{name}.half_size is {shape.half_size}; give a tuple of 3 lengths"
-        yield from _not_positive(f"{name}.half_size", shape.half_size)
-        yield from _not_positive(f"{name}.mass", shape.mass)
-        yield from _not_positive(f"{name}.dip", shape.dip)
-    if not 0 <= keyboard.gap < np.inf:
-        yield f"gap is {keyboard.gap}; give 0 or more"
     travel = min(keyboard.white.travel, keyboard.black.travel)
     if not 0 < keyboard.sound_tolerance < travel:
         yield (
             f"sound_tolerance is {keyboard.sound_tolerance}; "
             f"give more than 0 and less than a key turns, {travel:.3f} rad"
         )
-    if not isinstance(keyboard.contact_solref, tuple) or len(keyboard.contact_solref) != 2:
-        yield f"contact_solref is {keyboard.contact_solref}; give a tuple of 2 numbers"
-    if not np.isfinite(keyboard.contact_solref).all():
-        yield f"contact_solref is {keyboard.contact_solref}; give finite numbers"
-    for name in ("half_depth", "half_height", "density"):
-        yield from _not_positive(f"base.{name}", getattr(keyboard.base, name))
-
-
-def _not_positive(name: str, given: float | tuple[float, ...]) -> Iterator[str]:
-    if not np.all(np.greater(given, 0)):  # or not a number
-        yield f"{name} is {given}; give more than 0"

@@ -120,8 +120,8 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     """
     config = as_config(config, SceneConfig)
     keyboard, hand = keyboard_named(config.keyboard), hand_named(config.hand)
-    spec, sites = scene_spec(config)
     try:
+        spec, sites = scene_spec(config)
         model = spec.compile()
     except ValueError as error:  # hand and keyboard may come from other packages
         said, which = " ".join(str(error).split()), f"hand {hand.name}, keyboard {keyboard.name}"
