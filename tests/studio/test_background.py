@@ -1,4 +1,4 @@
-"""Practice and training in the background, while nothing is played."""
+"""Practice in the background, while nothing is played."""
 
 from __future__ import annotations
 
@@ -18,16 +18,12 @@ import numpy as np
 import pytest
 
 from cadenza.episode import load_episode
-from cadenza.errors import CadenzaError
-from cadenza.learning.config import preset
-from cadenza.learning.run_folder import RunFolder
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
 from cadenza.studio import player, practice, practice_process
 from cadenza.studio.messages import JSON, Message
 from cadenza.studio.request import PRACTISED, Order, PlayRequest
-from cadenza.studio.training_runs import TrainingRuns
 
 SCORE = Score(tuple(Note(0.4 * i, 0.4 * i + 0.3, 60 + i) for i in range(3)), title="Three")
 
@@ -115,163 +111,6 @@ def test_what_was_practised_is_played(tmp_path: Path, monkeypatch: pytest.Monkey
         assert perform(setup).metrics["f1"] == pytest.approx(said[-1]["f1"][0])  # at first sight
 
 
-def run_of(folder: Path, steps: int = 2000) -> None:
-    folder.mkdir(parents=True)
-    run = RunFolder(folder)
-    run.begin(preset("fast"), [SCORE])
-    for step in range(1000, steps + 1, 1000):
-        f1 = (step - 1000) / 1000
-        run.add_row({"step": step, "seconds": 1.0, "eval_step": step, "eval/f1": f1})
-
-
-def test_runs_are_listed_with_their_curves_and_policies(tmp_path: Path) -> None:
-    runs = TrainingRuns(tmp_path)
-    assert runs.runs() == []
-    run_of(tmp_path / "three 1")
-    (tmp_path / "damaged").mkdir()
-    (tmp_path / "damaged" / "run.json").write_text("{")
-    (run,) = runs.runs()
-    assert (run["name"], run["state"], run["step"], run["f1"]) == ("three 1", "stopped", 2000, 1.0)
-    assert run["points"] == [(1000, 0.0), (2000, 1.0)]
-    assert runs.policies() == {}
-    (tmp_path / "three 1" / "best").mkdir()
-    assert runs.policies() == {"policy/three 1": tmp_path / "three 1" / "best"}
-
-
-def begin_instead(script: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs that begin from now on are processes of this script."""
-    fake = folder / "python"
-    fake.write_text(f"#!{sys.executable}\nprint(flush=True)\n{script}\n")
-    fake.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(fake))
-
-
-def test_a_policy_learns_stops_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command waits, and prints how it was called."""
-    script = "import sys, time; print(sys.argv[1:], file=sys.stderr, flush=True); time.sleep(60)"
-    begin_instead(script, tmp_path, monkeypatch)
-
-    async def run() -> None:
-        runs = TrainingRuns(tmp_path / "runs")
-        name = await runs.begin(PlayRequest("OdeToJoy", seed=3), "../Ode", "OdeToJoy", 5000)
-        assert name == "_Ode 1"
-        (begun,) = runs.runs()  # which has written nothing yet
-        assert (begun["name"], begun["state"], begun["points"]) == ("_Ode 1", "learning", [])
-        with pytest.raises(CadenzaError, match="learning already"):
-            await runs.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
-        run_of(tmp_path / "runs" / name)
-        assert runs.runs()[0]["state"] == "learning"
-        time.sleep(0.3)
-        runs.stop(name)
-        while runs.runs()[0]["state"] == "learning":
-            await asyncio.sleep(0.01)
-        for wrong in "no such", "../runs":
-            with pytest.raises(CadenzaError, match="no such run"):
-                await runs.resume(wrong)
-        await runs.resume(name)
-        assert runs.runs()[0]["state"] == "learning"
-        await runs.close()
-        assert runs.runs()[0]["state"] == "stopped"
-
-    asyncio.run(asyncio.wait_for(run(), 60))
-
-
-def test_a_policy_learns_a_song_as_it_was_chosen(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    script = "import sys; sys.exit(' '.join(w for w in sys.argv if 'express' in w or 'plain' in w))"
-    begin_instead(script, tmp_path, monkeypatch)
-
-    async def run() -> None:
-        runs = TrainingRuns(tmp_path / "runs")
-        await runs.begin(
-            PlayRequest("OdeToJoy", plain=True, expression=True), "Ode", "OdeToJoy", 99
-        )
-        while not (error := runs.runs()[0]["error"]):
-            await asyncio.sleep(0.01)
-        assert error == "--expression=1.0 --plain"
-
-    asyncio.run(asyncio.wait_for(run(), 60))
-
-
-def test_a_run_that_was_stopped_has_no_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The command ends as `cadenza train` does after its checkpoint."""
-    script = (
-        "import signal, sys, time\n"
-        "signal.signal(signal.SIGTERM, lambda *_: sys.exit(130))\n"
-        "print('interrupted', file=sys.stderr, flush=True)\n"
-        "time.sleep(60)"
-    )
-    begin_instead(script, tmp_path, monkeypatch)
-
-    async def run() -> None:
-        runs = TrainingRuns(tmp_path / "runs")
-        name = await runs.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
-        run_of(tmp_path / "runs" / name)
-        await asyncio.sleep(1.0)
-        await runs.close()
-        assert (runs.runs()[0]["state"], runs.runs()[0]["error"]) == ("stopped", "")
-
-    asyncio.run(asyncio.wait_for(run(), 60))
-
-
-def test_a_run_that_cannot_begin_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    begin_instead("import sys\nsys.exit('error: no disk')", tmp_path, monkeypatch)
-
-    async def run() -> None:
-        runs = TrainingRuns(tmp_path / "runs")
-        await runs.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
-        while runs.runs()[0]["state"] == "learning":
-            await asyncio.sleep(0.01)
-        (failed,) = runs.runs()
-        assert (failed["state"], failed["error"]) == ("failed", "no disk")
-
-    asyncio.run(asyncio.wait_for(run(), 60))
-
-
-@pytest.mark.parametrize(
-    ("script", "error"),
-    [
-        (
-            "import os\nos.kill(os.getpid(), 9)",
-            "was killed, as a system does that runs out of memory",
-        ),
-        ("import sys\nsys.exit('x' * 200_000 + '\\nerror: no disk')", "no disk"),
-    ],
-    ids=["killed", "says much"],
-)
-def test_a_run_that_ends_by_itself_says_why(
-    script: str, error: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begin_instead(script, tmp_path, monkeypatch)
-
-    async def run() -> None:
-        runs = TrainingRuns(tmp_path / "runs")
-        await runs.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
-        while not runs.runs()[0]["error"]:
-            await asyncio.sleep(0.01)
-        assert runs.runs()[0]["error"].startswith(error)
-        assert runs.runs()[0]["state"] != "learning"
-
-    asyncio.run(asyncio.wait_for(run(), 60))
-
-
-def test_one_run_begins_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    begin_instead("import time\ntime.sleep(60)", tmp_path, monkeypatch)
-
-    async def run() -> None:
-        runs = TrainingRuns(tmp_path / "runs")
-        asked = [runs.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000) for _ in range(2)]
-        one, other = await asyncio.gather(*asked, return_exceptions=True)
-        assert one == "Ode 1"
-        assert isinstance(other, CadenzaError)
-        await runs.close()
-
-    asyncio.run(asyncio.wait_for(run(), 60))
-
-
 def test_practice_that_cannot_go_on_begins_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -298,43 +137,25 @@ def test_a_damaged_plan_is_practised_anew(tmp_path: Path) -> None:
 
 SERVER = """
 import asyncio, sys
-from pathlib import Path
-from cadenza.studio import practice, training_runs
-from cadenza.studio.practice import BackgroundPractice
+from cadenza.studio import practice
 from cadenza.studio.processes import start_bound_process
 from cadenza.studio.request import PRACTISED, Order, PlayRequest
-from cadenza.studio.training_runs import TrainingRuns
 
 processes = []
 
-async def start(*arguments, **how):
-    processes.append(await start_bound_process(*arguments, **how))
+async def start(module):
+    processes.append(await start_bound_process(module))
     return processes[-1]
 
-practice.start_bound_process = training_runs.start_bound_process = start
-
-async def train(folder):
-    runs, request = TrainingRuns(folder), PlayRequest("OdeToJoy")
-    name = await runs.begin(request, "Ode", "OdeToJoy", 1_000_000)
-    while not (folder / name / "run.json").exists():
-        await asyncio.sleep(0.1)
-    return runs
-
-async def train_later(folder):
-    (runs := TrainingRuns(folder)).pause(True)  # before it has even begun
-    await runs.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 1_000_000)
-    return runs
-
-async def practise(folder):
-    practice, request = BackgroundPractice(), PlayRequest("OdeToJoy", PRACTISED)
-    practice.begin(Order(request, "Ode", "OdeToJoy", False, "0" * 16, str(folder)))
-    while "stage" not in practice.status:
-        await asyncio.sleep(0.1)
-    return practice
+practice.start_bound_process = start
 
 async def run():
-    what = await globals()[sys.argv[1]](Path(sys.argv[2]))
-    what.pause(True)
+    practising = practice.BackgroundPractice()
+    request = PlayRequest("OdeToJoy", PRACTISED)
+    practising.begin(Order(request, "Ode", "OdeToJoy", False, "0" * 16, sys.argv[1]))
+    while "stage" not in practising.status:
+        await asyncio.sleep(0.1)
+    practising.pause(True)
     print(processes[0].pid, flush=True)
     await asyncio.sleep(60)
 
@@ -344,10 +165,9 @@ asyncio.run(run())
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
-@pytest.mark.parametrize("what", ["train", "train_later", "practise"])
-def test_what_goes_on_ends_with_a_server_that_is_killed(what: str, tmp_path: Path) -> None:
+def test_practice_ends_with_a_server_that_is_killed(tmp_path: Path) -> None:
     """Also while it stands still for a song: nothing would wake it again."""
-    command = [sys.executable, "-c", SERVER, what, str(tmp_path)]
+    command = [sys.executable, "-c", SERVER, str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         assert server.stdout is not None
         pid = int(server.stdout.readline())
@@ -371,7 +191,7 @@ def test_what_is_streamed_is_what_the_command_line_plays(tmp_path: Path, agent: 
     song = tmp_path / "three.mid"
     write_midi(SCORE, song)
     request = PlayRequest("three", agent, tempo=1.25, transpose=2, seed=3, expression=True)
-    ours = Order(request, "Any title", str(song), True, "0" * 16, str(tmp_path), agent=agent)
+    ours = Order(request, "Any title", str(song), True, "0" * 16, str(tmp_path))
     streamed, states = player.play(ours, lambda _: None, lambda: None)
     options = ["--seed", "3", "--stretch", "0.8", "--transpose", "2", "--expression", "1"]
     options += ["--agent", agent, "--no-video"]

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from subprocess import PIPE, Popen
-from threading import Timer
 from typing import IO
 
 import pytest
 
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
-from cadenza.studio.messages import HEADER, IDLE, JSON, PAUSE, RESUME, ROWS
+from cadenza.studio.messages import HEADER, IDLE, JSON, ROWS
 from cadenza.studio.request import Order, PlayRequest
 
 pytestmark = pytest.mark.slow
@@ -51,7 +49,7 @@ def player() -> Iterator[tuple[Say, Hear]]:
 
 
 def ode_to_joy(folder: Path) -> bytes:
-    order = Order(PlayRequest("OdeToJoy"), "", "OdeToJoy", False, "0" * 16, str(folder), False)
+    order = Order(PlayRequest("OdeToJoy"), "", "OdeToJoy", False, "0" * 16, str(folder))
     return json.dumps(asdict(order)).encode()
 
 
@@ -68,34 +66,11 @@ def test_a_song_is_put_down_while_it_is_planned(tmp_path: Path) -> None:
         assert not any(b"failed" in content for kind, content in told if kind == JSON)
 
 
-def test_a_song_waits_and_goes_on(tmp_path: Path) -> None:
-    """Its rows are those of a song that never waited."""
-    told: list[list[bytes]] = []
-    for waits in True, False:
-        with player() as (say, hear):
-            say(ode_to_joy(tmp_path))
-            rows: list[bytes] = []
-            while len(rows) < 40:
-                kind, content = hear()
-                rows += [content] * (kind == ROWS)
-                if waits and kind == ROWS and len(rows) == 10:
-                    say(PAUSE.strip())
-                    began = time.monotonic()
-                    Timer(2.0, lambda: say(RESUME.strip())).start()
-            if waits:
-                assert time.monotonic() - began > 2.0
-            say(b"")
-            while hear()[0] != IDLE:
-                pass
-        told.append(rows)
-    assert told[0] == told[1]
-
-
 def test_what_is_not_played_is_told(tmp_path: Path) -> None:
     trill = tuple(Note(0.08 * i, 0.08 * i + 0.02, 60) for i in range(10))
     write_midi(Score(trill), tmp_path / "trill.mid")
     request, source = PlayRequest("trill"), str(tmp_path / "trill.mid")
-    order = Order(request, "Trill", source, True, "0" * 16, str(tmp_path / "out"), False)
+    order = Order(request, "Trill", source, True, "0" * 16, str(tmp_path / "out"))
     with player() as (say, hear):
         say(json.dumps(asdict(order)).encode())
         told = [hear()]

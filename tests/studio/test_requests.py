@@ -8,20 +8,17 @@ import subprocess
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from cadenza.agents.agent import RandomAgent, silent
+from cadenza.agents.agent import silent
 from cadenza.errors import CadenzaError
 from cadenza.files import write_json
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.libraries.imported import new_library
 from cadenza.music.score import Note, Score
-from cadenza.performing.performance import perform
-from cadenza.performing.setup import select, set_up
-from cadenza.studio import comparison, storage, upload_reader
+from cadenza.studio import storage, upload_reader
 from cadenza.studio.player import error_text, set_up_order
 from cadenza.studio.request import AGENTS, Order, PlayRequest, practice_folder, read_request
 from cadenza.studio.storage import KeptPerformance, Storage, Upload
@@ -218,36 +215,6 @@ def test_what_fails_says_where_no_upload_lies_and_what_a_piece_is_called() -> No
 def test_there_is_a_limit_to_what_is_played(notes: tuple[Note, ...], why: str) -> None:
     with pytest.raises(CadenzaError, match=why):
         upload_reader.check_size(Score(notes))
-
-
-def kept(songs: Storage, id: str, song: str, seed: int, **options: Any) -> Path:
-    folder = songs.folder / id
-    with set_up(select(SCORE, RandomAgent()).with_options(seed=seed)) as setup:
-        perform(setup).save(folder, page=False)
-    request = PlayRequest(song, "sight", seed=seed, **options)
-    about = KeptPerformance(song, request, 0.9, 0.8, 8.0, 1.0)
-    write_json(folder / "studio.json", asdict(about))
-    return folder
-
-
-def test_two_performances_of_a_song_are_compared(
-    songs: Storage, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ids = "0" * 16, "1" * 16, "2" * 16
-    one, two, _ = (kept(songs, *each) for each in zip(ids, "aab", range(3), strict=True))
-    kept(songs, "3" * 16, "a", 3, transpose=1)
-    kept(songs, "4" * 16, "a", 3, expression=True)
-    for others in (ids[1:], (ids[0], "3" * 16), (ids[0], "4" * 16)):
-        with pytest.raises(CadenzaError, match="of one song"):
-            songs.comparison(*others)
-    folders, page = songs.comparison(*ids[:2])
-    assert folders == [one, two]
-    monkeypatch.setattr(sys, "argv", ["comparison", str(one), str(two), str(page)])
-    monkeypatch.setattr(comparison, "limit", lambda _: None)  # not on the process of the tests
-    comparison.main()
-    assert "2. Planner, unrefined, Shadow Dexterous Hand, seed 1" in page.read_text()
-    songs.remove_performance(ids[1])
-    assert not page.exists()
 
 
 def test_imported_libraries_are_listed(

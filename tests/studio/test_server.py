@@ -18,7 +18,6 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from threading import Event, Thread
 from typing import Any
 from urllib.parse import urlsplit
 from urllib.request import urlopen
@@ -41,14 +40,12 @@ from cadenza.music.formats.midi import write_midi
 from cadenza.music.formats.reading import read_score
 from cadenza.music.score import Note, Score
 from cadenza.studio import jobs, server
-from cadenza.studio.access import MAX_PENDING
 from cadenza.studio.page_server import serve
 from cadenza.studio.request import HEADER_FILE, ROWS_FILE, PlayRequest
 from cadenza.studio.server import Studio
 from cadenza.studio.state_stream import json_message
 from cadenza.studio.storage import KeptPerformance
 from cadenza.studio.synthesizer import Synthesizer
-from cadenza.studio.training_runs import TrainingRuns
 
 ADDRESS = "http://127.0.0.1:8000"
 SAME = {"origin": ADDRESS}
@@ -60,7 +57,7 @@ def client(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClie
         pass
 
     monkeypatch.setattr(jobs.JobQueue, "start_player", nothing)
-    studio = Studio(tmp_path / "studio", tmp_path / "runs", at_once=0)  # jobs stay in the queue
+    studio = Studio(tmp_path / "studio", at_once=0)  # jobs stay in the queue
     app = studio.app("TOKEN", "127.0.0.1")
     with TestClient(app, base_url=ADDRESS) as client:
         yield client
@@ -87,7 +84,7 @@ def test_the_page_opens_with_hands_at_a_piano(client: TestClient) -> None:
 
 
 def test_a_host_may_be_given_in_capitals(tmp_path: Path) -> None:
-    app = Studio(tmp_path / "studio", tmp_path / "runs").app("TOKEN", "MyBox")
+    app = Studio(tmp_path / "studio").app("TOKEN", "MyBox")
     with TestClient(app, base_url="http://mybox:8000") as browser:
         assert browser.get("/TOKEN/").status_code == 200
         assert browser.get("/TOKEN/", headers={"host": "other:8000"}).status_code == 403
@@ -162,19 +159,17 @@ def test_a_tone_that_there_is_not_is_refused(client: TestClient, wrong: str) -> 
 
 
 @pytest.mark.parametrize("value", ["9" * 5000, "-1", "1e400", "NaN", "[" * 5000, "1.5", "true"])
-@pytest.mark.parametrize("name", ["seed", "transpose", "tempo", "tracks", "steps", "song"])
+@pytest.mark.parametrize("name", ["seed", "transpose", "tempo", "tracks", "song"])
 def test_numbers_that_are_none_are_refused_in_a_line(
     client: TestClient, name: str, value: str
 ) -> None:
-    for where in "jobs", "trainings":
-        wanted = {"song": '"OdeToJoy"', **({"steps": "1"} if where == "trainings" else {})}
-        wanted[name] = f"[{value}]" if name == "tracks" else value
-        if (name, value) in (("tempo", "1.5"), ("transpose", "-1")):
-            continue  # may be asked for
-        body = ",".join(f'"{key}":{said}' for key, said in wanted.items())
-        answer = client.post(f"/TOKEN/api/{where}", content=f"{{{body}}}", headers=SAME)
-        assert answer.status_code == 400
-        assert "\n" not in answer.json()["error"]
+    if (name, value) in (("tempo", "1.5"), ("transpose", "-1")):
+        return  # may be asked for
+    asked = {"song": '"OdeToJoy"', name: f"[{value}]" if name == "tracks" else value}
+    body = ",".join(f'"{key}":{text}' for key, text in asked.items())
+    answer = client.post("/TOKEN/api/jobs", content=f"{{{body}}}", headers=SAME)
+    assert answer.status_code == 400
+    assert "\n" not in answer.json()["error"]
 
 
 @pytest.mark.parametrize("length", ["9" * 5000, "-1", "1e3", "+1", "\u00b2"])
@@ -292,13 +287,10 @@ def test_whatever_lies_in_the_folders_the_lists_are_there(
             for name in (f"{id}.mid", "fedcba9876543210.mid", ".cadenza-2")
         ),
         *(studio / name for name in (f".{id}", "1" * 16, f"{'2' * 16}/studio.json", ".cadenza-3")),
-        *(tmp_path / "runs" / name for name in ("one", "two/run.json", "three/metrics.jsonl")),
-        *(tmp_path / "runs" / name for name in ("new\nline/run.json", "not text \udcff/run.json")),
     ):
         weird(path, kind)
-    (tmp_path / "runs" / "three" / "run.json").write_text("{}")
     for _ in range(2):
-        for name in "songs", "performances", "background":
+        for name in "songs", "performances":
             answer = client.get(f"/TOKEN/api/{name}")
             assert answer.status_code == 200, answer.text
         assert not any(song["uploaded"] for song in client.get("/TOKEN/api/songs").json()["songs"])
@@ -307,17 +299,15 @@ def test_whatever_lies_in_the_folders_the_lists_are_there(
             assert "\n" not in gone.json()["error"] if gone.content else True
         wanted = client.post("/TOKEN/api/jobs", json={"song": id}, headers=SAME)
         assert wanted.json()["error"].startswith("there is no such song")
-        Studio(studio, tmp_path / "runs")  # starts again
+        Studio(studio)  # starts again
 
 
 def test_lists_survive_what_vanishes_while_they_are_made(
     client: TestClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     studio, glob = tmp_path / "studio", Path.glob
-    for folder in studio / "0123456789abcdef", tmp_path / "runs" / "one":
-        folder.mkdir(parents=True)
-        for name in "studio.json", "run.json":
-            (folder / name).write_text("{}")
+    (studio / "0123456789abcdef").mkdir()
+    (studio / "0123456789abcdef" / "studio.json").write_text("{}")
     (studio / "uploads" / "0123456789abcdef.json").write_text("{}")
 
     def then_gone(path: Path, pattern: str) -> list[Path]:
@@ -326,7 +316,7 @@ def test_lists_survive_what_vanishes_while_they_are_made(
         return found
 
     monkeypatch.setattr(Path, "glob", then_gone)
-    for name in "songs", "performances", "background":
+    for name in "songs", "performances":
         assert client.get(f"/TOKEN/api/{name}").status_code == 200
         (studio / "uploads").mkdir(parents=True, exist_ok=True)
 
@@ -420,7 +410,6 @@ def test_the_token_is_in_no_list_of_processes(tmp_path: Path, end: signal.Signal
     browser.write_text(BROWSER.format(python=sys.executable, told=str(told)))
     browser.chmod(0o700)
     command = [sys.executable, "-m", "cadenza", "studio", "--folder", str(tmp_path / "studio")]
-    command += ["--runs", str(tmp_path / "runs")]
     environment = os.environ | {"DISPLAY": ":0", "BROWSER": f"{browser} %s"}
     with subprocess.Popen(command, stdout=PIPE, text=True, env=environment) as server:
         assert server.stdout is not None
@@ -435,30 +424,6 @@ def test_the_token_is_in_no_list_of_processes(tmp_path: Path, end: signal.Signal
     assert (mode, within) == ("0o600", "0o700")
     assert f"url={address}" in "".join(content)
     assert not Path(page).parent.exists()
-
-
-def test_connections_without_the_token_do_not_keep_the_page_out() -> None:
-    """However many connect and say nothing, or half of something."""
-    serving = "serve(PageServer(), ready=lambda address: print(address, flush=True))"
-    code = f"from cadenza.studio.page_server import PageServer, serve; {serving}"
-    with subprocess.Popen([sys.executable, "-c", code], stdout=PIPE, text=True) as server:
-        assert server.stdout is not None
-        address = urlsplit(server.stdout.readline().strip())
-        place = "127.0.0.1", int(address.port or 0)
-        try:
-            strangers = [socket.create_connection(place) for _ in range(3 * MAX_PENDING)]
-            for stranger in strangers[::2]:
-                with suppress(ConnectionError):  # it may have been sent away already
-                    stranger.sendall(b"GET / HTTP/1.1\r\nhost: ")
-            with urlopen(address.geturl(), timeout=20) as answer:
-                assert answer.status == 200
-            strangers[0].settimeout(20)
-            with suppress(ConnectionError):
-                assert strangers[0].recv(1) == b""
-            for stranger in strangers:
-                stranger.close()
-        finally:
-            server.kill()
 
 
 SERVING = """
@@ -600,10 +565,9 @@ def test_jobs_run_one_after_the_other_and_end_when_cancelled(
     """The players do nothing but wait."""
 
     async def run() -> None:
-        queue = jobs.JobQueue(tmp_path, TrainingRuns(tmp_path))
+        queue = jobs.JobQueue(tmp_path)
         first, second = (
-            queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False, "planner")
-            for _ in range(2)
+            queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False) for _ in range(2)
         )
         assert (first.status["state"], second.status["state"]) == ("preparing", "queued")
         queue.cancel(first.id)  # before its process has even started
@@ -642,66 +606,14 @@ def test_a_song_plays_on_where_no_spare_player_can_start(
         return begun[-1]
 
     async def run() -> None:
-        queue = jobs.JobQueue(tmp_path, TrainingRuns(tmp_path))
-        job = queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False, "planner")
+        queue = jobs.JobQueue(tmp_path)
+        job = queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False)
         while not job.is_over or job.is_busy:
             await asyncio.sleep(0.01)
         assert job.status["state"] == "kept"
         await queue.close()
 
     monkeypatch.setattr(jobs, "start_process", once)
-    asyncio.run(asyncio.wait_for(run(), 60))
-
-
-def test_a_song_that_nobody_watches_waits_for_one_that_is_watched(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The players echo the lines that they read."""
-    echo = (
-        "import sys\nfor line in sys.stdin:\n"
-        "    stage = line.strip().encode()[:5]\n"
-        '    said = b\'{"state": "preparing", "stage": "%s"}\' % stage.replace(b\'"\', b\'\')\n'
-        "    sys.stdout.buffer.write(b'J' + len(said).to_bytes(4, 'little') + said)\n"
-        "    sys.stdout.flush()"
-    )
-
-    async def player(*_: str) -> Any:
-        command = [sys.executable, "-S", "-c", echo]
-        return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
-
-    async def until(condition: Any) -> None:
-        while not condition():
-            await asyncio.sleep(0.01)
-
-    async def run() -> None:
-        queue = jobs.JobQueue(tmp_path, TrainingRuns(tmp_path))
-
-        def submitted() -> jobs.Job:
-            return queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False, "planner")
-
-        first = submitted()
-        with queue.watching(first):
-            second = submitted()
-            await asyncio.sleep(0.2)
-            assert (first.status["state"], second.status["state"]) == ("preparing", "queued")
-        with queue.watching(second):
-            await until(lambda: second.status["state"] == "preparing")
-            await until(lambda: (first.held_status or {}).get("stage") == "pause")
-            assert (first.is_held, first.status["state"]) == (True, "queued")
-            with queue.watching(first):  # somebody looks again, and waits for the second
-                await asyncio.sleep(0.2)
-                assert first.status == {"state": "queued", "before": 1}
-        third = submitted()
-        with queue.watching(third):
-            await until(lambda: third.process is not None)
-            assert (second.is_held, second.status["state"]) == (True, "queued")
-            queue.cancel(second.id)
-            queue.cancel(third.id)
-            await until(lambda: first.status.get("stage") == "resum")
-        await queue.close()
-
-    monkeypatch.setattr(jobs, "start_process", player)
-    monkeypatch.setattr(jobs, "RETURN_TIME", 0.05)
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
@@ -721,7 +633,7 @@ def test_a_player_whose_song_is_cancelled_plays_the_next(
         return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
 
     async def cancelled(queue: jobs.JobQueue) -> Any:
-        job = queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False, "planner")
+        job = queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False)
         while (process := job.process) is None:
             await asyncio.sleep(0.01)
         queue.cancel(job.id)
@@ -730,7 +642,7 @@ def test_a_player_whose_song_is_cancelled_plays_the_next(
         return process
 
     async def run() -> None:
-        queue = jobs.JobQueue(tmp_path, TrainingRuns(tmp_path))
+        queue = jobs.JobQueue(tmp_path)
         first, second = await cancelled(queue), await cancelled(queue)
         assert first is second
         assert first.returncode is None
@@ -759,8 +671,8 @@ def test_what_is_cancelled_at_its_last_moment_is_not_kept(
         return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
 
     async def run() -> None:
-        queue = jobs.JobQueue(tmp_path / "studio", TrainingRuns(tmp_path))
-        job = queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False, "planner")
+        queue = jobs.JobQueue(tmp_path / "studio")
+        job = queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False)
         while job.process is None:
             await asyncio.sleep(0.01)
         queue.cancel(job.id)
@@ -783,7 +695,7 @@ def test_one_player_waits_at_most(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         return begun[-1]
 
     async def run() -> None:
-        queue = jobs.JobQueue(tmp_path, TrainingRuns(tmp_path))
+        queue = jobs.JobQueue(tmp_path)
         await asyncio.gather(*(queue.start_player() for _ in range(3)))
         await queue.close()
 
@@ -803,37 +715,6 @@ def test_a_file_that_does_not_come_is_given_up(
     monkeypatch.setattr(server, "RECEIVE_TIME", 0.05)
     answer = client.post("/TOKEN/api/songs?name=a.mid", content=b"MThd", headers=SAME)
     assert answer.json()["error"] == "a.mid takes too long to come"
-
-
-def test_files_that_do_not_come_keep_no_others_out(
-    client: TestClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    stream, answers, enough = Request.stream, list[int](), Event()
-
-    def slow(request: Request) -> AsyncIterator[bytes]:
-        async def never() -> AsyncIterator[bytes]:
-            while not enough.is_set():
-                await asyncio.sleep(0.01)
-            yield b"MThd"
-
-        return never() if "slow" in request.url.query else stream(request)
-
-    def upload(name: str) -> None:
-        url = f"/TOKEN/api/songs?name={name}"
-        answers.append(client.post(url, content=path.read_bytes(), headers=SAME).status_code)
-
-    path = tmp_path / "a.mid"
-    write_midi(Score((Note(0.0, 1.0, 60),)), path)
-    monkeypatch.setattr(Request, "stream", slow)
-    threads = [Thread(target=upload, args=("slow",)) for _ in range(8)]
-    for thread in threads:
-        thread.start()
-    upload("quick")
-    assert answers[-1] == 201
-    enough.set()
-    for thread in threads:
-        thread.join()
-    assert sorted(answers) == [201] + [400] * 8
 
 
 def test_a_page_that_closes_while_it_sends_is_no_fault_of_the_server(

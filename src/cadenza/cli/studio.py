@@ -25,8 +25,6 @@ class StudioCommand:
 
     folder: Path = Path("played/studio")
     """Where songs and performances are kept."""
-    runs: Path = Path("runs")
-    """Where policies learn, and those lie that have learnt."""
     port: int = 0
     """Port to listen on; the one of the last time, or any free one, by default."""
     host: str = "127.0.0.1"
@@ -49,7 +47,7 @@ def run(command: StudioCommand) -> None:
     from cadenza.studio.page_server import serve
     from cadenza.studio.server import Studio
 
-    studio = Studio(command.folder, command.runs, jobs, command.video)
+    studio = Studio(command.folder, jobs, command.video)
     with suppress(KeyboardInterrupt):  # how it ends
         folder = studio.storage.folder
         ready = partial(announce, browser=command.browser, folder=folder)

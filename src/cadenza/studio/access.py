@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import asyncio
 import ipaddress
 import secrets
-from typing import cast
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
-MAX_PENDING = 64  # connections
 _READING = ("GET", "HEAD")  # methods that change nothing
 _POLICY_VIOLATION = 1008  # why a WebSocket is closed
 _HEADERS = {
@@ -28,44 +24,6 @@ _HEADERS = {
     "cross-origin-opener-policy": "same-origin",
     "cache-control": "no-store",
 }
-Address = tuple[str, int]
-
-
-class PendingConnections:
-    """Connections that have not shown the token; beyond `MAX_PENDING` the oldest is closed.
-
-    So many connections that say nothing cannot keep the page out.
-    """
-
-    def __init__(self) -> None:
-        self._transports: dict[Address, asyncio.Transport] = {}  # the oldest first
-
-    def add(self, address: Address, transport: asyncio.Transport) -> None:
-        """Adds a new connection."""
-        self._transports[address] = transport
-        if len(self._transports) > MAX_PENDING:
-            self._transports.pop(next(iter(self._transports))).abort()
-
-    def remove(self, address: Address | None) -> None:
-        """Removes a connection that has ended, or has shown the token."""
-        if address is not None:
-            self._transports.pop(address, None)
-
-    def protocol(self) -> type[H11Protocol]:
-        """Returns the protocol of a server whose connections are pending at first."""
-        pending = self
-
-        class Protocol(H11Protocol):
-            def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-                super().connection_made(transport)
-                self._address = cast(Address, transport.get_extra_info("peername")[:2])
-                pending.add(self._address, transport)
-
-            def connection_lost(self, exc: Exception | None) -> None:
-                pending.remove(self._address)
-                super().connection_lost(exc)
-
-        return Protocol
 
 
 class AccessControl:
@@ -73,14 +31,10 @@ class AccessControl:
 
     The Host must be this machine's name in the address bar and no domain that somebody else has
     pointed here; whatever changes something, and every WebSocket, must come from our own page.
-
-    Attributes:
-        pending: connections of which no request has been let through yet.
     """
 
     def __init__(self, app: ASGIApp, token: str, host: str) -> None:
         self._app, self._token, self._host = app, token, host.lower()
-        self.pending = PendingConnections()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -88,7 +42,6 @@ class AccessControl:
         elif reason := self._reason_to_refuse(scope):
             await _refuse(reason, scope, receive, send)
         else:
-            self.pending.remove(scope.get("client"))
 
             async def with_headers(message: Message) -> None:
                 if message["type"] == "http.response.start":

@@ -9,8 +9,8 @@ way; (K,) uint8 what sounds: 128 if the key sounds after the step, plus the MIDI
 struck in the step; (K,) uint8 when it was struck, or else ceased to sound, in 255ths of the step;
 uint8 whether the pedal is down; zeros up to a multiple of four bytes.
 
-The process reads an order (see `cadenza.studio.request.Order`) as a line of JSON, and while it
-plays that, `PAUSE` and `RESUME`; any other line has it drop the song.
+The process reads an order (see `cadenza.studio.request.Order`) as a line of JSON; a line that comes
+while it plays has it drop the song.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from collections.abc import Callable
 from typing import IO, Any, NamedTuple
 
 JSON, ROWS, IDLE = b"J", b"R", b"W"
-PAUSE, RESUME = b"pause\n", b"resume\n"
 HEADER = struct.Struct("<cI")
 MAX_BYTES = 1 << 26  # of a message
 SOUNDS = 128  # in a row, of a key that sounds; what is less is the velocity of a strike

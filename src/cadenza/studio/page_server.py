@@ -11,13 +11,7 @@ import socket
 import sys
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
-from contextlib import (
-    AbstractContextManager,
-    asynccontextmanager,
-    contextmanager,
-    nullcontext,
-    suppress,
-)
+from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import astuple
 from functools import cache
 from importlib import resources
@@ -48,7 +42,6 @@ _OWN = (
     *("requests.js", "instrument.js", "keyboard.js", "stream.js", "library.js", "player.js"),
     *("performances.js", "background.js", "studio.js"),
 )
-_MAX_WATCHERS = 16  # at once
 _KEEP_ALIVE = 5  # [s] that a connection without requests stays open
 _SHUTDOWN_TIME = 2  # [s] that requests have to end when the server does
 _MAX_RECEIVED = 1 << 12  # bytes of a message of the page, which has nothing to send
@@ -61,16 +54,11 @@ class PageServer:
     """Serves a page, and performances that can be watched on it as they are made."""
 
     def __init__(self) -> None:
-        self._watchers = 0
         self._synthesizer = Synthesizer()
 
     async def broadcast(self, id: str) -> Broadcast | None:
         """Returns a performance by its id, or None if there is none."""
         raise NotImplementedError
-
-    def watching(self, broadcast: Broadcast) -> AbstractContextManager[None]:
-        """Counts a page among those that watch a performance, until the block ends."""
-        return nullcontext()
 
     def routes(self) -> list[BaseRoute]:
         """Returns all that the server answers."""
@@ -118,12 +106,10 @@ class PageServer:
     async def watch(self, socket: WebSocket) -> None:
         """Sends a performance from its beginning on, until it is over or the page has gone."""
         await socket.accept()
-        self._watchers += 1
         tasks = [asyncio.create_task(self._send(socket)), asyncio.create_task(_closed(socket))]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            self._watchers -= 1
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
@@ -131,14 +117,10 @@ class PageServer:
             await socket.close()
 
     async def _send(self, socket: WebSocket) -> None:
-        if self._watchers > _MAX_WATCHERS:
-            error = f"{_MAX_WATCHERS} pages watch already; close one of them"
-            await socket.send_json({"state": "full", "error": error})
-        elif (broadcast := await self.broadcast(socket.path_params["id"])) is None:
+        if (broadcast := await self.broadcast(socket.path_params["id"])) is None:
             await socket.send_json({"state": "gone"})
         else:
-            with self.watching(broadcast):
-                await broadcast.send_all(socket.send_text, socket.send_bytes)
+            await broadcast.send_all(socket.send_text, socket.send_bytes)
 
 
 async def _closed(socket: WebSocket) -> None:
@@ -256,7 +238,7 @@ def serve(
             server_header=False,
             proxy_headers=False,
             date_header=False,
-            http=app.pending.protocol(),
+            http="h11",
             ws=_SendOnlyWebSocket,
             timeout_keep_alive=_KEEP_ALIVE,
             timeout_graceful_shutdown=_SHUTDOWN_TIME,

@@ -2,8 +2,8 @@
 
 It loads all that is needed and warms up, then waits for an order (see
 `cadenza.studio.request.Order`) as a line of JSON on stdin, and sends on stdout what happens, as
-`cadenza.studio.messages` describes. While it plays, the server can have it pause and resume, or
-drop the song and wait for the next order. It ends when it has played a song to its end.
+`cadenza.studio.messages` describes. While it plays, the server can have it drop
+the song and wait for the next order. It ends when it has played a song to its end.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ from cadenza.performing.setup import Selection, Setup, select, set_up
 from cadenza.performing.source import PRACTISED as PLAN
 from cadenza.performing.source import Source, resolve
 from cadenza.studio.limits import PLAYING, limit
-from cadenza.studio.messages import IDLE, PAUSE, RESUME, Message, Send, json_message
+from cadenza.studio.messages import IDLE, Message, Send, json_message
 from cadenza.studio.request import (
     HEADER_FILE,
+    PLANNER_VARIANTS,
     PRACTISED,
     ROWS_FILE,
     UNREFINED,
@@ -81,7 +82,7 @@ def play_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
     """Plays what is asked for, and keeps it.
 
     Raises:
-        Cancelled: a line of `orders` says so before the song is at its end, or there are no more.
+        Cancelled: there is a line in `orders`, or their end, before the song is at its own.
     """
 
     def send(message: Message) -> None:
@@ -95,7 +96,8 @@ def play_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
     lines.register(orders, POLLIN)
 
     def check() -> None:
-        if lines.poll(0) and not (orders.readline() == PAUSE and orders.readline() == RESUME):
+        if lines.poll(0):
+            orders.readline()
             raise Cancelled
 
     is_saving = False
@@ -182,7 +184,8 @@ def _select(order: Order) -> Selection:
     Raises:
         CadenzaError: there is nothing to play, or more than the studio takes.
     """
-    request, agent = order.request, order.agent
+    request = order.request
+    agent = PLANNER if request.agent in PLANNER_VARIANTS else request.agent
     config = {PLANNER: PlannerConfig(method="none")} if request.agent == UNREFINED else None
     arrangement = request.arrangement
     song = _read_upload(order, arrangement) if order.uploaded else order.source

@@ -8,7 +8,7 @@ import signal
 import sys
 from asyncio import IncompleteReadError, StreamReader, create_subprocess_exec, wait_for
 from asyncio.subprocess import DEVNULL, PIPE, Process
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -26,12 +26,12 @@ async def start_process(module: str, *arguments: str, **how: Any) -> Process:
     return await create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE, **how)
 
 
-async def start_bound_process(module: str, *arguments: str, **how: Any) -> Process:
+async def start_bound_process(module: str) -> Process:
     """Starts a process that ends with this one, whatever ends that, and may be suspended.
 
     See `cadenza.studio.limits`.
     """
-    process = await start_process("cadenza.studio.limits", module, *arguments, **how)
+    process = await start_process("cadenza.studio.limits", module)
     assert process.stdout is not None
     try:
         await process.stdout.read(1)
@@ -61,10 +61,10 @@ async def send_order(process: Process, order: Order) -> None:
         await process.stdin.drain()
 
 
-def send_line(process: Process, line: bytes) -> None:
-    """Tells a player to pause, resume, or drop its song; see `cadenza.studio.messages`."""
+def cancel_song(process: Process) -> None:
+    """Tell a player to drop its song; see `cadenza.studio.messages`."""
     assert process.stdin is not None
-    process.stdin.write(line)
+    process.stdin.write(b"\n")
 
 
 async def messages(stream: StreamReader) -> AsyncIterator[tuple[bytes, bytes]]:
@@ -113,14 +113,3 @@ async def opening_picture(song: str) -> bytes:
         return await _output_of("cadenza.studio.opening", song, stderr=DEVNULL) or b""
     except OSError:  # there is no room for it
         return b""
-
-
-async def write_comparison(folders: Sequence[Path], page: Path) -> None:
-    """Writes a page that compares performances, by a process.
-
-    Raises:
-        CadenzaError: they cannot be compared.
-    """
-    paths = map(os.fspath, (*folders, page))
-    if await _output_of("cadenza.studio.comparison", *paths, stderr=DEVNULL) is None:
-        raise CadenzaError("these performances cannot be compared")

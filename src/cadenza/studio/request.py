@@ -114,8 +114,6 @@ class Order:
     folder: str
     """The folder of the studio, where the performance is kept."""
     video: bool = False
-    agent: str = "planner"
-    """The agent, as `cadenza.performing.setup.select` takes it."""
 
 
 def hand_titles() -> dict[str, str]:

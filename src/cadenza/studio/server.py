@@ -1,11 +1,11 @@
-"""The studio's server: songs, requests to play, practise and learn them, and what is kept."""
+"""The studio's server: songs, requests to play and practise them, and what is kept."""
 
 from __future__ import annotations
 
 import asyncio
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AbstractContextManager, asynccontextmanager, nullcontext, suppress
+from contextlib import asynccontextmanager
 from inspect import isawaitable
 from pathlib import Path
 from typing import Any
@@ -18,32 +18,26 @@ from starlette.routing import BaseRoute, Route
 from starlette.types import Message, Receive, Scope, Send
 
 from cadenza.agents.registry import AGENTS as REGISTERED
-from cadenza.agents.registry import PLANNER
-from cadenza.configs import MAX_COUNT, whole_number
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import checked, parsed_json
 from cadenza.music.formats.reading import check_format
 from cadenza.music.formats.titles import printable
 from cadenza.studio.broadcast import Broadcast
-from cadenza.studio.jobs import Job, JobQueue
+from cadenza.studio.jobs import JobQueue
 from cadenza.studio.limits import MAX_BYTES
 from cadenza.studio.page_server import PageServer, error_response
-from cadenza.studio.processes import opening_picture, read_upload, write_comparison
-from cadenza.studio.request import AGENTS, PLANNER_VARIANTS, PlayRequest, hand_titles, read_request
+from cadenza.studio.processes import opening_picture, read_upload
+from cadenza.studio.request import AGENTS, hand_titles, read_request
 from cadenza.studio.storage import FILES, Storage, Upload
-from cadenza.studio.training_runs import TrainingRuns
 
 _FIRST_SONG = "FurEliseOpening"  # with which the page opens
-_LEARNT = "A policy that has learnt on this machine."
 _MAX_NAME = 255  # letters of the name of a file, as most file systems have it
 _MAX_JSON = 1 << 14  # bytes of a request
-_MAX_RECEIVING, _MAX_READING = 4, 2  # files at once
+_MAX_READING = 2  # files at once
 RECEIVE_TIME = 60.0  # [s] for all of a request to arrive
-# Reports bring their own policy; here they may not reach the studio either. A comparison looks into
-# the pages within it, which a sandbox would prevent.
+# Reports bring their own policy; here they may not reach the studio either.
 _ALLOWED = "allow-scripts allow-downloads allow-modals"  # the last to print
 _REPORT = {"content-security-policy": f"sandbox {_ALLOWED}; connect-src 'none'"}
-_COMPARISON = {"content-security-policy": "connect-src 'none'; form-action 'none'; base-uri 'none'"}
 
 
 class StoredFile(FileResponse):
@@ -65,14 +59,11 @@ class StoredFile(FileResponse):
 
 
 class Studio(PageServer):
-    """Serves the studio: songs, jobs, practice, training, and performances that are kept."""
+    """Serves the studio: songs, jobs, practice, and performances that are kept."""
 
-    def __init__(
-        self, folder: Path, runs: Path = Path("runs"), at_once: int = 1, video: bool = False
-    ) -> None:
+    def __init__(self, folder: Path, at_once: int = 1, video: bool = False) -> None:
         """Args:
             folder: where songs and performances are kept.
-            runs: where policies learn, and those that have learnt are found.
             at_once: how many songs are played at the same time.
             video: whether to make a film of each performance.
 
@@ -81,14 +72,13 @@ class Studio(PageServer):
         """
         super().__init__()
         self.storage = Storage(folder)
-        self.jobs = JobQueue(self.storage.folder, TrainingRuns(runs), at_once, video)
+        self.jobs = JobQueue(self.storage.folder, at_once, video)
         self._hands = hand_titles()
-        self._added = {
+        self._agents = AGENTS | {
             name: (name, f"{entry.about[:1].upper()}{entry.about[1:]}.")
             for name, entry in REGISTERED.entries().items()
             if name not in REGISTERED.own
         }
-        self._receiving = list[asyncio.Timeout]()
         self._reading = asyncio.Semaphore(_MAX_READING)
         self._opening: asyncio.Task[bytes] | None = None
 
@@ -101,13 +91,9 @@ class Studio(PageServer):
         except (CadenzaError, OSError):
             return None
 
-    def watching(self, broadcast: Broadcast) -> AbstractContextManager[None]:
-        """Counts a page among those that watch a job: watched jobs play first."""
-        return self.jobs.watching(broadcast) if isinstance(broadcast, Job) else nullcontext()
-
     def routes(self) -> list[BaseRoute]:
         """Returns all that the server answers."""
-        storage, jobs, trainings = self.storage, self.jobs, self.jobs.trainings
+        storage, jobs = self.storage, self.jobs
         remove = storage.remove_performance
         return [
             *super().routes(),
@@ -119,13 +105,9 @@ class Studio(PageServer):
             Route("/api/jobs/{id}", _action(jobs.cancel), methods=["DELETE"]),
             Route("/api/background", self.background),
             Route("/api/practice", _action(jobs.practice.stop), methods=["DELETE"]),
-            Route("/api/trainings", self.train, methods=["POST"]),
-            Route("/api/trainings/{name}/resume", _action(trainings.resume), methods=["POST"]),
-            Route("/api/trainings/{name}/stop", _action(trainings.stop), methods=["POST"]),
             Route("/api/performances", self.performances),
             Route("/api/performances/{id}", _in_thread(remove), methods=["DELETE"]),
             Route("/performances/{id}/{name}", self.file),
-            Route("/comparisons/{first}/{second}", self.compare),
         ]
 
     @asynccontextmanager
@@ -140,14 +122,8 @@ class Studio(PageServer):
 
     def songs(self, _: Request) -> Response:
         """Lists songs, agents and hands, and says with which song the page opens."""
-        about = {"songs": self.storage.songs(), "agents": self._agents(), "hands": self._hands}
+        about = {"songs": self.storage.songs(), "agents": self._agents, "hands": self._hands}
         return JSONResponse(about | {"first": _FIRST_SONG})
-
-    def _agents(self) -> dict[str, tuple[str, str]]:
-        """Returns the agents by name: their titles on the page, and what they do."""
-        policies = self.jobs.trainings.policies()
-        learnt = {agent: (agent.replace("/", ": ", 1), _LEARNT) for agent in policies}
-        return AGENTS | self._added | learnt
 
     async def opening(self, _: Request) -> Response:
         """Answers the picture with which the page opens, of `_FIRST_SONG`; null if none is made."""
@@ -160,7 +136,7 @@ class Studio(PageServer):
         """Takes a file; its name, percent-encoded, is the parameter `name`."""
         name = printable(request.query_params.get("name", "")[-_MAX_NAME:])
         check_format(Path(name))  # whatever its size
-        content = await _body(request, MAX_BYTES, name or "the file", self._receiving)
+        content = await _body(request, MAX_BYTES, name or "the file")
         write = self.storage.write_upload
         path, id, title, ending = await run_in_threadpool(write, content, name)
         del content  # others may be read before it
@@ -181,33 +157,16 @@ class Studio(PageServer):
     async def play(self, request: Request) -> Response:
         """Adds a job that plays a song."""
         content = await _body(request, _MAX_JSON, "the request")
-        wanted = self._play_request(parsed_json(content, dict[str, Any], "request"))
-        title, source, uploaded = await run_in_threadpool(self.storage.source, wanted.song)
-        agent = PLANNER if wanted.agent in PLANNER_VARIANTS else wanted.agent
-        if (policy := self.jobs.trainings.policies().get(agent)) is not None:
-            agent = str(policy)
-        job = self.jobs.submit(wanted, title, source, uploaded, agent)
+        asked = parsed_json(content, dict[str, Any], "request")
+        play_request = read_request(asked, self._agents, self._hands)
+        title, source, uploaded = await run_in_threadpool(self.storage.source, play_request.song)
+        job = self.jobs.submit(play_request, title, source, uploaded)
         return JSONResponse(job.summary, 201)
 
-    def _play_request(self, content: dict[str, Any]) -> PlayRequest:
-        return read_request(content, self._agents(), self._hands)
-
     async def background(self, _: Request) -> Response:
-        """Lists practice, training runs, and jobs that play or wait."""
-        runs = await run_in_threadpool(self.jobs.trainings.runs)
+        """Lists practice, and jobs that play or wait."""
         jobs = [job.summary for job in self.jobs.jobs.values() if not job.is_over]
-        practice = self.jobs.practice.summary
-        return JSONResponse({"practice": practice, "trainings": runs, "jobs": jobs})
-
-    async def train(self, request: Request) -> Response:
-        """Trains a policy on a song, for so many `steps`."""
-        content = await _body(request, _MAX_JSON, "the request")
-        asked = parsed_json(content, dict[str, Any], "request")
-        steps = whole_number(asked.pop("steps", None), "steps", 1, MAX_COUNT)
-        wanted = self._play_request(asked)
-        title, source, _ = await run_in_threadpool(self.storage.source, wanted.song)
-        name = await self.jobs.trainings.begin(wanted, title, source, steps)
-        return JSONResponse({"name": name}, 201)
+        return JSONResponse({"practice": self.jobs.practice.summary, "jobs": jobs})
 
     def performances(self, _: Request) -> Response:
         """Lists the performances that are kept."""
@@ -219,15 +178,6 @@ class Studio(PageServer):
         path = self.storage.file(request.path_params["id"], name)
         headers = _REPORT if name == "report.html" else None
         return StoredFile(path, media_type=FILES[name], headers=headers)
-
-    async def compare(self, request: Request) -> Response:
-        """Answers a page that compares two performances, made when it is first asked for."""
-        ids = request.path_params["first"], request.path_params["second"]
-        folders, page = await run_in_threadpool(self.storage.comparison, *ids)
-        if not page.exists():
-            async with self._reading:
-                await write_comparison(folders, page)
-        return StoredFile(page, media_type="text/html; charset=utf-8", headers=_COMPARISON)
 
 
 def _action(work: Callable[..., Any]) -> Callable[[Request], Awaitable[Response]]:
@@ -247,17 +197,8 @@ def _in_thread(work: Callable[..., Any]) -> Callable[[Request], Awaitable[Respon
     return _action(lambda **names: run_in_threadpool(work, **names))
 
 
-async def _body(
-    request: Request, most: int, what: str, receiving: list[asyncio.Timeout] | None = None
-) -> bytes:
-    """Returns the body of a request.
-
-    Args:
-        request: whose body is received.
-        most: bytes that it may have.
-        what: names it in errors.
-        receiving: timeouts of the bodies that are being received. Where there is one too many, the
-            first is given up: it had the most time, and must not keep others out.
+async def _body(request: Request, most: int, what: str) -> bytes:
+    """Receive the body of a request, of up to `most` bytes; `what` names it in errors.
 
     Raises:
         CadenzaError: the body is larger, or does not arrive.
@@ -266,12 +207,9 @@ async def _body(
     length = request.headers.get("content-length", "0")
     if not re.fullmatch("[0-9]{1,15}", length) or int(length) > most:  # Python reads no longer ones
         raise too_large
-    content, receiving = bytearray(), [] if receiving is None else receiving
+    content = bytearray()
     try:
-        async with asyncio.timeout(RECEIVE_TIME) as patience:
-            receiving.append(patience)
-            if len(receiving) > _MAX_RECEIVING and not (first := receiving.pop(0)).expired():
-                first.reschedule(0)
+        async with asyncio.timeout(RECEIVE_TIME):
             async for chunk in request.stream():
                 content += chunk
                 if len(content) > most:
@@ -280,7 +218,4 @@ async def _body(
         raise CadenzaError(f"{what} takes too long to come") from error
     except ClientDisconnect as error:
         raise CadenzaError(f"{what} has not come to its end") from error
-    finally:
-        with suppress(ValueError):
-            receiving.remove(patience)
     return bytes(content)

@@ -2,7 +2,6 @@
 
     FOLDER/uploads/ID.mid       a file that was dropped, and ID.json, what it holds
     FOLDER/ID/report.html ...   a performance, and studio.json, what the list says of it
-    FOLDER/compared/ID-ID.html  two performances on a page
 
 Ids are made here. The names that a visitor gives are shown and never part of a path.
 """
@@ -15,7 +14,7 @@ import shutil
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +40,6 @@ _ID_DIGITS = 16
 _ID = re.compile(f"[0-9a-f]{{{_ID_DIGITS}}}")
 ABOUT = "studio.json"
 """File of a performance, with what the list shows."""
-_COMPARISONS = "compared"
 MAX_UPLOADS = 200
 _MAX_TITLE = 100
 _ABANDONED = 3600.0  # [s] after which a file that nobody has finished is deleted
@@ -229,24 +227,6 @@ class Storage:
         """
         with suppress(FileNotFoundError):  # another page deletes it as well
             shutil.rmtree(self._performance(id))
-        for page in (self.folder / _COMPARISONS).glob(f"*{id}*.html"):
-            page.unlink(missing_ok=True)
-
-    def comparison(self, *ids: str) -> tuple[list[Path], Path]:
-        """Returns the folders of performances, and the path of the page that compares them.
-
-        Raises:
-            CadenzaError: one is not there, or they are of different music.
-        """
-        folders = [self._performance(id) for id in ids]
-        requests = (read_json(folder / ABOUT, KeptPerformance).request for folder in folders)
-        heard = {replace(request, agent="", hand="", seed=0) for request in requests}
-        if len(heard) > 1:
-            raise CadenzaError(
-                "compare performances of one song: the same tracks, hands, tempo, pitch, signs, "
-                "expression and arrangement"
-            )
-        return folders, self.folder / _COMPARISONS / f"{'-'.join(ids)}.html"
 
     def _performance(self, id: str) -> Path:
         path = self.folder / id

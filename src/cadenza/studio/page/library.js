@@ -61,7 +61,7 @@ async function deleteSong(song) {
 }
 function choose(id) {
   chosen = songs.find((song) => song.id === id) ?? null;
-  for (const id of ["start", "link", "train"]) $(id).disabled = !chosen;
+  for (const id of ["start", "link"]) $(id).disabled = !chosen;
   $("start").textContent = $("start").title = chosen ? `Play ${chosen.title}` : "Play";
   const { tracks = [], remarks = [] } = chosen ?? {};
   $("remarks").textContent = `In this file: ${remarks.join("; ")}.`;
@@ -137,9 +137,9 @@ async function upload(file) {
 async function playChosen() {
   instrument.wake();
   const wanted = JSON.stringify(playRequest()), choiceNumber = ++numChoices;
-  for (const each of shown) if (!each.over && !each.complete) await fetchJson(`api/jobs/${each.id}`, "DELETE");
+  if (current && !current.over && !current.complete) await fetchJson(`api/jobs/${current.id}`, "DELETE");
   if (choiceNumber !== numChoices) return;
   const { id } = await fetchJson("api/jobs", "POST", wanted);
-  if (choiceNumber === numChoices) watch([id]);
+  if (choiceNumber === numChoices) watch(id);
   else await fetchJson(`api/jobs/${id}`, "DELETE"); // something else was chosen meanwhile
 }

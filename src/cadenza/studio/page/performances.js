@@ -1,4 +1,4 @@
-// Kept performances, to watch again, compare and download.
+// Kept performances, to watch again and download.
 
 const FILE_TITLES = { "report.html": "Report", "video.mp4": "Film", "played.mid": "MIDI", "wanted.mid": "Wanted MIDI" };
 const FILE_NAMES = { "wanted.mid": ", as wanted" }; // after the title, where two files have the same ending
@@ -12,10 +12,7 @@ function performanceItem(each) {
   const links = make("nav"), { id, title, has_states: canWatch } = each;
   const when = new Date(1000 * each.finished).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
   const about = `${formatScores(each.f1, each.note_onset_f1)} · ${minutes(each.seconds).split(".")[0]} · ${when}`;
-  if (canWatch) {
-    links.append(labelledButton("Watch", `Watch ${title}`, () => { instrument.wake(); watch([id]); }));
-    links.append(labelledButton("Compare", `Compare ${title} with what is shown`, () => compare(each)));
-  }
+  if (canWatch) links.append(labelledButton("Watch", `Watch ${title}`, () => { instrument.wake(); watch(id); }));
   for (const [file, name] of Object.entries(FILE_TITLES)) {
     if (!each.files.includes(file)) continue;
     const link = make("a", name, { href: `performances/${id}/${file}`, target: "_blank", rel: "noopener", "aria-label": `${name} of ${title}` });
@@ -29,13 +26,4 @@ async function deletePerformance({ id, title }) {
   if (!confirm(`Delete this performance of ${title}?`)) return;
   await fetchJson(`api/performances/${id}`, "DELETE");
   await listPerformances();
-}
-
-/** Shows a performance beside the current one. */
-function compare({ id, title, request: wanted }) {
-  const other = shown[0], alike = ["song", "tempo", "plain", "expression", "arrange", "level"].every((name) => other?.request?.[name] === wanted[name]);
-  if (!alike) return showError(`First watch another performance of ${title} at the same tempo${wanted.expression ? ", with expression" : ""}${wanted.level ? `, at level ${wanted.level}` : ""}, then press Compare here.`);
-  if (other.id === id) return showError("This is the performance that is shown. Press Compare at another of the same song.");
-  instrument.wake();
-  watch([other.id, id]); // both begin anew
 }

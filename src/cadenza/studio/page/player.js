@@ -1,4 +1,4 @@
-// Plays a performance, or two side by side and in step, of which one is heard: the current one.
+// Plays a performance: the current one.
 
 const instrument = createInstrument(), looks = createLooks(), isLooping = looping();
 // [s] that are planned ahead before it plays: `FAST_LEAD` where planning is `FAST` times faster than the
@@ -16,7 +16,7 @@ const END_NOTICES = {
   failed: "Drop another file, or choose a piece.",
   gone: "This performance is not there any more. Press Play to have it played again.",
 };
-let shown = [], current = null, stage = null, roll = null, score = null;
+let current = null, stage = null, roll = null, score = null;
 let numChoices = 0; // how often something has been chosen to be shown
 let speed = 1;
 let running = false, paused = false, resumeAt = 0, nextRow = 0, scoresDrawnAt = 0, askedAt = 0, nextFrame = 0;
@@ -51,17 +51,15 @@ function stopClock(at) {
 }
 
 const firstRow = (time) => Math.ceil(time / current.recording.dt - 1e-6);
-const recordings = () => shown.map(({ recording }) => recording);
-const isReady = () => shown.length > 0 && recordings().every((recording) => recording?.rows);
-const available = () => Math.min(...recordings().map((recording) => recording.available));
+const isReady = () => Boolean(current?.recording?.rows);
+const available = () => current.recording.available;
 const duration = () => current.recording.steps * current.recording.dt;
-const isComplete = () => shown.every(({ complete }) => complete);
 
 let notice = [$("doing").textContent], override = "";
 /** Shows a text over the picture, how much is done of what, and whether it is small. */
 function showNotice(...shownNotice) {
   notice = shownNotice;
-  const [text, done = null, total = null, small = false] = override ? [override, null, null, shown.length > 0] : notice;
+  const [text, done = null, total = null, small = false] = override ? [override, null, null, Boolean(current)] : notice;
   if ($("doing").textContent !== text) $("doing").textContent = text;
   $("notice").hidden = !text;
   $("notice").classList.toggle("small", small);
@@ -75,19 +73,18 @@ function overrideNotice(text) {
   showNotice(...notice);
 }
 
-/** Shows performances, by their ids, from a time on [s]. */
-function watch(ids, at = 0) {
+/** Shows a performance, by its id, from a time on [s]. */
+function watch(id, at = 0) {
   numChoices++;
   $("first").hidden = true;
-  for (const each of shown) each.close();
+  current?.close();
   instrument.silence();
   clearPicture();
-  shown = ids.map((id) => createPerformance(id, changed));
-  [current, position, resumeAt, running, paused, askedAt] = [shown[0], 0, at, false, false, wallTime()];
+  [current, position, resumeAt, running, paused, askedAt] = [createPerformance(id, changed), 0, at, false, false, wallTime()];
   Object.assign(cadenza, { state: "queued", time: 0, live: null, strikes: [], waits: 0, finished: false, shownFinished: null, began: null });
   $("cancel").disabled = false;
   showNothing();
-  showLink();
+  history.replaceState(null, "", `#job=${id}`);
   bringIntoView();
 }
 /** Clears what belongs to the performance shown before. */
@@ -110,33 +107,27 @@ function showNothing() {
 function bringIntoView() { // the picture, and what is above it where there is room for both
   for (const part of [document.querySelector("header"), $("picture")]) part.scrollIntoView({ block: "nearest" });
 }
-const showLink = () => history.replaceState(null, "", `#job=${shown.map(({ id }) => id).join()}`);
 
-/** Shows what has changed of a performance: its "status", "request", "recording", "engraving", "fingers" or "misses". */
-function changed(performance, what) {
-  if (what === "misses" && performance === current) showExplanations();
-  if (what === "status") showStatus(performance);
-  if (what === "request" && performance === current) showRequest(performance);
-  if (what === "engraving" && performance === current) showScore();
-  if (what === "recording" && recordings().every(Boolean)) {
-    createPicture();
-    listenTo(current);
-    bringIntoView(); // what is above it may be higher now, and so may be the picture
-  }
+/** Shows what has changed: "status", "request", "recording", "engraving", "fingers" or "misses". */
+function changed(what) {
+  if (what === "misses") showExplanations();
+  if (what === "status") showStatus();
+  if (what === "request") showRequest();
+  if (what === "engraving") showScore();
+  if (what === "recording") showRecording();
 }
-function showStatus(performance) {
-  const { state, error } = performance.status;
+function showStatus() {
+  const { state, error } = current.status;
   if (state === "failed") showError(error);
   if (state === "kept") listPerformances();
   if (state === "kept" || state === "queued") showBackground();
   if (state === "gone") {
-    const [id, , wanted] = remembered();
-    if (id === performance.id && wanted) setOptionsToPlay(wanted);
+    const [id, , request] = remembered();
+    if (id === current.id && request) setOptionsToPlay(request);
     history.replaceState(null, "", chosen ? `#${toHash(playRequest())}` : location.pathname);
   }
-  if (performance !== current) return;
-  if (performance.request) showFacts(performance);
-  $("cancel").disabled = performance.over || performance.complete;
+  if (current.request) showFacts();
+  $("cancel").disabled = current.over || current.complete;
   cadenza.state = state;
   if (state === "cancelled" && isReady()) {
     pause();
@@ -144,15 +135,17 @@ function showStatus(performance) {
   }
   updatePlayback();
 }
-function showRequest({ title, request: wanted }) {
-  setOptions(wanted);
+function showRequest() {
+  const { title, request } = current;
+  setOptions(request);
   $("title").textContent = $("title").title = title;
   document.title = `${title} · Cadenza studio`;
-  showFacts(current);
+  showFacts();
 }
 /** Shows who plays, and what of the song is not played; what is the file's is said below the list of songs. */
-function showFacts({ request: wanted, recording, status: { remarks = recording?.remarks ?? [] } }) {
-  const facts = [`Played by ${howPlayed(wanted)}`, ...remarks.filter((remark) => !chosen?.remarks?.includes(remark))];
+function showFacts() {
+  const { request, recording, status: { remarks = recording?.remarks ?? [] } } = current;
+  const facts = [`Played by ${howPlayed(request)}`, ...remarks.filter((remark) => !chosen?.remarks?.includes(remark))];
   $("facts").replaceChildren(...facts.map((fact) => make("span", fact)));
 }
 /** Returns who plays, and the options that are not the usual ones. */
@@ -177,14 +170,16 @@ function goToNote(time) {
   bringIntoView();
 }
 
-/** Has one of the performances be heard, and shows its roll and scores. */
-function listenTo(performance) {
-  instrument.silence();
-  current = performance;
+/** Shows picture, roll and scores of what is to be played, as soon as that is known. */
+function showRecording() {
+  clearPicture();
+  stage = addPicture(current.recording);
+  looks.show(stage);
+  stage.move(now());
   cadenza.live = current.recording;
   instrument.setRecording(current.recording);
   nextRow = firstRow(now());
-  showRequest(current);
+  showRequest();
   showExplanations();
   $("length").textContent = minutes(duration());
   $("scrub").max = duration();
@@ -193,11 +188,11 @@ function listenTo(performance) {
   old.replaceWith(fresh);
   roll = createRoll(fresh, current.recording, seek);
   roll.draw();
-  for (const each of shown) if (each.listen) press(each.listen, each === current);
   cadenza.shownFinished = null;
   showScore();
+  bringIntoView(); // what is above it may be higher now, and so may be the picture
 }
-/** Shows the score of what is heard, if it has one yet. */
+/** Shows the score, if it has been engraved. */
 async function showScore() {
   const { recording } = current, engraving = recording.engraving && await readEngraving(recording.engraving);
   if (recording !== current?.recording) return;
@@ -212,21 +207,14 @@ $("show-score").addEventListener("click", toggleScore);
 
 function clearPicture() {
   stage?.end();
-  $("halves").replaceChildren();
+  $("hands-view").replaceChildren();
   stage = null;
 }
-function createPicture() {
-  clearPicture();
-  stage = combineStages(shown.map((performance) => addPicture(performance.recording, shown.length > 1 && caption(performance))));
-  looks.show(stage);
-  stage.move(now());
-}
-/** Adds a picture of a recording, with a caption if there is one, and returns its stage. */
-function addPicture(recording, caption) {
+/** Adds a picture of a recording, and returns its stage. */
+function addPicture(recording) {
   const words = "The hands over the keyboard: drag to turn, wheel to zoom after a click";
   const canvas = make("canvas", [], { className: "view", tabIndex: 0, role: "img", "aria-label": words });
-  const seen = make("div", canvas, { className: "seen" });
-  $("halves").append(make("div", caption ? [seen, caption] : seen, { className: "half" }));
+  $("hands-view").append(canvas);
   return createStage(canvas, recording, VERDICTS.map((name) => css("--" + name)));
 }
 /** Shows hands that are ready to play a song, until something is chosen. */
@@ -236,60 +224,37 @@ async function showOpening() {
   $("first").hidden = !chosen;
   $("play").disabled = !chosen;
   const picture = await fetchJson("api/opening"), recording = picture && await createStreamedRecording(picture);
-  if (!picture || numChoices || shown.length) return;
+  if (!picture || numChoices || current) return;
   stage = addPicture(recording);
   looks.show(stage);
   stage.move(0);
   $("looks").hidden = false;
   showNotice(notice[0], null, null, true);
 }
-/** Returns a bar with who plays, the scores, and a button to listen to it. */
-function caption(performance) {
-  const name = howPlayed(performance.request);
-  performance.shownScores = make("b");
-  performance.listen = labelledButton("Listen", `Listen to ${name}`, () => listenTo(performance));
-  const close = labelledButton("×", `Close ${name}`, () => watch([shown.find((each) => each !== performance).id], now()));
-  const bar = make("div", [make("span", name, { title: name }), performance.shownScores, performance.listen], { className: "caption" });
-  const kept = shown.every(({ status: { state } }) => state === "kept"), isLast = performance === shown.at(-1);
-  if (kept && isLast) bar.append(make("a", "Details", { href: `comparisons/${shown.map(({ id }) => id).join("/")}`, target: "_blank", rel: "noopener" }));
-  bar.append(close);
-  return bar;
-}
-/** Returns one stage that draws on several. */
-const combineStages = (stages) => ({
-  move(time) { for (const each of stages) each.move(time); },
-  draw() { for (const each of stages) each.draw(); },
-  look(name) { for (const each of stages) each.look(name); },
-  showNotes(visible) { for (const each of stages) each.showNotes(visible); },
-  end() { for (const each of stages) each.end(); },
-  setFlat(flat) { return stages.map((each) => each.setFlat(flat)).includes(true); },
-  get flat() { return stages.some(({ flat }) => flat); },
-  solid: stages.every(({ solid }) => solid),
-});
-
 /** Returns how much has to be planned ahead before it plays [s]. */
 function requiredLead() {
   if (cadenza.waits) return Math.min(speed * LEAD * 2 ** cadenza.waits, LONGEST_LEAD);
   if (wallTime() > askedAt + LATE_START) return speed * SHORT_LEAD;
-  return speed * (shown.every(({ pace }) => pace > speed * FAST) ? FAST_LEAD : LEAD);
+  return speed * (current.pace > speed * FAST ? FAST_LEAD : LEAD);
 }
 
 /** Plays while something is planned ahead, and shows what it waits for. */
 function updatePlayback() {
-  if (!shown.length) return;
-  if (!isReady()) return showPreparation(shown.find(({ recording }) => !recording?.rows));
+  if (!current) return;
+  if (!isReady()) return showPreparation();
   instrument.loadTones();
   const end = available();
   if (running && now() >= end) {
     stopClock(end);
-    if (!isComplete()) cadenza.waits++;
+    if (!current.complete) cadenza.waits++;
     else if (isLooping()) seek(0);
     else finish();
   }
   if (running) showNotice(instrument.isSuspended ? "Click anywhere for sound" : "", null, null, true);
   else if (!paused && !cadenza.finished) playWhenReady(end);
 }
-function showPreparation({ over, recording, status: { state, stage: doing, done, total, before } }) {
+function showPreparation() {
+  const { over, recording, status: { state, stage: doing, done, total, before } } = current;
   if (over) showNotice(END_NOTICES[state] ?? "", null, null, Boolean(recording));
   else if (state === "queued") showNotice(before ? `Waiting for its turn: ${before} before it` : "Waiting for its turn");
   else showNotice(STAGE_NOTICES[doing] ?? "Getting ready", doing ? done : null, doing ? total : null, Boolean(recording));
@@ -297,14 +262,13 @@ function showPreparation({ over, recording, status: { state, stage: doing, done,
 function playWhenReady(end) {
   if (position < resumeAt) position = Math.min(resumeAt, end);
   const ahead = end - position, wanted = Math.min(requiredLead(), duration() - position);
-  if (isComplete() ? end > position : ahead >= wanted && position >= resumeAt) {
+  if (current.complete ? end > position : ahead >= wanted && position >= resumeAt) {
     if (instrument.isMissing(position + SHORT_LEAD)) return showNotice("Tuning", null, null, true);
     resumeAt = 0;
     cadenza.began ??= performance.now();
     startClock();
-  } else if (isComplete()) finish();
-  else if (shown.some(({ over }) => over)) showNotice(END_NOTICES[shown.find(({ over }) => over).status.state] ?? "", null, null, true);
-  else if (current.status.state === "queued") showPreparation(current);
+  } else if (current.complete) finish();
+  else if (current.over) showNotice(END_NOTICES[current.status.state] ?? "", null, null, true);
   else showNotice(cadenza.waits ? "Planning has fallen behind; a moment" : "Planning ahead", Math.max(ahead, 0), wanted, true);
 }
 function finish() {
@@ -323,7 +287,7 @@ function seek(time) {
   if (!running) showNotice("");
 }
 function togglePlay() {
-  if (!shown.length && chosen) return playChosen();
+  if (!current && chosen) return playChosen();
   if (!isReady()) return;
   instrument.wake();
   if (cadenza.finished) {
@@ -361,13 +325,13 @@ function frame(time) {
   requestAnimationFrame(frame);
   updatePlayback();
   // Without a graphics card, fewer pictures leave more of the machine to who plans.
-  if (!stage || (stage.flat && !isComplete() && time < nextFrame)) return;
+  if (!stage || (stage.flat && current?.complete === false && time < nextFrame)) return;
   nextFrame = Math.max(Math.min(nextFrame, time) + FRAME_INTERVAL, time);
-  if (shown.length) show(now());
+  if (current) show(now());
   else stage.draw();
 }
 function show(time) {
-  const fresh = recordings().map((recording) => recording.show(time)).includes(true);
+  const { recording } = current, fresh = recording.show(time);
   cadenza.time = time;
   stage.move(time);
   stage.draw();
@@ -377,7 +341,7 @@ function show(time) {
     [scoresDrawnAt, cadenza.shownFinished] = [performance.now(), cadenza.finished];
     roll.draw();
     roll.move(time);
-    showScores();
+    showFigures(recording.scores);
     remember(time);
   }
   showTime(time);
@@ -386,19 +350,13 @@ function show(time) {
   looks.measure(running);
 }
 function showTime(time) {
-  const percent = (part) => `${(100 * part) / duration()}%`;
-  $("scrub").style.setProperty("--planned", percent(Math.min(...recordings().map(({ rows, dt }) => rows * dt))));
+  const percent = (part) => `${(100 * part) / duration()}%`, { rows, dt } = current.recording;
+  $("scrub").style.setProperty("--planned", percent(rows * dt));
   $("scrub").style.setProperty("--heard", percent(time));
   if ($("clock").textContent === minutes(time)) return;
   $("clock").textContent = minutes(time);
   $("scrub").value = time;
   $("scrub").setAttribute("aria-valuetext", `${minutes(time)} of ${minutes(duration())}`);
-}
-function showScores() {
-  showFigures(current.recording.scores);
-  for (const { recording: { scores: [f1, , , onsets] }, shownScores } of shown) {
-    if (shownScores && f1 !== null) shownScores.textContent = formatScores(f1, onsets);
-  }
 }
 function showFigures(scores) {
   ["f1", "precision", "recall", "onsets"].forEach((name, i) => {
@@ -408,5 +366,5 @@ function showFigures(scores) {
 }
 
 /** Remembers what is shown, for when the page is loaded again. */
-const remember = (time) => sessionStorage.setItem("cadenza", JSON.stringify([shown[0].id, time, current.request]));
+const remember = (time) => sessionStorage.setItem("cadenza", JSON.stringify([current.id, time, current.request]));
 const remembered = () => JSON.parse(sessionStorage.getItem("cadenza") ?? "[null, 0, null]");

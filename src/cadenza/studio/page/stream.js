@@ -6,10 +6,10 @@ const RETRY_DELAY = 500, MAX_RETRY_DELAY = 5000; // [ms] before the next attempt
 
 /**
  * Receives a performance from the server: its `title` and `request`, `status`, and a `recording` once
- * it is known what is to be played. `changed(performance, what)` is called for each of these.
+ * it is known what is to be played. `changed(what)` is called for each of these.
  */
 function createPerformance(id, changed) {
-  let socket = null, attempts = 0, closed = false, serverError = null; // that the page shows
+  let socket = null, attempts = 0, closed = false;
   const performance = {
     id, title: "", request: null, status: { state: "queued" }, recording: null,
     arrivals: [], // latest messages: time [s], number of rows
@@ -36,8 +36,6 @@ function createPerformance(id, changed) {
     }
     const message = JSON.parse(data);
     let what = "recording";
-    if (message.state === "full") return showError(serverError = message.error);
-    if (cadenza.error === serverError) clearError();
     if (message.state) [performance.status, what] = [message, "status"];
     else if (message.request) [what] = ["request", Object.assign(performance, message)];
     else if (!message.dt) { // fingers, misses or the engraving, which have become known
@@ -45,7 +43,7 @@ function createPerformance(id, changed) {
       [what] = Object.keys(message);
     } else if (performance.recording) return performance.recording.restart(); // sent again
     else performance.recording = await createStreamedRecording(message);
-    if (!closed) changed(performance, what);
+    if (!closed) changed(what);
   }
   (function connect() {
     const ours = socket = new WebSocket(`${location.origin.replace(/^http/, "ws")}${location.pathname}watch/${id}`);

@@ -7,7 +7,6 @@ $("level").append(make("option", "as hard as it can be", { value: "" }), ...leve
 $("arrange").addEventListener("change", showLevel);
 for (const id of ["start", "first"]) $(id).addEventListener("click", playChosen);
 $("speed").addEventListener("change", () => setSpeed(Number($("speed").value)));
-$("train").addEventListener("click", train);
 let stopListening = null;
 $("keyboard").hidden = !navigator.requestMIDIAccess && isSecureContext; // it knows none
 $("keyboard").addEventListener("click", async () => {
@@ -16,7 +15,7 @@ $("keyboard").addEventListener("click", async () => {
   if (stopListening) stopListening();
   stopListening = stopListening ? null : await listenToKeyboards(onCount, onPhrase);
   press($("keyboard"), Boolean(stopListening));
-  overrideNotice(stopListening && !shown.length ? "Play something. When you pause, the hands play it after you." : "");
+  overrideNotice(stopListening && !current ? "Play something. When you pause, the hands play it after you." : "");
 });
 $("file").addEventListener("change", () => {
   const [file] = $("file").files;
@@ -43,21 +42,21 @@ for (const name of ["dragenter", "dragover", "dragleave", "drop"]) {
     if (name === "drop" && event.dataTransfer.files[0]) upload(event.dataTransfer.files[0]);
   });
 }
-document.addEventListener("pointerdown", () => { if (shown.length) instrument.wake(); });
+document.addEventListener("pointerdown", () => { if (current) instrument.wake(); });
 $("scrub").addEventListener("input", () => seek(Number($("scrub").value)));
 
 listenToKeys({ toggle: togglePlay, mute, fill: fullScreen(), seek, now, end: available });
 
-/** Opens what the address asks for: performances, or a song and how it is to be played. */
+/** Opens what the address asks for: a performance, or a song and how it is to be played. */
 function openFromAddress() {
-  const wanted = fromHash(), ids = only ? [only] : (wanted.job ?? "").split(",").filter(Boolean).slice(0, 2);
-  if (ids.length) {
-    const [id, time] = remembered();
-    watch(ids, id === ids[0] ? time : 0);
-  } else if (wanted.song) {
-    setOptionsToPlay(wanted);
+  const asked = fromHash(), id = only ?? asked.job;
+  if (id) {
+    const [lastId, time] = remembered();
+    watch(id, id === lastId ? time : 0);
+  } else if (asked.song) {
+    setOptionsToPlay(asked);
     $("more").open = true;
-  } else if (!shown.length) return showOpening();
+  } else if (!current) return showOpening();
 }
 
 await listSongs();
