@@ -24,7 +24,7 @@ from cadenza.evaluation.results import Result, Results, read_results
 from cadenza.evaluation.summary import run_metrics, summarize
 from cadenza.evaluation.tables import write_csv
 from cadenza.files import content_of
-from cadenza.report.results_pages import write_figure
+from cadenza.report.summary_page import write_figure
 
 _ABOUT = ("title", "composer", "opus", "licence", "source")
 _FIGURES = {  # name -> decimals
@@ -63,7 +63,7 @@ def about_piece(result: Result, pieces: Pieces) -> Mapping[str, str]:
 def rows(split: str, results: Sequence[Result], pieces: Pieces) -> Iterator[dict[str, Any]]:
     """Yields a row for each run of a bench."""
     for result in sorted(results, key=lambda result: (result.agent, result.song.name)):
-        about, measured = about_piece(result, pieces), run_metrics(result)
+        about, measured = about_piece(result, pieces), run_metrics(result.metrics, result.timing)
         row: dict[str, Any] = {name: about[name] for name in _ABOUT}
         row |= {"split": split, "seconds": round(result.timing.music_seconds, 2)}
         row |= {"notes": result.song.notes, "agent": result.agent, "seed": result.seed}

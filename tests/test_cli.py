@@ -707,17 +707,19 @@ def test_comparing(tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     options = ["--agents", "planner", "zero", "--seeds", "0", "1", "--planner.method", "none"]
     main(["compare", str(tune), *options, "-o", str(tmp_path)])
     heading, planner, zero, *_ = capsys.readouterr().out.splitlines()
-    assert heading.split()[:3] == ["F1", "Precision", "Recall"]
+    assert heading.split()[:3] == ["pieces", "runs", "F1"]
     assert (planner.split()[0], zero.split()[0]) == ("planner", "zero")
     found = json.loads((tmp_path / "compare.json").read_text())
     runs = [(run["agent"], run["seed"]) for run in found["runs"]]
     assert runs == [("planner", 0), ("planner", 1), ("zero", 0), ("zero", 1)]
     f1 = [run["f1"] for run in found["runs"]]
     assert found["means"]["planner"]["f1"] == pytest.approx((f1[0] + f1[1]) / 2)
-    assert planner.split()[1] == f"{found['means']['planner']['f1']:.3f}"
-    assert found["means"]["planner"]["energy"] > found["means"]["zero"]["energy"]
-    assert found["means"]["zero"]["timing_error"] is None
-    assert "seed 1" in (tmp_path / "compare.html").read_text()
+    assert planner.split()[1:4] == ["1", "2", f"{found['means']['planner']['f1']:.3f}"]
+    assert found["means"]["planner"]["power"] > found["means"]["zero"]["power"]
+    assert found["means"]["zero"]["onset_error"] is None
+    assert 'href="planner--s1/report.html"' in (tmp_path / "compare.html").read_text()
+    played = [tmp_path / f"{agent}--s{seed}" / "metrics.json" for agent, seed in runs]
+    assert [json.loads(path.read_text())["f1"] for path in played] == f1
 
 
 # MIDI files as they come

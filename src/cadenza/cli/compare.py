@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import time
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -10,16 +11,16 @@ from typing import TYPE_CHECKING
 
 from cadenza.agents.registry import PLAYBACK
 from cadenza.cli.arguments import Output, Quiet
-from cadenza.cli.console import in_columns
 from cadenza.cli.options import Performing, Read, setting_up
 from cadenza.cli.progress import stages
 from cadenza.cli.saving import check_writable, default_folder
 from cadenza.errors import CadenzaError
-from cadenza.files import write_json
+from cadenza.files import folder_name, write_json
 
 if TYPE_CHECKING:
+    from cadenza.music.score import Score
     from cadenza.performing.setup import Selection
-    from cadenza.report.comparison_page import Run
+    from cadenza.report.bench_summary import Run
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Compare(Performing):
     seeds: tuple[int, ...] = (0,)
     """Random seeds. Each agent plays once with each seed."""
     output: Output[Path | None] = None
-    """Folder for compare.html and compare.json; played/SONG by default."""
+    """Folder for compare.html, compare.json and a folder of each run; played/SONG by default."""
     quiet: Quiet = False
 
 
@@ -65,47 +66,62 @@ def compare(command: Compare, read: Read[Compare]) -> None:
     runs: list[Run] = []
     try:
         for name, seed in product(selections, dict.fromkeys(command.seeds)):
-            runs.append(_run(name, selections[name], commands[name], seed))
+            runs.append(_run(name, selections[name], commands[name], seed, folder))
     finally:  # also of what was stopped, or has failed
         if runs:
-            _write(folder, runs, remarks, command)
+            _write(folder, source.score, runs, remarks, command)
 
 
-def _write(folder: Path, runs: list[Run], remarks: list[str], command: Compare) -> None:
+def _run(name: str, selection: Selection, command: Compare, seed: int, folder: Path) -> Run:
+    """Plays once, and leaves the performance in a folder of its own."""
+    from cadenza.evaluation.results import PAGE, Timing
+    from cadenza.evaluation.summary import run_metrics
+    from cadenza.performing.performance import check_replaceable, perform
+    from cadenza.report.bench_summary import Run
+
+    own = folder / folder_name(f"{name}--s{seed}")
+    check_replaceable(own)
+    began, cpu_before = time.perf_counter(), time.process_time()
+    with stages(f"{name}, seed {seed}") as progress:
+        with setting_up(selection, command, seed) as setup:
+            performance = perform(setup, progress)
+        timing = Timing(
+            wall_seconds=time.perf_counter() - began,
+            music_seconds=performance.seconds,
+            threads=setup.agent.threads,
+            cpu_seconds=time.process_time() - cpu_before,
+        )
+        performance.save(own, progress)
+    return Run(0, name, seed, run_metrics(performance.metrics, timing), own / PAGE)
+
+
+def _write(
+    folder: Path, score: Score, runs: list[Run], remarks: list[str], command: Compare
+) -> None:
     """Writes the files, and prints the table."""
-    from cadenza.report.comparison_page import comparison_page, means
+    from cadenza.cli.results import in_text
+    from cadenza.evaluation.summary import summary_of
+    from cadenza.report.bench_summary import Piece
     from cadenza.report.html_pages import write_page
+    from cadenza.report.summary_page import summary_page
 
+    title = score.title or "Untitled"
+    piece = Piece(command.song, title, "", "", math.nan, score.total_time, len(score.notes))
+    summary = summary_of(title, [piece], runs, [(remark, ()) for remark in remarks])
+    (group,) = summary.groups
     content = {
-        "means": means(runs),
+        "means": {
+            agent: {name: mean.value for name, mean in own.mean.items()}
+            for agent, own in group.agents.items()
+        },
         "runs": [{"agent": run.agent, "seed": run.seed, **run.metrics} for run in runs],
         "settings": asdict(command),
         "remarks": remarks,
     }
     write_json(folder / "compare.json", content)
-    write_page(folder / "compare.html", comparison_page(runs, remarks))
-    print("\n".join([in_text(runs), *remarks]))
+    write_page(folder / "compare.html", summary_page(summary, folder))
+    print("\n".join([in_text(summary), *remarks]))
     print(f"\nOpen {folder / 'compare.html'}")
-
-
-def _run(name: str, selection: Selection, command: Compare, seed: int) -> Run:
-    from cadenza.performing.performance import perform
-    from cadenza.report.comparison_page import Run, compared
-
-    with setting_up(selection, command, seed) as setup, stages(f"{name}, seed {seed}") as progress:
-        performance = perform(setup, progress)
-    figures = compared(performance.metrics, performance.seconds)
-    return Run(name, seed, figures, performance.episode)
-
-
-def in_text(runs: Sequence[Run]) -> str:
-    """Returns the table of means as text."""
-    from cadenza.report.comparison_page import COLUMNS, means, metric_text
-
-    rows = [["", *(title for title, _ in COLUMNS.values())]]
-    for agent, metrics in means(runs).items():
-        rows.append([agent, *(metric_text(name, metrics[name]) for name in COLUMNS)])
-    return in_columns(rows)
 
 
 def _differing(own: Compare, command: Compare) -> str:

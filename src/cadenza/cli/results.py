@@ -1,4 +1,4 @@
-"""`cadenza results`: pages and tables of the results of a bench."""
+"""`cadenza results`: the page and the tables of the results of a bench."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Results:
-    """Sum up the runs of "cadenza bench": pages, tables and a figure.
+    """Sum up the runs of "cadenza bench": a page, tables and a figure.
 
     Example: cadenza results bench
     """
@@ -37,7 +37,8 @@ def results(command: Results) -> None:
     from cadenza.evaluation.results import read_results
     from cadenza.evaluation.summary import summarize
     from cadenza.evaluation.tables import write_tables
-    from cadenza.report.results_pages import write_figure, write_results_pages
+    from cadenza.report.html_pages import write_page
+    from cadenza.report.summary_page import summary_page, write_figure
 
     folder = command.output or command.bench / "results"
     if command.figure:
@@ -46,33 +47,27 @@ def results(command: Results) -> None:
     summary = summarize(found, command.bench.resolve().name)
     check_writable(folder)
     tables = write_tables(folder, summary, usable(found))
-    index, *_ = write_results_pages(folder, summary, tables)
+    index = folder / "index.html"
+    write_page(index, summary_page(summary, folder, tables))
     if command.figure:
         write_figure(command.figure, summary)
-    print(_in_text(summary))
+    print(in_text(summary))
     for caveat, _ in summary.caveats:
         print(caveat)
     print(f"\nOpen {index}")
 
 
-def _in_text(summary: BenchSummary) -> str:
-    """Returns the table of agents for a terminal: interquartile means."""
-    from cadenza.report.bench_summary import (
-        HEADLINES,
-        IDENTICAL,
-        METRICS,
-        identical_text,
-        interval_text,
-        metric_text,
-    )
+def in_text(summary: BenchSummary) -> str:
+    """Returns the table of agents for a terminal: means."""
+    from cadenza.report.bench_summary import HEADLINES, METRICS, interval_text, metric_text
 
     titles = [METRICS[name].title for name in HEADLINES]
-    rows = [["", "pieces", "runs", IDENTICAL.lower(), titles[0], "95 % interval", *titles[1:]]]
+    rows = [["", "pieces", "runs", titles[0], "95 % interval", *titles[1:]]]
     for group in summary.groups:
-        rows.append([group.name, *[""] * (len(rows[0]) - 1)])
+        if len(summary.groups) > 1:
+            rows.append([group.name, *[""] * (len(rows[0]) - 1)])
         for agent, own in group.agents.items():
-            f1, *others = (metric_text(name, own.iqm[name].value) for name in HEADLINES)
-            interval = interval_text(HEADLINES[0], own.iqm[HEADLINES[0]])
-            counts = [str(own.pieces), str(own.runs), identical_text(own)]
-            rows.append([f"  {agent}", *counts, f1, interval, *others])
-    return f"Interquartile means\n{in_columns(rows)}"
+            f1, *others = (metric_text(name, own.mean[name].value) for name in HEADLINES)
+            interval = interval_text(HEADLINES[0], own.mean[HEADLINES[0]])
+            rows.append([agent, str(own.pieces), str(own.runs), f1, interval, *others])
+    return in_columns(rows)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -40,27 +40,33 @@ def caveats(found: Results) -> Iterator[tuple[str, list[str]]]:
         yield f"{counted(len(missing), 'run')} {_are(missing)} not finished.", missing
     if few := _with_fewer_runs(results):
         yield "Some agents have fewer runs.", few
-    if versions := _differing([(r, r.versions) for r in results]):
-        yield "Versions differ.", versions
-    if settings := _differing([(r, _common_settings(r)) for r in results]):
-        yield "Settings differ.", settings
-    for agent in dict.fromkeys(result.agent for result in results):
-        own = [(r, _own_settings(r)) for r in results if r.agent == agent]
-        if settings := _differing(own):
-            yield f"Settings of {agent} differ.", settings
-    if fingers := _rewarded_fingers(results):
-        yield "Rewards are for different fingers.", fingers
-    if threads := _differing([(r, {"threads": r.timing.threads}) for r in results]):
-        yield "Wall times are of different numbers of threads.", threads
+    if differences := list(_differences(results)):
+        yield "Versions, settings or notes differ from run to run.", differences
     if changed := _not_as_written(results):
         yield "Pieces were not played whole and as written.", changed
-    if songs := _differing_songs(results):
-        yield "The notes of a piece differ from run to run.", songs
 
 
-def _common_settings(result: Result) -> dict[str, Any]:
+def _differences(results: Sequence[Result]) -> Iterator[str]:
+    """Yields a line for each setting that differs among all runs, those of an agent or a piece."""
+    yield from _differing([(result, _shared_settings(result)) for result in results])
+    for agent, own in _by([(result.agent, result) for result in results]).items():
+        yield from _differing([(r, _own_settings(r)) for r in own], f"{agent}: ")
+    for piece, own in _by([(result.song.name, result) for result in results]).items():
+        yield from _differing([(r, _notes_and_fingers(r)) for r in own], f"{piece}: ")
+
+
+def _by(pairs: Iterable[tuple[str, Result]]) -> dict[str, list[Result]]:
+    """Returns the results of each name."""
+    results: dict[str, list[Result]] = {}
+    for name, result in pairs:
+        results.setdefault(name, []).append(result)
+    return results
+
+
+def _shared_settings(result: Result) -> dict[str, Any]:
     left_out = (*_VARIED, *_OWN)
-    return dict(flat({name: value for name, value in result.job.items() if name not in left_out}))
+    job = {name: value for name, value in result.job.items() if name not in left_out}
+    return {**result.versions, "threads": result.timing.threads, **dict(flat(job))}
 
 
 def _own_settings(result: Result) -> dict[str, Any]:
@@ -70,9 +76,15 @@ def _own_settings(result: Result) -> dict[str, Any]:
     return own
 
 
-def _differing(settings: Sequence[tuple[Result, Mapping[str, Any]]]) -> list[str]:
-    """Returns a line for each name whose value is not the same in all runs, and who has which."""
-    lines = []
+def _notes_and_fingers(result: Result) -> dict[str, Any]:
+    fingers = result.metrics.get("rewarded_fingers")
+    return {"notes": result.job.get("song_digest"), "rewarded_fingers": fingers}
+
+
+def _differing(
+    settings: Sequence[tuple[Result, Mapping[str, Any]]], about: str = ""
+) -> Iterator[str]:
+    """Yields a line for each name whose value is not the same in all runs, and who has which."""
     for name in dict.fromkeys(name for _, values in settings for name in values):
         by_value: dict[Any, list[str]] = {}
         for result, values in settings:
@@ -83,17 +95,7 @@ def _differing(settings: Sequence[tuple[Result, Mapping[str, Any]]]) -> list[str
                 f"{value} in {counted(len(agents), 'run')} ({', '.join(dict.fromkeys(agents))})"
                 for value, agents in by_value.items()
             )
-            lines.append(f"{name}: {'; '.join(each)}")
-    return lines
-
-
-def _rewarded_fingers(results: Sequence[Result]) -> list[str]:
-    """Returns a line for each piece whose runs were rewarded for different fingers."""
-    pieces: dict[str, list[tuple[Result, dict[str, Any]]]] = {}
-    for result in results:
-        fingers = {"rewarded_fingers": result.metrics.get("rewarded_fingers")}
-        pieces.setdefault(result.song.name, []).append((result, fingers))
-    return [f"{piece}: {line}" for piece, runs in pieces.items() for line in _differing(runs)]
+            yield f"{about}{name}: {'; '.join(each)}"
 
 
 def _not_as_written(results: Sequence[Result]) -> list[str]:
@@ -108,13 +110,6 @@ def _not_as_written(results: Sequence[Result]) -> list[str]:
         f"{what}: {counted(len(agents), 'run')} ({', '.join(dict.fromkeys(agents))})"
         for what, agents in changes.items()
     ]
-
-
-def _differing_songs(results: Sequence[Result]) -> list[str]:
-    digests: dict[str, set[str]] = {}
-    for result in results:
-        digests.setdefault(result.song.name, set()).add(str(result.job.get("song_digest")))
-    return [name for name, of in digests.items() if len(of) > 1]
 
 
 def _with_fewer_runs(results: Sequence[Result]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The results of a bench as CSV and as JSON: the same numbers as on the pages."""
+"""The results of a bench as CSV: the same numbers as on the page, and all else of each run."""
 
 from __future__ import annotations
 
@@ -12,17 +12,16 @@ from pathlib import Path
 from typing import Any
 
 from cadenza.evaluation.results import Result
-from cadenza.files import write_atomically, write_json
-from cadenza.report.bench_summary import METRICS, THRESHOLDS, BenchSummary, Estimate
+from cadenza.files import write_atomically
+from cadenza.report.bench_summary import METRICS, BenchSummary, Estimate
 
-FORMAT = 1
 _ABOUT_A_PIECE = ("piece", "title", "composer", "library", "difficulty", "seconds", "notes")
 _FINGER_REWARDS = ("return", "reward/fingering")
 Row = Mapping[str, Any]
 
 
 def write_tables(folder: Path, summary: BenchSummary, results: Sequence[Result]) -> list[str]:
-    """Writes agents.csv, pieces.csv, runs.csv and results.json; returns their names."""
+    """Writes agents.csv, pieces.csv and runs.csv; returns their names."""
     tables = {
         "agents": list(_agents(summary)),
         "pieces": list(_pieces(summary)),
@@ -30,28 +29,17 @@ def write_tables(folder: Path, summary: BenchSummary, results: Sequence[Result])
     }
     for name, rows in tables.items():
         write_csv(folder / f"{name}.csv", rows)
-    content = {
-        "format": FORMAT,
-        "title": summary.title,
-        "figures": {name: metric.title for name, metric in METRICS.items()},
-        **tables,
-        "profiles": list(_profiles(summary)),
-        "remarks": [{"what": what, "cases": list(cases)} for what, cases in summary.caveats],
-    }
-    write_json(folder / "results.json", content)
-    return [*(f"{name}.csv" for name in tables), "results.json"]
+    return [f"{name}.csv" for name in tables]
 
 
 def _agents(summary: BenchSummary) -> Iterator[Row]:
-    """Yields mean and interquartile mean of each metric for every group and agent."""
+    """Yields the mean of each metric for every group and agent."""
     for group in summary.groups:
         for agent, agent_summary in group.agents.items():
             row: dict[str, Any] = {"group": group.name, "agent": agent}
             row |= {"pieces": agent_summary.pieces, "runs": agent_summary.runs}
-            row |= {"repeated": agent_summary.repeated, "same": agent_summary.identical}
             for name in METRICS:
-                row |= _ends(f"{name}_mean", agent_summary.mean[name])
-                row |= _ends(f"{name}_iqm", agent_summary.iqm[name])
+                row |= _ends(name, agent_summary.mean[name])
             yield row
 
 
@@ -89,15 +77,6 @@ def _column(name: str, result: Result) -> str:
     """Returns the column of a metric: the reward for other fingers is another metric."""
     fingers = result.metrics.get("rewarded_fingers")
     return f"{name}, fingers: {fingers}" if name in _FINGER_REWARDS and fingers else name
-
-
-def _profiles(summary: BenchSummary) -> Iterator[Row]:
-    for group in summary.groups:
-        for agent, agent_summary in group.agents.items():
-            for name, profile in agent_summary.profile.items():
-                about = {"group": group.name, "agent": agent, "figure": name}
-                shares = {end: v.tolist() for end, v in profile._asdict().items()}
-                yield about | {"above": THRESHOLDS.tolist(), **shares}
 
 
 def _ends(name: str, estimate: Estimate) -> dict[str, float]:

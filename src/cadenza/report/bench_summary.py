@@ -1,4 +1,4 @@
-"""The summary of a bench: the values that its pages, its figure and its tables are made of."""
+"""The summary of many runs: the values that its page, its figure and its tables are made of."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from cadenza.report.charts import fixed_number
 
@@ -58,14 +56,8 @@ METRICS = SHARES | {
 }
 """Metrics of a run; NaN stands for one that is not known."""
 
-BARS = ("f1", "note_onset_f1", "pooled_f1")
-"""Metrics that are drawn as bars."""
-HEADLINES = (*BARS, "wall_per_music")
-"""Metrics at the top of the page."""
-IDENTICAL = "Same with every seed"
-"""Title of the number of pieces whose runs are all the same."""
-THRESHOLDS = np.linspace(0, 1, 51)
-"""Values at which performance profiles are computed."""
+HEADLINES = ("f1", "note_onset_f1", "pooled_f1", "wall_per_music")
+"""Metrics that are printed."""
 
 
 class Estimate(NamedTuple):
@@ -116,16 +108,8 @@ class AgentSummary:
 
     pieces: int
     runs: int
-    repeated: int
-    """Number of pieces with several seeds."""
-    identical: int
-    """Number of those of which each of `SHARES` is the same with every seed."""
     mean: Mapping[str, Estimate]
     """The mean of each of `METRICS`: numbers."""
-    iqm: Mapping[str, Estimate]
-    """The interquartile mean of each of `METRICS`: numbers."""
-    profile: Mapping[str, Estimate]
-    """The performance profile of each of `SHARES`: arrays, at `THRESHOLDS`."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +125,7 @@ class Group:
 
 @dataclass(frozen=True)
 class BenchSummary:
-    """Content of the pages."""
+    """Pieces, the agents that played them, and how well."""
 
     title: str
     pieces: Sequence[Piece]
@@ -152,8 +136,6 @@ class BenchSummary:
     """The mean over seeds of each of `METRICS`: arrays (agents, pieces), NaN without a run."""
     groups: Sequence[Group]
     """The first is that of all pieces."""
-    common: Group
-    """The pieces that all agents played; all, if there are none."""
     caveats: Sequence[tuple[str, Sequence[str]]]
     """Reasons to be careful with comparisons: a line, and its cases."""
 
@@ -163,13 +145,8 @@ def metric_text(name: str, value: float) -> str:
     return fixed_number(value, METRICS[name].decimals)
 
 
-def interval_text(name: str, estimate: Estimate, between: str = "–") -> str:
+def interval_text(name: str, estimate: Estimate) -> str:
     """Returns both ends of the interval as text; nothing if there is none."""
     if math.isnan(estimate.low):
         return ""
-    return f"{metric_text(name, estimate.low)}{between}{metric_text(name, estimate.high)}"
-
-
-def identical_text(summary: AgentSummary) -> str:
-    """Returns how many pieces were played the same with every seed; a dash with a single seed."""
-    return f"{summary.identical} of {summary.repeated}" if summary.repeated else "–"
+    return f"{metric_text(name, estimate.low)}–{metric_text(name, estimate.high)}"

@@ -26,7 +26,6 @@ from cadenza.report.charts import mean_of_known
 VERIFIED, UNVERIFIED, REFUSED = "verified", "unverified", "refused"
 _ORDER = (VERIFIED, UNVERIFIED, REFUSED)  # whatever is claimed, what holds stands above it
 _MS_PER_SECOND = 1000
-_SEED = 0  # of the bootstrap: the same entries have the same intervals
 _DECIMALS = {"onset_error_ms": 1, "velocity_error": 1, "cpu_per_music": 2}  # of others three
 _COLUMNS = {
     "status": "status",
@@ -113,12 +112,12 @@ def means(played: PlayedAgain) -> Row:
         return np.array(rows, np.float64)
 
     f1 = scores("f1")
-    low, high = bootstrap_interval(mean, f1, np.random.default_rng(_SEED))
+    low, high = bootstrap_interval(f1)
     cpu = [math.nan if run.cpu_seconds is None else run.cpu_seconds for run in entry.runs]
     return {
         "f1": float(mean(f1)),
-        "f1_low": float(low),
-        "f1_high": float(high),
+        "f1_low": low,
+        "f1_high": high,
         **{n: float(mean(scores(n))) for n in _SHARES},
         "onset_error_ms": _MS_PER_SECOND * mean_of_known(scores("onset_error_median").ravel()),
         "velocity_error": mean_of_known(scores("velocity_error").ravel()),

@@ -1,0 +1,161 @@
+"""The page that sums up many runs, and its chart of all pieces as an SVG picture."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from cadenza.report.bench_summary import (
+    METRICS,
+    BenchSummary,
+    Estimate,
+    Piece,
+    interval_text,
+    metric_text,
+)
+from cadenza.report.charts import counted, duration_text
+from cadenza.report.html_pages import render, write_page
+
+_ABOUT = "Piece", "Library", "Difficulty", "Seconds", "Notes"  # columns of a table of pieces
+_MAX_CASES = 12  # of a caveat that are shown
+_MAX_SEEDS = 5  # that are named one by one
+
+_WIDTH, _LEFT, _RIGHT = 1200, 48, 16  # [px]
+_HEIGHT = 150  # [px] of a chart
+_TITLE, _GAP = 34, 10  # [px] above a chart, and below it
+_LINE = 24  # [px] height of the names below a chart
+_MIN_NAMED_COLUMN = 13  # [px] a column has to be this wide for its name
+_MAX_TITLE = 26  # characters of a name
+_CHARACTER = 6.8  # [px] width of an average character
+_BAR_SHARE, _MAX_BAR = 0.76, 44  # width of a bar, of its column and [px]
+_MAX_CAP, _MAX_DOT = 5, 3  # [px] half the end of an interval, radius of a dot
+
+
+def summary_page(
+    summary: BenchSummary, folder: Path, downloads: Sequence[str] = ()
+) -> Iterator[str]:
+    """Yields the page of runs piece by piece, see `html_pages.render`.
+
+    Args:
+        summary: of at least one run.
+        folder: of the page, to which addresses are relative.
+        downloads: names of files in the folder.
+    """
+    seeds = sorted({run.seed for run in summary.runs})
+    seconds = math.fsum(piece.seconds for piece in summary.pieces)
+    several = len(summary.pieces) > 1
+    return render(
+        "summary.html",
+        **_figure(summary),
+        title=summary.title,
+        facts={
+            "pieces": str(len(summary.pieces)),
+            "of music": duration_text(seconds),
+            "agents": str(len(summary.agents)),
+            "seeds": ", ".join(map(str, seeds)) if len(seeds) <= _MAX_SEEDS else str(len(seeds)),
+            "runs": str(len(summary.runs)),
+        },
+        caveats=summary.caveats,
+        max_cases=_MAX_CASES,
+        groups=summary.groups if several else [],
+        about=_ABOUT if several else (),
+        rows=_rows(summary, folder),
+        metrics=METRICS,
+        interval_text=interval_text,
+        downloads=downloads,
+        styles=("page.css", "summary.css"),
+    )
+
+
+def _rows(
+    summary: BenchSummary, folder: Path
+) -> Iterator[tuple[Piece, str, list[tuple[int, str | None]], dict[str, Estimate]]]:
+    """Yields each piece and agent, the seeds and pages of its runs, and its means over them."""
+    runs: dict[tuple[int, str], list[tuple[int, str | None]]] = {}
+    for run in summary.runs:
+        page = None if run.page is None else _address(run.page, folder)
+        runs.setdefault((run.piece, run.agent), []).append((run.seed, page))
+    for i, piece in enumerate(summary.pieces):
+        for j, agent in enumerate(summary.agents):
+            if own := runs.get((i, agent)):
+                by_piece = summary.by_piece.items()
+                means = {name: Estimate(*(part[j, i] for part in each)) for name, each in by_piece}
+                yield piece, agent, sorted(own), means
+
+
+def _address(page: Path, folder: Path) -> str:
+    return quote(os.fsencode(Path(os.path.relpath(page, folder)).as_posix()))
+
+
+def write_figure(path: Path, summary: BenchSummary) -> None:
+    """Draws the F1 of all pieces with its intervals, a chart an agent, in the order of the best.
+
+    A dot is the note onset F1. Of a single piece there is one chart with a bar an agent.
+    """
+    write_page(path, render("figure.svg", **_figure(summary)))
+
+
+def _figure(summary: BenchSummary) -> dict[str, Any]:
+    """Returns what `figure.svg` draws: a chart for each row, and a bar in it for each column."""
+    tables = [*summary.by_piece["f1"], summary.by_piece["note_onset_f1"].value]
+    rows, columns = list(summary.agents), [piece.title for piece in summary.pieces]
+    legends = [_means_text(summary, agent) for agent in rows]
+    if len(columns) == 1:
+        rows, columns, legends = columns, rows, ["F1 (bars), note onset F1 (dots)"]
+        tables = [table.T for table in tables]
+    order = np.argsort(-tables[0][0], kind="stable").tolist()  # what has no F1 comes last
+    chart_width = _WIDTH - _LEFT - _RIGHT
+    column = chart_width / len(order)
+    names = [_shortened(columns[i]) for i in order] if column >= _MIN_NAMED_COLUMN else []
+    longest = _CHARACTER * max(map(len, names), default=0)
+    is_turned = longest > column
+    below = (_TITLE + _HEIGHT + _GAP) * len(rows)
+    bar_width = min(_BAR_SHARE * column, _MAX_BAR)
+    agents = ", ".join(summary.agents)
+    return {
+        "caption": f"F1 and note onset F1 of {counted(len(summary.pieces), 'piece')} by {agents}",
+        "width": _WIDTH,
+        "height": below + _GAP + round(longest if is_turned else _LINE),
+        "left": _LEFT,
+        "chart_width": chart_width,
+        "column": column,
+        "bar_width": bar_width,
+        "cap": min(bar_width / 4, _MAX_CAP),
+        "dot": min(bar_width / 4, _MAX_DOT),
+        "charts": [
+            {
+                "top": _TITLE + (_TITLE + _HEIGHT + _GAP) * n,
+                "title": row,
+                "legend": legend,
+                "bars": [(columns[i], *(table[n][i] for table in tables)) for i in order],
+            }
+            for n, (row, legend) in enumerate(zip(rows, legends, strict=True))
+        ],
+        "names": names,
+        "is_turned": is_turned,
+        "below": below,
+        "metric_text": metric_text,
+        "y": lambda share: _HEIGHT * (1 - min(max(share, 0.0), 1.0)),
+        "px": "{:.2f}".format,
+    }
+
+
+def _means_text(summary: BenchSummary, agent: str) -> str:
+    """Returns the means of an agent over all of its pieces."""
+    parts = []
+    for name, mark in (("f1", "bars"), ("note_onset_f1", "dots")):
+        mean = summary.groups[0].agents[agent].mean[name]
+        value, interval = metric_text(name, mean.value), interval_text(name, mean)
+        text = f"{METRICS[name].title} ({mark}) {value}"
+        parts.append(f"{text} (95 %: {interval})" if interval else text)
+    return f"means: {', '.join(parts)}"
+
+
+def _shortened(title: str) -> str:
+    return title if len(title) <= _MAX_TITLE else f"{title[: _MAX_TITLE - 1]}…"
