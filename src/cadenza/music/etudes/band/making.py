@@ -9,11 +9,18 @@ from dataclasses import replace
 import numpy as np
 
 from cadenza.configs import MAX_SEED, whole_number
-from cadenza.music.etudes.band.cast import Cast, Player, random_cast
+from cadenza.music.etudes.band.chords import SongPassage, happens
 from cadenza.music.etudes.band.melody import Singing, answers, melody, second_voice
 from cadenza.music.etudes.band.parts import Band, BandSection
-from cadenza.music.etudes.band.passage import SongPassage, happens
-from cadenza.music.etudes.band.plan import SongPlan, planned, played, random_hand
+from cadenza.music.etudes.band.plan import (
+    Cast,
+    Player,
+    SongPlan,
+    planned,
+    played,
+    random_cast,
+    random_hand,
+)
 from cadenza.music.etudes.band.styles import styles
 from cadenza.music.etudes.band.voicings import nearest
 from cadenza.music.etudes.sheet import Tone, pick

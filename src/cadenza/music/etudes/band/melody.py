@@ -9,8 +9,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.etudes.band.chords import SongChord, melody_scale
-from cadenza.music.etudes.band.passage import SongPassage, happens, one_at_a_time
+from cadenza.music.etudes.band.chords import (
+    SongChord,
+    SongPassage,
+    happens,
+    melody_scale,
+    one_at_a_time,
+)
 from cadenza.music.etudes.band.styles import tables
 from cadenza.music.etudes.sheet import Tone, pick
 from cadenza.music.etudes.voice_leading import FORBIDDEN, Costs, Pitches, random_costs

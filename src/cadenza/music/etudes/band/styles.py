@@ -9,21 +9,19 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from cadenza.music.etudes.band.accompaniment import (
+from cadenza.music.etudes.band.patterns import (
     VOICES,
+    Pattern,
+    approached,
     boom_chick,
     broken,
     chords,
+    drums,
     held,
+    patterned_bass,
     piano,
     picked,
     riff,
-)
-from cadenza.music.etudes.band.rhythm_section import (
-    Pattern,
-    approached,
-    drums,
-    patterned_bass,
     walking_bass,
 )
 from cadenza.music.etudes.band.voicings import guitar, led_voicings, power_chord
