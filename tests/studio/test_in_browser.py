@@ -101,6 +101,20 @@ def press(browser: Browser, within: str, name: str) -> None:
     browser.evaluate(f"{buttons}.find((button) => button.textContent === '{name}').click()")
 
 
+def cancel(browser: Browser) -> None:
+    """Cancels what is planned, where a fast machine is not through with it already."""
+    browser.evaluate("document.getElementById('cancel').click()")
+    wait(browser, "['cancelled', 'played', 'writing', 'kept'].includes(cadenza.state)")
+
+
+@pytest.fixture(scope="module")
+def kept(browser: Browser, address: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """A performance that is kept, and can be watched."""
+    visit(browser, address)
+    drop(browser, song(tmp_path_factory.mktemp("kept") / "kept.mid"), "kept.mid")
+    wait(browser, "cadenza.state === 'kept' && document.getElementById('kept').children.length")
+
+
 SCORES = "f1", "precision", "recall", "onsets"
 
 
@@ -130,7 +144,8 @@ def test_a_dropped_file_plays_to_its_end_and_is_kept(
     assert late
     assert late[len(late) // 2] < 0.02
     wait(browser, "cadenza.state === 'kept' && document.getElementById('kept').children.length")
-    (kept,) = (path for path in folder.iterdir() if (path / "studio.json").exists())
+    id = browser.evaluate("location.hash").removeprefix("#job=")
+    kept = folder / id
     metrics = json.loads((kept / "metrics.json").read_text())
     scores = {"f1": f1, "precision": precision, "recall": recall, "note_onset_f1": onsets}
     for name, shown in scores.items():
@@ -149,6 +164,7 @@ def test_a_dropped_file_plays_to_its_end_and_is_kept(
     assert browser.problems() == []
 
 
+@pytest.mark.usefixtures("kept")
 def test_what_is_shown_no_more_is_let_go(browser: Browser, address: str) -> None:
     """A page that is open for days shows many performances."""
     visit(browser, address)
@@ -171,6 +187,7 @@ def test_what_is_shown_no_more_is_let_go(browser: Browser, address: str) -> None
     assert browser.problems() == []
 
 
+@pytest.mark.usefixtures("kept")
 def test_one_can_go_back_and_forth(browser: Browser, address: str) -> None:
     visit(browser, address)
     press(browser, "#kept", "Watch")
@@ -197,6 +214,7 @@ def test_one_can_go_back_and_forth(browser: Browser, address: str) -> None:
     wait(browser, "!cadenza.finished && cadenza.time < 2")
 
 
+@pytest.mark.usefixtures("kept")
 def test_a_click_in_the_roll_goes_there(browser: Browser, address: str) -> None:
     visit(browser, address)
     press(browser, "#kept", "Watch")
@@ -284,6 +302,7 @@ def test_what_is_chosen_behind_more_is_played(
     assert browser.problems() == []
 
 
+@pytest.mark.usefixtures("kept")
 def test_an_upload_can_be_deleted(browser: Browser, address: str, folder: Path) -> None:
     visit(browser, address)
     browser.evaluate("window.confirm = () => true")
@@ -308,6 +327,7 @@ def test_a_link_to_a_deleted_upload_says_so(browser: Browser, address: str) -> N
     visit(browser, address)
 
 
+@pytest.mark.usefixtures("kept")
 def test_a_song_after_a_whole_one_is_drawn_at_once(
     browser: Browser, address: str, tmp_path: Path
 ) -> None:
@@ -327,8 +347,7 @@ def test_a_song_after_a_whole_one_is_drawn_at_once(
         })();
     })""")
     assert frames < 60  # of which there are sixty a second at most
-    browser.evaluate("document.getElementById('cancel').click()")
-    wait(browser, "cadenza.state === 'cancelled'")
+    cancel(browser)
 
 
 def test_a_page_that_is_loaded_again_goes_on(
@@ -341,24 +360,25 @@ def test_a_page_that_is_loaded_again_goes_on(
     time.sleep(0.2)
     wait(browser, "!!window.cadenza && cadenza.ready && cadenza.began")
     assert browser.evaluate("cadenza.time") > 1
-    browser.evaluate("document.getElementById('cancel').click()")
-    wait(browser, "['cancelled', 'played', 'writing', 'kept'].includes(cadenza.state)")
+    cancel(browser)
 
 
 def test_cancel_ends_the_player_and_keeps_nothing(
     browser: Browser, address: str, folder: Path, tmp_path: Path
 ) -> None:
     visit(browser, address)
+    browser.evaluate("document.getElementById('agent').value = 'planner'")  # it takes its time
     for moment in "cadenza.live", "cadenza.time > 0.5":
-        drop(browser, song(tmp_path / "c.mid", 100), "c.mid")
+        drop(browser, song(tmp_path / "c.mid", 300), "c.mid")
         wait(browser, moment)
-        browser.evaluate("document.getElementById('cancel').click()")
-        wait(browser, "cadenza.state === 'cancelled'")
+        cancel(browser)
+        assert browser.evaluate("cadenza.state") == "cancelled"
         assert text(browser, "doing") == "Cancelled."
         browser.settle()
         stopped = browser.evaluate("cadenza.time")
         time.sleep(0.5)
         assert browser.evaluate("cadenza.time") == stopped
+        assert text(browser, "doing") == "Cancelled."
     kept = [json.loads(path.read_text())["title"] for path in folder.glob("*/studio.json")]
     assert "c" not in kept
     assert not list(folder.glob(".*/episode.npz"))
@@ -374,8 +394,7 @@ def test_a_song_is_chosen_by_the_keyboard(browser: Browser, address: str) -> Non
     assert browser.evaluate("document.activeElement.dataset.song") == "MaryHadALittleLamb"
     pressed = "[...document.querySelectorAll('#songs [aria-pressed=true]')].map((b) => b.title)"
     assert browser.evaluate(pressed) == ["Mary Had a Little Lamb, traditional"]
-    browser.evaluate("document.getElementById('cancel').click()")
-    wait(browser, "cadenza.state === 'cancelled'")
+    cancel(browser)
 
 
 def test_of_songs_chosen_at_once_the_last_is_played(browser: Browser, address: str) -> None:
@@ -387,8 +406,7 @@ def test_of_songs_chosen_at_once_the_last_is_played(browser: Browser, address: s
     asked = [each["request"] for each in sent if "/api/jobs" in each["request"]["url"]]
     methods = [request["method"] for request in asked]
     assert methods.count("POST") == methods.count("DELETE") + 1
-    browser.evaluate("document.getElementById('cancel').click()")
-    wait(browser, "['cancelled', 'played', 'writing', 'kept'].includes(cadenza.state)")
+    cancel(browser)
     assert browser.problems() == []
 
 
@@ -452,6 +470,7 @@ def test_where_a_keyboard_may_not_be_heard_the_page_says_so(
     assert browser.problems() == []
 
 
+@pytest.mark.usefixtures("kept")
 def test_nothing_of_the_song_before_stands_under_the_next(browser: Browser, address: str) -> None:
     visit(browser, address)
     press(browser, "#kept", "Watch")
@@ -469,6 +488,7 @@ def test_nothing_of_the_song_before_stands_under_the_next(browser: Browser, addr
 
 
 @pytest.mark.parametrize("size", [(1440, 900), (390, 844)])
+@pytest.mark.usefixtures("kept")
 def test_what_is_chosen_far_below_plays_in_view(
     browser: Browser, address: str, size: tuple[int, int]
 ) -> None:
@@ -488,8 +508,7 @@ def test_what_is_chosen_far_below_plays_in_view(
         browser.evaluate(f"document.querySelector('{act}').click()")
         wait(browser, "cadenza.live")
         assert is_in_view(), act
-    browser.evaluate("document.getElementById('cancel').click()")
-    wait(browser, "['cancelled', 'played', 'writing', 'kept'].includes(cadenza.state)")
+    cancel(browser)
     browser.evaluate("window.scrollTo(0, document.body.scrollHeight)")
     drop(browser, b"MThd", "broken.mid")
     wait(browser, "cadenza.error !== null")
@@ -522,8 +541,7 @@ def test_what_is_played_on_a_keyboard_is_played_after(browser: Browser, address:
         .filter((song) => song.title.startsWith("Played at")))()""")
     assert song["notes"] == 3
     assert song["seconds"] == pytest.approx(1.4, abs=0.002)
-    browser.evaluate("document.getElementById('cancel').click()")
-    wait(browser, "['cancelled', 'played', 'writing', 'kept'].includes(cadenza.state)")
+    cancel(browser)
 
 
 def test_two_users_take_turns(
@@ -557,8 +575,7 @@ def test_what_was_left_out_of_a_file_is_said(browser: Browser, address: str) -> 
     browser.evaluate("document.querySelector('[data-song=OdeToJoy]').click()")
     wait(browser, "cadenza.live && document.title.startsWith('Ode')")
     assert browser.evaluate("document.getElementById('remarks').hidden")
-    browser.evaluate("document.getElementById('cancel').click()")
-    wait(browser, "cadenza.state === 'cancelled'")
+    cancel(browser)
 
 
 def test_what_a_closed_page_asked_for_can_be_cancelled(
@@ -576,11 +593,11 @@ def test_what_a_closed_page_asked_for_can_be_cancelled(
     press(browser, "#works", "Cancel")
     wait(browser, "!document.getElementById('works').innerText.includes('Playing')")
     wait(browser, "cadenza.live && document.title.startsWith('Ode')")
-    browser.evaluate("document.getElementById('cancel').click()")
-    wait(browser, "cadenza.state === 'cancelled'")
+    cancel(browser)
     assert browser.problems() == []
 
 
+@pytest.mark.usefixtures("kept")
 def test_nothing_lies_over_the_legend_of_the_picture(browser: Browser, address: str) -> None:
     visit(browser, address)
     press(browser, "#kept", "Watch")
@@ -610,8 +627,7 @@ def test_half_an_hour_begins_at_once_and_more_is_refused(
         if minutes == 30:
             assert browser.evaluate("cadenza.error") is None
             assert browser.evaluate("cadenza.live.steps * cadenza.live.dt") > 1700
-            browser.evaluate("document.getElementById('cancel').click()")
-            wait(browser, "cadenza.state === 'cancelled'")
+            cancel(browser)
     assert "half an hour" in text(browser, "error")
 
 
@@ -727,7 +743,7 @@ def test_the_page_opens_with_a_song_at_a_click(browser: Browser, address: str) -
     assert "Für Elise" in text(browser, "title")
     assert browser.evaluate("document.getElementById('first').hidden")
     assert not uncaught(browser)
-    browser.evaluate("document.getElementById('cancel').click()")
+    cancel(browser)
 
 
 def test_an_arrangement_is_chosen_and_explained(
@@ -774,13 +790,19 @@ def test_speed_and_loop(browser: Browser, address: str, tmp_path: Path) -> None:
         window.strikes = cadenza.strikes.length;
         document.getElementById("play").click();
     })()""")
-    wait(browser, "cadenza.time > 0.3 && cadenza.time < 2")
-    timed = browser.evaluate("""(async () => {
-        const [time, at] = [cadenza.time, performance.now()];
-        await new Promise((resume) => setTimeout(resume, 500));
-        return (cadenza.time - time) / ((performance.now() - at) / 1000);
+    wait(browser, "cadenza.time > 0.3")
+    # Both clocks as each frame has them: the song's, and the sound's, which a busy machine holds up.
+    frames = browser.evaluate("""(async () => {
+        const frames = [], begin = performance.now();
+        while (performance.now() < begin + 3000) {
+            await new Promise(requestAnimationFrame);
+            frames.push([cadenza.instrument.time, cadenza.time]);
+        }
+        return frames;
     })()""")
-    assert timed == pytest.approx(2, rel=0.15)
+    sound, music = np.diff(frames, axis=0).T
+    assert (music < 0).any()  # where it begins again
+    assert music[music > 0].sum() == pytest.approx(2 * sound[music > 0].sum(), rel=0.05)
     wait(browser, "cadenza.strikes.slice(strikes).filter(([due]) => due < 0.8).length > 1")
     late = [abs(at - due) for due, _, at in browser.evaluate("cadenza.strikes.slice(strikes)")]
     assert np.median(late) < 0.04

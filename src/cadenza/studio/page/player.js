@@ -129,9 +129,10 @@ function showStatus() {
   if (current.request) showFacts();
   $("cancel").disabled = current.over || current.complete;
   cadenza.state = state;
-  if (state === "cancelled" && isReady()) {
-    pause();
-    showNotice(END_NOTICES.cancelled, null, null, true);
+  if (state === "cancelled") {
+    if (isReady()) pause();
+    paused = true; // what had been planned may still come, and must not begin by itself
+    showNotice(END_NOTICES.cancelled, null, null, Boolean(current.recording));
   }
   updatePlayback();
 }
