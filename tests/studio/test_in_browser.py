@@ -791,7 +791,7 @@ def test_speed_and_loop(browser: Browser, address: str, tmp_path: Path) -> None:
         document.getElementById("play").click();
     })()""")
     wait(browser, "cadenza.time > 0.3")
-    # Both clocks as each frame has them: the song's, and the sound's, which a busy machine holds up.
+    # Both clocks in each frame: the song's, and the sound's, which a busy machine holds up.
     frames = browser.evaluate("""(async () => {
         const frames = [], begin = performance.now();
         while (performance.now() < begin + 3000) {
