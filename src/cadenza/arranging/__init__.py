@@ -1,1 +1,1 @@
-"""Arranges songs for the hands that are to play them."""
+"""Arrangement of songs for the hands that are to play them."""

@@ -1,4 +1,4 @@
-"""Arranges a song for the hands that are to play it."""
+"""Arrangement of a song for the hands that are to play it."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ class Arranged:
 
 
 class Arranger:
-    """Arranges songs for the same hands."""
+    """An arranger of songs for the same hands."""
 
     def __init__(self, players: Players, times: JumpTimes) -> None:
-        """Takes the hands, and how long they take to jump."""
+        """Take the hands, and how long they take to jump."""
         self._players, self._times = players, times
         self._hands = OneHand(RIGHT, players, times), OneHand(LEFT, players, times)
 
@@ -143,7 +143,7 @@ def held_as_possible(score: Score, players: Players, times: JumpTimes) -> Score:
 def _end_for_jumps(
     notes: list[Note], struck: Sequence[list[int]], hand: int, players: Players, times: JumpTimes
 ) -> None:
-    """Ends notes whose hand is to strike what it does not reach from there.
+    """End notes whose hand is to strike what it does not reach from there.
 
     `struck` are the indices of the notes that it strikes together.
     """
@@ -175,7 +175,7 @@ def _end_for_jumps(
 
 
 def _end_for_other_keys(notes: list[Note], mine: Sequence[int], times: JumpTimes) -> None:
-    """Ends notes whose finger presses another key next."""
+    """End notes whose finger presses another key next."""
     latest: dict[int, int] = {}
     for i in mine:
         finger = _index(notes[i].finger)
@@ -190,7 +190,7 @@ def _index(finger: Finger | None) -> int:
 
 
 def _end(notes: list[Note], i: int, time: float) -> None:
-    """Ends a note at a time, if it is later, but not before it has been heard."""
+    """End a note at a time, if it is later, but not before it has been heard."""
     note = notes[i]
     if note.end > time:
         notes[i] = replace(note, end=max(time, min(note.start + SHORTEST, note.end)))

@@ -92,7 +92,7 @@ def fates_of(song: Sequence[Source], struck: Iterable[Struck]) -> tuple[Fate, ..
 
 
 def fidelity_of(fates: Sequence[Fate], arranged: Score, beats: Sequence[float]) -> Fidelity:
-    """Compares an arrangement with the song, whose beats begin at these times [s]."""
+    """Compare an arrangement with the song, whose beats begin at these times [s]."""
     song = [fate for fate in fates if not fate.note.added]
     written = [fate.note for fate in song]
     sounding, played = pitch_classes(written, beats), pitch_classes(arranged.notes, beats)

@@ -102,7 +102,7 @@ def _stretches(score: Score) -> list[float]:
 def _sources(
     part: _Part, edges: Sequence[float], has_melody: Sequence[bool], has_bass: Sequence[bool]
 ) -> Iterator[Source]:
-    """Yields the notes of a part that has the melody, or the bass, in some stretches."""
+    """Yield the notes of a part that has the melody, or the bass, in some stretches."""
     tops, bottoms = _outer(part.notes, 1), _outer(part.notes, -1)
     for i, n in enumerate(part.notes):
         stretch = bisect_right(edges, n.start + CHORD_TOLERANCE) - 1

@@ -57,7 +57,7 @@ class OneHand:
     """One hand of the players."""
 
     def __init__(self, hand: int, players: Players, times: JumpTimes) -> None:
-        """Takes which hand it is, the players, and the times that their hands take to jump."""
+        """Take which hand it is, the players, and the times that their hands take to jump."""
         keyboard = players.keyboard
         self.is_there = players.forearm(hand) is not None
         self._lowest, self._num_keys = keyboard.lowest_pitch, len(keyboard.grid_y)
@@ -186,7 +186,7 @@ def reduced(
 
 
 def _again(struck: Iterable[Struck]) -> Iterator[Struck]:
-    """Yields notes by time; where a source is struck again, a source that is added."""
+    """Yield notes by time; where a source is struck again, a source that is added."""
     before: set[Source] = set()
     for each in struck:
         if each.source in before:
@@ -200,7 +200,7 @@ def _again(struck: Iterable[Struck]) -> Iterator[Struck]:
 def _successors(
     state: State, moment: Moment, hands: tuple[OneHand, OneHand], cost: float
 ) -> Iterator[State]:
-    """Yields the states after a moment, by what each hand strikes."""
+    """Yield the states after a moment, by what each hand strikes."""
     classes = state.classes
     if moment.begins_beat:
         sounding = (held for hand in state.hands for held in hand.still_held(moment.time))
@@ -269,7 +269,7 @@ class _HandAtMoment:
         self._own = moment.melody if hand == RIGHT else moment.bass
 
     def actions(self) -> Iterator[Action]:
-        """Yields nothing to strike, and what the hand has time to strike."""
+        """Yield nothing to strike, and what the hand has time to strike."""
         yield Action(self._before._replace(held=tuple(self._held)), (), (), 0.0)
         if self._one.is_there:
             for struck in self._choices():
@@ -278,7 +278,7 @@ class _HandAtMoment:
                     yield action
 
     def _choices(self) -> Iterator[tuple[Struck, ...]]:
-        """Yields notes to strike at once: melody or bass, with more or less of the harmony."""
+        """Yield notes to strike at once: melody or bass, with more or less of the harmony."""
         own = [self._strike(note) for note in self._own]
         bases: list[tuple[Struck, ...]] = [()]
         bases += [tuple(own[:1])] if own else []
@@ -293,7 +293,7 @@ class _HandAtMoment:
         return Struck(self._moment.time, note, note.pitch + shift)
 
     def _with_harmony(self, base: tuple[Struck, ...]) -> Iterator[tuple[Struck, ...]]:
-        """Yields `base` with none, one or more of the harmony, as far as the hand reaches."""
+        """Yield `base` with none, one or more of the harmony, as far as the hand reaches."""
         struck, pitches = base, tuple(sorted(each.pitch for each in base))
         if base:
             if not self._one.fits(pitches):
@@ -351,7 +351,7 @@ class _HandAtMoment:
         return kept
 
     def _left_early(self, kept: list[Held], leave: float) -> Iterator[tuple[Held, float]]:
-        """Yields keys that are not kept and that the hand leaves too early, and when it does."""
+        """Yield keys that are not kept and that the hand leaves too early, and when it does."""
         for held in self._before.held:
             if held not in kept and held.end > leave:
                 yield held, max(leave, held.start + SHORTEST)

@@ -27,7 +27,7 @@ _HEADERS = {
 
 
 class AccessControl:
-    """Lets requests through whose path begins with the token; the app sees the path without it.
+    """An app behind the token: it sees requests whose path begins with it, without it.
 
     The Host must be this machine's name in the address bar and no domain that somebody else has
     pointed here; whatever changes something, and every WebSocket, must come from our own page.
@@ -54,7 +54,7 @@ class AccessControl:
             await self._app(inner, receive, with_headers)
 
     def _reason_to_refuse(self, scope: Scope) -> str:
-        """Returns an empty string for a request that is let through."""
+        """Return an empty string for a request that is let through."""
         headers = Headers(scope=scope)
         host, origin = headers.get("host", ""), headers.get("origin")
         if not self._is_ours(host):
@@ -68,7 +68,7 @@ class AccessControl:
         return ""
 
     def _is_ours(self, host: str) -> bool:
-        """Returns whether nobody can point this host elsewhere, as with a number or localhost."""
+        """Return whether nobody can point this host elsewhere, as with a number or localhost."""
         try:
             name = urlsplit(f"//{host}").hostname or ""
         except ValueError:

@@ -35,13 +35,17 @@ class Address:
     port: int
 
     def __post_init__(self) -> None:
-        """Raises: ValueError: there is no such port, or the token is none that we make."""
+        """Check the port and the form of the token.
+
+        Raises:
+            ValueError: there is no such port, or the token is none that we make.
+        """
         if self.port not in range(_NUM_PORTS) or not _TOKEN.fullmatch(self.token):
             raise ValueError("no address of a page")
 
 
 def read_address(path: Path) -> Address | None:
-    """Returns the address of the last time, or None without a readable file.
+    """Return the address of the last time, or None without a readable file.
 
     Raises:
         CadenzaError: somebody else may have written the file.
@@ -64,7 +68,7 @@ def read_address(path: Path) -> Address | None:
 
 
 def _is_open_to_others(path: Path, permissions: int) -> bool:
-    """Returns whether others own a file or have one of these permissions (bits of a mode)."""
+    """Return whether others own a file or have one of these permissions (bits of a mode)."""
     about = path.lstat()
     if stat.S_ISLNK(about.st_mode):
         return True  # it may lead to a file of theirs
@@ -72,14 +76,14 @@ def _is_open_to_others(path: Path, permissions: int) -> bool:
 
 
 def write_address(path: Path, address: Address) -> None:
-    """Writes a file that nobody else can read."""
+    """Write a file that nobody else can read."""
     path.touch(_PRIVATE)
     path.chmod(_PRIVATE)  # which the file that takes its place keeps
     write_json(path, asdict(address))
 
 
 def announce(address: str, browser: bool = True, folder: Path | None = None) -> None:
-    """Prints the address of the page, and opens it where there is a screen.
+    """Print the address of the page, and open it where there is a screen.
 
     Everybody on this machine can read the arguments of the browser, so that it is given a file of
     ours to open, which leads on to the address. It is there until this process ends.

@@ -39,16 +39,16 @@ class Broadcast:
 
     @property
     def is_over(self) -> bool:
-        """Returns whether nothing more happens."""
+        """Return whether nothing more happens."""
         return self.status["state"] in _OVER
 
     def notify(self) -> None:
-        """Sends what is new to all pages."""
+        """Send what is new to all pages."""
         event, self.changed = self.changed, asyncio.Event()
         event.set()
 
     def receive(self, kind: bytes, content: bytes) -> None:
-        """Takes in a message of the process that plays."""
+        """Take in a message of the process that plays."""
         if kind == ROWS:
             assert isinstance(self.rows, bytearray)
             self.rows += content
@@ -68,7 +68,7 @@ class Broadcast:
         send_text: Callable[[str], Awaitable[None]],
         send_bytes: Callable[[bytes], Awaitable[None]],
     ) -> None:
-        """Sends JSON and rows, no faster than they are taken, until the performance is over."""
+        """Send JSON and rows, no faster than they are taken, until the performance is over."""
         await send_text(json.dumps({"title": self.title, "request": self.request}))
         status, texts, rows = None, 0, 0
         while True:

@@ -53,7 +53,7 @@ class Job(Broadcast):
 
 
 class JobQueue:
-    """Plays `at_once` jobs at the same time, in order; while any plays, nobody practises.
+    """A queue that plays `at_once` jobs at a time, in order; while any plays, nobody practises.
 
     Attributes:
         jobs: by id; those that wait or play, and the last that failed or were cancelled.
@@ -70,14 +70,14 @@ class JobQueue:
         self._starting, self._closed = asyncio.Lock(), False
 
     async def start_player(self) -> None:
-        """Starts a player, so that the next song begins soon."""
+        """Start a player, so that the next song begins soon."""
         async with self._starting:  # two would each start one, and lose one
             if self._idle_player is None and not self._closed:
                 with suppress(OSError):  # there is no room for it now; a song starts its own
                     self._idle_player = await start_process("cadenza.studio.player")
 
     def submit(self, request: PlayRequest, title: str, source: str, uploaded: bool) -> Job:
-        """Adds a job to the queue.
+        """Add a job to the queue.
 
         Raises:
             CadenzaError: too many wait already.
@@ -92,7 +92,7 @@ class JobQueue:
         return job
 
     def cancel(self, id: str) -> None:
-        """Ends a job at once, and deletes what it wrote; a job that is over stays as it is."""
+        """End a job at once, and delete what it wrote; a job that is over stays as it is."""
         job = self.jobs.get(id)
         if job is None or job.is_over:
             return
@@ -107,7 +107,7 @@ class JobQueue:
         self._schedule()
 
     async def close(self) -> None:
-        """Ends all jobs, and practice."""
+        """End all jobs, and practice."""
         self._closed = True
         for job in list(self.jobs.values()):
             self.cancel(job.id)
@@ -121,7 +121,7 @@ class JobQueue:
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     def _schedule(self) -> None:
-        """Starts the jobs that can play now, and tells the others their places in the queue."""
+        """Start the jobs that can play now, and tell the others their places in the queue."""
         while self._waiting and self._has_room():
             self._start(self._waiting.popleft())
         num_busy = sum(job.is_busy for job in self.jobs.values())
@@ -132,7 +132,7 @@ class JobQueue:
         self.practice.pause(num_busy > 0)
 
     def _has_room(self) -> bool:
-        """Returns whether another job can play now, beside those that play or write their files."""
+        """Return whether another job can play now, beside those that play or write their files."""
         busy = [job for job in self.jobs.values() if job.is_busy]
         num_writing = sum(job.status["state"] in _WRITING for job in busy)
         has_room = len(busy) - num_writing < self._at_once and num_writing <= _MAX_WRITING
@@ -146,7 +146,7 @@ class JobQueue:
         task.add_done_callback(self._tasks.discard)
 
     def _forget(self) -> None:
-        """Drops what is kept, to be read from its folder, and all but the state of what failed."""
+        """Drop what is kept, to be read from its folder, and all but the state of what failed."""
         over = [job for job in self.jobs.values() if job.is_over and not job.is_busy]
         failed = [job for job in over if job.status["state"] != "kept"]
         for job in failed:
@@ -178,7 +178,7 @@ class JobQueue:
             await self.start_player()
 
     async def _play(self, job: Job, process: Process) -> bool:
-        """Follows a process until it ends or drops the song; returns whether it is idle then."""
+        """Follow a process until it ends or drops the song; return whether it is idle then."""
         assert process.stdout is not None
         await send_order(process, job.order)
         async for kind, content in messages(process.stdout):
@@ -192,7 +192,7 @@ class JobQueue:
         return False
 
     async def _reuse_or_kill(self, process: Process, is_idle: bool) -> None:
-        """Keeps an idle process for the next song, unless another is ready already."""
+        """Keep an idle process for the next song, unless another is ready already."""
         if is_idle and self._idle_player is None and not self._closed:
             self._idle_player = process
         else:

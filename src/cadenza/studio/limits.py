@@ -37,7 +37,7 @@ PLAYING = Limits(6 * _GIB, 24 * 3600, 4 * _GIB)
 
 
 def limit(limits: Limits) -> None:
-    """Sets limits for this process, which leaves no core dump either."""
+    """Set limits for this process, which leaves no core dump either."""
     import resource  # which only Unix has
 
     kinds = resource.RLIMIT_DATA, resource.RLIMIT_CPU, resource.RLIMIT_FSIZE, resource.RLIMIT_CORE
@@ -48,7 +48,7 @@ def limit(limits: Limits) -> None:
 
 
 def main() -> None:
-    """Runs a module that ends with its parent; only Linux can, elsewhere the module just runs."""
+    """Run a module that ends with its parent; only Linux can, elsewhere the module just runs."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, ctypes.c_ulong(signal.SIGKILL))
     os.write(1, b"\n")

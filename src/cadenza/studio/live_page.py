@@ -20,7 +20,7 @@ from cadenza.studio.state_stream import StateStream
 
 
 class LivePage:
-    """Sends a performance to the page while it is played."""
+    """A page that is sent a performance while it is played."""
 
     def __init__(self, process: subprocess.Popen[bytes], setup: Setup) -> None:
         self._process = process
@@ -28,7 +28,7 @@ class LivePage:
         self._states.begin()
 
     def reporting(self, progress: Progress) -> Progress:
-        """Returns `progress` that also informs the page."""
+        """Return `progress` that also informs the page."""
 
         def report(stage: str, done: int, total: int) -> None:
             if stage == "playing":
@@ -40,11 +40,11 @@ class LivePage:
         return report
 
     def finish(self, performance: Performance) -> None:
-        """Sends the rest when all has been played."""
+        """Send the rest when all has been played."""
         self._states.finish(performance)
 
     def wait(self) -> None:
-        """Keeps the page open until Ctrl-C."""
+        """Keep the page open until Ctrl-C."""
         with suppress(KeyboardInterrupt):
             self._send(json_message(state="kept"))
             # With a timeout it looks now and then: else Ctrl-C just before it waits is not heeded.
@@ -58,7 +58,7 @@ class LivePage:
 
 @contextmanager
 def open_page(setup: Setup) -> Iterator[LivePage]:
-    """Yields the page, which is there until the block ends."""
+    """Yield the page, which is there until the block ends."""
     title = setup.score.title
     agent, hand = setup.settings["agent"], setup.settings["scene"]["hand"]
     arrangement = setup.settings["arrangement"]

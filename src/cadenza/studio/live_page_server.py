@@ -1,4 +1,4 @@
-"""Serves one performance, as a process: `python -m cadenza.studio.live_page_server ORDER`.
+"""Server of one performance, as a process: `python -m cadenza.studio.live_page_server ORDER`.
 
 Another process plays it. This one takes the order as JSON, and reads on stdin the messages that
 `cadenza.studio.messages` describes.
@@ -26,7 +26,7 @@ from cadenza.studio.request import Order
 
 
 class LivePageServer(PageServer):
-    """Serves one performance, which cannot be changed from the page."""
+    """A server of one performance, which cannot be changed from the page."""
 
     def __init__(self, order: Order) -> None:
         super().__init__()
@@ -34,20 +34,20 @@ class LivePageServer(PageServer):
         self._broadcast = Broadcast(order.title, asdict(order.request), {"state": "preparing"})
 
     async def broadcast(self, id: str) -> Broadcast | None:
-        """Returns the performance if this is its id."""
+        """Return the performance if this is its id."""
         return self._broadcast if id == self._id else None
 
     def routes(self) -> list[BaseRoute]:
-        """Returns all that the server answers."""
+        """Return all that the server answers."""
         return [*super().routes(), Route("/api/songs", self.songs)]
 
     async def songs(self, _: Request) -> Response:
-        """Answers that there is only the one performance."""
+        """Answer that there is only the one performance."""
         return JSONResponse({"songs": [], "agents": {}, "hands": {}, "only": self._id})
 
     @asynccontextmanager
     async def lifespan(self, app: Starlette) -> AsyncIterator[None]:
-        """Receives the performance from the start of the server to its end."""
+        """Receive the performance from the start of the server to its end."""
         async with super().lifespan(app):
             receiving = asyncio.create_task(self._receive())
             try:
@@ -70,7 +70,7 @@ class LivePageServer(PageServer):
 
 
 def main() -> None:
-    """Serves until the process is told to end."""
+    """Serve until the process is told to end."""
     with suppress(KeyboardInterrupt):
         serve(LivePageServer(parsed_json(sys.argv[1], Order, "order")))
 

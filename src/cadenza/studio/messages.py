@@ -34,7 +34,7 @@ class Message(NamedTuple):
     content: bytes
 
     def write(self, stream: IO[bytes]) -> None:
-        """Writes the message to a pipe at once."""
+        """Write the message to a pipe at once."""
         stream.write(HEADER.pack(self.kind, len(self.content)) + self.content)
         stream.flush()
 
@@ -43,5 +43,5 @@ Send = Callable[[Message], None]
 
 
 def json_message(**content: Any) -> Message:
-    """Returns a message that holds an object of JSON."""
+    """Return a message that holds an object of JSON."""
     return Message(JSON, json.dumps(content, allow_nan=False).encode())

@@ -17,7 +17,7 @@ _NICENESS = 4  # the process that plays gets ready beside it
 
 
 def main() -> None:
-    """Prints the picture of the song that the command line names."""
+    """Print the picture of the song that the command line names."""
     os.nice(_NICENESS)
     with set_up(select(sys.argv[1], PLANNER)) as setup:
         StateStream(setup, lambda message: print(message.content.decode())).begin()

@@ -1,4 +1,4 @@
-"""Serves a page on which performances are watched as they are made."""
+"""Server of a page on which performances are watched as they are made."""
 
 from __future__ import annotations
 
@@ -51,17 +51,17 @@ _CACHED = {"cache-control": "private, max-age=31536000, immutable"}
 
 
 class PageServer:
-    """Serves a page, and performances that can be watched on it as they are made."""
+    """A server of a page, and of performances that can be watched on it as they are made."""
 
     def __init__(self) -> None:
         self._synthesizer = Synthesizer()
 
     async def broadcast(self, id: str) -> Broadcast | None:
-        """Returns a performance by its id, or None if there is none."""
+        """Return a performance by its id, or None if there is none."""
         raise NotImplementedError
 
     def routes(self) -> list[BaseRoute]:
-        """Returns all that the server answers."""
+        """Return all that the server answers."""
         return [
             Route("/", self.page),
             Route("/{name:str}.{ending:str}", self.script),
@@ -70,14 +70,14 @@ class PageServer:
         ]
 
     def app(self, token: str, host: str) -> AccessControl:
-        """Returns the ASGI application, behind access control."""
+        """Return the ASGI application, behind access control."""
         errors: dict[Any, ExceptionHandler] = dict.fromkeys((CadenzaError, OSError), _report_error)
         app = Starlette(routes=self.routes(), lifespan=self.lifespan, exception_handlers=errors)
         return AccessControl(app, token, host)
 
     @asynccontextmanager
     async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
-        """Runs from the start of the server to its end."""
+        """Run from the start of the server to its end."""
         first = asyncio.create_task(self._synthesizer.tone(*_FIRST_TONE))
         try:
             yield
@@ -86,11 +86,11 @@ class PageServer:
             await asyncio.wait({first})
 
     async def page(self, _: Request) -> Response:
-        """Answers the page; its address must end in a slash, as its links are relative."""
+        """Answer the page; its address must end in a slash, as its links are relative."""
         return Response(_page(), media_type="text/html")
 
     async def script(self, request: Request) -> Response:
-        """Answers a style sheet or a script."""
+        """Answer a style sheet or a script."""
         name = "{name}.{ending}".format(**request.path_params)
         if name not in _PARTS:
             return error_response("there is no such file", 404)
@@ -98,13 +98,13 @@ class PageServer:
         return Response(make(), media_type=kind)
 
     async def tone(self, request: Request) -> Response:
-        """Answers the sound of a key, see `cadenza.studio.tone_samples`."""
+        """Answer the sound of a key, see `cadenza.studio.tone_samples`."""
         pitch, band = (_number(request.path_params[name]) for name in ("pitch", "band"))
         made = await self._synthesizer.tone(pitch, band)
         return Response(made, media_type="application/octet-stream", headers=_CACHED)
 
     async def watch(self, socket: WebSocket) -> None:
-        """Sends a performance from its beginning on, until it is over or the page has gone."""
+        """Send a performance from its beginning on, until it is over or the page has gone."""
         await socket.accept()
         tasks = [asyncio.create_task(self._send(socket)), asyncio.create_task(_closed(socket))]
         try:
@@ -124,31 +124,31 @@ class PageServer:
 
 
 async def _closed(socket: WebSocket) -> None:
-    """Waits until the page has gone."""
+    """Wait until the page has gone."""
     with suppress(WebSocketDisconnect, RuntimeError):
         while (await socket.receive())["type"] != "websocket.disconnect":
             pass
 
 
 async def _report_error(_: Request, error: Exception) -> Response:
-    """Answers in one line what is wrong with a request, or with the disk."""
+    """Answer in one line what is wrong with a request, or with the disk."""
     if isinstance(error, OSError):
         return error_response(error.strerror or "the disk cannot be read or written", 500)
     return error_response(" ".join(str(error).split()), 400)
 
 
 def error_response(message: str, status: int) -> Response:
-    """Returns a response that says in one line what is wrong."""
+    """Return a response that says in one line what is wrong."""
     return JSONResponse({"error": message}, status)
 
 
 def _number(text: str) -> int:
-    """Returns a number of up to three digits; -1 for anything else, however long it is."""
+    """Return a number of up to three digits; -1 for anything else, however long it is."""
     return int(text) if re.fullmatch("[0-9]{1,3}", text) else -1
 
 
 def _own(name: str) -> str:
-    """Returns a file of the studio's own page."""
+    """Return a file of the studio's own page."""
     return resources.files("cadenza.studio").joinpath("page", name).read_text("utf-8")
 
 
@@ -177,7 +177,7 @@ _PARTS: dict[str, tuple[str, Callable[[], str]]] = {
 
 
 def _bound_socket(host: str, ports: Sequence[int]) -> socket.socket:
-    """Listens at the first of the ports that is free.
+    """Listen at the first of the ports that is free.
 
     Raises:
         CadenzaError: none is, or there is no such address.
@@ -195,7 +195,7 @@ def _bound_socket(host: str, ports: Sequence[int]) -> socket.socket:
 
 
 class _SendOnlyWebSocket(WebSocketsSansIOProtocol):
-    """Drops messages of the page unread; Uvicorn would print a traceback for text that is none."""
+    """A protocol that drops what the page sends; Uvicorn prints a traceback for invalid text."""
 
     def send_receive_event_to_app(self) -> None:
         self.frames = []
@@ -208,7 +208,7 @@ def serve(
     ready: Callable[[str], None] = announce,
     address_file: Path | None = None,
 ) -> None:
-    """Serves until the process is told to end.
+    """Serve until the process is told to end.
 
     Args:
         page: is served.
@@ -252,7 +252,7 @@ def serve(
 
 @contextmanager
 def _clean_exit(server: uvicorn.Server) -> Iterator[None]:
-    """Ends the server in order by any signal, also when its terminal closes.
+    """End the server in order by any signal, also when its terminal closes.
 
     Else its processes would be left behind, and a file with its address.
     """

@@ -1,4 +1,4 @@
-"""Plays one song, as a process of its own: `python -m cadenza.studio.player`.
+"""Player of one song, as a process of its own: `python -m cadenza.studio.player`.
 
 It loads all that is needed and warms up, then waits for an order (see
 `cadenza.studio.request.Order`) as a line of JSON on stdin, and sends on stdout what happens, as
@@ -54,7 +54,7 @@ _REPORT_INTERVAL = 0.2  # [s] between two reports on a stage
 
 
 def main() -> None:
-    """Waits for orders, and plays until a song is at its end."""
+    """Wait for orders, and play until a song is at its end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which kills this
     os.nice(_NICENESS)
     with os.fdopen(os.dup(1), "wb") as out, open(0, "rb", buffering=0) as orders:
@@ -79,7 +79,7 @@ class Cancelled(BaseException):
 
 
 def play_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
-    """Plays what is asked for, and keeps it.
+    """Play what is asked for, and keep it.
 
     Raises:
         Cancelled: there is a line in `orders`, or their end, before the song is at its own.
@@ -112,18 +112,18 @@ def play_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
 
 
 def error_text(error: BaseException, order: Order) -> str:
-    """Returns an error as the page shows it."""
+    """Return an error as the page shows it."""
     return error_without_path(error, Path(order.source) if order.uploaded else None)
 
 
 def warm_up() -> None:
-    """Takes a step, so that what a first step loads and computes is there for the next."""
+    """Take a step, so that what a first step loads and computes is there for the next."""
     with set_up(select(Score((Note(0.0, 0.1, 60),)), PLANNER)) as setup:
         perform(setup, stop=lambda: True)
 
 
 def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performance, StateStream]:
-    """Plays a song and sends each step, calling `check` now and then; returns what was sent too."""
+    """Play a song and send each step, calling `check` now and then; return what was sent too."""
     reporter = ProgressReporter(send)
 
     def prepare(stage: str, done: int, total: int) -> None:
@@ -147,7 +147,7 @@ def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performan
 
 
 def set_up_order(order: Order, progress: Progress) -> AbstractContextManager[Setup]:
-    """Sets up the song, the agent and the hands that an order asks for."""
+    """Set up the song, the agent and the hands that an order asks for."""
     request, selection = order.request, _select(order)
     task, scene = selection.task, selection.scene
     if selection.learnt is None:
@@ -159,7 +159,7 @@ def set_up_order(order: Order, progress: Progress) -> AbstractContextManager[Set
 
 
 def _practised_setup(order: Order) -> AbstractContextManager[Setup] | None:
-    """Sets up what has been practised, where that is asked for and there is any."""
+    """Set up what has been practised, where that is asked for and there is any."""
     if order.request.agent != PRACTISED:
         return None
     folder = practice_folder_of(order)
@@ -174,12 +174,12 @@ def _practised_setup(order: Order) -> AbstractContextManager[Setup] | None:
 
 
 def practice_folder_of(order: Order) -> Path:
-    """Returns the folder in which an order is practised."""
+    """Return the folder in which an order is practised."""
     return practice_folder(Path(order.folder), order.request, _select(order).score)
 
 
 def _select(order: Order) -> Selection:
-    """Selects the song and the agent of an order.
+    """Select the song and the agent of an order.
 
     Raises:
         CadenzaError: there is nothing to play, or more than the studio takes.
@@ -202,7 +202,7 @@ def _read_upload(order: Order, arrangement: Arrangement) -> Source:
 
 
 def save(performance: Performance, states: StateStream, order: Order, send: Send) -> None:
-    """Writes what `cadenza play` leaves, and what was sent, to be watched again.
+    """Write what `cadenza play` leaves, and what was sent, to be watched again.
 
     The folder appears when all of it is there.
     """
@@ -231,14 +231,14 @@ def save(performance: Performance, states: StateStream, order: Order, send: Send
 
 
 class ProgressReporter:
-    """Sends how far a stage is, not too often."""
+    """A sender of how far a stage is, not too often."""
 
     def __init__(self, send: Send, state: str = "preparing") -> None:
         self._send, self._state = send, state
         self._last_stage, self._last_time = "", 0.0
 
     def report(self, stage: str, done: int, total: int) -> None:
-        """Sends the progress of a stage, unless the last report on it is recent."""
+        """Send the progress of a stage, unless the last report on it is recent."""
         now = time.monotonic()
         if stage == self._last_stage and now - self._last_time < _REPORT_INTERVAL:
             return

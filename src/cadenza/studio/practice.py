@@ -14,7 +14,7 @@ from cadenza.studio.request import Order
 
 
 class BackgroundPractice:
-    """Practises a song in a process, which is suspended while others play.
+    """Practice of a song in a process, which is suspended while others play.
 
     Attributes:
         order: what is practised, or was last.
@@ -36,7 +36,7 @@ class BackgroundPractice:
         return about | {"status": self.status, "paused": self._paused}
 
     def begin(self, order: Order) -> None:
-        """Practises a song from now on, instead of any other."""
+        """Practise a song from now on, instead of any other."""
         if self._is_active and self.order is not None and self.order.request == order.request:
             return
         self.stop()
@@ -44,7 +44,7 @@ class BackgroundPractice:
         self._task = asyncio.create_task(self._run(order, self._task))
 
     def stop(self) -> None:
-        """Ends practice; what was saved last stays."""
+        """End practice; what was saved last stays."""
         if self._process is not None:
             kill(self._process)
         if self._is_active:
@@ -55,18 +55,18 @@ class BackgroundPractice:
         return self.status["state"] in ("preparing", "practising")
 
     def _practises(self, order: Order) -> bool:
-        """Returns whether this is practised, and no other order has taken its place."""
+        """Return whether this is practised, and no other order has taken its place."""
         return self.order is order and self._is_active
 
     def pause(self, paused: bool) -> None:
-        """Suspends practice, or has it go on."""
+        """Suspend practice, or have it go on."""
         if paused != self._paused:
             self._paused = paused
             if self._process is not None:
                 suspend(self._process, paused)
 
     async def close(self) -> None:
-        """Ends practice, and waits for its process."""
+        """End practice, and wait for its process."""
         self.stop()
         if self._task is not None:
             await asyncio.wait({self._task})
@@ -95,6 +95,6 @@ class BackgroundPractice:
         self._fail(order, "practice ended unexpectedly")
 
     def _fail(self, order: Order, error: str) -> None:
-        """Says what went wrong, unless practice of this is done or was stopped."""
+        """Say what went wrong, unless practice of this is done or was stopped."""
         if self._practises(order):
             self.status = {"state": "failed", "error": error}

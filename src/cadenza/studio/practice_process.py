@@ -1,4 +1,4 @@
-"""Practises one song, as a process of its own: `python -m cadenza.studio.practice_process`.
+"""Practice of one song, as a process of its own: `python -m cadenza.studio.practice_process`.
 
 It reads an order on stdin, as the process that plays does, and sends on stdout how far it has got:
 `state` practising, done or failed, `f1` and `note_onset_f1` at first sight and of the best after
@@ -28,7 +28,7 @@ _REPORT_INTERVAL = 1.0  # [s] between two reports
 
 
 def main() -> None:
-    """Reads an order, and practises it until all practice has been made."""
+    """Read an order, and practise it until all practice has been made."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which kills this
     os.nice(_NICENESS)
     with os.fdopen(os.dup(1), "wb") as out:
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def practise(order: Order, send: Send) -> None:
-    """Practises, and saves what is played better."""
+    """Practise, and save what is played better."""
     folder, report = practice_folder_of(order), ProgressReporter(send).report
     kept = practice_folder(folder)
     with kept.claimed() as ours, set_up_order(order, report) as setup:
@@ -67,7 +67,7 @@ def practise(order: Order, send: Send) -> None:
 
 
 def _practise_until_done(practising: Practising, num_saved: int, send: Send) -> None:
-    """Practises until all practice has been made; reports and saves now and then.
+    """Practise until all practice has been made; report and save now and then.
 
     Args:
         practising: practice, from where it was left.

@@ -21,13 +21,13 @@ from cadenza.studio.request import Order
 
 
 async def start_process(module: str, *arguments: str, **how: Any) -> Process:
-    """Starts a module of ours as a process, which imports nothing from the working folder."""
+    """Start a module of ours as a process, which imports nothing from the working folder."""
     command = [sys.executable, "-P", "-m", module, *arguments]
     return await create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE, **how)
 
 
 async def start_bound_process(module: str) -> Process:
-    """Starts a process that ends with this one, whatever ends that, and may be suspended.
+    """Start a process that ends with this one, whatever ends that, and may be suspended.
 
     See `cadenza.studio.limits`.
     """
@@ -42,19 +42,19 @@ async def start_bound_process(module: str) -> Process:
 
 
 def kill(process: Process) -> None:
-    """Kills a process at once, if it has not ended."""
+    """Kill a process at once, if it has not ended."""
     with suppress(ProcessLookupError):
         process.kill()
 
 
 def suspend(process: Process, suspended: bool) -> None:
-    """Suspends a process, or has it go on."""
+    """Suspend a process, or have it go on."""
     with suppress(ProcessLookupError):
         process.send_signal(signal.SIGSTOP if suspended else signal.SIGCONT)
 
 
 async def send_order(process: Process, order: Order) -> None:
-    """Gives a process an order, if it is still there."""
+    """Give a process an order, if it is still there."""
     assert process.stdin is not None
     with suppress(ConnectionError):
         process.stdin.write(json.dumps(asdict(order)).encode() + b"\n")
@@ -68,7 +68,7 @@ def cancel_song(process: Process) -> None:
 
 
 async def messages(stream: StreamReader) -> AsyncIterator[tuple[bytes, bytes]]:
-    """Yields kind and content of each message; see `cadenza.studio.messages`."""
+    """Yield kind and content of each message; see `cadenza.studio.messages`."""
     with suppress(IncompleteReadError):
         while True:
             kind, length = HEADER.unpack(await stream.readexactly(HEADER.size))
@@ -78,7 +78,7 @@ async def messages(stream: StreamReader) -> AsyncIterator[tuple[bytes, bytes]]:
 
 
 async def _output_of(module: str, *arguments: str, **how: Any) -> bytes | None:
-    """Returns what a module of ours prints as a process; None if it fails, or is killed."""
+    """Return what a module of ours prints as a process; None if it fails, or is killed."""
     process = await start_process(module, *arguments, **how)
     try:
         output, _ = await process.communicate()
@@ -89,7 +89,7 @@ async def _output_of(module: str, *arguments: str, **how: Any) -> bytes | None:
 
 
 async def read_upload(path: Path) -> dict[str, Any]:
-    """Returns what a file holds, see `cadenza.studio.upload_reader`, read by a limited process.
+    """Return what a file holds, see `cadenza.studio.upload_reader`, read by a limited process.
 
     Raises:
         CadenzaError: it is no music, or more than the studio takes.
@@ -108,7 +108,7 @@ async def read_upload(path: Path) -> dict[str, Any]:
 
 
 async def opening_picture(song: str) -> bytes:
-    """Returns the first picture of a song, see `cadenza.studio.opening`; nothing if it fails."""
+    """Return the first picture of a song, see `cadenza.studio.opening`; nothing if it fails."""
     try:
         return await _output_of("cadenza.studio.opening", song, stderr=DEVNULL) or b""
     except OSError:  # there is no room for it

@@ -41,7 +41,7 @@ _REPORT = {"content-security-policy": f"sandbox {_ALLOWED}; connect-src 'none'"}
 
 
 class StoredFile(FileResponse):
-    """Sends a file that may be deleted before it has been sent."""
+    """A file that may be deleted before it has been sent."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         has_begun = False
@@ -59,10 +59,12 @@ class StoredFile(FileResponse):
 
 
 class Studio(PageServer):
-    """Serves the studio: songs, jobs, practice, and performances that are kept."""
+    """The studio: songs, jobs, practice, and performances that are kept."""
 
     def __init__(self, folder: Path, at_once: int = 1, video: bool = False) -> None:
-        """Args:
+        """Open the folder of the studio.
+
+        Args:
             folder: where songs and performances are kept.
             at_once: how many songs are played at the same time.
             video: whether to make a film of each performance.
@@ -83,7 +85,7 @@ class Studio(PageServer):
         self._opening: asyncio.Task[bytes] | None = None
 
     async def broadcast(self, id: str) -> Broadcast | None:
-        """Returns a job or a performance that is kept; None if there is none of this id."""
+        """Return a job or a performance that is kept; None if there is none of this id."""
         if id in self.jobs.jobs:
             return self.jobs.jobs[id]
         try:
@@ -92,7 +94,7 @@ class Studio(PageServer):
             return None
 
     def routes(self) -> list[BaseRoute]:
-        """Returns all that the server answers."""
+        """Return all that the server answers."""
         storage, jobs = self.storage, self.jobs
         remove = storage.remove_performance
         return [
@@ -112,7 +114,7 @@ class Studio(PageServer):
 
     @asynccontextmanager
     async def lifespan(self, app: Starlette) -> AsyncIterator[None]:
-        """Keeps a player ready from the start of the server to its end."""
+        """Keep a player ready from the start of the server to its end."""
         async with super().lifespan(app):
             await self.jobs.start_player()
             try:
@@ -121,19 +123,19 @@ class Studio(PageServer):
                 await self.jobs.close()
 
     def songs(self, _: Request) -> Response:
-        """Lists songs, agents and hands, and says with which song the page opens."""
+        """List songs, agents and hands, and say with which song the page opens."""
         about = {"songs": self.storage.songs(), "agents": self._agents, "hands": self._hands}
         return JSONResponse(about | {"first": _FIRST_SONG})
 
     async def opening(self, _: Request) -> Response:
-        """Answers the picture with which the page opens, of `_FIRST_SONG`; null if none is made."""
+        """Answer the picture with which the page opens, of `_FIRST_SONG`; null if none is made."""
         if self._opening is None:  # made once
             self._opening = asyncio.create_task(opening_picture(_FIRST_SONG))
         picture = await asyncio.shield(self._opening)
         return Response(picture or b"null", media_type="application/json")
 
     async def upload(self, request: Request) -> Response:
-        """Takes a file; its name, percent-encoded, is the parameter `name`."""
+        """Take a file; its name, percent-encoded, is the parameter `name`."""
         name = printable(request.query_params.get("name", "")[-_MAX_NAME:])
         check_format(Path(name))  # whatever its size
         content = await _body(request, MAX_BYTES, name or "the file")
@@ -155,7 +157,7 @@ class Studio(PageServer):
         return JSONResponse({"id": id, "title": title, **contents}, 201)
 
     async def play(self, request: Request) -> Response:
-        """Adds a job that plays a song."""
+        """Add a job that plays a song."""
         content = await _body(request, _MAX_JSON, "the request")
         asked = parsed_json(content, dict[str, Any], "request")
         play_request = read_request(asked, self._agents, self._hands)
@@ -164,16 +166,16 @@ class Studio(PageServer):
         return JSONResponse(job.summary, 201)
 
     async def background(self, _: Request) -> Response:
-        """Lists practice, and jobs that play or wait."""
+        """List practice, and jobs that play or wait."""
         jobs = [job.summary for job in self.jobs.jobs.values() if not job.is_over]
         return JSONResponse({"practice": self.jobs.practice.summary, "jobs": jobs})
 
     def performances(self, _: Request) -> Response:
-        """Lists the performances that are kept."""
+        """List the performances that are kept."""
         return JSONResponse(self.storage.performances())
 
     def file(self, request: Request) -> Response:
-        """Answers a file of a performance."""
+        """Answer a file of a performance."""
         name = request.path_params["name"]
         path = self.storage.file(request.path_params["id"], name)
         headers = _REPORT if name == "report.html" else None
@@ -181,7 +183,7 @@ class Studio(PageServer):
 
 
 def _action(work: Callable[..., Any]) -> Callable[[Request], Awaitable[Response]]:
-    """Returns an endpoint that calls `work` with the parameters of the path."""
+    """Return an endpoint that calls `work` with the parameters of the path."""
 
     async def endpoint(request: Request) -> Response:
         result = work(**request.path_params)
@@ -193,7 +195,7 @@ def _action(work: Callable[..., Any]) -> Callable[[Request], Awaitable[Response]
 
 
 def _in_thread(work: Callable[..., Any]) -> Callable[[Request], Awaitable[Response]]:
-    """Returns an endpoint as `_action` does; the work is on files, and done in a thread."""
+    """Return an endpoint as `_action` does; the work is on files, and done in a thread."""
     return _action(lambda **names: run_in_threadpool(work, **names))
 
 

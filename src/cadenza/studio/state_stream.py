@@ -25,7 +25,7 @@ _ALL_THE_WAY = 255  # of a key that is down, in a row
 
 
 class StateStream:
-    """Sends messages as `cadenza.studio.messages` describes them.
+    """A sender of messages as `cadenza.studio.messages` describes them.
 
     Attributes:
         header: what is to be played, its fingers once it begins, its engraved score once there is
@@ -47,7 +47,7 @@ class StateStream:
         self.rows = bytearray()
 
     def begin(self) -> None:
-        """Sends what is to be played; music that is drawn at random is sent with the first step."""
+        """Send what is to be played; music that is drawn at random is sent with the first step."""
         if not draws_variation(self._task.config):
             self._send_header(self._task.tracks[0])
 
@@ -76,12 +76,12 @@ class StateStream:
         return [] if arrangement is None else [f.as_json for f in arrangement.fates(track)]
 
     def _add(self, **known: Any) -> None:
-        """Sends what has become known, and keeps it in the header."""
+        """Send what has become known, and keep it in the header."""
         self._send(json_message(**known))
         self.header |= known
 
     def step(self) -> None:
-        """Sends the state after the step that was just taken, and the score when it is engraved."""
+        """Send the state after the step that was just taken, and the score when it is engraved."""
         task, state = self._task, self._task.state
         if not self.header:
             self._send_header(task.goals.tracks[0])
@@ -101,7 +101,7 @@ class StateStream:
         self._send(Message(ROWS, row.tobytes()))
 
     def finish(self, performance: Performance) -> None:
-        """Sends how well all was played, the score if that is yet to come, and what was missed."""
+        """Send how well all was played, the score if that is yet to come, and what was missed."""
         metrics, remarks = plain(performance.metrics), performance.remarks
         self._send(json_message(state="played", metrics=metrics, remarks=remarks))
         self._send_score(_PATIENCE)

@@ -81,10 +81,14 @@ class KeptPerformance:
 
 
 class Storage:
-    """Reads and writes the folder of the studio."""
+    """The folder of the studio, read and written."""
 
     def __init__(self, folder: Path) -> None:
-        """Raises: OSError: the folder cannot be made."""
+        """Make the folder, where it is not there.
+
+        Raises:
+            OSError: it cannot be made.
+        """
         self.folder = folder.absolute()
         self.uploads = self.folder / "uploads"
         self.folder.mkdir(0o700, parents=True, exist_ok=True)
@@ -92,7 +96,7 @@ class Storage:
         self._tidy()
 
     def _tidy(self) -> None:
-        """Deletes what processes that were killed have left."""
+        """Delete what processes that were killed have left."""
         old = time.time() - _ABANDONED
         for path, changed in modification_times(self.folder.glob(".*")).items():
             ours = _ID.fullmatch(path.name[1:]) or _is_temporary(path)
@@ -107,12 +111,12 @@ class Storage:
     # Songs
 
     def songs(self) -> list[dict[str, Any]]:
-        """Lists uploads, the newest first, bundled pieces, and imported libraries."""
+        """List uploads, the newest first, bundled pieces, and imported libraries."""
         uploaded = [asdict(upload) | {"uploaded": True} for upload in self._uploads()]
         return uploaded + [_about(song) for song in _library_songs()]
 
     def source(self, song: str) -> tuple[str, str, bool]:
-        """Returns the title of a song, its name or path, and whether it is an upload.
+        """Return the title of a song, its name or path, and whether it is an upload.
 
         Raises:
             CadenzaError: there is no such song.
@@ -133,14 +137,18 @@ class Storage:
         return found
 
     def _upload(self, path: Path) -> Upload:
-        """Raises: CadenzaError: no upload of ours lies there."""
+        """Read what an upload holds.
+
+        Raises:
+            CadenzaError: no upload of ours lies there.
+        """
         upload = read_json(path, Upload) if _ID.fullmatch(path.stem) else None
         if upload is None or upload.id != path.stem or upload.ending not in MUSIC:
             raise CadenzaError("there is no such upload")
         return upload
 
     def write_upload(self, content: bytes, name: str) -> tuple[Path, str, str, str]:
-        """Writes an upload; it is listed once `list_upload` says what it holds.
+        """Write an upload; it is listed once `list_upload` says what it holds.
 
         Returns:
             Where it lies, its id, its title and its ending.
@@ -159,15 +167,15 @@ class Storage:
         return path, id, _title(name), ending
 
     def list_upload(self, upload: Upload) -> None:
-        """Lists an upload."""
+        """List an upload."""
         write_json(self.uploads / f"{upload.id}.json", asdict(upload))
 
     def is_listed(self, id: str) -> bool:
-        """Returns whether there is an upload of this id, which can be read."""
+        """Return whether there is an upload of this id, which can be read."""
         return (self.uploads / f"{id}.json").exists()
 
     def remove_upload(self, id: str) -> None:
-        """Deletes an upload.
+        """Delete an upload.
 
         Raises:
             CadenzaError: there is none.
@@ -180,7 +188,7 @@ class Storage:
     # Performances
 
     def performances(self) -> list[dict[str, Any]]:
-        """Lists all performances that are whole, the newest first."""
+        """List all performances that are whole, the newest first."""
         found = []
         for path in self.folder.glob("*"):
             if not _ID.fullmatch(path.name) or path.is_symlink():
@@ -193,7 +201,7 @@ class Storage:
         return sorted(found, key=lambda kept: kept["finished"], reverse=True)
 
     def file(self, id: str, name: str) -> Path:
-        """Returns the path of one of `FILES` of a performance.
+        """Return the path of one of `FILES` of a performance.
 
         Raises:
             CadenzaError: there is none.
@@ -204,7 +212,7 @@ class Storage:
         return path
 
     def broadcast(self, id: str) -> Broadcast:
-        """Returns what was broadcast of a performance while it was played.
+        """Return what was broadcast of a performance while it was played.
 
         Raises:
             CadenzaError: there is no such performance, or it cannot be watched again.
@@ -220,7 +228,7 @@ class Storage:
         return Broadcast(kept.title, asdict(kept.request), status, [header], rows)
 
     def remove_performance(self, id: str) -> None:
-        """Deletes a performance.
+        """Delete a performance.
 
         Raises:
             CadenzaError: there is no such performance.
@@ -236,22 +244,22 @@ class Storage:
 
 
 def _is_own(path: Path) -> bool:
-    """Returns whether a file lies here, and is no link to one that lies elsewhere."""
+    """Return whether a file lies here, and is no link to one that lies elsewhere."""
     return path.is_file() and not path.is_symlink()
 
 
 def _is_temporary(path: Path) -> bool:
-    """Returns whether a file or folder was being written."""
+    """Return whether a file or folder was being written."""
     return path.name.startswith(TEMPORARY)
 
 
 def _has_states(folder: Path) -> bool:
-    """Returns whether the states of a performance are there, so that it can be watched again."""
+    """Return whether the states of a performance are there, so that it can be watched again."""
     return _is_own(folder / HEADER_FILE) and _is_own(folder / ROWS_FILE)
 
 
 def _about(song: Song) -> dict[str, Any]:
-    """Returns what the list shows of a song of a library."""
+    """Return what the list shows of a song of a library."""
     return {
         "id": song.name,
         "title": song.title or song.name,
@@ -263,7 +271,7 @@ def _about(song: Song) -> dict[str, Any]:
 
 
 def _library_songs() -> Iterator[Song]:
-    """Yields the bundled songs, and those of the imported libraries, except damaged ones."""
+    """Yield the bundled songs, and those of the imported libraries, except damaged ones."""
     yield from bundled().songs
     for name in imported_libraries():
         with suppress(CadenzaError):
@@ -271,7 +279,7 @@ def _library_songs() -> Iterator[Song]:
 
 
 def _title(name: str) -> str:
-    """Returns a title that can be shown, made of the name of a file."""
+    """Return a title that can be shown, made of the name of a file."""
     name = name.strip()
     stem, dot, ending = name.rpartition(".")
     bare = stem if f"{dot}{ending}".lower() in MUSIC else name

@@ -1,4 +1,4 @@
-"""Makes the samples of tones in a process."""
+"""Samples of tones, made in a process."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cadenza.studio.tone_samples import NUM_BANDS, NUM_PITCHES, samples
 
 
 class Synthesizer:
-    """Makes one tone after the other, in a process.
+    """A maker of one tone after the other, in a process.
 
     The server must not make them itself: it starts processes, and what multiplies matrices on
     threads may then hang for ever.
@@ -19,7 +19,7 @@ class Synthesizer:
         self._one = CapacityLimiter(1)
 
     async def tone(self, pitch: int, band: int) -> bytes:
-        """Returns the samples of a tone, see `samples`.
+        """Return the samples of a tone, see `samples`.
 
         Raises:
             CadenzaError: there is no such tone, or the process has ended.

@@ -30,7 +30,7 @@ INSTRUMENT: dict[str, Any] = {
 
 
 def samples(pitch: int, band: int) -> bytes:
-    """Returns the peak as float32, and int16 samples, little-endian, faded out at their end.
+    """Return the peak as float32, and int16 samples, little-endian, faded out at their end.
 
     Args:
         pitch: as MIDI counts.

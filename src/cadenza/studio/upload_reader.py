@@ -1,4 +1,4 @@
-"""Reads an upload, as a process of its own: `python -m cadenza.studio.upload_reader FILE`.
+"""Reader of an upload, as a process of its own: `python -m cadenza.studio.upload_reader FILE`.
 
 It prints what the file holds as JSON, or `{"error": ...}` in one line, whatever the file is.
 """
@@ -22,7 +22,7 @@ _MAX_TRACKS, _MAX_REMARKS = 256, 20  # that are shown of a file
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Returns what the page shows of a file.
+    """Return what the page shows of a file.
 
     Raises:
         CadenzaError: it is no music, or too much of it.
@@ -45,7 +45,11 @@ def _title(score: Score, path: Path) -> str:
 
 
 def check_size(score: Score) -> None:
-    """Raises: CadenzaError: there is nothing to play, or more than the studio takes."""
+    """Check that there is something to play, and no more than the studio takes.
+
+    Raises:
+        CadenzaError: there is nothing to play, or too much.
+    """
     if not score.notes:
         raise CadenzaError("there is nothing to play: the file has no notes")
     if score.total_time > MAX_SECONDS:
@@ -56,7 +60,7 @@ def check_size(score: Score) -> None:
 
 
 def error_without_path(error: BaseException, path: Path | None) -> str:
-    """Returns an error in one line that does not say where a file lies on this machine."""
+    """Return an error in one line that does not say where a file lies on this machine."""
     text = str(error)
     if path is not None:
         text = text.removeprefix(f"{path}: ").replace(str(path), "the file")
@@ -64,7 +68,7 @@ def error_without_path(error: BaseException, path: Path | None) -> str:
 
 
 def main() -> None:
-    """Reads the file that the command line names."""
+    """Read the file that the command line names."""
     path = Path(sys.argv[1])
     warnings.simplefilter("ignore")
     try:
