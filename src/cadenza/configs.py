@@ -31,7 +31,7 @@ _WORDS = {
 
 
 def as_config(value: Any, kind: type[T]) -> T:
-    """Checks that `value` is a `kind`, a dataclass, with fields of the right types.
+    """Check that `value` is a `kind`, a dataclass, with fields of the right types.
 
     Only numbers of NumPy, lists as tuples and whole numbers as floats are converted.
 
@@ -57,7 +57,7 @@ def _plain(value: T, kind: type[T], prefix: str = "") -> T:
 
 
 def _nested(value: Any, kind: type[T], name: str) -> T:
-    """Returns a `kind` within another dataclass, given as such or as a dictionary of its fields."""
+    """A `kind` within another dataclass, given as such or as a dictionary of its fields."""
     if isinstance(value, Mapping):
         known = [each.name for each in fields(kind)]  # type: ignore[arg-type]
         if unknown := [key for key in value if key not in known]:
@@ -71,7 +71,7 @@ def _nested(value: Any, kind: type[T], name: str) -> T:
 
 
 def wrong_types(value: Any) -> Iterator[str]:
-    """Yields a line for each field of a dataclass whose value its annotation does not allow.
+    """Yield a line for each field of a dataclass whose value its annotation does not allow.
 
     Annotations may have bounds, as `Positive` has. Numbers have to be finite: as JSON, in which
     values are checked, they are null otherwise.
@@ -86,7 +86,7 @@ def wrong_types(value: Any) -> Iterator[str]:
 
 
 def in_short(config: Any) -> str:
-    """Returns a `__repr__` for a dataclass of options: those that are not the default."""
+    """A `__repr__` for a dataclass of options: those that are not the default."""
     default = type(config)()
     values = ((each.name, getattr(config, each.name)) for each in fields(config))
     changed = (f"{name}={value!r}" for name, value in values if value != getattr(default, name))
@@ -94,18 +94,18 @@ def in_short(config: Any) -> str:
 
 
 def names_file() -> Mapping[str, Any]:
-    """Returns the metadata of a field that is the path of a file."""
+    """The metadata of a field that is the path of a file."""
     return {_FILE: True}
 
 
 def files_named(config: Any) -> list[str]:
-    """Returns the paths of files in a configuration, which may be None; see `names_file`."""
+    """The paths of files in a configuration, which may be None; see `names_file`."""
     named = [each.name for each in fields(config) if _FILE in each.metadata] if config else []
     return [value for name in named if (value := getattr(config, name)) is not None]
 
 
 def check_kind(kind: type) -> None:
-    """Checks that a user's dataclass of options is one that `as_config` takes.
+    """Check that a user's dataclass of options is one that `as_config` takes.
 
     Raises:
         CadenzaError: a field has no default, or its type is not allowed.
@@ -128,7 +128,7 @@ def _is_plain(hint: Any) -> bool:
 
 
 def whole_number(value: Any, name: str, least: int, most: int) -> int:
-    """Returns `value` as an int from `least` to `most`.
+    """`value` as an int from `least` to `most`.
 
     Raises:
         CadenzaError: it is not; the message begins with `name`.
@@ -141,7 +141,7 @@ def whole_number(value: Any, name: str, least: int, most: int) -> int:
 def check_ranges(
     config: object, ranges: Mapping[str, tuple[float, float]], prefix: str = ""
 ) -> None:
-    """Checks that fields are in their ranges.
+    """Check that fields are in their ranges.
 
     Args:
         config: the configuration.
@@ -156,7 +156,7 @@ def check_ranges(
 
 
 def check_positive(config: object, names: Iterable[str]) -> None:
-    """Raises a CadenzaError if one of these fields is not more than 0 and finite."""
+    """Raise a CadenzaError if one of these fields is not more than 0 and finite."""
     for name in names:
         if not 0 < (value := getattr(config, name)) < math.inf:
             raise CadenzaError(f"{name} {value}: choose more than 0")
@@ -178,7 +178,7 @@ def _as(value: Any, hint: Any, name: str) -> Any:
 
 
 def _demand(hint: Any) -> str:
-    """Returns the demand of a type, in words."""
+    """The demand of a type, in words."""
     first, *others = get_args(hint) or (hint,)
     match get_origin(hint):
         case origin if origin is Literal:
@@ -193,7 +193,7 @@ def _demand(hint: Any) -> str:
 
 
 def flat(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yields the values of nested mappings, each with the names that lead to it, joined by dots."""
+    """Yield the values of nested mappings, each with the names that lead to it, joined by dots."""
     for name, value in mapping.items():
         if isinstance(value, Mapping):
             yield from flat(value, f"{prefix}{name}.")

@@ -131,7 +131,7 @@ class Episode:
       beginning on [s], NaN where they did not; float32
     - `key_velocity` (T, K), the MIDI velocity of keys at their onsets, else NaN; float32
     - `right_key_qpos`, `left_key_qpos` (T, K) [rad], of hands that play apart: what each does with
-      the keys, of which `key_qpos` is the larger; so are ``right_key_onset`` and the others
+      the keys; `key_qpos` is the larger of the two; so are ``right_key_onset`` and the others
     - `sustain_activation` (T,) bool, whether the pedal is down
     - `hand_qpos`, `hand_qvel` (T, J) [m, rad] and [m/s, rad/s]
     - `fingertip_xpos` (T, F, 3) [m]
@@ -175,7 +175,7 @@ class Episode:
         return np.clip(self["key_qpos"] / travel, 0.0, 1.0) if travel else None
 
     def save(self, path: Path) -> None:
-        """Writes the episode to `path` (.npz), atomically."""
+        """Write the episode to `path` (.npz), atomically."""
         with write_atomically(path) as file:
             np.savez_compressed(
                 file,
@@ -188,7 +188,7 @@ class Episode:
 
 
 def load_episode(path: Path) -> Episode:
-    """Reads what `Episode.save` wrote.
+    """Read what `Episode.save` wrote.
 
     Raises:
         CadenzaError: the file is not there or is not an episode.

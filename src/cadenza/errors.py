@@ -138,7 +138,7 @@ def in_a_line(error: BaseException, where: object = "") -> str:
 
 @contextmanager
 def errors_in(where: object) -> Iterator[None]:
-    """Begins the messages of errors in the block with `where` they are, such as a file.
+    """Begin the messages of errors in the block with `where` they are, such as a file.
 
     Raises:
         CadenzaError: the block raises one.
@@ -151,7 +151,7 @@ def errors_in(where: object) -> Iterator[None]:
 
 @contextmanager
 def errors_in_a_line() -> Iterator[None]:
-    """Prints errors as a line and exits with status 1, in programs outside the command line."""
+    """Print errors as a line and exit with status 1, in programs outside the command line."""
     try:
         yield
     except Exception as error:
@@ -163,7 +163,7 @@ def errors_in_a_line() -> Iterator[None]:
 
 @contextmanager
 def extra_packages(extra: str, what: str) -> Iterator[None]:
-    """Turns failed imports of the block into advice to install an `extra` of Cadenza.
+    """Turn failed imports of the block into advice to install an `extra` of Cadenza.
 
     Raises:
         CadenzaError: an import fails. The message begins with `what`, which needs the packages.
@@ -180,7 +180,7 @@ def extra_packages(extra: str, what: str) -> Iterator[None]:
 
 @contextmanager
 def by_others(what: str) -> Iterator[None]:
-    """Turns all errors of user's code in the block into a `CadenzaError` that begins with `what`.
+    """Turn all errors of user's code in the block into a `CadenzaError` that begins with `what`.
 
     The error itself is its cause. An OSError stays one.
     """

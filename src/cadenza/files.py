@@ -48,7 +48,7 @@ _ANOTHER = "it is damaged, modified or from another version; use another copy"
 
 @contextmanager
 def write_atomically(path: Path) -> Iterator[IO[bytes]]:
-    """Yields a binary file that takes the place of `path` when the block ends without an error.
+    """Yield a binary file that takes the place of `path` when the block ends without an error.
 
     It keeps the permissions of the file that it replaces; a new one has those of any new file. A
     symbolic link is replaced, not followed.
@@ -79,7 +79,7 @@ def write_atomically(path: Path) -> Iterator[IO[bytes]]:
 
 
 def _permissions(path: Path) -> int | None:
-    """Returns the permissions of a regular file, None where there is none."""
+    """The permissions of a regular file, None where there is none."""
     with suppress(FileNotFoundError):
         if stat.S_ISREG(mode := path.lstat().st_mode):
             return stat.S_IMODE(mode) & 0o777
@@ -88,7 +88,7 @@ def _permissions(path: Path) -> int | None:
 
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """Yields a folder that becomes `path` when the block ends without an error.
+    """Yield a folder that becomes `path` when the block ends without an error.
 
     Raises:
         CadenzaError: there is something at `path`, other than an empty folder.
@@ -106,7 +106,7 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 
 def remove_half_written(folder: Path) -> None:
-    """Removes files that a process was writing to a folder with `write_atomically` as it died."""
+    """Remove files that a process was writing to a folder with `write_atomically` as it died."""
     for path in folder.glob(f"{TEMPORARY}*"):
         if path.is_file() or path.is_symlink():
             path.unlink(missing_ok=True)
@@ -114,7 +114,7 @@ def remove_half_written(folder: Path) -> None:
 
 @contextmanager
 def opened_in_place(path: Path) -> Iterator[IO[bytes]]:
-    """Yields a file that keeps what it holds, made if need be, to be read and written anywhere.
+    """Yield a file that keeps what it holds, made if need be, to be read and written anywhere.
 
     Raises:
         OSError: it is a symbolic link, among others.
@@ -126,7 +126,7 @@ def opened_in_place(path: Path) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
-    """Yields whether this process has the folder to itself, which is made if need be.
+    """Yield whether this process has the folder to itself, which is made if need be.
 
     Args:
         folder: others that lock it keep out of it.
@@ -152,7 +152,7 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
 
 @contextmanager
 def locked_file(path: Path, patience: float = 0.0) -> Iterator[bool]:
-    """Yields whether this process holds the lock file, after `patience` [s] at most.
+    """Yield whether this process holds the lock file, after `patience` [s] at most.
 
     Raises:
         OSError: it cannot be written.
@@ -176,7 +176,7 @@ def locked_file(path: Path, patience: float = 0.0) -> Iterator[bool]:
 
 @contextmanager
 def opened(path: Path) -> Iterator[IO[bytes]]:
-    """Yields a file to be read, which is one that ends: no pipe that nobody writes to, no device.
+    """Yield a file to be read, which is one that ends: no pipe that nobody writes to, no device.
 
     Raises:
         OSError: it cannot be opened, or is none.
@@ -189,7 +189,7 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def _readable(path: Path, most: int | None) -> Iterator[IO[bytes]]:
-    """Opens a regular file of at most `most` bytes, or raises a CadenzaError."""
+    """Open a regular file of at most `most` bytes, or raise a CadenzaError."""
     try:
         with opened(path) as file:
             size = os.fstat(file.fileno()).st_size
@@ -206,7 +206,7 @@ def _readable(path: Path, most: int | None) -> Iterator[IO[bytes]]:
 
 
 def content_of(path: Path, most: int = MAX_JSON) -> bytes:
-    """Reads all of a file, and nothing of one of over `most` bytes.
+    """Read all of a file, and nothing of one of over `most` bytes.
 
     Raises:
         CadenzaError: it is not there, cannot be read, or is larger.
@@ -216,7 +216,7 @@ def content_of(path: Path, most: int = MAX_JSON) -> bytes:
 
 
 def sha256_of(*paths: Path, most: int | None = None) -> str:
-    """Returns the SHA-256 of what files hold, one after the other.
+    """The SHA-256 of what files hold, one after the other.
 
     Raises:
         CadenzaError: one is not there, cannot be read, or takes over `most` bytes.
@@ -229,7 +229,7 @@ def sha256_of(*paths: Path, most: int | None = None) -> str:
 
 
 def files_in(folder: Path) -> Iterator[Path]:
-    """Yields the files in a folder and in the folders in it, by their paths within it.
+    """Yield the files in a folder and in the folders in it, by their paths within it.
 
     Hidden ones are left out, and so are folders that cannot be read. Links to folders are not
     followed.
@@ -247,7 +247,7 @@ def files_in(folder: Path) -> Iterator[Path]:
 
 
 def unpacked(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """Unpacks a member of at most `most` bytes, and no more than that.
+    """Unpack a member of at most `most` bytes, and no more than that.
 
     Raises:
         CadenzaError: it holds more, or is packed in a way that may unpack any amount at once.
@@ -298,7 +298,7 @@ def number_in(text: str, what: str, least: float, most: float) -> float:
 
 
 def read_json(path: Path, kind: type[T]) -> T:
-    """Reads a JSON file as a value of a type; see `checked`.
+    """Read a JSON file as a value of a type; see `checked`.
 
     Raises:
         CadenzaError: it cannot be read, is too large, is no JSON, or holds something else.
@@ -307,7 +307,7 @@ def read_json(path: Path, kind: type[T]) -> T:
 
 
 def parsed_json(content: bytes | str, kind: type[T], where: object) -> T:
-    """Parses JSON as a value of a type; see `checked`.
+    """Parse JSON as a value of a type; see `checked`.
 
     Raises:
         CadenzaError: it is no JSON, or holds something else.
@@ -322,7 +322,7 @@ def parsed_json(content: bytes | str, kind: type[T], where: object) -> T:
 
 
 def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Refuses an object with a name twice, of which each reader may take another value."""
+    """Refuse an object with a name twice: readers differ in which value they take."""
     value = dict(pairs)
     if len(value) < len(pairs):
         raise CadenzaError("has a name twice")
@@ -330,7 +330,7 @@ def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def checked(value: Any, kind: type[T], where: object) -> T:
-    """Converts what JSON has to a dataclass, a named tuple, or lists and dictionaries of some.
+    """Convert what JSON has to a dataclass, a named tuple, or lists and dictionaries of some.
 
     Nothing is converted but lists to tuples and whole numbers to floats. Fields that are missing
     get their defaults.
@@ -352,7 +352,7 @@ def checked(value: Any, kind: type[T], where: object) -> T:
 
 
 def _check_values(value: Any, at: str) -> None:
-    """Refuses what Python's JSON has beyond that of others, and nobody can write again."""
+    """Refuse what Python's JSON has beyond that of others, and nobody can write again."""
     if isinstance(value, dict):
         for name, part in value.items():
             _check_values(name, at)
@@ -369,7 +369,7 @@ def _check_values(value: Any, at: str) -> None:
 
 
 def _check_names(given: Any, understood: Any, at: str) -> None:
-    """Refuses fields that `msgspec.convert` leaves out."""
+    """Refuse fields that `msgspec.convert` leaves out."""
     if isinstance(given, dict):
         for name, part in given.items():
             if name not in understood:
@@ -381,7 +381,7 @@ def _check_names(given: Any, understood: Any, at: str) -> None:
 
 
 def _is_text(value: str) -> bool:
-    """Returns whether text can be written to a file: JSON and numpy know halves of characters."""
+    """Whether text can be written to a file: JSON and numpy know halves of characters."""
     try:
         value.encode()
     except UnicodeEncodeError:
@@ -425,7 +425,7 @@ ANY: Expected = {"*": ArrayOf(NUMBERS + TEXT, None)}
 
 
 def read_arrays(path: Path, expected: Expected, most: int | None = None) -> dict[str, NDArray[Any]]:
-    """Reads the arrays of a .npz file by name; nothing in it is executed.
+    """Read the arrays of a .npz file by name; nothing in it is executed.
 
     Args:
         path: the file.
@@ -462,14 +462,14 @@ def read_arrays(path: Path, expected: Expected, most: int | None = None) -> dict
 
 
 def tensor_bytes(arrays: Mapping[str, NDArray[Any]], facts: Any = None) -> bytes:
-    """Returns a .safetensors file of arrays of numbers, with `facts` as JSON in its header."""
+    """A .safetensors file of arrays of numbers, with `facts` as JSON in its header."""
     in_order = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     header = None if facts is None else {_FACTS: json.dumps(plain(facts), allow_nan=False)}
     return safetensors.numpy.save(in_order, header)
 
 
 def write_tensors(path: Path, arrays: Mapping[str, NDArray[Any]], facts: Any = None) -> None:
-    """Writes a .safetensors file as a whole or not at all; see `tensor_bytes`."""
+    """Write a .safetensors file as a whole or not at all; see `tensor_bytes`."""
     with write_atomically(path) as file:
         file.write(tensor_bytes(arrays, facts))
 
@@ -477,7 +477,7 @@ def write_tensors(path: Path, arrays: Mapping[str, NDArray[Any]], facts: Any = N
 def read_tensors(
     path: Path, expected: Expected, most: int
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Reads the arrays of a .safetensors file by name, and the facts in its header.
+    """Read the arrays of a .safetensors file by name, and the facts in its header.
 
     Args:
         path: the file.
@@ -501,7 +501,7 @@ def read_tensors(
 
 
 def check_arrays(arrays: Mapping[str, NDArray[Any]], expected: Expected, where: object) -> None:
-    """Raises a CadenzaError that names an array which is missing or not as `expected`."""
+    """Raise a CadenzaError that names an array which is missing or not as `expected`."""
     for name, form in expected.items():
         if form.needed and name not in arrays:
             raise CadenzaError(f"{where}: holds no array named {name}, {form}; {_ANOTHER}")
@@ -523,7 +523,7 @@ def check_arrays(arrays: Mapping[str, NDArray[Any]], expected: Expected, where: 
 
 
 def first_fitting(name: str, by_pattern: Mapping[str, T]) -> T | None:
-    """Returns the value of the first pattern that fits a name; `*` stands for any part of one."""
+    """The value of the first pattern that fits a name; `*` stands for any part of one."""
     return next((of for known, of in by_pattern.items() if fnmatchcase(name, known)), None)
 
 
@@ -539,13 +539,13 @@ def _fits(
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Writes a JSON file as a whole or not at all; see `plain`."""
+    """Write a JSON file as a whole or not at all; see `plain`."""
     with write_atomically(path) as file:
         file.write((json.dumps(plain(content), indent=2, allow_nan=False) + "\n").encode())
 
 
 def plain(value: Any) -> Any:
-    """Returns a value as JSON has it: paths as text, null for what is no finite number.
+    """A value as JSON has it: paths as text, null for what is no finite number.
 
     Bytes of a file's name that are no text become escapes such as `\\udcfc`.
     """
@@ -561,7 +561,7 @@ def plain(value: Any) -> Any:
 
 
 def folder_name(text: str) -> str:
-    """Returns the name of a folder that says `text`, whatever that holds.
+    """The name of a folder that says `text`, whatever that holds.
 
     It leads nowhere else and can be shown: separators, what no file system of ours takes, and what
     cannot be printed become `_`; dots and spaces at the ends go, and what exceeds 255 bytes.
@@ -571,7 +571,7 @@ def folder_name(text: str) -> str:
 
 
 def modification_times(paths: Iterable[Path]) -> dict[Path, float]:
-    """Returns when files were changed last [s since 1970], the newest first.
+    """When files were changed last [s since 1970], the newest first.
 
     Files that have gone meanwhile, or may not be looked at, are left out. Links are not followed.
     """

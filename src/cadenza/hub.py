@@ -39,12 +39,12 @@ class Kind:
 
 
 def is_on_hub(place: object) -> bool:
-    """Returns whether a folder is named as one of the hub."""
+    """Whether a folder is named as one of the hub."""
     return isinstance(place, str | Path) and str(place).startswith(_PREFIX)
 
 
 def fetched(place: str | Path, kind: Kind) -> Path:
-    """Returns the folder that `place` names, which is fetched if it is one of the hub.
+    """The folder that `place` names, which is fetched if it is one of the hub.
 
     Without the hub, or where it fails, what was fetched before is used.
 
@@ -81,7 +81,7 @@ def fetched(place: str | Path, kind: Kind) -> Path:
 
 
 def pinned(place: str, folder: Path) -> str:
-    """Returns the name on the hub of the very commit that was `fetched` to `folder`, or its path.
+    """The name on the hub of the very commit that was `fetched` to `folder`, or its path.
 
     Args:
         place: what was fetched.
@@ -91,7 +91,7 @@ def pinned(place: str, folder: Path) -> str:
 
 
 def upload(folder: Path, repo: str, kind: Kind, card: str) -> str:
-    """Uploads the files of a folder to the hub, as one commit; returns where they are.
+    """Upload the files of a folder to the hub, as one commit; return where they are.
 
     The repository is made if there is none, as visible as its owner's are by default.
 
@@ -123,7 +123,7 @@ def upload(folder: Path, repo: str, kind: Kind, card: str) -> str:
 
 
 def _parsed(place: str) -> tuple[str, str | None]:
-    """Returns OWNER/NAME and the revision."""
+    """OWNER/NAME and the revision."""
     if (found := _NAME.fullmatch(place)) is None:
         raise CadenzaError(f"{place}: not a name on the hub; give hub:OWNER/NAME[@REVISION]")
     repo, revision = found.groups()
@@ -135,7 +135,7 @@ def _is_of(kind: Kind, name: str) -> bool:
 
 
 def _check_size(place: str, sizes: dict[str, int | None], kind: Kind) -> None:
-    """Raises a CadenzaError if nothing is of the kind, or if it takes more than it may."""
+    """Raise a CadenzaError if nothing is of the kind, or if it takes more than it may."""
     mine = [size or 0 for name, size in sizes.items() if _is_of(kind, name)]
     if not mine:
         raise CadenzaError(f"{place}: holds no {kind.name} of Cadenza; name another")
@@ -148,7 +148,7 @@ def _check_size(place: str, sizes: dict[str, int | None], kind: Kind) -> None:
 
 @contextmanager
 def _in_a_line(place: str, kind: Kind) -> Iterator[None]:
-    """Turns what the hub and its library raise into a `CadenzaError`."""
+    """Turn what the hub and its library raise into a `CadenzaError`."""
     from huggingface_hub import errors
 
     try:

@@ -65,7 +65,7 @@ class Registry:
         return {**self.own, **{name: entry for name, entry in theirs if name not in self.own}}
 
     def load(self, name: str, kind: type[T]) -> T:
-        """Imports the object of `name`.
+        """Import the object of `name`.
 
         Raises:
             CadenzaError: there is no such name, two packages have it, the object cannot be
@@ -112,7 +112,7 @@ class Registry:
         return CadenzaError(f"no {self.kind} {quoted(name)}: {hint}{choice}{self.otherwise}")
 
     def _installed(self) -> Iterator[tuple[str, Entry]]:
-        """Yields names and entries of other packages from their metadata."""
+        """Yield names and entries of other packages from their metadata."""
         seen = set()
         for package in metadata.distributions():
             try:

@@ -36,7 +36,7 @@ class ResumableFolder:
     def __init__(
         self, path: Path, command: str, locked_out: str, manifest: str = "run.json"
     ) -> None:
-        """Makes nothing yet.
+        """Make nothing yet.
 
         Args:
             path: The folder.
@@ -49,7 +49,7 @@ class ResumableFolder:
 
     @contextmanager
     def claimed(self, patience: float = 0.0) -> Iterator[bool]:
-        """Yields whether this process holds the lock of the folder, which is made if need be.
+        """Yield whether this process holds the lock of the folder, which is made if need be.
 
         Files that a killed process has left half-written are removed.
 
@@ -66,7 +66,7 @@ class ResumableFolder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Holds the lock of the folder for the block; see `claimed`.
+        """Hold the lock of the folder for the block; see `claimed`.
 
         Raises:
             CadenzaError: Another process holds it, or nothing can be written in the folder.
@@ -82,11 +82,11 @@ class ResumableFolder:
         return self.manifest.exists()
 
     def write_manifest(self, fields: dict[str, Any]) -> None:
-        """Writes the manifest, with the command besides its fields."""
+        """Write the manifest, with the command besides its fields."""
         write_json(self.manifest, {"command": self.command, **fields})
 
     def read_manifest(self) -> dict[str, Any]:
-        """Returns the fields of the manifest, unchecked.
+        """The fields of the manifest, unchecked.
 
         Raises:
             CadenzaError: There is no manifest, it is damaged, or it is that of another command.
@@ -101,7 +101,7 @@ class ResumableFolder:
         return fields
 
     def known(self, kind: type[Manifest]) -> Manifest | None:
-        """Returns the manifest as a dataclass, None where there is none.
+        """The manifest as a dataclass, None where there is none.
 
         Raises:
             CadenzaError: The manifest is damaged, or that of another command.
@@ -109,7 +109,7 @@ class ResumableFolder:
         return checked(self.read_manifest(), kind, self.manifest) if self.begun else None
 
     def begin_or_continue(self, wanted: Manifest, known: Manifest | None) -> None:
-        """Writes the manifest that is wanted, unless the `known` one is of other work.
+        """Write the manifest that is wanted, unless the `known` one is of other work.
 
         Raises:
             CadenzaError: The two manifests differ.
@@ -118,7 +118,7 @@ class ResumableFolder:
         self.write_manifest(asdict(wanted))
 
     def check_same(self, wanted: Manifest, known: Manifest | None) -> None:
-        """Raises a CadenzaError if there is a `known` manifest, and it is not the `wanted` one."""
+        """Raise a CadenzaError if there is a `known` manifest, and it is not the `wanted` one."""
         if known not in (None, wanted):
             raise CadenzaError(
                 f"{self.path}: holds a run with other options; give the same to continue it, or "
@@ -126,7 +126,7 @@ class ResumableFolder:
             )
 
     def check_complete(self, has_checkpoints: bool) -> None:
-        """Raises a CadenzaError if there are checkpoints, but no manifest says what they are of."""
+        """Raise a CadenzaError if there are checkpoints, but no manifest says what they are of."""
         if has_checkpoints and not self.begun:  # a new run would go on from them
             raise CadenzaError(
                 f"{self.manifest}: missing, but there are checkpoints; use another copy, or choose "
@@ -138,12 +138,12 @@ class RateLimited:
     """A function that is called again and again, and works only now and then."""
 
     def __init__(self, work: Callable[[], None], interval: float, share: float) -> None:
-        """Works at most every `interval` [s], and for at most a `share` of the time."""
+        """Work at most every `interval` [s], and for at most a `share` of the time."""
         self._work, self._interval, self._share = work, interval, share
         self._last_time, self._duration = time.monotonic(), 0.0
 
     def __call__(self, at_once: bool = False) -> None:
-        """Does the work if it is due, or `at_once`."""
+        """Do the work if it is due, or `at_once`."""
         began = time.monotonic()
         if at_once or began - self._last_time > max(self._interval, self._duration / self._share):
             self._work()
@@ -152,7 +152,7 @@ class RateLimited:
 
 
 def installed_versions(packages: Iterable[str]) -> dict[str, str]:
-    """Returns the versions of those packages that are installed, by their names."""
+    """The versions of those packages that are installed, by their names."""
     versions = {}
     for package in packages:
         with suppress(PackageNotFoundError):

@@ -20,7 +20,7 @@ _NEWER = {"X86_V4", "AVX512F", "AVX512_SKX"}
 
 
 def round_as_haswell() -> None:
-    """Has OpenBLAS and NumPy, if imported later, round as on Haswell, the first with AVX2.
+    """Have OpenBLAS and NumPy, if imported later, round as on Haswell, the first with AVX2.
 
     This also holds for processes that are started by this one. Without AVX2, nothing is changed.
     """
@@ -35,7 +35,7 @@ def round_as_haswell() -> None:
 
 @cache
 def check_rounding() -> None:
-    """Warns once if NumPy was imported too early to round as on Haswell, and does not."""
+    """Warn once if NumPy was imported too early to round as on Haswell, and does not."""
     import numpy as np
     from threadpoolctl import threadpool_info
 

@@ -163,7 +163,7 @@ class Body:
     actuators: tuple[Actuator, ...]
     couplings: tuple[Coupling, ...] = ()
     excluded: tuple[tuple[str, str], ...] = ()
-    """Pairs of links that do not collide, beside those that are parent and child."""
+    """Pairs of links that do not collide, beside parents and children."""
     locked: tuple[str, ...] = ()
     """The joints that the reduced action space leaves out."""
     reduced_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -184,7 +184,7 @@ _CONTACT_BITS: dict[Side, int] = {"right": 8, "left": 16}  # bits of contype and
 
 
 class BodyBuilder:
-    """Builds the body of one hand into a scene."""
+    """The builder of the body of one hand in a scene."""
 
     def __init__(self, body: Body, spec: mujoco.MjSpec, side: Side, options: HandOptions) -> None:
         self._body, self._spec, self._side, self._options = body, spec, side, options
@@ -196,7 +196,7 @@ class BodyBuilder:
         self._forearm_dofs = () if body.mount else options.forearm_dofs
 
     def build(self) -> None:
-        """Adds links, joints, geoms, tendons, actuators and exclusions."""
+        """Add links, joints, geoms, tendons, actuators and exclusions."""
         for link in self._body.links:
             body = self._add_link(link)
             if not link.parent:

@@ -69,12 +69,12 @@ class Hand:
     thumb_meets: int = 2
     """Number of fingers next to the thumb that it can run into."""
     start: Mapping[str, float] = field(default_factory=dict)
-    """Positions of joints when an episode begins [m, rad]; 0 for those that are left out."""
+    """Positions of joints when an episode begins [m, rad]; 0 for all others."""
     kept_apart: tuple[str, ...] = (forearm.FOREARM,)
     """The links that the reward for forearms wants to keep from those of the other hand."""
 
     def __post_init__(self) -> None:
-        """Checks that the parts go together.
+        """Check that the parts go together.
 
         Raises:
             CadenzaError: they do not.
@@ -88,7 +88,7 @@ class Hand:
         return tuple(link.name for link in self.body.links if link.hides_keys)
 
     def add_to(self, spec: mujoco.MjSpec, side: Side, options: HandOptions) -> tuple[str, ...]:
-        """Adds the hand of one side to a scene; returns the names of its fingertips' sites."""
+        """Add the hand of one side to a scene; return the names of its fingertips' sites."""
         BodyBuilder(self.body, spec, side, options).build()
         return tuple(_add_fingertip(spec, side, each, options.touch) for each in self.fingers)
 
@@ -98,7 +98,7 @@ class Hand:
 
 
 def _add_fingertip(spec: mujoco.MjSpec, side: Side, finger: FingerChain, touch: bool) -> str:
-    """Adds the site where a finger presses, and a touch sensor if wanted; returns the site's name.
+    """Add the site where a finger presses, and a touch sensor if wanted; return the site's name.
 
     The sensor measures the normal force [N] of contacts of the last link in the sphere of the site,
     which is a little larger than the tip.
@@ -121,7 +121,7 @@ def _add_fingertip(spec: mujoco.MjSpec, side: Side, finger: FingerChain, touch: 
 
 
 def _faults(hand: Hand) -> Iterator[str]:
-    """Yields a line for each fault of a hand: what is wrong, where, and what to do.
+    """Yield a line for each fault of a hand: what is wrong, where, and what to do.
 
     What MuJoCo refuses itself is left to it.
     """

@@ -1,4 +1,4 @@
-"""The Shadow Dexterous Hand E3M5: five fingers, of which four have their last joints coupled.
+"""The Shadow Dexterous Hand E3M5: five fingers, the last joints of four coupled.
 
 Figures from the hand model of RoboPianist (Zakka et al., CoRL 2023; PyPI robopianist 1.0.10), which
 goes back to DeepMind's model in MuJoCo Menagerie after Shadow Robot's description of the E3M5

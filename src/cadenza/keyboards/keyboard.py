@@ -109,7 +109,7 @@ class Keyboard:
     """How loud a key sounds."""
 
     def __post_init__(self) -> None:
-        """Checks the figures.
+        """Check the figures.
 
         Raises:
             CadenzaError: there can be no such keyboard.
@@ -225,7 +225,7 @@ class Keyboard:
         return f"{'black' if self.is_black[key] else 'white'}_key_{key}"
 
     def add_to(self, spec: mujoco.MjSpec, keys: range, actuated: bool) -> None:
-        """Adds base and keys to the world of `spec`; `actuated` keys follow a position target."""
+        """Add base and keys to the world of `spec`; `actuated` keys follow a position target."""
         piano = spec.worldbody.add_body(name="piano")
         self._add_base(piano)
         for key in keys:

@@ -28,7 +28,7 @@ class Arrangement:
     level: int | None = None
     """Arrange the song to a difficulty from 1 to 10."""
     all_notes: bool = False
-    """Have one hand play all notes, and not only those that are written for it."""
+    """Have one hand play all notes, also what is written for the other."""
     drums: Literal["off", "accents"] = "off"
     """Have drums accent what is played with them."""
     first_seconds: float | None = None
@@ -39,7 +39,7 @@ class Arrangement:
     """The quantity of each rule, which `expression` multiplies."""
 
     def __post_init__(self) -> None:
-        """Checks the options.
+        """Check the options.
 
         Raises:
             CadenzaError: `first_seconds` is not a positive number, `level`, `expression` or a rule

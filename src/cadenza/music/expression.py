@@ -66,7 +66,7 @@ _PUNCTUATED_SHARE = 0.6  # of the mean interval, below which notes are not set a
 _LEAP = (
     12 - 7
 )  # semitones, an octave less a fifth, of leaps between groups; smaller ones hardly weigh
-_FIGURE, _FIGURE_LEAPS = 6, 2  # more such leaps within so many notes are of a figure, as arpeggios
+_FIGURE, _FIGURE_LEAPS = 6, 2  # more than 2 such leaps within 6 notes are of a figure, as arpeggios
 _MAX_LEAP = 1.5  # of both neighbouring intervals, which a leap between groups exceeds
 
 # Final ritard: Friberg and Sundberg (J. Acoust. Soc. Am. 105, 1999, 1469-1484)
@@ -103,7 +103,7 @@ class _Melody(NamedTuple):
 
 
 def performed(score: Score, dose: float = 1.0, rules: ExpressionRules | None = None) -> Score:
-    """Returns `score` as the rules perform it: other onsets, durations and velocities.
+    """`score` as the rules perform it: other onsets, durations and velocities.
 
     Pitches, fingers and the order of notes on a key stay as they are, and notes overlap on a key
     only where they did. Pedal and bars move by the same map of time as the notes. As in Director
@@ -221,7 +221,7 @@ def _added_time(
 def _time_map(
     melody: _Melody, added: Floats, knots: Floats, ritard: float
 ) -> Callable[[float], float]:
-    """Returns the map from written to played time [s], which is linear between `knots`.
+    """The map from written to played time [s], which is linear between `knots`.
 
     Args:
         melody: the melody.
@@ -249,7 +249,7 @@ def _note_times(
     moved: Callable[[float], float],
     lead: float,
 ) -> Callable[[Note], tuple[float, float]]:
-    """Returns the function from a note to when it is played, from its start to its end [s].
+    """The function from a note to when it is played, from its start to its end [s].
 
     Args:
         groups: the chords, each with its notes by pitch.
@@ -364,7 +364,7 @@ def _arch(melody: _Melody, start: float, end: float) -> Floats:
 
 
 def _phrases(melody: _Melody) -> Iterator[tuple[int, int]]:
-    """Yields the first and the last note of each phrase of two notes or more; see `performed`."""
+    """Yield the first and the last note of each phrase of two notes or more; see `performed`."""
     offset = melody.onset + melody.interval
     ends = melody.rest | (melody.interval >= _PHRASE_LONG * np.median(melody.interval))
     ends[-1] = True
@@ -376,7 +376,7 @@ def _phrases(melody: _Melody) -> Iterator[tuple[int, int]]:
 
 
 def _divided(melody: _Melody, first: int, last: int) -> Iterator[tuple[int, int]]:
-    """Yields a phrase from its first note to its last, or the parts of a long one."""
+    """Yield a phrase from its first note to its last, or the parts of a long one."""
     undivided = [(first, last)]
     while undivided:
         first, last = undivided.pop()

@@ -42,7 +42,7 @@ class ExpressionRules:
 
 
 def check_quantities(dose: float, rules: ExpressionRules) -> None:
-    """Checks the dose of all rules and the quantity of each.
+    """Check the dose of all rules and the quantity of each.
 
     Raises:
         CadenzaError: one is out of range.

@@ -17,7 +17,7 @@ _TAIL = 90  # percentile that says how large errors become, beside the median
 
 
 def expressive_metrics(played: Score, written: Score) -> dict[str, float | None]:
-    """Returns metrics of timing [s] and loudness; each is None where no note can tell it.
+    """Metrics of timing [s] and loudness; each is None where no note can tell it.
 
     A written and a played note of the same pitch are a pair if they begin within 0.05 s of each
     other. Notes that are left over are paired if they begin within 0.2 s. Each time, as many pairs
@@ -113,7 +113,7 @@ def _loudness(pairs: Sequence[Pair], written: Score) -> dict[str, float | None]:
 
 
 def _note_f1(close: Sequence[Pair], written: Score, played: Score) -> dict[str, float | None]:
-    """F1 of whole notes, of which the `close` pairs begin together."""
+    """F1 of whole notes; the `close` pairs begin together."""
     notes = len(written.notes) + len(played.notes)
     wanted, heard = _velocities(close)
     accuracy = 1 - float(np.abs(heard - wanted).mean()) / LOUDEST if close else 1.0

@@ -191,7 +191,7 @@ def merged_notes(score: Score, goals: Goals) -> int:
 
 
 def check_pitches(score: Score, pitches: range) -> None:
-    """Checks that all notes are on a keyboard of these pitches.
+    """Check that all notes are on a keyboard of these pitches.
 
     Raises:
         CadenzaError: the score has notes of other pitches.
@@ -204,7 +204,7 @@ def check_pitches(score: Score, pitches: range) -> None:
 
 
 def check_steps(steps: float) -> None:
-    """Checks a number of control steps.
+    """Check a number of control steps.
 
     Raises:
         CadenzaError: they are more than memory has room for.

@@ -38,7 +38,7 @@ def key_events(
     offset: NDArray[np.floating[Any]],
     velocity: NDArray[np.floating[Any]],
 ) -> Iterator[KeyEvent]:
-    """Yields the events of T control steps in their order; arrays are (T, K), NaN without event."""
+    """Yield the events of T control steps in their order; arrays are (T, K), NaN without event."""
     rows = np.nonzero(~(np.isnan(onset) & np.isnan(offset)))
     columns = (*rows, onset[rows], offset[rows], velocity[rows])
     return map(KeyEvent._make, zip(*(column.tolist() for column in columns), strict=True))
@@ -66,7 +66,7 @@ class SoundedNotes:
         self._last: dict[int, _Sounded] = {}  # of each key
 
     def add(self, event: KeyEvent) -> bool:
-        """Adds what happened to a key; returns whether a note has begun."""
+        """Add what happened to a key; return whether a note has begun."""
         begun = len(self._notes)
         times = [(event.onset, True), (event.offset, False)]
         for time, sounds in sorted(each for each in times if each[0] == each[0]):
@@ -86,7 +86,7 @@ class SoundedNotes:
             self._notes.append(note)
 
     def notes(self, seconds: float, lowest_pitch: int = LOWEST_PITCH) -> Iterator[Note]:
-        """Yields the notes of the first `seconds`, at the end of which all keys cease to sound."""
+        """Yield the notes of the first `seconds`; then all keys cease to sound."""
         for note in self._notes:
             start = round(note.start, _TIME_DECIMALS)
             end = round(seconds if note.end is None else note.end, _TIME_DECIMALS)

@@ -25,7 +25,7 @@ class RawNote:
     hands: tuple[int, ...] = ()
 
     def release(self, time: float) -> None:
-        """Ends the note."""
+        """End the note."""
         self.end, self.released = time, True
 
 

@@ -29,7 +29,7 @@ PEDAL_DOWN = 64
 """The least value of a pedal that is down."""
 MIRROR = 124  # sum of a pitch and its mirror image: twice D4, about which black keys are symmetric
 MAX_SECONDS = 3600.0  # of music that is played; a longer song is taken for a mistake
-MAX_SCORE_LENGTH = 4 * 3600.0  # [s], of which a part may be played; bars of days would fill memory
+MAX_SCORE_LENGTH = 4 * 3600.0  # [s]; a part may be played, and bars of days would fill memory
 CHORD_TOLERANCE = 0.03  # [s] within which notes begin together
 RELEASE_TIME = 0.05  # [s] a note with less left than this does not keep its finger from the next
 BEAT_TYPES = frozenset(1 << k for k in range(7))  # whole notes to 64ths
@@ -45,7 +45,7 @@ class Note:
     """A note: `start` and `end` in [s], MIDI `pitch` 0..127, `velocity` 1..127, and its finger.
 
     `tracks` are the numbers of the tracks of the file that have it. `hands`, `RIGHT` and `LEFT`,
-    are those that play it as written: none where the file does not say, both where it is written
+    play it as written: none where the file does not say, both where it is written
     for both. Notes that differ only in tracks or hands are equal.
 
     Raises:
@@ -127,7 +127,7 @@ class Bar:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """The part of one instrument: so many `notes` from the `lowest` pitch to the `highest`.
+    """The part of one instrument: `notes` of them from the `lowest` pitch to the `highest`.
 
     `number` counts the tracks with notes from 1; `channel` is that of MIDI, 1 to 16, or None if
     the file is not MIDI.
@@ -318,7 +318,7 @@ def chords(
     within: float = CHORD_TOLERANCE,
     start: Callable[[_N], float] = attrgetter("start"),
 ) -> Iterator[list[_N]]:
-    """Yields the chords of notes: groups that begin together, or nearly so.
+    """Yield the chords of notes: groups that begin together, or nearly so.
 
     Args:
         notes: notes in order of time, or what stands for them.
@@ -336,7 +336,7 @@ def chords(
 
 
 def check_beginning(seconds: float) -> None:
-    """Checks how much of a song is to be its beginning [s].
+    """Check how much of a song is to be its beginning [s].
 
     Raises:
         CadenzaError: it is not positive or not finite.
@@ -346,7 +346,7 @@ def check_beginning(seconds: float) -> None:
 
 
 def check_length(seconds: float, what: str, advice: str = "") -> None:
-    """Checks the length of `what` [s].
+    """Check the length of `what` [s].
 
     Raises:
         CadenzaError: it would last longer than is sensible; the message ends with `advice`.
@@ -359,10 +359,10 @@ def check_length(seconds: float, what: str, advice: str = "") -> None:
 
 
 def check_end(seconds: float) -> None:
-    """Checks that a score ends within `MAX_SCORE_LENGTH`.
+    """Check that a score ends within `MAX_SCORE_LENGTH`.
 
     Raises:
-        CadenzaError: it ends at so many `seconds`, later.
+        CadenzaError: it ends later.
     """
     if not seconds <= MAX_SCORE_LENGTH:  # also where it is not a number
         raise CadenzaError(
@@ -372,7 +372,7 @@ def check_end(seconds: float) -> None:
 
 
 def check_chosen(chosen: Collection[int], tracks: Sequence[Track]) -> None:
-    """Checks that a file with these tracks has those with the `chosen` numbers.
+    """Check that a file with these tracks has those with the `chosen` numbers.
 
     Raises:
         CadenzaError: it does not.

@@ -56,7 +56,7 @@ def eye_of(camera: mujoco.MjvCamera) -> NDArray[np.float64]:
 
 
 def add_cameras(spec: mujoco.MjSpec) -> None:
-    """Adds the cameras, a light and a plain background."""
+    """Add the cameras, a light and a plain background."""
     world = spec.worldbody
     for name, (pos, quat, fovy) in CAMERAS.items():
         world.add_camera(name=name, pos=pos, quat=quat, fovy=fovy)

@@ -66,7 +66,7 @@ def named_by_module(config: SceneConfig) -> dict[str, str]:
 
 
 def check_modules(config: SceneConfig, where: Path) -> None:
-    """Checks that a configuration read from a file imports no module, which may run anything.
+    """Check that a configuration read from a file imports no module, which may run anything.
 
     Raises:
         CadenzaError: `where` names a `module:NAME` that nobody has imported.

@@ -55,7 +55,7 @@ def key_geoms(model: mujoco.MjModel, scene: Scene) -> dict[int, int]:
 
 
 def _furnish(spec: mujoco.MjSpec, keyboard: Keyboard) -> None:
-    """Puts the case in place of the box behind the keys, bevels the keys, and adds a floor."""
+    """Put the case in place of the box behind the keys, bevel the keys, and add a floor."""
     spec.geom("base").group = _COLLIDING_GROUP
     for number, piece in enumerate(furniture(keyboard)):
         name = f"case_{number}"

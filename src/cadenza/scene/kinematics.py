@@ -197,7 +197,7 @@ def _jacobian_terms(
 
 
 def _chain(model: mujoco.MjModel, body: int) -> set[int]:
-    """A body and those that carry it, but not the world."""
+    """A body and its ancestors, without the world."""
     chain = set[int]()
     while body:
         chain.add(body)

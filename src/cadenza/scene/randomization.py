@@ -58,7 +58,7 @@ def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
 
 
 def scale(model: mujoco.MjModel, scene: Scene, factors: Factors, data: mujoco.MjData) -> None:
-    """Sets fields of `model`, a copy of that of `scene`, to the nominal ones times `factors`.
+    """Set fields of `model`, a copy of that of `scene`, to the nominal ones times `factors`.
 
     Earlier factors of the same names are replaced. MuJoCo computes with `data`, which has to be
     reset afterwards.

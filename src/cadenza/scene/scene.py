@@ -113,7 +113,7 @@ class Scene:
 
 
 def build_scene(config: SceneConfig | None = None) -> Scene:
-    """Builds and compiles the scene that `config` describes.
+    """Build and compile the scene that `config` describes.
 
     Raises:
         CadenzaError: the options contradict each other, or are out of range.
@@ -288,7 +288,7 @@ def _set_options(spec: mujoco.MjSpec, config: SceneConfig, hand: Hand) -> None:
 def _damp_forearms_critically(
     model: mujoco.MjModel, hand: Hand, sides: tuple[Side, ...], config: SceneConfig
 ) -> None:
-    """Sets the damping 2 sqrt(k m) of servos of stiffness k that move a hand of mass m."""
+    """Set the damping 2 sqrt(k m) of servos of stiffness k that move a hand of mass m."""
     for side in () if hand.body.mount else sides:
         for name in config.forearm_dofs:
             dof = model.joint(f"{prefix(side)}{forearm.FOREARM}_{name}").dofadr[0]

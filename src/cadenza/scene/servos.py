@@ -27,7 +27,7 @@ class Servos:
     """The A servos of a scene, in its order, which move the J joints of the hands.
 
     A posture (A,) is given in the servos' coordinates. Joints that share a tendon have one
-    coordinate, the sum of their angles, of which each takes an equal share.
+    coordinate, the sum of their angles, and each takes an equal share of it.
     """
 
     names: tuple[str, ...]
@@ -152,7 +152,7 @@ class Reaction:
     """
 
     def __init__(self, scene: Scene, servos: Servos) -> None:
-        """Copies the model of a scene with hands, without gravity.
+        """Copy the model of a scene with hands, without gravity.
 
         Args:
             scene: a scene with hands, whose gravity is compensated.

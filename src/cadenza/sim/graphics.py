@@ -1,4 +1,4 @@
-"""Draws states of a scene off screen, by MuJoCo with EGL or OSMesa, whichever works."""
+"""Draw states of a scene off screen, by MuJoCo with EGL or OSMesa, whichever works."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _MAX_GEOMS = 2000
 
 
 class Canvas:
-    """Draws states of a scene. Holds a graphics context of this thread until `close`."""
+    """A canvas for states of a scene. It holds a graphics context of this thread until `close`."""
 
     def __init__(self, scene: Scene, model: mujoco.MjModel, width: int, height: int) -> None:
-        """Opens a graphics context for pictures of this size [px] of a scene's drawn model.
+        """Open a graphics context for pictures of this size [px] of a scene's drawn model.
 
         Raises:
             CadenzaError: this machine cannot draw.
@@ -35,7 +35,7 @@ class Canvas:
         self._scene, self._model, self._size = scene, model, (width, height)
         self._gl, self._context = _opened(model, width, height)
         self.close = weakref.finalize(self, _free, self._context, self._gl)
-        """Frees the graphics context, at the latest when the program ends."""
+        """Free the graphics context, at the latest when the program ends."""
         self._drawn = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
         self._options, self._data = mujoco.MjvOption(), mujoco.MjData(model)
         self._key_of_geom = key_geoms(model, scene)
@@ -43,7 +43,7 @@ class Canvas:
     def _show(
         self, hand_qpos: NDArray[Any], key_qpos: NDArray[Any], camera: mujoco.MjvCamera
     ) -> Iterator[tuple[mujoco.MjvGeom, int | None]]:
-        """Puts the scene in the picture; yields its geoms, to be coloured, with the keys they are.
+        """Put the scene in the picture; yield its geoms, to be coloured, with the keys they are.
 
         Args:
             hand_qpos: (J,) [m, rad].
@@ -64,7 +64,7 @@ class Canvas:
                 yield geom, self._key_of_geom.get(geom.objid)
 
     def _picture(self) -> NDArray[np.uint8]:
-        """Draws what is in the picture (height, width, 3)."""
+        """Draw what is in the picture (height, width, 3)."""
         self._gl.make_current()
         width, height = self._size
         pixels = np.empty((height, width, 3), np.uint8)
@@ -109,7 +109,7 @@ def _opened(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco
 
 
 def _free(context: mujoco.MjrContext, gl: Any) -> None:
-    """Frees what `_opened` returned."""
+    """Free what `_opened` returned."""
     with suppress(Exception):  # it may be current in another thread, and can then not be used here
         gl.make_current()  # or the buffers of whichever context is current would go
         context.free()
@@ -117,7 +117,7 @@ def _free(context: mujoco.MjrContext, gl: Any) -> None:
 
 
 def _forget_opengl() -> None:
-    """Lets another backend be tried: PyOpenGL binds itself to the first platform it meets."""
+    """Let another backend be tried: PyOpenGL binds itself to the first platform it meets."""
     os.environ.pop("PYOPENGL_PLATFORM", None)
     for name in [name for name in sys.modules if name.split(".")[0] == "OpenGL"]:
         del sys.modules[name]

@@ -38,7 +38,7 @@ class HandRollouts:
     keys: slice
 
     def __init__(self, scene: Scene, control_timestep: float, whole: Scene | None = None) -> None:
-        """Prepares rollouts of a hand, which begin after a call of `start_from`.
+        """Prepare rollouts of a hand, which begin after a call of `start_from`.
 
         Args:
             scene: a scene with one hand.
@@ -53,7 +53,7 @@ class HandRollouts:
         self._models: dict[range, _HandOnKeys] = {}
 
     def start_from(self, simulation: MujocoSimulation, low: float, high: float) -> None:
-        """Lets rollouts start in the present state of a simulation, the first if it is a batch.
+        """Let rollouts start in the present state of a simulation, the first if it is a batch.
 
         Args:
             simulation: a simulation of the whole scene.
@@ -71,7 +71,7 @@ class HandRollouts:
         self._model.start_from(self._state)
 
     def run(self, ctrl: Iterable[Array], slot: int = 0) -> Iterator[tuple[Array, Array]]:
-        """Simulates a rollout: one control step for each row of `ctrl` (H, A).
+        """Simulate a rollout: one control step for each row of `ctrl` (H, A).
 
         Rows may depend on the state that was reached.
 
@@ -145,7 +145,7 @@ class _HandOnKeys:
         model: see `reduced_model`.
         start: the state in which rollouts start.
         data: the states of rollouts, one for each slot.
-        posed: a state of which only the posture counts.
+        posed: a state whose posture alone counts.
         keys: where the keys are in qpos.
         fingertips: the sites of the fingertips.
     """
@@ -163,7 +163,7 @@ class _HandOnKeys:
         self.fingertips = [self.model.site(name).id for name in sites]
 
     def start_from(self, whole: mujoco.MjData) -> None:
-        """Takes over the state of the `whole` scene, and which keys sleep."""
+        """Take over the state of the `whole` scene, and which keys sleep."""
         start = self.start
         mujoco.mj_resetData(self.model, start)
         start.qpos, start.qvel = whole.qpos[self._qpos], whole.qvel[self._dofs]

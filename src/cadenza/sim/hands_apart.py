@@ -28,7 +28,7 @@ class HandsApart:
     """
 
     def __init__(self, scene: Scene, watch_forearms: bool = False, **options: Any) -> None:
-        """Takes a scene with both hands and the options of `MujocoSimulation`.
+        """Take a scene with both hands and the options of `MujocoSimulation`.
 
         Forearms never touch, whether `watch_forearms` or not.
         """
@@ -90,7 +90,7 @@ class HandsApart:
         return np.asarray(part.state.key_qpos >= self.scene.keyboard.sounds_from)
 
     def close(self) -> None:
-        """Stops the threads."""
+        """Stop the threads."""
         for part in self._parts:
             part.close()
 

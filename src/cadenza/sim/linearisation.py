@@ -59,7 +59,7 @@ class Lineariser:
         num_threads: int = 1,
         centred: bool = False,
     ) -> None:
-        """Allocates the derivatives of one trajectory, and data for each thread.
+        """Allocate the derivatives of one trajectory, and data for each thread.
 
         Args:
             scene: the scene to linearise, whose keys must not sleep.

@@ -52,7 +52,7 @@ class MujocoSimulation:
         num_threads: int = 1,
         watch_forearms: bool = False,
     ) -> None:
-        """Allocates N simulations of a scene, and resets them.
+        """Allocate N simulations of a scene, and reset them.
 
         Args:
             scene: the scene to simulate.
@@ -77,7 +77,7 @@ class MujocoSimulation:
         self.reset()
 
     def reset(self, env_ids: Sequence[int] | None = None, hand_qpos: Array | None = None) -> None:
-        """Puts simulations back to the start.
+        """Put simulations back to the start.
 
         Args:
             env_ids: the simulations that are reset; all by default.
@@ -92,7 +92,7 @@ class MujocoSimulation:
         self._change(change, env_ids)
 
     def randomize(self, env_id: int, factors: Factors) -> None:
-        """Scales a copy of the nominal model for one simulation, which is to be reset next.
+        """Scale a copy of the nominal model for one simulation, which is to be reset next.
 
         The arguments are those of `protocol.RandomizableSimulation.randomize`.
         """
@@ -104,7 +104,7 @@ class MujocoSimulation:
     def _change(
         self, change: Callable[[int, mujoco.MjData], None], env_ids: Sequence[int] | None = None
     ) -> None:
-        """Has `change(row, data)` change simulations, all by default, and reads their states."""
+        """Have `change(row, data)` change simulations, all by default, and read their states."""
         state = self.state.copy()
         for row, i in enumerate(self._ids(env_ids)):
             change(row, self._data[i])
@@ -117,7 +117,7 @@ class MujocoSimulation:
     def step(
         self, ctrl: Array, env_ids: Sequence[int] | None = None, held: HeldControls | None = None
     ) -> None:
-        """Applies `ctrl` (N, A) in actuator units for one control step.
+        """Apply `ctrl` (N, A) in actuator units for one control step.
 
         Args:
             ctrl: one row for every simulation, also for those not stepped.
@@ -140,7 +140,7 @@ class MujocoSimulation:
         return range(self.num_envs) if env_ids is None else env_ids
 
     def _advance(self, i: int, ctrl: Array, held: HeldControls | None, key_path: Array) -> None:
-        """Takes a step of simulation `i`, and writes where its keys are on the way.
+        """Take a step of simulation `i`, and write where its keys are on the way.
 
         `key_path` (S + 1, K) are their angles before the step and after each physics step [rad].
         """
@@ -160,7 +160,7 @@ class MujocoSimulation:
         mujoco.mj_step1(model, data)
 
     def _read(self, i: int, out: State, row: int | tuple[int, int]) -> None:
-        """Copies the state of simulation `i` into `out` at `row`."""
+        """Copy the state of simulation `i` into `out` at `row`."""
         data, scene = self._data[i], self.scene
         qpos, qvel = data.qpos, data.qvel
         out.key_qpos[row] = qpos[scene.key_qpos]
@@ -178,20 +178,20 @@ class MujocoSimulation:
         out.unstable[row] = data.warning.number[UNSTABLE].any()
 
     def _read_key_events(self, out: State, rows: Any, key_paths: Array) -> None:
-        """Writes what happened to the keys on their paths (..., S + 1, K) into rows of `out`."""
+        """Write what happened to the keys on their paths (..., S + 1, K) into rows of `out`."""
         substep = self.control_timestep / self.num_substeps
         events = last_key_events(key_paths, self.scene.keyboard.sounds_from, substep)
         for values, new in zip(out.key_events, events, strict=True):
             values[rows] = new
 
     def _set_state(self, state: State) -> None:
-        """Takes the state after a step, and logs which simulations have become unstable."""
+        """Take the state after a step, and log which simulations have become unstable."""
         for i in (state.unstable & ~self.state.unstable).nonzero()[0]:
             _LOG.warning("simulation %d became unstable", i)
         self.state = state
 
     def copy_to(self, data: Sequence[mujoco.MjData], env_id: int) -> None:
-        """Puts all of `data`, of the nominal model, into the physical state of `env_id`."""
+        """Put all of `data`, of the nominal model, into the physical state of `env_id`."""
         for each in data:
             mujoco.mj_copyData(each, self.scene.model, self._data[env_id])
             if self._models[env_id] is not self.scene.model:
@@ -205,7 +205,7 @@ class MujocoSimulation:
         return state
 
     def close(self) -> None:
-        """Stops the threads."""
+        """Stop the threads."""
         self._threads.close()
 
     def __getstate__(self) -> dict[str, Any]:

@@ -38,7 +38,7 @@ class PlanningSimulation(MujocoSimulation):
     """N simulations that can be put into any state, and rolled out for several steps."""
 
     def rollout(self, ctrl: Array) -> State:
-        """Takes K control steps in every simulation and returns all states on the way.
+        """Take K control steps in every simulation and return all states on the way.
 
         The result is that of K times `step`, but no simulation waits for another in between.
 
@@ -63,7 +63,7 @@ class PlanningSimulation(MujocoSimulation):
         return states
 
     def copy_from(self, other: MujocoSimulation, env_id: int) -> None:
-        """Puts every simulation of this batch into the physical state of `other`'s `env_id`.
+        """Put every simulation of this batch into the physical state of `other`'s `env_id`.
 
         Its scene is the same but for the physics timestep.
         """
@@ -80,7 +80,7 @@ class PlanningSimulation(MujocoSimulation):
     def set_joints(
         self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array, key_qvel: Array | float = 0.0
     ) -> None:
-        """Sets the joints of every simulation of this batch, and resets everything else.
+        """Set the joints of every simulation of this batch, and reset everything else.
 
         Args:
             hand_qpos: (J,) [m, rad].
@@ -99,7 +99,7 @@ class PlanningSimulation(MujocoSimulation):
         self._change(change)
 
     def set_physics_state(self, state: Array) -> None:
-        """Puts every simulation of this batch into a state (S,) that `physics_state` returned.
+        """Put every simulation of this batch into a state (S,) that `physics_state` returned.
 
         The state may come from another scene, which differs from this one in sleeping keys only.
         """

@@ -91,7 +91,7 @@ class Simulation(Protocol):
         """The state after the last step or reset; its arrays must not be changed."""
 
     def reset(self, env_ids: Sequence[int], hand_qpos: Array) -> None:
-        """Resets some simulations: everything is at rest, and the keys are up.
+        """Reset some simulations: everything is at rest, and the keys are up.
 
         Args:
             env_ids: the simulations that are reset.
@@ -99,7 +99,7 @@ class Simulation(Protocol):
         """
 
     def step(self, ctrl: Array, env_ids: Sequence[int] | None) -> None:
-        """Takes one control step.
+        """Take one control step.
 
         Args:
             ctrl: (N, A) in actuator units, held through the step; one row for every simulation,
@@ -108,7 +108,7 @@ class Simulation(Protocol):
         """
 
     def close(self) -> None:
-        """Frees threads and other resources; a later step starts them again."""
+        """Free threads and other resources; a later step starts them again."""
 
 
 class HeldControls(NamedTuple):
@@ -125,7 +125,7 @@ class RandomizableSimulation(Simulation, Protocol):
     """A simulation whose models may differ from each other, and whose controls may be late."""
 
     def randomize(self, env_id: int, factors: Factors) -> None:
-        """Scales the nominal model of one simulation, which is to be reset next.
+        """Scale the nominal model of one simulation, which is to be reset next.
 
         Args:
             env_id: the simulation.
@@ -135,7 +135,7 @@ class RandomizableSimulation(Simulation, Protocol):
     def step(
         self, ctrl: Array, env_ids: Sequence[int] | None, held: HeldControls | None = None
     ) -> None:
-        """Takes one control step, as `Simulation.step`, with controls that may arrive late.
+        """Take one control step, as `Simulation.step`, with controls that may arrive late.
 
         Until `ctrl` arrives, the controls of `held` are applied.
         """

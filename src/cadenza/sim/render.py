@@ -1,4 +1,4 @@
-"""Draws pictures of the scene off screen, by MuJoCo with EGL or OSMesa, whichever works."""
+"""Draw pictures of the scene off screen, by MuJoCo with EGL or OSMesa, whichever works."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Picture:
     """One of the published scene's: closeup, left, right, back, egocentric, topdown."""
 
     def __post_init__(self) -> None:
-        """Checks camera and size.
+        """Check camera and size.
 
         Raises:
             CadenzaError: there is no such camera, or the picture is empty or too large.
@@ -45,10 +45,10 @@ class Picture:
 
 
 class Renderer(Canvas):
-    """Draws states of one scene. Holds a graphics context of this thread until `close`."""
+    """A renderer of one scene. It holds a graphics context of this thread until `close`."""
 
     def __init__(self, scene: Scene, picture: Picture | None = None) -> None:
-        """Opens a graphics context to draw a scene in a picture of some size, by a camera.
+        """Open a graphics context to draw a scene in a picture of some size, by a camera.
 
         Raises:
             CadenzaError: this machine cannot draw.
@@ -66,7 +66,7 @@ class Renderer(Canvas):
         sounding: NDArray[Any],
         goal: NDArray[Any],
     ) -> NDArray[np.uint8]:
-        """Draws a picture (height, width, 3).
+        """Draw a picture (height, width, 3).
 
         Args:
             hand_qpos: (J,) [m, rad].

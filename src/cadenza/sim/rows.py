@@ -1,4 +1,4 @@
-"""Chooses between the rows of arrays on JAX's device, of which each environment has one."""
+"""Choose between the rows of arrays on JAX's device; each environment has a row."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ Array = Any  # of NumPy or of JAX
 
 
 def rows_of(mask: Array, values: Array) -> Array:
-    """Returns a mask (N,) in the shape (N, 1, ...), which has the dimensions of `values`."""
+    """A mask (N,) in the shape (N, 1, ...), which has the dimensions of `values`."""
     return mask.reshape(mask.shape + (1,) * (values.ndim - 1))
 
 
 def where(mask: Array, first: Any, second: Any) -> Any:
-    """Returns the rows of the first of two trees of arrays (N, ...) where the mask (N,) is set."""
+    """The rows of the first of two trees of arrays (N, ...) where the mask (N,) is set."""
     return jax.tree.map(lambda a, b: jnp.where(rows_of(mask, b), a, b), first, second)

@@ -28,7 +28,7 @@ class Threads:
     """A pool that starts when it is first needed. A copy, and a forked child, starts its own."""
 
     def __init__(self, num_threads: int) -> None:
-        """Prepares a pool of `num_threads` threads.
+        """Prepare a pool of `num_threads` threads.
 
         Raises:
             CadenzaError: the number is not positive.
@@ -38,7 +38,7 @@ class Threads:
         self._pool_of = os.getpid()
 
     def for_each(self, ids: Sequence[int], work: Callable[[int], None]) -> None:
-        """Calls `work` with each of `ids` and waits for all calls.
+        """Call `work` with each of `ids` and wait for all calls.
 
         An exception of a call is raised when no other call is running.
         """
@@ -60,7 +60,7 @@ class Threads:
             future.result()
 
     def together(self, calls: Sequence[Callable[[], _T]]) -> list[_T]:
-        """The results of `calls`, some of which idle threads make.
+        """The results of `calls`; idle threads make some of them.
 
         May be called from within `for_each`. An exception of a call is raised when no other call is
         running.
@@ -82,7 +82,7 @@ class Threads:
         return self._pool
 
     def close(self) -> None:
-        """Stops the threads."""
+        """Stop the threads."""
         if self._pool is not None and self._pool_of == os.getpid():
             self._pool.shutdown()
         self._pool = None

@@ -96,7 +96,7 @@ class WarpPhysics:
         buffers: Buffers | None = None,
         scaled: Collection[str] = (),
     ) -> None:
-        """Allocates N worlds on JAX's device. The first step compiles for up to a minute or two.
+        """Allocate N worlds on JAX's device. The first step compiles for up to a minute or two.
 
         Args:
             scene: the scene to simulate.
@@ -269,7 +269,7 @@ def _callable(
     outputs: dict[str, tuple[Any, tuple[int, ...]]],
     on_gpu: bool,
 ) -> Any:
-    """Lets JAX call `simulate`, a function of arrays: inputs of these types, and outputs of these.
+    """Let JAX call `simulate`, a function of arrays: inputs of these types, and outputs of these.
 
     Warp reads the number and the types of arguments off a function's signature.
     """
@@ -323,7 +323,7 @@ class WarpSimulation:
         num_threads: int = 1,
         watch_forearms: bool = False,
     ) -> None:
-        """Takes the arguments of `MujocoSimulation`, of which `num_threads` has no meaning here.
+        """Take the arguments of `MujocoSimulation`; `num_threads` has no meaning here.
 
         Raises:
             CadenzaError: a number makes no sense.

@@ -1,4 +1,4 @@
-"""Imports MuJoCo, even where the graphics library is missing that MUJOCO_GL names.
+"""Import MuJoCo, even where the graphics library is missing that MUJOCO_GL names.
 
 MuJoCo opens that library when it is imported, and fails without it, though little of what Cadenza
 does draws. Whatever draws opens it anew, and says what is missing: see `cadenza.sim.render`.

@@ -111,7 +111,7 @@ def _check_options(config: TaskConfig) -> None:
 
 
 def _check_duration(seconds: float, config: TaskConfig) -> None:
-    """Checks that memory has room for the longest episode of a song of so many `seconds`."""
+    """Check that memory has room for the longest episode of a song of `seconds` [s]."""
     seconds = seconds * (1 + config.random_stretch) + config.initial_buffer_time
     song = "with its silence and any random stretch, the song"
     check_length(seconds, song, "; shorten the silence, or play its beginning (--first-seconds)")
@@ -159,7 +159,7 @@ def draw_track(
     rng: np.random.Generator,
     song: int | None = None,
 ) -> GoalTrack:
-    """Draws a song, its tempo and its transposition for an episode, on keys of these `pitches`.
+    """Draw a song, its tempo and its transposition for an episode, on keys of these `pitches`.
 
     Only what `song`, an index, and the configuration leave open takes numbers from `rng`. Fingers
     that were found for the song are found anew if it is transposed: other keys are black then.
@@ -190,7 +190,7 @@ def _is_applied(config: TaskConfig, rng: np.random.Generator) -> bool:
 def _randomly_transposed(
     score: Score, most: int, semitones: int, pitches: range, rng: np.random.Generator
 ) -> Score:
-    """Transposes by up to `most` steps of `semitones` either way, within the keyboard."""
+    """Transpose by up to `most` steps of `semitones` either way, within the keyboard."""
     used = [note.pitch for note in score.notes]
     down = min(most, (min(used) - pitches[0]) // semitones)
     up = min(most, (pitches[-1] - max(used)) // semitones)

@@ -49,7 +49,7 @@ class DevicePianoVectorEnv(VectorEnv):
         make_physics: Any = None,
         **options: Any,
     ) -> None:
-        """Makes N environments of a song, or of songs that episodes are drawn from.
+        """Make N environments of a song, or of songs that episodes are drawn from.
 
         Args:
             song: see `PianoVectorEnv`.
@@ -86,7 +86,7 @@ class DevicePianoVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Starts new episodes in all environments.
+        """Start new episodes in all environments.
 
         Args:
             seed: what is random follows from it; by default the random numbers go on.
@@ -117,7 +117,7 @@ class DevicePianoVectorEnv(VectorEnv):
         return after
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Takes a control step with actions (N, A) in every environment.
+        """Take a control step with actions (N, A) in every environment.
 
         Raises:
             CadenzaError: no episode has started, or there are not as many actions.

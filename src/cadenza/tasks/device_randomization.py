@@ -45,7 +45,7 @@ class DeviceRandomization:
     def __init__(
         self, config: DomainRandomization, scene: Scene, control_timestep: float, num_envs: int
     ) -> None:
-        """Computes the models that episodes draw from.
+        """Compute the models that episodes draw from.
 
         Args:
             config: the ranges and standard deviations.
@@ -67,7 +67,7 @@ class DeviceRandomization:
         self._latency_steps: Any = jnp.asarray(late, jnp.int32)
 
     def begin(self, key: Array, start: Array) -> Draws:
-        """Draws for episodes in which the hands start at joint positions (N, J) [m, rad]."""
+        """Draw for episodes in which the hands start at joint positions (N, J) [m, rad]."""
         of_seed, of_noise = jax.random.split(key)
         seed = self._first + jax.random.randint(of_seed, (self._num_envs,), 0, self._count)
         num_sent = self._ranges.num_sent if self._ranges.has_latency else 0
@@ -80,7 +80,7 @@ class DeviceRandomization:
         return noise * jax.random.normal(key, (self._num_envs, len(noise)))
 
     def send(self, draws: Draws, ctrl: Array, key: Array) -> tuple[Draws, Array, dict[str, Any]]:
-        """Sends actions at the beginning of a control step, see `Randomization.step`.
+        """Send actions at the beginning of a control step, see `Randomization.step`.
 
         Args:
             draws: the draws for the episodes.

@@ -24,7 +24,7 @@ class DmEnvAdapter(dm_env.Environment):
     """
 
     def __init__(self, env: gymnasium.Env, seed: int | None = None) -> None:
-        """Adapts an environment of Gymnasium, which must observe no pixels.
+        """Adapt an environment of Gymnasium, which must observe no pixels.
 
         Args:
             env: the environment, without pixels and without wrappers that change observations.
@@ -51,13 +51,13 @@ class DmEnvAdapter(dm_env.Environment):
         self._ended = True
 
     def reset(self) -> dm_env.TimeStep:
-        """Starts a new episode."""
+        """Start a new episode."""
         observation, _ = self._env.reset(seed=self._seed)
         self._seed, self._ended = None, False
         return dm_env.restart(self._parts(observation))
 
     def step(self, action: NDArray[Any]) -> dm_env.TimeStep:
-        """Takes a control step, or after the end of an episode a reset, as dm_env demands."""
+        """Take a control step, or after the end of an episode a reset, as dm_env demands."""
         if self._ended:
             return self.reset()
         observation, reward, terminated, truncated, _ = self._env.step(np.asarray(action))
@@ -85,5 +85,5 @@ class DmEnvAdapter(dm_env.Environment):
         return specs.BoundedArray(shape, np.float32, -1.0, 1.0, "action")
 
     def close(self) -> None:
-        """Frees graphics."""
+        """Free graphics."""
         self._env.close()

@@ -111,11 +111,11 @@ class PianoVectorEnv(VectorEnv):
         reward_terms: Mapping[str, RewardTerm] | None = None,
         **options: Any,
     ) -> None:
-        """Makes N environments of a song, or of songs that episodes are drawn from.
+        """Make N environments of a song, or of songs that episodes are drawn from.
 
         Args:
             song: a bundled song's name, the path of a MIDI or MusicXML file, a `Score`, what JSON
-                makes of a `WrittenScore`, or several of them, of which one is drawn per episode.
+                makes of a `WrittenScore`, or several; each episode draws one.
             num_envs: N.
             num_threads: threads that share the simulation.
             autoreset_mode: when finished environments are reset.
@@ -175,11 +175,11 @@ class PianoVectorEnv(VectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
-        """Starts new episodes.
+        """Start new episodes.
 
         Args:
             seed: the seed of the first environment, from which those of the others are counted
-                up; or one for each, None for those that keep their random generators.
+                up; or one for each, None where the random generator stays.
             options: "reset_mask", (N,) bool, resets some of the environments only, but not at
                 first. The others hold for all environments, or are lists with one for each; None
                 is drawn. "song": one of the songs by index, by title or as it was given. "score": a
@@ -263,7 +263,7 @@ class PianoVectorEnv(VectorEnv):
         return infos
 
     def _seed(self, seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]) -> None:
-        """Seeds environments of the mask (N,); those without a seed keep their generators."""
+        """Seed environments of the mask (N,); those without a seed keep their generators."""
         if seed is None and self._rngs:
             return
         if isinstance(seed, Sequence | np.ndarray):
@@ -282,7 +282,7 @@ class PianoVectorEnv(VectorEnv):
     def _restart(
         self, env_ids: NDArray[np.intp], starts: Sequence[EpisodeStart] | None = None
     ) -> None:
-        """Begins episodes in these environments, with their `starts` (N,) if any."""
+        """Begin episodes in these environments, with their `starts` (N,) if any."""
         if len(env_ids):
             rngs, fixed = [self._rngs[i] for i in env_ids], starts and [starts[i] for i in env_ids]
             self.task.reset(rngs, env_ids.tolist(), fixed)
@@ -290,7 +290,7 @@ class PianoVectorEnv(VectorEnv):
     def step(
         self, actions: NDArray[Any]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Takes a control step in every environment, as `gymnasium.vector.VectorEnv.step`."""
+        """Take a control step in every environment, as `gymnasium.vector.VectorEnv.step`."""
         self._check_open()
         mode = self.metadata["autoreset_mode"]
         if not self._rngs:
@@ -346,7 +346,7 @@ class PianoVectorEnv(VectorEnv):
             raise CadenzaError("the environment is closed: make another")
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Frees threads and graphics."""
+        """Free threads and graphics."""
         self.task.close()
         if self._renderer:
             self._renderer.close()
@@ -367,7 +367,7 @@ class PianoEnv(gymnasium.Env):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        """Takes the arguments of `PianoVectorEnv`, without `num_envs` and `autoreset_mode`."""
+        """Take the arguments of `PianoVectorEnv`, without `num_envs` and `autoreset_mode`."""
         if of_several := sorted(options.keys() & {"num_envs", "autoreset_mode"}):
             raise CadenzaError(
                 f"{' and '.join(of_several)}: this is one environment; make several with "
@@ -390,7 +390,7 @@ class PianoEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Starts a new episode.
+        """Start a new episode.
 
         Args:
             seed: what is random follows from it.
@@ -406,7 +406,7 @@ class PianoEnv(gymnasium.Env):
         return _row(observation, 0), _first(infos)
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Takes a control step, as `gymnasium.Env.step`."""
+        """Take a control step, as `gymnasium.Env.step`."""
         _check_shape("action", action, self.action_space)
         observation, reward, *ended, infos = self._batch.step(np.asarray(action)[None])
         terminated, truncated = (bool(each[0]) for each in ended)
@@ -418,7 +418,7 @@ class PianoEnv(gymnasium.Env):
         return None if frames is None else frames[0]
 
     def close(self) -> None:
-        """Frees graphics."""
+        """Free graphics."""
         self._batch.close()
 
 
@@ -471,7 +471,7 @@ def _row(observation: Observation, env: int) -> Observation:
 
 
 def _blanked(result: Transition, fresh: NDArray[np.bool_]) -> Transition:
-    """Zeroes the rows of environments that were reset instead of stepped."""
+    """Zero the rows of environments that were reset instead of stepped."""
     return Transition(
         reward=np.where(fresh, 0.0, result.reward),
         terms={name: np.where(fresh, 0.0, values) for name, values in result.terms.items()},

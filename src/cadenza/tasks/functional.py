@@ -100,7 +100,7 @@ class FunctionalPianoTask:
     """N environments of the task, whose state is passed in and returned.
 
     `reset` and `step` are compiled, and move nothing to the host. All songs and options of
-    `PianoTask` are there, except for those that the constructor refuses. Domain randomization draws
+    `PianoTask` are there, but for what the constructor refuses. Domain randomization draws
     from `cadenza.tasks.device_randomization.VARIANTS` seeds.
 
     Attributes:
@@ -117,7 +117,7 @@ class FunctionalPianoTask:
         num_envs: int = 1,
         make_physics: Any = None,
     ) -> None:
-        """Makes a task of songs, of which each episode plays one.
+        """Make a task of songs; each episode plays one.
 
         Args:
             scores: the songs to draw from.
@@ -154,7 +154,7 @@ class FunctionalPianoTask:
         self.reset, self.step = jax.jit(self._reset), jax.jit(self._step)
 
     def _reset(self, key: Array) -> PianoState:
-        """Begins an episode in every environment."""
+        """Begin an episode in every environment."""
         key, drawn = jax.random.split(key)
         episodes, start = self.begin(drawn)
         data = self.physics.start(start)
@@ -172,7 +172,7 @@ class FunctionalPianoTask:
         return PianoState(data, episodes, key, observation, nothing, no, metrics, info)
 
     def _step(self, state: PianoState, action: Array) -> PianoState:
-        """Takes a control step with actions (N, A + 1) in [-1, 1], the pedal last."""
+        """Take a control step with actions (N, A + 1) in [-1, 1], the pedal last."""
         key, of_begin, of_noise = jax.random.split(state.key, 3)
         ctrl = arrived = self.spec.scale_action(action)
         episodes, others = state.episodes, dict[str, Any]()
@@ -200,7 +200,7 @@ class FunctionalPianoTask:
         return PianoState(data, episodes, key, observation, result.reward, done, metrics, info)
 
     def begin(self, key: Array) -> tuple[Episodes, Array]:
-        """Draws episodes of all environments.
+        """Draw episodes of all environments.
 
         Returns:
             The episodes, and the joint positions (N, J) at which the hands start [m, rad].
@@ -236,7 +236,7 @@ class FunctionalPianoTask:
             episodes: before the step.
             state: the simulations after it.
             ctrl: (N, A + 1) the actions in actuator units, the pedal last.
-            arrived: those that hold at the end of the step, if they are others.
+            arrived: the actions that hold at the end of the step, if they differ.
         """
         pressed: Any = (ctrl if arrived is None else arrived)[:, -1]
         song, row = episodes.song, self._row(episodes)
@@ -311,7 +311,7 @@ def _padded(goals: Sequence[Goals], lookahead: int) -> SongGoals:
 
 
 def _check(config: TaskConfig, scene: Scene) -> None:
-    """Checks that all options of the task are there on the device."""
+    """Check that all options of the task are there on the device."""
     missing = {
         "hands apart": scene.config.hands == "apart",
         "fingering transport": config.fingering == "transport",

@@ -106,7 +106,7 @@ class GoalTrack:
         return replace(self, score=score, dropped=None, found=False)
 
     def fingered(self, progress: Callable[[int, int], None] | None = None) -> GoalTrack:
-        """Finds a finger for every note that the hands can play, unless that was done before.
+        """Find a finger for every note that the hands can play, unless that was done before.
 
         `progress` is called as by `find_fingering`.
 
@@ -133,7 +133,7 @@ class GoalTrack:
 
 
 def check_written_hands(config: TaskConfig, score: Score, name: str) -> None:
-    """Checks that a score says which hand plays what, if that is asked for.
+    """Check that a score says which hand plays what, if that is asked for.
 
     Raises:
         CadenzaError: it does not; the message begins with the `name` of the song.
@@ -178,7 +178,7 @@ class UpcomingOnsets(NamedTuple):
 
 
 class EpisodeGoals:
-    """The goals of N environments, of which each is at its own step of its own track.
+    """The goals of N environments, each at its own step of its own track.
 
     Attributes:
         tracks: what each environment plays.
@@ -188,7 +188,7 @@ class EpisodeGoals:
     """
 
     def __init__(self, num_envs: int, config: TaskConfig, scene: Scene) -> None:
-        """Allocates the goals of N environments, which begin with a reset."""
+        """Allocate the goals of N environments, which begin with a reset."""
         self.tracks = [GoalTrack(Score(()), None, config, scene)] * num_envs
         self.num_steps = np.ones(num_envs, np.intp)
         self.steps_done = np.zeros(num_envs, np.intp)
@@ -200,14 +200,14 @@ class EpisodeGoals:
         self._cached_onsets: UpcomingOnsets | None = None
 
     def begin(self, env: int, track: GoalTrack) -> None:
-        """Begins an episode of environment `env`, in which it plays `track`."""
+        """Begin an episode of environment `env`, in which it plays `track`."""
         self.tracks[env], self._goals[env] = track, track.goals
         self.num_steps[env] = track.goals.num_steps
         self.steps_done[env] = self.row[env] = 0
         self._cached = self._cached_onsets = None
 
     def advance(self, env_ids: NDArray[np.intp] | slice) -> None:
-        """Counts a step of these environments."""
+        """Count a step of these environments."""
         self.steps_done[env_ids] += 1
         self.row = np.minimum(self.steps_done, self.num_steps - 1)
         self._cached = self._cached_onsets = None

@@ -1,4 +1,4 @@
-"""Matches onsets of keys with the notes that are due, step by step."""
+"""Match onsets of keys with the notes that are due, step by step."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class OnsetErrors(NamedTuple):
 
 
 class OnsetMatching:
-    """Finds the note that each onset of a key plays, in N environments.
+    """The search for the note that each onset of a key plays, in N environments.
 
     A note may be played in the step in which it is due, in the one before and in the one after:
     nobody hears where steps end, and a note that is due at the beginning of one may well come a
@@ -39,18 +39,18 @@ class OnsetMatching:
     """
 
     def __init__(self, num_envs: int, keyboard: Keyboard, control_timestep: float) -> None:
-        """Waits for episodes to begin in N environments, in steps of `control_timestep` [s]."""
+        """Wait for episodes to begin in N environments, in steps of `control_timestep` [s]."""
         self._keyboard, self._control_timestep = keyboard, control_timestep
         self._played = np.zeros((num_envs, len(_STEPS), keyboard.num_keys), bool)
 
     def begin(self, env: int) -> None:
-        """Begins an episode of environment `env`, in which no note has been played."""
+        """Begin an episode of environment `env`, in which no note has been played."""
         self._played[env] = False
 
     def match(
         self, due: UpcomingOnsets, state: State, sounded: Mask, moving: NDArray[np.intp] | slice
     ) -> OnsetErrors:
-        """Matches the onsets of the step that the environments `moving` have taken.
+        """Match the onsets of the step that the environments `moving` have taken.
 
         `due` are the notes as they were upcoming before it, when the keys `sounded` (N, K), and
         `state` is that after it.

@@ -96,7 +96,7 @@ class PianoTask:
         progress: Callable[[int, int], None] | None = None,
         make_simulation: MakeSimulation | None = None,
     ) -> None:
-        """Makes a task of songs, with N simulations to play them in.
+        """Make a task of songs, with N simulations to play them in.
 
         Args:
             scores: the songs to draw from, one per episode.
@@ -161,7 +161,7 @@ class PianoTask:
     def draw_from(
         self, scores: Sequence[Score], progress: Callable[[int, int], None] | None = None
     ) -> None:
-        """Draws from these scores from the next reset on; see the constructor."""
+        """Draw from these scores from the next reset on; see the constructor."""
         self.tracks = augmentation.prepare_tracks(scores, self.config, self.scene, progress)
 
     def reset(
@@ -170,7 +170,7 @@ class PianoTask:
         env_ids: Sequence[int],
         starts: Sequence[EpisodeStart] | None = None,
     ) -> None:
-        """Begins new episodes in environments, with a generator for each.
+        """Begin new episodes in environments, with a generator for each.
 
         `starts` say what is fixed about each episode; nothing by default.
         """
@@ -207,7 +207,7 @@ class PianoTask:
         self.sounding = key_activation(key_qpos, keyboard.sounds_from)
 
     def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> Transition:
-        """Takes one control step with actions `ctrl` (N, A) in actuator units, the pedal last.
+        """Take one control step with actions `ctrl` (N, A) in actuator units, the pedal last.
 
         Args:
             ctrl: a row for every environment.
@@ -264,7 +264,7 @@ class PianoTask:
         )
 
     def _keep_key_events(self, env_ids: NDArray[np.intp], steps: NDArray[np.intp]) -> None:
-        """Keeps what happened to keys in the `steps` (n,) that environments (n,) have taken."""
+        """Keep what happened to keys in the `steps` (n,) that environments (n,) have taken."""
         onset, offset, speed = (values[env_ids] for values in self.state.key_events)
         here = np.nonzero(~(np.isnan(onset) & np.isnan(offset)))
         velocity = midi_velocity(speed[here], self.scene.keyboard)
@@ -371,7 +371,7 @@ class PianoTask:
         )
 
     def close(self) -> None:
-        """Stops the threads."""
+        """Stop the threads."""
         self.simulation.close()
 
 

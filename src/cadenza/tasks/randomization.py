@@ -51,7 +51,7 @@ class DrawRanges:
     """
 
     def __init__(self, config: DomainRandomization, scene: Scene, control_timestep: float) -> None:
-        """Takes the nominal scene and the time between two actions [s].
+        """Take the nominal scene and the time between two actions [s].
 
         Raises:
             CadenzaError: a range makes no sense.
@@ -120,7 +120,7 @@ class Randomization:
         num_envs: int,
         simulation: Simulation,
     ) -> None:
-        """Prepares draws for N environments, the first of which are made at a reset.
+        """Prepare draws for N environments, which resets make.
 
         Args:
             config: the ranges and standard deviations.
@@ -160,7 +160,7 @@ class Randomization:
         start: Array,
         seeds: Sequence[int | None],
     ) -> None:
-        """Draws for episodes that begin, before their simulations are reset.
+        """Draw for episodes that begin, before their simulations are reset.
 
         Args:
             env_ids: the environments in which they begin.
@@ -196,7 +196,7 @@ class Randomization:
     # In each step
 
     def step(self, ctrl: Array, moving: slice | Ids) -> Array:
-        """Steps the simulation with noisy and delayed actions.
+        """Step the simulation with noisy and delayed actions.
 
         Action k is sent at the beginning of control step k. With n physics steps a control step and
         a latency of d of them, it arrives at physics step k n + d.
@@ -237,7 +237,7 @@ class Randomization:
         return noisy
 
     def _draw_noise(self, moving: slice | Ids) -> None:
-        """Draws the noise of the next observations."""
+        """Draw the noise of the next observations."""
         noise = self._ranges.observation_noise
         if not noise.any():
             return

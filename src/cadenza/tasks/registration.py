@@ -1,4 +1,4 @@
-"""Registers the environments with Gymnasium."""
+"""Register the environments with Gymnasium."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _MINI = {"setup": "mini-allegro", "initial_buffer_time": 0.5}
 
 
 def register_envs() -> None:
-    """Registers `cadenza/<Song>-v0` for every bundled song and `cadenza/Piano-v0` for any.
+    """Register `cadenza/<Song>-v0` for every bundled song and `cadenza/Piano-v0` for any.
 
     And `cadenza/MiniNote-v0`, `MiniNotes-v0` and `MiniDyads-v0`: drills for one hand with touch at
-    25 mini keys, of which each episode draws one.
+    25 mini keys; each episode draws one.
     """
     for piece in songs():
         _register(f"cadenza/{piece.name}-v0", {"song": piece.name})

@@ -237,7 +237,7 @@ def loudness(error: Array, coefficient: float) -> Array:
 
 
 def _sum_of_played(error: Array, bound: float, margin: float) -> Array:
-    """(N,) sums of how near the errors (N, K) are to 0, without those that are NaN."""
+    """(N,) sums of how near the errors (N, K) are to 0; NaN does not count."""
     xp = error.__array_namespace__()
     near = _tolerance(xp, abs(error) - bound, margin)
     return xp.where(xp.isnan(error), 0.0, near).sum(-1)
@@ -271,7 +271,7 @@ class Reward:
     def __init__(
         self, config: TaskConfig, scene: Scene, more_terms: Mapping[str, RewardTerm] | None
     ) -> None:
-        """Chooses the terms by the options of a task.
+        """Choose the terms by the options of a task.
 
         `more_terms` are added, or take the place of the task's of the same name.
 

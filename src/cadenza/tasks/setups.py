@@ -53,7 +53,7 @@ class NamedSetup:
     """Changes to the preset "fast": fields of `TrainingConfig` and of its learner."""
 
     def __post_init__(self) -> None:
-        """Checks the names of the options.
+        """Check the names of the options.
 
         Raises:
             CadenzaError: no configuration has such an option.
@@ -69,7 +69,7 @@ class NamedSetup:
         return _options_of(kind, self.options)
 
     def applied_to(self, config: T) -> T:
-        """Returns `config`, a dataclass with a `task` and a `scene`, with this setup's options."""
+        """`config`, a dataclass with a `task` and a `scene`, with this setup's options."""
         task = replace(config.task, **self.of(TaskConfig))
         scene = replace(config.scene, **self.of(SceneConfig))
         return replace(config, task=task, scene=scene)
@@ -115,7 +115,7 @@ def setup_named(name: str) -> NamedSetup:
 def configure(
     options: dict[str, Any], task: TaskConfig | None = None, scene: SceneConfig | None = None
 ) -> tuple[TaskConfig, SceneConfig]:
-    """Sorts keyword options into the configurations that have them as fields.
+    """Sort keyword options into the configurations that have them as fields.
 
     Args:
         options: fields of `task` and `scene` to change; "setup" names a setup, whose options hold

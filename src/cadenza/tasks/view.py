@@ -22,13 +22,13 @@ Ids = NDArray[np.intp]
 
 
 def to_range(action: NDArray[Any], low: Array, high: Array) -> Array:
-    """Maps [-1, 1] to [low, high], `(..., A)`; values outside are clipped."""
+    """Map [-1, 1] to [low, high], `(..., A)`; values outside are clipped."""
     value: Array = action * ((high - low) / 2) + (low + high) / 2
     return value.clip(low, high)
 
 
 def from_range(ctrl: NDArray[Any], low: Array, high: Array) -> Array:
-    """Maps [low, high] to [-1, 1], `(..., A)`: the inverse of `to_range`."""
+    """Map [low, high] to [-1, 1], `(..., A)`: the inverse of `to_range`."""
     action: Array = (ctrl - (low + high) / 2) / ((high - low) / 2)
     return action.clip(-1.0, 1.0)
 
@@ -85,7 +85,7 @@ class TaskSpec:
         return max(part.stop for part in self.observation_layout.values())
 
     def observation(self, parts: Mapping[str, Any]) -> NDArray[np.float32]:
-        """(N, D) observations from arrays (N, ...) by name, of which some may not be observed.
+        """(N, D) observations from arrays (N, ...) by name; some may not be observed.
 
         The arrays are NumPy's or those of a library like it, which can compile this.
         """

@@ -26,7 +26,7 @@ from cadenza.music.viterbi import cheapest_sequence
 
 _RANGES = {"bass": (38, 57), "tenor": (48, 62), "alto": (58, 72), "soprano": (62, 79)}
 _VOICES = (("bass", "soprano"), ("bass", "alto", "soprano"), tuple(_RANGES))
-_PHRASE = 7  # chords of a phrase of eight beats, of which the last lasts two
+_PHRASE = 7  # chords of a phrase of eight beats; the last chord lasts two
 _WIDEST = OCTAVE + 7  # [semitones] between the bass and the alto, which the other hand plays
 # Costs of voicings and of voice leading
 _DOUBLED_THIRD, _INVERSION, _NO_FIFTH, _HIDDEN, _NOT_RESOLVED = 40, 30, 60, 60, 80
@@ -35,7 +35,7 @@ _LEAP = 12  # per semitone beyond a second
 _OFF_TARGET = 8  # per semitone between the soprano and its random target
 _RANDOM = 60  # largest random cost of a voicing
 _SECOND, _MAX_LEAP = 2, 7  # [semitones]; the bass may leap by more, up to an octave
-_TWO_VOICES, _THREE_VOICES = 2, 4  # difficulties up to which there are so many voices
+_TWO_VOICES, _THREE_VOICES = 2, 4  # difficulties up to which there are 2 and 3 voices
 _PASSING_NOTES = 7  # difficulty from which thirds are filled
 
 
@@ -48,7 +48,7 @@ class _Voicings(NamedTuple):
 
 
 def chorale(sheet: EtudeSheet) -> Iterator[Tone]:
-    """Yields phrases of eight beats; harder etudes fill thirds with passing notes."""
+    """Yield phrases of eight beats; harder etudes fill thirds with passing notes."""
     names = _VOICES[(sheet.difficulty > _TWO_VOICES) + (sheet.difficulty > _THREE_VOICES)]
     beats = sheet.bars * sheet.beats
     chords = progression(sheet.rng, beats // (_PHRASE + 1), _PHRASE)

@@ -42,7 +42,7 @@ class _Pair:
 
 
 def counterpoint(sheet: EtudeSheet) -> Iterator[Tone]:
-    """Yields two voices, which take turns to be the faster one in the second and third species."""
+    """Yield two voices, which take turns to be the faster one in the second and third species."""
     easy, moderate = (sheet.difficulty <= at_most for at_most in (_FIRST_SPECIES, _SECOND_SPECIES))
     against = 1 if easy else 2 if moderate else 4
     per_phrase = PHRASE * sheet.bar // against

@@ -51,7 +51,7 @@ _RANDOM = 100  # largest random cost of a note
 
 
 def alberti(sheet: EtudeSheet) -> Iterator[Tone]:
-    """Yields a melody over an Alberti bass."""
+    """Yield a melody over an Alberti bass."""
     *chords, _ = sheet.chords()
     for at, length, degree, chord in _melody(sheet, chords, 2, STEPS + 4):
         yield Tone(at, length, sheet.pitch(degree, chord), _LOUD)
@@ -64,7 +64,7 @@ def alberti(sheet: EtudeSheet) -> Iterator[Tone]:
 
 
 def leaps(sheet: EtudeSheet) -> Iterator[Tone]:
-    """Yields leaps of the left hand from bass to chord, in harder etudes of the right one, too."""
+    """Yield leaps of the left hand from bass to chord, in harder etudes of the right one, too."""
     *chords, _ = sheet.chords()
     widest = 2 * (2 + sheet.difficulty)  # [semitones]
     for bar, chord in enumerate(chords):
@@ -78,7 +78,7 @@ def leaps(sheet: EtudeSheet) -> Iterator[Tone]:
 
 
 def _stride(sheet: EtudeSheet, bar: int, chord: Triad, widest: int) -> Iterator[Tone]:
-    """Yields bass and chord in turn, as in a march; in triple metre bass, chord, chord."""
+    """Yield bass and chord in turn, as in a march; in triple metre bass, chord, chord."""
     pitches = sheet.voicing(chord, chord.nearest(-STEPS + 1), sheet.thickness)
     bass = sheet.pitch(chord.root - STEPS, chord)
     while bass >= pitches[0]:
@@ -97,7 +97,7 @@ def _stride(sheet: EtudeSheet, bar: int, chord: Triad, widest: int) -> Iterator[
 def _leap_up(
     sheet: EtudeSheet, at: float, length: float, degree: int, chord: Triad, widest: int
 ) -> Iterator[Tone]:
-    """Yields a note, and then the highest tone of the chord at most `widest` semitones above it."""
+    """Yield a note, and then the highest tone of the chord at most `widest` semitones above it."""
     low = sheet.pitch(degree, chord)
     index = chord.nearest(degree)
     while sheet.pitch(chord.tone(index + 1), chord) - low <= widest:
@@ -107,7 +107,7 @@ def _leap_up(
 
 
 def trills(sheet: EtudeSheet) -> Iterator[Tone]:
-    """Yields a trill with a turn in each bar, of one hand over chords, in harder etudes of both."""
+    """Yield a trill with a turn in each bar, of one hand over chords, in harder etudes of both."""
     *chords, _ = sheet.chords()
     for bar, chord in enumerate(chords):
         hands = sheet.hands(bar)
@@ -123,7 +123,7 @@ def trills(sheet: EtudeSheet) -> Iterator[Tone]:
 
 
 def _trill(sheet: EtudeSheet, bar: int, chord: Triad, main: int) -> Iterator[Tone]:
-    """Yields main note and upper neighbour in turn; before the end the lower neighbour."""
+    """Yield main note and upper neighbour in turn; before the end the lower neighbour."""
     at = bar * sheet.bar
     for i in range(sheet.bar - 2):
         yield Tone(at + i, 1, sheet.pitch(main + i % 2, chord))
@@ -134,20 +134,20 @@ def _trill(sheet: EtudeSheet, bar: int, chord: Triad, main: int) -> Iterator[Ton
 def _held_chord(
     sheet: EtudeSheet, bar: int, chord: Triad, lowest: int, count: int, velocity: int
 ) -> Iterator[Tone]:
-    """Yields `count` tones of a chord from its tone `lowest` upwards, held for a bar."""
+    """Yield `count` tones of a chord from its tone `lowest` upwards, held for a bar."""
     for pitch in sheet.voicing(chord, lowest, count):
         yield Tone(bar * sheet.bar, sheet.bar, pitch, velocity)
 
 
 def arpeggios(sheet: EtudeSheet) -> Iterator[Tone]:
-    """Yields arpeggios, up in the first half of each bar and down in the second."""
+    """Yield arpeggios, up in the first half of each bar and down in the second."""
     half = sheet.bar // 2
     wave = [half - abs(half - i) for i in range(sheet.bar)]
     yield from _figures(sheet, wave, wave)
 
 
 def broken_chords(sheet: EtudeSheet) -> Iterator[Tone]:
-    """Yields broken chords, four notes on each inversion, upwards and downwards in turn."""
+    """Yield broken chords, four notes on each inversion, upwards and downwards in turn."""
     cell = pick(sheet.rng, _CELLS)
     cells = range(sheet.bar // len(cell))
     rising = [inversion + tone for inversion in cells for tone in cell]
@@ -156,7 +156,7 @@ def broken_chords(sheet: EtudeSheet) -> Iterator[Tone]:
 
 
 def _figures(sheet: EtudeSheet, odd: Sequence[int], even: Sequence[int]) -> Iterator[Tone]:
-    """Yields figures of odd and even bars, as tones of a chord; an idle hand holds a chord."""
+    """Yield figures of odd and even bars, as tones of a chord; an idle hand holds a chord."""
     *chords, _ = sheet.chords()
     # In the easiest etudes the other hand has nothing to do.
     held = 0 if sheet.difficulty <= 2 else 1 if sheet.difficulty == 3 else 3
@@ -178,7 +178,7 @@ def _figures(sheet: EtudeSheet, odd: Sequence[int], even: Sequence[int]) -> Iter
 
 
 def repeated_notes(sheet: EtudeSheet) -> Iterator[Tone]:
-    """Yields a melody of repeated notes over basses or chords."""
+    """Yield a melody of repeated notes over basses or chords."""
     *chords, _ = sheet.chords()
     below = (0, -2) if sheet.difficulty >= _REPEATED_THIRDS else (0,)
     for at, length, degree, chord in _melody(sheet, chords, 0, STEPS + 2, slow=True):
@@ -191,7 +191,7 @@ def repeated_notes(sheet: EtudeSheet) -> Iterator[Tone]:
 
 
 def _basses(sheet: EtudeSheet, bar: int, chord: Triad) -> Iterator[Tone]:
-    """Yields the accompaniment of a bar: a bass, in harder etudes chords on beats or steps."""
+    """Yield the accompaniment of a bar: a bass, in harder etudes chords on beats or steps."""
     easy, hard = sheet.difficulty <= 2, sheet.difficulty >= 8
     every = sheet.bar if easy else 1 if hard else sheet.division
     count = 1 if sheet.difficulty < 4 or every == 1 else 2
@@ -205,7 +205,7 @@ def _basses(sheet: EtudeSheet, bar: int, chord: Triad) -> Iterator[Tone]:
 def _melody(
     sheet: EtudeSheet, chords: Sequence[Triad], low: int, high: int, slow: bool = False
 ) -> Iterator[tuple[float, float, int, Triad]]:
-    """Yields the notes of a melody over a chord a bar: (at, length) in steps, degree, chord.
+    """Yield the notes of a melody over a chord a bar: (at, length) in steps, degree, chord.
 
     Bars begin with a tone of the chord. Other notes are tones of the chord, too, or are reached and
     left by step. It moves between the degrees `low` and `high`, if `slow` without halves of beats.
@@ -235,7 +235,7 @@ def _melody(
 def _melody_rhythm(
     sheet: EtudeSheet, chords: Sequence[Triad], slow: bool
 ) -> Iterator[tuple[float, float, Triad]]:
-    """Yields times and lengths of notes [steps], and chords. All phrases have the same rhythm."""
+    """Yield times and lengths of notes [steps], and chords. All phrases have the same rhythm."""
     known = _RHYTHMS[sheet.beats]
     if slow:
         known = tuple(rhythm for rhythm in known if all(beats % 1 == 0 for beats in rhythm))

@@ -14,7 +14,7 @@ _MAX_NOTES = 8  # of a figure
 
 
 def scales(sheet: EtudeSheet) -> Iterator[Tone]:
-    """Yields scales up and down over one, two or four octaves, the third in the relative key."""
+    """Yield scales up and down over one, two or four octaves, the third in the relative key."""
     at, count = 0, 0
     while at < sheet.length:
         motion = _motion(sheet, count)
@@ -43,7 +43,7 @@ def _motion(sheet: EtudeSheet, count: int) -> str:
 
 
 def _scale(key: Key, motion: str, octaves: int, at: int) -> Iterator[Tone]:
-    """Yields a scale up and down over one to four octaves from step `at` on."""
+    """Yield a scale up and down over one to four octaves from step `at` on."""
     top = STEPS * octaves
     degrees = [*range(top), *range(top, -1, -1)]
     low = -STEPS * (octaves // 4)
@@ -59,7 +59,7 @@ def _scale(key: Key, motion: str, octaves: int, at: int) -> Iterator[Tone]:
 
 
 def hanon(sheet: EtudeSheet) -> Iterator[Tone]:
-    """Yields a figure of up to eight notes that climbs the scale and, reversed, descends."""
+    """Yield a figure of up to eight notes that climbs the scale and, reversed, descends."""
     size = min(_MAX_NOTES, sheet.bar)
     figure = _figure(sheet, size)
     count = (sheet.length - sheet.bar) // size

@@ -11,7 +11,7 @@ from cadenza.music.libraries.songs import Library, Song
 
 BENCHMARK = "benchmark"
 """The name of the library."""
-_ETUDE_SEED = 1_000_000  # of all etudes, far from those that anybody is likely to have used
+_ETUDE_SEED = 1_000_000  # of all etudes, far from seeds that anybody is likely to have used
 _ETUDE_SPLITS = ("test", "valid", "train", "train", "train")
 _BAND_SEEDS = {"train": range(1000, 1036), "valid": range(1036, 1048), "test": range(1048, 1060)}
 
@@ -27,7 +27,7 @@ def benchmark_sets() -> Library:
 
 
 def _etudes() -> Iterator[Song]:
-    """Yields an etude of each kind and difficulty; the splits lie diagonally in that table."""
+    """Yield an etude of each kind and difficulty; the splits lie diagonally in that table."""
     for kind, difficulty in product(range(len(KINDS)), range(1, HARDEST + 1)):
         split = _ETUDE_SPLITS[(kind + difficulty) % len(_ETUDE_SPLITS)]
         song = etude_song(etude_name(KINDS[kind], difficulty, _ETUDE_SEED))

@@ -58,7 +58,7 @@ def import_folder(
     progress: Progress = silent,
     grade: Grade | None = None,
 ) -> NewLibrary:
-    """Copies the music files in a folder, and the facts of its index, to a library of the user's.
+    """Copy the music files in a folder, and the facts of its index, to a library of the user's.
 
     Files that cannot be read are left out.
 
@@ -130,7 +130,7 @@ def index_of(folder: Path) -> dict[str, Facts]:
 
 
 def _facts(files: Sequence[Path], index: Mapping[str, Facts]) -> Iterator[Facts]:
-    """Yields the facts about each file. A name that is the path of a file means no other file."""
+    """Yield the facts about each file. A name that is the path of a file means no other file."""
     paths = {path for file in files for path in _paths(file)}
     for file in files:
         names = [*_paths(file), *(name for name in _names(file) if name not in paths)]

@@ -72,7 +72,7 @@ def imported(name: str) -> Library:
 
 
 def silent(done: int, total: int) -> None:
-    """Reports no progress."""
+    """Report no progress."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class NewLibrary:
     """A line for each thing that looks wrong but could be read."""
 
     def add(self, file: str, score: Score, facts: Facts) -> None:
-        """Adds a piece to the index, by the name of its file in the folder.
+        """Add a piece to the index, by the name of its file in the folder.
 
         Length, notes, hands and difficulty come from the score, other facts from `facts`.
         """
@@ -103,7 +103,7 @@ class NewLibrary:
 
     @contextmanager
     def leaving_out_what_is_wrong(self, file: object) -> Iterator[None]:
-        """Catches whatever a file causes in the block, and keeps a line on it in `left_out`.
+        """Catch whatever a file causes in the block, and keep a line on it in `left_out`.
 
         Raises:
             OSError: the disk is full, as it would be for the next piece.
@@ -120,7 +120,7 @@ class NewLibrary:
 def new_library(
     name: str, replace: bool = False, grade: Grade | None = None
 ) -> Iterator[NewLibrary]:
-    """Yields a library to add pieces to, and saves it when the block ends without an error.
+    """Yield a library to add pieces to, and save it when the block ends without an error.
 
     It may `replace` a library of this name. Without a `grade` the difficulty of pieces is unknown.
 
@@ -160,7 +160,7 @@ def new_library(
 
 
 def _tidy(place: Path) -> None:
-    """Removes files that the index does not name, and the folder of the library if it is empty."""
+    """Remove files that the index does not name, and the folder of the library if it is empty."""
     with suppress(CadenzaError):
         index = read_index(place / INDEX) if os.path.isfile(place / INDEX) else {}
         kept = {file.split("/")[0] for file in index}

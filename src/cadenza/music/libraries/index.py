@@ -89,7 +89,7 @@ def read_table(
 
 
 def write_index(path: Path, rows: Iterable[tuple[str, Facts]]) -> None:
-    """Writes the index of files and facts about them."""
+    """Write the index of files and facts about them."""
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
     writer.writeheader()

@@ -57,7 +57,7 @@ def libraries() -> dict[str, str]:
 
 
 def distinct_libraries() -> list[str]:
-    """The names of libraries of which no two have a song in common, and none is endless."""
+    """The names of finite libraries that have no song in common."""
     added = [name for name in LIBRARIES.entries() if name not in LIBRARIES.own]
     return list(dict.fromkeys(["bundled", *imported_libraries(), *added]))
 
@@ -68,7 +68,7 @@ def open_library(spec: str | Path) -> Library:
     Args:
         spec: the name of a library, see `libraries`, or the path of a folder of MIDI or MusicXML
             files, which may have an index (see `cadenza.music.libraries.index`). With `:SPLIT`
-            after it, only the songs of that split, as in "repertoire:valid". `etudes:N` are so many
+            after it, only the songs of that split, as in "repertoire:valid". `etudes:N` are N
             etudes, drawn from the seed 0 or from that of `etudes:N:SEED`, and `etudes:band:N` songs
             for a band. A folder that has the same name as a library wants a path with a separator,
             such as "./bundled".
@@ -140,7 +140,7 @@ def load_score(
 
 
 def check_is_free(name: str) -> None:
-    """Checks that an imported library may have this name.
+    """Check that an imported library may have this name.
 
     Raises:
         CadenzaError: a library that needs no import has it.
@@ -152,7 +152,7 @@ def check_is_free(name: str) -> None:
 
 
 def check_is_name(song: object) -> None:
-    """Checks that a song is given by a name or a path.
+    """Check that a song is given by a name or a path.
 
     Raises:
         CadenzaError: it is not.

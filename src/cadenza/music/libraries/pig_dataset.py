@@ -1,4 +1,4 @@
-"""Reads the PIG dataset as its authors ship it, and makes a library of it.
+"""Read the PIG dataset as its authors ship it, and make a library of it.
 
 `List.csv` has a line a piece, with its number, composer and title. A file in `FingeringFiles`, such
 as `012-1_fingering.txt`, has the notes of piece 12 with the fingers of annotator 1; of several
@@ -59,7 +59,7 @@ _COLUMNS = "number, onset, offset, pitch, two velocities, channel, finger"
 def import_pig(
     source: Path, replace: bool = False, progress: Progress = silent, grade: Grade | None = None
 ) -> NewLibrary:
-    """Imports the dataset as the library `repertoire-150`; damaged pieces are left out.
+    """Import the dataset as the library `repertoire-150`; damaged pieces are left out.
 
     The source is its folder, or the ZIP file, as downloaded. `progress` is called with the number
     of pieces read, and of all; for the rest see `new_library`.
@@ -112,7 +112,7 @@ def _add(library: NewLibrary, name: str, piece: _ListedPiece, content: bytes, wh
 
 @contextmanager
 def _folder_of(source: Path) -> Iterator[Path]:
-    """Yields the folder of the dataset, into which a ZIP file is unpacked for the block."""
+    """Yield the folder of the dataset, into which a ZIP file is unpacked for the block."""
     if os.path.isdir(source):
         yield source
         return

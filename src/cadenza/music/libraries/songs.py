@@ -22,8 +22,8 @@ _MAX_SUGGESTIONS = 3  # songs that a misspelt name may mean
 class Song:
     """A song that can be loaded; unknown facts are empty or None.
 
-    `name` is that which `cadenza play` takes. The song lasts `seconds` [s] and has so many `notes`,
-    for one or two `hands`; `difficulty` is its grade from 1 to 10; `source` says where it is from,
+    `cadenza play` takes the `name`. The song lasts `seconds` [s] and has a number of `notes`, for
+    one or two `hands`; `difficulty` is its grade from 1 to 10; `source` says where it is from,
     and `split` names the split of its library, such as "train".
     """
 
@@ -39,7 +39,7 @@ class Song:
     difficulty: float | None = None
 
     def load(self, tracks: Collection[int] = (), plain: bool = False) -> Score:
-        """Loads the score, under the title of the song, with the hands that it is written for.
+        """Load the score, under the title of the song, with the hands that it is written for.
 
         Args:
             tracks: the numbers of the tracks to be played, as in `Score.tracks`; all by default.

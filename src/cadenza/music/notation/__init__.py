@@ -1,1 +1,1 @@
-"""Turns performed time into notation: metre, hands, voices, note values, keys and spelling."""
+"""Turn performed time into notation: metre, hands, voices, note values, keys and spelling."""

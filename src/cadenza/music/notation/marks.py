@@ -28,7 +28,7 @@ _PEDAL_PARTS = 4  # of a cell, on which pedal marks stand
 
 
 class TempoMark(NamedTuple):
-    """A quarter lasts so many `seconds` [s] from `tick` on; the tempo may be `shown` as a mark."""
+    """A quarter lasts `seconds` [s] from `tick` on; the tempo may be `shown` as a mark."""
 
     tick: int
     seconds: float

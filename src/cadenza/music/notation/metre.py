@@ -31,7 +31,7 @@ _CLEARLY_BETTER = 1.0  # gain of moved bar lines by `_fit` a bar; known pickups 
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A measure from tick `start` to tick `end`, with so many `beats` of 1/`beat_type`.
+    """A measure from tick `start` to tick `end`, with a time signature.
 
     A measure that `is_part` is shorter than its time signature `written`, such as a pickup, which
     is the end of a whole measure; such a one would begin at the tick `origin`.
@@ -136,7 +136,7 @@ def _timed(bars: Sequence[Bar]) -> list[_TimedBar]:
 
 
 def _without_long(bars: Sequence[Bar]) -> Iterator[Bar]:
-    """Yields the bars, and several in place of one of unknown beats that no tempo could fill."""
+    """Yield the bars, and several in place of one of unknown beats that no tempo could fill."""
     for bar, following in pairwise([*bars, None]):
         assert bar is not None
         length = 0.0 if bar.beats or following is None else following.time - bar.time
@@ -228,7 +228,7 @@ def _fit(
 
 
 def _moved(metre: Metre, pickup: int) -> Metre:
-    """The metre with a pickup of so many ticks, and cells that begin with the measures."""
+    """The metre with a `pickup` [ticks], and cells that begin with the measures."""
     written, length = metre.measures[0].written, metre.measures[0].length
     number, end = metre.measures[0].number, int(metre.ticks[-1])
     starts = [0, *range(pickup, end, length)]

@@ -36,7 +36,7 @@ class Divisions:
     """The hierarchy of positions in a measure, from strong to weak."""
 
     def __init__(self, measure: Measure) -> None:
-        """Finds the levels of a measure's time signature."""
+        """Find the levels of a measure's time signature."""
         beats, beat_type = measure.written
         beat = WHOLE // beat_type
         self.is_compound = beat_type >= 8 and beats % _COMPOUND == 0 and beats > _COMPOUND
@@ -81,7 +81,7 @@ def _beam(measure: Measure, is_compound: bool) -> int:
 
 
 def values(start: int, end: int, divisions: Divisions, is_rest: bool) -> Iterator[Value]:
-    """Yields the note values of a stretch without tuplets, which show the beats.
+    """Yield the note values of a stretch without tuplets, which show the beats.
 
     A single value is not to hide a position that is stronger than both its ends; but a plain note
     may be syncopated about a position one level stronger. A rest begins at a position that is
@@ -116,7 +116,7 @@ def _is_clear(
 
 
 def _greedy(start: int, end: int) -> Iterator[Value]:
-    """Yields the longest values first, of what lies between the finest positions."""
+    """Yield the longest values first, of what lies between the finest positions."""
     while start < end:
         fitting = [length for length in _PLAIN if length <= end - start]
         length = max(fitting, default=end - start)
@@ -125,7 +125,7 @@ def _greedy(start: int, end: int) -> Iterator[Value]:
 
 
 def tuplet_values(start: int, end: int, first: int, last: int, parts: int) -> Iterator[Value]:
-    """Yields the note values of a stretch of the cell from `first` to `last` in so many parts."""
+    """Yield the note values of a stretch of the cell from `first` to `last` in `parts`."""
     cell = last - first
     normal = 1 << (parts.bit_length() - 1)
     unit = cell // parts

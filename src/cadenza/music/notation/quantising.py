@@ -13,7 +13,7 @@ from cadenza.music.notation.metre import QUARTER, Metre
 from cadenza.music.notation.voices import Timed
 from cadenza.music.score import Note, chords
 
-# What it costs to divide a cell (a quarter, or a shorter beat) into so many parts. It is in units
+# What it costs to divide a cell (a quarter, or a shorter beat) into parts. It is in units
 # of what a deviation of an onset by `_SPREAD` costs twice; chosen by eye.
 _GRIDS = {1: 0.0, 2: 0.3, 4: 0.8, 3: 1.2, 8: 2.0, 6: 2.2, 5: 4.0, 12: 6.0, 16: 4.5, 7: 4.5}
 _SPREAD = 0.05  # standard deviation of onsets that are played, in cells ...
@@ -106,7 +106,7 @@ def quantised(
 
 
 def _groups(voice: Sequence[Timed]) -> Iterator[_OnsetGroup]:
-    """Yields the notes of a voice that begin together, at the mean of their onsets."""
+    """Yield the notes of a voice that begin together, at the mean of their onsets."""
     for group in chords(voice, start=lambda each: each.note.start):
         onset, end = mean(each.onset for each in group), max(each.end for each in group)
         yield _OnsetGroup([each.note for each in group], onset, end)

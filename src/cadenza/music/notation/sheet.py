@@ -77,7 +77,7 @@ class Sheet:
     """A written score; `remarks` say in plain words where it differs from what is played.
 
     `key` is the number of sharps of its key signature, negative for flats. `is_sure` unless the
-    song has no bars, and its onsets do not fit those that are estimated.
+    song has no bars, and its onsets do not fit the estimated ones.
     """
 
     title: str
@@ -88,7 +88,7 @@ class Sheet:
 
     @property
     def symbols(self) -> Iterator[Symbol]:
-        """Yields all chords and rests, measure by measure."""
+        """Yield all chords and rests, measure by measure."""
         for written in self.measures:
             for staff in written.staves:
                 for voice in staff.voices:
@@ -102,7 +102,7 @@ class Sheet:
 
 
 def sheet_of(score: Score) -> Sheet:
-    """Writes a score, whose times may be those of a performance, for piano.
+    """Write a score, whose times may be those of a performance, for piano.
 
     Raises:
         CadenzaError: it has no notes.
@@ -243,7 +243,7 @@ def _written(
 def _values(
     start: int, end: int, stream: Stream, divisions: Divisions, cells: list[int], is_rest: bool
 ) -> Iterator[Value]:
-    """Yields the note values of a stretch, which is broken where tuplets begin and end."""
+    """Yield the note values of a stretch, which is broken where tuplets begin and end."""
     cell = bisect_right(cells, start) - 1
     while start < end:
         first = cell

@@ -14,7 +14,7 @@ _LINE_OF_FIFTHS = "FCGDAEB"
 _FIFTHS = {step: fifths for fifths, step in enumerate(_LINE_OF_FIFTHS, start=-1)}
 _SHARP = 7  # fifths from a step to the same with a sharp
 _ENHARMONIC = 12  # fifths between two names of a pitch
-_CANDIDATES = 3  # likeliest keys, of which the one with fewest accidentals is taken
+_CANDIDATES = 3  # likeliest keys; the one with the fewest accidentals is taken
 _MAX_SIGNS = 6  # of a key signature; rather five flats than seven sharps
 _MAX_ALTERED = 2  # sharps or flats of a note
 # Of ps13, in which letters count from A, and pitch classes from it.
@@ -65,7 +65,7 @@ def spelled(notes: Sequence[Note]) -> tuple[int, list[Spelling]]:
 
 
 def _ps13(pitches: NDArray[np.int_]) -> Iterator[Spelling]:
-    """Yields the spellings of MIDI `pitches` (N,), in order of time, by stage 1 of ps13.
+    """Yield the spellings of MIDI `pitches` (N,), in order of time, by stage 1 of ps13.
 
     Each pitch class around a note speaks for the letter that the note has in its key.
     """

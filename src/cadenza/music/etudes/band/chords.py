@@ -173,7 +173,7 @@ class SongPassage:
         return tuple(harmony.chord for harmony in self.harmonies)
 
     def in_bars(self, rhythm: Sequence[tuple[float, float]]) -> Iterator[tuple[float, float]]:
-        """Yields onset and length of the notes of a rhythm of one or more bars, said again.
+        """Yield onset and length of the notes of a rhythm of one or more bars, said again.
 
         Notes end with the harmony in which they begin. In the final chord there is one note.
         """

@@ -36,11 +36,11 @@ _DOUBLES_ALL = 35  # who doubles the lead does so in all sections
 _PICKUPS = 60  # phrases begin before their first bars
 _SPLIT = 12  # [%] of long notes that are two when the melody comes again with other words
 _LONG = 1  # quarters of a note that can be two
-_UNUSED_SHARE = 4  # verses leave out the highest of so many parts of a range, choruses the lowest
+_UNUSED_SHARE = 4  # verses leave out the highest quarter of a range, choruses the lowest
 
 
 def give_melodies(rng: np.random.Generator, plan: SongPlan, cast: Cast) -> list[Player | None]:
-    """Gives lead, soloist, second voice and double what they play; who leads each section."""
+    """Give lead, soloist, second voice and double what they play; who leads each section."""
     who = _who_leads(rng, plan, cast)
     pickups, replies = happens(rng, _PICKUPS), happens(rng, _ANSWERS)
     along = {passage.kind for passage in plan.passages} if happens(rng, _DOUBLES_ALL) else set()
@@ -116,7 +116,7 @@ def _with_other_words(rng: np.random.Generator, tones: Sequence[Tone], raised: i
 def _play_along(
     passage: SongPassage, start: int, cast: Cast, tones: Sequence[Tone], doubled: bool
 ) -> None:
-    """Gives the double the melody, and the second voice thirds to it."""
+    """Give the double the melody, and the second voice thirds to it."""
     if cast.double and doubled:
         moved = [replace(tone, pitch=tone.pitch + cast.double_by) for tone in tones]
         cast.double.play(moved, start, "doubling")
@@ -155,7 +155,7 @@ def make_band(seed: int) -> Band:
 
 
 def _accompany(rng: np.random.Generator, plan: SongPlan, cast: Cast) -> None:
-    """Gives chords, bass and drums to those who play them."""
+    """Give chords, bass and drums to those who play them."""
     bass = pick(rng, plan.style.bass)
     has_drums, late = happens(rng, _DRUMS), happens(rng, _LATE_RHYTHM)
     for passage, start in plan.placed:

@@ -243,7 +243,7 @@ def second_voice(passage: SongPassage, tones: Sequence[Tone], above: bool, low: 
 
 
 def answers(passage: SongPassage, tones: Sequence[Tone], singing: Singing) -> Iterator[Tone]:
-    """Yields short runs of another instrument in the rests of a melody."""
+    """Yield short runs of another instrument in the rests of a melody."""
     rests = [(a.at + a.length, b.at) for a, b in pairwise(tones)]
     rests.append((tones[-1].at + tones[-1].length, passage.length))
     for begin, end in rests:

@@ -52,7 +52,7 @@ class BandSection:
 
 @dataclass(frozen=True)
 class Band:
-    """A song for a band, with quarters a minute as `tempo`, and so many quarters in each bar."""
+    """A song for a band, with `tempo` quarters a minute, and `beats` quarters in each bar."""
 
     title: str
     style: str
@@ -88,7 +88,7 @@ def ticks(seconds: float, tempo: int) -> int:
 
 
 def write_band(band: Band, path: str | Path) -> None:
-    """Writes a song as a MIDI file of format 1: a track for title, tempo and metre, then the parts.
+    """Write a song as a MIDI file of format 1: a track for title, tempo and metre, then the parts.
 
     Read back by `cadenza.music.formats.midi.read_midi`, notes and bars have the same times to the
     bit. Notes of equal pitch that parts play at once are merged there, as on one piano.

@@ -76,7 +76,7 @@ def approached(play: Pattern, percent: int) -> Pattern:
 
 
 def walking_bass(passage: SongPassage) -> Iterator[Tone]:
-    """Yields quarters: roots, tones of the chord, and a step to the next root."""
+    """Yield quarters: roots, tones of the chord, and a step to the next root."""
     if passage.final:
         yield Tone(0, passage.length, _root(passage.chord(0)))
         return
@@ -131,7 +131,7 @@ _TOMS = (50, 47, 45, 43)  # from the highest
 _STROKE = 0.2  # quarters that a note of a drum lasts
 _HITS = {"X": _ACCENT, "x": MEDIUM, "o": _LIGHT, ".": _GHOST}
 _FILLS = ("xxxx", "x.xx", "xx..", "--xx")
-_FILL_EVERY = 4  # bars; fills come at the end of a section and, at times, after so many
+_FILL_EVERY = 4  # bars after which there may be a fill; there is one at the end of a section
 _FILLS_SHARE = 30  # [%] of those times
 
 
@@ -167,7 +167,7 @@ def drums(*patterns: Mapping[str, str]) -> Pattern:
 
 
 def _fill(passage: SongPassage, start: float) -> Iterator[Tone]:
-    """Yields a beat of strokes on snare and toms."""
+    """Yield a beat of strokes on snare and toms."""
     struck = pick(passage.rng, ((_SNARE,) * 4, (_SNARE, _SNARE, *_TOMS[1:3]), _TOMS))
     for i, (drum, sign) in enumerate(zip(struck, pick(passage.rng, _FILLS), strict=True)):
         if sign in _HITS:
@@ -262,7 +262,7 @@ def piano(slots: Slots, left: Rhythm, *right: Rhythm) -> Pattern:
 
 
 def picked(passage: SongPassage) -> Iterator[Tone]:
-    """Yields broken chords of a guitar in eighths, which ring on until the chord changes."""
+    """Yield broken chords of a guitar in eighths, which ring on until the chord changes."""
     for harmony in passage.harmonies:
         strings = guitar(harmony.chord)
         if passage.final:
@@ -275,7 +275,7 @@ def picked(passage: SongPassage) -> Iterator[Tone]:
 
 
 def boom_chick(passage: SongPassage) -> Iterator[Tone]:
-    """Yields a root on the beat and the upper strings after it, as a country guitar does."""
+    """Yield a root on the beat and the upper strings after it, as a country guitar does."""
     for harmony in passage.harmonies:
         strings = guitar(harmony.chord)
         if passage.final:

@@ -87,7 +87,7 @@ class Player:
     chair: Chair | None = None
 
     def play(self, tones: Sequence[Tone], start: float, role: Role) -> None:
-        """Adds tones of a section that begins at `start` [quarters]."""
+        """Add tones of a section that begins at `start` [quarters]."""
         self.tones += [(replace(tone, at=tone.at + start), role) for tone in tones]
 
 
@@ -271,7 +271,7 @@ _HUMAN = 60  # notes are not quite in time
 _FLAT = 12  # all notes of a player are equally loud
 _JITTER = 0.01  # [s] by which notes are early or late, at most
 _SPREAD = 5  # velocities by which notes are louder or softer at random, at most
-_RELEASE, _RELEASE_SHARE = 20, 8  # [ticks] by which notes end early; at most one in so many
+_RELEASE, _RELEASE_SHARE = 20, 8  # [ticks] by which notes end early; an eighth of short notes
 _PEDAL_DOWN = 60  # [ticks] after a change of harmony
 
 

@@ -68,8 +68,8 @@ class Style:
 
     `forms` are sections in their order, `bars` how many bars of how many `beats` each kind has,
     `progressions` their chords in major and minor keys. `cells` are the kinds of rhythms of the
-    melody, `colours` its scales, `leads` the programs that can have it, `solos` those that take it
-    over for a section.
+    melody, `colours` its scales, `leads` the programs that can have it, `solos` the programs that
+    take it over for a section.
     """
 
     tempi: range
