@@ -15,6 +15,10 @@ ALL_OFF = frozenset((120, *range(123, 128)))
 """The controllers that end all notes of a channel; the last four change its mode, too."""
 CHANNELS, DRUM_CHANNEL = range(16), 9
 """The channels of a port, and the tenth of them, counted from 0."""
+ROLAND, YAMAHA, ANY_TIME, REAL_TIME = 0x41, 0x43, 0x7E, 0x7F
+"""The first bytes of system exclusive messages: of two makers, and two that are for all."""
+MAKERS = frozenset(bytes([maker]) for maker in (ROLAND, YAMAHA, ANY_TIME, REAL_TIME))
+"""The first bytes of the system exclusive messages that are understood."""
 
 _NAMES = """
 acoustic grand piano, bright acoustic piano, electric grand piano, honky-tonk piano, electric

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count, pairwise
-from operator import attrgetter, itemgetter
+from operator import attrgetter
 from pathlib import Path
 
 import mido
@@ -16,9 +16,18 @@ import mido
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import write_atomically
 from cadenza.music.formats.general_midi import INSTRUMENTS, SUSTAIN
-from cadenza.music.formats.midi_channels import Channel, Part
-from cadenza.music.formats.midi_chunks import LONGEST, MidiFile, parsed
-from cadenza.music.formats.midi_playing import Playing, merged_pedal, timed
+from cadenza.music.formats.midi_channels import Channel
+from cadenza.music.formats.midi_messages import (
+    LONGEST,
+    METRE,
+    NAME,
+    NOTE_ON,
+    TEMPO,
+    Message,
+    MidiFile,
+    parsed,
+)
+from cadenza.music.formats.midi_playing import Part, Playing, merged_pedal
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
 from cadenza.music.repair import RawNote, repaired_notes
@@ -84,15 +93,15 @@ def read_midi(
 
 def _score(file: MidiFile, tracks: Collection[int], title: str) -> Score:
     """The score in a file; without a name in it, it has the `title`."""
-    remarks, chunks = list(file.remarks), file.tracks
+    remarks, messages = list(file.remarks), file.tracks
     if file.format == 2:
-        songs = [chunk for chunk in chunks if any(message.type == "note_on" for message in chunk)]
+        songs = [track for track in messages if any(each.kind == NOTE_ON for each in track)]
         if len(songs) > 1:
             remarks.append(f"the file holds {len(songs)} separate songs: the first is used")
-        chunks = songs[:1]
+        messages = songs[:1]
 
-    clock = _Clock.of(file.division, chunks)
-    playing = Playing(chunks, clock.at)
+    clock = _Clock.of(file.division, messages)
+    playing = Playing(messages, clock.at)
     melodic = [part for part in playing.parts if not part.is_drums]
     listed = _tracks(melodic)
     if tracks:
@@ -103,23 +112,24 @@ def _score(file: MidiFile, tracks: Collection[int], title: str) -> Score:
     moves = merged_pedal(move for move in playing.moves if not tracks or move[1] in chosen)
     pedal = tuple(PedalEvent(clock.seconds(time), value) for time, value in moves)
 
-    found = [note for part in melodic for note in part.notes]
+    notes = [note for part in melodic for note in part.notes]
     counts = Counter(
         outside=sum(part.outside for part in melodic), bent=sum(part.bent for part in melodic)
     )
     drums = [part for part in playing.parts if part.is_drums]
     muted = [note for part in melodic for note in part.muted]
     if tracks:
-        found += muted  # which are asked for
+        notes += muted  # which are asked for
     else:
         counts["drums"] = sum(len(part.notes) + len(part.muted) + part.outside for part in drums)
         counts["muted"] = len(muted)
     if playing.soft.intersection(chosen) or (playing.soft and not tracks):
         remarks.append("the soft pedal is left out")
-    notes, said = repaired_notes(found, counts, remarks, clock.seconds)
-    bars = _bars(file.division, chunks, clock, until=notes[-1].start)
+    played, all_remarks = repaired_notes(notes, counts, remarks, clock.seconds)
+    bars = _bars(file.division, messages, clock, until=played[-1].start)
     strokes = tuple(_stroke(note, clock) for part in drums for note in part.notes)
-    return Score(notes, pedal, _name(chunks) or title, said, listed, bars, strokes)
+    name = next((each.data for each in messages[0] if each.kind == NAME), b"")
+    return Score(played, pedal, _text(name) or title, all_remarks, listed, bars, strokes)
 
 
 def write_midi(score: Score, path: str | Path) -> None:
@@ -196,7 +206,12 @@ class _Clock:
     units_per_second: int
 
     @classmethod
-    def of(cls, division: int, tracks: Iterable[mido.MidiTrack]) -> _Clock:
+    def of(cls, division: int, tracks: Iterable[Iterable[Message]]) -> _Clock:
+        """The clock of a file whose ticks are in this division.
+
+        Raises:
+            CadenzaError: the division is not valid.
+        """
         if division < 0:  # SMPTE: minus the frames a second, and the ticks a frame
             frames, ticks_per_frame = 256 - ((division >> 8) & 0xFF), division & 0xFF
             if frames not in (24, 25, 29, 30) or ticks_per_frame == 0:
@@ -206,13 +221,12 @@ class _Clock:
             return cls([0], [0], [1], frames * ticks_per_frame)
         if division == 0:
             raise CadenzaError("the file's time division is zero, not valid MIDI")
-        messages = (each for track in tracks for each in timed(track))
-        changes = ((tick, each.tempo) for tick, each in messages if each.type == "set_tempo")
+        changes = (each for track in tracks for each in track if each.kind == TEMPO)
         clock = cls([0], [0], [_DEFAULT_TEMPO], division * 1_000_000)
-        for tick, tempo in sorted(changes, key=itemgetter(0)):
-            clock.units.append(clock.at(tick))
-            clock.ticks.append(tick)
-            clock.rates.append(tempo)
+        for change in sorted(changes, key=attrgetter("tick")):
+            clock.units.append(clock.at(change.tick))
+            clock.ticks.append(change.tick)
+            clock.rates.append(int.from_bytes(change.data[:3], "big"))
         return clock
 
     def at(self, tick: int) -> int:
@@ -254,17 +268,17 @@ def _tracks(parts: Sequence[Part]) -> tuple[Track, ...]:
 
 
 def _bars(
-    division: int, chunks: Iterable[mido.MidiTrack], clock: _Clock, until: float
+    division: int, tracks: Iterable[Iterable[Message]], clock: _Clock, until: float
 ) -> tuple[Bar, ...]:
     """The bars from the first time signature to the time `until` [s].
 
     A time signature begins a new bar. There are no bars in SMPTE frames, which have no beats.
     """
     metres: dict[int, tuple[int, int]] = {}  # from which tick on: beats in a bar, type of beat
-    for chunk in chunks:
-        for tick, message in timed(chunk):
-            if message.type == "time_signature" and message.denominator in BEAT_TYPES:
-                metres[tick] = message.numerator, message.denominator
+    for track in tracks:
+        for tick, kind, data, _ in track:
+            if kind == METRE and 1 << data[1] in BEAT_TYPES:
+                metres[tick] = data[0], 1 << data[1]
     bars: list[Bar] = []
     beats = 0
     begins = sorted(tick for tick, (numerator, _) in metres.items() if numerator > 0)
@@ -288,19 +302,8 @@ def _stroke(note: RawNote, clock: _Clock) -> Note:
     return Note(start, start + _STROKE, note.pitch, note.velocity)
 
 
-def _name(chunks: Sequence[mido.MidiTrack]) -> str:
-    """The name of the first track, which is that of the song."""
-    names = (message.name for message in chunks[0] if message.type == "track_name")
-    return _text(next(names, ""))
-
-
-def _text(text: str) -> str:
-    """The text of a file, printable and on one line; empty if its encoding is not known.
-
-    Args:
-        text: the bytes as Latin-1, as mido gives them.
-    """
-    written = text.encode("latin1")
+def _text(written: bytes) -> str:
+    """The text in a file, printable and on one line; empty if its encoding is not known."""
     try:
         return printable(written.decode("utf-8"))
     except UnicodeDecodeError:

@@ -1,110 +1,247 @@
-"""The channels of a port that a MIDI file plays: their notes, drums, tuning and volume."""
+"""The channels of a port that a MIDI file plays: their drums, tuning, volume and held notes."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections import defaultdict, deque
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Collection
 from math import inf
 from operator import itemgetter
 from typing import NamedTuple
 
-from cadenza.music.formats.general_midi import CHANNELS, DRUM_CHANNEL, LARGEST
-from cadenza.music.formats.midi_synthesizers import Sets, Setting
-from cadenza.music.formats.midi_tuning import BEND_RANGE, MEMBER_RANGE, USUAL_RANGE, ZONE, Tuning
+from cadenza.music.formats.general_midi import (
+    ANY_TIME,
+    BANK,
+    CHANNELS,
+    DRUM_CHANNEL,
+    EXPRESSION,
+    LARGEST,
+    REAL_TIME,
+    RESET,
+    ROLAND,
+    VOLUME,
+    YAMAHA,
+)
+from cadenza.music.formats.midi_messages import WHEEL, Message
 from cadenza.music.repair import RawNote
-from cadenza.music.score import PEDAL_DOWN, PITCHES
+from cadenza.music.score import PEDAL_DOWN
 
+_DATA, _DATA_FINE, _INCREMENT, _DECREMENT = 6, 38, 96, 97  # controllers that set a parameter
+_OTHERS, _LOW, _HIGH = (98, 99), 100, 101  # those that choose it; _OTHERS choose one of makers
+_PARAMETERS = (_DATA, _DATA_FINE, _INCREMENT, _DECREMENT, *_OTHERS, _LOW, _HIGH)
+SETTINGS = frozenset((BANK, VOLUME, EXPRESSION, RESET, *_PARAMETERS))
+"""The controllers that change how the notes of a channel sound."""
+_BEND_RANGE, _COARSE, _ZONE = (0, 0), (0, 2), (0, 6)  # parameters: high and low bytes
+_NO_PARAMETER = (LARGEST, LARGEST)
+_KEEPS = 64  # the value that transposes by nothing
+_MAX_SHIFT = 24  # [semitones] by which synthesizers of GS and XG transpose or bend
+_USUAL_RANGE, _MEMBER_RANGE = 2, 48  # bend ranges [semitones] of channels, and of members of zones
+_CENTS = 100  # in a semitone
+_POSITIONS = 1 << 13  # of the pitch wheel on either side
+_EXACT = 0.1  # [semitones] by which a bend may miss whole ones: wheels of 7 bits miss 2 by 0.03
+_MANAGERS = CHANNELS[0], CHANNELS[-1]  # of MPE zones of the channels above and below them
 _MELODIC_BANK, _DRUM_BANK = 121, 120  # of General MIDI 2
 _XG_DRUM_BANKS = (126, 127)
-_MANAGERS = CHANNELS[0], CHANNELS[-1]  # of MPE zones of the channels above and below them
+
+_XG, _GS = (YAMAHA, 0x4C), (ROLAND, 0x42, 0x12)  # messages that set the value of an address
+_ADDRESS_BYTES = {ROLAND: 6, YAMAHA: 5, ANY_TIME: 2, REAL_TIME: 4}  # with that of the maker
+ALL, _DRUMS, _KEY_SHIFT, _RANGE = "all", "is_drum_part", "key_shift", "bend_range"
+_GS_CHANNELS = (DRUM_CHANNEL, *(number for number in CHANNELS if number != DRUM_CHANNEL))
+_SETTINGS: dict[tuple[int, ...], tuple[str, int | None]] = {  # address -> what, channel
+    (ANY_TIME, 0x09): (ALL, None),
+    (REAL_TIME, 0x04, 0x04, 0x00): (_KEY_SHIFT, None),
+    (*_GS, 0x40, 0x00, 0x7F): (ALL, None),
+    (*_GS, 0x40, 0x00, 0x05): (_KEY_SHIFT, None),
+    **{(*_GS, 0x40, 0x10 + part, 0x15): (_DRUMS, n) for part, n in enumerate(_GS_CHANNELS)},
+    **{(*_GS, 0x40, 0x10 + part, 0x16): (_KEY_SHIFT, n) for part, n in enumerate(_GS_CHANNELS)},
+    **{(*_GS, 0x40, 0x20 + part, 0x10): (_RANGE, n) for part, n in enumerate(_GS_CHANNELS)},
+    (*_XG, 0x00, 0x00, 0x7E): (ALL, None),
+    (*_XG, 0x00, 0x00, 0x7F): (ALL, None),
+    (*_XG, 0x00, 0x00, 0x06): (_KEY_SHIFT, None),
+    **{(*_XG, 0x08, n, 0x07): (_DRUMS, n) for n in CHANNELS},
+    **{(*_XG, 0x08, n, 0x08): (_KEY_SHIFT, n) for n in CHANNELS},
+    **{(*_XG, 0x08, n, 0x23): (_RANGE, n) for n in CHANNELS},
+}
 
 
-class Channel(NamedTuple):
-    """A channel of a port, which another port has as well; both count from 0."""
+class Setting(NamedTuple):
+    """What a system message sets: an attribute of a channel, or of all where that is None."""
 
-    port: int
-    number: int
-
-
-@dataclass(slots=True)
-class Part:
-    """The music of one channel in one track of the file.
-
-    `muted` are notes during which the channel has no volume. `outside` counts notes that no key
-    plays, and `bent` those that the pitch wheel takes between keys.
-    """
-
-    channel: Channel
-    is_drums: bool = False
-    name: str = ""
-    program: int | None = None
-    notes: list[RawNote] = field(default_factory=list)
-    muted: list[RawNote] = field(default_factory=list)
-    outside: int = 0
-    bent: int = 0
-
-    @property
-    def sounds(self) -> bool:
-        """Whether any of its notes lasts, unlike those that only switch something."""
-        return any(note.end > note.start for note in (*self.notes, *self.muted))
-
-    def finish(self, end: int, state: State) -> None:
-        """Ends notes that nothing has released, bends them, and sets apart what is not heard."""
-        found, self.notes = self.notes, []
-        for note in found:
-            note.end = note.end if note.released else end
-            if not self.is_drums:
-                semitones, is_exact = state.tuning.bend_of(note.start, note.end)
-                note.pitch += semitones
-                self.bent += not is_exact
-            if note.pitch not in PITCHES:
-                self.outside += 1
-                continue
-            span = bisect_right(state.silences, note.start, key=itemgetter(0)) - 1
-            is_muted = span >= 0 and note.start < state.silences[span][1] >= note.end
-            (self.muted if is_muted else self.notes).append(note)
+    what: str
+    value: int
+    channel: int | None
 
 
-@dataclass(slots=True)
-class State:
-    """A channel while the file is played.
+def setting_of(data: bytes) -> Setting | None:
+    """The setting that a system message makes, without its first and last byte; None if none."""
+    size = _ADDRESS_BYTES[data[0]]
+    address, value = (data[0], *data[2 : size + 1]), data[size + 1 :][:1]
+    if not value or address not in _SETTINGS:
+        return None
+    what, channel = _SETTINGS[address]
+    if what in (ALL, _DRUMS):
+        return Setting(what, value[0], channel)
+    semitones = value[0] - _KEEPS
+    is_valid = data[0] == REAL_TIME or abs(semitones) <= _MAX_SHIFT
+    return Setting(what, semitones, channel) if is_valid else None
+
+
+def drum_banks(messages: Collection[bytes]) -> tuple[int, ...]:
+    """The banks of sounds that are drums; not those of XG if system messages are for Roland's."""
+    is_xg = any((data[0], *data[2:3]) == _XG for data in messages)
+    is_roland = not is_xg and any(data[0] == ROLAND for data in messages)
+    return (_DRUM_BANK,) if is_roland else (_DRUM_BANK, *_XG_DRUM_BANKS)
+
+
+class Channel:
+    """A channel while a file is played.
 
     Whether it plays drums, a message to the synthesizer says, or else its bank of sounds.
-    `silences` are the spans without volume. `sounding` are notes in the order in which they began,
-    by key, and `of_track` the same by track and key; those released by way of the other are
-    still there. The sostenuto pedal went down at the time `sostenuto`, None if it is up, and goes
-    on to hold `captured`, notes that were released since.
+    Controllers set the registered parameter `chosen`: `coarse` tuning [semitones], or `bend_range`
+    [semitones], as far as the pitch `wheel`, from -1 to 1, bends. Fine tuning is left out, as no
+    key has it. `key_shift` [semitones] is what a synthesizer adds. In an MPE zone, it bends with
+    its `manager`.
+
+    Its sustain pedal has the value `pedal`. Notes that sound are kept in the order in which they
+    began, by key, and again by track and key; those released by way of the other are still there.
+    A sostenuto pedal that is down goes on to hold notes that were released since.
     """
 
-    has_drum_bank: bool = False
-    is_drum_part: bool | None = None
-    tuning: Tuning = field(default_factory=Tuning)
-    pedal: int = 0
-    volume: int = LARGEST
-    expression: int = LARGEST
-    silences: list[list[float]] = field(default_factory=list)
-    sounding: defaultdict[int, deque[RawNote]] = field(default_factory=lambda: defaultdict(deque))
-    of_track: defaultdict[tuple[int, int], deque[RawNote]] = field(
-        default_factory=lambda: defaultdict(deque)
-    )
-    sostenuto: int | None = None
-    captured: list[RawNote] = field(default_factory=list)
+    def __init__(self, port: Port, number: int) -> None:
+        self.port, self.number = port, number
+        self.pedal = 0
+        self._volume = self._expression = LARGEST
+        self._silences: list[list[float]] = []  # from when to when there is no volume
+        self._bends: list[tuple[int, float]] = []  # times, and sizes from then on [semitones]
+        self._sounding = defaultdict[int, deque[RawNote]](deque)
+        self._of_track = defaultdict[tuple[int, int], deque[RawNote]](deque)
+        self._sostenuto: int | None = None  # the time at which that pedal went down
+        self._captured: list[RawNote] = []
+        self.switch_on()
+
+    def switch_on(self) -> None:
+        """Set up the channel as it is when its synthesizer is switched on."""
+        self.has_drum_bank = self.number == DRUM_CHANNEL
+        self.is_drum_part: int | None = None
+        self.manager: Channel | None = None
+        self.chosen = _NO_PARAMETER
+        self.coarse = self.key_shift = 0
+        self.bend_range, self.wheel = float(_USUAL_RANGE), 0.0
 
     @property
     def is_drums(self) -> bool:
         """Whether the channel plays drums."""
-        return self.has_drum_bank if self.is_drum_part is None else self.is_drum_part
+        is_drums = self.has_drum_bank if self.is_drum_part is None else self.is_drum_part > 0
+        return is_drums and self.manager is None
+
+    @property
+    def shift(self) -> int:
+        """The transposition of the notes that begin [semitones]."""
+        return 0 if self.is_drums else self.coarse + self.key_shift + self.port.key_shift
+
+    def change(self, message: Message, drum_banks: Collection[int], now: int) -> None:
+        """Change how the channel sounds, as a message says; it may have `drum_banks`."""
+        if message.kind == WHEEL:
+            low, high = message.data
+            self._turn_wheel((high << 7 | low) / _POSITIONS - 1, now)
+            return
+        control, value = message.data
+        if control == VOLUME:
+            self._set_volume(value, self._expression, now)
+        elif control == EXPRESSION:
+            self._set_volume(self._volume, value, now)
+        elif control == BANK and value in drum_banks:
+            self.has_drum_bank = True
+        elif control == BANK:
+            self.has_drum_bank &= self.number == DRUM_CHANNEL and value != _MELODIC_BANK
+        elif control == RESET:
+            self._set_volume(self._volume, LARGEST, now)
+            self.chosen = _NO_PARAMETER
+            self._turn_wheel(0.0, now)
+        elif control in (_LOW, _HIGH, *_OTHERS):
+            high, low = self.chosen
+            chosen = {_HIGH: (value, low), _LOW: (high, value)}
+            self.chosen = chosen.get(control, _NO_PARAMETER)
+        else:
+            self._set_parameter(control, value, now)
+
+    def _set_volume(self, volume: int, expression: int, now: int) -> None:
+        """Change the volume, which is the product of both."""
+        was_silent, is_silent = self._volume * self._expression == 0, volume * expression == 0
+        self._volume, self._expression = volume, expression
+        if is_silent and not was_silent:
+            self._silences.append([now, inf])
+        elif was_silent and not is_silent:
+            self._silences[-1][1] = now
+
+    def _set_parameter(self, control: int, value: int, now: int) -> None:
+        """Set the registered parameter that is chosen, which may be for all of an MPE zone."""
+        if self.chosen == _COARSE and control != _DATA_FINE:
+            steps = {_INCREMENT: 1, _DECREMENT: -1}
+            tuned = self.coarse + steps[control] if control in steps else value - _KEEPS
+            self.coarse = min(max(tuned, -_KEEPS), LARGEST - _KEEPS)
+        elif self.chosen == _ZONE and control == _DATA and self.number in _MANAGERS:
+            self._make_zone(value)
+            self.port.record_bends(now)
+        elif self.chosen == _BEND_RANGE:
+            if control == _DATA:
+                self.bend_range = value
+            elif control == _DATA_FINE:
+                self.bend_range = int(self.bend_range) + value / _CENTS
+            for other in self.port.channels if self.manager else ():
+                if other.manager is self.manager:
+                    other.bend_range = self.bend_range
+            self.port.record_bends(now)
+
+    def _make_zone(self, size: int) -> None:
+        """Make an MPE zone of the next channels, which is none if its size is 0."""
+        members = [c for c in self.port.channels if 0 < abs(c.number - self.number) <= size]
+        for other in self.port.channels:
+            if other in (self, *members) or other.manager in (self, *members):
+                other.manager = None
+        for member in members:
+            member.manager, member.bend_range = self, _MEMBER_RANGE
+        self.bend_range = _USUAL_RANGE
+
+    def _turn_wheel(self, wheel: float, now: int) -> None:
+        """Turn the pitch wheel, which also bends the channels that this one manages."""
+        if wheel != self.wheel:
+            self.wheel = wheel
+            for other in self.port.channels:
+                if other is self or other.manager is self:
+                    other.record_bend(now)
+
+    def record_bend(self, now: int) -> None:
+        """Record the bend, if it changes at a time, with that of the manager [semitones]."""
+        bend = self.wheel * self.bend_range
+        bend += self.manager.wheel * self.manager.bend_range if self.manager else 0.0
+        if abs(bend - (self._bends[-1][1] if self._bends else 0.0)) > _EXACT:
+            self._bends.append((now, bend))
+
+    def bend_of(self, note: RawNote) -> tuple[int, bool]:
+        """The transposition of a note that begins under a bend [semitones]; whether it is exact.
+
+        A bend that does not last for half of the note moves nothing.
+        """
+        latest = bisect_right(self._bends, note.start, key=itemgetter(0)) - 1
+        bend = self._bends[latest][1] if latest >= 0 else 0.0
+        until = self._bends[latest + 1][0] if latest + 1 < len(self._bends) else inf
+        semitones = round(bend) if 2 * (until - note.start) >= note.end - note.start else 0
+        return semitones, abs(bend - semitones) <= _EXACT
+
+    def is_silent(self, note: RawNote) -> bool:
+        """Whether the channel has no volume from the beginning of a note to its end."""
+        span = bisect_right(self._silences, note.start, key=itemgetter(0)) - 1
+        return span >= 0 and note.start < self._silences[span][1] >= note.end
 
     def begin(self, track: int, key: int, note: RawNote) -> None:
-        """Begins the note of a key."""
-        self.sounding[key].append(note)
-        self.of_track[track, key].append(note)
+        """Begin the note of a key."""
+        self._sounding[key].append(note)
+        self._of_track[track, key].append(note)
 
     def release(self, track: int, key: int, now: int) -> None:
-        """Ends the oldest note of this key in a track; if there is none, the oldest of all."""
-        for waiting in (self.of_track[track, key], self.sounding[key]):
+        """End the oldest note of this key in a track; if there is none, the oldest of all."""
+        for waiting in (self._of_track[track, key], self._sounding[key]):
             while waiting:
                 note = waiting.popleft()
                 if not note.released:
@@ -112,120 +249,48 @@ class State:
                     return
 
     def release_all(self, now: int) -> None:
-        """Ends all notes."""
-        for waiting in self.sounding.values():
+        """End all notes."""
+        for waiting in self._sounding.values():
             for note in waiting:
                 if not note.released:
                     self._end(note, now)
-        self.sounding.clear()
-        self.of_track.clear()
+        self._sounding.clear()
+        self._of_track.clear()
 
     def _end(self, note: RawNote, now: int) -> None:
         note.release(now)
-        if self.sostenuto is not None and note.start <= self.sostenuto:
-            self.captured.append(note)
+        if self._sostenuto is not None and note.start <= self._sostenuto:
+            self._captured.append(note)
 
     def move_sostenuto(self, value: int, now: int) -> None:
-        """Moves the sostenuto pedal, which holds what sounds when it goes down."""
-        if value >= PEDAL_DOWN and self.sostenuto is None:
-            self.sostenuto = now
+        """Move the sostenuto pedal, which holds what sounds when it goes down."""
+        if value >= PEDAL_DOWN and self._sostenuto is None:
+            self._sostenuto = now
         elif value < PEDAL_DOWN:
-            for note in self.captured:
+            for note in self._captured:
                 note.end = now
-            self.sostenuto, self.captured = None, []
-
-    def set_volume(self, volume: int, expression: int, now: int) -> None:
-        """Changes the volume, which is the product of both."""
-        was_silent = self.volume * self.expression == 0
-        self.volume, self.expression = volume, expression
-        is_silent = volume * expression == 0
-        if is_silent and not was_silent:
-            self.silences.append([now, inf])
-        elif was_silent and not is_silent:
-            self.silences[-1][1] = now
+            self._sostenuto, self._captured = None, []
 
 
-@dataclass(slots=True)
 class Port:
-    """The channels of a port, and what holds for all of them.
+    """The channels of a port; all of their melodies are transposed by `key_shift` [semitones]."""
 
-    All melodies are transposed by `key_shift` [semitones]. `managers` are those of the members of
-    MPE zones, by the numbers of channels.
-    """
-
-    states: list[State]
-    key_shift: int = 0
-    managers: dict[int, int] = field(default_factory=dict)
-
-    @classmethod
-    def new(cls) -> Port:
-        """A port after its synthesizer is switched on."""
-        return cls([State(number == DRUM_CHANNEL) for number in CHANNELS])
-
-    def is_drums(self, number: int) -> bool:
-        """Whether a channel plays drums."""
-        return self.states[number].is_drums and number not in self.managers
-
-    def shift(self, number: int) -> int:
-        """The transposition of the notes of a channel [semitones]."""
-        tuning = self.states[number].tuning
-        own = tuning.coarse + tuning.key_shift
-        return 0 if self.is_drums(number) else own + self.key_shift
+    def __init__(self) -> None:
+        self.channels = [Channel(self, number) for number in CHANNELS]
+        self.key_shift = 0
 
     def set_up(self, setting: Setting, now: int) -> None:
-        """Sets up the synthesizer."""
-        what, value, channel = setting
-        if what is Sets.ALL:
-            self.key_shift, self.managers = 0, {}
-            for number, state in enumerate(self.states):
-                state.has_drum_bank, state.is_drum_part = number == DRUM_CHANNEL, None
-                state.tuning = Tuning(bends=state.tuning.bends)
-        elif channel is None:
-            self.key_shift = value
-        elif what is Sets.DRUMS:
-            self.states[channel].is_drum_part = value > 0
-        elif what is Sets.KEY_SHIFT:
-            self.states[channel].tuning.key_shift = value
+        """Set up the synthesizer."""
+        if setting.what == ALL:
+            self.key_shift = 0
+            for channel in self.channels:
+                channel.switch_on()
         else:
-            self.states[channel].tuning.bend_range = value
-        self._record_bends(now)
+            target = self if setting.channel is None else self.channels[setting.channel]
+            setattr(target, setting.what, setting.value)
+        self.record_bends(now)
 
-    def set_parameter(self, number: int, control: int, value: int, now: int) -> None:
-        """Chooses or sets a registered parameter of a channel, or of its MPE zone."""
-        parameter = self.states[number].tuning.control(control, value)
-        if parameter == ZONE and number in _MANAGERS:
-            members = {other for other in CHANNELS if 0 < abs(other - number) <= value}
-            taken = members | {number}
-            kept = {of: by for of, by in self.managers.items() if not taken.intersection((of, by))}
-            self.managers = kept | dict.fromkeys(members, number)
-            for other in taken:
-                usual = USUAL_RANGE if other == number else MEMBER_RANGE
-                self.states[other].tuning.bend_range = usual
-        elif parameter == BEND_RANGE and number in self.managers:
-            for other, manager in self.managers.items():
-                if manager == self.managers[number]:
-                    same = self.states[number].tuning.bend_range
-                    self.states[other].tuning.bend_range = same
-        if parameter in (ZONE, BEND_RANGE):
-            self._record_bends(now)
-
-    def turn_wheel(self, number: int, wheel: float, now: int) -> None:
-        """Turns the pitch wheel of a channel, and with that of a manager all of its MPE zone."""
-        if wheel != self.states[number].tuning.wheel:
-            self.states[number].tuning.wheel = wheel
-            members = (other for other, manager in self.managers.items() if manager == number)
-            self._record_bends(now, (number, *members))
-
-    def _record_bends(self, now: int, numbers: Iterable[int] = CHANNELS) -> None:
-        for number in numbers:
-            manager = self.managers.get(number)
-            of_zone = 0.0 if manager is None else self.states[manager].tuning.bend
-            self.states[number].tuning.record(now, of_zone)
-
-    def select_bank(self, number: int, bank: int, is_roland: bool) -> None:
-        """Has a channel play drums, or no longer, as its bank of sounds is one of them or not."""
-        state = self.states[number]
-        if bank == _DRUM_BANK or (bank in _XG_DRUM_BANKS and not is_roland):
-            state.has_drum_bank = True
-        elif bank == _MELODIC_BANK or number != DRUM_CHANNEL:
-            state.has_drum_bank = False
+    def record_bends(self, now: int) -> None:
+        """Record the bends of all channels, where they change."""
+        for channel in self.channels:
+            channel.record_bend(now)
