@@ -396,17 +396,5 @@ def test_says_what_makes_no_sense(options: Any, message: str) -> None:
     assert "\n" not in str(error.value)
 
 
-def test_a_simulation_that_cannot_says_so(scene: Scene) -> None:
-    class Other:
-        def __init__(self, scene: Scene, num_envs: int, **_: Any) -> None: ...
-        def reset(self, *_: Any) -> None: ...
-        def step(self, *_: Any) -> None: ...
-
-    for options in ({"mass": (0.9, 1.1)}, {"latency": (0.0, 0.1)}):
-        config = TaskConfig(randomization=DomainRandomization(**options))
-        with pytest.raises(CadenzaError, match=r"randomization\.(mass|latency): a Other"):
-            PianoTask([TUNE], config, scene, make_simulation=Other)  # type: ignore[arg-type]
-
-
 def test_every_field_is_tried_here() -> None:
     assert {each.name for each in fields(DomainRandomization)} == {*EACH, "seed"}

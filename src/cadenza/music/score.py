@@ -127,7 +127,7 @@ class Bar:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """The part of one instrument: `notes` of them from the `lowest` pitch to the `highest`.
+    """The part of one instrument: the number of its notes, its lowest and its highest pitch.
 
     `number` counts the tracks with notes from 1; `channel` is that of MIDI, 1 to 16, or None if
     the file is not MIDI.

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 class HandsApart:
-    """N pairs of simulations, of either hand; implements `protocol.RandomizableSimulation`.
+    """N pairs of simulations, of either hand; implements `protocol.Simulation`.
 
     The hands never meet. The position of a key is the deeper one of both pianos. Both pianos are
     alike, also if they are randomized.

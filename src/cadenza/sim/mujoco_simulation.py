@@ -35,7 +35,7 @@ mujoco.set_mju_user_warning(lambda message: _LOG.info("MuJoCo: %s", message))
 
 
 class MujocoSimulation:
-    """N simulations, each with its own `MjData`; implements `protocol.RandomizableSimulation`.
+    """N simulations, each with its own `MjData`; implements `protocol.Simulation`.
 
     Every simulation is stepped by one thread at a time and shares nothing with the others, so the
     results are the same bits for any number of threads.
@@ -94,7 +94,7 @@ class MujocoSimulation:
     def randomize(self, env_id: int, factors: Factors) -> None:
         """Scale a copy of the nominal model for one simulation, which is to be reset next.
 
-        The arguments are those of `protocol.RandomizableSimulation.randomize`.
+        The arguments are those of `protocol.Simulation.randomize`.
         """
         if self._models[env_id] is self.scene.model:
             self._models[env_id] = copy(self.scene.model)

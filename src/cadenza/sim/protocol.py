@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,8 +83,20 @@ class State(NamedTuple):
         return State._make(values.copy() for values in self)
 
 
+class HeldControls(NamedTuple):
+    """Controls that are held at the beginning of a control step, until its own ones arrive."""
+
+    ctrl: Array
+    """(N, A) controls in actuator units."""
+    substeps: NDArray[np.intp]
+    """(N,) number of physics steps, fewer than a control step has."""
+
+
 class Simulation(Protocol):
-    """N simulations of one scene. Nothing in one depends on the others."""
+    """N simulations of one scene. Nothing in one depends on the others.
+
+    Without domain randomization nobody calls `randomize`, and `held` is left out.
+    """
 
     @property
     def state(self) -> State:
@@ -98,32 +110,6 @@ class Simulation(Protocol):
             hand_qpos: (len(env_ids), J) joint positions of the hands to start from [m, rad].
         """
 
-    def step(self, ctrl: Array, env_ids: Sequence[int] | None) -> None:
-        """Take one control step.
-
-        Args:
-            ctrl: (N, A) in actuator units, held through the step; one row for every simulation,
-                also for those not stepped.
-            env_ids: the simulations to step; all if None.
-        """
-
-    def close(self) -> None:
-        """Free threads and other resources; a later step starts them again."""
-
-
-class HeldControls(NamedTuple):
-    """Controls that are held at the beginning of a control step, until its own ones arrive."""
-
-    ctrl: Array
-    """(N, A) controls in actuator units."""
-    substeps: NDArray[np.intp]
-    """(N,) number of physics steps, fewer than a control step has."""
-
-
-@runtime_checkable
-class RandomizableSimulation(Simulation, Protocol):
-    """A simulation whose models may differ from each other, and whose controls may be late."""
-
     def randomize(self, env_id: int, factors: Factors) -> None:
         """Scale the nominal model of one simulation, which is to be reset next.
 
@@ -135,10 +121,17 @@ class RandomizableSimulation(Simulation, Protocol):
     def step(
         self, ctrl: Array, env_ids: Sequence[int] | None, held: HeldControls | None = None
     ) -> None:
-        """Take one control step, as `Simulation.step`, with controls that may arrive late.
+        """Take one control step.
 
-        Until `ctrl` arrives, the controls of `held` are applied.
+        Args:
+            ctrl: (N, A) in actuator units, held through the step; one row for every simulation,
+                also for those not stepped.
+            env_ids: the simulations to step; all if None.
+            held: the controls until these arrive, if they are late.
         """
+
+    def close(self) -> None:
+        """Free threads and other resources; a later step starts them again."""
 
 
 MakeSimulation = Callable[..., Simulation]

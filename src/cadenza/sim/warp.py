@@ -307,7 +307,7 @@ def _servo_velocities(model: mujoco.MjModel) -> NDArray[np.float32]:
 
 
 class WarpSimulation:
-    """N simulations on JAX's device; implements `protocol.RandomizableSimulation` with NumPy.
+    """N simulations on JAX's device; implements `protocol.Simulation` with NumPy.
 
     Each step copies its state to the host. What is to stay on the device calls `WarpPhysics`.
 

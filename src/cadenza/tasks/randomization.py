@@ -14,7 +14,7 @@ from cadenza.errors import CadenzaError
 from cadenza.scene.randomization import Factors, shapes, sliding
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
-from cadenza.sim.protocol import HeldControls, RandomizableSimulation, Simulation
+from cadenza.sim.protocol import HeldControls, Simulation
 from cadenza.tasks.config import SAME, DomainRandomization
 
 Array = NDArray[np.float64]
@@ -130,7 +130,7 @@ class Randomization:
             simulation: the physics of all environments.
 
         Raises:
-            CadenzaError: a range makes no sense, or the simulation cannot be randomized.
+            CadenzaError: a range makes no sense.
         """
         self._ranges = ranges = DrawRanges(config, scene, control_timestep)
         self._simulation = simulation
@@ -146,10 +146,6 @@ class Randomization:
             self._sent = np.zeros((num_envs, ranges.num_sent, len(scene.action_low)))
         self._offset = np.zeros((num_envs, len(ranges.observation_noise)))
         self._observation_rngs: dict[int, np.random.Generator] = {}
-        asked = [*ranges.shapes, *({LATENCY} & self.drawn.keys())]
-        if asked and not isinstance(simulation, RandomizableSimulation):
-            kind = type(simulation).__name__
-            raise CadenzaError(f"{_PREFIX}{asked[0]}: a {kind} cannot be randomized; leave it out")
 
     # At the beginning of episodes
 
@@ -174,7 +170,7 @@ class Randomization:
             if seed is None:
                 seed = self._ranges.config.seed
             factors = self._draw(env, int(rng.integers(MAX_COUNT)) if seed is None else seed)
-            if factors and isinstance(self._simulation, RandomizableSimulation):
+            if factors:
                 self._simulation.randomize(env, factors)
         if LATENCY in self.drawn:
             self._sent[list(env_ids), :, :-1] = self._ranges.resting_ctrl(start)[:, None]
@@ -211,7 +207,7 @@ class Randomization:
         env_ids = None if isinstance(moving, slice) else moving.tolist()
         if self._ranges.config.control_noise:
             ctrl = self._with_noise(ctrl, moving)
-        if LATENCY in self.drawn and isinstance(self._simulation, RandomizableSimulation):
+        if LATENCY in self.drawn:
             ctrl, held = self._arriving(ctrl, moving)
             self._simulation.step(ctrl[:, :-1], env_ids, held)
         else:
