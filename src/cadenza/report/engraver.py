@@ -1,4 +1,4 @@
-"""Engraves a score as a process of its own, so that nothing need wait for it.
+"""Engraving of a score by a process of its own, so that nothing need wait for it.
 
 `python -m cadenza.report.engraver` reads a score on stdin, as `WrittenScore` has it, and prints
 what `engraving_of` makes of it.
@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 from dataclasses import asdict
+from functools import lru_cache
 from tempfile import TemporaryFile
 
 from cadenza.files import parsed_json
@@ -19,13 +20,14 @@ from cadenza.music.score import Score
 from cadenza.report.engraving import engraving_of
 
 _NICENESS = 5  # behind what plays
+_MAX_KEPT = 4  # engravings
 
 
 class Engraver:
-    """Has a score engraved, which takes up to seconds."""
+    """The engraving of a score, which takes up to seconds."""
 
     def __init__(self, score: Score) -> None:
-        """Begins to engrave a score."""
+        """Begin to engrave a score."""
         self._output = TemporaryFile()  # noqa: SIM115  # closed with this
         command = [sys.executable, "-P", "-m", "cadenza.report.engraver"]
         with TemporaryFile() as file:
@@ -38,7 +40,7 @@ class Engraver:
         self._process.wait()
 
     def engraving(self, patience: float = 0.0) -> str | None:
-        """Returns the engraving; "" where there is none, None if not yet after `patience` [s]."""
+        """Return the engraving; "" where there is none, None if not yet after `patience` [s]."""
         try:
             failed = self._process.wait(patience) != 0
         except subprocess.TimeoutExpired:
@@ -47,8 +49,21 @@ class Engraver:
         return "" if failed else self._output.read().decode()
 
 
+@lru_cache(_MAX_KEPT)
+def engraving_within(patience: float, score: Score) -> str:
+    """Engraving of a score, see `Engraver`; the last ones are kept, as songs are played again.
+
+    Raises:
+        TimeoutError: it takes longer than `patience` [s].
+    """
+    engraving = Engraver(score).engraving(patience)
+    if engraving is None:
+        raise TimeoutError
+    return engraving
+
+
 def main() -> None:
-    """Engraves the score on stdin."""
+    """Engrave the score on stdin."""
     os.nice(_NICENESS)
     written = parsed_json(sys.stdin.buffer.read(), WrittenScore, "score")
     sys.stdout.write(engraving_of(written.score))

@@ -13,7 +13,7 @@ import numpy as np
 from cadenza.configs import flat
 from cadenza.episode import Episode
 from cadenza.music.score import Score
-from cadenza.report.engraver import Engraver
+from cadenza.report.engraver import engraving_within
 from cadenza.report.html_pages import render
 from cadenza.report.recording import recording_of
 from cadenza.report.sound import Samples, bit_rate_of, encode_opus
@@ -81,8 +81,10 @@ def performance_page(
     """
     metrics, remarks = _shown_metrics(episode, metrics), settings.get("remarks") or ()
     settings = {name: value for name, value in settings.items() if name != "remarks"}
-    engraving = Engraver(written).engraving(_PATIENCE) if written else ""
-    if engraving is None:
+    try:
+        engraving = engraving_within(_PATIENCE, written) if written else ""
+    except TimeoutError:
+        engraving = ""
         remarks = [*remarks, f"no sheet music here: engraving took over {_PATIENCE:g} s"]
     # At least as long as the episode: the page's clock is this sound.
     seconds = episode.num_steps * episode.dt
@@ -100,7 +102,7 @@ def performance_page(
         wanted_midi=wanted_midi,
         roll_description=_roll_description(episode),
         recording=recording_of(episode, written, misses, arrangement),
-        engraving=engraving or "",
+        engraving=engraving,
         has_expression=written is not None,
         sounds={"sound": sound} | ({"goal": goal_sound} if goal_sound else {}),
         styles=STYLES,
