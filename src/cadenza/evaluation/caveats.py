@@ -10,7 +10,7 @@ from cadenza.configs import flat
 from cadenza.evaluation.results import Result, Results
 from cadenza.files import plain
 from cadenza.music.arrangement import Arrangement
-from cadenza.report.charts import counted
+from cadenza.report.bench_summary import counted
 
 _VARIED = ("song", "song_digest", "seed", "agent")  # what differs among the runs of a bench
 _OWN = ("config", "agent_digest")  # what each agent has of its own

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cadenza.report.charts import fixed_number
-
 
 class Metric(NamedTuple):
     """A measure of every run."""
@@ -142,7 +140,7 @@ class BenchSummary:
 
 def metric_text(name: str, value: float) -> str:
     """Returns the value of one of `METRICS` as text; a dash if it is not known."""
-    return fixed_number(value, METRICS[name].decimals)
+    return "–" if math.isnan(value) else f"{value:z.{METRICS[name].decimals}f}".replace("-", "−")
 
 
 def interval_text(name: str, estimate: Estimate) -> str:
@@ -150,3 +148,8 @@ def interval_text(name: str, estimate: Estimate) -> str:
     if math.isnan(estimate.low):
         return ""
     return f"{metric_text(name, estimate.low)}–{metric_text(name, estimate.high)}"
+
+
+def counted(number: int, noun: str) -> str:
+    """Returns a number and its noun, such as "1 run" or "2,000 runs"."""
+    return f"{number:,} {noun}{'s'[: number != 1]}"

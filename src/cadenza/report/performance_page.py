@@ -24,8 +24,6 @@ SCRIPTS = (
     *("chart.js", "arrangement.js", "explanations.js", "roll.js", "rewards.js"),
     *("expression.js", "controls.js", "score.js", "page.js"),
 )
-LIBRARIES = "three.min.js", "uplot.min.js"
-"""Libraries of the page, of which the first is packed; assets are the same for all performances."""
 _HEADLINES = {
     "f1": ("F1", "The balance of precision and recall, 0 to 1. At 1 every key is right, always."),
     "precision": ("Precision", "Of the keys that sound, the share that should, 0 to 1."),

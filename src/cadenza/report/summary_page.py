@@ -16,10 +16,10 @@ from cadenza.report.bench_summary import (
     BenchSummary,
     Estimate,
     Piece,
+    counted,
     interval_text,
     metric_text,
 )
-from cadenza.report.charts import counted, duration_text
 from cadenza.report.html_pages import render, write_page
 
 _ABOUT = "Piece", "Library", "Difficulty", "Seconds", "Notes"  # columns of a table of pieces
@@ -56,7 +56,7 @@ def summary_page(
         title=summary.title,
         facts={
             "pieces": str(len(summary.pieces)),
-            "of music": duration_text(seconds),
+            "of music": f"{seconds / 60:.1f} min",
             "agents": str(len(summary.agents)),
             "seeds": ", ".join(map(str, seeds)) if len(seeds) <= _MAX_SEEDS else str(len(seeds)),
             "runs": str(len(summary.runs)),

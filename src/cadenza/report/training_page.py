@@ -5,21 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.report.charts import (
-    MAX_VALUE,
-    SCRIPTS,
-    STYLES,
-    Line,
-    LineChart,
-    Points,
-    line_chart,
-    line_style,
-)
 from cadenza.report.html_pages import render
 from cadenza.report.performance_page import settings_table
 
@@ -39,17 +29,37 @@ _OTHERS = {
     "train/learning_rate": "Learning rate",
 }
 """Columns -> titles of their charts, the small ones below the scores."""
-_UNITS: dict[str, Literal["number", "share", "log"]] = {
+_UNITS = {
     **dict.fromkeys((*_SCORES, "episodes/f1"), "share"),
     "train/critic_loss": "log",
     "train/value_loss": "log",
     "train/temperature": "log",
     "train/learning_rate": "log",
 }
-"""Columns -> what their axes measure, if not just numbers."""
+"""Columns -> what their axes measure, if not just numbers; a share is drawn from 0 to 1."""
+_MAX_VALUE = 1e30  # that is drawn: uPlot has no ticks beyond
+_NUM_COLOURS = 8  # that the style sheet has
+_DIGITS = 6  # significant, of a value that is drawn
 _MEAN = "mean"  # style and name of the line of all runs
 _MAX_POINTS = 1200  # of all runs together in a chart, so that the page stays small
 _MAX_LINE_POINTS = 200  # of a line: more cannot be seen
+
+
+class Points(NamedTuple):
+    """Points of a line, each (n,)."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+
+
+class LineChart(NamedTuple):
+    """A chart of lines as the template takes it."""
+
+    title: str
+    description: str
+    """A sentence that stands for the picture."""
+    data: dict[str, Any]
+    """The input of `curves.js`."""
 
 
 @dataclass(frozen=True)
@@ -96,13 +106,13 @@ def training_page(
             "evaluations": str(evaluations),
         },
         links=links,
-        legend_styles=[(style, name) for style, name, _ in _series(runs)] if several else [],
+        legend=[(style, name) for style, name, _ in _series(runs)] if several else [],
         scores=_charts(runs, _SCORES),
         others=_charts(runs, _OTHERS),
         settings=settings_table(settings),
         running=running,
-        styles=STYLES,
-        scripts=SCRIPTS,
+        styles=("uplot.min.css", "page.css", "chart.css", "training.css"),
+        scripts=("elements.js", "chart.js", "curves.js"),
     )
 
 
@@ -111,16 +121,23 @@ def _charts(runs: Sequence[Curve], titles: Mapping[str, str]) -> list[LineChart]
     charts = []
     for column, title in titles.items():
         unit = _UNITS.get(column, "number")
-        above = 1 / MAX_VALUE if unit == "log" else -MAX_VALUE
+        above = 1 / _MAX_VALUE if unit == "log" else -_MAX_VALUE
         if lines := _lines(runs, [_points(run, column, above) for run in runs]):
-            charts.append(line_chart(title, "control steps", _end(runs), lines, unit))
+            ends = (f"{line['name']} ends at {line['y'][-1]:.4g}" for line in lines)
+            description = f"{title} by control steps: {', '.join(ends)}"
+            data = {"end": _end(runs), "y": unit, "lines": lines}
+            charts.append(LineChart(title, description, data))
     return charts
+
+
+def _rounded(values: NDArray[np.float64]) -> list[float]:
+    return [float(f"{value:.{_DIGITS}g}") for value in values]
 
 
 def _end(runs: Sequence[Curve]) -> float:
     """Returns the step at which the longest of the runs ended, 1 where there is nothing yet."""
     ends = [row["step"] or 0 for run in runs for row in run.rows[-1:]]
-    return max((end for end in ends if end < MAX_VALUE), default=0) or 1
+    return max((end for end in ends if end < _MAX_VALUE), default=0) or 1
 
 
 def _tasks(runs: Sequence[Curve]) -> dict[str, list[int]]:
@@ -131,7 +148,7 @@ def _tasks(runs: Sequence[Curve]) -> dict[str, list[int]]:
     return tasks
 
 
-def _points(run: Curve, column: str, above: float = -MAX_VALUE) -> Points:
+def _points(run: Curve, column: str, above: float = -_MAX_VALUE) -> Points:
     """Returns the values of a column that can be drawn and lie `above`, by control steps."""
     known = [
         (row.get("eval_step", row["step"]), row[column])
@@ -139,7 +156,7 @@ def _points(run: Curve, column: str, above: float = -MAX_VALUE) -> Points:
         if row.get(column) is not None
     ]
     x, y = np.array(known, float).reshape(-1, 2).T
-    drawable = (y > above) & (y < MAX_VALUE) & (x < MAX_VALUE)
+    drawable = (y > above) & (y < _MAX_VALUE) & (x < _MAX_VALUE)
     return Points(x[drawable], y[drawable])
 
 
@@ -162,30 +179,39 @@ def _thinned(points: Points, runs: Sequence[Curve]) -> Points:
     return Points(*(np.add.reduceat(values, first) / size for values in points))
 
 
-def _lines(runs: Sequence[Curve], each: Sequence[Points]) -> list[Line]:
-    """Returns the lines of `_series`, but for a mean of fewer than two; none without any points."""
+def _lines(runs: Sequence[Curve], each: Sequence[Points]) -> list[dict[str, Any]]:
+    """Returns the lines of `_series` that have points, but for a mean of fewer than two runs."""
     num_known = sum(len(points.x) > 0 for points in each)
-    return [
+    lines = [
         _line(style, name, [each[i] for i in members], runs)
         for style, name, members in _series(runs)
-        if num_known > 1 or (num_known and style != _MEAN)
+        if num_known > 1 or style != _MEAN
     ]
+    return [line for line in lines if line["x"]]
 
 
-def _line(style: str, name: str, each: Sequence[Points], runs: Sequence[Curve]) -> Line:
+def _line(style: str, name: str, each: Sequence[Points], runs: Sequence[Curve]) -> dict[str, Any]:
     """Returns the mean of lines, for several of a task over a band from lowest to highest."""
     x, values = _resampled(each)
     mean, low, high = (
         _thinned(Points(x, y), runs) for y in (values.mean(0), values.min(0), values.max(0))
     )
-    return Line(style, name, mean, (low.y, high.y) if len(values) > 1 and style != _MEAN else None)
+    line = {"kind": style, "name": name, "x": _rounded(mean.x), "y": _rounded(mean.y)}
+    if len(values) > 1 and style != _MEAN:
+        line["band"] = [_rounded(low.y), _rounded(high.y)]
+    return line
 
 
 def _series(runs: Sequence[Curve]) -> list[tuple[str, str, list[int]]]:
     """Returns style, name and runs of each line: of a run each and of all, or of a task each."""
     tasks = _tasks(runs)
     if len(tasks) > 1:
-        return [(line_style(i), task, tasks[task]) for i, task in enumerate(tasks)]
+        return [(_style(i), task, tasks[task]) for i, task in enumerate(tasks)]
     numbers = list(range(len(runs)))
-    each = [(line_style(n), runs[n].name, [n]) for n in numbers]
+    each = [(_style(n), runs[n].name, [n]) for n in numbers]
     return each + [(_MEAN, _MEAN, numbers)] * (len(runs) > 1)
+
+
+def _style(number: int) -> str:
+    """Returns the class in the style sheet of the `number`th line, from 0 on."""
+    return f"run{number % _NUM_COLOURS}"

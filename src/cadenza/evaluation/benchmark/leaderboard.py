@@ -14,6 +14,7 @@ from typing import Any
 from unicodedata import normalize
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError, in_a_line, shortened
 from cadenza.evaluation.benchmark.entry import ENTRY, read_entry
@@ -21,7 +22,6 @@ from cadenza.evaluation.benchmark.verification import PlayedAgain, verify
 from cadenza.evaluation.statistics import bootstrap_interval, mean
 from cadenza.evaluation.tables import write_csv
 from cadenza.files import write_atomically
-from cadenza.report.charts import mean_of_known
 
 VERIFIED, UNVERIFIED, REFUSED = "verified", "unverified", "refused"
 _ORDER = (VERIFIED, UNVERIFIED, REFUSED)  # whatever is claimed, what holds stands above it
@@ -106,7 +106,7 @@ def means(played: PlayedAgain) -> Row:
     entry = played.entry
     songs = list(dict.fromkeys(run.song for run in entry.runs))
 
-    def scores(name: str) -> Any:
+    def scores(name: str) -> NDArray[np.float64]:
         """The values (seeds, songs) of a metric."""
         rows = [[played.metrics[song, seed][name] for song in songs] for seed in entry.seeds]
         return np.array(rows, np.float64)
@@ -119,10 +119,16 @@ def means(played: PlayedAgain) -> Row:
         "f1_low": low,
         "f1_high": high,
         **{n: float(mean(scores(n))) for n in _SHARES},
-        "onset_error_ms": _MS_PER_SECOND * mean_of_known(scores("onset_error_median").ravel()),
-        "velocity_error": mean_of_known(scores("velocity_error").ravel()),
+        "onset_error_ms": _MS_PER_SECOND * _mean_of_known(scores("onset_error_median")),
+        "velocity_error": _mean_of_known(scores("velocity_error")),
         "cpu_per_music": math.fsum(cpu) / played.seconds,
     }
+
+
+def _mean_of_known(values: NDArray[np.float64]) -> float:
+    """Returns the mean of the values (...) that are not NaN; NaN if all are."""
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if len(known) else math.nan
 
 
 def _without_formulas(row: Row) -> Row:

@@ -4,12 +4,7 @@ const css = (name) => getComputedStyle(document.documentElement).getPropertyValu
 const FONT = "12px system-ui, sans-serif";
 
 const rounds = (low, high) => Array.from({ length: high - low }, (_, i) => [1, 2, 5].map((n) => Number(`${n}e${low + i}`))).flat();
-const MINUTE = 60, HOUR = 3600; // [s]
-/** Distances between ticks, by what is measured. */
-const INCREMENTS = {
-  number: rounds(-31, 31),
-  seconds: [...rounds(-2, 1), 10, 20, ...[1, 2, 5, 10, 20, 30].map((n) => n * MINUTE), ...rounds(0, 25).map((n) => n * HOUR)],
-};
+const INCREMENTS = rounds(-31, 31); // distances between ticks
 
 const minus = (text) => text.replaceAll("-", "−").replace("e+", "e");
 
@@ -22,26 +17,16 @@ function inUnit(values, step) {
   return values.map((value) => (value ? minus(text(value)) : "0"));
 }
 
-function inTime(values, step) {
-  const [size, unit] = step >= HOUR / 2 ? [HOUR, "h"] : step >= MINUTE ? [MINUTE, "min"] : [1, "s"];
-  return values.map((value) => (value ? `${inWords(value / size)} ${unit}` : "0"));
-}
+const LABELS = { number: inUnit, log: (values) => values.flatMap((value) => inUnit([value], value)) };
 
-const LABELS = { number: inUnit, seconds: inTime, log: (values) => values.flatMap((value) => inUnit([value], value)) };
-
-/** Four digits of a number, or a time. */
-function inWords(value, kind = "number") {
-  if (kind === "seconds" && value >= 2 * MINUTE) {
-    const minutes = Math.round(value / MINUTE);
-    return minutes < 60 ? `${minutes} min` : `${Math.floor(minutes / 60).toLocaleString("en")} h ${minutes % 60} min`;
-  }
-  if (kind === "seconds") return `${Math.round(value)} s`;
+/** Four digits of a number. */
+function inWords(value) {
   const size = Math.abs(value);
   if (size && (size < 1e-3 || size >= 1e12)) return minus(String(Number(value.toPrecision(4)).toExponential()));
   return minus(value.toLocaleString("en", size < 1000 ? { maximumSignificantDigits: 4 } : { maximumFractionDigits: 0 }));
 }
 
-/** An axis of what is "number", "seconds" or "log". */
+/** An axis of what is "number" or "log". */
 const axis = (kind, more) => ({
   font: FONT,
   labelFont: FONT,
@@ -52,7 +37,7 @@ const axis = (kind, more) => ({
     filter: (chart, ticks, i, ...more) => chart.axes[i].filter(chart, ticks, i, ...more), // where there are labels
   },
   ticks: { show: false },
-  ...(kind === "log" ? {} : { incrs: INCREMENTS[kind] }),
+  ...(kind === "log" ? {} : { incrs: INCREMENTS }),
   values(chart, ticks, i, space, step) {
     const labels = LABELS[kind](ticks.filter((tick) => tick !== null), step);
     return ticks.map((tick) => (tick === null ? "" : labels.shift()));

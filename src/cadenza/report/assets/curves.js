@@ -1,5 +1,6 @@
-// Line charts, whose numbers charts.py leaves on a page.
+// Line charts, whose numbers training_page.py leaves on a page.
 
+const ALONG = "control steps";
 const DOTTED = 40; // lines of no more points than this show each of them
 
 /** What a line is worth at a place, between its points too; nothing beside them. */
@@ -12,10 +13,10 @@ function valueAt(x, y, index) {
 }
 
 /** Round numbers below and above, which uPlot's ranges of logarithmic axes go far beyond. */
-const roundly = (chart, low, high) => [INCREMENTS.number.findLast((n) => n < low), INCREMENTS.number.find((n) => n > high)];
+const roundly = (chart, low, high) => [INCREMENTS.findLast((n) => n < low), INCREMENTS.find((n) => n > high)];
 
 function drawCurves(element) {
-  const { along, end, y, lines } = JSON.parse(element.querySelector("script").textContent);
+  const { end, y, lines } = JSON.parse(element.querySelector("script").textContent);
   const tables = lines.map((line) => [line.x, line.y, ...(line.band ?? [])]);
   const bold = lines.some(({ kind }) => kind === "mean") ? "mean" : "run", series = [], bands = [];
   for (const { kind, name, y: { length }, band } of lines) {
@@ -42,10 +43,10 @@ function drawCurves(element) {
     },
     padding: [8, 20, 0, 0], // half of the last label
     axes: [
-      axis("number", { label: along, labelSize: 20, size: 24, space: 55 }),
+      axis("number", { label: ALONG, labelSize: 20, size: 24, space: 55 }),
       axis(y === "log" ? "log" : "number", { size: (chart, labels) => 4 + 8 * Math.max(6, ...(labels ?? []).map(({ length }) => length)), space: 22 }),
     ],
-    series: [{ label: along, value: (chart, value) => (value === null ? "" : inWords(value)) }, ...series],
+    series: [{ label: ALONG, value: (chart, value) => (value === null ? "" : inWords(value)) }, ...series],
     bands,
   }, uPlot.join(tables));
 }
