@@ -33,7 +33,6 @@ from cadenza.files import (
     content_of,
     folder_name,
     number_in,
-    opened_in_place,
     read_arrays,
     read_json,
     read_tensors,
@@ -130,18 +129,6 @@ def test_a_name_may_be_as_long_as_the_system_allows(tmp_path: Path, name: str) -
     with write_atomically(tmp_path / name) as file:
         file.write(b"long")
     assert (tmp_path / name).read_bytes() == b"long"
-
-
-def test_in_place_nothing_is_emptied_and_no_link_followed(tmp_path: Path) -> None:
-    path, link = tmp_path / "file", tmp_path / "link"
-    path.write_text("one\n")
-    link.symlink_to(path)
-    with opened_in_place(path) as file:
-        file.seek(0, os.SEEK_END)
-        file.write(b"two\n")
-    with pytest.raises(OSError, match="symbolic link"), opened_in_place(link):
-        pass
-    assert path.read_text() == "one\ntwo\n"
 
 
 # JSON

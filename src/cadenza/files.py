@@ -33,9 +33,6 @@ from cadenza.errors import CadenzaError, is_full, quoted, shortened
 T = TypeVar("T")
 
 TEMPORARY = ".cadenza-"  # what the name of a file begins with while it is written
-_FLAGS = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
-_WRITING = _FLAGS | getattr(os, "O_NOFOLLOW", 0)
-_READING = _FLAGS | getattr(os, "O_NONBLOCK", 0) | os.O_RDONLY
 MAX_JSON = 32 * 2**20
 """Bytes of a file that is read as a whole; a song of half a million notes takes as many."""
 TENSORS = ".safetensors"
@@ -57,11 +54,14 @@ def write_atomically(path: Path) -> Iterator[IO[bytes]]:
     path.parent.mkdir(parents=True, exist_ok=True)
     # Short, since the name of `path` may be as long as a name can be.
     temporary = path.parent / f"{TEMPORARY}{secrets.token_hex(8)}"
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _WRITING
     mode = _permissions(path)
-    try:
+
+    def create(name: str, flags: int) -> int:
         # Nobody may read it for a moment who may not read it afterwards.
-        with os.fdopen(os.open(temporary, flags, 0o666 if mode is None else mode), "wb") as file:
+        return os.open(name, flags, 0o666 if mode is None else mode)
+
+    try:
+        with open(temporary, "xb", opener=create) as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -110,18 +110,6 @@ def remove_half_written(folder: Path) -> None:
     for path in folder.glob(f"{TEMPORARY}*"):
         if path.is_file() or path.is_symlink():
             path.unlink(missing_ok=True)
-
-
-@contextmanager
-def opened_in_place(path: Path) -> Iterator[IO[bytes]]:
-    """Yield a file that keeps what it holds, made if need be, to be read and written anywhere.
-
-    Raises:
-        OSError: it is a symbolic link, among others.
-    """
-    handle = os.open(path, os.O_RDWR | os.O_CREAT | _WRITING, 0o666)
-    with os.fdopen(handle, "r+b") as file:
-        yield file
 
 
 @contextmanager
@@ -181,7 +169,8 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
     Raises:
         OSError: it cannot be opened, or is none.
     """
-    with open(path, "rb", opener=lambda name, _: os.open(name, _READING)) as file:
+    at_once = getattr(os, "O_NONBLOCK", 0)
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | at_once)) as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise OSError(errno.EINVAL, "no regular file", str(path))
         yield file

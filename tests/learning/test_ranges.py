@@ -14,7 +14,7 @@ from rl_examples import melody, reset
 from cadenza.agents.planner.plan.song_plan import plan_song
 from cadenza.learning.observation import GoalTable, Observer
 from cadenza.learning.ranges import ranges_of
-from cadenza.music.etudes import etude
+from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -98,7 +98,7 @@ def test_the_plan_of_a_hand_that_stays_near_its_rest_is_within_reach(drill: str)
     """Forearms are where fingers at rest, not stretched ones, are over their keys."""
     options = setup_named("mini-allegro")
     scene, config = SceneConfig(**options.of(SceneConfig)), TaskConfig(initial_buffer_time=0.5)
-    with closing(PianoTask([etude(f"etudes/{drill}")], config, scene)) as task:
+    with closing(PianoTask([load_score(f"etudes/{drill}")], config, scene)) as task:
         ranges = ranges_of(task)
         forearm = slides(task)[0]
         plan = plan_song(task.tracks[0], task.state.hand_qpos[0]).nominal.tracking[0][:, forearm]

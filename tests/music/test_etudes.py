@@ -12,10 +12,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
-from cadenza.music.etudes import KINDS, etude, etude_names, make_etude
+from cadenza.music.etudes import KINDS, etude_names, make_etude
 from cadenza.music.etudes.harmony import progression
 from cadenza.music.etudes.keys import Key
 from cadenza.music.goals import score_to_goals
+from cadenza.music.libraries.library import load_score
 from cadenza.music.score import PITCHES, Score
 from players import find_fingering
 
@@ -144,14 +145,14 @@ def test_what_cannot_be_made_is_said(kind: str, difficulty: int, seed: int, said
 
 
 def test_an_etude_has_a_name() -> None:
-    assert etude("etudes/broken-chords-3-7") == make_etude("broken-chords", 3, 7)
-    assert etude("Etudes/Scales-10-0") == make_etude("scales", 10, 0)
+    assert load_score("etudes/broken-chords-3-7") == make_etude("broken-chords", 3, 7)
+    assert load_score("etudes/Scales-10-0") == make_etude("scales", 10, 0)
 
 
 @pytest.mark.parametrize("name", ["etudes/scales-3", "scales-3-7", "etudes/waltz-3-7", "etudes/"])
 def test_other_names_are_refused(name: str) -> None:
     with pytest.raises(CadenzaError):
-        etude(name)
+        load_score(name)
 
 
 def test_names_are_spread_evenly_over_kinds_and_difficulties() -> None:

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from cadenza.errors import CadenzaError
-from cadenza.files import content_of, opened_in_place, parsed_json
+from cadenza.files import content_of, parsed_json
 
 _MAX_BYTES = 2**28  # half a million rows
 
@@ -29,8 +29,7 @@ class MetricsLog:
     def add(self, row: Mapping[str, float]) -> None:
         """Appends a row; a number that is not finite becomes null."""
         plain = {name: finite(value) for name, value in row.items()}
-        with opened_in_place(self._path) as file:
-            file.seek(0, os.SEEK_END)
+        with open(self._path, "ab") as file:
             file.write((json.dumps(plain) + "\n").encode())
             file.flush()
             os.fsync(file.fileno())  # a checkpoint counts on all rows before it
@@ -65,7 +64,7 @@ class MetricsLog:
         """Drops what was written after a checkpoint: all but whole rows within `size` bytes."""
         if not self._path.exists():
             return
-        with opened_in_place(self._path) as file:
+        with open(self._path, "r+b") as file:
             content = file.read(size)
             file.truncate(content.rfind(b"\n") + 1)
         if len(content) < size:

@@ -2,13 +2,12 @@
 
 from cadenza.music.etudes.band import Band, make_band, write_band
 from cadenza.music.etudes.drills import DRILLS
-from cadenza.music.etudes.library import KINDS, etude, etude_names, make_etude
+from cadenza.music.etudes.library import KINDS, etude_names, make_etude
 
 __all__ = [
     "DRILLS",
     "KINDS",
     "Band",
-    "etude",
     "etude_names",
     "make_band",
     "make_etude",

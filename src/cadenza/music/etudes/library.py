@@ -137,17 +137,6 @@ def band_name(seed: int) -> str:
     return f"{LIBRARY}/{BAND}-{seed}"
 
 
-def etude(name: str) -> Score:
-    """The etude with a name such as "etudes/scales-3-7", of difficulty 3 with seed 7.
-
-    "etudes/band-7" is the song for a band with seed 7, all tracks but the drums.
-
-    Raises:
-        CadenzaError: no etude is called so.
-    """
-    return etude_song(name).read((), False)
-
-
 def etude_names(count: int, seed: int = 0) -> list[str]:
     """Names of `count` etudes, spread evenly over kinds and difficulties in a random order.
 

@@ -2,8 +2,7 @@
 
 They are in the user's data folder, or in that which the environment variable CADENZA_DATA names.
 
-The index is written last, atomically, and says in which folder the files are. So a library is the
-old one or the new one, whenever an import is interrupted.
+An import fills a folder of another name, which takes the place of the library at last.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import re
 import secrets
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -21,14 +20,13 @@ from pathlib import Path
 from platformdirs import user_data_path
 
 from cadenza.errors import CadenzaError, in_a_line, is_full, quoted
-from cadenza.files import locked_file
+from cadenza.files import TEMPORARY, locked_file
 from cadenza.music.formats.reading import read_score
 from cadenza.music.libraries.index import INDEX, Facts, read_index, write_index
 from cadenza.music.libraries.songs import Library, Song
 from cadenza.music.score import Score
 
 _NAME = re.compile(r"\w[\w.-]{0,63}")
-_FILES = "files-"  # prefix of the name of the folder of files
 
 Progress = Callable[[int, int], None]
 """A function that an import calls with the number of pieces done and of all."""
@@ -99,7 +97,7 @@ class NewLibrary:
             "hands": _hands(score),
             "difficulty": None if self.grade is None else round(self.grade(score), 2),
         }
-        self.rows.append((f"{self.folder.name}/{file}", {**facts, **counted}))
+        self.rows.append((file, {**facts, **counted}))
 
     @contextmanager
     def leaving_out_what_is_wrong(self, file: object) -> Iterator[None]:
@@ -144,31 +142,20 @@ def new_library(
                 f"there is a library {name} already; import with --replace to replace it, or "
                 "choose another --name"
             )
-        library = NewLibrary(name, place / f"{_FILES}{secrets.token_hex(4)}", grade)
+        for unfinished in all_libraries.glob(f"{TEMPORARY}*"):
+            shutil.rmtree(unfinished, ignore_errors=True)
+        library = NewLibrary(name, all_libraries / f"{TEMPORARY}{secrets.token_hex(8)}", grade)
+        library.folder.mkdir()
         try:
-            library.folder.mkdir(parents=True)
             yield library
             if not library.rows:
                 first = "".join(library.left_out[:1])
                 raise CadenzaError(f"{name}: not one piece can be read; {first or 'none is there'}")
-            write_index(place / INDEX, library.rows)
-        except BaseException:
-            shutil.rmtree(library.folder, ignore_errors=True)
-            raise
+            write_index(library.folder / INDEX, library.rows)
+            shutil.rmtree(place, ignore_errors=True)
+            os.replace(library.folder, place)
         finally:
-            _tidy(place)
-
-
-def _tidy(place: Path) -> None:
-    """Remove files that the index does not name, and the folder of the library if it is empty."""
-    with suppress(CadenzaError):
-        index = read_index(place / INDEX) if os.path.isfile(place / INDEX) else {}
-        kept = {file.split("/")[0] for file in index}
-        for folder in place.glob(f"{_FILES}*"):
-            if folder.name not in kept:
-                shutil.rmtree(folder, ignore_errors=True)
-    with suppress(OSError):
-        place.rmdir()
+            shutil.rmtree(library.folder, ignore_errors=True)
 
 
 def _hands(score: Score) -> int | None:
