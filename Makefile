@@ -6,7 +6,7 @@ SONG ?= TwinkleTwinkleLittleStar
 # The shell takes it from its environment: make and the shell change nothing, whatever its characters.
 override export SONG := $(value SONG)
 
-.PHONY: play studio install test smoke test-ray check docs bench sb3 lock licences release-check clean
+.PHONY: play studio install test smoke test-ray check docs tables bench sb3 lock licences release-check clean
 .DEFAULT_GOAL := help
 
 .PHONY: help
@@ -19,6 +19,7 @@ help:
 	@echo "make test-ray  install Ray, and run the tests of clusters"
 	@echo "make check   lint, formatting, types"
 	@echo "make docs    the documentation as a site, with the reference"
+	@echo "make tables  write the tables of the documentation anew from docs/results"
 	@echo "make bench   measure speed, as ratios in one run"
 	@echo "make release-check  all that must hold before a release; half an hour, and needs uv"
 	@echo "make sb3     test the environments with Stable-Baselines3, which installs gigabytes"
@@ -84,6 +85,9 @@ $(PLAYED): docs/gallery.py $(shell find src/cadenza -type f -not -path '*/__pyca
 docs: $(ALL) $(PLAYED)
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/docs
 	@echo "open build/docs/index.html"
+
+tables: $(ALL)
+	$(BIN)/python tools/write_tables.py
 
 bench: $(ALL)
 	@test -x .venv-published/bin/python || tools/published_setup.sh .venv-published || echo "without the published environment to compare with"

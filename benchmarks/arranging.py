@@ -2,10 +2,9 @@
 
     python -m benchmarks.arranging [SONG ...] [--bands N] [--seed S] [--begin S] [--seconds S]
 
-Prints a table in Markdown, a row as soon as a song is done, and the means. SONG is a file or a
-name; `--bands` are so many songs for a band, made with the seeds S, S + 1 and so on, whose melody
-and bass are known; of others they are those that are found. The whole song is arranged, and an
-excerpt played.
+prints a table as CSV, a row as soon as a song is done. SONG is a file or a name; `--bands` is the
+number of songs for a band, made with the seeds S, S + 1 and so on, whose melody and bass are known;
+in other songs they are found first. The whole song is arranged, and an excerpt played.
 """
 
 from __future__ import annotations
@@ -35,8 +34,8 @@ from cadenza.scene.scene import build_scene
 
 IN_TIME = 0.08  # [s] within which a note of melody or bass counts as played
 COLUMNS = (
-    *("F1", "note onsets", "F1 of the original", "melody played", "bass played"),
-    *("pitch classes", "grade", "arranging [s]"),
+    *("f1", "note_onset_f1", "original_f1", "melody", "bass", "pitch_classes"),
+    *("grade", "cpu_seconds"),
 )
 
 
@@ -105,12 +104,11 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=15.0, help="of the excerpts [s]")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    print(f"| song | {' | '.join(COLUMNS)} |\n| --- |{' --- |' * len(COLUMNS)}")
-    rows = []
+    print("song", *COLUMNS, sep=",")
 
     def add(name: str, score: Score, melody: Sequence[Note], bass: Sequence[Note]) -> None:
-        rows.append(measure(score, melody, bass, options.begin, options.seconds))
-        _print(name, rows[-1])
+        row = measure(score, melody, bass, options.begin, options.seconds)
+        print(name, *(f"{value:.4f}" for value in row), sep=",", flush=True)
 
     for song in options.songs:
         score = load_score(song)
@@ -120,12 +118,6 @@ def main() -> None:
     for seed in range(options.seed, options.seed + (options.bands or 0)):
         band = make_band(seed)
         add(f"band-{seed}", band_score(band), band.notes("melody"), band.notes("bass"))
-    if rows:
-        _print("mean", np.mean(rows, axis=0).tolist())
-
-
-def _print(name: str, row: Sequence[float]) -> None:
-    print(f"| {name} | {' | '.join(f'{value:.3f}' for value in row)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.arguments import one_or_more, parser_for
-from benchmarks.table import write_table
 from cadenza.agents.playback import load_plan
 from cadenza.errors import CadenzaError, errors_in_a_line, extra_packages
+from cadenza.evaluation.tables import write_csv
 from cadenza.music.libraries.library import load_score
 
 with errors_in_a_line(), extra_packages("gpu", "this benchmark"):
@@ -132,7 +132,7 @@ def main() -> None:
     for row in measured(options.worlds, options.steps, options.minutes):
         rows.append(row)
         print(row, flush=True)
-        write_table(options.output, rows)
+        write_csv(options.output, rows)
     if rows:
         print_table(rows)
 

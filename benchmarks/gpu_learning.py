@@ -22,9 +22,9 @@ import numpy as np
 
 from benchmarks.arguments import one_or_more, parser_for
 from benchmarks.gpu import device_name, print_table
-from benchmarks.table import write_table
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import errors_in_a_line
+from cadenza.evaluation.tables import write_csv
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.policy_folder import LearntPolicy
 from cadenza.learning.run_folder import RunFolder
@@ -120,13 +120,13 @@ def main() -> None:
     config = configured(options.worlds, options.engine)
     row, _ = learn([load_score(SONG)], config, options.minutes, ENOUGH)
     rows = [row]
-    write_table(options.output, rows)
+    write_csv(options.output, rows)
     every = replace(config, prune_inputs=False)  # songs with other keys are played afterwards
     pieces = [load_score(piece.name) for piece in songs()]
     row, learnt = learn(pieces, every, options.minutes)
     unseen = [load_score(name) for name in UNSEEN]
     rows.append(row | {"unseen_f1": round(played(learnt, unseen), 4)})
-    write_table(options.output, rows)
+    write_csv(options.output, rows)
     print_table(rows)
 
 

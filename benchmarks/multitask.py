@@ -24,11 +24,11 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.arguments import one_or_more
-from benchmarks.table import write_table
 from cadenza.agents.rollout import play_episode
 from cadenza.cli import main as cadenza
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.statistics import mean_interval
+from cadenza.evaluation.tables import write_csv
 from cadenza.files import write_atomically
 from cadenza.learning.algorithms.cloning.config import CloningConfig
 from cadenza.learning.config import ImitationConfig
@@ -261,7 +261,7 @@ def main() -> None:
 
 def summed_up(folder: Path, rows: Sequence[dict[str, object]]) -> None:
     """Writes the table and the picture, and prints the means."""
-    write_table(folder / "multitask.csv", rows)
+    write_csv(folder / "multitask.csv", rows)
     found = means(rows)
     with write_atomically(folder / "multitask.svg") as file:
         file.write("\n".join(drawn(found)).encode())

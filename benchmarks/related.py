@@ -1,29 +1,26 @@
 """The robots before and ours, on the same few pieces: the tables of docs/related.md.
 
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.related [--settings NAME ...] [--seeds N]
-    python -m benchmarks.related --tables
 
-The first plays what is missing in docs/results/related.csv, a row for each performance, and the
-second prints that file as tables in Markdown. To measure a setting anew, delete its rows.
+plays what is missing in docs/results/related.csv, a row for each performance. To measure a setting
+anew, delete its rows. `make tables` then writes the tables.
 """
 
 from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from statistics import mean
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.arguments import one_or_more, parser_for
 from benchmarks.robustness import DISTURBANCES, Disturbance, disturbed_task
-from benchmarks.table import write_table
 from cadenza.agents.agent import Agent, Array
 from cadenza.agents.baselines.icp import ICP
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
@@ -33,6 +30,7 @@ from cadenza.agents.planner.planner import Planner
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import errors_in_a_line
+from cadenza.evaluation.tables import write_csv
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
@@ -58,8 +56,6 @@ NOTHING, _, SLIGHT, STRONG, MODEL = DISTURBANCES
 class Setting:
     """A robot at a piano, and who moves it."""
 
-    about: str
-    """The name of the setting in tables."""
     agent: Callable[[], Agent]
     scene: SceneConfig = field(default_factory=SceneConfig)
     task: TaskConfig = field(default_factory=with_time_to_begin)
@@ -72,25 +68,21 @@ def _nominal() -> Agent:
     return Planner(PlannerConfig(method="none"))
 
 
-def _icp(fingers: Literal["nearest", "found"]) -> Agent:
-    return ICP(ICPConfig(fingers))
-
-
 _ARM = setup_named("arm-allegro")
 ARMS = replace(SceneConfig(), **_ARM.of(SceneConfig))
 TIME = replace(with_time_to_begin(), **_ARM.of(TaskConfig))
 ALL = (NOTHING, SLIGHT, STRONG, MODEL)
 SETTINGS: dict[str, Setting] = {
-    "planner": Setting("planner", Planner, disturbances=ALL),
-    "planner-played-back": Setting(
-        "planner, played back", Planner, open_loop=True, disturbances=ALL
-    ),
-    "nominal": Setting("plan with feedback", _nominal, disturbances=ALL),
-    "nominal-played-back": Setting("plan, played back", _nominal, open_loop=True, disturbances=ALL),
-    "stitched": Setting("stitched motions", Stitched, disturbances=ALL),
-    "arm-icp": Setting("arms, nearest fingers", partial(_icp, "nearest"), ARMS, TIME),
-    "arm-search": Setting("arms, fingers by search", partial(_icp, "found"), ARMS, TIME),
-    "predictive-sampling": Setting("predictive sampling", PredictiveSampling),
+    "planner": Setting(Planner, disturbances=ALL),
+    "planner-played-back": Setting(Planner, open_loop=True, disturbances=ALL),
+    "nominal": Setting(_nominal, disturbances=ALL),
+    "nominal-played-back": Setting(_nominal, open_loop=True, disturbances=ALL),
+    "stitched": Setting(Stitched, disturbances=ALL),
+    "arm-icp": Setting(ICP, ARMS, TIME),
+    "arm-search": Setting(partial(ICP, ICPConfig("found")), ARMS, TIME),
+    "arm-unrehearsed": Setting(partial(ICP, ICPConfig(rehearse=False)), ARMS, TIME),
+    "arm-together": Setting(ICP, replace(ARMS, hands="both"), TIME),
+    "predictive-sampling": Setting(PredictiveSampling),
 }
 
 
@@ -164,62 +156,17 @@ def read() -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def _mean(table: Iterable[dict[str, str]], column: str) -> str:
-    values = [float(row[column]) for row in table]
-    return f"{mean(values):.3f}" if values else ""
-
-
-def _scores(table: Sequence[dict[str, str]]) -> str:
-    """F1 and note onset F1."""
-    return f"{_mean(table, 'f1')} · {_mean(table, 'note_onset_f1')}" if table else ""
-
-
-def tables(table: Sequence[dict[str, str]]) -> Iterator[str]:
-    """Yields the lines of two tables: each setting on each piece, and with each disturbance."""
-    names = [name for name in SETTINGS if any(row["setting"] == name for row in table)]
-    yield "| setting | " + " | ".join(PIECES) + " | F1 | note onsets | before it plays | in all |"
-    yield "| --- " * (len(PIECES) + 5) + "|"
-    for name in names:
-        if SETTINGS[name].open_loop:
-            continue  # the same as what was recorded
-        mine = [r for r in table if r["setting"] == name and r["disturbance"] == NOTHING.name]
-        cells = [_mean((r for r in mine if r["piece"] == piece), "f1") for piece in PIECES]
-        if all(cells):
-            cells += [_mean(mine, "f1"), _mean(mine, "note_onset_f1")]
-            cells += [_ratio(mine, "prepare_cpu_seconds"), _ratio(mine, "cpu_seconds")]
-        else:  # some pieces have been deleted to be measured anew
-            cells += [""] * 4
-        yield f"| {SETTINGS[name].about} | " + " | ".join(cells) + " |"
-    yield ""
-    yield "| setting | " + " | ".join(disturbance.name for disturbance in ALL) + " |"
-    yield "| --- " * (len(ALL) + 1) + "|"
-    for name in names:
-        if SETTINGS[name].disturbances == ALL:
-            mine = [r for r in table if r["setting"] == name]
-            cells = [_scores([r for r in mine if r["disturbance"] == t.name]) for t in ALL]
-            yield f"| {SETTINGS[name].about} | " + " | ".join(cells) + " |"
-
-
-def _ratio(table: Sequence[dict[str, str]], column: str) -> str:
-    music = sum(float(row["music_seconds"]) for row in table)
-    return f"{sum(float(row[column]) for row in table) / music:.2f}"
-
-
 @errors_in_a_line()
 def main() -> None:
-    """Measures what is missing, or prints what there is."""
+    """Measures what is missing."""
     parser = parser_for(__doc__)
     parser.add_argument("--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS))
     parser.add_argument("--seeds", type=one_or_more, default=2)
-    parser.add_argument("--tables", action="store_true", help="print what there is")
     options = parser.parse_args()
-    if options.tables:
-        print(*tables(read()), sep="\n")
-        return
     for name in options.settings:
         known = {tuple(r[column] for column in _OF_A_ROW) for r in read()}
         for row in rows(name, options.seeds, known):
-            write_table(RESULTS, [*read(), row])
+            write_csv(RESULTS, [*read(), row])
             print(
                 name, row["piece"], row["disturbance"], row["seed"], f"{row['f1']:.3f}", flush=True
             )

@@ -71,6 +71,14 @@ def test_the_picture_of_the_architecture_is_as_it_is_drawn() -> None:
     assert named == STANDS_ON.keys() - {"cli"}
 
 
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda page: page.stem)
+def test_tables_are_as_the_results_have_them(page: Path) -> None:
+    text = page.read_text()
+    tables = runpy.run_path(str(ROOT / "tools" / "write_tables.py"))
+    assert text.count("<!-- table: ") == len(tables["MARKED"].findall(text))
+    assert text == tables["written"](text), "make tables writes them anew"
+
+
 @pytest.mark.parametrize("name", cadenza.__all__)
 def test_every_public_name_says_what_it_is(name: str) -> None:
     value = getattr(cadenza, name)
