@@ -26,11 +26,11 @@ from cadenza.errors import CadenzaError
 from cadenza.evaluation.run_status import failure_recorded
 from cadenza.files import ANY, read_tensors, write_json, write_tensors
 from cadenza.keyboards.piano import PIANO
-from cadenza.music.expressive_metrics import expressive_metrics
 from cadenza.music.formats.fingering_file import read_fingering
 from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.goals import score_to_goals
 from cadenza.music.libraries.library import songs
+from cadenza.music.metrics import expressive_metrics
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene

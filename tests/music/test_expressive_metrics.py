@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cadenza.music.expressive_metrics import expressive_metrics
+from cadenza.music.metrics import expressive_metrics
 from cadenza.music.score import Note, Score
 
 TIMING = (

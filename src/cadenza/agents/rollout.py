@@ -17,7 +17,7 @@ from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.configs import MAX_SEED, whole_number
 from cadenza.episode import KEY_EVENTS, Episode
 from cadenza.errors import CadenzaError, by_others
-from cadenza.music.expressive_metrics import expressive_metrics
+from cadenza.music.metrics import expressive_metrics
 from cadenza.scene.drawing import body_poses, drawing
 from cadenza.sim.hands_apart import HandsApart
 from cadenza.sim.protocol import State
@@ -33,7 +33,7 @@ class EpisodeResult:
     episode: Episode
     metrics: dict[str, Any]
     """The metrics of `cadenza.music.metrics.playing_metrics` and those of
-    `cadenza.music.expressive_metrics.expressive_metrics`, None if not defined; `return` and
+    `cadenza.music.metrics.expressive_metrics`, None if not defined; `return` and
     ``reward/<term>`` summed over the episode; `rewarded_fingers`, see `GoalTrack`; `steps`,
     `planning_seconds` spent by the agent, from its reset on, `playing_seconds` by the simulation,
     and whether the simulation became `unstable`; `combined`, if each hand played alone."""

@@ -16,8 +16,7 @@ from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
 from cadenza.music.arrangement import HARDEST, Arrangement
 from cadenza.music.expression import performed_with_times
-from cadenza.music.expressive_metrics import expressive_metrics
-from cadenza.music.metrics import step_metrics
+from cadenza.music.metrics import expressive_metrics, step_metrics
 from cadenza.music.performance import played_in
 from cadenza.music.score import Note, Score
 from cadenza.performing.source import Source

@@ -23,7 +23,7 @@ from cadenza.scene.cameras import camera_on, eye_of
 from cadenza.scene.drawn_model import drawn_model
 from cadenza.scene.furniture import SLOPE, board_half_width, board_origin
 from cadenza.scene.scene import Scene
-from cadenza.sim.graphics import Canvas
+from cadenza.sim.render import Canvas
 
 # As pages colour them
 _HIT, _WRONG, _MISSED = (0.0, 0.62, 0.45), (0.84, 0.37, 0.0), (0.56, 0.42, 0.85)

@@ -9,18 +9,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.etudes.harmony import LEADING, TONIC, Triad, progression
-from cadenza.music.etudes.keys import STEPS
-from cadenza.music.etudes.sheet import EtudeSheet, Tone, pick
-from cadenza.music.etudes.voice_leading import (
+from cadenza.music.etudes.harmony import (
     FORBIDDEN,
+    LEADING,
+    TONIC,
     Costs,
     Pitches,
+    Triad,
     are_hidden,
     are_parallel,
     is_awkward_leap,
+    progression,
     random_costs,
 )
+from cadenza.music.etudes.keys import STEPS
+from cadenza.music.etudes.sheet import EtudeSheet, Tone, pick
 from cadenza.music.score import OCTAVE
 from cadenza.music.viterbi import cheapest_sequence
 

@@ -8,9 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from cadenza.music.etudes.keys import STEPS, Form
-from cadenza.music.etudes.sheet import PHRASE, EtudeSheet, Tone
-from cadenza.music.etudes.voice_leading import (
+from cadenza.music.etudes.harmony import (
     FORBIDDEN,
     Costs,
     Pitches,
@@ -21,6 +19,8 @@ from cadenza.music.etudes.voice_leading import (
     is_perfect,
     random_costs,
 )
+from cadenza.music.etudes.keys import STEPS, Form
+from cadenza.music.etudes.sheet import PHRASE, EtudeSheet, Tone
 from cadenza.music.viterbi import cheapest_sequence
 
 _RANGE = np.arange(-3, 6)  # degrees around the tonics on which both voices end

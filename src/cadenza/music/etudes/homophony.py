@@ -11,10 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from cadenza.fingers import Side
-from cadenza.music.etudes.harmony import Triad
+from cadenza.music.etudes.harmony import FORBIDDEN, Triad, random_costs
 from cadenza.music.etudes.keys import STEPS
 from cadenza.music.etudes.sheet import PHRASE, EtudeSheet, Tone, pick
-from cadenza.music.etudes.voice_leading import FORBIDDEN, random_costs
 from cadenza.music.score import LOWEST_PITCH, OCTAVE
 from cadenza.music.viterbi import cheapest_sequence
 

@@ -20,7 +20,6 @@ from cadenza.errors import CadenzaError, quoted
 from cadenza.music.etudes.band import band_score, make_band
 from cadenza.music.etudes.chorale import chorale
 from cadenza.music.etudes.counterpoint import counterpoint
-from cadenza.music.etudes.drills import DRILLS, drill
 from cadenza.music.etudes.homophony import (
     alberti,
     arpeggios,
@@ -30,7 +29,7 @@ from cadenza.music.etudes.homophony import (
     trills,
 )
 from cadenza.music.etudes.keys import random_key
-from cadenza.music.etudes.scales import hanon, scales
+from cadenza.music.etudes.scales import DRILLS, drill, hanon, scales
 from cadenza.music.etudes.sheet import EtudeSheet, Tone, pick
 from cadenza.music.libraries.songs import Library, Song
 from cadenza.music.score import Score

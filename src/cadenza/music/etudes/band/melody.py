@@ -17,8 +17,8 @@ from cadenza.music.etudes.band.chords import (
     one_at_a_time,
 )
 from cadenza.music.etudes.band.styles import tables
+from cadenza.music.etudes.harmony import FORBIDDEN, Costs, Pitches, random_costs
 from cadenza.music.etudes.sheet import Tone, pick
-from cadenza.music.etudes.voice_leading import FORBIDDEN, Costs, Pitches, random_costs
 from cadenza.music.score import OCTAVE
 from cadenza.music.viterbi import cheapest_sequence
 

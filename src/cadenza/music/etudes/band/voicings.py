@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.music.etudes.band.chords import SongChord
-from cadenza.music.etudes.voice_leading import Costs, are_parallel
+from cadenza.music.etudes.harmony import Costs, are_parallel
 from cadenza.music.score import OCTAVE
 from cadenza.music.viterbi import cheapest_sequence
 
