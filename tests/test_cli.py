@@ -480,6 +480,7 @@ def test_the_same_seed_plays_the_same(tune: Path, tmp_path: Path) -> None:
     folders = [tmp_path / name for name in ("a", "b", "c")]
     for folder, seed in zip(folders, ("7", "7", "8"), strict=True):
         options = ["--seed", seed, "--random-hand-position", "0.05", "--no-video"]
+        options += ["--planner.method", "none"]
         main(["play", str(tune), *options, "-o", str(folder)])
     a, b, c = (load_episode(folder / "episode.npz") for folder in folders)
     assert figures(folders[0]) == figures(folders[1])
@@ -891,6 +892,18 @@ ctypes.CDLL.__init__ = without_graphics
 """
 
 
+def without_graphics(backend: str, folder: Path, code: str, *arguments: object) -> str:
+    """What a process prints where neither EGL nor OSMesa is there."""
+    (folder / "sitecustomize.py").write_text(WITHOUT_GRAPHICS)
+    folders = [str(folder), os.environ.get("PYTHONPATH", "")]
+    env = {**os.environ, "MUJOCO_GL": backend, "PYTHONPATH": os.pathsep.join(folders)}
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    result = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert "Traceback" not in result.stderr
+    return result.stdout + result.stderr
+
+
 @pytest.mark.parametrize(
     ("backend", "message"),
     [
@@ -900,36 +913,24 @@ ctypes.CDLL.__init__ = without_graphics
         ("off", "disabled by MUJOCO_GL=off"),
     ],
 )
-def test_a_machine_that_cannot_draw_does_all_else(
-    backend: str, message: str, tune: Path, tmp_path: Path
-) -> None:
-    (tmp_path / "sitecustomize.py").write_text(WITHOUT_GRAPHICS)
-    folders = [str(tmp_path), os.environ.get("PYTHONPATH", "")]
-    env = {**os.environ, "MUJOCO_GL": backend, "PYTHONPATH": os.pathsep.join(folders)}
-
-    def said(*arguments: object) -> str:
-        command = [sys.executable, *map(str, arguments)]
-        result = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
-        assert result.returncode == 0, result.stderr
-        assert "Traceback" not in result.stderr
-        return result.stdout + result.stderr
-
-    assert message in said("-m", "cadenza", "info")
-    play = "-m", "cadenza", "play", tune, "--agent", "zero", "--video"
-    played = said(*play, "-o", tmp_path / "played")
-    (told,) = [line for line in played.splitlines() if line.startswith("no film: ")]
-    assert told.endswith((message, "unset it to render"))
-    code = "import cadenza, gymnasium as gym; gym.make('cadenza/OdeToJoy-v0').reset(seed=0)"
-    assert not said("-c", code)
+def test_info_says_why_a_machine_cannot_draw(backend: str, message: str, tmp_path: Path) -> None:
+    assert message in without_graphics(backend, tmp_path, f"{RUN}", "info")
 
 
-@pytest.mark.parametrize("flag", ["-O", "-OO"])
-def test_without_assertions_and_docstrings(flag: str, tune: Path, tmp_path: Path) -> None:
-    def said(*arguments: object) -> str:
-        command = [sys.executable, flag, "-m", "cadenza", *map(str, arguments)]
-        return subprocess.check_output(command, text=True)
+def test_a_machine_that_cannot_draw_does_all_else(tune: Path, tmp_path: Path) -> None:
+    make = "import gymnasium as gym; gym.make('cadenza/OdeToJoy-v0').reset(seed=0)"
+    play = "play", tune, "--agent", "zero", "--video", "-o", tmp_path / "played"
+    said = without_graphics("bogus", tmp_path, f"{RUN}; {make}", *play)
+    (told,) = [line for line in said.splitlines() if line.startswith("no film: ")]
+    assert told.endswith("install EGL or OSMesa, or unset MUJOCO_GL")
 
-    assert "F1 " in said("play", tune, *QUICK, "-o", tmp_path / "played")
-    assert "Fingering in" in said("plan", tune, "-o", tmp_path / "plan.safetensors")
-    assert "--seed" in said("play", "--help")
-    assert "practice" in said("--help")
+
+def test_without_assertions_and_docstrings(tune: Path, tmp_path: Path) -> None:
+    plan, played = tmp_path / "plan.safetensors", tmp_path / "played"
+    lines = (["play", tune, *QUICK, "-o", played], ["plan", tune, "-o", plan], ["play", "--help"])
+    words = [[str(word) for word in line] for line in lines]
+    code = f"from cadenza.cli import main\nfor line in {words}: main(line)"
+    said = subprocess.check_output([sys.executable, "-OO", "-c", code], text=True)
+    assert "F1 " in said
+    assert "Fingering in" in said
+    assert "--seed" in said
