@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cadenza.agents.agent import Agent, RandomAgent, ZeroAgent
+from cadenza.agents.agent import Agent, ZeroAgent
 from cadenza.agents.baselines.icp import ICP
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling, SamplingPlanner
 from cadenza.agents.baselines.stitched import Stitched
@@ -45,17 +45,11 @@ TUNE = Score(
 )
 CONFIG = TaskConfig(initial_buffer_time=0.3)
 ONE_CANDIDATE = PredictiveSamplingConfig(num_candidates=1)
+FEW_CANDIDATES = PredictiveSamplingConfig(num_candidates=3)
 STEPS = 19
 
-AGENTS: dict[str, Callable[[], Agent]] = {
-    "zero": ZeroAgent,
-    "random": RandomAgent,
-    "playback": lambda: Playback(np.random.default_rng(0).uniform(0, 0.1, (STEPS, 20))),
-    "planning": lambda: PredictiveSampling(PredictiveSamplingConfig(num_candidates=3)),
-}
-
 PLANNERS: tuple[Callable[[], Agent], ...] = (
-    AGENTS["planning"],
+    lambda: PredictiveSampling(FEW_CANDIDATES),
     lambda: ICP(ICPConfig(rehearse=False)),
     Stitched,
     Planner,
@@ -69,44 +63,6 @@ def right_hand() -> Scene:
 
 def perform(agent: Agent, scene: Scene, seed: int = 0, score: Score = TUNE) -> EpisodeResult:
     return play_episode(PianoTask([score], CONFIG, scene), agent, seed)
-
-
-def without_seconds(metrics: dict[str, float]) -> dict[str, float]:
-    return {name: value for name, value in metrics.items() if not name.endswith("_seconds")}
-
-
-@pytest.mark.parametrize("name", AGENTS)
-def test_same_seed_same_bits_for_any_number_of_threads(name: str, right_hand: Scene) -> None:
-    first, *others = [played_with(n, AGENTS[name](), right_hand) for n in (1, 1, 2, 5)]
-    for other in others:
-        assert first.episode.arrays.keys() == other.episode.arrays.keys()
-        for array in first.episode.arrays.keys() - {"metrics"}:
-            assert_array_equal(first.episode[array], other.episode[array], err_msg=array)
-        assert without_seconds(first.metrics) == without_seconds(other.metrics)
-
-
-def played_with(num_threads: int, agent: Agent, scene: Scene) -> EpisodeResult:
-    agent.num_threads = num_threads
-    return perform(agent, scene)
-
-
-@pytest.mark.parametrize("name", ["random", "planning"])
-def test_another_seed_plays_otherwise(name: str, right_hand: Scene) -> None:
-    a, b = (perform(AGENTS[name](), right_hand, seed) for seed in (0, 1))
-    assert (a.episode["action"] != b.episode["action"]).any()
-
-
-@pytest.mark.parametrize("name", AGENTS)
-@pytest.mark.parametrize("hands", ["both", "none"])
-def test_actions_keep_within_their_ranges(name: str, hands: Any) -> None:
-    scene = build_scene(SceneConfig(hands=hands))
-    agent = AGENTS[name]()
-    if name == "playback":
-        agent = Playback(np.zeros((STEPS, len(scene.action_low))))
-    action = perform(agent, scene).episode["action"]
-    assert action.shape == (STEPS, len(scene.action_low))
-    assert (action >= scene.action_low).all()
-    assert (action <= scene.action_high).all() or name == "playback"
 
 
 @pytest.mark.parametrize("planner", PLANNERS)
@@ -162,7 +118,7 @@ def test_a_plan_is_measured_by_the_goals_of_the_steps_in_which_it_is_carried_out
         return cost(planner, states, rows)
 
     monkeypatch.setattr(SamplingPlanner, "cost", watched)
-    perform(AGENTS["planning"](), right_hand)
+    perform(PredictiveSampling(FEW_CANDIDATES), right_hand)
     assert measured == [[step + k // 5 for k in range(20)] for step in range(STEPS)]
 
 
@@ -208,7 +164,7 @@ def test_a_plan_costs_the_same_alone_and_among_others(right_hand: Scene) -> None
 def test_planning_leaves_the_task_as_it_is(right_hand: Scene) -> None:
     task = PianoTask([TUNE], CONFIG, right_hand)
     task.reset([np.random.default_rng(0)], [0])
-    planner = AGENTS["planning"]()
+    planner = PredictiveSampling(FEW_CANDIDATES)
     planner.reset([0], [np.random.default_rng(0)])
     before = task.observation()
     planner.act(task.view())
@@ -235,7 +191,7 @@ def test_plans_for_a_song_without_fingering(right_hand: Scene) -> None:
 
 
 def test_the_record_of_an_episode(right_hand: Scene, tmp_path: Path) -> None:
-    performance = perform(AGENTS["planning"](), right_hand)
+    performance = perform(PredictiveSampling(FEW_CANDIDATES), right_hand)
     episode, metrics = performance.episode, performance.metrics
     assert (episode.song, episode.dt, episode.num_steps) == ("A tune", 0.05, STEPS)
     terms = {n: episode[f"reward_{n}"] for n in ("key_press", "fingering", "energy")}

@@ -9,7 +9,6 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from cadenza.agents.planner.config import ICPConfig
 from cadenza.agents.planner.plan.rest_poses import RestPoses, rest_posture
@@ -178,13 +177,6 @@ def replayed(side: str, actions: np.ndarray, task: TaskConfig) -> dict[str, np.n
     return {
         name: np.array([getattr(r, name)[0] for r in rows]) for name in ("key_qpos", "hand_qpos")
     }
-
-
-def test_in_gymnasium() -> None:
-    env = gymnasium.make("cadenza/Piano-v0", song=MELODY, setup="arm-allegro")
-    assert env.action_space.shape == (2 * 23 + 1,)
-    check_env(env.unwrapped, skip_render_check=True)
-    env.close()
 
 
 @pytest.mark.parametrize("side", ["right", "left"])

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.keyboards.piano import PIANO
@@ -133,10 +132,6 @@ def test_a_piano_that_plays_itself_shows_what_the_simulation_says() -> None:
     assert_allclose(observation[layout["key_velocity"]][C], PIANO.velocity(speed) / 127, rtol=1e-6)
     assert_allclose(info["reward/onset_timing"], in_time(onset), rtol=1e-9)
     assert_allclose(info["reward/loudness"], as_loud(PIANO.velocity(speed) - 80), rtol=1e-9)
-
-
-def test_gymnasium_checks_the_env() -> None:
-    check_env(gym.make(ID, song="OdeToJoy", **REWARDED).unwrapped, skip_render_check=True)
 
 
 def test_without_the_option_nothing_is_observed_or_rewarded_and_the_rest_is_the_same() -> None:

@@ -13,7 +13,6 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
@@ -354,10 +353,6 @@ def test_a_recorded_episode_plays_again_to_the_bit(tmp_path: Path) -> None:
     by_seed = TaskConfig(randomization=DomainRandomization(**EACH, seed=seed))
     start = play_episode(PianoTask([TUNE], by_seed), ZeroAgent(), 99).episode
     assert_array_equal(start["randomization_mass"], recorded["randomization_mass"])
-
-
-def test_gymnasium_checks_the_env() -> None:
-    check_env(gym.make(ID, song=TUNE, randomization=ALL).unwrapped, skip_render_check=True)
 
 
 def test_a_spec_has_it_as_a_dictionary_or_a_value() -> None:
