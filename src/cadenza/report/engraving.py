@@ -1,7 +1,7 @@
 """Engraved sheet music, as small drawings of one system each, whose notes are known by number.
 
 Verovio engraves. Of its drawings remain shapes, glyphs and texts: glyphs are shared by all systems,
-staff lines are joined, and only the groups of notes are kept, to be coloured.
+and only the groups of notes are kept, to be coloured.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from importlib import resources
-from itertools import groupby
 from pathlib import Path
 from xml.etree.ElementTree import Element, fromstring
 from xml.sax.saxutils import escape, quoteattr
@@ -148,9 +147,9 @@ class _Drawer:
         drawing = page.find(f"{_SVG}svg")
         assert drawing is not None
         width, height = (int(number) for number in drawing.get("viewBox", "").split()[2:])
-        shapes = _joined(self._shapes(drawing, outlines, ""))
+        shapes = "".join(self._shapes(drawing, outlines, ""))
         top, self._top = self._top, self._top + height + _MARGIN
-        return System(top, width, height, tuple(self._bars(drawing)), "".join(shapes))
+        return System(top, width, height, tuple(self._bars(drawing)), shapes)
 
     def _bars(self, drawing: Element) -> Iterator[EngravedBar]:
         for group in drawing.iter(f"{_SVG}g"):
@@ -178,7 +177,7 @@ class _Drawer:
             elif kind != "g":
                 yield _shape(kind, element)
             elif "note" in names and (number := _NOTE_ID.fullmatch(element.get("id", ""))):
-                within = "".join(_joined(self._shapes(element, outlines, style)))
+                within = "".join(self._shapes(element, outlines, style))
                 yield f'<g class="note" data-note="{number[1]}">{within}</g>'
             else:
                 known = next((_CLASSES[name] for name in names if name in _CLASSES), style)
@@ -220,30 +219,8 @@ class _Drawer:
 
 def _shape(kind: str, element: Element) -> str:
     drawn = {name: value for name, value in element.attrib.items() if name not in ("id", "class")}
-    if "d" in drawn:
-        drawn["d"] = _LINE.sub(_line, drawn["d"])
     attributes = "".join(f" {name}={quoteattr(value)}" for name, value in drawn.items())
     return f"<{kind}{attributes}/>"
-
-
-def _line(line: re.Match[str]) -> str:
-    left, top, right, bottom = line.groups()
-    end = f"H{right}" if top == bottom else f"V{bottom}" if left == right else f"L{right} {bottom}"
-    return f"M{left} {top}{end}"
-
-
-def _joined(shapes: Iterator[str]) -> Iterator[str]:
-    """Yields shapes, of which paths that are drawn alike and follow each other are one."""
-    for key, alike in groupby(shapes, key=_pen):
-        if key is None:
-            yield from alike
-        else:
-            yield f'<path d="{"".join(path.split(chr(34))[1] for path in alike)}"{key}'
-
-
-def _pen(shape: str) -> str | None:
-    """Returns what follows the outline of a path, and None for other shapes."""
-    return shape.split('"', 2)[2] if shape.startswith('<path d="') else None
 
 
 def write_svg(score: Score, path: str | Path) -> tuple[str, ...]:
