@@ -20,7 +20,7 @@ from typing import Any
 
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.caveats import usable
-from cadenza.evaluation.results import Result, Results, read_results
+from cadenza.evaluation.results import BenchResults, Result, read_results
 from cadenza.evaluation.summary import run_metrics, summarize
 from cadenza.evaluation.tables import write_csv
 from cadenza.files import content_of
@@ -35,7 +35,7 @@ Pieces = Mapping[str, Mapping[str, str]]
 """Name of a piece's file without its ending -> what the table says of it."""
 
 
-def titled(found: Results, pieces: Pieces) -> Results:
+def titled(found: BenchResults, pieces: Pieces) -> BenchResults:
     """The results with the titles and composers of their pieces.
 
     Raises:

@@ -19,7 +19,7 @@ import pytest
 from cadenza.cli import main
 from cadenza.evaluation.bench import BenchState
 from cadenza.evaluation.jobs import Job, JobSpec
-from cadenza.evaluation.results import Results, read_results
+from cadenza.evaluation.results import BenchResults, read_results
 from cadenza.evaluation.run_status import read_progress
 from cadenza.learning.config import preset
 from cadenza.learning.policy_folder import load_policy
@@ -86,7 +86,7 @@ def under_way(folder: Path, stage: str = "playing") -> list[int]:
     return [found.pid for found in at if found is not None and found.stage == stage]
 
 
-def in_short(results: Results) -> dict[str, object]:
+def in_short(results: BenchResults) -> dict[str, object]:
     """What is the same whenever and however often it is done."""
     return {
         result.folder.name: {n: v for n, v in result.metrics.items() if n not in CHANGES}

@@ -30,7 +30,7 @@ from cadenza.agents.planner.config import PlannerConfig, Refinement
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.results import read_results
 from cadenza.evaluation.summary import summarize
-from cadenza.fingering.difficulty import EASIEST, ODDS, Features, Model, features_of
+from cadenza.fingering.difficulty import EASIEST, ODDS, DifficultyModel, Features, features_of
 from cadenza.fingering.search import find_fingering
 from cadenza.music.libraries.library import load_score
 from cadenza.scene.scene import build_scene
@@ -110,7 +110,7 @@ def data_of(path: Path) -> tuple[Array, Array, list[str]]:
     return np.array(features), np.log(error / (1 - error)), [row["library"] for row in rows]
 
 
-def fitted_model(features: Array, errors: Array) -> Model:
+def fitted_model(features: Array, errors: Array) -> DifficultyModel:
     """Least squares with weights of zero or more."""
     x = np.log1p(features)
     scale = x.std(axis=0)
@@ -123,7 +123,7 @@ def fitted_model(features: Array, errors: Array) -> Model:
     easiest = np.log((1 - EASIEST_F1) / EASIEST_F1)
     grades = np.append(weights, constant - easiest) / np.log(ODDS)
     *per_feature, start = (round(float(grade), 1) for grade in grades)
-    return Model(round(EASIEST + start, 1), Features(*per_feature))
+    return DifficultyModel(round(EASIEST + start, 1), Features(*per_feature))
 
 
 def compare(bench: Path) -> None:

@@ -20,7 +20,7 @@ from cadenza.files import folder_name, write_json
 if TYPE_CHECKING:
     from cadenza.music.score import Score
     from cadenza.performing.setup import Selection
-    from cadenza.report.bench_summary import Run
+    from cadenza.report.bench_summary import RunSummary
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def compare(command: Compare, read: Read[Compare]) -> None:
         for name, own in commands.items()
         if (differing := _differing(own, command))
     ]
-    runs: list[Run] = []
+    runs: list[RunSummary] = []
     try:
         for name, seed in product(selections, dict.fromkeys(command.seeds)):
             runs.append(_run(name, selections[name], commands[name], seed, folder))
@@ -72,12 +72,12 @@ def compare(command: Compare, read: Read[Compare]) -> None:
             _write(folder, source.score, runs, remarks, command)
 
 
-def _run(name: str, selection: Selection, command: Compare, seed: int, folder: Path) -> Run:
+def _run(name: str, selection: Selection, command: Compare, seed: int, folder: Path) -> RunSummary:
     """Plays once, and leaves the performance in a folder of its own."""
     from cadenza.evaluation.results import PAGE, Timing
     from cadenza.evaluation.summary import run_metrics
     from cadenza.performing.performance import check_replaceable, perform
-    from cadenza.report.bench_summary import Run
+    from cadenza.report.bench_summary import RunSummary
 
     own = folder / folder_name(f"{name}--s{seed}")
     check_replaceable(own)
@@ -92,21 +92,21 @@ def _run(name: str, selection: Selection, command: Compare, seed: int, folder: P
             cpu_seconds=time.process_time() - cpu_before,
         )
         performance.save(own, progress)
-    return Run(0, name, seed, run_metrics(performance.metrics, timing), own / PAGE)
+    return RunSummary(0, name, seed, run_metrics(performance.metrics, timing), own / PAGE)
 
 
 def _write(
-    folder: Path, score: Score, runs: list[Run], remarks: list[str], command: Compare
+    folder: Path, score: Score, runs: list[RunSummary], remarks: list[str], command: Compare
 ) -> None:
     """Writes the files, and prints the table."""
     from cadenza.cli.results import in_text
     from cadenza.evaluation.summary import summary_of
-    from cadenza.report.bench_summary import Piece
+    from cadenza.report.bench_summary import PieceSummary
     from cadenza.report.html_pages import write_page
     from cadenza.report.summary_page import summary_page
 
     title = score.title or "Untitled"
-    piece = Piece(command.song, title, "", "", math.nan, score.total_time, len(score.notes))
+    piece = PieceSummary(command.song, title, "", "", math.nan, score.total_time, len(score.notes))
     summary = summary_of(title, [piece], runs, [(remark, ()) for remark in remarks])
     (group,) = summary.groups
     content = {

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from cadenza.configs import flat
-from cadenza.evaluation.results import Result, Results
+from cadenza.evaluation.results import BenchResults, Result
 from cadenza.files import plain
 from cadenza.music.arrangement import Arrangement
 from cadenza.report.bench_summary import counted
@@ -18,25 +18,25 @@ _MUSIC = {"arrangement": asdict(Arrangement()), "task": {"stretch": 1.0, "transp
 _AS_WRITTEN = dict(flat(plain(_MUSIC)))  # the options of a job with which a piece is not changed
 
 
-def usable(found: Results) -> list[Result]:
+def usable(bench: BenchResults) -> list[Result]:
     """Returns the results that can be summed up."""
-    return [result for result in found.results if _has_f1(result)]
+    return [result for result in bench.results if _has_f1(result)]
 
 
 def _has_f1(result: Result) -> bool:
     return isinstance(result.metrics.get("f1"), int | float)
 
 
-def caveats(found: Results) -> Iterator[tuple[str, list[str]]]:
+def caveats(bench: BenchResults) -> Iterator[tuple[str, list[str]]]:
     """Yields what to know before comparing runs: a line, and its cases."""
-    results = usable(found)
-    broken = [f"{run.name}: {run.reason}" for run in found.broken]
-    without = [run.folder.name for run in found.results if not _has_f1(run)]
+    results = usable(bench)
+    broken = [f"{run.name}: {run.reason}" for run in bench.broken]
+    without = [run.folder.name for run in bench.results if not _has_f1(run)]
     broken += [f"{name}: its result holds no F1" for name in without]
     if broken:
         yield f"{counted(len(broken), 'run')} cannot be read, and {_are(broken)} left out.", broken
-    if found.unfinished:
-        missing = [f"{run.name}: {run.reason}" for run in found.unfinished]
+    if bench.unfinished:
+        missing = [f"{run.name}: {run.reason}" for run in bench.unfinished]
         yield f"{counted(len(missing), 'run')} {_are(missing)} not finished.", missing
     if few := _with_fewer_runs(results):
         yield "Some agents have fewer runs.", few

@@ -49,7 +49,7 @@ class JobSpec:
     config: Any = None
     """The agent's options, a dataclass; a `TrainingConfig` for one that is trained first."""
     agent_digest: str = ""
-    """A hash of the files of a policy, or of those that options name."""
+    """A hash of the files of a policy, or of files that options name."""
 
     @property
     def training(self) -> TrainingConfig | None:

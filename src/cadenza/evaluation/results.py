@@ -91,7 +91,7 @@ class MissingRun:
 
 
 @dataclass(frozen=True)
-class Results:
+class BenchResults:
     """The runs of a folder, in the order of their names."""
 
     results: tuple[Result, ...]
@@ -115,13 +115,13 @@ class _Plan:
 
 
 def write_plan(folder: Path, command: str, jobs: Iterable[Job]) -> None:
-    """Keeps which runs were asked for, so that what is missing can be told."""
+    """Keeps which runs were asked for, so that missing runs can be named."""
     names = [job.spec.name for job in jobs]
     plan = {"format": FORMAT, "command": command, "runs": names}
     write_json(folder / PLANS / f"{key_of(names)}.json", plan)
 
 
-def read_results(folder: str | Path) -> Results:
+def read_results(folder: str | Path) -> BenchResults:
     """Reads all runs in the folder of a bench. What is corrupt is reported and left out.
 
     Raises:
@@ -142,7 +142,7 @@ def read_results(folder: str | Path) -> Results:
                 unfinished.append(MissingRun(name, failure(run) or "not finished"))
         except (CadenzaError, OSError) as error:
             broken.append(MissingRun(name, str(error)))
-    return Results(tuple(results), (*broken, *unreadable), tuple(unfinished))
+    return BenchResults(tuple(results), (*broken, *unreadable), tuple(unfinished))
 
 
 def _planned_runs(plans: Iterable[Path]) -> tuple[set[str], list[MissingRun]]:

@@ -84,7 +84,7 @@ def is_complete(job: Job, folder: Path) -> bool:
 
 
 def _add_page(folder: Path) -> None:
-    """Makes the page of a finished run; one of which none can be made keeps its result."""
+    """Makes the page of a finished run; where that fails, the run keeps its result."""
     try:
         add_page(folder, read_json(folder / _SCORE, WrittenScore).score)
     except Exception:
@@ -110,7 +110,7 @@ def _result(
     else:
         seconds, cpu_seconds = trained.seconds, None
     performance.save(folder, progress=progress, page=job.page)
-    if not job.page:  # of which one may be made later, without looking for fingers again
+    if not job.page:  # one may be made later, without looking for fingers again
         write_json(folder / _SCORE, asdict(WrittenScore.of(performance.fingered_goal)))
     return ResultFile(
         format=FORMAT,
@@ -145,8 +145,8 @@ def _train(
     run = RunFolder(folder)
     with claimed_cores(num_threads), run.locked():
         if not run.begun:
-            whole = spec.arrangement.score(spec.song)
-            run.begin(config, [spec.arrangement.written_for(config.scene.hands, whole)])
+            score = spec.arrangement.score(spec.song)
+            run.begin(config, [spec.arrangement.written_for(config.scene.hands, score)])
         config, scores = run.settings()
         with closing(Training(config, scores, run)) as training:
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.caveats import caveats, usable
-from cadenza.evaluation.results import PAGE, Result, Results, Timing
+from cadenza.evaluation.results import PAGE, BenchResults, Result, Timing
 from cadenza.evaluation.statistics import Scores, bootstrap_interval, mean, mean_interval
 from cadenza.report.bench_summary import (
     METRICS,
@@ -21,8 +21,8 @@ from cadenza.report.bench_summary import (
     BenchSummary,
     Estimate,
     Group,
-    Piece,
-    Run,
+    PieceSummary,
+    RunSummary,
 )
 
 _MS_PER_SECOND = 1000
@@ -33,24 +33,27 @@ Caveat = tuple[str, Sequence[str]]
 """A line, and its cases."""
 
 
-def summarize(found: Results, title: str) -> BenchSummary:
+def summarize(bench: BenchResults, title: str) -> BenchSummary:
     """Returns the summary of the runs of a bench.
 
     Raises:
         CadenzaError: there is none that can be summed up.
     """
-    results = usable(found)  # in the order of `BenchSummary.runs`
+    results = usable(bench)  # in the order of `BenchSummary.runs`
     if not results:
         raise CadenzaError(f"{title}: no run is finished; run cadenza bench first")
     pieces = {result.song.name: _piece(result) for result in results}
     index = {name: i for i, name in enumerate(pieces)}
     names = _agent_names([result.agent for result in results])
     runs = [_run(result, names, index[result.song.name]) for result in results]
-    return summary_of(title, list(pieces.values()), runs, list(caveats(found)))
+    return summary_of(title, list(pieces.values()), runs, list(caveats(bench)))
 
 
 def summary_of(
-    title: str, pieces: Sequence[Piece], runs: Sequence[Run], remarks: Sequence[Caveat] = ()
+    title: str,
+    pieces: Sequence[PieceSummary],
+    runs: Sequence[RunSummary],
+    remarks: Sequence[Caveat] = (),
 ) -> BenchSummary:
     """Returns the summary of one or more runs of these pieces."""
     of_agent = {
@@ -73,10 +76,10 @@ def summary_of(
     )
 
 
-def _piece(result: Result) -> Piece:
+def _piece(result: Result) -> PieceSummary:
     song = result.song
     library = song.library or "other pieces"
-    return Piece(
+    return PieceSummary(
         name=song.name,
         title=song.title or song.name,
         composer=song.composer,
@@ -96,9 +99,9 @@ def _agent_names(agents: Iterable[str]) -> dict[str, str]:
     return names
 
 
-def _run(result: Result, names: Mapping[str, str], piece: int) -> Run:
+def _run(result: Result, names: Mapping[str, str], piece: int) -> RunSummary:
     page = result.folder / PAGE
-    return Run(
+    return RunSummary(
         piece=piece,
         agent=names[result.agent],
         seed=result.seed,
@@ -127,7 +130,7 @@ def _number(value: Any) -> float:
 # Statistics
 
 
-def _scores(runs: Sequence[Run], metric: str, num_pieces: int) -> Scores:
+def _scores(runs: Sequence[RunSummary], metric: str, num_pieces: int) -> Scores:
     """Returns a metric of the runs of an agent (runs, pieces)."""
     by_piece: list[list[float]] = [[] for _ in range(num_pieces)]
     for run in runs:
@@ -154,7 +157,7 @@ def _by_piece(scores: AllScores, metric: str) -> Estimate:
     return Estimate(value, low.clip(0), high.clip(max=1 if metric in SHARES else None))
 
 
-def _groups(pieces: Sequence[Piece], scores: AllScores) -> Iterator[Group]:
+def _groups(pieces: Sequence[PieceSummary], scores: AllScores) -> Iterator[Group]:
     """Yields all pieces, those that all agents played if they are fewer, and several libraries."""
     libraries: dict[str, list[int]] = {}
     for i, piece in enumerate(pieces):

@@ -56,7 +56,7 @@ class Features:
 
 
 @dataclass(frozen=True)
-class Model:
+class DifficultyModel:
     """Grades: a constant, and a weight for the logarithm of 1 + each feature."""
 
     constant: float
@@ -68,7 +68,7 @@ class Model:
         return min(max(grade, float(EASIEST)), float(HARDEST))
 
 
-FITTED = Model(
+FITTED = DifficultyModel(
     constant=-0.7,
     weights=Features(
         notes=0.7,

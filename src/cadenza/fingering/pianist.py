@@ -8,7 +8,7 @@ rule 7. (He also counts distances in millimetres; here they are in semitones.) T
 taken from two open implementations, `dvdrndlph/pydactyl` and `vibetuned/counterpoint`, which agree
 but for one of them.
 
-The rules are for melodies, of which they look at one to three notes. Where a hand strikes several
+The rules are for melodies, and look at one to three notes. Where a hand strikes several
 keys at once, what they say of notes after each other is the mean over the notes of each moment, and
 they hold for spans between notes that sound together, too. Ours are the costs of what the rules
 exclude: a finger that goes to another key, spans that are not practical, and another finger on a
@@ -82,7 +82,7 @@ def pianist_fingering(
     fingers: list[Finger | None] = [None] * len(score.notes)
     moments = list(onsets(split, players.keyboard.lowest_pitch))
     for hand in range(len(SIDES)):
-        for stroke, index in _Hand(hand, players).fingers(moments):
+        for stroke, index in _HandSearch(hand, players).fingers(moments):
             for note in stroke.notes:
                 fingers[note] = Finger(hand, index)
     return score.with_fingers(fingers), dropped
@@ -117,7 +117,7 @@ class _Moment(NamedTuple):
         return max(self.strokes[i].end for i in self.struck)
 
 
-class _Hand:
+class _HandSearch:
     """The search for the fingers of the right hand, 0, or the left, 1."""
 
     def __init__(self, hand: int, players: Players) -> None:
@@ -129,8 +129,8 @@ class _Hand:
         self, moments: Iterable[tuple[float, list[Stroke]]]
     ) -> Iterator[tuple[Stroke, int]]:
         """Yields what this hand strikes at all moments, and the indices of the best fingers."""
-        found = list(self._moments(moments))
-        for moment, way in zip(found, _best_ways(found), strict=True):
+        own = list(self._moments(moments))
+        for moment, way in zip(own, _best_ways(own), strict=True):
             for i in moment.struck:
                 yield moment.strokes[i], int(moment.fingers[way, i])
 

@@ -109,7 +109,7 @@ class SoundingNotes:
         self._sets = _ONLY_EMPTY
 
     def advance(self, time: float, begin: Sequence[Stroke]) -> list[tuple[Stroke, str]]:
-        """Goes on to the moment at which others begin; returns those that are dropped, and why."""
+        """Goes on to the moment at which others begin; returns the dropped strokes, and why."""
         struck = {stroke.key for stroke in begin}
         for stroke in list(self.strokes):
             if stroke.end <= time + RELEASE_TIME or stroke.key in struck:
@@ -228,7 +228,7 @@ class _Limits:
         return sets
 
 
-_MAX_PLAYERS = 8  # of which limits are kept; a process rarely has more than one or two
+_MAX_PLAYERS = 8  # whose limits are kept; a process rarely has more than one or two
 _limits = lru_cache(_MAX_PLAYERS)(_Limits)
 
 

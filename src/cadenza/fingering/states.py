@@ -46,7 +46,7 @@ class FingerSets:
     first, second (P,)      the notes of each pair
     least, ease, most (S, P)    distances between the notes of each pair [m]
     longer, shorter (S, P)  from ease to most and to least [m]
-    played (S, P)           1 for pairs of which both notes are played, else 0
+    played (S, P)           1 for pairs whose notes are both played, else 0
     """
 
     fingers: NDArray[np.intp]
@@ -165,7 +165,7 @@ class StateSpace:
 
     def __init__(self, players: Players) -> None:
         self._players = players
-        self._hands = _Hand(players, 0), _Hand(players, 1)
+        self._hands = _HandSpace(players, 0), _HandSpace(players, 1)
         self.of = lru_cache(maxsize=512)(self._of)  # chords come again
 
     @property
@@ -205,7 +205,7 @@ class StateSpace:
         return _FOREARMS_NEAR * lacking**2 + INFEASIBLE * touch
 
 
-class _Hand:
+class _HandSpace:
     """The right hand, 0, or the left, 1.
 
     Attributes:

@@ -71,7 +71,7 @@ class Estimate(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Piece:
+class PieceSummary:
     """A piece that was played."""
 
     name: str
@@ -87,7 +87,7 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Run:
+class RunSummary:
     """The run of an agent with a seed at a piece."""
 
     piece: int
@@ -126,10 +126,10 @@ class BenchSummary:
     """Pieces, the agents that played them, and how well."""
 
     title: str
-    pieces: Sequence[Piece]
+    pieces: Sequence[PieceSummary]
     agents: Sequence[str]
     """Ordered by how many pieces they played, and then by how well."""
-    runs: Sequence[Run]
+    runs: Sequence[RunSummary]
     by_piece: Mapping[str, Estimate]
     """The mean over seeds of each of `METRICS`: arrays (agents, pieces), NaN without a run."""
     groups: Sequence[Group]

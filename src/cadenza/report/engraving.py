@@ -23,7 +23,7 @@ from cadenza.music.notation.sheet import Sheet, sheet_of
 from cadenza.music.score import Score
 from cadenza.report.html_pages import COMPACT, packed_text
 
-_WIDTH = 2600  # of a system, in Verovio's pixels, of which a staff is 72 high
+_WIDTH = 2600  # of a system, in Verovio's pixels: a staff is 72 high
 _MUSIC_FONT = "Leipzig"
 _MAX_PAGE_LENGTH = 60_000  # the greatest height of a page that Verovio takes
 _MARGIN = 400  # about the systems of a document and between them, in tenths of these
@@ -241,8 +241,8 @@ def write_svg(score: Score, path: str | Path) -> tuple[str, ...]:
 def engraving_of(score: Score) -> str:
     """Returns the engraved score that `score.js` reads, as `packed_text`; "" for no notation.
 
-    A score has notation if its bars are known, or if its onsets fit those that are estimated, as
-    those of performers do not. One of over 15,000 symbols is too long for a page.
+    A score has notation if its bars are known, or if its onsets fit the bars that are
+    estimated, as those of performers do not. One of over 15,000 symbols is too long for a page.
 
     Args:
         score: what is to be played, with its fingers, on the clock of the performance.

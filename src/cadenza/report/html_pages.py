@@ -1,7 +1,7 @@
 """Pages as HTML files that need neither a network nor a server, made from the files in `templates`.
 
 A page holds its style sheets, its scripts, the libraries that these use, and the data. The
-libraries are three.js for 3D (cut down to 570 kB) and uPlot for charts (50 kB), copies of which lie
+libraries are three.js for 3D (cut down to 570 kB) and uPlot for charts (50 kB), and lie as copies
 in `assets` because no Python package carries ones that serve: trimesh has three.js of 2022,
 meshcat, viser, pythreejs and k3d bring a web server or Jupyter, plotly, bokeh and altair bring
 megabytes.

@@ -50,7 +50,7 @@ def recording_of(
         if name.startswith("reward_")
     }
     played = played_in(episode)
-    wanted = written.until(episode.num_steps * episode.dt).notes if written else ()
+    target = written.until(episode.num_steps * episode.dt).notes if written else ()
     return {
         "dt": episode.dt,
         "steps": episode.num_steps,
@@ -64,11 +64,11 @@ def recording_of(
             [note.pitch - episode.lowest_pitch, note.start, note.end, note.velocity]
             for note in played.notes
         ],
-        "written": [[note.start, note.velocity] for note in wanted],
-        "fingers": finger_numbers(wanted, episode.lowest_pitch),
+        "written": [[note.start, note.velocity] for note in target],
+        "fingers": finger_numbers(target, episode.lowest_pitch),
         "onsetErrors": [
-            [note.start, round(_MS_PER_SECOND * (mine.start - note.start), 2)]
-            for note, mine in matched_notes(wanted, played.notes, SAME_NOTE)
+            [note.start, round(_MS_PER_SECOND * (own.start - note.start), 2)]
+            for note, own in matched_notes(target, played.notes, SAME_NOTE)
         ],
         "states": packed(verdict(episode["goal_keys"], episode["key_activation"])),
         "pedal": packed(verdict(episode["goal_sustain"], episode["sustain_activation"])),

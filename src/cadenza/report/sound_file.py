@@ -17,7 +17,7 @@ _MP3_RATE = 192_000  # bit/s
 def write_sound(path: Path, audio: Samples, seconds: float = 0.0) -> None:
     """Writes samples (n, 2) to a file of the kind that its name says, one of `CODECS`.
 
-    WAV and FLAC keep every bit. The file lasts so many seconds at least, the rest of them silent.
+    WAV and FLAC keep every bit. The file lasts at least `seconds`, with silence at its end.
 
     Raises:
         OSError: the file cannot be written.

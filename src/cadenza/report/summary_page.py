@@ -15,7 +15,7 @@ from cadenza.report.bench_summary import (
     METRICS,
     BenchSummary,
     Estimate,
-    Piece,
+    PieceSummary,
     counted,
     interval_text,
     metric_text,
@@ -75,7 +75,7 @@ def summary_page(
 
 def _rows(
     summary: BenchSummary, folder: Path
-) -> Iterator[tuple[Piece, str, list[tuple[int, str | None]], dict[str, Estimate]]]:
+) -> Iterator[tuple[PieceSummary, str, list[tuple[int, str | None]], dict[str, Estimate]]]:
     """Yields each piece and agent, the seeds and pages of its runs, and its means over them."""
     runs: dict[tuple[int, str], list[tuple[int, str | None]]] = {}
     for run in summary.runs:

@@ -135,9 +135,9 @@ def open_set(name: str) -> Library:
     if name in PUBLIC_SETS and is_imported(library):
         raise CadenzaError(f"set {name}: an imported library has its name; remove that library")
     songs = open_library(name)
-    if len(songs.songs) != (wanted := PAPER_SETS.get(name, len(songs.songs))):
+    if len(songs.songs) != (full := PAPER_SETS.get(name, len(songs.songs))):
         raise CadenzaError(
-            f"set {name}: has {len(songs.songs)} of {wanted} songs here; import the whole dataset"
+            f"set {name}: has {len(songs.songs)} of {full} songs here; import the whole dataset"
         )
     return songs
 
@@ -153,7 +153,7 @@ def set_up_song(song: Song) -> Iterator[Setup]:
         CadenzaError: it cannot be read, or is not the one that version 1 has frozen.
     """
     source = Source(song.name, song.load(), Arrangement())
-    task = replace(TASK, fingering="off")  # of which keys and metrics do not depend
+    task = replace(TASK, fingering="off")  # keys and metrics do not depend on it
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CadenzaWarning)  # on what cannot be played
         with set_up(Selection(source, "zero", ZeroAgent(), task=task, scene=SCENE)) as setup:

@@ -17,7 +17,13 @@ from cadenza.evaluation.benchmark.definition import (
     open_set,
     set_up_song,
 )
-from cadenza.evaluation.benchmark.entry import ENTRY, Entry, Run, actions_path, check_claims
+from cadenza.evaluation.benchmark.entry import (
+    ENTRY,
+    BenchmarkEntry,
+    EnteredRun,
+    actions_path,
+    check_claims,
+)
 from cadenza.evaluation.benchmark.verification import PlayedAgain, verify
 from cadenza.evaluation.results import Result, read_results
 from cadenza.files import checked, new_folder, write_json, write_tensors
@@ -46,7 +52,7 @@ def enter(
     Args:
         bench: the folder of the bench.
         folder: the folder of the entry, which is not there yet.
-        songs, track, about, by: see `Entry`.
+        songs, track, about, by: see `BenchmarkEntry`.
         agent: agent of the bench; by default the only one that played these songs.
         name: name of the row; by default that of the agent.
         progress: see `verify`.
@@ -60,7 +66,7 @@ def enter(
     first = results[0]
     hidden = first.job["task"]["fingering"] in _HIDES_FINGERS
     fingering: Literal["given", "none"] = "none"
-    runs = list[Run]()
+    runs = list[EnteredRun]()
     with new_folder(folder) as new:
         for song in library.songs:
             with set_up_song(song) as setup:
@@ -69,7 +75,7 @@ def enter(
                     fingering = "given"
             own = [result for result in results if result.song.name == song.name]
             runs += [_run(r, new, digest, spec.action_low, spec.action_high) for r in own]
-        entry = Entry(
+        entry = BenchmarkEntry(
             benchmark=VERSION,
             name=name or first.agent,
             by=by,
@@ -119,10 +125,10 @@ def _results(bench: Path, songs: set[str], agent: str | None) -> list[Result]:
 
 def _is_same(result: Result, other: Result, what: str) -> bool:
     """Whether two runs agree; what is trained on a song has its own seed and files."""
-    mine, theirs = result.job.get(what), other.job.get(what)
-    if result.training is not None and isinstance(mine, dict) and isinstance(theirs, dict):
-        return {**mine, "seed": None} == {**theirs, "seed": None}
-    return mine == theirs or result.agent == "pretrained"
+    own, others = result.job.get(what), other.job.get(what)
+    if result.training is not None and isinstance(own, dict) and isinstance(others, dict):
+        return {**own, "seed": None} == {**others, "seed": None}
+    return own == others or result.agent == "pretrained"
 
 
 def _check_task(result: Result) -> None:
@@ -144,11 +150,11 @@ def _check_task(result: Result) -> None:
             )
 
 
-def _run(result: Result, folder: Path, digest: str, low: Any, high: Any) -> Run:
-    """Writes the actions of a run; servos take no more than their range, whatever they are told."""
+def _run(result: Result, folder: Path, digest: str, low: Any, high: Any) -> EnteredRun:
+    """Writes the actions of a run; servos clip them to their range."""
     actions = load_plan(result.folder / "episode.npz").actions.clip(low, high)
     write_tensors(actions_path(folder, result.song.name, result.seed), {"action": actions})
-    return Run(
+    return EnteredRun(
         song=result.song.name,
         seed=result.seed,
         song_digest=digest,

@@ -25,7 +25,7 @@ _MAX_SECONDS = 1e12  # more than anybody has spent; sums of it are finite
 
 
 @dataclass(frozen=True)
-class Run:
+class EnteredRun:
     """A song that was played with a seed."""
 
     song: str
@@ -39,7 +39,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Entry:
+class BenchmarkEntry:
     """Content of entry.json. Nobody can check what it says of the agent."""
 
     benchmark: Literal[1]
@@ -61,34 +61,34 @@ class Entry:
     """Whether it could see the fingers that scores give."""
     versions: dict[str, str]
     """The versions of the packages with which it was recorded."""
-    runs: tuple[Run, ...]
+    runs: tuple[EnteredRun, ...]
 
     @property
     def seeds(self) -> list[int]:
         return sorted({run.seed for run in self.runs})
 
 
-def read_entry(folder: Path) -> Entry:
+def read_entry(folder: Path) -> BenchmarkEntry:
     """Reads what an entry says, which makes sense by itself.
 
     Raises:
         CadenzaError: its file is not there, is too large, or says something else.
     """
     path = folder / ENTRY
-    entry = parsed_json(content_of(path, _MAX_BYTES), Entry, path)
+    entry = parsed_json(content_of(path, _MAX_BYTES), BenchmarkEntry, path)
     with errors_in(path):
         check_claims(entry)
     return entry
 
 
-def check_claims(entry: Entry) -> None:
-    """Checks what an entry says, as far as that can be told before it is played.
+def check_claims(entry: BenchmarkEntry) -> None:
+    """Checks what an entry says, as far as that can be texts before it is played.
 
     Raises:
         CadenzaError: it claims what cannot be.
     """
-    told = {name: getattr(entry, name) for name in ("name", "by", "about", "agent", "songs")}
-    for what, text in (told | entry.versions).items():
+    texts = {name: getattr(entry, name) for name in ("name", "by", "about", "agent", "songs")}
+    for what, text in (texts | entry.versions).items():
         if not text.strip() or len(text) > _MAX_TEXT or not text.isprintable():
             raise CadenzaError(f"{shortened(what)}: give 1 to {_MAX_TEXT} characters on one line")
     track, songs, seeds = entry.track, entry.songs, entry.seeds
@@ -110,7 +110,7 @@ def check_claims(entry: Entry) -> None:
             raise CadenzaError(f"{shortened(run.song)}: its CPU time is not 0 to {_MAX_SECONDS:g}")
 
 
-def runs_by_song(entry: Entry) -> list[tuple[Song, list[Run]]]:
+def runs_by_song(entry: BenchmarkEntry) -> list[tuple[Song, list[EnteredRun]]]:
     """Every song of the set with its runs, one for each seed.
 
     Raises:
@@ -134,7 +134,7 @@ def actions_path(folder: Path, song: str, seed: int) -> Path:
     return folder / ACTIONS / f"{folder_name(song.replace('/', '-'))}--s{seed}{TENSORS}"
 
 
-def check_files(folder: Path, entry: Entry) -> None:
+def check_files(folder: Path, entry: BenchmarkEntry) -> None:
     """Checks that the folder of an entry holds all that it needs, and nothing else.
 
     Raises:

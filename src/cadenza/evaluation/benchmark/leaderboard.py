@@ -1,7 +1,6 @@
 """The table of entries, as CSV and in Markdown.
 
-Its metrics are those that were computed here, from the actions; those that entries claim are never
-shown.
+Its metrics are those that were computed here, from the actions; what entries claim is never shown.
 """
 
 from __future__ import annotations
@@ -49,18 +48,18 @@ Row = dict[str, Any]
 
 
 def entries_in(folders: Iterable[Path]) -> list[Path]:
-    """The folders that may be entries: those that are given, or the entries in them.
+    """The folders that may be entries: the given ones, or the entries in them.
 
     Raises:
         CadenzaError: one is no folder.
     """
-    found: list[Path] = []
+    entries: list[Path] = []
     for folder in folders:
         if not folder.is_dir():
             raise CadenzaError(f"{folder}: there is no such folder; give that of an entry")
         there = sorted(folder.glob(ENTRY)) or sorted(folder.glob(f"*/{ENTRY}"))
-        found += [path.parent for path in there] or [folder]
-    return list(dict.fromkeys(found))
+        entries += [path.parent for path in there] or [folder]
+    return list(dict.fromkeys(entries))
 
 
 def row_of(folder: Path) -> Row:
@@ -84,7 +83,7 @@ def row_of(folder: Path) -> Row:
 def write_leaderboard(folder: Path, rows: Sequence[Row]) -> list[Path]:
     """Writes leaderboard.csv and leaderboard.md; returns their paths.
 
-    Rows are ordered by set and track; then verified ones come first, those that cannot be played
+    Rows are ordered by set and track; then verified ones come first, refused ones
     last, and the best F1 of each kind first.
     """
     rows = sorted(
@@ -132,7 +131,7 @@ def _mean_of_known(values: NDArray[np.float64]) -> float:
 
 
 def _without_formulas(row: Row) -> Row:
-    """Returns a row of which no spreadsheet takes a text for a formula, nor splits it at `;`."""
+    """Returns a row whose texts no spreadsheet takes for formulas or splits at `;`."""
     return {name: _as_text(v) if isinstance(v, str) else v for name, v in row.items()}
 
 

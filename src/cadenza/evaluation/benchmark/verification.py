@@ -18,7 +18,7 @@ from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.benchmark.definition import METRICS, check_frozen, set_up_song
 from cadenza.evaluation.benchmark.entry import (
-    Entry,
+    BenchmarkEntry,
     Metrics,
     actions_path,
     check_files,
@@ -36,7 +36,7 @@ _HEADER = 4096  # bytes that a file of actions may take beside them
 class PlayedAgain:
     """An entry that was played again."""
 
-    entry: Entry
+    entry: BenchmarkEntry
     metrics: dict[tuple[str, int], Metrics]
     """The metrics of every run (song, seed), computed here."""
     seconds: float
@@ -70,13 +70,13 @@ def verify(folder: Path, progress: Progress = silent) -> PlayedAgain:
                         f"{where}: was recorded with other notes than the song has here ({digest})"
                     )
                 actions = _actions(actions_path(folder, run.song, run.seed), setup)
-                found = _played(actions, run.seed, setup, where)
-                metrics[run.song, run.seed] = found
+                computed = _played(actions, run.seed, setup, where)
+                metrics[run.song, run.seed] = computed
                 seconds += len(actions) * setup.task.config.control_timestep
                 differences += [
-                    f"{where}: {name} is {found[name]} here, not {run.metrics[name]}"
+                    f"{where}: {name} is {computed[name]} here, not {run.metrics[name]}"
                     for name in METRICS
-                    if found[name] != run.metrics[name]
+                    if computed[name] != run.metrics[name]
                 ]
                 progress(len(metrics), len(entry.runs))
     return PlayedAgain(entry, metrics, seconds, differences)

@@ -70,8 +70,8 @@ class RayExecutor:
         try:
             self._ray.get(place)
         except self._ray.exceptions.RayError as error:
-            said = str(error).strip().splitlines()[0]
-            return f"its process crashed on the cluster ({type(error).__name__}: {said})"
+            message = str(error).strip().splitlines()[0]
+            return f"its process crashed on the cluster ({type(error).__name__}: {message})"
         return ""
 
     def stop(self) -> None:
