@@ -6,8 +6,7 @@ import pytest
 
 from cadenza.errors import CadenzaError
 from cadenza.music.score import Note, Score
-from cadenza.report.sound import SAMPLE_RATE, synthesize
-from cadenza.report.sound_file import write_sound
+from cadenza.report.sound import SAMPLE_RATE, synthesize, write_sound
 from cadenza.report.sound_font import font_tone
 from sound_font import sine_font
 

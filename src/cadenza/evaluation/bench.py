@@ -39,16 +39,16 @@ class Executor(Protocol):
         """The number of runs at once."""
 
     def start(self, job: Job, folder: Path) -> None:
-        """Begins to carry out a job, as with `cadenza.evaluation.run.carry_out`."""
+        """Begin to carry out a job, as with `cadenza.evaluation.run.carry_out`."""
 
     def ended(self, seconds: float) -> list[Ended]:
-        """Waits at most so long [s] for runs to end, and returns those."""
+        """Wait for runs to end, at most for `seconds`, and return those."""
 
     def stop(self) -> None:
-        """Ends all runs under way so that they can be resumed."""
+        """End all runs under way so that they can be resumed."""
 
     def close(self) -> None:
-        """Frees all that it uses."""
+        """Free all that it uses."""
 
 
 @dataclass
@@ -85,7 +85,7 @@ def bench(
     retry: bool = False,
     is_complete: Callable[[Any, Path], bool] = is_complete,
 ) -> BenchState:
-    """Carries out what is not complete yet.
+    """Carry out what is not complete yet.
 
     Args:
         jobs: All runs that there are to be.
@@ -126,7 +126,7 @@ def bench(
 
 
 def _is_finished(state: BenchState, job: Job, crash: str = "") -> bool:
-    """Returns whether a run has ended well; a result of an earlier attempt may lack its page."""
+    """Return whether a run has ended well; a result of an earlier attempt may lack its page."""
     folder = state.folder / job.spec.name
     pageless = job.page and not crash and (folder / RESULT).exists()  # as none can be made of it
     ended = state.is_complete(job, folder) or pageless
@@ -146,7 +146,7 @@ def _has_failed(state: BenchState, job: Job) -> bool:
 
 
 def _process_ended(state: BenchState, job: Job, crash: str) -> bool:
-    """Records how a run ended; returns False where another process works on it."""
+    """Record how a run ended; return False where another process works on it."""
     name, folder = job.spec.name, state.folder / job.spec.name
     if _is_finished(state, job, crash):
         return True
@@ -166,7 +166,7 @@ def _process_ended(state: BenchState, job: Job, crash: str) -> bool:
 
 
 def _poll_elsewhere(state: BenchState, ended: Callable[[BenchState, Job], None]) -> None:
-    """Takes over runs that other processes have given up."""
+    """Take over runs that other processes have given up."""
     waiting, state.elsewhere = state.elsewhere, []
     for job in waiting:
         with folder_of(job, state.folder / job.spec.name).claimed() as ours:

@@ -19,7 +19,7 @@ _AS_WRITTEN = dict(flat(plain(_MUSIC)))  # the options of a job with which a pie
 
 
 def usable(bench: BenchResults) -> list[Result]:
-    """Returns the results that can be summed up."""
+    """Return the results that can be summed up."""
     return [result for result in bench.results if _has_f1(result)]
 
 
@@ -28,7 +28,7 @@ def _has_f1(result: Result) -> bool:
 
 
 def caveats(bench: BenchResults) -> Iterator[tuple[str, list[str]]]:
-    """Yields what to know before comparing runs: a line, and its cases."""
+    """Yield what to know before comparing runs: a line, and its cases."""
     results = usable(bench)
     broken = [f"{run.name}: {run.reason}" for run in bench.broken]
     without = [run.folder.name for run in bench.results if not _has_f1(run)]
@@ -47,7 +47,7 @@ def caveats(bench: BenchResults) -> Iterator[tuple[str, list[str]]]:
 
 
 def _differences(results: Sequence[Result]) -> Iterator[str]:
-    """Yields a line for each setting that differs among all runs, those of an agent or a piece."""
+    """Yield a line for each setting that differs among all runs, those of an agent or a piece."""
     yield from _differing([(result, _shared_settings(result)) for result in results])
     for agent, own in _by([(result.agent, result) for result in results]).items():
         yield from _differing([(r, _own_settings(r)) for r in own], f"{agent}: ")
@@ -56,7 +56,7 @@ def _differences(results: Sequence[Result]) -> Iterator[str]:
 
 
 def _by(pairs: Iterable[tuple[str, Result]]) -> dict[str, list[Result]]:
-    """Returns the results of each name."""
+    """Return the results of each name."""
     results: dict[str, list[Result]] = {}
     for name, result in pairs:
         results.setdefault(name, []).append(result)
@@ -84,7 +84,7 @@ def _notes_and_fingers(result: Result) -> dict[str, Any]:
 def _differing(
     settings: Sequence[tuple[Result, Mapping[str, Any]]], about: str = ""
 ) -> Iterator[str]:
-    """Yields a line for each name whose value is not the same in all runs, and who has which."""
+    """Yield a line for each name whose value is not the same in all runs, and who has which."""
     for name in dict.fromkeys(name for _, values in settings for name in values):
         by_value: dict[Any, list[str]] = {}
         for result, values in settings:
@@ -99,7 +99,7 @@ def _differing(
 
 
 def _not_as_written(results: Sequence[Result]) -> list[str]:
-    """Returns a line for each option that changes the music."""
+    """Return a line for each option that changes the music."""
     changes: dict[str, list[str]] = {}
     for result in results:
         settings = dict(flat(result.job))
@@ -113,7 +113,7 @@ def _not_as_written(results: Sequence[Result]) -> list[str]:
 
 
 def _with_fewer_runs(results: Sequence[Result]) -> list[str]:
-    """Returns a line for each agent that has fewer runs or pieces than others."""
+    """Return a line for each agent that has fewer runs or pieces than others."""
     songs: dict[str, list[str]] = {}
     for result in results:
         songs.setdefault(result.agent, []).append(result.song.name)

@@ -57,7 +57,7 @@ class JobSpec:
         return self.config if isinstance(self.config, TrainingConfig) else None
 
     def as_json(self) -> dict[str, Any]:
-        """Returns the same as JSON has it."""
+        """Return the same as JSON has it."""
         return plain(asdict(self))
 
     @cached_property
@@ -127,7 +127,7 @@ def bench_jobs(
     arrangement: Arrangement,
     pages: Pages = "first-seed",
 ) -> list[Job]:
-    """Returns all runs, each once: those of the first seed come first.
+    """Return all runs, each once: those of the first seed come first.
 
     Args:
         library: The songs that are played.
@@ -154,13 +154,13 @@ def bench_jobs(
 
 
 def key_of(content: Any) -> str:
-    """Returns the hash of what JSON has, such as `JobSpec.as_json`."""
+    """Return the hash of what JSON has, such as `JobSpec.as_json`."""
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:_HASH]
 
 
 def digest_of_files(*configs: Any) -> str:
-    """Returns a hash of the files that these options name; nothing if they name none.
+    """Return a hash of the files that these options name; nothing if they name none.
 
     Raises:
         CadenzaError: a file is not there, or cannot be read.
@@ -174,7 +174,7 @@ def _end_of(name: str) -> str:
 
 
 def songs_of(library: Library) -> list[tuple[SongFacts, str]]:
-    """Returns what the index says of each song, and the hash of what is played.
+    """Return what the index says of each song, and the hash of what is played.
 
     A song that cannot be read is left out, with a warning.
     """
@@ -194,7 +194,7 @@ def _facts(song: Song, library: Library) -> SongFacts:
 
 
 def song_digest(song: Song) -> str:
-    """Returns a hash of the song's files, so that many are planned in a moment, or of its notes.
+    """Return a hash of the song's files, so that many are planned in a moment, or of its notes.
 
     Raises:
         CadenzaError: a file cannot be read, or a song without one cannot be made.

@@ -115,14 +115,14 @@ class _Plan:
 
 
 def write_plan(folder: Path, command: str, jobs: Iterable[Job]) -> None:
-    """Keeps which runs were asked for, so that missing runs can be named."""
+    """Keep which runs were asked for, so that missing runs can be named."""
     names = [job.spec.name for job in jobs]
     plan = {"format": FORMAT, "command": command, "runs": names}
     write_json(folder / PLANS / f"{key_of(names)}.json", plan)
 
 
 def read_results(folder: str | Path) -> BenchResults:
-    """Reads all runs in the folder of a bench. What is corrupt is reported and left out.
+    """Read all runs in the folder of a bench. What is corrupt is reported and left out.
 
     Raises:
         CadenzaError: it is not the folder of a bench.
@@ -146,7 +146,7 @@ def read_results(folder: str | Path) -> BenchResults:
 
 
 def _planned_runs(plans: Iterable[Path]) -> tuple[set[str], list[MissingRun]]:
-    """Returns names of runs, and plans that cannot be read."""
+    """Return names of runs, and plans that cannot be read."""
     names, unreadable = set[str](), list[MissingRun]()
     for path in plans:
         try:
@@ -157,7 +157,7 @@ def _planned_runs(plans: Iterable[Path]) -> tuple[set[str], list[MissingRun]]:
 
 
 def read_result(run: Path) -> Result:
-    """Returns the result of a run that is finished.
+    """Return the result of a run that is finished.
 
     Raises:
         CadenzaError, OSError: it is not finished, or its result cannot be read, or belongs to
@@ -175,7 +175,7 @@ def read_result(run: Path) -> Result:
 
 
 def is_finished(run: Path) -> bool:
-    """Returns whether there is a result that can be read; a damaged one is to be made again."""
+    """Return whether there is a result that can be read; a damaged one is to be made again."""
     if not (run / RESULT).exists():
         return False
     try:
@@ -186,7 +186,7 @@ def is_finished(run: Path) -> bool:
 
 
 def failure(run: Path) -> str | None:
-    """Returns why a run has failed, in a line; None if it has not.
+    """Return why a run has failed, in a line; None if it has not.
 
     Raises:
         CadenzaError, OSError: the reason cannot be read.

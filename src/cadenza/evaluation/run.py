@@ -54,7 +54,7 @@ _SCORE = "score.json"
 def carry_out(
     job: Job, folder: Path, num_threads: int, stop: Callable[[], bool] = lambda: False
 ) -> None:
-    """Leaves a result, or why there is none, in `folder`, unless another process works on it.
+    """Leave a result, or why there is none, in `folder`, unless another process works on it.
 
     Of a run that is finished, leaves the page if one is wanted.
 
@@ -79,12 +79,12 @@ def carry_out(
 
 
 def is_complete(job: Job, folder: Path) -> bool:
-    """Returns whether the run is finished, and has the page that is wanted."""
+    """Return whether the run is finished, and has the page that is wanted."""
     return is_finished(folder) and (not job.page or (folder / PAGE).exists())
 
 
 def _add_page(folder: Path) -> None:
-    """Makes the page of a finished run; where that fails, the run keeps its result."""
+    """Make the page of a finished run; where that fails, the run keeps its result."""
     try:
         add_page(folder, read_json(folder / _SCORE, WrittenScore).score)
     except Exception:
@@ -94,7 +94,7 @@ def _add_page(folder: Path) -> None:
 def _result(
     job: Job, folder: Path, num_threads: int, stop: Callable[[], bool]
 ) -> ResultFile | None:
-    """Plays, and trains before it if asked to; returns None where it is stopped."""
+    """Play, after training if asked to; return None where it is stopped."""
     spec, progress = job.spec, progress_writer(folder)
     progress("beginning", 0, 0)
     check_song(spec)
@@ -124,7 +124,7 @@ def _result(
 
 
 def _selection(spec: JobSpec, folder: Path, num_threads: int | None = None) -> Selection:
-    """Returns the song of a run, and who plays it: where it trains, what was learnt."""
+    """Return the song of a run, and who plays it: where it trains, what was learnt."""
     agent = spec.agent if spec.training is None else str(folder / "training" / "best")
     configs = {} if spec.training is not None else {spec.agent: spec.config}
     selection = select(spec.song, agent, arrangement=spec.arrangement, configs=configs)
@@ -139,7 +139,7 @@ def _train(
     progress: Progress,
     stop: Callable[[], bool],
 ) -> Trained | None:
-    """Trains a policy or resumes its training; returns None where it is stopped before the end."""
+    """Train a policy, or resume its training; return None where it is stopped before the end."""
     from cadenza.learning.training import Training  # heavy
 
     run = RunFolder(folder)

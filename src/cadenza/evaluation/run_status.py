@@ -43,13 +43,13 @@ class RunProgress:
 
 
 def folder_of(job: Job, path: Path) -> ResumableFolder:
-    """Returns the folder of a run, whose name has the hash of what its manifest says."""
+    """Return the folder of a run, whose name has the hash of what its manifest says."""
     return ResumableFolder(path, job.command, "another process carries it out", "job.json")
 
 
 @contextmanager
 def claimed_run(job: Job, path: Path, is_complete: Callable[[], bool]) -> Iterator[bool]:
-    """Yields whether this process is to carry out a run, whose output goes to its log meanwhile.
+    """Yield whether this process is to carry out a run, whose output goes to its log meanwhile.
 
     It is not to where another process does, or where the run `is_complete`.
     """
@@ -67,7 +67,7 @@ def claimed_run(job: Job, path: Path, is_complete: Callable[[], bool]) -> Iterat
 
 @contextmanager
 def failure_recorded(path: Path) -> Iterator[None]:
-    """Records an error of the block as the reason why the run has no result."""
+    """Record an error of the block as the reason why the run has no result."""
     try:
         yield
     except Exception as error:
@@ -76,12 +76,12 @@ def failure_recorded(path: Path) -> Iterator[None]:
 
 
 def write_failure(folder: Path, error: str) -> None:
-    """Records why the run has no result."""
+    """Record why the run has no result."""
     write_json(folder / FAILED, {"format": FORMAT, "error": error})
 
 
 def read_progress(folder: Path) -> RunProgress | None:
-    """Returns how far the run is; None if that cannot be read now."""
+    """Return how far the run is; None if that cannot be read now."""
     with suppress(CadenzaError):
         return read_json(folder / _PROGRESS, RunProgress)
     return None
@@ -89,7 +89,7 @@ def read_progress(folder: Path) -> RunProgress | None:
 
 @contextmanager
 def _output_to(path: Path) -> Iterator[None]:
-    """Appends the output of this process and its libraries in the block to a file."""
+    """Append the output of this process and its libraries in the block to a file."""
     streams = sys.stdout, sys.stderr
     kept = [os.dup(fd) for fd in (1, 2)]
     try:
@@ -106,7 +106,7 @@ def _output_to(path: Path) -> Iterator[None]:
 
 
 def progress_writer(folder: Path) -> Progress:
-    """Returns what writes how far the run is, now and then, for whoever watches."""
+    """Return what writes how far the run is, now and then, for whoever watches."""
     last = -_PROGRESS_INTERVAL
 
     def write(stage: str, done: int, total: int) -> None:
@@ -121,7 +121,7 @@ def progress_writer(folder: Path) -> Progress:
 
 
 def check_song(spec: JobSpec) -> None:
-    """Compares the song with the one that was planned.
+    """Compare the song with the one that was planned.
 
     Raises:
         CadenzaError: it has changed since.
@@ -134,6 +134,6 @@ def check_song(spec: JobSpec) -> None:
 
 
 def versions() -> dict[str, str]:
-    """Returns the versions of the programs that a result depends on."""
+    """Return the versions of the programs that a result depends on."""
     python = {"python": platform.python_version(), "platform": platform.platform()}
     return python | installed_versions(_VERSIONS)

@@ -21,7 +21,7 @@ _SEED = 0  # of the bootstrap: the same runs have the same intervals
 
 
 def mean(scores: Scores) -> Scores:
-    """Returns the mean over pieces (...) of the mean over the runs of each.
+    """Return the mean over pieces (...) of the mean over the runs of each.
 
     Resampled scores (..., runs, pieces) all have the same NaN.
     """
@@ -29,7 +29,7 @@ def mean(scores: Scores) -> Scores:
 
 
 def bootstrap_interval(scores: Scores) -> tuple[float, float]:
-    """Returns both ends of the interval of the `mean` of scores (runs, pieces).
+    """Return both ends of the interval of the `mean` of scores (runs, pieces).
 
     It is the stratified percentile bootstrap of section 4.1: the runs of each piece are drawn anew
     from these runs, with replacement, as many as there are. It tells how much the mean owes to the
@@ -45,13 +45,13 @@ def bootstrap_interval(scores: Scores) -> tuple[float, float]:
 
 
 def _differ(scores: Scores) -> NDArray[np.bool_]:
-    """Returns whether some run of a piece differs from another (pieces,)."""
+    """Return whether some run of a piece differs from another (pieces,)."""
     least = np.fmin.reduce(scores, axis=0, initial=np.inf)
     return np.asarray(np.fmax.reduce(scores, axis=0, initial=-np.inf) > least)
 
 
 def _resampled(scores: Scores, rng: np.random.Generator) -> Scores:
-    """Draws scores anew (RESAMPLES, runs, pieces)."""
+    """Draw scores anew (RESAMPLES, runs, pieces)."""
     there = ~np.isnan(scores)
     first = np.argsort(~there, axis=0, kind="stable")  # the runs that there are
     drawn = rng.integers(np.maximum(there.sum(axis=0), 1), size=(RESAMPLES, *scores.shape))
@@ -60,7 +60,7 @@ def _resampled(scores: Scores, rng: np.random.Generator) -> Scores:
 
 
 def mean_interval(scores: Scores) -> tuple[Scores, Scores, Scores]:
-    """Returns the mean of each piece over its runs, and both ends of its interval; each (pieces,).
+    """Return the mean of each piece over its runs, and both ends of its interval; each (pieces,).
 
     Student's t interval, `mean -+ t s / sqrt(n)` with n - 1 degrees of freedom, because a bootstrap
     of few runs is too narrow. NaN from and to for a piece with a single run, or whose runs are all

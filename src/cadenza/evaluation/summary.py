@@ -34,7 +34,7 @@ Caveat = tuple[str, Sequence[str]]
 
 
 def summarize(bench: BenchResults, title: str) -> BenchSummary:
-    """Returns the summary of the runs of a bench.
+    """Return the summary of the runs of a bench.
 
     Raises:
         CadenzaError: there is none that can be summed up.
@@ -55,7 +55,7 @@ def summary_of(
     runs: Sequence[RunSummary],
     remarks: Sequence[Caveat] = (),
 ) -> BenchSummary:
-    """Returns the summary of one or more runs of these pieces."""
+    """Return the summary of one or more runs of these pieces."""
     of_agent = {
         agent: {
             name: _scores([r for r in runs if r.agent == agent], name, len(pieces))
@@ -91,7 +91,7 @@ def _piece(result: Result) -> PieceSummary:
 
 
 def _agent_names(agents: Iterable[str]) -> dict[str, str]:
-    """Returns the name of each agent: of a policy's folder given from / on, the end of its path."""
+    """Return the name of each agent: of a policy's folder given from / on, the end of its path."""
     names = {agent: agent for agent in agents}
     short = {agent: Path(agent).parts[-2:] for agent in names if Path(agent).is_absolute()}
     if len(set(short.values())) == len(short):
@@ -111,7 +111,7 @@ def _run(result: Result, names: Mapping[str, str], piece: int) -> RunSummary:
 
 
 def run_metrics(metrics: Mapping[str, Any], timing: Timing) -> dict[str, float]:
-    """Returns all of `METRICS` from those of `cadenza play`, NaN where one is not known."""
+    """Return all of `METRICS` from those of `cadenza play`, NaN where one is not known."""
     music = timing.music_seconds or math.nan
     shares = {name: _number(metrics.get(name)) for name in SHARES}
     return shares | {
@@ -131,7 +131,7 @@ def _number(value: Any) -> float:
 
 
 def _scores(runs: Sequence[RunSummary], metric: str, num_pieces: int) -> Scores:
-    """Returns a metric of the runs of an agent (runs, pieces)."""
+    """Return a metric of the runs of an agent (runs, pieces)."""
     by_piece: list[list[float]] = [[] for _ in range(num_pieces)]
     for run in runs:
         if not math.isnan(value := run.metrics[metric]):
@@ -141,24 +141,24 @@ def _scores(runs: Sequence[RunSummary], metric: str, num_pieces: int) -> Scores:
 
 
 def _played(scores: Scores) -> set[int]:
-    """Returns the indices of the pieces that have a score (runs, pieces)."""
+    """Return the indices of the pieces that have a score (runs, pieces)."""
     return set(np.flatnonzero(~np.isnan(scores).all(axis=0)).tolist())
 
 
 def _rank(f1: Scores) -> tuple[int, float]:
-    """Returns a sort key: first is who played the most pieces, and of these who played best."""
+    """Return a sort key: first is who played the most pieces, and of these who played best."""
     played = sorted(_played(f1))
     return -len(played), -float(mean(f1[:, played]))
 
 
 def _by_piece(scores: AllScores, metric: str) -> Estimate:
-    """Returns means over seeds and their intervals, arrays (agents, pieces)."""
+    """Return means over seeds and their intervals, arrays (agents, pieces)."""
     value, low, high = np.stack([mean_interval(own[metric]) for own in scores.values()], axis=1)
     return Estimate(value, low.clip(0), high.clip(max=1 if metric in SHARES else None))
 
 
 def _groups(pieces: Sequence[PieceSummary], scores: AllScores) -> Iterator[Group]:
-    """Yields all pieces, those that all agents played if they are fewer, and several libraries."""
+    """Yield all pieces, those that all agents played if they are fewer, and several libraries."""
     libraries: dict[str, list[int]] = {}
     for i, piece in enumerate(pieces):
         libraries.setdefault(piece.library, []).append(i)
@@ -185,7 +185,7 @@ def _group(name: str, pieces: Sequence[int], scores: AllScores) -> Group:
 
 
 def _estimate(scores: Scores) -> Estimate:
-    """Returns the mean of scores (runs, pieces), but for pieces without any, and its interval."""
+    """Return the mean of scores (runs, pieces), but for pieces without any, and its interval."""
     scores = scores[:, sorted(_played(scores))]
     if not scores.size:
         return Estimate(math.nan, math.nan, math.nan)

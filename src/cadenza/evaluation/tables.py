@@ -21,7 +21,7 @@ Row = Mapping[str, Any]
 
 
 def write_tables(folder: Path, summary: BenchSummary, results: Sequence[Result]) -> list[str]:
-    """Writes agents.csv, pieces.csv and runs.csv; returns their names."""
+    """Write agents.csv, pieces.csv and runs.csv; return their names."""
     tables = {
         "agents": list(_agents(summary)),
         "pieces": list(_pieces(summary)),
@@ -33,7 +33,7 @@ def write_tables(folder: Path, summary: BenchSummary, results: Sequence[Result])
 
 
 def _agents(summary: BenchSummary) -> Iterator[Row]:
-    """Yields the mean of each metric for every group and agent."""
+    """Yield the mean of each metric for every group and agent."""
     for group in summary.groups:
         for agent, agent_summary in group.agents.items():
             row: dict[str, Any] = {"group": group.name, "agent": agent}
@@ -44,7 +44,7 @@ def _agents(summary: BenchSummary) -> Iterator[Row]:
 
 
 def _pieces(summary: BenchSummary) -> Iterator[Row]:
-    """Yields the mean of each metric over the seeds for every piece and agent."""
+    """Yield the mean of each metric over the seeds for every piece and agent."""
     runs = Counter((run.piece, run.agent) for run in summary.runs)
     for i, piece in enumerate(summary.pieces):
         about = {**vars(piece), "piece": piece.name}
@@ -58,7 +58,7 @@ def _pieces(summary: BenchSummary) -> Iterator[Row]:
 
 
 def _runs(summary: BenchSummary, results: Sequence[Result], folder: Path) -> Iterator[Row]:
-    """Yields the metrics of every run, and all else that was measured."""
+    """Yield the metrics of every run, and all else that was measured."""
     measured = list(dict.fromkeys(name for result in results for name in result.metrics))
     for run, result in zip(summary.runs, results, strict=True):
         row = {"piece": summary.pieces[run.piece].name, "agent": run.agent, "seed": run.seed}
@@ -74,7 +74,7 @@ def _runs(summary: BenchSummary, results: Sequence[Result], folder: Path) -> Ite
 
 
 def _column(name: str, result: Result) -> str:
-    """Returns the column of a metric: the reward for other fingers is another metric."""
+    """Return the column of a metric: the reward for other fingers is another metric."""
     fingers = result.metrics.get("rewarded_fingers")
     return f"{name}, fingers: {fingers}" if name in _FINGER_REWARDS and fingers else name
 
@@ -85,7 +85,7 @@ def _ends(name: str, estimate: Estimate) -> dict[str, float]:
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """Writes rows as a CSV file; its columns are all names that any row has."""
+    """Write rows as a CSV file; its columns are all names that any row has."""
     text = io.StringIO(newline="")
     names = list(dict.fromkeys(name for row in rows for name in row))
     writer = csv.DictWriter(text, names, restval="", lineterminator="\n")

@@ -25,7 +25,7 @@ class OnlineFingering:
     """Notes that are seen one after the other, numbered as they begin, and fingers for them."""
 
     def __init__(self, players: Players, moments: int | None = None) -> None:
-        """Sees no notes yet.
+        """Begin without notes.
 
         `moments` is the horizon: the number of moments ahead of what is settled for which fingers
         are found; by default all.
@@ -39,7 +39,7 @@ class OnlineFingering:
         self._begun = 0
 
     def begin(self, key: int, time: float) -> int:
-        """Adds a note that begins after all others; returns its number."""
+        """Add a note that begins after all others; return its number."""
         number, self._begun = self._begun, self._begun + 1
         self._open.append(Stroke(key, time, inf, 0, None, (number,)))
         self._stages = [stage for stage in self._stages if stage[0] < time]
@@ -47,7 +47,7 @@ class OnlineFingering:
         return number
 
     def end(self, number: int, time: float) -> None:
-        """Sets the end of a note.
+        """Set the end of a note.
 
         Notes that were dropped from a chord that nobody can play stay dropped.
         """
@@ -75,7 +75,7 @@ class OnlineFingering:
         return {number: fingers.get(number) for number in numbers}
 
     def _settle(self, last: int, state: tuple[int, int], settled: float) -> None:
-        """Goes on from the stage `last`, in which the hands are in `state`, from now on."""
+        """Go on from the stage `last`, in which the hands are in `state`, from now on."""
         _, self._sounding, stage = self._stages[last]
         self._stages = []  # they hold other paths, which are ruled out now
         cost = np.full_like(stage.cost, inf)

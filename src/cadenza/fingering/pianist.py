@@ -128,14 +128,14 @@ class _HandSearch:
     def fingers(
         self, moments: Iterable[tuple[float, list[Stroke]]]
     ) -> Iterator[tuple[Stroke, int]]:
-        """Yields what this hand strikes at all moments, and the indices of the best fingers."""
+        """Yield what this hand strikes at all moments, and the indices of the best fingers."""
         own = list(self._moments(moments))
         for moment, way in zip(own, _best_ways(own), strict=True):
             for i in moment.struck:
                 yield moment.strokes[i], int(moment.fingers[way, i])
 
     def _moments(self, moments: Iterable[tuple[float, list[Stroke]]]) -> Iterator[_Moment]:
-        """Yields the moments at which this hand strikes keys."""
+        """Yield the moments at which this hand strikes keys."""
         held: list[Stroke] = []
         for time, strokes in moments:
             struck = [s for s in strokes if s.finger is not None and s.finger.hand == self._hand]

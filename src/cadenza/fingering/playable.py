@@ -109,7 +109,7 @@ class SoundingNotes:
         self._sets = _ONLY_EMPTY
 
     def advance(self, time: float, begin: Sequence[Stroke]) -> list[tuple[Stroke, str]]:
-        """Goes on to the moment at which others begin; returns the dropped strokes, and why."""
+        """Go on to the moment at which others begin; return the dropped strokes, and why."""
         struck = {stroke.key for stroke in begin}
         for stroke in list(self.strokes):
             if stroke.end <= time + RELEASE_TIME or stroke.key in struck:
@@ -126,7 +126,7 @@ class SoundingNotes:
         return dropped
 
     def _add(self, begin: Sequence[Stroke]) -> list[tuple[Stroke, str]]:
-        """Adds strokes as far as they can be played; returns the others, and why they cannot."""
+        """Add strokes as far as they can be played; return the others, and why they cannot."""
         dropped = []
         for stroke in outer_first(begin, self.strokes):
             if not any(map(self._try_to_add, (stroke, replace(stroke, hand=None)))):
@@ -142,7 +142,7 @@ class SoundingNotes:
             self._sets |= (sets & nth) >> (1 << finger)
 
     def _try_to_add(self, stroke: Stroke) -> bool:
-        """Adds `stroke` if it can be played along with the others, and returns whether it can."""
+        """Add `stroke` if it can be played along with the others, and return whether it can."""
         if not 0 <= stroke.key < len(self._limits.reaching):
             return False
         n = bisect(self.strokes, stroke.key, key=attrgetter("key"))
@@ -233,7 +233,7 @@ _limits = lru_cache(_MAX_PLAYERS)(_Limits)
 
 
 def _nth(count: int) -> list[list[int]]:
-    """Returns at [n][f] the sets, of `count` fingers, whose `n`-th finger is f."""
+    """Return at [n][f] the sets, of `count` fingers, whose `n`-th finger is f."""
     down = (np.arange(1 << count)[:, None] >> np.arange(count) & 1).astype(bool)
     rank = np.where(down, down.cumsum(axis=1) - 1, -1)
     nth = [[_as_number(rank[:, finger] == n) for finger in range(count)] for n in range(count)]
@@ -241,7 +241,7 @@ def _nth(count: int) -> list[list[int]]:
 
 
 def _pairs(players: Players, forearms: bool = True) -> list[list[int]]:
-    """Returns at [low][high] the pairs of `_Limits.pairs`; `forearms` says whether they count."""
+    """Return at [low][high] the pairs of `_Limits.pairs`; `forearms` says whether they count."""
     one_hand = players.spans()
     num_keys, half = one_hand.shape[1:3]
     right, left = slice(half, None), slice(half - 1, None, -1)  # from the thumbs on

@@ -128,7 +128,7 @@ class Players:
 def ways_to_hold(
     keys: Sequence[int], reaches: NDArray[np.bool_], spans: NDArray[np.bool_]
 ) -> Iterator[tuple[int, ...]]:
-    """Yields the sets of fingers of a hand that reach keys together.
+    """Yield the sets of fingers of a hand that reach keys together.
 
     Args:
         keys: the keys, and in the same order their fingers, from the thumb's side on.

@@ -226,7 +226,7 @@ def next_stage(
 
 
 def _minimise(paths: Array, first: int, cost: Array, before: NDArray[np.unsignedinteger]) -> None:
-    """Writes the minima over the last axis to `cost`, and `first` plus their places to `before`."""
+    """Write the minima over the last axis to `cost`, and `first` plus their places to `before`."""
     paths.min(axis=2, out=cost)
     np.add(paths.argmin(axis=2), first, out=before, casting="unsafe")
 

@@ -24,8 +24,7 @@ from cadenza.music.formats.midi import read_midi
 from cadenza.music.libraries.library import find_song
 from cadenza.music.performance import played_in
 from cadenza.performing.film_renderer import FilmRenderer, Look
-from cadenza.report.sound import SAMPLE_RATE, Samples, synthesize
-from cadenza.report.sound_file import CODECS, write_sound
+from cadenza.report.sound import CODECS, SAMPLE_RATE, Samples, synthesize, write_sound
 from cadenza.report.tone import Tone, tone
 from cadenza.report.video import ANIMATIONS, write_animation, write_video
 from cadenza.scene.config import SceneConfig

@@ -139,17 +139,17 @@ class BenchSummary:
 
 
 def metric_text(name: str, value: float) -> str:
-    """Returns the value of one of `METRICS` as text; a dash if it is not known."""
+    """Return the value of one of `METRICS` as text; a dash if it is not known."""
     return "–" if math.isnan(value) else f"{value:z.{METRICS[name].decimals}f}".replace("-", "−")
 
 
 def interval_text(name: str, estimate: Estimate) -> str:
-    """Returns both ends of the interval as text; nothing if there is none."""
+    """Return both ends of the interval as text; nothing if there is none."""
     if math.isnan(estimate.low):
         return ""
     return f"{metric_text(name, estimate.low)}–{metric_text(name, estimate.high)}"
 
 
 def counted(number: int, noun: str) -> str:
-    """Returns a number and its noun, such as "1 run" or "2,000 runs"."""
+    """Return a number and its noun, such as "1 run" or "2,000 runs"."""
     return f"{number:,} {noun}{'s'[: number != 1]}"

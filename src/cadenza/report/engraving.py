@@ -111,7 +111,7 @@ class Engraving:
 
 
 def engraved(sheet: Sheet) -> Engraving:
-    """Engraves sheet music.
+    """Engrave sheet music.
 
     Raises:
         CadenzaError: Verovio cannot engrave it.
@@ -139,7 +139,7 @@ class _Drawer:
     _top: int = 0
 
     def system(self, page: Element) -> System:
-        """Returns the system on a page."""
+        """Return the system on a page."""
         outlines = {
             glyph.get("id", "").partition("-")[0]: glyph[0].get("d", "")
             for glyph in page.iterfind(f"{_SVG}defs/{_SVG}g")
@@ -164,7 +164,7 @@ class _Drawer:
             self._num_bars += 1
 
     def _shapes(self, parent: Element, outlines: Mapping[str, str], style: str) -> Iterator[str]:
-        """Yields what is within an element, where texts have a `style`."""
+        """Yield what is within an element, where texts have a `style`."""
         for element in parent:
             kind = element.tag.removeprefix(_SVG)
             names = element.get("class", "").split()
@@ -191,7 +191,7 @@ class _Drawer:
         return self._placed(name, outlines[name], float(scale), x, y)
 
     def _placed(self, name: str, outline: str, scale: float, x: str, y: str) -> str:
-        """Returns a glyph at a place, and keeps its outline at this scale for all that use it."""
+        """Return a glyph at a place, and keep its outline at this scale for all that use it."""
         scaled = f"{name}-{_EM * scale:.0f}"
         if scaled not in self.glyphs:
             enlarged = f'transform="scale({scale:g},{-scale:g})"'
@@ -199,7 +199,7 @@ class _Drawer:
         return f'<use href="#{scaled}" x="{x}" y="{y}"/>'
 
     def _text(self, text: Element, style: str) -> Iterator[str]:
-        """Yields a line of text, and before it the glyphs of a metronome mark."""
+        """Yield a line of text, and before it the glyphs of a metronome mark."""
         x, y = text.get("x", ""), text.get("y", "")
         anchor = f' text-anchor="{text.get("text-anchor")}"' if text.get("text-anchor") else ""
         named = f' class="{style}"' if style else ""
@@ -224,7 +224,7 @@ def _shape(kind: str, element: Element) -> str:
 
 
 def write_svg(score: Score, path: str | Path) -> tuple[str, ...]:
-    """Writes a score as an SVG file of all its systems, engraved as `write_musicxml` writes it.
+    """Write a score as an SVG file of all its systems, engraved as `write_musicxml` writes it.
 
     Returns:
         Remarks in plain words on what is not as in the score.
@@ -239,7 +239,7 @@ def write_svg(score: Score, path: str | Path) -> tuple[str, ...]:
 
 
 def engraving_of(score: Score) -> str:
-    """Returns the engraved score that `score.js` reads, as `packed_text`; "" for no notation.
+    """Return the engraved score that `score.js` reads, as `packed_text`; "" for no notation.
 
     A score has notation if its bars are known, or if its onsets fit the bars that are
     estimated, as those of performers do not. One of over 15,000 symbols is too long for a page.
@@ -267,6 +267,6 @@ def engraving_of(score: Score) -> str:
 
 @cache
 def _outline(letter: str) -> str:
-    """Returns the outline of a letter of the music font, which comes with Verovio."""
+    """Return the outline of a letter of the music font, which comes with Verovio."""
     glyph = resources.files("verovio").joinpath("data", _MUSIC_FONT, f"{ord(letter):X}.xml")
     return fromstring(glyph.read_text("utf-8"))[0].get("d", "")

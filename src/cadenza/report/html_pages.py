@@ -32,7 +32,7 @@ COMPACT: dict[str, Any] = {"separators": (",", ":"), "allow_nan": False}
 
 @cache
 def asset(name: str) -> str:
-    """Returns the text of a file of `assets`, which templates do not escape."""
+    """Return the text of a file of `assets`, which templates do not escape."""
     from markupsafe import Markup
 
     return Markup(resources.files("cadenza.report").joinpath("assets", name).read_text("utf-8"))
@@ -40,17 +40,17 @@ def asset(name: str) -> str:
 
 @cache
 def packed_asset(name: str) -> str:
-    """Returns a file of `assets` as `packed_text`, which takes a third of the space."""
+    """Return a file of `assets` as `packed_text`, which takes a third of the space."""
     return packed_text(asset(name))
 
 
 def packed_text(text: str) -> str:
-    """Returns a text as base64 of its deflated UTF-8, which `recording.js` reads."""
+    """Return a text as base64 of its deflated UTF-8, which `recording.js` reads."""
     return in_base64(zlib.compress(text.encode(), zlib.Z_BEST_COMPRESSION))
 
 
 def render(template: str, **context: Any) -> Iterator[str]:
-    """Yields the text of a page piece by piece; each asset is a piece of its own.
+    """Yield the text of a page piece by piece; each asset is a piece of its own.
 
     Args:
         template: a file of `templates`.
@@ -60,12 +60,12 @@ def render(template: str, **context: Any) -> Iterator[str]:
 
 
 def rendered(source: str) -> str:
-    """Returns the page that a template is, which may use the files of `templates`."""
+    """Return the page that a template is, which may use the files of `templates`."""
     return _environment().from_string(source).render()
 
 
 def write_page(path: Path, pieces: Iterator[str]) -> None:
-    """Writes the page made of `pieces` to `path`; what is no text, as in names of files, is a ?."""
+    """Write the page made of `pieces` to `path`; what is no text, as in names of files, is a ?."""
     with write_atomically(path) as file:
         for piece in pieces:
             file.write(piece.encode("utf-8", "replace"))
@@ -95,17 +95,17 @@ def _environment() -> Environment:
 
 
 def in_base64(content: bytes) -> str:
-    """Returns the base64 text of `content`."""
+    """Return the base64 text of `content`."""
     return base64.b64encode(content).decode()
 
 
 def _breakable(text: str) -> str:
-    """Returns `text` that a narrow screen breaks after separators rather than within words."""
+    """Return `text` that a narrow screen breaks after separators rather than within words."""
     from markupsafe import Markup, escape
 
     return Markup(re.sub(_SEPARATORS, r"\g<0><wbr>", str(escape(text))))
 
 
 def _percent(share: float) -> str:
-    """Returns a share as a length in CSS, at least 0 and at most 100 %."""
+    """Return a share as a length in CSS, at least 0 and at most 100 %."""
     return f"{100 * min(max(share, 0.0), 1.0):.1f}%"

@@ -59,7 +59,7 @@ def performance_page(
     wanted_midi: bytes = b"",
     written: Score | None = None,
 ) -> Iterator[str]:
-    """Yields the page of an episode piece by piece, see `html_pages.render`.
+    """Yield the page of an episode piece by piece, see `html_pages.render`.
 
     Args:
         episode: what to show; without a drawn scene, the page has all but the 3D view.
@@ -128,7 +128,7 @@ def _roll_description(episode: Episode) -> str:
 
 
 def _shown_metrics(episode: Episode, metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the metrics flattened, and without the pedal's where the piece has none."""
+    """Return the metrics flattened, and without the pedal's where the piece has none."""
     pedal = bool(episode["goal_sustain"].any())
     return {name: v for name, v in flat(metrics) if pedal or not name.startswith("sustain_")}
 
@@ -136,13 +136,13 @@ def _shown_metrics(episode: Episode, metrics: Mapping[str, Any]) -> dict[str, An
 def _figures(
     titles: Mapping[str, tuple[str, str]], metrics: Mapping[str, Any]
 ) -> list[tuple[str, str, str, float | None]]:
-    """Returns title and meaning of metrics, their values as text, and the lengths of their bars."""
+    """Return title and meaning of metrics, their values as text, and the lengths of their bars."""
     known = [name for name in titles if name in metrics]
     return [(*titles[name], *_figure(metrics[name])) for name in known]
 
 
 def _figure(value: Any) -> tuple[str, float | None]:
-    """Returns a value as text, and the length of its bar; a count has none."""
+    """Return a value as text, and the length of its bar; a count has none."""
     number = _number(value)
     if number is None or isinstance(value, int):
         return "–" if number is None else str(value), None
@@ -169,12 +169,12 @@ def _with_unit(name: str, value: Any) -> str:
 
 
 def settings_table(settings: Mapping[str, Any]) -> dict[str, str]:
-    """Returns the text of each setting that is not None, under its full name."""
+    """Return the text of each setting that is not None, under its full name."""
     return {name: _plain(value) for name, value in flat(settings) if value is not None}
 
 
 def _plain(value: Any) -> str:
-    """Returns `value` as text, of a path only its name: folders say nothing to other people."""
+    """Return `value` as text, of a path only its name: folders say nothing to other people."""
     if isinstance(value, list | tuple):
         return ", ".join(map(_plain, value)) or "–"
     path = Path(text := str(value))
@@ -187,7 +187,7 @@ def _spoken(name: str) -> str:
 
 
 def _number(value: Any) -> float | None:
-    """Returns `value` short enough for the page, None where it is no finite number."""
+    """Return `value` short enough for the page, None where it is no finite number."""
     try:
         number = float(value)
     except (TypeError, ValueError):

@@ -30,7 +30,7 @@ def recording_of(
     misses: Iterable[Mapping[str, Any]],
     arrangement: Iterable[Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """Returns what `recording.js` reads, as JSON has it.
+    """Return what `recording.js` reads, as JSON has it.
 
     Args:
         episode: what was played.
@@ -79,7 +79,7 @@ def recording_of(
 
 
 def finger_numbers(notes: Iterable[Note], lowest: int) -> list[list[float]]:
-    """Returns the fingers of notes, as `recording.js` reads them.
+    """Return the fingers of notes, as `recording.js` reads them.
 
     Args:
         notes: some of them with fingers.
@@ -96,7 +96,7 @@ def finger_numbers(notes: Iterable[Note], lowest: int) -> list[list[float]]:
 
 
 def lost_notes(misses: Iterable[Mapping[str, Any]]) -> list[list[Any]]:
-    """Returns the notes that were lost, as `explanations.js` reads them.
+    """Return the notes that were lost, as `explanations.js` reads them.
 
     Args:
         misses: as `misses.json` has them.
@@ -117,7 +117,7 @@ def lost_notes(misses: Iterable[Mapping[str, Any]]) -> list[list[Any]]:
 
 
 def arranged_notes(fates: Iterable[Mapping[str, Any]], lowest: int) -> list[list[Any]]:
-    """Returns what became of each note of a song that was arranged, as `arrangement.js` reads it.
+    """Return what became of each note of a song that was arranged, as `arrangement.js` reads it.
 
     Args:
         fates: as `arrangement.json` has them.
@@ -142,12 +142,12 @@ VERDICTS = ("hit", "wrong", "missed")
 
 
 def verdict(goal: NDArray[np.bool_], played: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Returns for each key and step, of any shape: 0 rightly silent, 1 hit, 2 wrong, 3 missed."""
+    """Return for each key and step, of any shape: 0 rightly silent, 1 hit, 2 wrong, 3 missed."""
     return np.select([goal & played, played, goal], [1, 2, 3], 0).astype(np.uint8)
 
 
 def packed(values: NDArray[Any]) -> str:
-    """Returns `values` (T, ...) as base64 of deflated differences from step to step.
+    """Return `values` (T, ...) as base64 of deflated differences from step to step.
 
     The differences are of the bit patterns, modulo 2^bits: nothing is rounded. One column follows
     the other, first all lowest bytes, then all of the next.

@@ -14,17 +14,17 @@ class Scalars(Protocol):
     """Destination of rows of metrics."""
 
     def add(self, row: Mapping[str, float]) -> None:
-        """Adds a row; its step is `eval_step`, or else `step`."""
+        """Add a row; its step is `eval_step`, or else `step`."""
 
     def close(self) -> None:
-        """Writes what is left."""
+        """Write what is left."""
 
 
 class TensorBoard:
     """Event files of TensorBoard in a folder."""
 
     def __init__(self, folder: Path, step: int) -> None:
-        """Resumes at `step`; what the files hold of later steps is hidden.
+        """Resume at `step`; what the files hold of later steps is hidden.
 
         Raises:
             CadenzaError: tensorboardX is not installed.
@@ -44,7 +44,7 @@ class TensorBoard:
 
 
 def need_wandb() -> Any:
-    """Imports the package wandb.
+    """Import the package wandb.
 
     Raises:
         CadenzaError: it is not installed.
@@ -58,7 +58,7 @@ class WeightsAndBiases:
     """A run on wandb.ai, or wherever its environment variables say."""
 
     def __init__(self, project: str, folder: Path, run: str, settings: Mapping[str, Any]) -> None:
-        """Resumes the run of that id in the project, if there is one.
+        """Resume the run of that id in the project, if there is one.
 
         Args:
             project: there.

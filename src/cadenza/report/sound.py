@@ -12,6 +12,7 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterator
 from fractions import Fraction
+from pathlib import Path
 from typing import IO
 
 import av
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from threadpoolctl import threadpool_limits
 
+from cadenza.files import write_atomically
 from cadenza.music.score import PEDAL_DOWN, PITCHES, Note, Score
 from cadenza.report.tone import DAMPING, LAST_DAMPER, LOUDER, Tone, tone
 
@@ -45,6 +47,11 @@ _ROOM = 0.05  # level of the room against the piano
 IN_MEMORY = 32 << 20  # bytes of sound that need no file: three minutes
 
 
+CODECS = {".wav": "pcm_s16le", ".flac": "flac", ".mp3": "libmp3lame"}
+"""The encoder of each kind of file, by the ending of its name."""
+_MP3_RATE = 192_000  # bit/s
+
+
 class Sound:
     """Samples (n, 2) left and right, 16 bit, to be read with `sound[first:last]`.
 
@@ -67,7 +74,7 @@ class Sound:
         return np.frombuffer(self._file.read(4 * max(last - first, 0)), np.int16).reshape(-1, 2)
 
     def write(self, first: int, samples: NDArray[np.int16]) -> None:
-        """Writes `samples` from the sample `first` on."""
+        """Write `samples` from the sample `first` on."""
         self._file.seek(4 * first)
         self._file.write(samples.tobytes())
 
@@ -77,7 +84,7 @@ Samples = NDArray[np.int16] | Sound
 
 
 def synthesize(score: Score, voice: Tone = tone) -> Sound:
-    """Returns the sound of `score`; without notes it has no samples.
+    """Return the sound of `score`; without notes it has no samples.
 
     Args:
         score: the notes and the pedal.
@@ -109,7 +116,7 @@ def synthesize(score: Score, voice: Tone = tone) -> Sound:
 def encode_opus(
     audio: Samples, bit_rate: int = 96_000, mono: bool = False, seconds: float = 0.0
 ) -> bytes:
-    """Returns `audio` as a WebM file with Opus, which every browser plays.
+    """Return `audio` as a WebM file with Opus, which every browser plays.
 
     Args:
         audio: what sounds.
@@ -129,7 +136,7 @@ def encode_opus(
 
 
 def bit_rate_of(seconds: float, mono: bool = False) -> int:
-    """Returns the bit rate of a sound on a page: the longer it lasts, the lower, within limits.
+    """Return the bit rate of a sound on a page: the longer it lasts, the lower, within limits.
 
     Of a minute it is 90 kbit/s, from three minutes on 30 kbit/s; of one channel 48 and 20 kbit/s.
     """
@@ -140,7 +147,7 @@ def bit_rate_of(seconds: float, mono: bool = False) -> int:
 def write_audio(
     container: av.container.OutputContainer, stream: av.AudioStream, audio: Samples, length: int
 ) -> None:
-    """Encodes `length` samples of `audio`, with silence after its end, a second at a time."""
+    """Encode `length` samples of `audio`, with silence after its end, a second at a time."""
     for first in range(0, length, SAMPLE_RATE):
         samples = np.zeros((min(SAMPLE_RATE, length - first), 2), np.int16)
         part = audio[first : first + len(samples)]
@@ -150,6 +157,28 @@ def write_audio(
         frame.pts, frame.time_base = first, Fraction(1, SAMPLE_RATE)
         container.mux(stream.encode(frame))
     container.mux(stream.encode(None))
+
+
+def write_sound(path: Path, audio: Samples, seconds: float = 0.0) -> None:
+    """Write samples (n, 2) to a file of the kind that its name says, one of `CODECS`.
+
+    WAV and FLAC keep every bit. The file lasts at least `seconds`, with silence at its end.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    with (
+        write_atomically(path) as file,
+        av.open(file, "w", format=path.suffix.lower().removeprefix(".")) as container,
+    ):
+        stream = container.add_stream(
+            CODECS[path.suffix.lower()], rate=SAMPLE_RATE, layout="stereo"
+        )
+        assert isinstance(stream, av.AudioStream)
+        if stream.codec.name == CODECS[".mp3"]:
+            stream.bit_rate = _MP3_RATE
+        length = max(len(audio), round(seconds * SAMPLE_RATE))
+        write_audio(container, stream, audio, length)
 
 
 class _LoudnessMeter:
@@ -173,7 +202,7 @@ class _LoudnessMeter:
         self._graph.link_nodes(*nodes).configure()
 
     def add(self, block: NDArray[np.float32]) -> None:
-        """Measures the next samples (2, n) of the piece."""
+        """Measure the next samples (2, n) of the piece."""
         frame = av.AudioFrame.from_ndarray(block, format="fltp", layout="stereo")
         frame.sample_rate, frame.pts = SAMPLE_RATE, self._added
         self._graph.push(frame)
@@ -189,7 +218,7 @@ class _LoudnessMeter:
 def _blocks(
     notes: list[tuple[Note, float]], length: int, voice: Tone
 ) -> Iterator[NDArray[np.float32]]:
-    """Yields the sound of notes, sorted by start, with their releases [s], in blocks (2, n)."""
+    """Yield the sound of notes, sorted by start, with their releases [s], in blocks (2, n)."""
     loudest = max(note.velocity for note, _ in notes)
     size = BLOCK * SAMPLE_RATE
     mix = np.zeros((2, size), np.float32)  # from the block's beginning on
@@ -210,14 +239,14 @@ def _blocks(
 
 
 def _at_least(length: int, mix: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Returns `mix` (2, n) with silence after it where it is shorter."""
+    """Return `mix` (2, n) with silence after it where it is shorter."""
     return np.pad(mix, ((0, 0), (0, max(0, length - mix.shape[1]))))
 
 
 def _tone_of(
     note: Note, release: float, tones: dict[tuple[int, int, int], NDArray[np.float32]], voice: Tone
 ) -> NDArray[np.float32]:
-    """Returns the undamped tone of a note, at least as long as it is heard; `tones` caches it."""
+    """Return the undamped tone of a note, at least as long as it is heard; `tones` caches it."""
     band = note.velocity // _VELOCITY_BAND * _VELOCITY_BAND + _VELOCITY_BAND // 2
     # Lengths are powers of two, so that notes of different lengths share a tone.
     doublings = max(0, int(np.ceil(np.log2(release - note.start + _damping(note.pitch)))))
@@ -230,7 +259,7 @@ def _tone_of(
 
 
 def _releases(score: Score) -> list[float]:
-    """Returns when each damper falls [s]: key and pedal are up, or the key is struck again."""
+    """Return when each damper falls [s]: key and pedal are up, or the key is struck again."""
     end = score.total_time
     times = np.array([event.time for event in score.pedal])
     down = np.array([event.value >= PEDAL_DOWN for event in score.pedal], bool)
@@ -253,12 +282,12 @@ def _releases(score: Score) -> list[float]:
 
 
 def _damping(pitch: int) -> float:
-    """Returns the time from the damper's fall to silence [s]."""
+    """Return the time from the damper's fall to silence [s]."""
     return 1.2 if pitch > LAST_DAMPER else 8 * DAMPING
 
 
 def _damped(tone: NDArray[np.float32], note: Note, release: float) -> NDArray[np.float32]:
-    """Returns the note's tone (n,) with the damper falling at `release` [s]."""
+    """Return the note's tone (n,) with the damper falling at `release` [s]."""
     held, damping = release - note.start, _damping(note.pitch)
     sound = tone[: int((held + damping) * SAMPLE_RATE)].copy()
     after = sound[int(held * SAMPLE_RATE) :]
@@ -270,14 +299,14 @@ def _damped(tone: NDArray[np.float32], note: Note, release: float) -> NDArray[np
 
 
 def _pan(pitch: int) -> NDArray[np.float32]:
-    """Returns gains (2,) of the left and right ear, of equal power: bass a little left."""
+    """Return gains (2,) of the left and right ear, of equal power: bass a little left."""
     across = (pitch - PITCHES[0]) / (PITCHES[-1] - PITCHES[0])
     angle = np.pi / 4 * (1 + 0.45 * (2 * across - 1))
     return np.sqrt(2) * np.array([np.cos(angle), np.sin(angle)], np.float32)
 
 
 def _in_room(blocks: Iterator[NDArray[np.float32]]) -> Iterator[NDArray[np.float32]]:
-    """Adds a little room: decaying noise, always the same, as impulse response."""
+    """Add a little room: decaying noise, always the same, as impulse response."""
     from scipy import signal  # which takes half a second, and would delay the first action
 
     time = np.arange(int(_TAIL * SAMPLE_RATE)) / SAMPLE_RATE
@@ -300,7 +329,7 @@ def _in_room(blocks: Iterator[NDArray[np.float32]]) -> Iterator[NDArray[np.float
 
 
 def _level(sound: Sound, gain: float) -> None:
-    """Replaces a mix in half precision by its samples times `gain`.
+    """Replace a mix in half precision by its samples times `gain`.
 
     Where that exceeds the ceiling, it is turned down around peaks, so that the waveform is not
     bent.

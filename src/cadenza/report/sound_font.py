@@ -17,7 +17,7 @@ _QUALITY = 6  # of the resampling of symusic, 0 to 6
 
 
 def font_tone(path: Path) -> Tone:
-    """Returns the tones of a sound font's piano, its first program, as `synthesize` takes them.
+    """Return the tones of a sound font's piano, its first program, as `synthesize` takes them.
 
     A font chooses the wave by pitch and velocity; `synthesize` does all else, so that loudness,
     dampers and pedal are those of the built-in piano.

@@ -40,7 +40,7 @@ _MAX_CAP, _MAX_DOT = 5, 3  # [px] half the end of an interval, radius of a dot
 def summary_page(
     summary: BenchSummary, folder: Path, downloads: Sequence[str] = ()
 ) -> Iterator[str]:
-    """Yields the page of runs piece by piece, see `html_pages.render`.
+    """Yield the page of runs piece by piece, see `html_pages.render`.
 
     Args:
         summary: of at least one run.
@@ -76,7 +76,7 @@ def summary_page(
 def _rows(
     summary: BenchSummary, folder: Path
 ) -> Iterator[tuple[PieceSummary, str, list[tuple[int, str | None]], dict[str, Estimate]]]:
-    """Yields each piece and agent, the seeds and pages of its runs, and its means over them."""
+    """Yield each piece and agent, the seeds and pages of its runs, and its means over them."""
     runs: dict[tuple[int, str], list[tuple[int, str | None]]] = {}
     for run in summary.runs:
         page = None if run.page is None else _address(run.page, folder)
@@ -94,7 +94,7 @@ def _address(page: Path, folder: Path) -> str:
 
 
 def write_figure(path: Path, summary: BenchSummary) -> None:
-    """Draws the F1 of all pieces with its intervals, a chart an agent, in the order of the best.
+    """Draw the F1 of all pieces with its intervals, a chart an agent, in the order of the best.
 
     A dot is the note onset F1. Of a single piece there is one chart with a bar an agent.
     """
@@ -102,7 +102,7 @@ def write_figure(path: Path, summary: BenchSummary) -> None:
 
 
 def _figure(summary: BenchSummary) -> dict[str, Any]:
-    """Returns what `figure.svg` draws: a chart for each row, and a bar in it for each column."""
+    """Return what `figure.svg` draws: a chart for each row, and a bar in it for each column."""
     tables = [*summary.by_piece["f1"], summary.by_piece["note_onset_f1"].value]
     rows, columns = list(summary.agents), [piece.title for piece in summary.pieces]
     legends = [_means_text(summary, agent) for agent in rows]
@@ -147,7 +147,7 @@ def _figure(summary: BenchSummary) -> dict[str, Any]:
 
 
 def _means_text(summary: BenchSummary, agent: str) -> str:
-    """Returns the means of an agent over all of its pieces."""
+    """Return the means of an agent over all of its pieces."""
     parts = []
     for name, mark in (("f1", "bars"), ("note_onset_f1", "dots")):
         mean = summary.groups[0].agents[agent].mean[name]

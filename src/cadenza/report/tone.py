@@ -24,7 +24,7 @@ DAMPING = 0.06  # [s] in which a damper reduces the sound to 1/e
 
 
 def tone(pitch: int, hardness: float, seconds: float, rate: int) -> NDArray[np.float32]:
-    """Returns an undamped note (n,) of loudness 1, struck with a `hardness` of 0 to 1.
+    """Return an undamped note (n,) of loudness 1, struck with a `hardness` of 0 to 1.
 
     It decays at first as the strings of C2, C4 and C7 that Bensa et al. fitted to a grand piano
     ("The simulation of piano string vibration", JASA 114, 2003, table I): by 2, 10 and 80 dB a
@@ -67,7 +67,7 @@ def _ring(
     length: int,
     rate: int,
 ) -> NDArray[np.float32]:
-    """Returns `length` samples of `sum_k level_k exp(-decay_k t) sin(2 pi frequency_k t)`.
+    """Return `length` samples of `sum_k level_k exp(-decay_k t) sin(2 pi frequency_k t)`.
 
     Sample i * block + j of a damped sinusoid is the product of a factor of i and a factor of j, so
     the sum over k is one matrix product, and few exponentials are computed.
@@ -84,7 +84,7 @@ def _ring(
 
 
 def _powers(step: NDArray[Any], count: int) -> NDArray[Any]:
-    """Returns `exp(step_k * i)` (K, count) for i below `count`, by few exponentials."""
+    """Return `exp(step_k * i)` (K, count) for i below `count`, by few exponentials."""
     few = int(np.sqrt(count)) + 1
     coarse = np.exp(np.multiply.outer(few * step, np.arange(few)))
     fine = np.exp(np.multiply.outer(step, np.arange(few)))

@@ -84,7 +84,7 @@ def training_page(
     links: Mapping[str, str] = MappingProxyType({}),
     running: bool = False,
 ) -> Iterator[str]:
-    """Yields the page of learning curves piece by piece.
+    """Yield the page of learning curves piece by piece.
 
     Runs of one task have a line each, and one of their mean. Where there are several tasks, each
     has the line of its mean, over a band from its lowest run to its highest.
@@ -117,7 +117,7 @@ def training_page(
 
 
 def _charts(runs: Sequence[Curve], titles: Mapping[str, str]) -> list[LineChart]:
-    """Returns a chart of each column that has values, by control steps."""
+    """Return a chart of each column that has values, by control steps."""
     charts = []
     for column, title in titles.items():
         unit = _UNITS.get(column, "number")
@@ -135,13 +135,13 @@ def _rounded(values: NDArray[np.float64]) -> list[float]:
 
 
 def _end(runs: Sequence[Curve]) -> float:
-    """Returns the step at which the longest of the runs ended, 1 where there is nothing yet."""
+    """Return the step at which the longest of the runs ended, 1 where there is nothing yet."""
     ends = [row["step"] or 0 for run in runs for row in run.rows[-1:]]
     return max((end for end in ends if end < _MAX_VALUE), default=0) or 1
 
 
 def _tasks(runs: Sequence[Curve]) -> dict[str, list[int]]:
-    """Returns the numbers of the runs of each task."""
+    """Return the numbers of the runs of each task."""
     tasks: dict[str, list[int]] = {}
     for i, run in enumerate(runs):
         tasks.setdefault(run.task, []).append(i)
@@ -149,7 +149,7 @@ def _tasks(runs: Sequence[Curve]) -> dict[str, list[int]]:
 
 
 def _points(run: Curve, column: str, above: float = -_MAX_VALUE) -> Points:
-    """Returns the values of a column that can be drawn and lie `above`, by control steps."""
+    """Return the values of a column that can be drawn and lie `above`, by control steps."""
     known = [
         (row.get("eval_step", row["step"]), row[column])
         for row in run.rows
@@ -161,7 +161,7 @@ def _points(run: Curve, column: str, above: float = -_MAX_VALUE) -> Points:
 
 
 def _resampled(each: Sequence[Points]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Returns x (n,) where all lines that have points are, and their values (lines, n) there."""
+    """Return x (n,) where all lines that have points are, and their values (lines, n) there."""
     each = [points for points in each if len(points.x)]
     x = np.unique(np.concatenate([np.empty(0), *(points.x for points in each)]))
     for points in each:
@@ -170,7 +170,7 @@ def _resampled(each: Sequence[Points]) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def _thinned(points: Points, runs: Sequence[Curve]) -> Points:
-    """Returns means over neighbours, as few as the page has room for."""
+    """Return means over neighbours, as few as the page has room for."""
     most = min(_MAX_LINE_POINTS, max(_MAX_POINTS // len(runs), 2))
     if len(points.x) <= most:
         return points
@@ -180,7 +180,7 @@ def _thinned(points: Points, runs: Sequence[Curve]) -> Points:
 
 
 def _lines(runs: Sequence[Curve], each: Sequence[Points]) -> list[dict[str, Any]]:
-    """Returns the lines of `_series` that have points, but for a mean of fewer than two runs."""
+    """Return the lines of `_series` that have points, but for a mean of fewer than two runs."""
     num_known = sum(len(points.x) > 0 for points in each)
     lines = [
         _line(style, name, [each[i] for i in members], runs)
@@ -191,7 +191,7 @@ def _lines(runs: Sequence[Curve], each: Sequence[Points]) -> list[dict[str, Any]
 
 
 def _line(style: str, name: str, each: Sequence[Points], runs: Sequence[Curve]) -> dict[str, Any]:
-    """Returns the mean of lines, for several of a task over a band from lowest to highest."""
+    """Return the mean of lines, for several of a task over a band from lowest to highest."""
     x, values = _resampled(each)
     mean, low, high = (
         _thinned(Points(x, y), runs) for y in (values.mean(0), values.min(0), values.max(0))
@@ -203,7 +203,7 @@ def _line(style: str, name: str, each: Sequence[Points], runs: Sequence[Curve]) 
 
 
 def _series(runs: Sequence[Curve]) -> list[tuple[str, str, list[int]]]:
-    """Returns style, name and runs of each line: of a run each and of all, or of a task each."""
+    """Return style, name and runs of each line: of a run each and of all, or of a task each."""
     tasks = _tasks(runs)
     if len(tasks) > 1:
         return [(_style(i), task, tasks[task]) for i, task in enumerate(tasks)]
@@ -213,5 +213,5 @@ def _series(runs: Sequence[Curve]) -> list[tuple[str, str, list[int]]]:
 
 
 def _style(number: int) -> str:
-    """Returns the class in the style sheet of the `number`th line, from 0 on."""
+    """Return the class in the style sheet of the `number`th line, from 0 on."""
     return f"run{number % _NUM_COLOURS}"

@@ -32,7 +32,7 @@ def write_video(
     audio: Samples,
     size: tuple[int, int],
 ) -> None:
-    """Writes an MP4 with H.264 pictures and AAC sound, which any player and browser plays.
+    """Write an MP4 with H.264 pictures and AAC sound, which any player and browser plays.
 
     Args:
         frames: at least one picture (H, W, 3), taken one at a time.
@@ -66,7 +66,7 @@ def write_video(
 def write_animation(
     path: Path, frames: Iterable[NDArray[np.uint8]], fps: int, size: tuple[int, int]
 ) -> None:
-    """Writes pictures that go round and round, without sound: a GIF or WebP, as the name says.
+    """Write pictures that go round and round, without sound: a GIF or WebP, as the name says.
 
     A GIF has the 256 colours that the pictures have most, so all of them are kept in memory.
 
@@ -100,7 +100,7 @@ def write_animation(
 def _in_256_colours(
     pictures: Iterable[av.VideoFrame], size: tuple[int, int], fps: int
 ) -> Iterator[av.VideoFrame]:
-    """Yields pictures in the palette that suits all of them best, by filters of FFmpeg."""
+    """Yield pictures in the palette that suits all of them best, by filters of FFmpeg."""
     graph = av.filter.Graph()
     source = graph.add_buffer(
         width=size[0], height=size[1], format=av.VideoFormat("rgb24"), time_base=Fraction(1, fps)
@@ -131,7 +131,7 @@ def _in_256_colours(
 def _scaled(
     pictures: Iterable[NDArray[np.uint8]], size: tuple[int, int], pixels: str
 ) -> Iterator[av.VideoFrame]:
-    """Yields pictures of a size [px] and with pixels of a format."""
+    """Yield pictures of a size [px] and with pixels of a format."""
     for number, picture in enumerate(pictures):
         drawn = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
         scaled = drawn.reformat(*size, pixels, interpolation="AREA")
@@ -141,7 +141,7 @@ def _scaled(
 
 @contextmanager
 def _errors_of_files() -> Iterator[None]:
-    """Raises the OSError behind an error of PyAV, if there is one."""
+    """Raise the OSError behind an error of PyAV, if there is one."""
     try:
         yield
     except av.FFmpegError as error:

@@ -147,7 +147,7 @@ def open_set(name: str) -> Library:
 
 @contextmanager
 def set_up_song(song: Song) -> Iterator[Setup]:
-    """Yields a song in the task of the benchmark, without a search for fingers.
+    """Yield a song in the task of the benchmark, without a search for fingers.
 
     Raises:
         CadenzaError: it cannot be read, or is not the one that version 1 has frozen.
@@ -161,7 +161,7 @@ def set_up_song(song: Song) -> Iterator[Setup]:
 
 
 def check_frozen(song: Song, setup: Setup) -> str:
-    """Returns the hash of a song as the task plays it.
+    """Return the hash of a song as the task plays it.
 
     Raises:
         CadenzaError: the song or the scene is not as version 1 has frozen it.
@@ -229,7 +229,7 @@ def scene_digest(scene: Scene) -> str:
 
 
 def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns an array (...) to `_DIGITS` significant digits, with one zero."""
+    """Return an array (...) to `_DIGITS` significant digits, with one zero."""
     with np.errstate(divide="ignore"):
         size = np.floor(np.log10(np.abs(values)))
     scale = 10.0 ** np.clip(_DIGITS - 1 - size, -300, 300)

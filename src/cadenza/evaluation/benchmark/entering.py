@@ -47,7 +47,7 @@ def enter(
     name: str | None = None,
     progress: Progress = silent,
 ) -> PlayedAgain:
-    """Writes an entry of the runs of a bench, and plays it again to see that it holds.
+    """Write an entry of the runs of a bench, and play it again to see that it holds.
 
     Args:
         bench: the folder of the bench.
@@ -100,7 +100,7 @@ def enter(
 
 
 def _results(bench: Path, songs: set[str], agent: str | None) -> list[Result]:
-    """Returns the runs of one agent on these songs, all with the same options, in the task."""
+    """Return the runs of one agent on these songs, all with the same options, in the task."""
     results = [result for result in read_results(bench).results if result.song.name in songs]
     agents = sorted({result.agent for result in results})
     if not agents:
@@ -132,7 +132,7 @@ def _is_same(result: Result, other: Result, what: str) -> bool:
 
 
 def _check_task(result: Result) -> None:
-    """Raises a CadenzaError if a run was played in another task than that of the benchmark."""
+    """Raise a CadenzaError if a run was played in another task than that of the benchmark."""
     job, where = result.job, result.folder
     task = checked(job.get("task"), TaskConfig, f"{where}, task")
     scene = checked(job.get("scene"), SceneConfig, f"{where}, scene")
@@ -151,7 +151,7 @@ def _check_task(result: Result) -> None:
 
 
 def _run(result: Result, folder: Path, digest: str, low: Any, high: Any) -> EnteredRun:
-    """Writes the actions of a run; servos clip them to their range."""
+    """Write the actions of a run; servos clip them to their range."""
     actions = load_plan(result.folder / "episode.npz").actions.clip(low, high)
     write_tensors(actions_path(folder, result.song.name, result.seed), {"action": actions})
     return EnteredRun(

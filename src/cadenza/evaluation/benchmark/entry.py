@@ -69,7 +69,7 @@ class BenchmarkEntry:
 
 
 def read_entry(folder: Path) -> BenchmarkEntry:
-    """Reads what an entry says, which makes sense by itself.
+    """Read what an entry says, which makes sense by itself.
 
     Raises:
         CadenzaError: its file is not there, is too large, or says something else.
@@ -82,7 +82,7 @@ def read_entry(folder: Path) -> BenchmarkEntry:
 
 
 def check_claims(entry: BenchmarkEntry) -> None:
-    """Checks what an entry says, as far as that can be texts before it is played.
+    """Check what an entry says, as far as that can be told before it is played.
 
     Raises:
         CadenzaError: it claims what cannot be.
@@ -135,7 +135,7 @@ def actions_path(folder: Path, song: str, seed: int) -> Path:
 
 
 def check_files(folder: Path, entry: BenchmarkEntry) -> None:
-    """Checks that the folder of an entry holds all that it needs, and nothing else.
+    """Check that the folder of an entry holds all that it needs, and nothing else.
 
     Raises:
         CadenzaError: it does not, or something in it is a link.

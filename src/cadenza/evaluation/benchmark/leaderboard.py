@@ -63,7 +63,7 @@ def entries_in(folders: Iterable[Path]) -> list[Path]:
 
 
 def row_of(folder: Path) -> Row:
-    """Plays an entry again, and returns its row, which also says what is wrong with it."""
+    """Play an entry again, and return its row, which also says what is wrong with it."""
     row: Row = {"songs": "", "track": "", **dict.fromkeys(_COLUMNS, ""), "folder": folder.name}
     row |= {"name": folder.name, "f1": math.nan}
     try:
@@ -81,7 +81,7 @@ def row_of(folder: Path) -> Row:
 
 
 def write_leaderboard(folder: Path, rows: Sequence[Row]) -> list[Path]:
-    """Writes leaderboard.csv and leaderboard.md; returns their paths.
+    """Write leaderboard.csv and leaderboard.md; return their paths.
 
     Rows are ordered by set and track; then verified ones come first, refused ones
     last, and the best F1 of each kind first.
@@ -125,13 +125,13 @@ def means(played: PlayedAgain) -> Row:
 
 
 def _mean_of_known(values: NDArray[np.float64]) -> float:
-    """Returns the mean of the values (...) that are not NaN; NaN if all are."""
+    """Return the mean of the values (...) that are not NaN; NaN if all are."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if len(known) else math.nan
 
 
 def _without_formulas(row: Row) -> Row:
-    """Returns a row whose texts no spreadsheet takes for formulas or splits at `;`."""
+    """Return a row whose texts no spreadsheet takes for formulas or splits at `;`."""
     return {name: _as_text(v) if isinstance(v, str) else v for name, v in row.items()}
 
 
@@ -142,7 +142,7 @@ def _as_text(value: str) -> str:
 
 
 def _markdown(rows: Sequence[Row]) -> str:
-    """Returns a table for each set and track; no cell can end itself or mark up anything."""
+    """Return a table for each set and track; no cell can end itself or mark up anything."""
     lines: list[str] = []
     for (songs, track), section in groupby(rows, lambda row: (row["songs"], row["track"])):
         title = f"{songs}, {track}" if songs else "not read"

@@ -46,7 +46,7 @@ class PlayedAgain:
 
 
 def verify(folder: Path, progress: Progress = silent) -> PlayedAgain:
-    """Plays every run of an entry again, and compares.
+    """Play every run of an entry again, and compare.
 
     Args:
         folder: that of the entry.
@@ -83,7 +83,7 @@ def verify(folder: Path, progress: Progress = silent) -> PlayedAgain:
 
 
 def _actions(path: Path, setup: Setup) -> NDArray[np.float64]:
-    """Reads the actions (T, A) of a run, which are as many and as large as the task takes."""
+    """Read the actions (T, A) of a run, which are as many and as large as the task takes."""
     low, high = setup.task.spec.action_low, setup.task.spec.action_high
     steps = setup.task.tracks[0].goals.num_steps
     form = ArrayOf(FLOATS, (steps, len(low)), needed=True, finite=True)
@@ -96,7 +96,7 @@ def _actions(path: Path, setup: Setup) -> NDArray[np.float64]:
 
 
 def _played(actions: NDArray[np.float64], seed: int, setup: Setup, where: str) -> Metrics:
-    """Returns the metrics of actions (T, A), played from the beginning to the end of a song."""
+    """Return the metrics of actions (T, A), played from the beginning to the end of a song."""
     metrics = play_episode(setup.task, Playback(actions), seed).metrics
     if metrics["steps"] != len(actions):
         raise CadenzaError(

@@ -94,7 +94,7 @@ class Demonstrator(NamedTuple):
 def episodes(
     library: Library, demonstrator: Demonstrator, numbers: Sequence[int], least_f1: float
 ) -> list[EpisodeJob]:
-    """Returns all episodes to be collected: the first of every song, then the second and so on."""
+    """Return all episodes to be collected: the first of every song, then the second and so on."""
     songs = songs_of(library)
     files = digest_of_files(demonstrator.config, demonstrator.student_config)
     return [
@@ -115,7 +115,7 @@ def episodes(
 
 
 def is_complete(job: EpisodeJob, folder: Path) -> bool:
-    """Returns whether it is recorded, or was not good enough."""
+    """Return whether it is recorded, or was not good enough."""
     if not (folder / RESULT).exists():
         return False
     made = read_facts(folder)
@@ -125,7 +125,7 @@ def is_complete(job: EpisodeJob, folder: Path) -> bool:
 def record(
     job: EpisodeJob, folder: Path, num_threads: int, _stop: Callable[[], bool] = lambda: False
 ) -> None:
-    """Leaves the episode in `folder`, as `cadenza.evaluation.run.carry_out` does a run."""
+    """Leave the episode in `folder`, as `cadenza.evaluation.run.carry_out` does a run."""
     with claimed_run(job, folder, lambda: is_complete(job, folder)) as ours:
         if ours:
             with failure_recorded(folder):
@@ -188,14 +188,14 @@ def _is_good(metrics: dict[str, Any], job: EpisodeJob) -> bool:
 
 
 def _randomness(spec: EpisodeSpec) -> tuple[int, np.random.Generator]:
-    """Returns the seed of the episode and a generator, others for each song and number."""
+    """Return the seed of the episode and a generator, others for each song and number."""
     content = hashlib.sha256(f"{spec.song_digest} {spec.seed}".encode()).digest()
     seed, other = (int.from_bytes(content[at : at + 8], "big") for at in (0, 8))
     return seed, np.random.default_rng(other)
 
 
 def _plan(setup: Setup, result: EpisodeResult, perturbed: PerturbedAgent) -> SongPlan:
-    """Returns the plan of the agent, or one for the same song and start.
+    """Return the plan of the agent, or one for the same song and start.
 
     What learns from episodes corrects plans without strikes, and the planner plans strikes.
     """
@@ -209,13 +209,13 @@ def _plan(setup: Setup, result: EpisodeResult, perturbed: PerturbedAgent) -> Son
 
 
 def _fingered_score(setup: Setup, plan: SongPlan) -> Score:
-    """Returns the score with the fingers that the task rewarded; where it has none, the plan's."""
+    """Return the score with the fingers that the task rewarded; where it has none, the plan's."""
     (track,) = setup.task.goals.tracks
     return plan.track.score if track.dropped is None else track.score
 
 
 def _without_randomness(task: TaskConfig, result: EpisodeResult) -> TaskConfig:
-    """Returns the task for a score that has been trimmed, stretched and transposed already.
+    """Return the task for a score that has been trimmed, stretched and transposed already.
 
     What `DomainRandomization` drew follows from the seed that this gives.
     """
@@ -237,7 +237,7 @@ def _without_randomness(task: TaskConfig, result: EpisodeResult) -> TaskConfig:
 def _arrays(
     result: EpisodeResult, perturbed: PerturbedAgent, last: View, plan: SongPlan
 ) -> dict[str, Array]:
-    """Returns the arrays of a recorded episode, see `cadenza.demonstrations.recorded_episode`."""
+    """Return the arrays of a recorded episode, see `cadenza.demonstrations.recorded_episode`."""
     episode, start, scene = result.episode, perturbed.start, plan.scene
     assert start is not None
     count = episode.num_steps

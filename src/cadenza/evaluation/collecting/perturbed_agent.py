@@ -20,7 +20,7 @@ _STUDENT_SHARE = 0.5  # share of the turns in which the student plays
 
 
 def observed_pedal(view: View) -> float:
-    """Returns how far the pedal is down, as observed in float32: actions may arrive late."""
+    """Return how far the pedal is down, as observed in float32: actions may arrive late."""
     return float(view.observation[0, view.task.observation_layout["pedal"]][0])
 
 
@@ -41,7 +41,7 @@ class PerturbedAgent(Agent):
     def __init__(
         self, agent: Agent, scene: Scene, noise: float, student: Agent | None = None
     ) -> None:
-        """Takes the standard deviation of the noise in units of that of the planner's search."""
+        """Take the standard deviation of the noise in units of that of the planner's search."""
         self._agent, self._student = agent, student
         self._sigma = noise * np.append(servos_of(scene).noise, 0.0)
         self.chosen: list[NDArray[np.float32]] = []
@@ -87,12 +87,12 @@ class PerturbedAgent(Agent):
         return self._agent.song_plan(env_id)
 
     def close(self) -> None:
-        """Closes the student; the agent belongs to the caller."""
+        """Close the student; the agent belongs to the caller."""
         if self._student is not None:
             self._student.close()
 
     def _agent_or_student(self, chosen: Array, view: View) -> Array:
-        """Returns the action (A + 1,) of the agent, or of the student where it is its turn."""
+        """Return the action (A + 1,) of the agent, or of the student where it is its turn."""
         if self._student is None:
             return chosen
         if self._rng.random() < view.task.config.control_timestep / _TURN:

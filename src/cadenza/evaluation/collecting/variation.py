@@ -32,7 +32,7 @@ class Variation:
     def draw(
         self, score: Score, pitches: range, rng: np.random.Generator
     ) -> tuple[Score, dict[str, Any]]:
-        """Draws the part of a song to play, and the values `since`, `mirrored` and `noise`.
+        """Draw the part of a song to play, and the values `since`, `mirrored` and `noise`.
 
         Args:
             score: the song.
@@ -51,7 +51,7 @@ class Variation:
 
 
 def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
-    """Returns an excerpt of a score, and when it begins in the score [s].
+    """Return an excerpt of a score, and when it begins in the score [s].
 
     Args:
         score: the whole song.
@@ -66,7 +66,7 @@ def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
 
 
 def collecting_task() -> TaskConfig:
-    """Returns the task in which demonstrations are collected, unless another one is chosen."""
+    """Return the task in which demonstrations are collected, unless another one is chosen."""
     return TaskConfig(
         initial_buffer_time=0.5,  # [s] in which the hands get to their first keys
         random_stretch=0.2,  # times are scaled by 0.8 to 1.2

@@ -22,7 +22,7 @@ class LocalExecutor:
     """Runs `capacity` processes at once, each with `num_threads` threads for its planner."""
 
     def __init__(self, num_threads: int, num_jobs: int | None, carry_out: CarryOut) -> None:
-        """Starts as many processes as cores allow, unless a number is given."""
+        """Start as many processes as cores allow, unless a number is given."""
         # Read when numpy is first imported, which is before a process knows what it is to do.
         os.environ.setdefault("OMP_NUM_THREADS", str(num_threads))
         self.capacity = num_jobs or max(available_cores() // num_threads, 1)
@@ -61,7 +61,7 @@ class LocalExecutor:
         self._running.clear()
 
     def close(self) -> None:
-        """Kills the runs that are still under way."""
+        """Kill the runs that are still under way."""
         for _, process in self._running:
             process.kill()
 
@@ -87,7 +87,7 @@ def _work(carry_out: CarryOut, job: Job, folder: Path, num_threads: int) -> None
 
 
 def _end_with_parent() -> None:
-    """Ends this process when its bench is killed."""
+    """End this process when its bench is killed."""
     parent = parent_process()
     assert parent is not None
     parent.join()
@@ -95,7 +95,7 @@ def _end_with_parent() -> None:
 
 
 def _stop_requested() -> Callable[[], bool]:
-    """Returns what says whether the process has been told to end; training then saves first."""
+    """Return what says whether the process has been told to end; training then saves first."""
     asked = list[int]()
     signal.signal(signal.SIGTERM, lambda number, _: asked.append(number))
     return lambda: bool(asked)

@@ -19,7 +19,7 @@ class RayExecutor:
     def __init__(
         self, num_threads: int, num_jobs: int | None, address: str | None, carry_out: CarryOut
     ) -> None:
-        """Joins the cluster at `address`, or starts one on this machine.
+        """Join the cluster at `address`, or start one on this machine.
 
         Args:
             num_threads: The number of threads of a run, for each of which Ray reserves a core.
@@ -80,7 +80,7 @@ class RayExecutor:
         self._running.clear()
 
     def close(self) -> None:
-        """Leaves the cluster; one that was started here ends."""
+        """Leave the cluster; one that was started here ends."""
         self._ray.shutdown()
 
 
