@@ -28,7 +28,6 @@ Row = dict[str, str]
 HEADINGS = {
     "bass": "bass played",
     "cpu_per_music": "CPU time / music",
-    "cpu_seconds": "CPU time in all [s]",
     "f1": "F1",
     "melody": "melody played",
     "note_onset_f1": "note onset F1",
@@ -37,14 +36,12 @@ HEADINGS = {
     "original_f1": "F1 of the original",
     "pianist_finger": "pianist: finger",
     "pitch_classes": "pitch classes",
-    "prepare_cpu_seconds": "CPU time before it plays [s]",
     "robot_finger": "robot: finger",
     "robot_hand": "robot: hand",
     "velocity_error": "velocity error",
 }
-DECIMALS = {"cpu_per_music": 2, "onset_error": 1, "onset_error_ms": 1, "velocity_error": 1} | {
-    "prepare_cpu_seconds": 1,
-    "cpu_seconds": 1,
+DECIMALS = {
+    **{"cpu_per_music": 2, "onset_error": 1, "onset_error_ms": 1, "velocity_error": 1},
     **dict.fromkeys(("robot_hand", "robot_finger", "pianist_finger"), 2),
 }
 NAMES = {
