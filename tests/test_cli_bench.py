@@ -114,7 +114,7 @@ def test_one_that_crashes_takes_nothing_else_with_it(folder: Path, agent: str, h
         (("--seeds", "x"), "seeds x: give whole numbers"),
         (("--seeds", "3-1"), "FIRST-LAST"),
         (("--seeds", ","), "no seed"),
-        (("--seeds", "0-9999,10000-19999"), "2 songs, 1 agent, 20000 seeds: 40000 runs, but"),
+        (("--seeds", "0-9999,10000-19999"), "2 songs, 1 agent, 20,000 seeds: 40,000 runs, but"),
         (("--agents", ","), "nobody plays"),
         (("--agents", "playback"), "playback plays a single file"),
         (("--agents", "nobody"), "no agent 'nobody'"),

@@ -69,6 +69,11 @@ def shortened(text: str, most: int = _MAX_OTHERS) -> str:
     return line if len(line) <= most and len(text) <= most * 2 else f"{line[: most - 3]}..."
 
 
+def counted(number: int, noun: str) -> str:
+    """A number and its noun, such as "1 run" or "2,000 runs"."""
+    return f"{number:,} {noun}{'s'[: number != 1]}"
+
+
 def on_one_line(message: str) -> str:
     """The message; what cannot be printed, as in the name of a file, is escaped.
 

@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 import tyro
 
 from cadenza.cli.arguments import Chosen, Flat, Output
-from cadenza.cli.console import counted
 from cadenza.cli.options import SETUP_HELP
 from cadenza.cli.saving import check_name, check_writable
+from cadenza.errors import counted
 from cadenza.files import folder_name
 from cadenza.fingers import SIDES
 from cadenza.music.arrangement import Arrangement

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 from cadenza.agents.registry import PLAYBACK, PRETRAINED
 from cadenza.cli.arguments import Flat, Output, Quiet
-from cadenza.cli.console import counted
 from cadenza.cli.options import TRAIN, Options, Read, split_agents
 from cadenza.cli.runs import Execution, Work, check_execution, run_all
 from cadenza.configs import MAX_SEED, whole_number
-from cadenza.errors import CadenzaError, CadenzaWarning, quoted
+from cadenza.errors import CadenzaError, CadenzaWarning, counted, quoted
 from cadenza.learning.config import preset
 from cadenza.learning.learner import Preset
 
@@ -67,8 +66,8 @@ def run(command: Bench, read: Read[Bench]) -> None:
         parts = (library.songs, "song"), (agents, "agent"), (seeds, "seed")
         what = ", ".join(counted(len(each), noun) for each, noun in parts)
         raise CadenzaError(
-            f"{what}: {runs} runs, but a bench holds up to {_MAX_RUNS}; choose fewer, such as a "
-            "split or a smaller folder of songs"
+            f"{what}: {runs:,} runs, but a bench holds up to {_MAX_RUNS:,}; choose fewer, such as "
+            "a split or a smaller folder of songs"
         )
     jobs = bench_jobs(library, contenders, seeds, command.arrangement, command.pages)
     if not jobs:

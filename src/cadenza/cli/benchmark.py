@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Literal
 import tyro
 
 from cadenza.cli.arguments import Output, Quiet
-from cadenza.cli.console import counted, in_columns
+from cadenza.cli.console import in_columns
 from cadenza.cli.progress import progress
 from cadenza.cli.saving import check_writable
+from cadenza.errors import counted
 
 if TYPE_CHECKING:
     from cadenza.evaluation.benchmark.verification import PlayedAgain

@@ -14,11 +14,6 @@ from cadenza.cli.progress import QUIET
 from cadenza.errors import CadenzaWarning, on_one_line
 
 
-def counted(number: int, noun: str) -> str:
-    """Returns a number and its noun, such as "1 step" or "2 steps"."""
-    return f"{number} {noun}{'s'[: number != 1]}"
-
-
 def in_columns(rows: Sequence[Sequence[str]], alignment: str = "<") -> str:
     """Returns a table as text.
 

@@ -11,13 +11,12 @@ import tyro
 
 from cadenza.agents.registry import PLAYBACK, PRETRAINED
 from cadenza.cli.arguments import Flat, Output, Quiet
-from cadenza.cli.console import counted
 from cadenza.cli.options import Options, Read, RecordedParts
 from cadenza.cli.progress import progress, stages
 from cadenza.cli.runs import Execution, Work, check_execution, run_all
 from cadenza.cli.saving import check_writable
 from cadenza.configs import check_ranges, whole_number
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, counted
 from cadenza.evaluation.collecting.variation import Variation, collecting_task
 from cadenza.tasks.config import TaskConfig
 

@@ -11,10 +11,9 @@ from typing import Annotated, Literal
 import tyro
 
 from cadenza.cli.arguments import Quiet
-from cadenza.cli.console import counted
 from cadenza.cli.info import usual_players
 from cadenza.cli.progress import progress
-from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.errors import CadenzaError, CadenzaWarning, counted
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import tyro
 
 from cadenza.agents.registry import AGENTS
 from cadenza.cli.arguments import Flat
-from cadenza.cli.console import counted, in_columns
-from cadenza.errors import CadenzaError
+from cadenza.cli.console import in_columns
+from cadenza.errors import CadenzaError, counted
 from cadenza.hub import is_on_hub
 from cadenza.learning.learner import LEARNERS
 from cadenza.music.arrangement import Arrangement

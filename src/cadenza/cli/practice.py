@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 from cadenza.agents.registry import PLANNER
 from cadenza.cli.arguments import Output, Quiet
-from cadenza.cli.console import counted, stop_on_signal
+from cadenza.cli.console import stop_on_signal
 from cadenza.cli.options import Performing, Read, setting_up
 from cadenza.cli.progress import one_after_other, stages
 from cadenza.cli.saving import check_writable, default_folder, save
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, counted
 from cadenza.files import checked, read_json
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import describe_times

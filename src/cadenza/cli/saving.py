@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cadenza.cli.console import counted
 from cadenza.cli.progress import stages
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, counted
 from cadenza.files import folder_name
 
 if TYPE_CHECKING:

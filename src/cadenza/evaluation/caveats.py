@@ -7,10 +7,10 @@ from dataclasses import asdict
 from typing import Any
 
 from cadenza.configs import flat
+from cadenza.errors import counted
 from cadenza.evaluation.results import BenchResults, Result
 from cadenza.files import plain
 from cadenza.music.arrangement import Arrangement
-from cadenza.report.bench_summary import counted
 
 _VARIED = ("song", "song_digest", "seed", "agent")  # what differs among the runs of a bench
 _OWN = ("config", "agent_digest")  # what each agent has of its own

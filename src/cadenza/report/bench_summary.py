@@ -148,8 +148,3 @@ def interval_text(name: str, estimate: Estimate) -> str:
     if math.isnan(estimate.low):
         return ""
     return f"{metric_text(name, estimate.low)}–{metric_text(name, estimate.high)}"
-
-
-def counted(number: int, noun: str) -> str:
-    """Return a number and its noun, such as "1 run" or "2,000 runs"."""
-    return f"{number:,} {noun}{'s'[: number != 1]}"

@@ -11,12 +11,12 @@ from urllib.parse import quote
 
 import numpy as np
 
+from cadenza.errors import counted
 from cadenza.report.bench_summary import (
     METRICS,
     BenchSummary,
     Estimate,
     PieceSummary,
-    counted,
     interval_text,
     metric_text,
 )
