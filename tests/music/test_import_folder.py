@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import errno
-import io
 import shutil
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from cadenza.cli import main
-from cadenza.errors import CadenzaError
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.formats.reading import read_score
 from cadenza.music.libraries.folder import import_folder
@@ -254,18 +249,3 @@ def test_titles_without_end_are_listed_in_short(
     (tmp_path / "index.csv").write_text(f"file,title,composer\nsong,{'t' * 400},{'c' * 400}\n")
     main(["songs", str(tmp_path)])
     assert max(map(len, capsys.readouterr().out.splitlines())) < 400
-
-
-def test_a_file_that_has_nothing_to_read_yet(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Waiting(io.BytesIO):
-        def read(self, size: int | None = -1, /) -> Any:  # as of the kernel's log
-            return None
-
-    @contextmanager
-    def opened(_: Path) -> Iterator[io.BytesIO]:
-        yield Waiting()
-
-    monkeypatch.setattr("cadenza.music.formats.reading.opened", opened)
-    monkeypatch.setattr("cadenza.music.formats.source.opened", opened)
-    with pytest.raises(CadenzaError, match="is empty"):
-        read_score(folder / "joy.mid")

@@ -13,9 +13,9 @@ from cadenza.music.etudes.band.chords import SongPassage, happens
 from cadenza.music.etudes.band.melody import Singing, answers, melody, second_voice
 from cadenza.music.etudes.band.parts import Band, BandSection
 from cadenza.music.etudes.band.plan import (
+    BandPlan,
     Cast,
     Player,
-    SongPlan,
     planned,
     played,
     random_cast,
@@ -39,7 +39,7 @@ _LONG = 1  # quarters of a note that can be two
 _UNUSED_SHARE = 4  # verses leave out the highest quarter of a range, choruses the lowest
 
 
-def give_melodies(rng: np.random.Generator, plan: SongPlan, cast: Cast) -> list[Player | None]:
+def give_melodies(rng: np.random.Generator, plan: BandPlan, cast: Cast) -> list[Player | None]:
     """Give lead, soloist, second voice and double what they play; who leads each section."""
     who = _who_leads(rng, plan, cast)
     pickups, replies = happens(rng, _PICKUPS), happens(rng, _ANSWERS)
@@ -68,7 +68,7 @@ def give_melodies(rng: np.random.Generator, plan: SongPlan, cast: Cast) -> list[
     return who
 
 
-def _who_leads(rng: np.random.Generator, plan: SongPlan, cast: Cast) -> list[Player | None]:
+def _who_leads(rng: np.random.Generator, plan: BandPlan, cast: Cast) -> list[Player | None]:
     lead, solo = cast.lead, cast.solo
     who: dict[str, Player | None] = {
         "intro": solo if happens(rng, _INTRO_BY_SOLO) else None,
@@ -154,7 +154,7 @@ def make_band(seed: int) -> Band:
     return Band(title, style, plan.tempo, plan.style.beats, parts, sections)
 
 
-def _accompany(rng: np.random.Generator, plan: SongPlan, cast: Cast) -> None:
+def _accompany(rng: np.random.Generator, plan: BandPlan, cast: Cast) -> None:
     """Give chords, bass and drums to those who play them."""
     bass = pick(rng, plan.style.bass)
     has_drums, late = happens(rng, _DRUMS), happens(rng, _LATE_RHYTHM)
@@ -180,7 +180,7 @@ def _below_solo(player: Player, tones: list[Tone], start: float, end: float) -> 
 
 
 def _sections(
-    plan: SongPlan, players: list[Player], who: list[Player | None]
+    plan: BandPlan, players: list[Player], who: list[Player | None]
 ) -> tuple[BandSection, ...]:
     return tuple(
         BandSection(

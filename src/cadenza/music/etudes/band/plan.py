@@ -186,7 +186,7 @@ _RAISED = {1: -5, 2: 2}
 
 
 @dataclass(frozen=True)
-class SongPlan:
+class BandPlan:
     """What holds for a whole song, with quarters a minute as `tempo`."""
 
     style: Style
@@ -223,7 +223,7 @@ class SongPlan:
         return seconds(self.ticks(at), self.tempo)
 
 
-def planned(rng: np.random.Generator, style: Style) -> SongPlan:
+def planned(rng: np.random.Generator, style: Style) -> BandPlan:
     """The plan of a song of a style; sections of the same kind have the same chords."""
     minor = happens(rng, style.minor)
     key = Key(int(rng.integers(-_ACCIDENTALS, _ACCIDENTALS, endpoint=True)), minor)
@@ -240,7 +240,7 @@ def planned(rng: np.random.Generator, style: Style) -> SongPlan:
         chords = harmonies(written[kind], here, style.beats, bars)
         final = kind == "ending"
         passages.append(SongPassage(kind, here, style.beats, bars, chords, rng, final, by))
-    return SongPlan(style, key, tempo, tuple(passages))
+    return BandPlan(style, key, tempo, tuple(passages))
 
 
 def _fitting_forms(style: Style, tempo: int) -> list[list[str]]:
@@ -294,13 +294,13 @@ class Manner:
     flat: bool
 
 
-def random_hand(rng: np.random.Generator, plan: SongPlan) -> Manner:
+def random_hand(rng: np.random.Generator, plan: BandPlan) -> Manner:
     """Players who are in time or not quite, and mostly with dynamics."""
     late = ticks(_JITTER, plan.tempo) if happens(rng, _HUMAN) else 0
     return Manner(late, happens(rng, _FLAT))
 
 
-def played(rng: np.random.Generator, plan: SongPlan, player: Player, hand: Manner) -> BandPart:
+def played(rng: np.random.Generator, plan: BandPlan, player: Player, hand: Manner) -> BandPart:
     """The part of a player, in which no two notes of a pitch, or of a melody, overlap."""
     events = [_event(rng, plan, player, tone, role, hand) for tone, role in player.tones]
     events = sorted(_apart(events), key=attrgetter("start", "pitch"))
@@ -314,7 +314,7 @@ def played(rng: np.random.Generator, plan: SongPlan, player: Player, hand: Manne
 
 
 def _event(
-    rng: np.random.Generator, plan: SongPlan, player: Player, tone: Tone, role: Role, hand: Manner
+    rng: np.random.Generator, plan: BandPlan, player: Player, tone: Tone, role: Role, hand: Manner
 ) -> _TickNote:
     start, end = plan.ticks(tone.at), plan.ticks(tone.at + player.legato * tone.length)
     length = max(end - start - min(_RELEASE, (end - start) // _RELEASE_SHARE), 1)
@@ -345,7 +345,7 @@ def _apart(events: list[_TickNote]) -> list[_TickNote]:
     return kept
 
 
-def _pedal(plan: SongPlan) -> tuple[PedalEvent, ...]:
+def _pedal(plan: BandPlan) -> tuple[PedalEvent, ...]:
     """A pedal that is lifted where harmonies change, and goes down right after."""
     events = []
     for passage, start in plan.placed:
