@@ -155,7 +155,10 @@ def test_a_run_goes_on_to_another_end(
     capsys.readouterr()
     assert rows(longer)[: len(rows(run))] == rows(run)
     assert rows(longer)[-1]["eval_step"] == 304
-    assert [page[-1] for page in pages] == [True, False]  # while it went on, and at its end
+    *before, last = [page[-1] for page in pages]
+    assert all(before)  # while it went on: once or, where that takes long, more often
+    assert len(before) > 0
+    assert not last
     with pytest.raises(SystemExit):
         main(["train", "--resume", str(longer), "--help"])
     shown = " ".join(capsys.readouterr().out.split())
