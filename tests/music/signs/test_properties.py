@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cadenza.fingers import Finger
-from cadenza.music.signs.realising import realised
-from cadenza.music.signs.signed_note import (
+from cadenza.music.signs.notes import (
     Arpeggio,
     Grace,
     Mark,
@@ -20,8 +19,16 @@ from cadenza.music.signs.signed_note import (
     SlurEnd,
     Tremolo,
 )
-from cadenza.music.signs.tempo_map import TempoMap
-from cadenza.music.signs.tempo_marks import Caesura, Change, Fermata, Swing, Tempo, TempoWord
+from cadenza.music.signs.realising import realised
+from cadenza.music.signs.tempo_map import (
+    Caesura,
+    Change,
+    Fermata,
+    Swing,
+    Tempo,
+    TempoMap,
+    TempoWord,
+)
 
 END = Q(16)
 places = st.integers(0, 48).map(lambda k: Q(k, 3))

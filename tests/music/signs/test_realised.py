@@ -6,8 +6,7 @@ from itertools import pairwise
 import pytest
 
 from cadenza.music.signs.conventions import NOTES_A_SECOND
-from cadenza.music.signs.realising import realised
-from cadenza.music.signs.signed_note import (
+from cadenza.music.signs.notes import (
     Arpeggio,
     Grace,
     Mark,
@@ -18,8 +17,8 @@ from cadenza.music.signs.signed_note import (
     SlurEnd,
     Tremolo,
 )
-from cadenza.music.signs.tempo_map import TempoMap
-from cadenza.music.signs.tempo_marks import Caesura, Swing, Tempo
+from cadenza.music.signs.realising import realised
+from cadenza.music.signs.tempo_map import Caesura, Swing, Tempo, TempoMap
 
 FAST = 1 / NOTES_A_SECOND  # [s] of the notes of ornaments
 C4, D4, E4, F4, G4, B3 = 60, 62, 64, 65, 67, 59

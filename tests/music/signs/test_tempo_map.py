@@ -7,12 +7,12 @@ import pytest
 from scipy.integrate import quad
 
 from cadenza.music.signs.conventions import LONG_FERMATA
-from cadenza.music.signs.tempo_map import TempoMap
-from cadenza.music.signs.tempo_marks import (
+from cadenza.music.signs.tempo_map import (
     Caesura,
     Change,
     Fermata,
     Tempo,
+    TempoMap,
     TempoWord,
     says_tempo,
 )

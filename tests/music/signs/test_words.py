@@ -2,7 +2,7 @@
 
 import pytest
 
-from cadenza.music.signs.tempo_marks import Change
+from cadenza.music.signs.tempo_map import Change
 from cadenza.music.signs.words import loudness_step, swing, tempo_change
 
 

@@ -16,8 +16,7 @@ from cadenza.music.signs.conventions import (
     STACCATO,
     STRONG_ACCENT,
 )
-from cadenza.music.signs.signed_note import Mark, SignedNote
-from cadenza.music.signs.timed_note import Chord, TimedNote, Voice
+from cadenza.music.signs.notes import Chord, Mark, SignedNote, SoundingNote, Voice
 
 _MAX_LIFTED = 0.5  # of a note, by which it ends earlier at most
 
@@ -107,12 +106,12 @@ def _loudness(marks: frozenset[Mark]) -> float:
     return ACCENT if Mark.ACCENT in marks else 1.0
 
 
-def _join(note: TimedNote, following: Chord | None) -> None:
+def _join(note: SoundingNote, following: Chord | None) -> None:
     """Has a note last until the next chord of its voice begins, if it is written so."""
     if following and following[0].of.onset == note.of.end and not note.cut:
         note.end = max(note.end, min(each.start for each in following))
 
 
-def _lift(note: TimedNote, seconds: float) -> None:
+def _lift(note: SoundingNote, seconds: float) -> None:
     """Ends a note earlier by a time [s], or half of it."""
     note.end_by(note.end - min(seconds, _MAX_LIFTED * note.length))

@@ -8,8 +8,15 @@ from dataclasses import replace
 from fractions import Fraction
 
 from cadenza.music.signs.conventions import ARPEGGIO_STEP, NOTES_A_SECOND
-from cadenza.music.signs.signed_note import Role, SignedNote
-from cadenza.music.signs.timed_note import Chord, TimedNote, Times, Voice, even_times
+from cadenza.music.signs.notes import (
+    Chord,
+    Role,
+    SignedNote,
+    SoundingNote,
+    Times,
+    Voice,
+    even_times,
+)
 
 
 def with_signs_of_chords(notes: Sequence[SignedNote]) -> list[SignedNote]:
@@ -51,7 +58,7 @@ def _shared(chord: Sequence[SignedNote]) -> list[SignedNote]:
 _MAX_OF_CHORD = 0.5  # of the shortest note, within which the last one begins; a choice
 
 
-def break_chords(notes: Iterable[TimedNote]) -> None:
+def break_chords(notes: Iterable[SoundingNote]) -> None:
     """Has notes with an arpeggio sign begin one after the other, the first of them on the beat.
 
     All last as long as they are written (Gehrkens); that the first is on the beat is a choice.
@@ -76,35 +83,35 @@ _UNMEASURED = 3  # marks in place of those that a tremolo without measure lacks
 _MAX_MARKS = 8  # as in MusicXML
 
 
-def tremolo_times(voice: Voice) -> dict[int, Times]:
-    """Notes of a voice with a tremolo, by `id` -> the times [s] from and up to which they sound.
+def play_tremolos(voice: Voice) -> None:
+    """Give the notes of a voice with a tremolo their turns.
 
     A tremolo is measured: each of its marks halves the value of its notes, from eighths on. Where
     they would follow each other faster than `NOTES_A_SECOND`, they are as fast as that.
     """
-    found: dict[int, Times] = {}
     first: Chord | None = None
     for chord in voice.chords.values():
-        role = chord[0].of.tremolo.role if chord[0].of.tremolo else None
-        if role is Role.ALONE:
-            for note in chord:
-                assert note.of.tremolo is not None  # as the whole chord has it
-                count = _count(note.of.duration, note.of.tremolo.marks)
-                found[id(note)] = _even(note.start, note.end, count)
-        elif role is Role.SECOND and first is not None:
-            found |= _alternating(first, chord)
+        sign = chord[0].of.tremolo
+        role = sign.role if sign else None
+        for note in chord if role is Role.ALONE else ():
+            assert note.of.tremolo is not None  # as the whole chord has it
+            count = _count(note.of.duration, note.of.tremolo.marks)
+            note.turns = _even(note.start, note.end, count)
+        if role is Role.SECOND and first is not None:
+            _alternate(first, chord)
         first = chord if role is Role.FIRST else None
-    return found
 
 
-def _alternating(first: Chord, second: Chord) -> dict[int, Times]:
+def _alternate(first: Chord, second: Chord) -> None:
+    """Have two chords take turns."""
     sign = first[0].of.tremolo
     assert sign is not None
     start, end = min(note.start for note in first), max(note.end for note in second)
     count = _count(first[0].of.duration + second[0].of.duration, sign.marks)
     times = _even(start, end, max(count, 2), times=2)
-    both = ((first, times[::2]), (second, times[1::2]))
-    return {id(note): turns for chord, turns in both for note in chord}
+    for chord, turns in ((first, times[::2]), (second, times[1::2])):
+        for note in chord:
+            note.turns = turns
 
 
 def _count(duration: Fraction, marks: int) -> int:

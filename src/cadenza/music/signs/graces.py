@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.music.signs.conventions import GRACE_LENGTH, NOTES_A_SECOND
-from cadenza.music.signs.signed_note import Grace, OrnamentKind
+from cadenza.music.signs.notes import Chord, Grace, OrnamentKind, Voice, even_times
 from cadenza.music.signs.tempo_map import TempoMap
-from cadenza.music.signs.timed_note import Chord, Voice, even_times
 
 _MAX_OF_NOTE = 0.5  # of the note before or after grace notes, which they take; a choice
 _MIN_SHARE = 0.01  # of a neighbour, as files give per cents

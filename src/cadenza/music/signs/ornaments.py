@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 
 from cadenza.music.score import NATURALS, OCTAVE
 from cadenza.music.signs.conventions import NOTES_A_SECOND
-from cadenza.music.signs.signed_note import Ornament, OrnamentKind, SignedNote
+from cadenza.music.signs.notes import Ornament, OrnamentKind, SignedNote, SoundingNote
 
 _SHARPS = (3, 0, 4, 1, 5, 2, 6)  # the steps that get sharps, in the order of keys: F, C, G, ...
 _WHOLE_TONE = 2
@@ -44,27 +45,31 @@ def alteration(line: int, fifths: int) -> int:
     return (fifths - place + len(_SHARPS) - 1) // len(_SHARPS)
 
 
-def ornament_notes(note: SignedNote, start: float, end: float, led_to: bool) -> list[Played]:
+def ornament_notes(sounding: SoundingNote) -> list[Played]:
     """The notes that a note with an ornament stands for, which fill its time without gaps.
 
     Mordents are those of Grove, turns those of Gehrkens.
-
-    Args:
-        note: the note.
-        start: its beginning [s].
-        end: its end [s].
-        led_to: whether a grace note leads to it.
     """
-    sign = note.ornament
+    note, sign, start, end = sounding.of, sounding.of.ornament, sounding.start, sounding.end
     assert sign is not None
+    main, lower = note.pitch, neighbour(note, -1, sign.below)
+    upper = other = (
+        neighbour(note, 1, sign.above) if sign.interval is None else main + sign.interval
+    )
+    last = [main - sign.turn, main] if sign.turn else []
     if sign.kind is OrnamentKind.TRILL:
-        return _trill(note, sign, start, end, led_to)
-    upper, main, lower = _upper(note, sign), note.pitch, neighbour(note, -1, sign.below)
+        opening = int(not sounding.led_to) if sign.begins is None else sign.begins
+        pitches = _trill(sign, {1: upper, 0: main, -1: lower}, opening, end - start, last)
+        each = (end - start) / len(pitches)
+        if each < _FASTEST:
+            return [(start, end, main)]
+        played = _sequence(pitches, start, each, end)
+        return _accelerated(played, start, end) if sign.accelerates else played
     other = upper
     if sign.kind is OrnamentKind.MORDENT:
         other = lower if sign.interval is None else main - sign.interval
     shakes = max((sign.notes - 1) // 2, 1) if sign.notes else 2 if sign.long else 1
-    mordent = [main, *[other, main] * shakes, *_end(main, sign)]
+    mordent = [main, *[other, main] * shakes, *last]
     pitches = {
         OrnamentKind.MORDENT: mordent,
         OrnamentKind.INVERTED_MORDENT: mordent,
@@ -84,44 +89,23 @@ def ornament_notes(note: SignedNote, start: float, end: float, led_to: bool) -> 
     return _sequence(pitches, start, min(each, (end - start) / len(pitches)), end)
 
 
-def _upper(note: SignedNote, sign: Ornament) -> int:
-    """The pitch of the upper neighbour."""
-    return neighbour(note, 1, sign.above) if sign.interval is None else note.pitch + sign.interval
-
-
-def _end(main: int, sign: Ornament) -> list[int]:
-    """The two notes with which a trill or mordent ends, if the sign has them."""
-    return [main - sign.turn, main] if sign.turn else []
-
-
 def _trill(
-    note: SignedNote, sign: Ornament, start: float, end: float, led_to: bool
-) -> list[Played]:
-    """Equally long notes that end on the main note, if the sign does not say how many there are.
+    sign: Ornament, pitches: Mapping[int, int], opening: int, seconds: float, last: list[int]
+) -> list[int]:
+    """The pitches of a trill of so many seconds, which end on the main note and the `last`.
 
-    They begin on the upper neighbour (Bach), unless the sign says otherwise or a grace note leads
-    to the note.
+    There are as many as the sign says, or as have time. They begin on the upper neighbour (Bach),
+    unless the sign says otherwise or a grace note leads to the note: the `opening` is one of
+    `pitches`, of the upper neighbour (1), the note itself (0) and the lower neighbour (-1).
     """
-    upper, main = _upper(note, sign), note.pitch
-    begins = sign.begins
-    if begins is None:
-        begins = 0 if led_to else 1
-    odd, last = begins == 0, _end(main, sign)
+    is_odd = opening == 0
     if sign.notes:
-        count = max(min(sign.notes, int((end - start) / _FASTEST) - len(last)), 2)
+        count = max(min(sign.notes, int(seconds / _FASTEST) - len(last)), 2)
     else:
-        fitting = int((end - start) * NOTES_A_SECOND + 1e-9) - len(last)
-        count = max(fitting, _MIN_TRILL - odd)
-        count -= (count - odd) % 2
-    pitches = [main if k % 2 != odd else upper for k in range(count)]
-    if begins == -1:
-        pitches[0] = neighbour(note, -1, sign.below)
-    pitches += last
-    each = (end - start) / len(pitches)
-    if each < _FASTEST:
-        return [(start, end, main)]
-    played = _sequence(pitches, start, each, end)
-    return _accelerated(played, start, end) if sign.accelerates else played
+        count = max(int(seconds * NOTES_A_SECOND + 1e-9) - len(last), _MIN_TRILL - is_odd)
+        count -= (count - is_odd) % 2
+    trill = [pitches[0] if k % 2 != is_odd else pitches[1] for k in range(1, count)]
+    return [pitches[opening], *trill, *last]
 
 
 def _accelerated(notes: list[Played], start: float, end: float) -> list[Played]:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from fractions import Fraction
 
 from cadenza.errors import CadenzaError
 from cadenza.music.score import check_end
 from cadenza.music.signs.articulation import articulate, slurred_onsets
-from cadenza.music.signs.chords import break_chords, tremolo_times, with_signs_of_chords
+from cadenza.music.signs.chords import break_chords, play_tremolos, with_signs_of_chords
 from cadenza.music.signs.graces import place_graces
 from cadenza.music.signs.loudness import within_midi
-from cadenza.music.signs.ornaments import Played, ornament_notes
-from cadenza.music.signs.signed_note import SignedNote, SoundingNote
-from cadenza.music.signs.tempo_map import TempoMap
-from cadenza.music.signs.tempo_marks import Swing
-from cadenza.music.signs.timed_note import TimedNote, Times, voices_of
+from cadenza.music.signs.notes import SignedNote, SoundingNote, voices_of
+from cadenza.music.signs.ornaments import ornament_notes
+from cadenza.music.signs.tempo_map import Swing, TempoMap
 
 MAX_NOTES = 100_000
 """More, with repeats and ornaments, are taken for damage."""
@@ -45,15 +44,19 @@ def realised(
     for voice in voices:
         place_graces(voice, tempo)
     break_chords(timed)
-    times: dict[int, Times] = {}
     for voice in voices:
         articulate(voice, slurred.get((voice.part, voice.name), set()))
-        times |= tremolo_times(voice)
+        play_tremolos(voice)
     sounding: list[SoundingNote] = []
     for note in timed:
-        velocity = within_midi(note.velocity)
-        for start, end, pitch in _notes_for(note, times):
-            sounding.append(SoundingNote(start, end, pitch, velocity, note.of))
+        note.velocity = within_midi(note.velocity)
+        if note.of.ornament is not None and note.of.grace is None:
+            for start, end, pitch in ornament_notes(note):
+                sounding.append(replace(note, start=start, end=end, pitch=pitch))
+        elif note.turns is not None:
+            sounding += (replace(note, start=start, end=end) for start, end in note.turns)
+        else:
+            sounding.append(note)
         if len(sounding) > MAX_NOTES:
             raise CadenzaError(
                 f"over {MAX_NOTES} notes with all ornaments and repeats, too many; read the song "
@@ -64,7 +67,7 @@ def realised(
 
 def _timed(
     notes: Sequence[SignedNote], tempo: TempoMap, swings: Iterable[Swing]
-) -> list[TimedNote]:
+) -> list[SoundingNote]:
     """The notes at their written times, which swing and the file's own shifts change."""
     if not notes:
         return []
@@ -73,17 +76,9 @@ def _timed(
     ends = tempo.ends([swung.moved(note, note.end) + note.release for note in notes])
     check_end(float(max(ends)))  # before ornaments and tremolos fill hours with notes
     return [
-        TimedNote(note, start, end, note.velocity)
+        SoundingNote(note, start, end, note.pitch, note.velocity)
         for note, start, end in zip(notes, starts.tolist(), ends.tolist(), strict=True)
     ]
-
-
-def _notes_for(note: TimedNote, times: Mapping[int, Times]) -> Iterable[Played]:
-    """The notes that one stands for."""
-    if note.of.ornament is not None and note.of.grace is None:
-        return ornament_notes(note.of, note.start, note.end, note.led_to)
-    own = times.get(id(note), [(note.start, note.end)])
-    return ((start, end, note.of.pitch) for start, end in own)
 
 
 class _SwungTimes:

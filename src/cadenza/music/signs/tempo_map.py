@@ -1,10 +1,11 @@
-"""Time from places in a score: tempos, ramps between them, and waits."""
+"""Marks that change how fast the music goes, and the time of each place in it by these."""
 
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum, auto
 from fractions import Fraction
 from itertools import zip_longest
 
@@ -15,19 +16,11 @@ from cadenza.errors import CadenzaError
 from cadenza.music.signs.conventions import (
     ACCELERANDO,
     CAESURA,
+    FERMATA,
     MENO_MOSSO,
     OPEN_RAMP,
     PIU_MOSSO,
     RITARDANDO,
-)
-from cadenza.music.signs.tempo_marks import (
-    Caesura,
-    Change,
-    Fermata,
-    Modulation,
-    Tempo,
-    TempoMark,
-    TempoWord,
 )
 
 Floats = NDArray[np.float64]
@@ -37,6 +30,96 @@ MAX_SEGMENTS = 100_000
 _SLOWEST, _FASTEST = 60.0, 0.006  # [s] a quarter lasts at most and at least, however it changes
 _SECONDS_PER_QUARTER = 0.5  # until the score says otherwise, as in MIDI
 _AT_BARLINE = Fraction(1)  # [quarters]: over a barline, a fermata is as long as over a quarter
+
+
+@dataclass(frozen=True, slots=True)
+class Tempo:
+    """A tempo mark: a quarter lasts `seconds` [s] from an `onset` on."""
+
+    onset: Fraction
+    seconds: float
+
+
+class Change(Enum):
+    """A change of tempo in words."""
+
+    RITARDANDO = auto()
+    """Slower little by little: rit., rall., allargando, and the like."""
+    ACCELERANDO = auto()
+    """Faster little by little: accel., stringendo."""
+    MENO_MOSSO = auto()
+    """Slower at once: meno mosso, ritenuto."""
+    PIU_MOSSO = auto()
+    """Faster at once."""
+    A_TEMPO = auto()
+    """The tempo before the last change."""
+    TEMPO_PRIMO = auto()
+    """The tempo at the beginning."""
+
+
+@dataclass(frozen=True, slots=True)
+class TempoWord:
+    """The tempo changes at `onset`.
+
+    One that changes little by little goes on until `end`, if the score says how far it goes, as a
+    line does; else up to the next mark of a tempo.
+    """
+
+    onset: Fraction
+    change: Change
+    end: Fraction | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Modulation:
+    """A metric modulation: a quarter lasts `slower` times as long from `onset` on as before."""
+
+    onset: Fraction
+    slower: Fraction
+
+
+@dataclass(frozen=True, slots=True)
+class Fermata:
+    """A fermata over a note, a chord or a rest from `onset` to `end`: all parts wait.
+
+    The note is `factor` times as long. One over a barline has its onset at its end.
+    """
+
+    onset: Fraction
+    end: Fraction
+    factor: float = FERMATA
+
+
+@dataclass(frozen=True, slots=True)
+class Caesura:
+    """Two strokes at `onset`: what sounds ends there, and all parts pause."""
+
+    onset: Fraction
+
+
+TempoMark = Tempo | TempoWord | Modulation | Fermata | Caesura
+
+
+def says_tempo(mark: TempoMark) -> bool:
+    """Whether a mark gives a tempo, and not a way to play: a change by degrees, or a wait."""
+    if isinstance(mark, TempoWord):
+        return mark.change is Change.TEMPO_PRIMO
+    return isinstance(mark, Tempo | Modulation)
+
+
+@dataclass(frozen=True, slots=True)
+class Swing:
+    """Two notes of a `unit` last as `first : second` from an `onset` on.
+
+    The unit is in quarters: 1/2 for eighths, 1/4 for sixteenths. With 1 : 1 notes are straight.
+    `beat` is any place where the first of two may stand, such as the beginning of a full bar.
+    """
+
+    onset: Fraction
+    first: int = 2
+    second: int = 1
+    unit: Fraction = Fraction(1, 2)
+    beat: Fraction = Fraction(0)
 
 
 @dataclass(frozen=True, slots=True)

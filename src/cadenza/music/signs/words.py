@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from cadenza.music.signs.tempo_marks import Change
+from cadenza.music.signs.tempo_map import Change
 
 # Each with the words that the change is called by; \b before all, so that "brit." is no "rit.".
 _CHANGES = (

@@ -8,7 +8,7 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 from cadenza.music.formats.musicxml.timeline import number
-from cadenza.music.signs.signed_note import (
+from cadenza.music.signs.notes import (
     Arpeggio,
     Mark,
     Ornament,

@@ -24,7 +24,7 @@ from cadenza.music.formats.musicxml.timeline import (
     passes_of,
 )
 from cadenza.music.score import NATURALS, OCTAVE, STEPS
-from cadenza.music.signs.signed_note import Grace, SignedNote
+from cadenza.music.signs.notes import Grace, SignedNote
 
 _FINGERS = "12345"
 _OTHER_STAVES = frozenset(("ossia", "cue", "editorial", "alternate"))

@@ -48,8 +48,7 @@ from cadenza.music.formats.titles import printable, title_of
 from cadenza.music.repair import RawNote, counted_remarks, repaired_notes
 from cadenza.music.score import Bar, PedalEvent, Score, Track, check_chosen
 from cadenza.music.signs.realising import realised
-from cadenza.music.signs.tempo_map import TempoMap
-from cadenza.music.signs.tempo_marks import Swing, says_tempo
+from cadenza.music.signs.tempo_map import Swing, TempoMap, says_tempo
 
 _DECIMALS = 9  # of times [s]: what ends where another begins does so exactly
 _DRUM_CHANNEL = 10
@@ -129,7 +128,7 @@ def _notes(
             round(note.start, _DECIMALS),
             round(note.end, _DECIMALS),
             note.pitch,
-            note.velocity,
+            round(note.velocity),
             True,
             note.of.finger if note.pitch == note.of.pitch else None,
             (note.of.part,),

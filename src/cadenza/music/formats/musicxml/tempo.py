@@ -18,7 +18,7 @@ from cadenza.music.formats.musicxml.timeline import (
     number,
 )
 from cadenza.music.signs.conventions import CHORALE_FERMATA, FERMATA, LONG_FERMATA, SHORT_FERMATA
-from cadenza.music.signs.tempo_marks import (
+from cadenza.music.signs.tempo_map import (
     Caesura,
     Fermata,
     Modulation,

@@ -18,8 +18,8 @@ from cadenza.music.formats.musicxml.notes import WrittenNote
 from cadenza.music.formats.musicxml.pedal import Move
 from cadenza.music.formats.musicxml.timeline import ZERO
 from cadenza.music.score import PITCHES
-from cadenza.music.signs.signed_note import SignedNote
-from cadenza.music.signs.tempo_marks import Swing
+from cadenza.music.signs.notes import SignedNote
+from cadenza.music.signs.tempo_map import Swing
 
 _T = TypeVar("_T")
 _MOST = 100_000  # notes or bars, with repeats

@@ -1,12 +1,18 @@
-"""Notes with the signs at them, as they are written, and notes as they sound."""
+"""Notes with the signs at them, as they are written, notes as they sound, and their voices."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 from fractions import Fraction
+from itertools import pairwise
 
 from cadenza.fingers import Finger
+
+MIN_LENGTH = 0.05
+"""How long a note lasts at least that a sign makes shorter, if it is written so [s]; a choice, as
+long as a control step."""
 
 
 class Mark(Enum):
@@ -181,16 +187,73 @@ class SignedNote:
         )
 
 
-@dataclass(frozen=True, slots=True)
+Times = list[tuple[float, float]]
+"""Notes sound from the first time [s] of each pair up to the second."""
+
+
+@dataclass(slots=True, eq=False)
 class SoundingNote:
     """A note as it sounds, from `start` to `end` [s]; `of` is the written one that it is part of.
 
-    Several come of one with an ornament or a tremolo, in which `pitch` may differ. The written one
-    has the signs of its whole chord.
+    Several come of one with an ornament or a tremolo, which takes `turns`; in an ornament `pitch`
+    may differ. The written one has the signs of its whole chord. `cut` is whether a sign has made
+    it end earlier than it is written, and `led_to` whether a grace note leads to it.
     """
 
+    of: SignedNote
     start: float
     end: float
     pitch: int
-    velocity: int
-    of: SignedNote
+    velocity: float
+    cut: bool = False
+    led_to: bool = False
+    turns: Times | None = None
+
+    @property
+    def length(self) -> float:
+        """How long the note lasts [s]."""
+        return self.end - self.start
+
+    def end_by(self, time: float) -> None:
+        """Ends the note at a time [s] or before, but not before it has sounded."""
+        if time < self.end:
+            self.end = max(time, self.start + min(self.length, MIN_LENGTH))
+            self.cut = True
+
+
+Chord = list[SoundingNote]
+
+
+def even_times(start: float, end: float, count: int) -> Times:
+    """The times of `count` notes that share the time between two [s] evenly."""
+    return list(pairwise([*(start + (end - start) * k / count for k in range(count)), end]))
+
+
+@dataclass(slots=True)
+class Voice:
+    """One voice of a part: its chords by onset [quarters], and the grace notes at each onset.
+
+    Both are in order of time; grace notes of one place are chords, too, in their order.
+    """
+
+    part: int
+    name: str
+    chords: dict[Fraction, Chord]
+    graces: dict[Fraction, list[Chord]]
+
+
+def voices_of(notes: Iterable[SoundingNote]) -> list[Voice]:
+    """The voices that notes are in."""
+    voices: dict[tuple[int, str], Voice] = {}
+    indices: dict[tuple[int, str, Fraction], dict[int, Chord]] = {}
+    for note in sorted(notes, key=lambda note: note.of.onset):
+        of = note.of
+        voice = voices.setdefault((of.part, of.voice), Voice(of.part, of.voice, {}, {}))
+        if of.grace is None:
+            voice.chords.setdefault(of.onset, []).append(note)
+        else:
+            chords = indices.setdefault((of.part, of.voice, of.onset), {})
+            chords.setdefault(of.grace.index, []).append(note)
+    for (part, name, onset), chords in indices.items():
+        voices[part, name].graces[onset] = [chords[index] for index in sorted(chords)]
+    return list(voices.values())
