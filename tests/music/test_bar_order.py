@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cadenza.music.formats.musicxml.bar_order import Signs, played_order, without_goal
+from cadenza.music.formats.musicxml.bars import Signs, played_order, without_goal
 
 
 def bars(text):

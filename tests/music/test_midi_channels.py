@@ -190,7 +190,7 @@ def test_the_pedals_of_ports_have_nothing_in_common(read):
     held = [port(0), control(64, 127), *note(60), control(64, 0, 3 * QUARTER)]
     other = [port(1), control(64, 0, QUARTER), *note(64)]
     score = read(held, other)
-    assert [(e.time, e.value) for e in score.pedal] == [(0.0, 127), (0.5, 127), (2.0, 0)]
+    assert [(e.time, e.value) for e in score.pedal] == [(0.0, 127), (2.0, 0)]
 
 
 def test_the_tenth_channel_of_every_port_plays_drums(read):

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
+from operator import itemgetter
+from typing import TypeVar
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
 from cadenza.music.score import Note
+
+_Time = TypeVar("_Time")
+_PEDAL_DOWN = 127  # the value of a pedal that is all the way down
 
 
 @dataclass(slots=True)
@@ -109,6 +115,37 @@ def _merged(notes: Sequence[RawNote]) -> RawNote:
         tracks=tuple(dict.fromkeys(track for note in notes for track in note.tracks)),
         hands=tuple(sorted({hand for note in notes for hand in note.hands})),
     )
+
+
+def merged_pedal(moves: Iterable[tuple[_Time, Hashable, int]]) -> Iterator[tuple[_Time, int]]:
+    """Yield times and values of the one pedal of a piano: the lowest that any channel holds it.
+
+    Where several channels change the pedal at one time, it goes up before it goes down again.
+
+    Args:
+        moves: times, channels or parts of a sheet, and values, in order of time.
+    """
+    held: dict[Hashable, int] = {}
+    channels_at = [0] * (_PEDAL_DOWN + 1)  # how many hold the pedal at each value
+
+    def lowest_after(changes: Iterable[tuple[Hashable, int]]) -> int:
+        for channel, value in changes:
+            if channel in held:
+                channels_at[held[channel]] -= 1
+            held[channel] = value
+            channels_at[value] += 1
+        return next(value for value in range(_PEDAL_DOWN, -1, -1) if channels_at[value])
+
+    latest = 0
+    for time, together in groupby(moves, key=itemgetter(0)):
+        changes = [(channel, value) for _, channel, value in together]
+        between = lowest_after(sorted(changes, key=itemgetter(1), reverse=True))
+        after = lowest_after(changes)
+        is_alone = len(held) == 1  # no other has one
+        for value in [value for _, value in changes] if is_alone else (between, after):
+            if is_alone or value != latest:
+                yield time, value
+            latest = value
 
 
 def counted_remarks(cases: Iterable[tuple[int, str, str]]) -> list[str]:

@@ -14,13 +14,12 @@ from fractions import Fraction
 from itertools import count, groupby, islice
 from xml.etree.ElementTree import Element, SubElement, fromstring, tostring
 
-from cadenza.music.formats.musicxml.bar_order import Signs, played_order, without_goal
-from cadenza.music.formats.musicxml.bars import WrittenBar
+from cadenza.music.formats.musicxml.bars import Signs, WrittenBar, played_order, without_goal
 from cadenza.music.formats.musicxml.jumps import JumpReader
 
 _ID = "xml:id"
 _NAMESPACE = "http://www.music-encoding.org/ns/mei"
-_MOST = 100_000  # bars, with repeats
+_MAX = 100_000  # bars, with repeats
 _MAX_STAVES = 100  # of a part
 _MAX_PASSES = 64
 _ENDLESS = 10**9  # for a number in MEI
@@ -39,22 +38,25 @@ _WITHOUT_MUSIC = frozenset(("pb", "sb", "cb", "div", "expansion", "annot"))
 _Pitch = tuple[str | None, str | None, str | None]  # staff, name and octave
 
 
-@dataclass(frozen=True, slots=True)
-class PlayedBar:
-    """A bar as it is played: the id of its measure, its beats, which are `1 / unit`, and tempos.
+@dataclass(slots=True)
+class MeiBar:
+    """A measure as it is written, and the number of scoreDefs before it (`changes`).
 
-    Tempos are quarters from its beginning, and quarters a minute. The first is at its beginning.
+    Its `metre` is a number of beats and the part of a whole note that each is. `tempos` are
+    quarters from its beginning, where the first is, and quarters a minute.
     """
 
-    id: str
-    unit: int
+    measure: Element
+    changes: int
+    metre: tuple[int, int]
     tempos: list[tuple[Fraction, float]]
+    signs: Signs = field(default_factory=Signs)
 
 
-def unfolded(content: str) -> tuple[str, list[PlayedBar], Counter[str]]:
+def unfolded(content: str) -> tuple[str, dict[str, MeiBar], Counter[str]]:
     """A document in which every bar stands as often as it is played, one after the other.
 
-    The counts are of what is left out.
+    Comes with its measures by the ids that they have there, and counts of what is left out.
 
     Raises:
         ParseError: it is not XML.
@@ -79,10 +81,10 @@ def unfolded(content: str) -> tuple[str, list[PlayedBar], Counter[str]]:
             chord.attrib.update({key: value for key, value in lengths.items() if value})
     for parts in root.iter("parts"):
         _join(parts)
-    played: list[PlayedBar] = []
+    played: dict[str, MeiBar] = {}
     for score in root.iterfind(".//body//score"):
         if score.find(".//measure") is not None:
-            played += _Unfolding(score, counts).played()
+            played |= _Unfolding(score, counts).played()
     return tostring(root, "unicode"), played, counts
 
 
@@ -145,20 +147,6 @@ def _copied(element: Element, name: str) -> Element:
     return copy
 
 
-@dataclass(slots=True)
-class _Bar:
-    """A measure as it is written.
-
-    `changes` are the number of scoreDefs that stand before it.
-    """
-
-    measure: Element
-    changes: int
-    metre: tuple[int, int]
-    tempos: list[tuple[Fraction, float]]
-    signs: Signs = field(default_factory=Signs)
-
-
 class _Unfolding:
     """Unfolds a score."""
 
@@ -166,7 +154,7 @@ class _Unfolding:
         self._score = score
         self._counts = counts
         self._numbers = count()
-        self._bars: list[_Bar] = []
+        self._bars: list[MeiBar] = []
         self._held: dict[Element, range] = {}  # the bars that an element holds
         self._changes: list[Element] = []  # scoreDefs
         self._metre, self._tempo = (4, 4), _TEMPO
@@ -213,7 +201,7 @@ class _Unfolding:
         self._tempo = found[-1][1]
         signs = Signs(ending=ending)
         self._held[measure] = range(len(self._bars), len(self._bars) + 1)
-        self._bars.append(_Bar(measure, len(self._changes), self._metre, found, signs))
+        self._bars.append(MeiBar(measure, len(self._changes), self._metre, found, signs))
 
     def _spell_out(self, number: int, staff: Element) -> None:
         """Puts music in the place of signs for it in a staff of a bar."""
@@ -329,11 +317,11 @@ class _Unfolding:
             elif child in self._held:
                 yield from self._pieces(child)
 
-    def played(self) -> list[PlayedBar]:
-        """Unfolds the score; its bars as they are played."""
-        order = list(islice(self._order(self._score), _MOST))
+    def played(self) -> dict[str, MeiBar]:
+        """Unfold the score; its measures as they are played."""
+        order = list(islice(self._order(self._score), _MAX))
         seen, told = Counter[int](), 1  # how many changes hold
-        section, found, names = Element("section"), list[PlayedBar](), list[str]()
+        section, played, names = Element("section"), dict[str, MeiBar](), list[str]()
         for at, number in enumerate(order):
             bar = self._bars[number]
             names.append(f"-turn{seen[number]}" if seen[number] else "")
@@ -342,12 +330,12 @@ class _Unfolding:
             section.extend(deepcopy(change) for change in self._changes[told : bar.changes])
             told = bar.changes
             section.append(_copied(bar.measure, names[-1][1:]) if seen[number] else bar.measure)
-            found.append(PlayedBar(section[-1].get(_ID, ""), bar.metre[1], bar.tempos))
+            played[section[-1].get(_ID, "")] = bar
             seen[number] += 1
         self._lead(order, names, list(section.iter("measure")))
         self._score[:] = [*self._changes[:1], section]
         self._counts["bar"] += len(self._bars) - len(seen)
-        return found
+        return played
 
     def _lead(
         self, order: Sequence[int], names: Sequence[str], measures: Sequence[Element]

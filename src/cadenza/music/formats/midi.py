@@ -27,10 +27,10 @@ from cadenza.music.formats.midi_messages import (
     MidiFile,
     parsed,
 )
-from cadenza.music.formats.midi_playing import Part, Playing, merged_pedal
+from cadenza.music.formats.midi_playing import Part, Playing
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
-from cadenza.music.repair import RawNote, repaired_notes
+from cadenza.music.repair import RawNote, merged_pedal, repaired_notes
 from cadenza.music.score import BEAT_TYPES, Bar, Note, PedalEvent, Score, Track, check_chosen
 
 # What is written: at 120 quarters a minute 48,000 ticks a second, in which both 1 ms and thirds of
@@ -44,9 +44,7 @@ _STROKE = 0.05  # [s] for which a drum sounds, whatever the file says
 _MAX_BARS, _MAX_BEATS = 20_000, 100_000  # more are taken for damage
 
 
-def read_midi(
-    path: str | Path, tracks: Collection[int] = (), content: bytes | None = None
-) -> Score:
+def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
     """The piano score in a Standard MIDI file (format 0, 1 or 2), bare or wrapped in RIFF (RMID).
 
     All instruments but the drums are played together, or only `tracks`, by their numbers in
@@ -79,19 +77,17 @@ def read_midi(
     - velocities, pedals and volumes over 127 are taken for 127, and other settings over 127 are
       left out.
 
-    `content` is the MIDI file that was made of a file of another format at `path`.
-
     Raises:
         CadenzaError: no such file, not a MIDI file, damaged, without notes, or without one
             of `tracks`.
     """
     path = Path(path)
-    content = read_bytes(path) if content is None else content
+    content = read_bytes(path)
     with errors_in(path):
-        return _score(parsed(content), tracks, title_of(path))
+        return score_of(parsed(content), tracks, title_of(path))
 
 
-def _score(file: MidiFile, tracks: Collection[int], title: str) -> Score:
+def score_of(file: MidiFile, tracks: Collection[int], title: str) -> Score:
     """The score in a file; without a name in it, it has the `title`."""
     remarks, messages = list(file.remarks), file.tracks
     if file.format == 2:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby
 from operator import itemgetter
 
-from cadenza.music.formats.general_midi import ALL_OFF, LARGEST, RESET, SOFT, SOSTENUTO, SUSTAIN
+from cadenza.music.formats.general_midi import ALL_OFF, RESET, SOFT, SOSTENUTO, SUSTAIN
 from cadenza.music.formats.midi_channels import (
     ALL,
     SETTINGS,
@@ -169,32 +168,3 @@ def _events(track: int, messages: Iterable[Message]) -> Iterator[_Event]:
                 yield tick, _CHANGES, track, port, message
             if kind in _PLAYED and (not changes or data[0] == RESET):
                 yield tick, _PLAYS, track, port, message
-
-
-def merged_pedal(moves: Iterable[tuple[int, Hashable, int]]) -> Iterator[tuple[int, int]]:
-    """Yield times and values of the one pedal of a piano: the lowest that any channel holds it.
-
-    Where several channels change the pedal at one time, it goes up before it goes down again.
-
-    Args:
-        moves: times, channels and values, in order of time.
-    """
-    held: dict[Hashable, int] = {}
-    channels_at = [0] * (LARGEST + 1)  # how many hold the pedal at each value
-
-    def lowest_after(changes: Iterable[tuple[Hashable, int]]) -> int:
-        for channel, value in changes:
-            if channel in held:
-                channels_at[held[channel]] -= 1
-            held[channel] = value
-            channels_at[value] += 1
-        return next(value for value in range(LARGEST, -1, -1) if channels_at[value])
-
-    for time, together in groupby(moves, key=itemgetter(0)):
-        changes = [(channel, value) for _, channel, value in together]
-        between = lowest_after(sorted(changes, key=itemgetter(1), reverse=True))
-        after = lowest_after(changes)
-        if len(held) == 1:  # no other has one
-            yield from ((time, value) for _, value in changes)
-        else:
-            yield from ((time, value) for value in dict.fromkeys((between, after)))

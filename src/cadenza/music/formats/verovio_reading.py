@@ -7,27 +7,27 @@ reads a file on stdin and prints what it makes of it: damaged files have Verovio
 from __future__ import annotations
 
 import base64
-import io
 import json
 import re
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cadenza.errors import CadenzaError
-from cadenza.music.formats.midi import read_midi
+from cadenza.errors import CadenzaError, errors_in
+from cadenza.music.formats.midi import score_of
+from cadenza.music.formats.midi_messages import METRE, TEMPO, Message, parsed
 from cadenza.music.formats.source import read_bytes
+from cadenza.music.formats.titles import title_of
 from cadenza.music.repair import counted_remarks
 from cadenza.music.score import BEAT_TYPES, Score
 
 if TYPE_CHECKING:
-    from cadenza.music.formats.mei_unfolding import PlayedBar
+    from cadenza.music.formats.mei_unfolding import MeiBar
 
 _PATIENCE = 30  # [s] for a file
 _MEMORY = 1 << 30  # bytes that Verovio may use
@@ -38,9 +38,9 @@ _FOR_ENGRAVING = re.compile(r"(?m)(^|\t)\*(?:I?Tr[-dc\d]|tremolo|rep\b)[^\t\r\n]
 _LIST = re.compile(r"(?m)^(?:\*\t)*\*>\[")
 _SECTION = re.compile(r"(?:^|\t)\*>(?!\w*\[)")  # the beginning of one
 _LABEL = re.compile(r"(?<=[>\[,])[^\[\],\t]+(?=[\],\t]|$)")  # also each in a list
-_OF_BARS = frozenset(("set_tempo", "time_signature"))
 _NEAR = 1e-3  # beats by which Verovio may round
 _MAX_BEATS = 255  # of a time signature in MIDI
+_MINUTE = 60_000_000  # microseconds
 
 
 def read_by_verovio(path: Path, form: str, tracks: Collection[int] = ()) -> Score:
@@ -59,10 +59,15 @@ def read_by_verovio(path: Path, form: str, tracks: Collection[int] = ()) -> Scor
             f"{path}: cannot be read as {form}; open it in a notation program such as "
             "MuseScore, and export it as MusicXML"
         )
-    midi, left_out = json.loads(played)
-    score = read_midi(path, tracks, base64.b64decode(midi))
-    said = f"read by Verovio as {form}: without loudness, pedal and fingers"
-    return replace(score, remarks=(said, *_remarks(Counter(left_out)), *score.remarks))
+    midi, marks, left_out = json.loads(played)
+    file = parsed(base64.b64decode(midi))
+    # Verovio has incomplete bars as long as complete ones, and moves tempos to bars.
+    music = [[each for each in track if each.kind not in (METRE, TEMPO)] for track in file.tracks]
+    marked = [Message(tick, kind, base64.b64decode(content)) for tick, kind, content in marks]
+    with errors_in(path):
+        score = score_of(file._replace(tracks=[*music, marked]), tracks, title_of(path))
+    remark = f"read by Verovio as {form}: without loudness, pedal and fingers"
+    return replace(score, remarks=(remark, *_remarks(Counter(left_out)), *score.remarks))
 
 
 def _remarks(left_out: Counter[str]) -> list[str]:
@@ -95,7 +100,7 @@ def _played(content: bytes, form: str) -> bytes:
 
 
 def main() -> None:
-    """Prints the file on stdin as MIDI, in base 64, and the numbers of what is left out."""
+    """Print the file on stdin as MIDI in base 64, its marks, and counts of what is left out."""
     import resource  # which only Unix has
 
     from verovio import LOG_OFF, enableLog
@@ -112,9 +117,11 @@ def main() -> None:
         text = _loaded(_plain(text), "humdrum").getMEI()
     text, bars, left_out = unfolded(text)
     toolkit = _loaded(text, "mei")
-    midi = base64.b64decode(toolkit.renderToMIDI())
+    midi = toolkit.renderToMIDI()
     places = toolkit.renderToTimemap({"includeMeasures": True})
-    print(json.dumps((base64.b64encode(_with_bars(midi, bars, places)).decode(), left_out)))
+    marks = _marks(bars, places, parsed(base64.b64decode(midi)).division)
+    printed = [(tick, kind, base64.b64encode(data).decode()) for tick, kind, data, _ in marks]
+    print(json.dumps((midi, printed, left_out)))
 
 
 def _plain(text: str) -> str:
@@ -149,47 +156,33 @@ def _loaded(text: str, form: str) -> Any:
     return toolkit
 
 
-def _with_bars(midi: bytes, bars: Sequence[PlayedBar], places: Sequence[dict[str, Any]]) -> bytes:
-    """A MIDI file of Verovio, in which time signatures and tempos are those of the bars.
+def _marks(
+    bars: Mapping[str, MeiBar], places: Sequence[dict[str, Any]], division: int
+) -> list[Message]:
+    """The time signatures and tempos of bars, at times in ticks, of which a quarter has `division`.
 
-    Verovio has incomplete bars as long as complete ones, and moves tempos to bars. `places` is its
-    map of time.
+    `places` is Verovio's map of time.
     """
-    from mido import MetaMessage, MidiFile, MidiTrack, bpm2tempo
-
-    file = MidiFile(file=io.BytesIO(midi))
-    for track in file.tracks:
-        track[:] = [
-            MetaMessage("text", time=each.time) if each.type in _OF_BARS else each for each in track
-        ]
     known = {each["measureOn"]: each["qstamp"] for each in places if "measureOn" in each}
     begins = [0.0]
-    for bar in bars[1:]:
-        begins.append(known.get(bar.id, begins[-1]))  # empty ones may be missing
+    for name in list(bars)[1:]:
+        begins.append(known.get(name, begins[-1]))  # empty ones may be missing
     begins.append(places[-1]["qstamp"])
-    marks: list[tuple[int, MetaMessage]] = []
+    marks: list[Message] = []
     metre, tempo = (0, 0), 0.0
-    for bar, begin, end in zip(bars, begins, begins[1:], strict=False):
+    for bar, begin, end in zip(bars.values(), begins, begins[1:], strict=False):
         if end <= begin:
             continue
-        before, metre = metre, _metre(end - begin, bar.unit)
+        before, metre = metre, _metre(end - begin, bar.metre[1])
         if metre != before:
-            sign = MetaMessage("time_signature", numerator=metre[0], denominator=metre[1])
-            marks.append((round(begin * file.ticks_per_beat), sign))
+            content = bytes((metre[0], metre[1].bit_length() - 1, 0, 0))
+            marks.append(Message(round(begin * division), METRE, content))
         for place, now in bar.tempos:
             if now != tempo:
-                mark = MetaMessage("set_tempo", tempo=bpm2tempo(now))
-                marks.append((round((begin + float(place)) * file.ticks_per_beat), mark))
+                tick = round((begin + float(place)) * division)
+                marks.append(Message(tick, TEMPO, round(_MINUTE / now).to_bytes(3, "big")))
             tempo = now
-    marks.sort(key=itemgetter(0))
-    ticks = [0, *(tick for tick, _ in marks)]
-    track = (
-        mark.copy(time=b - a) for (_, mark), (a, b) in zip(marks, pairwise(ticks), strict=True)
-    )
-    file.tracks.append(MidiTrack(track))
-    written = io.BytesIO()
-    file.save(file=written)
-    return written.getvalue()
+    return sorted(marks, key=itemgetter(0))
 
 
 def _metre(quarters: float, unit: int) -> tuple[int, int]:

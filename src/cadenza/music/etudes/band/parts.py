@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, get_args
 
+from cadenza.errors import errors_in
 from cadenza.files import write_atomically
 from cadenza.music.score import Note, PedalEvent, Score
 
@@ -122,6 +123,8 @@ def band_score(band: Band, tracks: Collection[int] = ()) -> Score:
     Raises:
         CadenzaError: there is no such track.
     """
-    from cadenza.music.formats.midi import read_midi  # which needs mido, too
+    from cadenza.music.formats.midi import score_of  # which needs mido, too
+    from cadenza.music.formats.midi_messages import parsed
 
-    return read_midi(band.title, tracks, _midi_of(band))
+    with errors_in(band.title):
+        return score_of(parsed(_midi_of(band)), tracks, band.title)

@@ -1,19 +1,53 @@
-"""The bars of a sheet: where they begin, their beats, and the signs of repeats at their lines."""
+"""The bars of a sheet, and the order in which they are played: repeats, jumps, codas and fines."""
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Sequence
+from bisect import bisect_left, bisect_right
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from itertools import pairwise
+from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
-from cadenza.music.formats.musicxml.bar_order import Signs
 from cadenza.music.formats.musicxml.timeline import Placed, number, numbers_in
 from cadenza.music.score import BEAT_TYPES
 
 _MAX_TIMES = 999  # that a section is played, as endings are numbered
 _MAX_BEATS = 64  # of a bar; a longer one has no metre
+
+
+@dataclass(slots=True)
+class Signs:
+    """The signs of a bar that say in which order bars are played.
+
+    A repeat, segno and coda stand where the bar begins; the others take effect where it ends.
+    """
+
+    begins_repeat: bool = False
+    times: int = 1
+    """The number of times that a section is played whose repeat sign is here; 1 without one."""
+    after_jump: bool = False
+    """Whether that repeat is taken again after a jump back."""
+    ending: frozenset[int] = frozenset()
+    """The passes through its section on which the bar is played; empty for all."""
+    segno: str | None = None
+    coda: str | None = None
+    dal_segno: str | None = None
+    to_coda: str | None = None
+    da_capo: bool = False
+    fine: bool = False
+    returns_on: frozenset[int] = frozenset()
+    """The times that the bar is played at which the player goes back from it; empty for once, after
+    the repeats of its section."""
+    to_coda_on: frozenset[int] = frozenset()
+    """The times at which the player goes to the coda; empty for the first after a jump back."""
+
+    @property
+    def returns(self) -> bool:
+        """Whether the player goes back from here."""
+        return self.da_capo or self.dal_segno is not None
 
 
 @dataclass(slots=True)
@@ -78,8 +112,8 @@ class _BarReader:
             self.bars[-1].signs.begins_repeat = self._is_repeat_next
             self._is_repeat_next = False
         elif element.tag == "attributes":
-            said = int(number(element.findtext("time/beat-type")))
-            self._beat_type = said if said in BEAT_TYPES else self._beat_type
+            beat_type = int(number(element.findtext("time/beat-type")))
+            self._beat_type = beat_type if beat_type in BEAT_TYPES else self._beat_type
             self.bars[-1].beat_type = self._beat_type
         elif element.tag == "barline":
             self._read_barline(element, placed.quarter)
@@ -122,3 +156,148 @@ def _filling(quarters: Fraction, beat_type: int) -> int:
     """The type of beat of a bar: `beat_type`, or a finer one where that does not fill it."""
     finer = (each for each in sorted(BEAT_TYPES) if each >= beat_type)
     return next((each for each in finer if (quarters * each / 4).denominator == 1), beat_type)
+
+
+def played_order(bars: Sequence[Signs]) -> Iterator[tuple[int, int]]:
+    """Yields bars from 0 as they are played, and the passes through their sections, from 1.
+
+    A jump is taken once, on the last pass through its bar, unless it says when. From where it leads
+    to up to the bar where it stood, repeats are not taken again, unless they say so; the first sign
+    to the coda leads there, and a fine to what follows the jump, which is another movement, if
+    anything. A sign whose goal is missing has no effect, see `without_goal`.
+    """
+    jumps, sections = _Jumps(bars), _sections(bars)
+    at, turn = 0, 1  # the bar, and the number of the pass through its section
+    while at < len(bars):
+        signs = bars[at]
+        section = sections[bisect_right(sections, at, key=lambda each: each.begin) - 1]
+        begin, end, turns = section.begin, section.end, section.turns
+        if at <= jumps.returned and not section.after_jump:
+            turn = turns
+        if not signs.ending or turn in signs.ending:
+            yield at, turn
+            is_last = turn == max(signs.ending, default=turns)
+            if is_last and signs.fine and jumps.returned >= 0:
+                at, turn = jumps.end(at), 1
+                continue
+            if (goal := jumps.goal(at, is_last)) is not None:
+                at, turn = goal, 1
+                continue
+            bracket_ends = signs.ending and (at + 1 == end or bars[at + 1].ending != signs.ending)
+            if turn < turns and (signs.times > 1 or bracket_ends):
+                at, turn = begin, turn + 1
+                continue
+        at += 1
+        turn = 1 if at == end else turn
+
+
+def without_goal(bars: Sequence[Signs]) -> int:
+    """The number of signs that send the player to a segno or a coda that is not there."""
+    goals = _Goals(bars)
+    return sum(
+        (signs.dal_segno is not None and goals.of_return(at) is None)
+        + (signs.to_coda is not None and goals.of_coda(at) is None)
+        for at, signs in enumerate(bars)
+    )
+
+
+class _Jumps:
+    """The jumps taken so far; the latest led back from the bar `returned`, -1 for none."""
+
+    def __init__(self, bars: Sequence[Signs]) -> None:
+        self.returned = -1
+        self._bars = bars
+        self._goals = _Goals(bars)
+        self._to_coda = False  # whether a sign to the coda is followed
+        self._taken: set[int] = set()  # bars whose jump back was
+        self._played = Counter[int]()  # how often bars were
+        self._begin, self._end = 0, len(bars)  # of the movement, and of all
+
+    def goal(self, at: int, is_last: bool) -> int | None:
+        """Takes the jump at the end of a bar; None if there is none to be taken now.
+
+        Args:
+            at: the bar.
+            is_last: whether this is the last pass through its section.
+        """
+        self._played[at] += 1
+        signs, time = self._bars[at], self._played[at]
+        is_on = time in signs.to_coda_on if signs.to_coda_on else is_last and self._to_coda
+        if is_on and (coda := self._goals.of_coda(at)) is not None:
+            self._to_coda = False
+            return coda
+        is_on = time in signs.returns_on if signs.returns_on else is_last and at not in self._taken
+        if not is_on:
+            return None
+        self._taken.add(at)
+        goal = self._goals.of_return(at, self._begin)
+        if goal is not None:
+            self.returned, self._to_coda = at, True
+        return goal
+
+    def end(self, at: int) -> int:
+        """Ends the movement at a fine; where the next begins."""
+        if at > self.returned:
+            return self._end
+        self._begin, self.returned, self._to_coda = self.returned + 1, -1, False
+        return self._begin
+
+
+class _Goals:
+    """The goals of jumps. A sign whose label no goal has leads to the nearest goal of its kind."""
+
+    def __init__(self, bars: Sequence[Signs]) -> None:
+        self._bars = bars
+        self._segnos: defaultdict[str | None, list[int]] = defaultdict(list)
+        self._codas: defaultdict[str | None, list[int]] = defaultdict(list)
+        for at, signs in enumerate(bars):
+            for goals, label in ((self._segnos, signs.segno), (self._codas, signs.coda)):
+                if label is not None:
+                    goals[label].append(at)
+                    goals[None].append(at)
+
+    def of_return(self, at: int, first: int = 0) -> int | None:
+        """The goal of a da capo or dal segno: the `first` bar, or the nearest segno before."""
+        signs = self._bars[at]
+        if signs.dal_segno is not None:
+            for label in (signs.dal_segno, None):
+                if before := bisect_right(self._segnos[label], at):
+                    return self._segnos[label][before - 1]
+        return first if signs.da_capo else None
+
+    def of_coda(self, at: int) -> int | None:
+        """The nearest coda after a bar."""
+        signs = self._bars[at]
+        if signs.to_coda is not None:
+            for label in (signs.to_coda, None):
+                before = bisect_left(self._codas[label], at + 1)
+                if before < len(self._codas[label]):
+                    return self._codas[label][before]
+        return None
+
+
+class _Section(NamedTuple):
+    """A section that is repeated as a whole: first bar, bar after the last, and passes."""
+
+    begin: int
+    end: int
+    turns: int
+    after_jump: bool
+
+
+def _sections(bars: Sequence[Signs]) -> list[_Section]:
+    """All sections. One begins at a repeat sign, or after the repeats of the one before."""
+    begins = [0] if bars else []
+    for at, (before, signs) in enumerate(pairwise(bars), start=1):
+        ended = before.ending or before.times > 1 or before.returns
+        if signs.begins_repeat or (ended and not signs.ending):
+            begins.append(at)
+    return [
+        _Section(
+            begin,
+            end,
+            max(max(signs.times, *signs.ending, 1) for signs in bars[begin:end]),
+            any(signs.after_jump for signs in bars[begin:end]),
+        )
+        for begin, end in pairwise([*begins, len(bars)])
+    ]

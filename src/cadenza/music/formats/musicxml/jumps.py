@@ -8,8 +8,7 @@ from fractions import Fraction
 from itertools import chain
 from xml.etree.ElementTree import Element
 
-from cadenza.music.formats.musicxml.bar_order import Signs
-from cadenza.music.formats.musicxml.bars import WrittenBar, bar_at
+from cadenza.music.formats.musicxml.bars import Signs, WrittenBar, bar_at
 from cadenza.music.formats.musicxml.timeline import Placed, exact, number, passes_of
 
 _DA_CAPO = re.compile(r"\bd\. ?c\b|^dc\b|\bda ?capo\b")

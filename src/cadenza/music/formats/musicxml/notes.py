@@ -1,20 +1,21 @@
-"""The notes of a part, as they are written."""
+"""The notes of a part as they are written: their pitches, hands, fingers and signs."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from typing import NamedTuple
+from itertools import groupby, islice
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
 
 from cadenza.fingers import Finger
 from cadenza.music.formats.musicxml.dynamics import PartLoudness
-from cadenza.music.formats.musicxml.hands import hands_of
-from cadenza.music.formats.musicxml.note_signs import signs_of
 from cadenza.music.formats.musicxml.timeline import (
+    MAX_STAVES,
+    ZERO,
     Placed,
     attribute,
     exact,
@@ -24,10 +25,51 @@ from cadenza.music.formats.musicxml.timeline import (
     passes_of,
 )
 from cadenza.music.score import NATURALS, OCTAVE, STEPS
-from cadenza.music.signs.notes import Grace, SignedNote
+from cadenza.music.signs.notes import (
+    Arpeggio,
+    Grace,
+    Mark,
+    Ornament,
+    OrnamentKind,
+    Role,
+    SignedNote,
+    SlurEnd,
+    Tremolo,
+)
 
 _FINGERS = "12345"
+_STAVES = 2  # of a part for both hands: the upper one is for the right hand
 _OTHER_STAVES = frozenset(("ossia", "cue", "editorial", "alternate"))
+_MARKS = {
+    "staccato": Mark.STACCATO,
+    "staccatissimo": Mark.STACCATISSIMO,
+    "spiccato": Mark.STACCATISSIMO,
+    "tenuto": Mark.TENUTO,
+    "detached-legato": Mark.PORTATO,
+    "accent": Mark.ACCENT,
+    "strong-accent": Mark.STRONG_ACCENT,
+    "breath-mark": Mark.BREATH,
+}
+_ORNAMENTS = {
+    **dict.fromkeys(("trill-mark", "shake", "wavy-line"), OrnamentKind.TRILL),
+    "mordent": OrnamentKind.MORDENT,
+    "inverted-mordent": OrnamentKind.INVERTED_MORDENT,
+    **dict.fromkeys(("turn", "delayed-turn", "vertical-turn", "haydn"), OrnamentKind.TURN),
+    **dict.fromkeys(
+        ("inverted-turn", "delayed-inverted-turn", "inverted-vertical-turn"),
+        OrnamentKind.INVERTED_TURN,
+    ),
+    "schleifer": OrnamentKind.SLIDE,
+}
+_ALTERATIONS = {
+    **{"natural": 0, "sharp": 1, "flat": -1, "natural-sharp": 1, "natural-flat": -1},
+    **{"double-sharp": 2, "sharp-sharp": 2, "flat-flat": -2},
+}
+_OPENINGS = {"upper": 1, "main": 0, "below": -1}  # notes of ornaments
+_INTERVALS = {"whole": 2, "half": 1, "unison": 0}
+_MAX_ORNAMENT = 128  # notes
+_ROLES = {"start": Role.FIRST, "stop": Role.SECOND}
+_DIRECTIONS = {"up": 1, "down": -1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +121,7 @@ def notes_of(
     is_other = attribute(part, "staff-details[staff-type]", _is_other_staff, before=False)
     is_slashed = attribute(part, "measure-style[slash]", _is_slashed, before=False)
     others = [is_other(placed) for placed in written]
-    graces, hand_of = _graces(written), hands_of(part, others)
+    graces, hand_of = _graces(written), _hands_of(part, others)
     found: list[WrittenNote] = []
     for index, placed in enumerate(written):
         note, hand, grace = placed.element, hand_of[index], graces.get(index)
@@ -113,7 +155,7 @@ def notes_of(
             attack=exact(number(note.get("attack")) / placed.divisions),
             release=exact(number(note.get("release")) / placed.divisions),
             hands=() if hand is None else (hand,),
-            **signs_of(note),
+            **_signs_of(note),
         )
         tied, ties = _ties(note)
         signed = signed.plain if plain else signed
@@ -219,3 +261,125 @@ def _finger(note: Element, hand: int | None, counts: Counter[str]) -> Finger | N
         if digit and digit[0] in _FINGERS and hand is not None:
             return Finger(hand, int(digit[0]) - 1)
     return None
+
+
+@dataclass(slots=True)
+class _Run:
+    """Notes that follow each other in a voice of a bar, and the staff where they begin."""
+
+    voice: str
+    staff: int
+    indices: list[int] = field(default_factory=list)
+    end: Fraction = ZERO
+    sounds: bool = False
+
+
+def _hands_of(part: Sequence[Placed], others: Sequence[bool]) -> list[int | None]:
+    """The hands that play the notes and rests of a part, in their order; None where nobody knows.
+
+    The upper staff is the right hand's. A voice that goes to the other staff stays with the hand of
+    the staff where it began, unless in a bar it begins on the other while others are on its own.
+
+    Args:
+        part: its elements.
+        others: which of its notes and rests are on a staff that is not played, such as an ossia.
+    """
+    notes = [placed for placed in part if placed.element.tag == "note"]
+    played = [(i, note) for i, note in enumerate(notes) if not others[i]]
+    staves = {note.staff or 1 for _, note in played}
+    if len(staves) < _STAVES:
+        declared = max((number(each.element.findtext("staves")) for each in part), default=ZERO)
+        silent = {note.staff or 1 for note in notes} - staves
+        staves |= {*range(1, min(int(declared), MAX_STAVES) + 1)} - silent
+    hands: list[int | None] = [None] * len(notes)
+    if len(staves) != _STAVES:
+        return hands
+    home: dict[str, int] = {}  # the staff on which a voice began
+    for _, bar in groupby(played, key=lambda each: each[1].measure):
+        runs = _runs(bar)
+        busy = {run.staff for run in runs if run.sounds}
+        for run in runs:
+            own = home.setdefault(run.voice, run.staff)
+            hand = int((run.staff if own in busy else own) == max(staves))
+            for index in run.indices:
+                hands[index] = hand
+    return hands
+
+
+def _runs(bar: Iterable[tuple[int, Placed]]) -> list[_Run]:
+    """The runs of a bar, whose notes come with their indices."""
+    runs: list[_Run] = []
+    going: dict[str, _Run] = {}
+    for index, placed in bar:
+        staff = placed.staff or 1
+        run = going.get(placed.voice)
+        is_chord = placed.element.find("chord") is not None
+        if run is None or (placed.quarter < run.end and not is_chord):
+            run = going[placed.voice] = _Run(placed.voice, staff)
+            runs.append(run)
+        run.indices.append(index)
+        run.end = run.end if is_chord else placed.quarter + placed.duration
+        run.sounds |= placed.element.find("rest") is None
+    return runs
+
+
+def _signs_of(note: Element) -> dict[str, Any]:
+    """The signs at a note, as fields of a `SignedNote`."""
+    signs: dict[str, Any] = {}
+    marks = {_MARKS[e.tag] for e in note.iterfind("notations/articulations/*") if e.tag in _MARKS}
+    if marks:
+        signs["marks"] = frozenset(marks)
+    for ornaments in note.iterfind("notations/ornaments"):
+        for tremolo in ornaments.iterfind("tremolo"):
+            is_measured = tremolo.get("type") != "unmeasured"
+            strokes = int(number(tremolo.text)) if is_measured else 0
+            signs["tremolo"] = Tremolo(strokes, _ROLES.get(tremolo.get("type", ""), Role.ALONE))
+        if "ornament" not in signs and (ornament := next(_ornaments(ornaments), None)):
+            signs["ornament"] = ornament
+    for wave in note.iterfind("notations/arpeggiate"):
+        chord = int(number(wave.get("number"))) or None
+        signs["arpeggio"] = Arpeggio(chord, _DIRECTIONS.get(wave.get("direction", ""), 1))
+    if note.find("notations/non-arpeggiate") is not None:
+        signs["arpeggio"] = Arpeggio(step=0)
+    slurs = [
+        SlurEnd(slur.get("type") == "start", int(number(slur.get("number", "1"))))
+        for slur in note.iterfind("notations/slur")
+        if slur.get("type") in ("start", "stop")
+    ]
+    if slurs:
+        signs["slurs"] = tuple(slurs)
+    return signs
+
+
+def _ornaments(parent: Element) -> Iterator[Ornament]:
+    """Yields the ornaments, each with the accidentals that follow it.
+
+    What is given for playback with one of them is for all, such as with a line after a trill.
+    """
+    signs = list(parent)
+    playback = {k: v for sign in reversed(signs) if sign.tag in _ORNAMENTS for k, v in sign.items()}
+    for i, sign in enumerate(signs):
+        if sign.tag not in _ORNAMENTS or (sign.tag == "wavy-line" and sign.get("type") == "stop"):
+            continue
+        kind = _ORNAMENTS[sign.tag]
+        altered: dict[str, int | None] = {"above": None, "below": None}
+        for mark in islice(signs, i + 1, None):
+            if mark.tag != "accidental-mark":
+                break
+            usual = "below" if kind is OrnamentKind.MORDENT else "above"
+            place = mark.get("placement", usual)
+            altered[place if place in altered else usual] = _ALTERATIONS.get(
+                (mark.text or "").strip()
+            )
+        yield Ornament(
+            kind,
+            altered["above"],
+            altered["below"],
+            begins=_OPENINGS.get(playback.get("start-note", "")),
+            delayed=sign.tag.startswith("delayed"),
+            long=playback.get("long") == "yes",
+            interval=_INTERVALS.get(playback.get("trill-step", "")),
+            turn=_INTERVALS.get(playback.get("two-note-turn", "")),
+            notes=min(int(number(playback.get("beats"))), _MAX_ORNAMENT),
+            accelerates=playback.get("accelerate") == "yes",
+        )

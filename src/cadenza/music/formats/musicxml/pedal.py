@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 from cadenza.music.formats.musicxml.timeline import Placed, number
 
-_T = TypeVar("_T")
 PEDALS = _SUSTAIN, _SOSTENUTO = "damper-pedal", "sostenuto-pedal"
 """The pedals that are played, as sounds for playback call them."""
 _SOFT = "soft-pedal"
@@ -104,22 +103,3 @@ def _value(said: str | None) -> int | None:
         return None
     percent = {"yes": 100, "no": 0}.get(said) if said in ("yes", "no") else number(said)
     return round(_DOWN * min(max(percent or 0, 0), 100) / 100)
-
-
-def together(pedals: Iterable[list[tuple[_T, int]]]) -> list[tuple[_T, int]]:
-    """One pedal of several, of places and values in their order: as far down as any of them."""
-    used = [pedal for pedal in pedals if pedal]
-    if len(used) == 1:
-        return used[0]
-    values = [0] * len(used)
-    held = Counter[int]()  # how many pedals have each value
-    moved: list[tuple[_T, int]] = []
-    # Lifted before others are pressed, so that all may change at once.
-    for place, value, i in sorted((*move, i) for i, pedal in enumerate(used) for move in pedal):
-        held += Counter([value])
-        held -= Counter([values[i]])
-        values[i] = value
-        deepest = max(held, default=0)
-        if deepest != (moved[-1][1] if moved else 0):
-            moved.append((place, deepest))
-    return moved

@@ -14,8 +14,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from cadenza.errors import CadenzaError, errors_in
-from cadenza.music.formats.musicxml.bar_order import without_goal
-from cadenza.music.formats.musicxml.bars import WrittenBar, bars_of
+from cadenza.music.formats.musicxml.bars import WrittenBar, bars_of, without_goal
 from cadenza.music.formats.musicxml.jumps import JUMPS, read_jumps
 from cadenza.music.formats.musicxml.notes import WrittenNote, notes_of
 from cadenza.music.formats.musicxml.pedal import (
@@ -24,9 +23,8 @@ from cadenza.music.formats.musicxml.pedal import (
     has_soft_pedal,
     pedal_moves,
     sostenuto_words,
-    together,
 )
-from cadenza.music.formats.musicxml.tempo import TempoMarks, tempo_marks
+from cadenza.music.formats.musicxml.tempo import TempoMarks
 from cadenza.music.formats.musicxml.timeline import (
     ZERO,
     Placed,
@@ -36,16 +34,9 @@ from cadenza.music.formats.musicxml.timeline import (
     timeline,
 )
 from cadenza.music.formats.musicxml.tree import tree_of
-from cadenza.music.formats.musicxml.unrolling import (
-    Passage,
-    played_notes,
-    played_pedal,
-    played_swings,
-    sections,
-    unrolled,
-)
+from cadenza.music.formats.musicxml.unrolling import Passage, Unrolled
 from cadenza.music.formats.titles import printable, title_of
-from cadenza.music.repair import RawNote, counted_remarks, repaired_notes
+from cadenza.music.repair import RawNote, counted_remarks, merged_pedal, repaired_notes
 from cadenza.music.score import Bar, PedalEvent, Score, Track, check_chosen
 from cadenza.music.signs.realising import realised
 from cadenza.music.signs.tempo_map import Swing, TempoMap, says_tempo
@@ -91,39 +82,43 @@ def _score(root: Element, tracks: Collection[int], plain: bool, title: str) -> S
     longest = max(placed, key=lambda part: part[-1].measure if part else -1, default=[])
     bars = bars_of(longest, begins)
     read_jumps(placed, bars, begins)
-    passages, found = unrolled(bars), tempo_marks(placed, begins)
+    sheet, tempo_marks = Unrolled(bars), TempoMarks(placed, begins)
     every = list(_parts(root, placed, begins, plain, counts))
-    remarks = list(_remarks(root, counts, found, bars, passages))
+    remarks = tuple(_remarks(root, counts, tempo_marks, bars, sheet.passages))
     listed = tuple(part.track for part in every)
     check_chosen(tracks, listed)
     if tracks:
         counts["drums"] = 0
     parts = [part for part in every if not tracks or part.track.number in tracks]
 
-    marks = filter(says_tempo, found.marks) if plain else found.marks
-    tempo = TempoMap.of(marks, begins[-1]).played(sections(passages))
-    swings = played_swings(() if plain else found.swings, bars, passages)
-    notes = _notes(parts, bars, passages, tempo, swings, counts)
-    pedal = together(played_pedal(part.pedal, bars, passages) for part in parts)
+    marks = filter(says_tempo, tempo_marks.marks) if plain else tempo_marks.marks
+    tempo = TempoMap.of(marks, begins[-1]).played(sheet.sections())
+    swings = sheet.swings(() if plain else tempo_marks.swings)
+    notes = _notes(parts, sheet, tempo, swings, counts)
     begin = min([0.0, *(note.start for note in notes)])  # grace notes before the first beat
     title = next((text for each in _TITLES if (text := printable(root.findtext(each, "")))), title)
-    played, said = repaired_notes(notes, counts, remarks, lambda time: time - begin)
-    moves = (PedalEvent(max(0.0, time - begin), value) for time, value in _timed(pedal, tempo))
-    timed = (bar.moved(lambda time: time - begin) for bar in _bars(passages, tempo))
-    return Score(played, tuple(moves), title, said, listed, tuple(timed))
+    played, remarks = repaired_notes(notes, counts, remarks, lambda time: time - begin)
+    pedals = (
+        (place, part.track.number, value)
+        for part in parts
+        for place, value in sheet.pedal(part.pedal)
+    )
+    pedal = _timed(merged_pedal(sorted(pedals, key=itemgetter(0))), tempo)
+    moves = (PedalEvent(max(0.0, time - begin), value) for time, value in pedal)
+    timed = (bar.moved(lambda time: time - begin) for bar in _bars(sheet.passages, tempo))
+    return Score(played, tuple(moves), title, remarks, listed, tuple(timed))
 
 
 def _notes(
     parts: Sequence[_Part],
-    bars: Sequence[WrittenBar],
-    passages: Sequence[Passage],
+    sheet: Unrolled,
     tempo: TempoMap,
     swings: Iterable[Swing],
     counts: Counter[str],
 ) -> list[RawNote]:
     """The notes of the parts as they sound; those that no key plays are added to `counts`."""
-    signed = [note for part in parts for note in played_notes(part.notes, bars, passages, counts)]
-    found = [
+    signed = [note for part in parts for note in sheet.notes(part.notes, counts)]
+    notes = [
         RawNote(
             round(note.start, _DECIMALS),
             round(note.end, _DECIMALS),
@@ -137,12 +132,12 @@ def _notes(
         for note in realised(signed, tempo, swings)
     ]
     of_part: defaultdict[int, list[RawNote]] = defaultdict(list)
-    for raw in found:
+    for raw in notes:
         of_part[raw.tracks[0]].append(raw)
     for part in parts:
-        moves = _timed(played_pedal(part.sostenuto, bars, passages), tempo)
+        moves = _timed(sheet.pedal(part.sostenuto), tempo)
         _hold(of_part[part.track.number], moves)
-    return found
+    return notes
 
 
 def _timed(moves: Iterable[tuple[Fraction, int]], tempo: TempoMap) -> list[tuple[float, int]]:
@@ -203,7 +198,7 @@ def _parts(
 def _remarks(
     root: Element,
     counts: Counter[str],
-    found: TempoMarks,
+    tempo_marks: TempoMarks,
     bars: Sequence[WrittenBar],
     passages: Sequence[Passage],
 ) -> Iterator[str]:
@@ -213,8 +208,8 @@ def _remarks(
     yield from counted_remarks(
         (
             (counts["fingering"], "unreadable fingering", "left out"),
-            (found.impossible, "impossible tempo", "left out"),
-            (found.unclear, "metronome mark without a tempo", "left out"),
+            (tempo_marks.impossible, "impossible tempo", "left out"),
+            (tempo_marks.unclear, "metronome mark without a tempo", "left out"),
             (counts["microtone"], "microtone", "rounded to a semitone"),
             (counts["unpitched"], "unpitched note", "left out"),
             (counts["silent"], "note", "of no volume left out"),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from xml.etree.ElementTree import Element
 
@@ -44,58 +44,42 @@ _LINE = 1.5, 6.0  # bars of its lines, in the mean
 _MAX_SWING = 16  # times as long as the other note of a pair
 
 
-@dataclass(slots=True)
 class TempoMarks:
-    """The marks of a sheet that change its tempo and where swing begins or ends, in quarters.
+    """The marks in all parts that change the tempo; where they differ, the first part counts.
 
-    `impossible` counts tempos for playback that cannot be, `unclear` metronome marks that give no
-    tempo.
-    """
-
-    marks: list[TempoMark] = field(default_factory=list)
-    swings: list[Swing] = field(default_factory=list)
-    impossible: int = 0
-    unclear: int = 0
-
-
-def tempo_marks(parts: Sequence[Sequence[Placed]], begins: Sequence[Fraction]) -> TempoMarks:
-    """The tempo marks in all parts; where they differ, the first part has the last word.
-
-    A metronome mark counts where there is no tempo for playback.
+    A metronome mark counts where there is no tempo for playback. `marks` and `swings` have their
+    places in quarters; `impossible` counts tempos for playback that cannot be, and `unclear`
+    metronome marks that give no tempo.
 
     Args:
         parts: the elements of each part.
         begins: the quarters at which measures begin, and the end of the last.
     """
-    reader = _TempoReader(begins)
-    for part in reversed(parts):
-        end_of_line = ends_of_lines(part)
-        for placed in part:
-            if placed.element.tag in ("direction", "sound"):
-                reader.read_direction(placed, end_of_line(placed))
-            elif placed.element.tag in ("note", "barline"):
-                reader.read_pauses(placed)
-    return reader.finished()
 
-
-class _TempoReader:
-    def __init__(self, begins: Sequence[Fraction]) -> None:
+    def __init__(self, parts: Sequence[Sequence[Placed]], begins: Sequence[Fraction]) -> None:
+        self.marks: list[TempoMark] = []
+        self.swings: list[Swing] = []
+        self.impossible = self.unclear = 0
         self._begins = begins
-        self._found = TempoMarks()
         self._for_playback: dict[Fraction, Fraction] = {}  # quarters a minute
         self._metronome: dict[Fraction, Fraction] = {}
-        self._fermatas: list[Fermata] = []
-
-    def finished(self) -> TempoMarks:
-        is_chorale = self._is_chorale([fermata.end for fermata in self._fermatas])
-        for fermata in self._fermatas:
+        fermatas: list[Fermata] = []
+        for part in reversed(parts):
+            end_of_line = ends_of_lines(part)
+            for placed in part:
+                if placed.element.tag in ("direction", "sound"):
+                    self._read_direction(placed, end_of_line(placed))
+                elif placed.element.tag in ("note", "barline"):
+                    fermatas += _fermatas(placed)
+                    if placed.element.find("notations/articulations/caesura") is not None:
+                        self.marks.append(Caesura(placed.quarter + placed.duration))
+        is_chorale = self._is_chorale([fermata.end for fermata in fermatas])
+        for fermata in fermatas:
             if is_chorale and fermata.factor == FERMATA:
                 fermata = replace(fermata, factor=CHORALE_FERMATA)
-            self._found.marks.append(fermata)
-        tempos = self._metronome | self._for_playback
-        for onset, speed in tempos.items():
-            self._found.marks.append(Tempo(max(ZERO, onset), _MINUTE / float(speed)))
-        return self._found
+            self.marks.append(fermata)
+        for onset, speed in (self._metronome | self._for_playback).items():
+            self.marks.append(Tempo(max(ZERO, onset), _MINUTE / float(speed)))
 
     def _is_chorale(self, ends: Iterable[Fraction]) -> bool:
         """Whether fermatas that end at these places [quarters] are those of lines of a chorale.
@@ -107,26 +91,26 @@ class _TempoReader:
             return False
         return _LINE[0] <= bars[-1] / len(bars) <= _LINE[1]
 
-    def read_direction(self, placed: Placed, end_of_line: Fraction | None) -> None:
-        """Reads a direction, or a sound outside of any, and the line after its words."""
+    def _read_direction(self, placed: Placed, end_of_line: Fraction | None) -> None:
+        """Read a direction, or a sound outside of any, and the line after its words."""
         element, sounds = placed.element, placed.sounds
-        spoken = [sound for sound in sounds if sound.get("tempo") is not None]
-        for sound in spoken:
+        tempos = [sound for sound in sounds if sound.get("tempo") is not None]
+        for sound in tempos:
             speed = number(sound.get("tempo"))
             if _is_possible(speed):
                 self._for_playback[placed.sounds_at(sound)] = speed
             else:
-                self._found.impossible += 1
+                self.impossible += 1
         for metronome in element.iterfind("direction-type/metronome"):
-            mark, where = _metronome_of(metronome), placed.sounds_at()
+            mark, place = _Metronome(metronome), placed.sounds_at()
             if (shown := mark.quarters_a_minute) is not None:
-                self._metronome[where] = shown
+                self._metronome[place] = shown
             elif mark.swing is not None:
                 self._swing(placed, *mark.swing, mark.before[0])
             elif mark.slower is not None:
-                self._found.marks.append(Modulation(where, mark.slower))
+                self.marks.append(Modulation(place, mark.slower))
             else:
-                self._found.unclear += not spoken
+                self.unclear += not tempos
         for sound in sounds:
             for sign in sound.iterfind("swing"):
                 unit = NOTE_VALUES.get(
@@ -137,24 +121,22 @@ class _TempoReader:
                 self._swing(placed, first, second, unit)
         for words in placed.element.iterfind("direction-type/words"):
             text = words.text or ""
-            if not spoken and (change := tempo_change(text)):
-                self._found.marks.append(TempoWord(placed.sounds_at(), change, end_of_line))
+            if not tempos and (change := tempo_change(text)):
+                self.marks.append(TempoWord(placed.sounds_at(), change, end_of_line))
             if (ratio := swing(text)) and placed.element.find("sound/swing") is None:
                 self._swing(placed, *ratio, NOTE_VALUES["eighth"])
 
     def _swing(self, placed: Placed, first: int, second: int, unit: Fraction) -> None:
         beat = self._begins[placed.measure + 1]  # that of a pickup would be between beats
-        self._found.swings.append(Swing(placed.quarter, first, second, unit, beat))
+        self.swings.append(Swing(placed.quarter, first, second, unit, beat))
 
-    def read_pauses(self, placed: Placed) -> None:
-        """Reads the fermatas and caesuras of a note or rest, or of a barline."""
-        element, onset = placed.element, placed.quarter
-        end = onset + placed.duration
-        for fermata in (*element.iterfind("fermata"), *element.iterfind("notations/fermata")):
-            factor = _FERMATAS.get((fermata.text or "").strip(), FERMATA)
-            self._fermatas.append(Fermata(onset, end, factor))
-        if element.find("notations/articulations/caesura") is not None:
-            self._found.marks.append(Caesura(end))
+
+def _fermatas(placed: Placed) -> Iterator[Fermata]:
+    """Yield the fermatas of a note or rest, or of a barline."""
+    element, end = placed.element, placed.quarter + placed.duration
+    for sign in (*element.iterfind("fermata"), *element.iterfind("notations/fermata")):
+        factor = _FERMATAS.get((sign.text or "").strip(), FERMATA)
+        yield Fermata(placed.quarter, end, factor)
 
 
 def _is_possible(speed: Fraction) -> bool:
@@ -162,16 +144,39 @@ def _is_possible(speed: Fraction) -> bool:
     return _SLOWEST <= speed <= _FASTEST
 
 
-@dataclass(slots=True)
 class _Metronome:
-    """What a metronome mark says: notes, by their lengths [quarters], and what they are equal to.
+    """A metronome mark: notes, by their lengths [quarters], and what they are equal to.
 
     That is a number a minute, or the lengths of notes `after`.
     """
 
-    before: list[Fraction] = field(default_factory=list)
-    after: list[Fraction] = field(default_factory=list)
-    per_minute: Fraction = ZERO
+    def __init__(self, mark: Element) -> None:
+        self.before: list[Fraction] = []
+        self.after: list[Fraction] = []
+        self.per_minute = ZERO
+        notes, unit, tuplet = self.before, ZERO, Fraction(1)
+        for each in mark:
+            text = (each.text or "").strip()
+            if each.tag == "beat-unit":
+                notes, unit = self.after if self.before else self.before, length_of(text, dots=0)
+                notes.append(unit)
+            elif each.tag == "beat-unit-dot" and notes:
+                unit /= 2
+                notes[-1] += unit
+            elif each.tag == "beat-unit-tied" and notes:
+                notes[-1] += _length(each, "beat-unit")
+            elif each.tag == "metronome-relation":
+                notes = self.after
+            elif each.tag == "metronome-note":
+                bracket = each.find("metronome-tuplet")
+                kind = None if bracket is None else bracket.get("type")
+                if bracket is not None and kind == "start":
+                    tuplet = _shortened(bracket)
+                notes.append(_length(each, "metronome-type") * tuplet)
+                if kind == "stop":
+                    tuplet = Fraction(1)
+            elif each.tag == "per-minute" and (digits := _PER_MINUTE.search(text)):
+                self.per_minute = number(digits[0].replace(",", "."))
 
     @property
     def quarters_a_minute(self) -> Fraction | None:
@@ -194,35 +199,6 @@ class _Metronome:
             return None
         share = self.after[0] / sum(self.after)
         return share.numerator, share.denominator - share.numerator
-
-
-def _metronome_of(mark: Element) -> _Metronome:
-    """Reads a metronome mark."""
-    found = _Metronome()
-    notes, unit, tuplet = found.before, ZERO, Fraction(1)
-    for each in mark:
-        text = (each.text or "").strip()
-        if each.tag == "beat-unit":
-            notes, unit = found.after if found.before else found.before, length_of(text, dots=0)
-            notes.append(unit)
-        elif each.tag == "beat-unit-dot" and notes:
-            unit /= 2
-            notes[-1] += unit
-        elif each.tag == "beat-unit-tied" and notes:
-            notes[-1] += _length(each, "beat-unit")
-        elif each.tag == "metronome-relation":
-            notes = found.after
-        elif each.tag == "metronome-note":
-            bracket = each.find("metronome-tuplet")
-            kind = None if bracket is None else bracket.get("type")
-            if bracket is not None and kind == "start":
-                tuplet = _shortened(bracket)
-            notes.append(_length(each, "metronome-type") * tuplet)
-            if kind == "stop":
-                tuplet = Fraction(1)
-        elif each.tag == "per-minute" and (said := _PER_MINUTE.search(text)):
-            found.per_minute = number(said[0].replace(",", "."))
-    return found
 
 
 def _length(note: Element, tag: str) -> Fraction:

@@ -25,6 +25,7 @@ _CONTENTS = "META-INF/container.xml"
 _MAX_CONTENTS = 2**16  # bytes
 _ENDINGS = (".xml", ".musicxml")
 _FROM_MACOS = re.compile(r"(^|/)(__MACOSX/|\._)")
+_MAX_NAME = 40  # letters of a name that a message repeats
 _PARTWISE, _TIMEWISE = "score-partwise", "score-timewise"
 _ADVICE = "open it in a notation program such as MuseScore, and export it as MusicXML"
 _DECLARED = re.compile(rb"""encoding\s*=\s*["']([\w.-]{1,40})""")
@@ -124,11 +125,12 @@ class _Tree:
 
 
 def _by_parts(root: Element) -> Element:
-    """The root of a score, of which measures that hold parts become parts that hold measures."""
+    """The root of a score, converted from score-timewise to score-partwise where it is not."""
     if root.tag == _PARTWISE:
         return root
     if root.tag != _TIMEWISE:
-        raise CadenzaError(f"cannot be read as MusicXML (it is <{shortened(root.tag)}>); {_ADVICE}")
+        name = shortened(root.tag, _MAX_NAME)
+        raise CadenzaError(f"cannot be read as MusicXML (it is <{name}>); {_ADVICE}")
     parts: dict[str, Element] = {}
     for measure in root.iterfind("measure"):
         for music in measure.iterfind("part"):
