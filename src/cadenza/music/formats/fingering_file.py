@@ -75,7 +75,7 @@ def read_fingering(path: str | Path, score: Score, all_there: bool = True) -> Sc
 
 
 def write_fingering(score: Score, path: str | Path) -> None:
-    """Writes a line for every note, with -1 for an unknown finger, to be filled in."""
+    """Write a line for every note, with -1 for an unknown finger, to be filled in."""
     lines = (
         f"{note.start:.4f} {note.pitch} {finger_number(note.finger)}\n" for note in score.notes
     )

@@ -89,7 +89,7 @@ def unfolded(content: str) -> tuple[str, dict[str, MeiBar], Counter[str]]:
 
 
 def _join(parts: Element) -> None:
-    """Makes parts that are written apart one score, by the numbers of their measures."""
+    """Make parts that are written apart one score, by the numbers of their measures."""
     score, *others = list(parts)
     for number, part in enumerate(others, start=1):
         for staff in part.iter():
@@ -104,7 +104,7 @@ def _join(parts: Element) -> None:
 
 
 class _Copying:
-    """Puts the originals in the place of their copies."""
+    """Copies in a document, which originals take the place of."""
 
     def __init__(self, root: Element, counts: Counter[str]) -> None:
         self._named = {element.get(_ID, ""): element for element in root.iter()}
@@ -113,7 +113,7 @@ class _Copying:
         self._open: set[Element] = set()  # those that are being resolved
 
     def resolve(self, element: Element) -> None:
-        """Resolves an element and all within it."""
+        """Resolve an element and all within it."""
         link = element.attrib.pop("copyof", None)
         if link is None and element.tag in _EVENTS and not len(element):
             link = element.attrib.pop("sameas", None) if "dur" not in element.attrib else None
@@ -148,7 +148,7 @@ def _copied(element: Element, name: str) -> Element:
 
 
 class _Unfolding:
-    """Unfolds a score."""
+    """A score that is being unfolded."""
 
     def __init__(self, score: Element, counts: Counter[str]) -> None:
         self._score = score
@@ -170,7 +170,7 @@ class _Unfolding:
         self._read_signs()
 
     def _read(self, element: Element, ending: frozenset[int]) -> None:
-        """Reads the measures in an element; `ending` are the passes on which they are played."""
+        """Read the measures in an element; `ending` are the passes on which they are played."""
         first = len(self._bars)
         for child in _chosen(element):
             if child.tag == "measure":
@@ -192,19 +192,19 @@ class _Unfolding:
         self._held[element] = range(first, len(self._bars))
 
     def _read_measure(self, measure: Element, ending: frozenset[int]) -> None:
-        found = [(_ZERO, self._tempo)]
+        tempos = [(_ZERO, self._tempo)]
         for element in measure.iter("tempo"):
             if tempo := _tempo(element):
                 place = ((_number(element.get("tstamp")) or Fraction(1)) - 1) * 4 / self._metre[1]
-                found.append((max(place, _ZERO), tempo))
-        found.sort(key=lambda each: each[0])
-        self._tempo = found[-1][1]
+                tempos.append((max(place, _ZERO), tempo))
+        tempos.sort(key=lambda each: each[0])
+        self._tempo = tempos[-1][1]
         signs = Signs(ending=ending)
         self._held[measure] = range(len(self._bars), len(self._bars) + 1)
-        self._bars.append(MeiBar(measure, len(self._changes), self._metre, found, signs))
+        self._bars.append(MeiBar(measure, len(self._changes), self._metre, tempos, signs))
 
     def _spell_out(self, number: int, staff: Element) -> None:
-        """Puts music in the place of signs for it in a staff of a bar."""
+        """Put music in the place of signs for it in a staff of a bar."""
         name, metre = staff.get("n"), self._bars[number].metre
         sign = next((each for each in staff.iter() if each.tag in _REPEATED_BARS), None)
         if sign is not None:
@@ -220,7 +220,7 @@ class _Unfolding:
                 self._repeat_beats(layer, earlier[at : at + 1], metre)
 
     def _repeat_bar(self, number: int, staff: Element, original: Element) -> None:
-        """Has a staff play what it did in another measure, also where only a layer says so."""
+        """Have a staff play what it did in another measure, also where only a layer says so."""
         source = original.find(f"staff[@n='{staff.get('n')}']")
         if source is None or source is staff:
             self._counts["sign"] += 1
@@ -240,7 +240,7 @@ class _Unfolding:
     def _repeat_beats(
         self, layer: Element, earlier: Sequence[Element], metre: tuple[int, int]
     ) -> None:
-        """Puts the music before them in the place of signs that repeat a beat or half a bar."""
+        """Put the music before them in the place of signs that repeat a beat or half a bar."""
         done = [each for before in earlier for each in _without_beams(before)]
         first = len(done)
         for each in _without_beams(layer):
@@ -265,7 +265,7 @@ class _Unfolding:
         layer[:] = done[first:]
 
     def _read_signs(self) -> None:
-        """Reads repeats, and jumps in signs and words."""
+        """Read repeats, and jumps in signs and words."""
         signs = [bar.signs for bar in self._bars]
         as_bars = (WrittenBar(n, _ZERO, _ZERO, n, 4, each) for n, each in enumerate(signs))
         jumps, last = JumpReader(list(as_bars)), len(self._bars) - 1
@@ -288,7 +288,7 @@ class _Unfolding:
         self._counts["jump"] += without_goal(signs)
 
     def _order(self, element: Element, is_expanded: bool = False) -> Iterator[int]:
-        """Yields the bars in an element as they are played.
+        """Yield the bars in an element as they are played.
 
         Those that an expansion names are played as they stand, without their repeats.
         """
@@ -310,7 +310,7 @@ class _Unfolding:
             yield from run if is_expanded else (run[at] for at, _ in played_order(signs))
 
     def _pieces(self, element: Element) -> Iterator[Element]:
-        """Yields measures, and parts with an order of their own, in an element."""
+        """Yield measures, and parts with an order of their own, in an element."""
         for child in [element] if element.tag == "measure" else _chosen(element):
             if child.tag == "measure" or (child in self._held and _expansion(child) is not None):
                 yield child
@@ -320,15 +320,15 @@ class _Unfolding:
     def played(self) -> dict[str, MeiBar]:
         """Unfold the score; its measures as they are played."""
         order = list(islice(self._order(self._score), _MAX))
-        seen, told = Counter[int](), 1  # how many changes hold
+        seen, changed = Counter[int](), 1  # how many changes hold
         section, played, names = Element("section"), dict[str, MeiBar](), list[str]()
         for at, number in enumerate(order):
             bar = self._bars[number]
             names.append(f"-turn{seen[number]}" if seen[number] else "")
             if at and number != order[at - 1] + 1:
-                told = 0  # all is said again
-            section.extend(deepcopy(change) for change in self._changes[told : bar.changes])
-            told = bar.changes
+                changed = 0  # all is said again
+            section.extend(deepcopy(change) for change in self._changes[changed : bar.changes])
+            changed = bar.changes
             section.append(_copied(bar.measure, names[-1][1:]) if seen[number] else bar.measure)
             played[section[-1].get(_ID, "")] = bar
             seen[number] += 1
@@ -340,7 +340,7 @@ class _Unfolding:
     def _lead(
         self, order: Sequence[int], names: Sequence[str], measures: Sequence[Element]
     ) -> None:
-        """Has links from played measures to others lead to these as they are played then.
+        """Have links from played measures to others lead to these as they are played then.
 
         A tie that leads to a bar that does not follow leads to a note of the same pitch in the one
         that does, if a tie leads there, too.
@@ -383,7 +383,7 @@ def _link(element: Element, key: str) -> str:
 
 
 def _chosen(element: Element) -> Iterator[Element]:
-    """Yields the children of an element; of several readings of a text the first."""
+    """Yield the children of an element; of several readings of a text the first."""
     for child in element:
         if child.tag in ("app", "choice"):
             reading = child.find("lem")
@@ -394,8 +394,8 @@ def _chosen(element: Element) -> Iterator[Element]:
 
 def _expansion(element: Element) -> Element | None:
     """The order in which the parts of an element are played, with repeats; None without one."""
-    found = [*element.findall("expansion"), *element.findall("choice/*/expansion")]
-    return next((each for each in found if each.get("type") != "norep"), None)
+    expansions = [*element.findall("expansion"), *element.findall("choice/*/expansion")]
+    return next((each for each in expansions if each.get("type") != "norep"), None)
 
 
 def _metre(change: Element) -> tuple[int, int] | None:
@@ -433,14 +433,14 @@ def _number(text: str | None) -> Fraction | None:
 
 def _passes(text: str) -> frozenset[int]:
     """The passes that the number of an ending is for, such as "1, 2", "1-3" and "2."."""
-    found = set[int]()
+    passes = set[int]()
     for first, last in re.findall(r"(\d+)(?:\s*[-–]\s*(\d+))?", text):
-        found.update(range(int(first), min(int(last or first), _MAX_PASSES) + 1))
-    return frozenset(each for each in found if 0 < each <= _MAX_PASSES)
+        passes.update(range(int(first), min(int(last or first), _MAX_PASSES) + 1))
+    return frozenset(each for each in passes if 0 < each <= _MAX_PASSES)
 
 
 def _without_beams(element: Element) -> Iterator[Element]:
-    """Yields the events of a layer, those in beams one by one."""
+    """Yield the events of a layer, those in beams one by one."""
     for child in element:
         if child.tag == "beam":
             yield from _without_beams(child)

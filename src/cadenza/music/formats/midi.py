@@ -129,7 +129,7 @@ def score_of(file: MidiFile, tracks: Collection[int], title: str) -> Score:
 
 
 def write_midi(score: Score, path: str | Path) -> None:
-    """Writes notes, pedal and title as a MIDI file of format 0 with 48,000 ticks a second.
+    """Write notes, pedal and title as a MIDI file of format 0 with 48,000 ticks a second.
 
     Read back, times are the same to half a tick (10.4 us), pitches, velocities and pedal values
     exactly; a note shorter than a tick lasts one, and of notes of one pitch that are closer than
@@ -161,7 +161,7 @@ def messages(
     ticks: Callable[[float], int],
     channel: int = 0,
 ) -> Iterator[mido.Message]:
-    """Yields the messages of notes and of the pedal, each with the ticks since the one before.
+    """Yield the messages of notes and of the pedal, each with the ticks since the one before.
 
     At one tick, notes end first, then the pedal moves, then notes begin. Notes of one pitch begin a
     tick apart at least.

@@ -1,4 +1,4 @@
-"""Plays the tracks of a MIDI file: what its channels and pedals do, in order of time."""
+"""What the channels and pedals of a MIDI file play, in order of time."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Part:
 
 
 class Playing:
-    """Plays the tracks of a file, in which each channel of a port is one stream of messages.
+    """The tracks of a file as they are played; each channel of a port is one stream of messages.
 
     Args:
         tracks: the messages of the file, by tracks.

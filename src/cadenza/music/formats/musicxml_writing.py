@@ -1,4 +1,4 @@
-"""Writes scores as MusicXML, to be read and played by people."""
+"""Scores as MusicXML, to be read and played by people."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _DOTTED = 1.5  # quarters of a dotted one
 
 
 def write_musicxml(score: Score, path: str | Path) -> tuple[str, ...]:
-    """Writes a score for piano as MusicXML 4.0, uncompressed.
+    """Write a score for piano as MusicXML 4.0, uncompressed.
 
     Times are quantised: in each beat notes move to the grid of semiquavers, triplets or the like
     that fits best. Tempos are written such that beats keep their times. Bars are those of the
@@ -92,7 +92,7 @@ def _document(sheet: Sheet) -> Element:
 
 
 class _Writer:
-    """Writes the measures of a sheet; divisions of a quarter are as few as suffice."""
+    """The writer of the measures of a sheet, with as few divisions of a quarter as suffice."""
 
     def __init__(self, sheet: Sheet) -> None:
         self._sheet = sheet
@@ -141,7 +141,7 @@ class _Writer:
             measure.append(attributes)
 
     def _voice(self, measure: Element, here: WrittenMeasure, voice: _Voice) -> None:
-        """Writes a voice, and with the first of a staff the directions of the staff."""
+        """Write a voice, and with the first of a staff the directions of the staff."""
         start, end = here.measure.start, here.measure.end
         directions = deque(_directions(here, voice.hand) if voice.is_first else ())
         if not voice.symbols:
@@ -163,7 +163,7 @@ class _Writer:
     def _put(
         self, measure: Element, directions: deque[tuple[int, Element]], now: int, until: int
     ) -> None:
-        """Writes at tick `now` the directions up to `until`, with their offsets."""
+        """Write at tick `now` the directions up to `until`, with their offsets."""
         while directions and directions[0][0] <= until:
             tick, direction = directions.popleft()
             if tick != now:
@@ -218,7 +218,7 @@ class _Writer:
         return f"n{number}.{part}" if part else f"n{number}"
 
     def _lasting(self, element: Element, ticks: int, voice: _Voice) -> None:
-        """Says how long a rest lasts, or the motion in place of one, and where."""
+        """Say how long a rest lasts, or the motion in place of one, and where."""
         self._duration(element, ticks)
         _text(element, "voice", voice.name)
         _text(element, "staff", voice.staff)
@@ -307,7 +307,7 @@ def _notations(symbol: Symbol, note: Note | None, is_first: bool) -> Element:
 
 
 def _directions(here: WrittenMeasure, hand: int) -> Iterator[tuple[int, Element]]:
-    """Yields directions by their ticks: dynamics and tempos above, the pedal below."""
+    """Yield directions by their ticks: dynamics and tempos above, the pedal below."""
     if hand != RIGHT:
         yield from ((mark.tick, _pedal(mark)) for mark in here.pedal)
         return

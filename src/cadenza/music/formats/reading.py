@@ -1,4 +1,4 @@
-"""Reads music files of every known format."""
+"""The reader of music files of every known format."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def name_without_ending(song: str) -> str:
 
 
 def check_format(path: Path) -> None:
-    """Checks the ending of a file.
+    """Check the ending of a file.
 
     Raises:
         CadenzaError: it is that of a format that is not read.

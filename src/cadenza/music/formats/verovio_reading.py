@@ -159,7 +159,7 @@ def _loaded(text: str, form: str) -> Any:
 def _marks(
     bars: Mapping[str, MeiBar], places: Sequence[dict[str, Any]], division: int
 ) -> list[Message]:
-    """The time signatures and tempos of bars, at times in ticks, of which a quarter has `division`.
+    """The time signatures and tempos of bars, with `division` ticks in a quarter.
 
     `places` is Verovio's map of time.
     """

@@ -33,7 +33,7 @@ class WrittenScore:
 
     @classmethod
     def of(cls, score: Score) -> WrittenScore:
-        """Converts a score."""
+        """Convert a score."""
         notes = (
             WrittenNote(n.start, n.end, n.pitch, n.velocity, finger_number(n.finger), n.hands)
             for n in score.notes

@@ -22,7 +22,7 @@ _MAX_LIFTED = 0.5  # of a note, by which it ends earlier at most
 
 
 def articulate(voice: Voice, slurred: set[Fraction]) -> None:
-    """Gives the chords of a voice their lengths and velocities.
+    """Give the chords of a voice their lengths and velocities.
 
     Notes last as long as they are written, if no sign says otherwise. Under a slur they last to
     the next note, even where that is late.
@@ -107,11 +107,11 @@ def _loudness(marks: frozenset[Mark]) -> float:
 
 
 def _join(note: SoundingNote, following: Chord | None) -> None:
-    """Has a note last until the next chord of its voice begins, if it is written so."""
+    """Have a note last until the next chord of its voice begins, if it is written so."""
     if following and following[0].of.onset == note.of.end and not note.cut:
         note.end = max(note.end, min(each.start for each in following))
 
 
 def _lift(note: SoundingNote, seconds: float) -> None:
-    """Ends a note earlier by a time [s], or half of it."""
+    """End a note earlier by a time [s], or half of it."""
     note.end_by(note.end - min(seconds, _MAX_LIFTED * note.length))

@@ -29,12 +29,12 @@ def with_signs_of_chords(notes: Sequence[SignedNote]) -> list[SignedNote]:
     for index, note in enumerate(notes):
         if note.grace is None:
             chords[note.part, note.voice, note.onset].append(index)
-    found = list(notes)
+    signed = list(notes)
     for chord in chords.values():
         if len(chord) > 1:
             for index, note in zip(chord, _shared([notes[i] for i in chord]), strict=True):
-                found[index] = note
-    return found
+                signed[index] = note
+    return signed
 
 
 def _shared(chord: Sequence[SignedNote]) -> list[SignedNote]:
@@ -59,7 +59,7 @@ _MAX_OF_CHORD = 0.5  # of the shortest note, within which the last one begins; a
 
 
 def break_chords(notes: Iterable[SoundingNote]) -> None:
-    """Has notes with an arpeggio sign begin one after the other, the first of them on the beat.
+    """Have notes with an arpeggio sign begin one after the other, the first of them on the beat.
 
     All last as long as they are written (Gehrkens); that the first is on the beat is a choice.
     """

@@ -19,7 +19,7 @@ _THREE = 3  # a dotted note has so many halves of the next smaller value
 
 
 def place_graces(voice: Voice, tempo: TempoMap) -> None:
-    """Gives grace notes their times, and their neighbours those that are left to them.
+    """Give grace notes their times, and their neighbours those that are left to them.
 
     They are played one after the other before the beat, and the note before sounds on meanwhile;
     those after a trill end it. Where the file says that they take their time from one of their
@@ -48,7 +48,7 @@ def _grace(chord: Chord) -> Grace:
 
 
 def _on_the_beat(graces: Sequence[Chord], main: Chord, tempo: TempoMap) -> bool:
-    """Plays grace notes that take their time from the chord that they lead to, if they do."""
+    """Play grace notes that take their time from the chord that they lead to, if they do."""
     grace = graces[0][0]
     if _grace(graces[0]).of_following:
         share = sum(_share(_grace(chord).of_following) for chord in graces)
@@ -109,7 +109,7 @@ def _before_the_beat(
 
 
 def _in_turn(graces: Sequence[Chord], start: float, end: float) -> None:
-    """Plays chords one after the other, each as long as the others, between two times [s]."""
+    """Play chords one after the other, each as long as the others, between two times [s]."""
     for chord, (begin, stop) in zip(graces, even_times(start, end, len(graces)), strict=True):
         for note in chord:
             note.start, note.end = begin, stop

@@ -96,7 +96,7 @@ class Loudness:
         return velocity + slope * float(place - begin)
 
     def _add(self, place: Fraction, velocity: float, slope: float = 0.0) -> None:
-        """Adds a segment, and removes those that begin later."""
+        """Add a segment, and remove those after its beginning."""
         del self._segments[bisect_left(self._segments, place, key=itemgetter(0)) :]
         self._segments.append((place, velocity, slope))
 
@@ -107,7 +107,7 @@ class Loudness:
         dynamic: tuple[Fraction, float] | None,
         following: Fraction | None,
     ) -> None:
-        """Adds the change under a hairpin, and what follows it.
+        """Add the change under a hairpin, and what follows it.
 
         Args:
             hairpin: the hairpin.

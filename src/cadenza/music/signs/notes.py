@@ -215,7 +215,7 @@ class SoundingNote:
         return self.end - self.start
 
     def end_by(self, time: float) -> None:
-        """Ends the note at a time [s] or before, but not before it has sounded."""
+        """End the note at a time [s] or before, but not before it has sounded."""
         if time < self.end:
             self.end = max(time, self.start + min(self.length, MIN_LENGTH))
             self.cut = True

@@ -1,4 +1,4 @@
-"""Realises the signs of notes: from a score as written to notes as they sound."""
+"""The signs of notes realised: from a score as written to notes as they sound."""
 
 from __future__ import annotations
 

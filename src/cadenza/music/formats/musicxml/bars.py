@@ -96,7 +96,7 @@ def bar_at(bars: Sequence[WrittenBar], measure: int, quarter: Fraction) -> int:
 
 
 class _BarReader:
-    """Reads the elements of a part in their order."""
+    """The reader of the elements of a part, in their order."""
 
     def __init__(self, begins: Sequence[Fraction]) -> None:
         self.bars: list[WrittenBar] = []
@@ -124,7 +124,7 @@ class _BarReader:
         self.bars.append(WrittenBar(measure, quarter, end, counted, self._beat_type, signs))
 
     def _read_barline(self, barline: Element, quarter: Fraction) -> None:
-        """Reads a repeat and an ending; within a measure, a repeat begins a new bar."""
+        """Read a repeat and an ending; within a measure, a repeat begins a new bar."""
         bar = self.bars[-1]
         location = barline.get("location", "right")
         repeat, ending = barline.find("repeat"), barline.find("ending")
@@ -159,7 +159,7 @@ def _filling(quarters: Fraction, beat_type: int) -> int:
 
 
 def played_order(bars: Sequence[Signs]) -> Iterator[tuple[int, int]]:
-    """Yields bars from 0 as they are played, and the passes through their sections, from 1.
+    """Yield bars from 0 as they are played, and the passes through their sections, from 1.
 
     A jump is taken once, on the last pass through its bar, unless it says when. From where it leads
     to up to the bar where it stood, repeats are not taken again, unless they say so; the first sign
@@ -214,7 +214,7 @@ class _Jumps:
         self._begin, self._end = 0, len(bars)  # of the movement, and of all
 
     def goal(self, at: int, is_last: bool) -> int | None:
-        """Takes the jump at the end of a bar; None if there is none to be taken now.
+        """Take the jump at the end of a bar; None if there is none to be taken now.
 
         Args:
             at: the bar.
@@ -236,7 +236,7 @@ class _Jumps:
         return goal
 
     def end(self, at: int) -> int:
-        """Ends the movement at a fine; where the next begins."""
+        """End the movement at a fine; where the next begins."""
         if at > self.returned:
             return self._end
         self._begin, self.returned, self._to_coda = self.returned + 1, -1, False

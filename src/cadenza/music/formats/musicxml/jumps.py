@@ -48,7 +48,7 @@ JUMPS = frozenset((*_SOUNDS, "time-only"))
 def read_jumps(
     parts: Sequence[Sequence[Placed]], bars: Sequence[WrittenBar], begins: Sequence[Fraction]
 ) -> None:
-    """Adds the jumps in all parts, and their goals, to the signs of bars.
+    """Add the jumps in all parts, and their goals, to the signs of bars.
 
     Words and signs count where no sound for playback stands with them. A fine is within a bar if it
     stands at a line there, or says how long the note before it is. A coda sign up to the last
@@ -71,7 +71,7 @@ def read_jumps(
 
 
 class JumpReader:
-    """Reads words and signs at bars, and adds what they say to the signs of these."""
+    """The reader of words and signs at bars, which adds what they mean to the signs of these."""
 
     def __init__(self, bars: Sequence[WrittenBar]) -> None:
         self._bars = bars
@@ -84,7 +84,7 @@ class JumpReader:
         self._note: Placed | None = None  # the latest
 
     def read(self, placed: Placed, is_end: bool) -> None:
-        """Reads an element, which may stand at the end of its measure."""
+        """Read an element, which may stand at the end of its measure."""
         element = placed.element
         if element.tag == "note" and element.find("grace") is None:
             self._note = placed
@@ -139,11 +139,11 @@ class JumpReader:
         elif (word := _WORD.match(text)) and at:
             self._headings[word[0]] = begun
 
-    def _is_jump(self, found: re.Match[str] | None) -> bool:
+    def _is_jump(self, match: re.Match[str] | None) -> bool:
         """Whether words in a text are a jump themselves, and not only mention one."""
-        if found is None:
+        if match is None:
             return False
-        before, after = _around(found)
+        before, after = _around(match)
         return (
             len(before) <= _MAX_BEFORE
             and not any(map(_MENTION.fullmatch, before))
@@ -151,7 +151,7 @@ class JumpReader:
         )
 
     def read_signs(self) -> None:
-        """Reads the segno, trio and coda signs, now that all jumps are known, and ends of fines."""
+        """Read the segno, trio and coda signs, now that all jumps are known, and ends of fines."""
         for at, quarter in self._fines.items():
             if quarter in self._lines and self._bars[at].begin < quarter < self._bars[at].end:
                 self._bars[at].cut = quarter
@@ -189,23 +189,23 @@ def _read_sound(sound: Element, here: Signs, begun: Signs) -> None:
     begun.begins_repeat |= sound.get("forward-repeat", "no") == "yes"
 
 
-def _is_alone(found: re.Match[str] | None) -> bool:
+def _is_alone(match: re.Match[str] | None) -> bool:
     """Whether nothing stands beside words in a text but when they hold."""
-    return found is not None and all(map(_WHEN.fullmatch, chain(*_around(found))))
+    return match is not None and all(map(_WHEN.fullmatch, chain(*_around(match))))
 
 
-def _around(found: re.Match[str]) -> tuple[list[str], list[str]]:
+def _around(match: re.Match[str]) -> tuple[list[str], list[str]]:
     """The words before and after others in a text."""
-    text = found.string
-    return _ANY_WORD.findall(text[: found.start()]), _ANY_WORD.findall(text[found.end() :])
+    text = match.string
+    return _ANY_WORD.findall(text[: match.start()]), _ANY_WORD.findall(text[match.end() :])
 
 
 def _text(element: Element) -> str:
     """The words of a direction, with its signs and those of a barline by their names."""
-    said = []
+    texts = []
     for each in (*element.iterfind("direction-type/*"), *element):
         if each.tag in ("words", "rehearsal"):
-            said.append("".join(_GLYPHS.get(letter, letter) for letter in each.text or ""))
+            texts.append("".join(_GLYPHS.get(letter, letter) for letter in each.text or ""))
         elif each.tag in ("segno", "coda"):
-            said.append(each.tag)
-    return " ".join(" ".join(said).lower().split())
+            texts.append(each.tag)
+    return " ".join(" ".join(texts).lower().split())

@@ -122,7 +122,7 @@ def notes_of(
     is_slashed = attribute(part, "measure-style[slash]", _is_slashed, before=False)
     others = [is_other(placed) for placed in written]
     graces, hand_of = _graces(written), _hands_of(part, others)
-    found: list[WrittenNote] = []
+    notes: list[WrittenNote] = []
     for index, placed in enumerate(written):
         note, hand, grace = placed.element, hand_of[index], graces.get(index)
         if note.find("cue") is not None or note.find("rest") is not None:
@@ -159,11 +159,11 @@ def notes_of(
         )
         tied, ties = _ties(note)
         signed = signed.plain if plain else signed
-        found.append(WrittenNote(placed.measure, signed, tied, ties, passes_of(note)))
+        notes.append(WrittenNote(placed.measure, signed, tied, ties, passes_of(note)))
         if shift.doubled:
             octave = replace(signed, pitch=signed.pitch + shift.doubled, finger=None)
-            found.append(replace(found[-1], signed=octave))
-    return found
+            notes.append(replace(notes[-1], signed=octave))
+    return notes
 
 
 def _is_other_staff(details: Element) -> bool:
@@ -352,7 +352,7 @@ def _signs_of(note: Element) -> dict[str, Any]:
 
 
 def _ornaments(parent: Element) -> Iterator[Ornament]:
-    """Yields the ornaments, each with the accidentals that follow it.
+    """Yield the ornaments, each with the accidentals that follow it.
 
     What is given for playback with one of them is for all, such as with a line after a trill.
     """

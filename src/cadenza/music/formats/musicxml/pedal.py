@@ -89,17 +89,17 @@ def _values(
             signs += ((placed.sounds_at(), value) for value in _SIGNS.get(kind, ()))
         if kind == "stop" and others:
             others.pop()
-    said = [
+    given = [
         (placed.sounds_at(sound), value)
         for sound in placed.sounds
         if (value := _value(sound.get(pedal))) is not None
     ]
-    return [*signs[:-1], *said] if said else signs
+    return [*signs[:-1], *given] if given else signs
 
 
-def _value(said: str | None) -> int | None:
+def _value(given: str | None) -> int | None:
     """The value of a pedal for playback: yes, no, or in percent."""
-    if said is None:
+    if given is None:
         return None
-    percent = {"yes": 100, "no": 0}.get(said) if said in ("yes", "no") else number(said)
+    percent = {"yes": 100, "no": 0}.get(given) if given in ("yes", "no") else number(given)
     return round(_DOWN * min(max(percent or 0, 0), 100) / 100)

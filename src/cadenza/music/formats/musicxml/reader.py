@@ -149,7 +149,7 @@ def _timed(moves: Iterable[tuple[Fraction, int]], tempo: TempoMap) -> list[tuple
 
 
 def _hold(notes: Iterable[RawNote], moves: Sequence[tuple[float, int]]) -> None:
-    """Has the sostenuto pedal hold those notes of its part that sound when it goes down."""
+    """Have the sostenuto pedal hold those notes of its part that sound when it goes down."""
     down = [time for time, value in moves if value]
     up = [time for time, value in moves if not value]
     for note in notes if down else ():
@@ -160,7 +160,7 @@ def _hold(notes: Iterable[RawNote], moves: Sequence[tuple[float, int]]) -> None:
 
 
 def _bars(passages: Iterable[Passage], tempo: TempoMap) -> Iterator[Bar]:
-    """Yields the bars as they are played, in seconds."""
+    """Yield the bars as they are played, in seconds."""
     for passage in passages:
         bar, later = passage.bar, passage.later
         places = [place + later for place in (bar.begin, *bar.beats)]
@@ -185,7 +185,7 @@ def _parts(
     plain: bool,
     counts: Counter[str],
 ) -> Iterator[_Part]:
-    """Yields the parts with notes; other notes are added to `counts`."""
+    """Yield the parts with notes; other notes are added to `counts`."""
     music, track_number = root.findall("part"), 1
     for part, elements, listed in zip(music, placed, _listed(root, music), strict=True):
         notes = notes_of(elements, track_number, _silence(listed, part, elements), plain, counts)
@@ -202,7 +202,7 @@ def _remarks(
     bars: Sequence[WrittenBar],
     passages: Sequence[Passage],
 ) -> Iterator[str]:
-    """Yields remarks on what is left out or changed."""
+    """Yield remarks on what is left out or changed."""
     lost = without_goal([bar.signs for bar in bars])
     unplayed = len(bars) - len({passage.index for passage in passages})
     yield from counted_remarks(
@@ -235,11 +235,11 @@ def _listed(root: Element, parts: Iterable[Element]) -> list[Element]:
     entries: defaultdict[str, list[Element]] = defaultdict(list)
     for entry in root.iterfind("part-list/score-part"):
         entries[entry.get("id", "")].append(entry)
-    found = []
+    entries_of_parts = []
     for part in parts:
         same = entries[part.get("id", "")]
-        found.append(same.pop(0) if same else Element("score-part"))
-    return found
+        entries_of_parts.append(same.pop(0) if same else Element("score-part"))
+    return entries_of_parts
 
 
 def _silence(listed: Element, part: Element, elements: Iterable[Placed]) -> Callable[[Placed], str]:
@@ -282,7 +282,7 @@ def _silence(listed: Element, part: Element, elements: Iterable[Placed]) -> Call
 
 
 def _unread(root: Element) -> Iterator[tuple[int, str, str]]:
-    """Yields the numbers of signs that are left out, what they are, and that they are."""
+    """Yield the numbers of signs that are left out, what they are, and that they are."""
     repeats = sum(sign.get("type") == "start" for sign in root.iter("measure-repeat"))
     yield repeats, "bar-repeat sign", "left out"
     yield sostenuto_words(root), "sostenuto pedal", "left out, as only words tell of it"

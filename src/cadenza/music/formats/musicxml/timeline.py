@@ -238,8 +238,8 @@ def _metre(time: Element) -> Fraction:
 
 def number(text: str | None, otherwise: Fraction = ZERO) -> Fraction:
     """The number in a text, or what it is `otherwise`."""
-    found = number_or_none(text)
-    return otherwise if found is None else found
+    value = number_or_none(text)
+    return otherwise if value is None else value
 
 
 @lru_cache(_REMEMBERED)
@@ -251,8 +251,8 @@ def number_or_none(text: str | None) -> Fraction | None:
     text = (text or "").strip()
     if not _NUMBER.fullmatch(text):
         return None
-    found = Fraction(text)
-    return found.limit_denominator(_UNIT) if found.denominator > 1 else found
+    value = Fraction(text)
+    return value.limit_denominator(_UNIT) if value.denominator > 1 else value
 
 
 def exact(quarters: Fraction) -> Fraction:

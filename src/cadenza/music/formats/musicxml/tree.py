@@ -79,7 +79,7 @@ def _decoded(data: bytes) -> str:
 
 
 class _Tree:
-    """Builds the tree from events of the parser, and counts elements and attributes."""
+    """A tree built from events of the parser, which counts elements and attributes."""
 
     def __init__(self) -> None:
         # Without namespaces, whose names are repeated with every element.
@@ -162,9 +162,9 @@ def _name_of_document(archive: ZipFile) -> str:
         there = {_plain(name): name for name in names}
         contents = _Tree().root_of(_decoded(unpacked(archive, _CONTENTS, _MAX_CONTENTS)))
         listed = [_plain(each.get("full-path", "")) for each in contents.iter("rootfile")]
-        found = [there[name] for name in listed if name in there]
-        if found:
-            return min(found, key=lambda name: not name.lower().endswith(_ENDINGS))
+        documents = [there[name] for name in listed if name in there]
+        if documents:
+            return min(documents, key=lambda name: not name.lower().endswith(_ENDINGS))
     documents = [n for n in names if n.lower().endswith(_ENDINGS) and not n.endswith(_CONTENTS)]
     if len(documents) != 1:
         raise CadenzaError(
