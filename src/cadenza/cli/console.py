@@ -78,7 +78,7 @@ def quietly(quiet: bool) -> Iterator[None]:
 @contextmanager
 def warnings_in_a_line() -> Iterator[None]:
     """Prints every CadenzaWarning once, as a line without the place in the code."""
-    show = warnings.showwarning
+    show, printed = warnings.showwarning, set[str]()
 
     def print_ours(
         message: Warning | str,
@@ -89,12 +89,16 @@ def warnings_in_a_line() -> Iterator[None]:
         line: str | None = None,
     ) -> None:
         if issubclass(category, CadenzaWarning):
-            print(on_one_line(str(message)), file=sys.stderr)
+            text = on_one_line(str(message))
+            if text not in printed:
+                print(text, file=sys.stderr)
+            printed.add(text)
         else:
             show(message, category, filename, lineno, file, line)
 
     with warnings.catch_warnings():
-        warnings.simplefilter("default", CadenzaWarning)  # each once
+        # Python's own "once" forgets what it has shown whenever filters change.
+        warnings.simplefilter("always", CadenzaWarning)
         warnings.showwarning = print_ours
         yield
 
