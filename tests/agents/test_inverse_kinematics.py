@@ -12,8 +12,8 @@ from scipy.optimize import minimize
 from cadenza.agents.planner.plan import inverse_kinematics
 from cadenza.agents.planner.plan.fingertip_targets import targets_of
 from cadenza.agents.planner.plan.inverse_kinematics import (
-    Evaluation,
-    Linearisation,
+    PostureEvaluation,
+    PostureLinearisation,
     PostureProblem,
     solve_postures,
 )
@@ -108,8 +108,8 @@ def close_hands(right: float, left: float) -> tuple[PostureProblem, np.ndarray]:
 
 
 def evaluated(
-    problem: PostureProblem, postures: np.ndarray, known: Linearisation | None = None
-) -> Evaluation:
+    problem: PostureProblem, postures: np.ndarray, known: PostureLinearisation | None = None
+) -> PostureEvaluation:
     return problem.evaluation(postures, problem.linearisation(postures, known))
 
 

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.agents.agent import Agent
 from cadenza.agents.baselines.plan_follower import PlanFollower
-from cadenza.agents.baselines.stitched import Change, Motions, Stitched, changes_of, stitched
+from cadenza.agents.baselines.stitched import KeyChange, Motions, Stitched, changes_of, stitched
 from cadenza.agents.planner.plan.presses import Press
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
@@ -65,7 +65,9 @@ def test_a_line_is_played_with_a_repeated_note_and_a_leap_without_looking() -> N
 
 
 def test_a_motion_is_the_same_in_every_octave(motions: Motions) -> None:
-    low, high = (Change(((0, key),), ((0, key),), ((0, key), (2, key + 4)), 0) for key in (27, 51))
+    low, high = (
+        KeyChange(((0, key),), ((0, key),), ((0, key), (2, key + 4)), 0) for key in (27, 51)
+    )
     before = len(motions)
     one, other = motions.of(low), motions.of(high)
     assert len(motions) == before + 1
@@ -99,11 +101,11 @@ def test_letting_go_and_striking_soon_after_are_one_change() -> None:
     )
     held, other = ((1, 39),), ((0, 36),)
     assert list(changes_of([first, again, later], 30, longest_gap=4)) == [
-        (2, Change((), (), held, 0)),
-        (6, Change(held, (), held, 1)),
-        (9, Change(held, (), (), 0)),
-        (20, Change((), (), other, 0)),
-        (22, Change(other, (), (), 0)),
+        (2, KeyChange((), (), held, 0)),
+        (6, KeyChange(held, (), held, 1)),
+        (9, KeyChange(held, (), (), 0)),
+        (20, KeyChange((), (), other, 0)),
+        (22, KeyChange(other, (), (), 0)),
     ]
 
 

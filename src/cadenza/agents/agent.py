@@ -22,16 +22,16 @@ Progress = Callable[[str, int, int], None]
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """Ignores progress."""
+    """Ignore progress."""
 
 
 def steps_in(seconds: float, dt: float) -> int:
-    """The number of control steps of `dt` [s] that is nearest to `seconds`, at least one."""
+    """Number of control steps of `dt` [s] nearest to `seconds`, at least one."""
     return max(1, round(seconds / dt))
 
 
 class Agent(ABC):
-    """Chooses the actions of N environments at once.
+    """An agent, which chooses the actions of N environments at once.
 
     Attributes:
         config: the agent's options, a dataclass that recordings keep; None without any.
@@ -49,13 +49,13 @@ class Agent(ABC):
 
     @property
     def threads(self) -> int:
-        """The number of threads that the agent uses."""
+        """Number of threads that the agent uses."""
         return self.num_threads or default_threads()
 
     def reset(  # noqa: B027 - not all have anything to begin
         self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]
     ) -> None:
-        """Begins episodes in some environments; the next view is of their first step.
+        """Begin episodes in some environments; the next view is of their first step.
 
         Args:
             env_ids: the environments.
@@ -64,27 +64,27 @@ class Agent(ABC):
 
     @abstractmethod
     def act(self, view: View) -> Array:
-        """(N, A) the next actions in actuator units, the pedal last.
+        """Next actions (N, A) in actuator units, the pedal last.
 
-        What it returns for environments that are not `view.playing` does not matter.
+        Those of environments that are not `view.playing` do not matter.
         """
 
     def song_plan(self, env_id: int) -> Any:
-        """The `SongPlan` that an environment's episode follows, None for an agent without one.
+        """`SongPlan` that an environment's episode follows, None for an agent without one.
 
         Reports show its fingers, and say by it why notes were missed.
         """
         return None
 
     def close(self) -> None:  # noqa: B027 - nor to end
-        """Frees what the episodes needed, such as threads. A reset may follow."""
+        """Free what the episodes needed, such as threads. A reset may follow."""
 
 
 def check_planned_for(view: View, steps: int, width: int) -> None:
-    """Checks that a plan of `steps` actions of `width` each fits the episodes of `view`.
+    """Check that a plan of `steps` actions of `width` each fits the episodes of `view`.
 
     Raises:
-        CadenzaError: the actions are not as wide as the task's, or not as many as an episode has.
+        CadenzaError: the actions have another width than the task's, or another number.
     """
     if width != view.task.action_size:
         flag = "no-reduced" if view.task.scene.config.reduced_action_space else "reduced"
@@ -100,7 +100,7 @@ def check_planned_for(view: View, steps: int, width: int) -> None:
 
 
 class EpisodePlanner(ABC):
-    """Plans and plays one episode of one environment.
+    """A planner of one episode of one environment.
 
     Attributes:
         plan: the `SongPlan` that it follows, see `Agent.song_plan`; None without one.
@@ -110,7 +110,7 @@ class EpisodePlanner(ABC):
 
     @abstractmethod
     def act(self, view: View) -> Array:
-        """(A,) the next action; `view` has this environment alone."""
+        """Next action (A,); `view` has this environment alone."""
 
 
 P = TypeVar("P", bound=EpisodePlanner)
@@ -129,7 +129,7 @@ class PlannerPerEnv(Agent, Generic[P]):
 
     @abstractmethod
     def begin(self, view: View, rng: np.random.Generator) -> P:
-        """The planner of the episode that begins in the only environment of `view`.
+        """Planner of the episode that begins in the only environment of `view`.
 
         Raises:
             CadenzaError: the agent cannot play this task.
@@ -158,7 +158,7 @@ class PlannerPerEnv(Agent, Generic[P]):
 
 
 class ZeroAgent(Agent):
-    """Keeps all servos at zero, where the hands start by default, and the pedal up."""
+    """An agent that keeps all servos at zero, where hands start by default, and the pedal up."""
 
     def act(self, view: View) -> Array:
         low, high = view.task.action_low, view.task.action_high
@@ -166,7 +166,7 @@ class ZeroAgent(Agent):
 
 
 class RandomAgent(Agent):
-    """Draws every action uniformly from the actuators' ranges."""
+    """An agent that draws every action uniformly from the actuators' ranges."""
 
     def __init__(self) -> None:
         self._rngs: dict[int, np.random.Generator] = {}

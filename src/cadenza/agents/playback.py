@@ -1,4 +1,4 @@
-"""Plays actions that were recorded or planned before, and the files that keep them."""
+"""Playback of actions that were recorded or planned before, and the files that keep them."""
 
 from __future__ import annotations
 
@@ -53,17 +53,17 @@ _PRACTISED = {
 }
 _PLAN = _ACTION | {"fingering": ArrayOf(FLOATS, ("notes", 3), needed=True, finite=True)}
 _PLAN |= _PRACTISED
-_MOST = 2**31  # bytes: practice of an hour at 200 steps a second, of both whole hands, takes 60 %
+_MAX_BYTES = 2**31  # an hour of practice of both whole hands at 200 steps a second takes 60 %
 
 
 class Playback(Agent):
-    """Plays `plan` (T, A), actions in actuator units, the pedal last, wherever the hands are."""
+    """An agent that plays `plan` (T, A), actions in actuator units, wherever the hands are."""
 
     def __init__(self, plan: Array) -> None:
         self._plan = plan
 
     def act(self, view: View) -> Array:
-        """(N, A) the actions of the plan for the steps of all environments.
+        """Actions (N, A) of the plan for the steps of all environments.
 
         Raises:
             CadenzaError: the plan is not as wide as the actions or not as long as an episode.
@@ -74,7 +74,7 @@ class Playback(Agent):
 
 
 @dataclass(frozen=True)
-class _Facts:
+class _PlanHeader:
     """The header of a plan's file."""
 
     song: str
@@ -102,14 +102,14 @@ class SavedPlan:
 
     @property
     def physics(self) -> dict[str, Any]:
-        """The fields of `SceneConfig` that say in which physics the plan was made.
+        """Fields of `SceneConfig` that say in which physics the plan was made.
 
         Recordings of the published system do not say; there, keys never sleep.
         """
         return {name: self.options[name] for name in PHYSICS if name in self.options}
 
     def config(self, kind: type[T]) -> T:
-        """The options of one kind, such as `TaskConfig`, that the plan was made with.
+        """Options of one kind, such as `TaskConfig`, that the plan was made with.
 
         Raises:
             CadenzaError: they are damaged.
@@ -119,7 +119,7 @@ class SavedPlan:
         return checked(given, kind, f"{self.path}, options")
 
     def check(self, options: Mapping[str, Any]) -> None:
-        """Compares `options` with those that the plan was made with.
+        """Compare `options` with those of the plan.
 
         Raises:
             CadenzaError: they differ.
@@ -128,9 +128,8 @@ class SavedPlan:
             value = self.options[name]
             if name not in options:
                 raise CadenzaError(
-                    f"{self.path}: was planned with an option {quoted(name)}, which "
-                    "this version of "
-                    "Cadenza does not have; plan it again"
+                    f"{self.path}: was planned with an option {quoted(name)}, which this version "
+                    "of Cadenza does not have; plan it again"
                 )
             if options[name] != value:
                 raise CadenzaError(
@@ -148,7 +147,7 @@ def save_plan(
     hands: Fingers,
     practised: PractisedPlan | None = None,
 ) -> None:
-    """Writes what `load_plan` reads, and what else there is to know, as a .safetensors file.
+    """Write what `load_plan` reads, and metrics, as a .safetensors file.
 
     Arrays: action (T, A) as in an episode; fingering (N, 3), of each note of the song start [s],
     MIDI pitch and finger, -1 for none, by the numbers that fingers of these `hands` have in the
@@ -163,20 +162,20 @@ def save_plan(
         (_, gain, expected), variant = practised
         arrays |= {"gain": gain, "expected": expected, "later": variant.release_delays}
         score = WrittenScore.of(fingered)
-    facts = _Facts(episode.song, episode.dt, dict(metrics), dict(options), score)
+    facts = _PlanHeader(episode.song, episode.dt, dict(metrics), dict(options), score)
     write_tensors(path, arrays, asdict(facts))
 
 
 def load_plan(path: Path) -> SavedPlan:
-    """Reads a plan, or the array `action` (T, A) of a recorded episode, an .npz file.
+    """Read a plan, or the array `action` (T, A) of a recorded episode, an .npz file.
 
     Raises:
         CadenzaError: the file is not there, or holds something else.
     """
     if path.suffix != TENSORS:
         return _recorded(path)
-    arrays, about = read_tensors(path, _PLAN, _MOST)
-    facts = checked(about, _Facts, f"{path}, header")
+    arrays, about = read_tensors(path, _PLAN, _MAX_BYTES)
+    facts = checked(about, _PlanHeader, f"{path}, header")
     actions = arrays["action"].astype(np.float64)
     practised = _practised(arrays, actions, path) if arrays.keys() >= _PRACTISED.keys() else None
     try:
@@ -190,7 +189,7 @@ def load_plan(path: Path) -> SavedPlan:
 
 
 def _recorded(path: Path) -> SavedPlan:
-    arrays = read_arrays(path, _RECORDING, _MOST)
+    arrays = read_arrays(path, _RECORDING, _MAX_BYTES)
     options = {name: arrays[name].item() for name in PHYSICS if name in arrays}
     options.setdefault("sleeping_keys", False)
     saved = SavedPlan(path, arrays["action"].astype(np.float64), options)

@@ -42,7 +42,7 @@ class EpisodeResult:
 
 
 def begin_episodes(task: PianoTask, seeds: Sequence[int]) -> list[np.random.Generator]:
-    """Begins an episode in every environment of `task`.
+    """Begin an episode in every environment of `task`.
 
     Everything random in the task and in the agent follows from the seed of each environment.
 
@@ -69,7 +69,7 @@ def play_episode(
     progress: Progress = silent,
     stop: Callable[[], bool] = lambda: False,
 ) -> EpisodeResult:
-    """Plays one episode of a task that has one environment, see `play_episodes`."""
+    """Play one episode of a task that has one environment, see `play_episodes`."""
     (result,) = play_episodes(task, agent, [seed], progress, stop)
     return result
 
@@ -81,7 +81,7 @@ def play_episodes(
     progress: Progress = silent,
     stop: Callable[[], bool] = lambda: False,
 ) -> list[EpisodeResult]:
-    """Plays an episode in every environment of `task`, all at once, from the beginning.
+    """Play an episode in every environment of `task`, all at once, from the beginning.
 
     Args:
         task: the task to play.
@@ -134,11 +134,11 @@ def _song_plan(agent: Agent, env_id: int) -> SongPlan | None:
 
 
 def _check_action(action: NDArray[np.float64], view: View, agent: str) -> None:
-    wanted = (len(view.env_ids), view.task.action_size)
-    if action.shape != wanted:
+    needed = (len(view.env_ids), view.task.action_size)
+    if action.shape != needed:
         raise CadenzaError(
             f"agent {agent}: act() returned actions of shape {action.shape}, "
-            f"but the task needs {wanted}"
+            f"but the task needs {needed}"
         )
     if bad := np.argwhere(~np.isfinite(action) & view.playing[:, None]).tolist():
         env, servo = bad[0]
@@ -149,14 +149,14 @@ def _check_action(action: NDArray[np.float64], view: View, agent: str) -> None:
 
 
 def _key_events(state: State, task: PianoTask, env: int) -> dict[str, NDArray[np.float32]]:
-    """When keys began and ceased to sound in the last step, and how loud, see `Episode`."""
+    """Onsets, ends and velocities of keys in the last step, see `Episode`."""
     onset, offset, speed = (values[env] for values in state.key_events)
     values = onset, offset, midi_velocity(speed, task.scene.keyboard)
     return {name: v.astype(np.float32) for name, v in zip(KEY_EVENTS, values, strict=True)}
 
 
 class _Recorder:
-    """Records the arrays of an episode row by row, see `cadenza.episode`."""
+    """A recorder of the arrays of an episode row by row, see `cadenza.episode`."""
 
     def __init__(
         self, task: PianoTask, env: int, observation: NDArray[np.float32], planning: float

@@ -1,4 +1,4 @@
-"""Plans a song offline, with the fingers that the iterative closest point algorithm chooses.
+"""Offline planning of a song, with fingers chosen by the iterative closest point algorithm.
 
 As systems of arms with four-fingered hands do: fingertips are matched to the keys of a chord, then
 inverse kinematics over arm and hand finds the motion. It is rehearsed in simulation, and then
@@ -46,7 +46,7 @@ _REHEARSAL = PlannerConfig(num_candidates=16, iterations=8, horizon=0.3, proposa
 
 
 class ICP(PlannerPerEnv["PlanFollower"]):
-    """Plans the whole song, and rehearses it, when an episode begins.
+    """An agent that plans the whole song, and rehearses it, when an episode begins.
 
     It reports the progress of "fingers", "postures" and "rehearsing".
     """
@@ -81,32 +81,29 @@ def rehearsed(
     with closing(Threads(num_threads)) as threads:
         for i, side in enumerate(sides):
             search = HandSearch(plan, side, rng, PlanningContext(_REHEARSAL, threads))
-            scene, mine, joints = hand_alone(plan.scene, side)
+            scene, own, joints = hand_alone(plan.scene, side)
             servos, simulation = servos_of(scene), MujocoSimulation(scene, 1, dt)
             simulation.reset([0], start[None, joints])
             for step in range(steps):
                 state = simulation.state
                 qpos, qvel, keys = state.hand_qpos[0], state.hand_qvel[0], state.key_qpos[0]
-                ctrl[step, mine] = search.act(qpos, qvel, keys)
-                simulation.step(ctrl[step : step + 1, mine])
+                ctrl[step, own] = search.act(qpos, qvel, keys)
+                simulation.step(ctrl[step : step + 1, own])
                 state = simulation.state
-                expected[step + 1, mine] = servos.state(state.hand_qpos, state.hand_qvel)[0]
+                expected[step + 1, own] = servos.state(state.hand_qpos, state.hand_qvel)[0]
                 progress("rehearsing", i * steps + step + 1, len(sides) * steps)
     return tracking._replace(ctrl=ctrl, expected=expected)
 
 
 def with_nearest_fingers(track: GoalTrack) -> GoalTrack:
-    """A track whose fingers are those that come nearest.
-
-    Which hand plays a note is taken from the search for fingers; which of its fingers is not.
-    """
+    """A track with the nearest fingers, of the hands that the search for fingers found."""
     searched, players = track.fingered(), players_of(track.scene)
     notes = list(searched.score.notes)
     dropped = list(searched.dropped or ())
     for hand in range(len(SIDES)):
-        mine = [i for i, n in enumerate(notes) if n.finger is not None and n.finger.hand == hand]
-        nearest = nearest_fingers([notes[i] for i in mine], hand, players)
-        for i, index in zip(mine, nearest, strict=True):
+        own = [i for i, n in enumerate(notes) if n.finger is not None and n.finger.hand == hand]
+        nearest = nearest_fingers([notes[i] for i in own], hand, players)
+        for i, index in zip(own, nearest, strict=True):
             notes[i] = replace(notes[i], finger=None if index is None else Finger(hand, index))
             if index is None:
                 dropped.append(Dropped(notes[i], "no free finger of the hand comes near enough"))
@@ -115,7 +112,7 @@ def with_nearest_fingers(track: GoalTrack) -> GoalTrack:
 
 
 def nearest_fingers(notes: Sequence[Note], hand: int, players: Players) -> list[int | None]:
-    """The finger of one hand for each of its notes by time, None for one that none is free for."""
+    """Fingers of one hand for its notes by time, None where no finger is free."""
     forearm, lowest = players.forearm(hand), players.keyboard.lowest_pitch
     if forearm is None:
         return [None] * len(notes)
@@ -146,7 +143,7 @@ class _Hand:
     def play(
         self, chord: Sequence[Note], keys: Array, ahead: Array, reached: NDArray[np.bool_]
     ) -> list[int | None]:
-        """The fingers for notes that begin together.
+        """Fingers for notes that begin together.
 
         Args:
             chord: N notes of different keys.
@@ -178,7 +175,7 @@ class _Hand:
         return chosen
 
     def _at_once(self, keys: Array, ahead: Array, most: int) -> Array:
-        """The keys of a chord, followed by those ahead that a hand at rest covers too."""
+        """Keys of a chord, followed by the next ones that a hand at rest covers too."""
         width, window = np.ptp(self.reach.rest), list(keys)
         for key in ahead:
             if key in window:
@@ -191,7 +188,7 @@ class _Hand:
     def _spans(
         self, fingers: Sequence[int], keys: Array, held: dict[int, float]
     ) -> NDArray[np.bool_]:
-        """(F, N) whether each of F fingers reaches each of N keys from what others hold."""
+        """Whether each of F fingers reaches each of N keys from what others hold, (F, N)."""
         others, at = np.array([*held], np.intp), np.array([*held.values()])
         each = np.array(fingers, np.intp)[:, None, None]
         return np.logical_and.reduce(self.reach.spans(each, others, at - keys[:, None]), axis=-1)
@@ -213,11 +210,11 @@ class _Hand:
         for _ in range(_MAX_ITERATIONS):
             tips = self.position + rest[fingers]
             rows, columns = linear_sum_assignment((tips[:, None] - keys) ** 2 + penalty)
-            found = {int(key): fingers[row] for row, key in zip(rows, columns, strict=True)}
-            offsets = [keys[key] - rest[finger] for key, finger in found.items()]
+            matched = {int(key): fingers[row] for row, key in zip(rows, columns, strict=True)}
+            offsets = [keys[key] - rest[finger] for key, finger in matched.items()]
             offsets += [y - rest[finger] for finger, y in held.items()]
             self.position = float(np.mean(offsets)) if offsets else self.position
-            if found == matches:
+            if matched == matches:
                 break
-            matches = found
+            matches = matched
         return matches

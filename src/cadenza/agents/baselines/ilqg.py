@@ -36,14 +36,10 @@ _TRUSTED_STEP = 0.3  # shorter steps say that the model is less accurate than it
 
 
 class ILQG(PlannerPerEnv["ILQGPlanner"]):
-    """Plans anew at every control step. Nothing is random."""
+    """An agent that plans anew at every control step. Nothing is random."""
 
     def __init__(self, config: ILQGConfig | None = None) -> None:
-        """Checks the options.
-
-        Raises:
-            CadenzaError: an option makes no sense.
-        """
+        """Checks the options, and raises a `CadenzaError` if one makes no sense."""
         super().__init__()
         self.config = config or ILQGConfig()
         check_ranges(
@@ -64,7 +60,7 @@ class ILQG(PlannerPerEnv["ILQGPlanner"]):
 
 
 class ILQGPlanner(EpisodePlanner):
-    """Plays one song.
+    """A planner of one song.
 
     A plan is a control for each control step of the horizon, held as the task holds it; the cost is
     counted at every planning step on the way, with derivatives over the part of the control step
@@ -126,7 +122,7 @@ class ILQGPlanner(EpisodePlanner):
         return np.clip(self._centre + self._half_range * controls, *limits)
 
     def approximate(self, start: Array) -> Model:
-        """The Gauss-Newton model around the nominal plan from a physics state."""
+        """Gauss-Newton model around the nominal plan from a physics state."""
         linearised = self._lineariser.linearise(start, self._ctrl(self.nominal))
         n = linearised.jacobian.shape[-2]
         linearised.jacobian[..., n:] *= self._half_range
@@ -138,7 +134,7 @@ class ILQGPlanner(EpisodePlanner):
         return Model(linearised.jacobian[:, -1], gradient, hessian)
 
     def improve(self, model: Model, start: Array) -> bool:
-        """Takes the best step of one backward pass, and returns whether it is an improvement."""
+        """Take the best step of one backward pass, and return whether it is an improvement."""
         limit = np.ones(len(self.rest))
         try:
             law = backward_pass(model, self.nominal, -limit, limit, self._damping.value)
@@ -158,7 +154,7 @@ class ILQGPlanner(EpisodePlanner):
         return best > 0
 
     def line_search(self, law: FeedbackLaw, start: Array) -> tuple[Array, Array]:
-        """Rolls the law out with every step size, of which the first is 0: the nominal itself.
+        """Roll the law out with every step size; the first is 0, the nominal itself.
 
         Returns:
             Controls (N, K, A) in half ranges and their cost (N,).
@@ -179,7 +175,7 @@ class ILQGPlanner(EpisodePlanner):
         return controls, np.where(rollouts.state.unstable, np.inf, cost)
 
     def _cost(self, step: int, states: State) -> Array:
-        """(N,) the cost of a control step of the horizon, in states (N, P)."""
+        """Costs (N,) of a control step of the horizon, in states (N, P)."""
         steps = np.full(states.key_qpos.shape[:2], step)
         residuals = self._residuals(steps, states)
         keys = _norm(residuals.keys, _KEY_RADIUS) - _KEY_RADIUS
@@ -187,7 +183,7 @@ class ILQGPlanner(EpisodePlanner):
         return residuals.cost(keys, fingers).reshape(steps.shape).sum(axis=1)
 
     def _residuals(self, steps: Ids, states: State | Linearisation) -> Residuals:
-        """The residuals in states (N, P), which belong to control steps (N, P) of the horizon."""
+        """Residuals in states (N, P), which belong to control steps (N, P) of the horizon."""
         rows = steps.ravel()
         return residuals_of(self._task, states, self._keys[rows], self._fingers[rows])
 
@@ -208,9 +204,9 @@ class ILQGPlanner(EpisodePlanner):
         of_depths = of_keys / scene.keyboard.travel[:, None]
         gradients, hessians = [], []
         for step in range(len(self.nominal)):
-            mine = steps.ravel() == step
-            pairs = mine[row]
-            of_key = _weighted(residuals.keys[mine], of_depths[mine], _KEY_RADIUS)
+            inside = steps.ravel() == step
+            pairs = inside[row]
+            of_key = _weighted(residuals.keys[inside], of_depths[inside], _KEY_RADIUS)
             of_finger = _weighted(
                 residuals.offset[pairs], of_offsets[pairs], _FINGER_RADIUS, residuals.share[pairs]
             )
@@ -221,7 +217,7 @@ class ILQGPlanner(EpisodePlanner):
 
 
 def _norm(residual: Array, radius: float) -> Array:
-    """The smooth norms of residuals over their last axis."""
+    """Smooth norms of residuals over their last axis."""
     return np.sqrt(np.vecdot(residual, residual) + radius**2)
 
 
@@ -237,19 +233,19 @@ class _Damping:
     """The schedule of the regularisation (Tassa, Erez, Todorov 2012, II-F)."""
 
     _FACTOR = 1.6
-    _LEAST, _MOST = 0.1, 1e10
+    _MIN, _MAX = 0.1, 1e10
 
     def __init__(self) -> None:
         self.value, self._change = 1.0, 1.0
 
     def increase(self) -> None:
         self._change = max(self._FACTOR, self._change * self._FACTOR)
-        self.value = min(max(self._LEAST, self.value * self._change), self._MOST)
+        self.value = min(max(self._MIN, self.value * self._change), self._MAX)
 
     def decrease(self) -> None:
         self._change = min(1 / self._FACTOR, self._change / self._FACTOR)
         value = self.value * self._change
-        self.value = value if value >= self._LEAST else 0.0
+        self.value = value if value >= self._MIN else 0.0
 
 
 _TOLERANCE = 1e-9  # norm of the free gradient, relative to the gradient at the start
@@ -282,7 +278,7 @@ class FeedbackLaw(NamedTuple):
 def box_qp(
     hessian: Array, gradient: Array, low: Array, high: Array, start: Array
 ) -> tuple[Array, Mask]:
-    """Minimises x'Hx / 2 + g'x over low <= x <= high by projected Newton steps (Tassa 2014, III-B).
+    """Minimise x'Hx / 2 + g'x over low <= x <= high by projected Newton steps (Tassa 2014, III-B).
 
     The Hessian is (m, m), all others (m,); `start` is the initial guess.
 
@@ -310,7 +306,7 @@ def box_qp(
 def _line_search(
     hessian: Array, gradient: Array, x: Array, step: Array, low: Array, high: Array
 ) -> Array:
-    """The end (m,) of the longest projected step that meets the Armijo condition.
+    """End (m,) of the longest projected step that meets the Armijo condition.
 
     `gradient` (m,) is that at `x`.
     """
@@ -331,7 +327,7 @@ def _solve(matrix: Array, right: Array) -> Array:
 def backward_pass(
     model: Model, controls: Array, low: Array, high: Array, regularisation: float
 ) -> FeedbackLaw:
-    """The feedback law that minimises the quadratic model within the limits (Tassa 2014, III-C).
+    """Feedback law that minimises the quadratic model within the limits (Tassa 2014, III-C).
 
     The nominal `controls` (K, m) have the limits `low` and `high` (m,); there is no terminal cost.
     `regularisation` is added to the diagonal of the control Hessian (Levenberg-Marquardt).

@@ -1,4 +1,4 @@
-"""Plays a song by a plan that was finished before."""
+"""A follower of a plan that was finished before."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cadenza.tasks.view import View
 
 
 class PlanFollower(EpisodePlanner):
-    """Plays the controls of a plan, with feedback of the positions and speeds of servos.
+    """A player of the controls of a plan, with feedback of the positions and speeds of servos.
 
     Attributes:
         plan: the plan of the whole song.

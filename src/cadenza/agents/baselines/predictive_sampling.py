@@ -25,14 +25,10 @@ from cadenza.tasks.view import View
 
 
 class PredictiveSampling(PlannerPerEnv["SamplingPlanner"]):
-    """Plans anew at every control step."""
+    """An agent that plans anew at every control step."""
 
     def __init__(self, config: PredictiveSamplingConfig | None = None) -> None:
-        """Checks the options.
-
-        Raises:
-            CadenzaError: an option makes no sense.
-        """
+        """Checks the options, and raises a `CadenzaError` if one makes no sense."""
         super().__init__()
         self.config = config or PredictiveSamplingConfig()
         config = self.config
@@ -60,7 +56,7 @@ class PredictiveSampling(PlannerPerEnv["SamplingPlanner"]):
 
 
 class SamplingPlanner(EpisodePlanner):
-    """Plays one song.
+    """A planner of one song.
 
     A plan is a cubic spline through knots over the horizon, sampled where the task will take its
     next actions and held in between, as the task holds them. The pedal follows the score: the cost
@@ -100,7 +96,7 @@ class SamplingPlanner(EpisodePlanner):
         return np.append(self._clip(best(0.0)), pedal)
 
     def _iterations(self) -> Iterator[None]:
-        """Yields for each iteration of this control step: one or more, as the budget allows."""
+        """Yield for each iteration of this control step: one or more, as the budget allows."""
         if self.config.budget is None:
             yield from [None] * self.config.iterations
             return
@@ -113,7 +109,7 @@ class SamplingPlanner(EpisodePlanner):
                 return
 
     def _draw(self) -> Array:
-        """(N, num_knots, A) candidates, of which the first is the nominal itself."""
+        """Candidates (N, num_knots, A); the first is the nominal itself."""
         shape = (self.config.num_candidates, *self.nominal.shape)
         noise = self.config.sigma * self._rng.standard_normal(shape)
         noise[0] = 0.0
@@ -123,7 +119,7 @@ class SamplingPlanner(EpisodePlanner):
         return np.clip(ctrl, self._low, self._high)
 
     def costs(self, candidates: Array, view: View) -> Array:
-        """(N,) the costs of candidates (N, num_knots, A) in rollouts from the state of `view`."""
+        """Costs (N,) of candidates (N, num_knots, A) in rollouts from the state of `view`."""
         config, hold = self.config, self._task.config.control_timestep
         steps = round(config.horizon / config.planning_timestep)
         times = np.arange(steps) * config.planning_timestep
@@ -135,7 +131,7 @@ class SamplingPlanner(EpisodePlanner):
         return np.where(states.unstable.any(axis=1), np.inf, cost)
 
     def cost(self, states: State, rows: NDArray[np.intp]) -> Array:
-        """(N, K) distance of keys from their goals, and mean distance of fingers from their keys.
+        """Distances of keys from goals, plus mean distances of fingers from their keys (N, K).
 
         The states (N, K) are of K planning steps, which belong to control steps `rows` (K,).
         """

@@ -31,7 +31,7 @@ class Residuals(NamedTuple):
     """(Q,) 1 over the number of fingers in the row, which makes a sum the mean over the fingers."""
 
     def cost(self, keys: Array, fingers: Array) -> Array:
-        """(R,) the cost, given norms of the residuals of keys (R,) and of fingers (Q,)."""
+        """Costs (R,), given norms of the residuals of keys (R,) and of fingers (Q,)."""
         return keys + np.bincount(self.row, self.share * fingers, len(keys))
 
 
@@ -41,11 +41,11 @@ def residuals_of(
     keys: NDArray[np.bool_],
     fingers: NDArray[np.int8],
 ) -> Residuals:
-    """The residuals in all states, with the keys of fingers as the score or the task gives them.
+    """Residuals in all states, with the keys of fingers as the score or the task gives them.
 
     Args:
         task: a task with hands.
-        states: states with leading dimensions (N, P), of which there are R = N P.
+        states: R = N P states, with leading dimensions (N, P).
         keys: (R, K) the keys to press.
         fingers: (R, K) the fingers of the score, -1 for none; optimal transport from fingertips to
             keys replaces them if the task is so configured.
@@ -66,5 +66,5 @@ def residuals_of(
 
 
 def flattened(values: Array) -> Array:
-    """Reshapes (N, P, ...) to (N P, ...)."""
+    """Reshape (N, P, ...) to (N P, ...)."""
     return values.reshape(-1, *values.shape[2:])

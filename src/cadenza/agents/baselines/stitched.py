@@ -1,4 +1,4 @@
-"""Plays songs open loop, from motions of each hand that are planned once and stitched together."""
+"""Songs played open loop, from motions of each hand that are planned once and stitched together."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _WHITE_KEY_FORCE = 1.5
 
 
 class Stitched(PlannerPerEnv[PlanFollower]):
-    """Plans everything when an episode begins, and plays it without feedback.
+    """An agent that plans everything when an episode begins, and plays it without feedback.
 
     Nothing is random. It reports the progress of "fingers" and "motions".
     """
@@ -50,7 +50,7 @@ class Stitched(PlannerPerEnv[PlanFollower]):
 
 
 def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
-    """The plan of a song for hands whose joints begin at `start` (J,) [m, rad].
+    """Plan a song for hands whose joints begin at `start` (J,) [m, rad].
 
     Raises:
         CadenzaError: there are no hands in the scene, or they do not slide along the keyboard.
@@ -70,15 +70,15 @@ def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
     postures = np.empty((states, len(scene.actuator_names)))
     for side in scene.sides:
         hand = hand_alone(scene, side)
-        mine = [press for press in presses if press.side == side]
+        own = [press for press in presses if press.side == side]
         motions = Motions(hand.scene, dt, progress)
-        postures[:, hand.servos] = stitched(mine, motions, before.postures[0, hand.servos], states)
+        postures[:, hand.servos] = stitched(own, motions, before.postures[0, hand.servos], states)
     targets = targets_of(scene, presses, states, dt)
     for press in presses:
         if not scene.keyboard.is_black[press.key]:
             targets.force[press.first : press.last, press.finger] *= _WHITE_KEY_FORCE
-    found = PostureTrajectory(postures, postures, targets)
-    return SongPlan(scene, track, goals, planner.track(before, presses, found))
+    solved = PostureTrajectory(postures, postures, targets)
+    return SongPlan(scene, track, goals, planner.track(before, presses, solved))
 
 
 def _slower(times: JumpTimes) -> JumpTimes:
@@ -98,7 +98,7 @@ _AT_REST = 10.0  # [s] between two postures, so that the speed of the motion cos
 _OCTAVE = 12
 
 
-class Change(NamedTuple):
+class KeyChange(NamedTuple):
     """A change of held keys: some are released, and others struck at once or soon after."""
 
     held_before: Held
@@ -110,12 +110,12 @@ class Change(NamedTuple):
     gap: int
     """The number of states from releasing to striking."""
 
-    def lowered(self, keys: int) -> Change:
-        """This change, moved `keys` down the keyboard."""
+    def lowered(self, keys: int) -> KeyChange:
+        """This change, `keys` further down the keyboard."""
         before, kept, after = (
             tuple((finger, key - keys) for finger, key in held) for held in self[:3]
         )
-        return Change(before, kept, after, self.gap)
+        return KeyChange(before, kept, after, self.gap)
 
 
 class Motions:
@@ -132,10 +132,7 @@ class Motions:
     """
 
     def __init__(self, scene: Scene, dt: float, progress: Progress = silent) -> None:
-        """Begins without any motions, for a hand alone in a scene and control steps of `dt` [s].
-
-        It reports the number of "motions" that have been planned.
-        """
+        """Begin without motions, for a hand alone in a scene and control steps of `dt` [s]."""
         self._scene, self._dt, self._keyboard = scene, dt, scene.keyboard
         self._progress = progress
         self._servos = servos_of(scene)
@@ -146,13 +143,13 @@ class Motions:
         (self._slide,) = self._servos.along_keyboard
         self.before, self.after = steps_in(_BEFORE, dt), steps_in(_AFTER, dt)
         self.longest_gap = steps_in(_GAP, dt)
-        self._known: dict[Change, Array] = {}
+        self._known: dict[KeyChange, Array] = {}
 
     def __len__(self) -> int:
         return len(self._known)
 
-    def of(self, change: Change) -> Array:
-        """(N, A) postures of a change: row 0 holds its first keys, which row `before` releases."""
+    def of(self, change: KeyChange) -> Array:
+        """Postures (N, A) of a change: row 0 holds its first keys, which row `before` releases."""
         pressed = [key for _, key in change.held_before + change.held_after]
         up = self._octaves(pressed)
         lowered = change.lowered(up)
@@ -165,17 +162,14 @@ class Motions:
         return motion
 
     def _octaves(self, keys: list[int]) -> int:
-        """The distance, in keys, of `keys` above those for which their motion is planned.
-
-        Motions are planned about the middle of the keyboard.
-        """
+        """Keys by which `keys` are above those in the middle for which their motion is planned."""
         lowest = min(keys)
         room = self._keyboard.num_keys - (max(keys) - lowest)
         first = lowest % _OCTAVE
         return lowest - first - max((room // 2 - first) // _OCTAVE, 0) * _OCTAVE
 
-    def _planned(self, change: Change) -> Array:
-        """(N, A) postures of a change, by inverse kinematics of its presses."""
+    def _planned(self, change: KeyChange) -> Array:
+        """Postures (N, A) of a change, by inverse kinematics of its presses."""
         before, kept, after, gap = change
         release, strike = self.before, self.before + gap
         end = strike + self.after + 1
@@ -197,13 +191,13 @@ class Motions:
         return self._postures(targets, guess, self._dt)
 
     def _holding(self, held: Held, guess: Array) -> Array:
-        """(A,) posture at rest with keys down."""
+        """Posture (A,) at rest with keys down."""
         presses = [Press(self._side, finger, key, 1, 2) for finger, key in held]
         targets = targets_of(self._scene, presses, 2, self._dt)
         return self._postures(targets, np.stack([guess, guess]), _AT_REST)[1]
 
     def _postures(self, targets: Targets, guess: Array, dt: float) -> Array:
-        """(S, A) postures, `dt` [s] apart, of a hand that was at rest before."""
+        """Postures (S, A), `dt` [s] apart, of a hand that was at rest before."""
         return solve_postures(self._kinematics, targets, guess, guess[0], dt)
 
     def _place(self, held: Held) -> float:
@@ -211,12 +205,8 @@ class Motions:
         return float(np.mean([self._places[key, finger] for finger, key in held]))
 
 
-_Down = set[tuple[int, int]]
-"""Pairs of finger and key, of each finger that is down."""
-
-
 def stitched(presses: Sequence[Press], motions: Motions, start: Array, num_states: int) -> Array:
-    """(S, A) postures of a hand that begins at `start` (A,), with these presses.
+    """Postures (S, A) of a hand that begins at `start` (A,), with these presses.
 
     Between two changes, the end of one motion is blended with the beginning of the next.
     """
@@ -243,8 +233,8 @@ def _row(motion: Array, states: NDArray[np.intp]) -> Array:
 
 def changes_of(
     presses: Sequence[Press], num_states: int, longest_gap: int
-) -> Iterator[tuple[int, Change]]:
-    """The changes of what one hand holds, and the states in which they begin, by time.
+) -> Iterator[tuple[int, KeyChange]]:
+    """Changes of what one hand holds, and the states in which they begin, by time.
 
     Releasing, and striking at most `longest_gap` states later, are one change.
     """
@@ -256,18 +246,18 @@ def changes_of(
         if set(then) < set(before) and held and held[0][0] - state <= longest_gap:
             later, after = held.pop(0)
         kept = tuple(one for one in before if one in then)
-        yield state, Change(before, kept, after, later - state)
+        yield state, KeyChange(before, kept, after, later - state)
         before = after
 
 
 def _held(presses: Sequence[Press], num_states: int) -> Iterator[tuple[int, Held]]:
     """Each state in which one hand begins to hold other keys, by time, and these keys."""
-    struck, left = defaultdict[int, _Down](set), defaultdict[int, _Down](set)
+    struck, left = (defaultdict[int, set[tuple[int, int]]](set) for _ in range(2))
     for press in presses:
         if press.first < press.last:
             struck[press.first].add((press.finger, press.key))
             left[press.last].add((press.finger, press.key))
-    down: _Down = set()
+    down = set[tuple[int, int]]()
     before: Held = ()
     for state in sorted(struck.keys() | left.keys()):
         down = (down - left[state]) | struck[state]

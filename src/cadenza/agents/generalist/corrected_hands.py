@@ -14,7 +14,7 @@ from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
 
 MAX_LOWER = 1.5
-"""How much lower a finger is led at most where it strikes, or higher [cm]."""
+"""Maximum change of a finger's height where it strikes [cm]."""
 _CM = 0.01  # [m]
 
 
@@ -32,7 +32,7 @@ class CorrectedHands:
     lookahead = FAR
 
     def __init__(self, plan: SongPlan, weights: Weights | None = None) -> None:
-        """Follows a plan; `weights` are the networks by which hands act."""
+        """Follow a plan; `weights` are the networks by which hands act."""
         scene, self._weights = plan.scene, weights
         self._sides, self._fingers = scene.sides, scene.present_fingers
         self._alone = hand_alone(scene, self._sides[0]).scene
@@ -45,12 +45,12 @@ class CorrectedHands:
         self.follow(plan, 0)
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """Changes the plan, from `step` on, to one that goes further."""
+        """Continue from `step` on with a plan that goes further."""
         self._inputs = HandInputs(plan, self._sides, self._alone, step)
         self._tracking, self._lowering = plan.nominal.tracking, plan.nominal.lowering
 
     def observe(self, step: int, state: State) -> tuple[Floats, Array]:
-        """The networks' inputs (H, D) before a step, and the controls (H A,) that they correct."""
+        """Networks' inputs (H, D) before a step, and the controls (H A,) that they correct."""
         (here,) = self._all_servos.state(state.hand_qpos[:1], state.hand_qvel[:1])
         planned = self._tracking.controls(self._all_servos, step, here)
         tips, key_qpos = state.fingertip_xpos[0, self._fingers], state.key_qpos[0]
@@ -58,7 +58,7 @@ class CorrectedHands:
         return self._inputs.at(step, here, self.output, tips, key_qpos), planned
 
     def act(self, step: int, state: State) -> Array:
-        """(H A,) the next controls."""
+        """Next controls (H A,)."""
         assert self._weights is not None
         inputs, planned = self.observe(step, state)
         output, striking = self._weights(inputs), self.striking(inputs)
@@ -68,7 +68,7 @@ class CorrectedHands:
         return self.corrected(planned, output)
 
     def striking(self, inputs: Floats) -> NDArray[np.bool_]:
-        """(H, F) whether fingers strike in the step, by the inputs (H, D)."""
+        """Fingers (H, F) that strike in the step, by the inputs (H, D)."""
         return inputs[:, self.layout.striking] > 0
 
     def touched(
@@ -89,15 +89,15 @@ class CorrectedHands:
         return self._all_servos.clip(lowered), output * share
 
     def corrected(self, planned: Array, output: Floats) -> Array:
-        """(H A,) the controls of a step: those planned (H A,), corrected by the output (H, A)."""
+        """Controls (H A,) of a step: the planned ones (H A,), corrected by the output (H, A)."""
         ctrl = self._all_servos.clip(planned + self.corrections.ctrl(output).ravel())
         self.record(ctrl, planned)
         return ctrl
 
     def record(self, ctrl: Array, planned: Array) -> None:
-        """Records the output of a step, given its controls (H A,) and those that were planned."""
+        """Record the output of a step, given its controls (H A,) and the planned ones."""
         self.output = self.output_for(ctrl, planned)
 
     def output_for(self, ctrl: Array, planned: Array) -> Array:
-        """(H, A) the output that corrects planned controls (H A,) to `ctrl` (H A,)."""
+        """Output (H, A) that corrects planned controls (H A,) to `ctrl` (H A,)."""
         return self.corrections.output((ctrl - planned).reshape(self.output.shape))

@@ -1,4 +1,4 @@
-"""Plays any score by its plan, and what it has learnt about plans: nothing is searched.
+"""The generalist, which plays any score by its plan and networks that correct it, without search.
 
 The plan is inverse kinematics of the song, with feedback. What goes wrong with such plans is much
 the same in all music: a finger is caught, a thumb comes late. Networks correct them, the same for
@@ -45,17 +45,13 @@ _DEFAULT_REHEARSALS, _MAX_REHEARSALS = 4, 100
 
 
 class Generalist(PlannerPerEnv["SongPlanner | SightReader"]):
-    """Corrects the plan of a song, or of what is in sight of it, by what it has learnt from others.
+    """An agent that corrects the plan of a song, or of what is in sight of it, by networks.
 
     It reports the progress of "fingers" and "postures".
     """
 
     def __init__(self, config: GeneralistConfig | None = None) -> None:
-        """Checks the options.
-
-        Raises:
-            CadenzaError: an option makes no sense.
-        """
+        """Checks the options, and raises a `CadenzaError` if one makes no sense."""
         super().__init__()
         self.config = config or GeneralistConfig()
         if self.config.look_ahead is not None:
@@ -91,7 +87,7 @@ class Generalist(PlannerPerEnv["SongPlanner | SightReader"]):
         return SongPlanner(plans, hands_for)
 
     def _rehearsals(self, scene: Scene) -> int:
-        """The number of changes of each half second of the plan; with 0, networks correct it."""
+        """Number of changes of each half second of the plan; with 0, networks correct it."""
         if self.config.rehearsals is not None:
             return self.config.rehearsals
         known = shipped_for(scene)
@@ -99,7 +95,7 @@ class Generalist(PlannerPerEnv["SongPlanner | SightReader"]):
         return 0 if self.config.weights is not None or fits else _DEFAULT_REHEARSALS
 
     def _weights(self, scene: Scene) -> Weights:
-        """The networks for the hands of a scene.
+        """Networks for the hands of a scene.
 
         Raises:
             CadenzaError: there are none for them, or the file is damaged.
@@ -122,14 +118,14 @@ class Generalist(PlannerPerEnv["SongPlanner | SightReader"]):
 
 
 class SightReader(EpisodePlanner):
-    """Plays one song, of which it knows only what is in sight.
+    """A player of one song that knows only what is in sight.
 
-    In sight are the goals of the step that it decides on and of those that it looks ahead: no
-    fingers, no ends of notes further ahead, nothing of how long the song is.
+    In sight are the goals of the step that it decides on and of the steps that it looks ahead: no
+    fingers, no ends of notes further ahead, not the length of the song.
     """
 
     def __init__(self, track: GoalTrack, start: State, look_ahead: float, weights: Weights) -> None:
-        """Plans what is in sight at the beginning, from the state of one simulation.
+        """Plan what is in sight at the beginning, from the state of one simulation.
 
         Goals are known for the time `look_ahead` [s].
         """
@@ -185,7 +181,7 @@ class RehearsedHand:
     """
 
     def __init__(self, plan: SongPlan, side: Side, rehearsals: int) -> None:
-        """Follows a plan, each half second of which is changed `rehearsals` times at most."""
+        """Follow a plan, and change each half second of it `rehearsals` times at most."""
         dt = plan.track.config.control_timestep
         self._side = side
         alone, self.servos, self.joints = hand_alone(plan.scene, side)
@@ -196,13 +192,13 @@ class RehearsedHand:
         self.follow(plan, 0)
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """Changes the plan, from `step` on, to one that goes further."""
+        """Continue from `step` on with a plan that goes further."""
         self._goals = HandGoals(plan, self._side)
         tracking = plan.nominal.tracking.of(self.servos)
         self._tracking = tracking._replace(ctrl=tracking.ctrl.copy())
 
     def act(self, step: int, state: State) -> Array:
-        """(A,) the next controls."""
+        """Next controls (A,)."""
         qpos, qvel = state.hand_qpos[0, self.joints], state.hand_qvel[0, self.joints]
         if step >= self.rehearsal.end:
             key_qpos = state.key_qpos[0]
@@ -212,7 +208,7 @@ class RehearsedHand:
         return self._servos.clip(self.rehearsal.ctrl(step)[0] - feedback)
 
     def _rehearse(self, step: int) -> None:
-        """Rehearses the steps from `step` on."""
+        """Rehearse the steps from `step` on."""
         last = min(step + self.rehearsal.lookahead, len(self._tracking.ctrl))
         rows = np.arange(step, last)
         if step == self.rehearsal.end:  # the one before has found how to begin
@@ -221,7 +217,7 @@ class RehearsedHand:
         self.rehearsal.rehearse(self._goals, self._tracking, rows, self._simulation)
 
     def _key_qvel(self, key_qpos: Array) -> Array:
-        """(K,) the speeds of keys at (K,), which are in no state, as far as they were foreseen."""
+        """Speeds (K,) of keys at (K,), which are in no state, as far as they were foreseen."""
         speeds, keys = np.zeros_like(key_qpos), self.rehearsal.keys
         there, speed = self.rehearsal.keys_at_end
         speeds[keys] = np.where(np.abs(key_qpos[keys] - there) < _AS_FORESEEN, speed, 0.0)

@@ -1,4 +1,4 @@
-"""Receding-horizon plans of a song of which only the next half second, or the next two, are known.
+"""Receding-horizon plans of a song whose next half second, or the next two, are known.
 
 Fingers, presses, postures and controls are found as for a whole song, but again at every step for
 what is in sight then. Each time postures begin with those of the plan before, which two steps of
@@ -47,7 +47,7 @@ _RETRY_TIME = 0.3  # [s] until it may be lifted once more
 
 
 @dataclass
-class _Note:
+class _SightedNote:
     """A note that is in sight, or was."""
 
     key: int
@@ -59,10 +59,9 @@ class _Note:
 
 
 class RecedingPlanner:
-    """Plans again and again, from what is in sight at a step, for the steps from there on.
+    """A planner that plans at every step what is in sight then.
 
-    What is caught gets free by itself: where a finger is not where it should press, it is lifted
-    above all keys, and presses again.
+    A finger that is not where it should press is lifted above all keys, and presses again.
     """
 
     def __init__(
@@ -71,13 +70,13 @@ class RecedingPlanner:
         """Begins without any notes, at joint positions (J,) [m, rad], in steps of `dt` [s]."""
         self._scene, self._dt, self._motion = scene, dt, motion
         self._fingers = OnlineFingering(players, _ONSETS_AT_ONCE)
-        self._notes: list[_Note] = []
-        self._held: dict[int, _Note] = {}  # by key, at the end of what was seen
+        self._notes: list[_SightedNote] = []
+        self._held: dict[int, _SightedNote] = {}  # by key, at the end of what was seen
         self._seen = 0
         self._lifted: dict[tuple[int, int], int] = {}  # finger and key, and since when
         self._blas = ThreadpoolController()
         self._plan = self._motion.still(hand_qpos, 0)  # from its first step on, as what follows
-        self._found: PostureTrajectory | None = None
+        self._solved: PostureTrajectory | None = None
 
     def replan(
         self,
@@ -86,7 +85,7 @@ class RecedingPlanner:
         strikes: Mapping[tuple[int, int], Strike],
         tips: Array,
     ) -> NominalTrajectory:
-        """The plan of what is in sight at a step; its first step is this one.
+        """Plan what is in sight at a step; the plan's first step is this one.
 
         Args:
             step: the step of the song: 0, then always the next.
@@ -106,30 +105,30 @@ class RecedingPlanner:
             press._replace(strike=strikes.get((begin + press.first, press.key)))
             for press in self._motion.presses(self._fingering(step, past, horizon))
         ]
-        if self._found is None:
+        if self._solved is None:
             before, warm_start, options = self._plan, None, THOROUGH
         else:
             before = self._plan.part(0, 1)
             presses = self._lift_caught(presses, step, past, tips, before.fingertips[1])
             options = _LIFTED if self._lifted else _USUAL
-            warm_start = self._found.correction[2:]
+            warm_start = self._solved.correction[2:]
             warm_start = np.concatenate([warm_start, warm_start[-1:]])  # as far as is planned now
         with self._blas.limit(limits=1):  # as in `MotionPlanner.plans`
-            found = self._motion.solve(
+            solved = self._motion.solve(
                 before, presses, past, past + ahead, warm_start=warm_start, options=options
             )
             presses = [press.delayed(-past) for press in presses]
-            self._plan = self._motion.track(before, presses, found.part(controlled + 1), played=1)
-        self._found = found
+            self._plan = self._motion.track(before, presses, solved.part(controlled + 1), played=1)
+        self._solved = solved
         return self._plan
 
     def _lift_caught(
         self, presses: list[Press], step: int, now: int, tips: Array, planned: Array
     ) -> list[Press]:
-        """The presses; those whose fingers are caught elsewhere begin again, from above.
+        """Presses, which begin again from above where a finger is caught elsewhere.
 
-        `now` is the state before the step, as presses count them. Fingertips are at `tips` (F, 3),
-        and those that are there were to be at `planned` (F', 3) [m].
+        `now` is the state before the step, as presses count them. Fingertips are at `tips` (F, 3);
+        those of the hands in the scene were to be at `planned` (F', 3) [m].
         """
         there, off = self._scene.present_fingers, np.zeros(len(tips))
         off[there] = np.hypot(*(tips[there] - planned)[:, :2].T)
@@ -150,7 +149,7 @@ class RecedingPlanner:
         return result
 
     def _update_notes(self, step: int, keys: NDArray[np.bool_]) -> None:
-        """Begins and ends notes in what was not in sight before."""
+        """Begin and end notes in what was not in sight before."""
         dt = self._dt
         for now, row in enumerate(keys[self._seen - step :], start=self._seen):
             down = set(np.flatnonzero(row).tolist())
@@ -159,20 +158,20 @@ class RecedingPlanner:
                 note.last = now
                 self._fingers.end(note.number, (now - 0.5) * dt)  # in the middle of a step
             for key in sorted(down - self._held.keys()):
-                note = _Note(key, self._fingers.begin(key, now * dt), now)
+                note = _SightedNote(key, self._fingers.begin(key, now * dt), now)
                 self._held[key] = note
                 self._notes.append(note)
         self._seen = step + len(keys)
 
     def _find_fingers(self, settled: int) -> None:
-        """Finds fingers of notes, and settles those of notes that begin before a step."""
-        found = self._fingers.find(settled * self._dt)
+        """Find fingers of notes, and settle them for notes that begin before a step."""
+        fingers = self._fingers.find(settled * self._dt)
         for note in self._notes:
-            if note.number in found:
-                note.finger = self._scene.fingers.number(found[note.number])
+            if note.number in fingers:
+                note.finger = self._scene.fingers.number(fingers[note.number])
 
     def _fingering(self, step: int, past: int, ahead: int) -> NDArray[np.int8]:
-        """(P + S, K) fingers that should press the keys before and after a step, -1 for none."""
+        """Fingers (P + S, K) that should press the keys before and after a step, -1 for none."""
         first = step - past
         self._notes = [note for note in self._notes if note.last is None or note.last > first]
         fingers = np.full((past + ahead, self._scene.keyboard.num_keys), NO_FINGER, np.int8)

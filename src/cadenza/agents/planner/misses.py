@@ -77,7 +77,7 @@ class Miss:
     """Whether it sounded in time, and was only let go early."""
 
 
-class _Note(NamedTuple):
+class _GoalNote(NamedTuple):
     """A note: `key` should sound from step `first` up to, not including, `last`."""
 
     key: int
@@ -86,14 +86,14 @@ class _Note(NamedTuple):
 
 
 def misses_of(episode: Episode, plan: SongPlan) -> list[Miss]:
-    """The misses of an episode by time, whose agent followed `plan`."""
+    """Misses of an episode by time, whose agent followed `plan`."""
     diagnosis = _Diagnosis(episode, plan)
     notes = sorted(_notes(episode["goal_keys"]), key=lambda n: n[1])
     return [miss for note in notes if (miss := diagnosis.miss(note))]
 
 
 def foreseen_misses(track: GoalTrack) -> float:
-    """The share of the notes of a song that are lost before anything moves, from 0 to 1.
+    """Share of the notes of a song that are lost before anything moves, from 0 to 1.
 
     They are those of the rules 1 and 3, which need no more than fingers and presses: a tenth of a
     second for a thousand notes. Motion loses some more, and saves some that are let go early.
@@ -105,23 +105,23 @@ def foreseen_misses(track: GoalTrack) -> float:
     goals = track.goals
     presses = {(p.key, p.first - 1): p for p in MotionPlanner(scene, dt).presses(goals.fingers)}
     notes = _notes(goals.keys)
-    found = ((note, presses.get((note.key, note.first))) for note in notes)
-    return sum(not press or _is_cut(press, note, dt) for note, press in found) / max(len(notes), 1)
+    pairs = ((note, presses.get((note.key, note.first))) for note in notes)
+    return sum(not press or _is_cut(press, note, dt) for note, press in pairs) / max(len(notes), 1)
 
 
-def _notes(keys: Mask) -> list[_Note]:
-    """The notes of the keys (T, K) that should sound in each step."""
+def _notes(keys: Mask) -> list[_GoalNote]:
+    """Notes of the keys (T, K) that should sound in each step."""
     runs = zip(*(array.tolist() for array in key_runs(keys)), strict=True)
-    return [_Note(key, first, last) for first, last, key in runs]
+    return [_GoalNote(key, first, last) for first, last, key in runs]
 
 
-def _is_cut(press: Press, note: _Note, dt: float) -> bool:
+def _is_cut(press: Press, note: _GoalNote, dt: float) -> bool:
     """Whether the plan lets a key go so early that its note may not sound."""
     return press.last <= note.last and press.last - press.first <= steps_in(_SHORTEST, dt)
 
 
 def summary(misses: Sequence[Miss], episode: Episode) -> list[str]:
-    """Counts misses, in lines such as "missed 3 of 210 notes: too fast to get there (2), ..."."""
+    """Counts of misses in lines such as "missed 3 of 210 notes: too fast to get there (2), ..."."""
     num_notes = len(key_runs(episode["goal_keys"])[0])
     missed = [miss.cause for miss in misses if not miss.sounded]
     early = [miss.cause for miss in misses if miss.sounded]
@@ -132,7 +132,7 @@ def summary(misses: Sequence[Miss], episode: Episode) -> list[str]:
 
 
 def _counted(causes: Sequence[str]) -> str:
-    """Lists causes after a colon, with how many of each where there are several."""
+    """Causes after a colon, with their numbers where there are several."""
     counts = Counter(causes).most_common()
     if len(counts) <= 1:
         return "".join(f": {cause}" for cause, _ in counts)
@@ -163,8 +163,8 @@ class _Diagnosis:
         self._left_out = _left_out(plan.track)
         self._forearms = _forearms_apart(episode)
 
-    def miss(self, note: _Note) -> Miss | None:
-        """The miss of a note, None if it was not lost."""
+    def miss(self, note: _GoalNote) -> Miss | None:
+        """Miss of a note, None if it was not lost."""
         press = self._presses.get((note.key, note.first))
         finger = self._numbers.finger(press.finger) if press else None
         sounding = note.first + np.flatnonzero(self._played[note.first : note.last, note.key])
@@ -190,7 +190,7 @@ class _Diagnosis:
     def _ms(self, steps: int) -> str:
         return f"{1000 * steps * self._dt:.0f} ms"
 
-    def _sounds_from_before(self, note: _Note) -> bool:
+    def _sounds_from_before(self, note: _GoalNote) -> bool:
         """Whether the key still sounds from an earlier note of the score."""
         before = np.flatnonzero(~self._played[: note.first, note.key])
         since = int(before[-1]) + 1 if len(before) else 0
@@ -198,7 +198,7 @@ class _Diagnosis:
 
     # Notes that did not sound in time
 
-    def _why_not(self, note: _Note, press: Press | None, held_through: bool) -> tuple[str, str]:
+    def _why_not(self, note: _GoalNote, press: Press | None, held_through: bool) -> tuple[str, str]:
         if press is None:
             why = self._left_out.get((note.key, note.first), "its hand does not play")
             return "no finger", f"no finger for it: {why}"
@@ -218,7 +218,7 @@ class _Diagnosis:
             return "key not pressed far enough", f"the key went {100 * depth:.0f} % of its way"
         return self._why_elsewhere(note, press, f"the finger was {1000 * beside:.0f} mm away")
 
-    def _why_elsewhere(self, note: _Note, press: Press, where: str) -> tuple[str, str]:
+    def _why_elsewhere(self, note: _GoalNote, press: Press, where: str) -> tuple[str, str]:
         row, finger = note.first, press.finger
         if with_what := self._collision(row, finger):
             return "collided", f"collided with {with_what}: {where}"
@@ -230,8 +230,8 @@ class _Diagnosis:
             return "too fast to get there", f"too fast, planned at {speed:.1f} m/s: {where}"
         return "finger beside the key", where
 
-    def _neighbour(self, note: _Note, press: Press) -> int | None:
-        """The key nearby that the finger struck instead of its own, if any."""
+    def _neighbour(self, note: _GoalNote, press: Press) -> int | None:
+        """Key nearby that the finger struck instead of its own, if any."""
         rows = slice(max(note.first - self._in_time, 0), note.first + 1 + 2 * self._in_time)
         before = np.pad(self._played, ((1, 0), (0, 0)))[:-1]
         wrong = (self._played & ~before & ~self._goal)[rows]
@@ -245,7 +245,7 @@ class _Diagnosis:
         return None
 
     def _collision(self, row: int, finger: int) -> str:
-        """Names what a finger that is off the plan touches, if anything."""
+        """Name of what a finger that is off the plan touches, if anything."""
         tip = self._tips[row, finger]
         if np.linalg.norm(tip - self._planned[row + 1, finger]) <= _ASTRAY:
             return ""
@@ -261,14 +261,14 @@ class _Diagnosis:
         return "the other forearm" if touch else ""
 
     def _speed(self, state: int, finger: int) -> float:
-        """The planned speed of a finger along the keyboard before `state` [m/s]."""
+        """Planned speed of a finger along the keyboard before `state` [m/s]."""
         before = max(state - steps_in(_STRIDE, self._dt), 0)
         way = self._planned[state, finger, 1] - self._planned[before, finger, 1]
         return float(abs(way)) / ((state - before) * self._dt)
 
     # Notes that were let go early
 
-    def _why_early(self, note: _Note, press: Press | None, end: int) -> tuple[str, str]:
+    def _why_early(self, note: _GoalNote, press: Press | None, end: int) -> tuple[str, str]:
         """Cause and reason for a note that no longer sounds from step `end` on."""
         if press is None:
             return "no finger", "no finger was there for it; another pressed the key in passing"
@@ -283,7 +283,7 @@ class _Diagnosis:
         return "key not held down", "the key came up under the finger"
 
     def _why_cut(self, press: Press) -> str:
-        """Says why the plan lets a key go early."""
+        """Reason why the plan lets a key go early."""
         later = (p for p in self._of_finger[press.finger] if p.first > press.first)
         following = next((p for p in later if p.key != press.key), None)
         if following:

@@ -1,4 +1,4 @@
-"""Plays any score by planning alone: fingering, inverse kinematics, and search while it plays."""
+"""The planner of any score: fingering, inverse kinematics, and search while it plays."""
 
 from __future__ import annotations
 
@@ -22,18 +22,14 @@ from cadenza.tasks.view import View
 
 
 class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
-    """Plans a song a window ahead of where it plays, and refines the plan as it goes.
+    """An agent that plans a song a window ahead of where it plays, and refines the plan as it goes.
 
     With an effort, it plans and practises the whole song before it begins to play. It reports the
     progress of "fingers" and "postures", and with an effort of the stages of `Practice`.
     """
 
     def __init__(self, config: PlannerConfig | None = None) -> None:
-        """Checks the options.
-
-        Raises:
-            CadenzaError: an option makes no sense.
-        """
+        """Checks the options, and raises a `CadenzaError` if one makes no sense."""
         super().__init__()
         self.config = config or PlannerConfig()
         check_ranges(
@@ -75,17 +71,17 @@ class PlanPlayer(Protocol):
 
     @property
     def lookahead(self) -> int:
-        """The number of steps of the plan that are needed."""
+        """Number of steps of the plan that are needed."""
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """Changes the plan, from `step` on, to one that goes further."""
+        """Continue from `step` on with a plan that goes further."""
 
     def act(self, step: int, state: State) -> Array:
-        """(A,) the next controls."""
+        """Next controls (A,)."""
 
 
 class SongPlanner(EpisodePlanner):
-    """Plays one song, and plans it a window ahead of where it plays.
+    """A planner of one song, which plans it a window ahead of where it plays.
 
     Attributes:
         plan: the plan before it is corrected, as far as it goes; all of it when the song is over.

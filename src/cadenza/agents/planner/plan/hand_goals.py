@@ -24,7 +24,7 @@ _ROUNDING = 1e-9  # so that a whole number of steps counts as such
 
 
 class HandGoals:
-    """Goals of one hand over T steps, of which the first P are planned.
+    """Goals of one hand over T steps; the first P are planned.
 
     Attributes:
         keys: (T, K) whether this hand should hold a key down.
@@ -41,7 +41,7 @@ class HandGoals:
     """
 
     def __init__(self, plan: SongPlan, side: Side) -> None:
-        """Takes the goals of the hand on one side from the plan of a song."""
+        """Take the goals of the hand on one side from the plan of a song."""
         dt = plan.track.config.control_timestep
         keys, fingers, nominal = plan.goals.keys, plan.goals.fingers, plan.nominal
         self.fingers = plan.scene.fingers.of_hand(SIDES.index(side))
@@ -71,14 +71,14 @@ class HandGoals:
         self.weight = np.where(self.playing, TIP_WEIGHT, _IDLE_TIP_WEIGHT)
 
     def holding(self, sounding: Mask) -> HandGoals:
-        """Goals of which those keys of the hand are planned that are `sounding` (T, K)."""
+        """These goals, with the keys planned that are `sounding` (T, K)."""
         part = copy(self)
         part.planned = self.keys & sounding
         return part
 
 
 def last_in_time(keys: Mask, dt: float) -> NDArray[np.int8]:
-    """(T, K) the last step in which a note of `keys` (T, K) still begins in time; elsewhere -1.
+    """Last steps (T, K) in which notes of `keys` (T, K) still begin in time; elsewhere -1.
 
     The value is the number of control steps of `dt` [s] from the note's first one to there. A note
     is in time as `cadenza.music.metrics` counts onsets, or sooner: one whose key was down two steps
@@ -92,7 +92,7 @@ def last_in_time(keys: Mask, dt: float) -> NDArray[np.int8]:
 
 
 def may_begin(keys: Mask, dt: float) -> Mask:
-    """(T, K) steps in which notes of `keys` (T, K) may begin: their first one, or a little late.
+    """Steps (T, K) in which notes of `keys` (T, K) may begin: their first one, or a little late.
 
     `dt` is the control step [s].
     """
@@ -101,15 +101,15 @@ def may_begin(keys: Mask, dt: float) -> Mask:
 
 
 def first_steps(keys: Mask) -> Mask:
-    """(T, K) the first step of each note of `keys` (T, K)."""
+    """First steps (T, K) of the notes of `keys` (T, K)."""
     return keys & ~delayed(keys, 1)
 
 
 def _steps_in_time(dt: float) -> int:
-    """The number of control steps of `dt` [s] by which an onset may be late."""
+    """Number of control steps of `dt` [s] by which an onset may be late."""
     return int(ONSET_TOLERANCE / dt + _ROUNDING)
 
 
 def delayed(keys: Mask, steps: int) -> Mask:
-    """Delays `keys` (T, K) by some steps."""
+    """Delay `keys` (T, K) by some steps."""
     return np.pad(keys, ((steps, 0), (0, 0)))[: len(keys)]

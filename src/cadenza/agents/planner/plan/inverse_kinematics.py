@@ -102,7 +102,7 @@ def solve_postures(
 def _gauss_newton(problem: PostureProblem, postures: Array, options: SolverOptions) -> Array:
     """Gauss-Newton without a line search."""
     damping = np.full(len(postures) - 1, options.damping, _REAL)
-    known: Linearisation | None = None
+    known: PostureLinearisation | None = None
     for _ in range(options.max_iterations):
         if known is None or not options.keep_derivatives:
             known = problem.linearisation(postures)
@@ -152,7 +152,7 @@ def _levenberg_marquardt(
     return postures
 
 
-class Linearisation(NamedTuple):
+class PostureLinearisation(NamedTuple):
     """The terms of single postures near N postures of H hands with A servos each."""
 
     at: Array
@@ -170,7 +170,7 @@ class Linearisation(NamedTuple):
     between: Array
     """(M, A, A) the products of the Jacobians of the right hand and the left in these."""
 
-    def with_new(self, rows: Ids, new: Linearisation) -> Linearisation:
+    def with_new(self, rows: Ids, new: PostureLinearisation) -> PostureLinearisation:
         """This linearisation with those of `new` postures in the rows (R,)."""
         kept = ~np.isin(self.close, rows)
         values = {
@@ -180,10 +180,10 @@ class Linearisation(NamedTuple):
         for name in ("at", "squares", "gradient", "blocks", "pressing"):
             values[name] = getattr(self, name).copy()
             values[name][rows] = getattr(new, name)
-        return Linearisation(**values)
+        return PostureLinearisation(**values)
 
     def gradient_change(self, change: Array) -> Array:
-        """(N, H, A) the change of half the gradient with a change (N, H, A) of the postures."""
+        """Change (N, H, A) of half the gradient with a change (N, H, A) of the postures."""
         added = (self.blocks @ change[..., None])[..., 0]
         if len(self.close):
             right, left = np.moveaxis(change[self.close], 1, 0)
@@ -192,7 +192,7 @@ class Linearisation(NamedTuple):
         return added
 
 
-class Evaluation(NamedTuple):
+class PostureEvaluation(NamedTuple):
     """The cost of N postures of H hands with A servos each, and its gradient."""
 
     cost: Array
@@ -201,7 +201,7 @@ class Evaluation(NamedTuple):
     """(N, H, A) the gradient of the terms of single postures."""
     motion_residuals: tuple[Array, ...]
     """(N, H, A) each: the residuals of the terms of motion."""
-    linearisation: Linearisation
+    linearisation: PostureLinearisation
     """The linearisation at these postures or, where they have hardly moved, at earlier ones."""
 
 
@@ -230,7 +230,7 @@ class PostureProblem:
         )
         self._rest, self._before = map(self._by_hand, (guess[1:], before[None]))
         self._motion = motion = motion_terms(servos, self._hands, dt, _REAL)
-        # What of the normal equations is the same in each iteration.
+        # The part of the normal equations that is the same in each iteration.
         smoothness = motion.smoothness.weight + np.zeros_like(self._rest)
         self._constant = motion.smoothness.stencil.normal_equations(smoothness)
         self._constant[0] += motion.rest.weight
@@ -239,8 +239,10 @@ class PostureProblem:
         """(N, H, X, ...) of rows (N, H X, ...)."""
         return by_hand(rows, self._hands).astype(_REAL)
 
-    def linearisation(self, postures: Array, known: Linearisation | None = None) -> Linearisation:
-        """The linearisation at postures (S, A), or the `known` one if these are still near it."""
+    def linearisation(
+        self, postures: Array, known: PostureLinearisation | None = None
+    ) -> PostureLinearisation:
+        """Linearisation at postures (S, A), or the `known` one if these are still near it."""
         if known is None:
             return self._linearised(postures[1:], np.arange(len(postures) - 1))
         far = np.abs(self._by_hand(postures[1:]) - known.at) > _MOVED * self._motion.stride
@@ -249,8 +251,8 @@ class PostureProblem:
             return known
         return known.with_new(moved, self._linearised(postures[1:][moved], moved))
 
-    def evaluation(self, postures: Array, known: Linearisation) -> Evaluation:
-        """The cost of postures (S, A) by a linearisation near them."""
+    def evaluation(self, postures: Array, known: PostureLinearisation) -> PostureEvaluation:
+        """Cost of postures (S, A) by a linearisation near them."""
         rows = np.concatenate([self._before, self._by_hand(postures)])
         change = rows[2:] - known.at
         added = known.gradient_change(change)
@@ -264,15 +266,15 @@ class PostureProblem:
             for term, residual in zip(motion.terms, residuals, strict=True)
         )
         cost = 0.5 * (squares + weighted.sum(axis=(1, 2)))
-        return Evaluation(cost, known.gradient + added, residuals, known)
+        return PostureEvaluation(cost, known.gradient + added, residuals, known)
 
-    def _linearised(self, postures: Array, rows: Ids) -> Linearisation:
-        """The linearisation at postures (N, A), which are those after the first in rows (N,)."""
+    def _linearised(self, postures: Array, rows: Ids) -> PostureLinearisation:
+        """Linearisation at the postures (N, A) after the first one, in rows (N,)."""
         parts = (slice(first, first + _AT_ONCE) for first in range(0, len(rows), _AT_ONCE))
         linearised = [self._linearised_at_once(postures[some], rows[some]) for some in parts]
-        return Linearisation._make(map(np.concatenate, zip(*linearised, strict=True)))
+        return PostureLinearisation._make(map(np.concatenate, zip(*linearised, strict=True)))
 
-    def _linearised_at_once(self, postures: Array, rows: Ids) -> Linearisation:
+    def _linearised_at_once(self, postures: Array, rows: Ids) -> PostureLinearisation:
         links = self._kinematics.links(postures)
         # In the order of indices, which is the order of sums.
         points, tips = (np.ascontiguousarray(v, _REAL) for v in (links.points, links.tips))
@@ -288,10 +290,10 @@ class PostureProblem:
         between = jacobian[:, 0].swapaxes(1, 2) @ jacobian[:, -1]
         pressing = pressing_forces(tips[:, :, :, 2], self._force[rows]) * self._motion.per_force
         at = hands.postures
-        return Linearisation(at, squares, gradient, blocks, pressing, rows[close], between)
+        return PostureLinearisation(at, squares, gradient, blocks, pressing, rows[close], between)
 
     def _terms_between_hands(self, hands: PosedHands) -> tuple[Ids, Array, Array]:
-        """The M postures in which hands are close, residuals (M, R), and Jacobian (M, H, R, A)."""
+        """M postures in which hands are close, residuals (M, R), and Jacobian (M, H, R, A)."""
         near = np.flatnonzero(sum(term.near(hands) for term in self._pair_terms))
         if not len(near):
             _, count, size = hands.postures.shape
@@ -301,8 +303,8 @@ class PostureProblem:
         close = residual.any(axis=1)
         return near[close], residual[close], jacobian[close]
 
-    def normal_equations(self, postures: Array, now: Evaluation) -> tuple[Array, Array]:
-        """The banded matrices, see `_banded`, and the gradient (S - 1, H, A).
+    def normal_equations(self, postures: Array, now: PostureEvaluation) -> tuple[Array, Array]:
+        """Banded matrices, see `_banded`, and the gradient (S - 1, H, A).
 
         There is a matrix for each hand, or one for both where they come close to each other. Joints
         at the ends of their ranges that would go further are taken out.
@@ -333,18 +335,18 @@ class PostureProblem:
         right_hand_side = -gradient.reshape(shape).swapaxes(0, 1)
         # Not `scipy.linalg.solveh_banded`, which takes as long to call it as short plans to solve.
         solve = lapack.spbsv if bands.dtype == np.float32 else lapack.dpbsv
-        found = np.empty_like(right_hand_side)
-        for band, own, there in zip(damped, right_hand_side, found, strict=True):
+        solution = np.empty_like(right_hand_side)
+        for band, own, there in zip(damped, right_hand_side, solution, strict=True):
             _, x, failed = solve(band.reshape(-1, band.shape[-1]).T, own.ravel(), overwrite_ab=True)
             if failed:
                 if bands.dtype == np.float64:
                     raise LinAlgError("the equations of postures are not positive definite")
                 return self._solved(bands.astype(np.float64), gradient, damping)
             there[...] = x.reshape(there.shape)
-        return found.swapaxes(0, 1)
+        return solution.swapaxes(0, 1)
 
 
-def _banded(diagonals: Array, at: Linearisation) -> Array:
+def _banded(diagonals: Array, at: PostureLinearisation) -> Array:
     """(1 or H, N, A, D) normal equations: D diagonals as in the upper form of `solveh_banded`.
 
     `diagonals` (3, N, H, A) are those of the terms of motion, see `Stencil.normal_equations`.
@@ -363,7 +365,7 @@ def _banded(diagonals: Array, at: Linearisation) -> Array:
 _upper = lru_cache(np.triu_indices)  # which takes as long as all else here if plans are short
 
 
-def _joint_blocks(at: Linearisation) -> Array:
+def _joint_blocks(at: PostureLinearisation) -> Array:
     """(N, 1, 2 A, 2 A) the upper half of the blocks of both hands together."""
     count, hands, size = at.blocks.shape[:3]
     blocks = np.zeros((count, hands, size, hands, size), at.blocks.dtype)

@@ -38,7 +38,7 @@ class Overlaps(NamedTuple):
 
     @property
     def columns(self) -> tuple[int, Ids]:
-        """The number of different pairs, and (M,) which of these each overlap belongs to."""
+        """Number of different pairs, and for each overlap its pair among these (M,)."""
         met = np.bincount(self.pair) > 0
         return int(np.count_nonzero(met)), (met.cumsum() - 1)[self.pair]
 
@@ -56,11 +56,11 @@ class LinkPairs:
         self._finger, self._link = table[:, :, 0].T, table[:, :, 1].T  # (2, C)
         begin = self._finger * (radii.shape[1] + 1) + self._link  # as points of all in a row
         self._ends = np.stack([begin, begin + 1])  # (2, 2, C)
-        least = radii[self._finger, self._link].sum(axis=0) + _CLEARANCE
-        self.min_distance = least.astype(np.float32)  # of any precision
+        distance = radii[self._finger, self._link].sum(axis=0) + _CLEARANCE
+        self.min_distance = distance.astype(np.float32)  # of any precision
 
     def overlaps(self, points: Array) -> Overlaps:
-        """The overlaps in N postures of fingers with points (N, F, P, 3) [m], see `Kinematics`."""
+        """Overlaps in N postures of fingers with points (N, F, P, 3) [m], see `Kinematics`."""
         count, fingers, each, _ = points.shape
         in_a_row = points.reshape(count, fingers * each, 3)
         begin, end = np.moveaxis(in_a_row.take(self._ends, axis=1), 0, 2)  # (2, N, C, 3)
@@ -78,11 +78,10 @@ class LinkPairs:
 
 
 class LinkCollisions:
-    """Pairs of links that could meet, of one hand or two alike.
+    """Pairs of links that could meet, within one hand or between two alike.
 
-    They are of neighbouring fingers, of the thumb and the fingers that it can meet, and of thumbs
-    and forefingers of both hands; not the first links of neighbours, which are mounted far enough
-    apart.
+    Neighbouring fingers can, the thumb and the fingers that it meets, and thumbs and forefingers of
+    both hands; not the first links of neighbours, which are mounted far enough apart.
 
     Attributes:
         within_hand: the pairs of one hand; fingers are counted from its thumb.
@@ -113,15 +112,15 @@ class LinkCollisions:
         radii = np.array([finger.radii for finger in hand.fingers])  # (F, links)
         self.within_hand = LinkPairs(of_one, radii)
         self.between_hands = LinkPairs(between, np.tile(radii, (2, 1)))
-        self._inner, self._most = len(inner), 2 * radii[inner].max() + _CLEARANCE
+        self._inner, self._max_distance = len(inner), 2 * radii[inner].max() + _CLEARANCE
 
     def hands_near(self, points: Array) -> NDArray[np.bool_]:
-        """(N,) whether links of both of H hands could overlap, given points (N, H, F, P, 3)."""
+        """Postures (N,) in which links of both hands could overlap, by points (N, H, F, P, 3)."""
         if points.shape[1] == 1:
             return np.zeros(len(points), bool)
         along = points[:, :, : self._inner, :, 1]
         low, high = along.min(axis=(2, 3)), along.max(axis=(2, 3))
-        near: NDArray[np.bool_] = (low - high[:, ::-1]).max(axis=1) < self._most
+        near: NDArray[np.bool_] = (low - high[:, ::-1]).max(axis=1) < self._max_distance
         return near
 
 
@@ -129,7 +128,7 @@ link_collisions = lru_cache(maxsize=8)(LinkCollisions)  # plans that are short a
 
 
 def _closest(between: Array, along_a: Array, along_b: Array) -> Array:
-    """(2, ...) the points of segments that are nearest to each other, as shares of their lengths.
+    """Points (2, ...) of segments that are nearest to each other, as shares of their lengths.
 
     Both are (..., 3), from beginning to end, and `between` leads from the second one's beginning to
     the first one's. Source: Ericson, Real-Time Collision Detection (2005), 5.1.9. Parallel segments

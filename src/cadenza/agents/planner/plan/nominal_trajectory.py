@@ -85,7 +85,7 @@ class NominalTrajectory(NamedTuple):
         return self.postures, self.fingertips, *self.tracking, self.lowering
 
     def part(self, first: int, last: int) -> NominalTrajectory:
-        """The steps from `first` up to, not including, `last`: views, and no presses."""
+        """Steps from `first` up to, not including, `last`: views, and no presses."""
         steps, states = slice(first, last), slice(first, last + 1)
         ctrl, gain, expected = self.tracking
         tracking = Tracking(ctrl[steps], gain[steps], expected[states])
@@ -105,18 +105,18 @@ class PostureTrajectory(NamedTuple):
 
     @property
     def correction(self) -> Array:
-        """(S, A) the difference from the first guess: a warm start for the next solution."""
+        """Difference (S, A) from the first guess: a warm start for the next solution."""
         return self.postures - self.guess
 
     def part(self, last: int) -> PostureTrajectory:
-        """The states up to, not including, `last`, as views."""
+        """States up to, not including, `last`, as views."""
         return PostureTrajectory(
             self.postures[:last], self.guess[:last], self.targets.part(0, last)
         )
 
 
 class MotionPlanner:
-    """Plans motions of the hands of a scene, in control steps of `dt` [s].
+    """A planner of motions of the hands of a scene, in control steps of `dt` [s].
 
     In all methods, `fingers` (T, K) are the numbers of the fingers that should hold the keys down
     after each step, -1 for none; `release_delays` (T, H) are the steps by which a hand delays its
@@ -125,7 +125,7 @@ class MotionPlanner:
     """
 
     def __init__(self, scene: Scene, dt: float, jump_times: JumpTimes | None = None) -> None:
-        """Prepares for a scene with one hand or two; `jump_times` replace those of the hand."""
+        """Prepare for a scene with one hand or two; `jump_times` replace the hand's."""
         check_rounding()
         self._scene, self._dt = scene, dt
         self._hand = replace(scene.hand, jump_times=jump_times or scene.hand.jump_times)
@@ -143,7 +143,7 @@ class MotionPlanner:
         release_delays: Delays = 0,
         strikes: PlannedStrikes = NO_STRIKES,
     ) -> Iterator[NominalTrajectory]:
-        """Plans a song from joint positions (J,), and reports the progress of "postures".
+        """Plan a song from joint positions (J,), and report the progress of "postures".
 
         `strikes` says how keys are to begin to sound, where it matters.
 
@@ -152,8 +152,8 @@ class MotionPlanner:
         """
         steps, correction = len(fingers), None
         delays = np.broadcast_to(release_delays, (steps, len(self._scene.sides)))
-        whole = self.still(hand_qpos, steps)
-        plan = whole.part(0, 0)
+        song = self.still(hand_qpos, steps)
+        plan = song.part(0, 0)
         while (first := plan.num_steps) < steps:
             # BLAS shares small products among threads, which takes longer, and other bits come out.
             with threadpool_limits(1):
@@ -161,10 +161,10 @@ class MotionPlanner:
                     plan, fingers, delays, strikes, correction, progress
                 )
             last = first + kept
-            there, here = whole.part(first, last), window.part(0, kept)
+            there, here = song.part(first, last), window.part(0, kept)
             for values, new in zip(there.arrays, here.arrays, strict=True):
                 values[:] = new
-            plan = whole.part(0, last)._replace(presses=_joined(plan, window, kept))
+            plan = song.part(0, last)._replace(presses=_joined(plan, window, kept))
             yield plan
 
     def still(self, hand_qpos: Array, steps: int) -> NominalTrajectory:
@@ -190,10 +190,10 @@ class MotionPlanner:
         warm_start: Array | None,
         progress: Progress,
     ) -> tuple[NominalTrajectory, int, Array]:
-        """Plans the steps after `plan`.
+        """Plan the steps after `plan`.
 
         Returns:
-            The plan, how many of its steps to keep, and the warm start of the next window.
+            The plan, the number of its steps to keep, and the warm start of the next window.
         """
         first, dt = plan.num_steps, self._dt
         shortest, longest = steps_in(_FIRST_WINDOW, dt), steps_in(_MAX_WINDOW, dt)
@@ -202,17 +202,17 @@ class MotionPlanner:
         if last == len(fingers):
             kept = last - first
         since = _first_that_matters(fingers, first, steps_in(_SETTLED, dt))
-        wanted = strikes.by_place(since, last)
+        struck = strikes.by_place(since, last)
         presses = [
-            press._replace(strike=wanted.get((since + press.first - 1, press.key)))
+            press._replace(strike=struck.get((since + press.first - 1, press.key)))
             for press in self.presses(fingers[since:last], delays[since:last])
         ]
-        found = self.solve(plan, presses, first - since, last - since, progress, warm_start)
-        window = self.track(plan, [press.delayed(since) for press in presses], found)
-        return window, kept, found.correction[kept + 1 :]
+        solved = self.solve(plan, presses, first - since, last - since, progress, warm_start)
+        window = self.track(plan, [press.delayed(since) for press in presses], solved)
+        return window, kept, solved.correction[kept + 1 :]
 
     def presses(self, fingers: Fingering, release_delays: Delays = 0) -> list[Press]:
-        """The presses by time, which end in time for the hands to be where they press next."""
+        """Presses by time, which end in time for the hands to be where they press next."""
         sides, presses = self._scene.sides, presses_of(fingers, self._scene.fingers)
         if np.any(release_delays):
             delays = np.broadcast_to(release_delays, (len(fingers), len(sides)))
@@ -233,7 +233,7 @@ class MotionPlanner:
         warm_start: Array | None = None,
         options: SolverOptions = THOROUGH,
     ) -> PostureTrajectory:
-        """Finds the postures before the steps from `first` to `last`, and after the last.
+        """Find the postures before the steps from `first` to `last`, and after the last.
 
         The `presses` count steps so. The `plan` of the steps before has one posture or more, and
         `warm_start` (N, A) is the `correction` found before for the first N postures.
@@ -254,19 +254,18 @@ class MotionPlanner:
         self,
         plan: NominalTrajectory,
         presses: list[Press],
-        found: PostureTrajectory,
+        solved: PostureTrajectory,
         played: int | None = None,
     ) -> NominalTrajectory:
-        """Finds the controls that lead the hands along postures, after the steps of `plan`.
+        """Find the controls that lead the hands along postures, after the steps of `plan`.
 
-        The controls of steps after the first `played`, all by default, do without what makes up for
-        forces.
+        Forces are compensated in the first `played` steps, all by default.
         """
-        servos, postures, start = self._servos, found.postures, plan.tracking.expected[-1]
+        servos, postures, start = self._servos, solved.postures, plan.tracking.expected[-1]
         steps = len(postures) - 1 if played is None else played
         tips, jacobian = self._kinematics.fingertips(postures, slice(1, steps + 1))
         hands = len(self._scene.sides)
-        pressed = found.targets.force[1 : steps + 1, self._scene.present_fingers]
+        pressed = solved.targets.force[1 : steps + 1, self._scene.present_fingers]
         heights = by_hand(jacobian[:, :, 2], hands)
         force = pressing_forces(heights, by_hand(pressed, hands))
         earlier = plan.postures[-2:-1]
@@ -280,7 +279,7 @@ class MotionPlanner:
         return NominalTrajectory(presses, postures, tips, tracking, lowering)
 
     def _lowering(self, heights: Array) -> Array:
-        """(S, H, A) the `lowering`, by the Jacobian (S, H, F, A) of the heights of fingertips.
+        """The `lowering` (S, H, A), by the Jacobian (S, H, F, A) of the heights of fingertips.
 
         Changes are least in units of what the planner's search draws.
         """
@@ -291,7 +290,7 @@ class MotionPlanner:
         return least.sum(axis=2) * noise
 
     def _guess(self, plan: NominalTrajectory, presses: list[Press], first: int, last: int) -> Array:
-        """(S, A) hands at rest over the keys that they press or will press next, from `first` on.
+        """Postures (S, A) at rest over the keys that hands press now or next, from `first` on.
 
         The first row is where they are.
         """
@@ -320,7 +319,7 @@ class MotionPlanner:
 
 
 def _first_that_matters(fingers: Fingering, first: int, settling: int) -> int:
-    """The first row of `fingers` (T, K) whose presses matter from row `first` on.
+    """First row of `fingers` (T, K) whose presses matter from row `first` on.
 
     Presses that ended `settling` rows before do not.
     """
@@ -332,7 +331,7 @@ def _first_that_matters(fingers: Fingering, first: int, settling: int) -> int:
 
 
 def _joined(plan: NominalTrajectory, window: NominalTrajectory, steps: int) -> list[Press]:
-    """The presses of `plan` and of the first steps of the window that follows."""
+    """Presses of `plan` and of the first steps of the window that follows."""
     first = plan.num_steps
     later = [
         press for press in window.presses if press.first <= first + steps and press.last > first

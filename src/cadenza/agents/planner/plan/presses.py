@@ -51,15 +51,12 @@ class Press(NamedTuple):
     """How the key is to begin to sound, if it matters."""
 
     def delayed(self, states: int) -> Press:
-        """This press, moved later by a number of states."""
+        """This press, a number of states later."""
         return self._replace(first=self.first + states, last=self.last + states)
 
 
 def presses_of(fingers: NDArray[np.int8], hands: Fingers) -> list[Press]:
-    """The presses, by time, of the fingers (T, K) that should hold keys down after each step.
-
-    They are numbered as those of `hands`, -1 for none.
-    """
+    """Presses by time, of the fingers (T, K) that should hold keys down after each step."""
     edges = np.diff(fingers, axis=0, prepend=NO_FINGER, append=NO_FINGER) != 0
     keys_of, states = np.nonzero(edges.T)  # of a key one after the other, the last one is an end
     first, last, key = states[:-1], states[1:], keys_of[:-1]
@@ -74,7 +71,7 @@ def presses_of(fingers: NDArray[np.int8], hands: Fingers) -> list[Press]:
 def steps_between(
     key: Key, other: Key, is_black: NDArray[np.bool_], times: JumpTimes, dt: float
 ) -> Ids:
-    """The control steps of `dt` [s] that a finger takes from one key to another, or from N keys.
+    """Control steps of `dt` [s] that a finger takes from one key to another, or from N keys.
 
     `is_black` (K,) says whether keys are black, and `times` how long the hand takes to climb.
     """
@@ -91,10 +88,10 @@ _DIGITS = 9  # to which times are rounded, so that whole steps are not rounded u
 def release_in_time(
     presses: list[Press], places: Array, is_black: Mask, dt: float, hand: Hand
 ) -> list[Press]:
-    """Cuts presses short where finger or hand must be elsewhere soon after, and marks jumps.
+    """Cut presses short where finger or hand must be elsewhere soon after, and mark jumps.
 
-    A press lasts `_MIN_LENGTH` at least. One that the hand can hold together with all that it
-    strikes is not cut.
+    A press lasts `_MIN_LENGTH` at least, and is not cut if the hand can hold it together with all
+    that it strikes.
 
     The presses are by time, then by key. `places` (K, F) are the positions of a forearm, from its
     mount, when one of its fingers presses a key at rest [m]; `dt` is the control step [s].
@@ -113,8 +110,8 @@ def release_in_time(
 class _TimeLine:
     """P presses by hand, then by time, then by key.
 
-    Both hands are on one line, on which the left one begins long after the right one is done. So
-    what is found out for each hand by itself is found out for both at once.
+    Both hands are on one line, the left one long after the right one, so that both are computed at
+    once.
     """
 
     def __init__(
@@ -123,7 +120,7 @@ class _TimeLine:
         self._dt, self._is_black = dt, is_black
         self._reach, self._times = hand.reach, hand.jump_times
         widest = self._times.seconds(np.ptp(places), 2, 2)
-        self._ahead, self._least = self._steps(widest), steps_in(_MIN_LENGTH, dt)
+        self._ahead, self._shortest = self._steps(widest), steps_in(_MIN_LENGTH, dt)
         rows = np.array([(p.finger, p.key, p.first, p.last, p.release_delay) for p in presses])
         left = rows[:, 0] >= len(hand.fingers)
         self._index = np.argsort(left, kind="stable")
@@ -142,7 +139,7 @@ class _TimeLine:
         self._begins, self._delay = self._first[self._heads], delay[self._heads]
 
     def release_for_jumps(self) -> None:
-        """Cuts presses where the hand is to strike what it does not reach from there."""
+        """Cut presses where the hand is to strike what it does not reach from there."""
         heads, chord, begins, sizes = self._heads, self._chord, self._begins, self._sizes
         until = np.maximum.reduceat(self._last, heads) + self._ahead
         ends = np.append(heads, len(chord))
@@ -157,12 +154,12 @@ class _TimeLine:
         spanned = np.logical_and.reduceat(spans, struck)
         press, struck = press[struck], chord[other[struck]]
         here, first, last = chord[press], begins[struck], self._last[press]
-        holding = last > first + self._least  # while the hand plays on
+        holding = last > first + self._shortest  # while the hand plays on
         means = np.add.reduceat(self._place, heads) / sizes
         distance = np.abs(means[struck] - np.where(holding, self._place[press], means[here]))
         jump = self._steps(self._times.seconds(distance, sizes[here], sizes[struck], holding))
         in_time = np.maximum(
-            first - np.maximum(jump - self._delay[struck], 1), begins[here] + self._least
+            first - np.maximum(jump - self._delay[struck], 1), begins[here] + self._shortest
         )
         too_late = (jump > 0) & ~spanned & (first <= last + self._ahead)
         np.minimum.at(self._last, press[too_late], in_time[too_late])
@@ -172,7 +169,7 @@ class _TimeLine:
         return np.ceil(np.round(seconds / self._dt, _DIGITS)).astype(np.intp)
 
     def release_for_other_keys(self) -> None:
-        """Cuts presses whose finger presses another key next."""
+        """Cut presses whose finger presses another key next."""
         order = np.lexsort((self._key, self._first, self._number))
         press, following = order[:-1], order[1:]
         moves = self._number[press] == self._number[following]
@@ -184,7 +181,7 @@ class _TimeLine:
         steps = steps_between(key, other, self._is_black, self._times, self._dt)
         spare = begins - first - steps_in(_MIN_HEARD, self._dt)
         risen = begins - np.maximum(np.minimum(spare, steps - delay), rise)
-        in_time = np.maximum(risen, first + self._least)
+        in_time = np.maximum(risen, first + self._shortest)
         self._last[press] = np.minimum(self._last[press], in_time)
 
     def rows(self) -> Iterator[tuple[int, int, bool, bool]]:

@@ -16,12 +16,12 @@ _NEAR_BEFORE = 1e-4  # [m^2/rad^2] weight of the distance from the posture besid
 
 
 def rest_posture(servos: Servos) -> Array:
-    """The posture (A,) with all fingers over neighbouring white keys, forearms at their mounts."""
+    """Posture (A,) with all fingers over neighbouring white keys, forearms at their mounts."""
     return servos.clip(np.array([use.rest for use in servos.uses]))
 
 
 def forearm_places(kinematics: Kinematics) -> Array:
-    """(K, F) positions of a forearm, from its mount, when a finger presses a key at rest [m].
+    """Positions (K, F) of a forearm, from its mount, when a finger presses a key at rest [m].
 
     Fingers that are not in the scene count as being at 0.
     """
@@ -38,7 +38,7 @@ class RestPoses:
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
-        """Finds the postures of arms along the keyboard; forearms that slide need none."""
+        """Find the postures of arms along the keyboard; forearms that slide need none."""
         scene, servos = kinematics.scene, kinematics.servos
         self._scene, self._kinematics, self._servos = scene, kinematics, servos
         self._rest = rest_posture(servos)
@@ -50,18 +50,18 @@ class RestPoses:
     def at(self, places: dict[Side, Array], num_states: int) -> Array:
         """Postures (S, A) of hands at places (S,); hands without places are at their mounts."""
         servos, postures = self._servos, np.tile(self._rest, (num_states, 1))
-        for side, wanted in places.items():
+        for side, place in places.items():
             if side in self._of_arms:
                 known, there = self._of_arms[side]
                 for servo in np.flatnonzero(np.ptp(there, axis=0)):
-                    postures[:, servo] = np.interp(wanted, known, there[:, servo])
+                    postures[:, servo] = np.interp(place, known, there[:, servo])
             elif side in self._slides:
                 slide = self._slides[side]
-                postures[:, slide] = np.clip(wanted, servos.low[slide], servos.high[slide])
+                postures[:, slide] = np.clip(place, servos.low[slide], servos.high[slide])
         return postures
 
     def place(self, posture: Array, side: Side) -> float:
-        """The approximate place of the hand on one side in a posture (A,)."""
+        """Approximate place of the hand on one side in a posture (A,)."""
         if side in self._slides:
             return float(posture[self._slides[side]])
         moved = self._kinematics.points(posture[None])[0] - self._points
@@ -71,15 +71,15 @@ class RestPoses:
         """Side -> places (N,) of the hand that an arm brings it to, and postures (N, A)."""
         mount = self._scene.hand.body.mount
         assert mount is not None
-        found = {}
+        postures = {}
         for side in self._scene.sides:
             sign = 1.0 if side == "right" else -1.0
             ends = sorted(sign * (end - mount.home) for end in (mount.low, mount.high))
             down, up = (self._postures_towards(side, end) for end in ends)
             places = [-_SPACING * i for i in range(len(down) - 1, 0, -1)]
             places += [_SPACING * i for i in range(len(up))]
-            found[side] = np.array(places), np.stack([*down[:0:-1], *up])
-        return found
+            postures[side] = np.array(places), np.stack([*down[:0:-1], *up])
+        return postures
 
     def _postures_towards(self, side: Side, end: float) -> list[Array]:
         """Postures from rest to the place `end`, `_SPACING` apart."""
@@ -90,16 +90,16 @@ class RestPoses:
         return postures
 
     def _posture_at(self, side: Side, place: float, before: Array) -> Array:
-        """The posture nearest to the one `before` in which a hand is at a place, as at rest.
+        """Posture nearest to the one `before` in which a hand is at a place, as at rest.
 
         Gauss-Newton over the servos of the arm; the fingers stay.
         """
         scene, servos = self._scene, self._servos
-        mine = scene.fingertips_on(side)
+        tips = scene.fingertips_on(side)
         own = range(len(servos.names))[scene.servos_on(side)]
         arm = [a for a in own if servos.finger[a] < 0]
-        finger, link, axis = np.indices(self._points[mine].shape).reshape(3, -1)
-        finger += mine.start
+        finger, link, axis = np.indices(self._points[tips].shape).reshape(3, -1)
+        finger += tips.start
         goal, posture = self._points[finger, link], before.copy()
         goal[:, 1] += place
         directions = np.eye(3)[axis]

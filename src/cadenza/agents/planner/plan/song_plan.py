@@ -47,9 +47,9 @@ def plan_song(
     jump_acceleration: float = 1.0,
     strikes: bool = False,
 ) -> SongPlan:
-    """The plan of the whole song: the last of `song_plans`."""
-    *_, whole = song_plans(track, start, progress, release_delays, jump_acceleration, strikes)
-    return whole
+    """Plan the whole song: the last of `song_plans`."""
+    *_, last = song_plans(track, start, progress, release_delays, jump_acceleration, strikes)
+    return last
 
 
 def song_plans(
@@ -60,7 +60,7 @@ def song_plans(
     jump_acceleration: float = 1.0,
     strikes: bool = False,
 ) -> Iterator[SongPlan]:
-    """Plans what the hands of a task are to play.
+    """Plan what the hands of a task are to play.
 
     Args:
         track: the song.
@@ -82,14 +82,14 @@ def song_plans(
     track = track.fingered(partial(progress, "fingers"))
     goals, times = track.goals, scene.hand.jump_times.accelerated(jump_acceleration)
     dt = track.config.control_timestep
-    wanted = planned_strikes(goals.onsets, scene, dt) if strikes else NO_STRIKES
+    struck = planned_strikes(goals.onsets, scene, dt) if strikes else NO_STRIKES
     planner = MotionPlanner(scene, dt, times)
-    for nominal in planner.plans(goals.fingers, start, progress, release_delays, wanted):
-        yield SongPlan(scene, track, goals, nominal, wanted)
+    for nominal in planner.plans(goals.fingers, start, progress, release_delays, struck):
+        yield SongPlan(scene, track, goals, nominal, struck)
 
 
 def planning_scene(track: GoalTrack) -> Scene:
-    """The scene that a task's options describe, whatever was randomised in the task's own scene.
+    """Scene that a task's options describe, whatever was randomised in the task's own scene.
 
     It is the same object for the same task, and must not be changed.
 

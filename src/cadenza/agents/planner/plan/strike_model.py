@@ -22,7 +22,7 @@ _RISE_TIME = 0.02  # [s] in which a key reaches its speed, a usual time from res
 
 
 class StrikeModel(NamedTuple):
-    """A fingertip without load, of which each servo is a first-order lag.
+    """A fingertip without load whose servos are first-order lags.
 
     A constant control through a step takes it from its height at the beginning towards another one:
     z(t) = z_0 + (z_1 - z_0) g(t), with g(t) = (1 - exp(-t / tau)) / (1 - exp(-dt / tau)). Heights
@@ -74,7 +74,7 @@ class PlannedStrikes(NamedTuple):
     """The angular speed of the key then [rad/s]."""
 
     def by_place(self, first: int, last: int) -> dict[tuple[int, int], Strike]:
-        """The strikes in the steps from `first` to before `last`, by step and key."""
+        """Strikes in the steps from `first` to before `last`, by step and key."""
         rows = slice(*np.searchsorted(self.step, [first, last]))
         step, key, time, speed = (values[rows].tolist() for values in self)
         strikes = map(Strike, time, speed)
@@ -85,7 +85,7 @@ NO_STRIKES = PlannedStrikes(NO_ONSETS.step, NO_ONSETS.key, NO_ONSETS.time, NO_ON
 
 
 def planned_strikes(onsets: Onsets, scene: Scene, dt: float) -> PlannedStrikes:
-    """The strikes for onsets in control steps of `dt` [s], all a little late.
+    """Strikes for onsets in control steps of `dt` [s], all a little late.
 
     A key that sounds too near the beginning of its step would often sound a step early, and one
     too near the end a step late. Fingers that are too slow strike nothing: keys are only to sound
@@ -101,14 +101,14 @@ def planned_strikes(onsets: Onsets, scene: Scene, dt: float) -> PlannedStrikes:
 
 @lru_cache(maxsize=8)
 def strike_model(scene: Scene, dt: float) -> StrikeModel:
-    """The model of the fingers of a scene, whose lag is the median of their servos."""
+    """Model of the fingers of a scene, whose lag is the median of their servos."""
     servos = servos_of(scene)
     lag = (servos.damping / servos.stiffness)[servos.finger >= 0]
     return StrikeModel(float(np.median(lag)), dt)
 
 
 def striking_torque(keyboard: Keyboard, key: NDArray[np.intp], speed: Array) -> Array:
-    """(N,) torque that keys need to sound at angular speeds (N,) [N m].
+    """Torques (N,) that keys need to sound at angular speeds (N,) [N m].
 
     Against the spring where they sound, the damping, and the inertia of key and hinge, which reach
     the speed in a usual time.

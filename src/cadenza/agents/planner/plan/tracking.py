@@ -32,29 +32,29 @@ class Tracking(NamedTuple):
     """(T + 1, A, 2) position and speed of each servo."""
 
     def of(self, servos: slice) -> Tracking:
-        """The tracking of some of the servos, as views."""
+        """Tracking of some of the servos, as views."""
         return Tracking._make(values[:, servos] for values in self)
 
     def by_hand(self, hands: int) -> Tracking:
-        """The tracking of H hands with A servos each, (T, H, A, ...), as views."""
+        """Tracking of H hands with A servos each, (T, H, A, ...), as views."""
         return Tracking._make(by_hand(values, hands) for values in self)
 
     def feedback(self, step: Steps, here: Array) -> Array:
-        """(..., A) the feedback at positions and speeds (..., A, 2), to subtract from controls."""
+        """Feedback (..., A) at positions and speeds (..., A, 2), to subtract from controls."""
         return (self.gain[step] * (here - self.expected[step])).sum(axis=-1)
 
     def controls(self, servos: Servos, step: Steps, here: Array) -> Array:
-        """(..., A) controls with feedback at positions and speeds (..., A, 2), within range."""
+        """Controls (..., A) with feedback at positions and speeds (..., A, 2), within range."""
         return servos.clip(self.ctrl[step] - self.feedback(step, here))
 
 
 def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: float) -> Tracking:
-    """Tracks `reference` (T + 1, A), of which the first row is where the servos are.
+    """Track `reference` (T + 1, A), whose first row is where the servos are.
 
     Each servo by itself is a mass on a damped spring whose other end is the control, held for
-    `dt` [s]. The controls minimise the squared distance from the reference plus a little of their
-    own from those that lead along it (`Servos.lead`), within their ranges: a linear-quadratic
-    tracker (e.g. Anderson & Moore, Optimal Control: Linear Quadratic Methods, 1990, chapter 4),
+    `dt` [s]. The controls minimise the squared distance from the reference, plus a little of
+    the controls' own distance from `Servos.lead`, within their ranges: a linear-quadratic tracker
+    (e.g. Anderson & Moore, Optimal Control: Linear Quadratic Methods, 1990, chapter 4),
     solved for all servos at once by the Riccati recursion.
 
     Args:
@@ -83,14 +83,13 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
     expected[0] = start
     ctrl = np.zeros((steps, count))
     for t in range(steps):
-        wanted = feedforward[t] - np.vecdot(gain[t], expected[t])
-        ctrl[t] = servos.clip(wanted)
+        ctrl[t] = servos.clip(feedforward[t] - np.vecdot(gain[t], expected[t]))
         expected[t + 1] = np.einsum("aij,aj->ai", step, expected[t]) + push * ctrl[t][:, None]
     return Tracking(servos.clip(ctrl + offset), gain, expected)
 
 
 def _feedback(servos: Servos, dt: float, steps: int) -> tuple[Array, Array, Array]:
-    """Solves the Riccati recursion, which does not depend on the reference.
+    """Solve the Riccati recursion, which does not depend on the reference.
 
     Returns:
         The gains (T, A, 2), the curvature (T, A) of the cost-to-go as a function of the control,
@@ -119,7 +118,7 @@ _cached_feedback = lru_cache(maxsize=8)(_feedback)  # it takes most of the time 
 
 @lru_cache(maxsize=8)
 def discretised(servos: Servos, dt: float) -> tuple[Array, Array]:
-    """(A, 2, 2) transition of position and speed in a step of `dt` [s], and (A, 2) of control."""
+    """Transition (A, 2, 2) of position and speed in a step of `dt` [s], and (A, 2) of control."""
     k, d, m = servos.stiffness, servos.damping, servos.inertia
     motion = np.zeros((len(k), 3, 3))
     motion[:, 0, 1] = 1.0

@@ -22,30 +22,30 @@ _STRAIGHT_UP = 0.1  # [s] without sideways motion: friction holds down what push
 
 
 class EscapeMotions:
-    """Lifts a hand, or some of its fingers, off keys that block their way.
+    """Motions that lift a hand, or some of its fingers, off keys that block their way.
 
     All methods take and return control sequences (H, A). To save rollouts, `hand_lift` and
     `of_one_duration` lift for one duration at each step, and for another at the next.
     """
 
     def __init__(self, servos: Servos, dt: float) -> None:
-        """Prepares motions of a hand's servos, in control steps of `dt` [s]."""
+        """Prepare motions of a hand's servos, in control steps of `dt` [s]."""
         self._servos, self._dt = servos, dt
 
     def hand_lift(self, ctrl: Array, step: int) -> Array:
-        """(H, A) `ctrl` (H, A) with the hand lifted at the beginning."""
+        """`ctrl` (H, A) with the hand lifted at the beginning."""
         seconds = _HAND_LIFTS[step % len(_HAND_LIFTS)]
         return self._servos.clip(ctrl + self._lift(self._servos.lift, seconds, len(ctrl)))
 
     def of_one_duration(self, ctrl: Array, caught: Mask, posture: Array, step: int) -> Array:
-        """(3, H, A) `ctrl` (H, A) with the fingers lifted that are caught; with the hand; with all.
+        """`ctrl` with the `caught` fingers (F,) lifted; with the hand; with all: (3, H, A).
 
-        `caught` (F,) says which these are, and `posture` (A,) is that of the hand now.
+        The hand is in a `posture` (A,).
         """
         return self._lifted(ctrl, caught, posture, 0.0)[step % len(_LIFTS) :: len(_LIFTS)]
 
     def all(self, ctrl: Array, caught: Mask, posture: Array) -> Array:
-        """(M, H, A) such motions of every duration, and those that first go straight up."""
+        """Such motions (M, H, A) of every duration, from here or first straight up."""
         motions = [self._lifted(ctrl, caught, posture, up) for up in (0.0, _STRAIGHT_UP)]
         return np.concatenate(motions)
 
@@ -60,7 +60,7 @@ class EscapeMotions:
         return self._servos.clip(np.array(motions))
 
     def _lift(self, lift: Array, seconds: float, horizon: int) -> Array:
-        """(H, A) changes of the controls: `lift` (A,) for some time, then nothing."""
+        """Changes (H, A) of the controls: `lift` (A,) for some time, then nothing."""
         return lift * (np.arange(horizon)[:, None] < steps_in(seconds, self._dt))
 
 
@@ -71,7 +71,7 @@ _MIN_STEPS = 3  # that a candidate must have been simulated for to be compared
 def crossover(
     candidates: Array, costs: Sequence[Array], best: int, finger: NDArray[np.intp]
 ) -> Array:
-    """(1, H, A) the best candidate, with each finger as in the candidate where it costs least.
+    """Best candidate (1, H, A), with each finger as in the candidate where it costs least.
 
     One candidate corrects one finger, another corrects another, and each is worse elsewhere. Where
     the hand stays, fingers hardly move each other. The result is empty, (0, H, A), if no finger
@@ -98,7 +98,7 @@ class NetworkCandidate:
     """
 
     def __init__(self, plan: SongPlan, side: Side, weights: Weights, first: int) -> None:
-        """Prepares inputs for the steps of a plan from `first` on, as far as it goes."""
+        """Prepare inputs for the steps of a plan from `first` on, as far as it goes."""
         alone, servos, _ = hand_alone(plan.scene, side)
         self._inputs = HandInputs(plan, [side], alone, first)
         self._weights, self._corrections = weights, Corrections.of([side], alone)
@@ -107,10 +107,10 @@ class NetworkCandidate:
     def controls(
         self, simulator: HandRollouts, step: int, planned: Array, previous: Array, key_qpos: Array
     ) -> Iterator[Array]:
-        """The controls (A,) of each of H steps, for a rollout in slot 0 that is made with them.
+        """Controls (A,) of each of H steps, for a rollout in slot 0 that is made with them.
 
-        They correct those `planned` (H, A) from `step` on, before which the correction was
-        `previous` (A,) and all keys at `key_qpos` (K,) [rad].
+        They correct controls `planned` (H, A) from `step` on. The correction before was `previous`
+        (A,), and all keys are at `key_qpos` (K,) [rad].
         """
         key_qpos, output = key_qpos.copy(), self._corrections.output(previous[None])
         for row, ctrl in enumerate(planned, step):

@@ -65,7 +65,7 @@ class HandRehearsal:
     def __init__(
         self, scene: Scene, simulator: HandRollouts, dt: float, config: RehearsalConfig = _DEFAULT
     ) -> None:
-        """Begins with nothing rehearsed, for a hand that is alone in a scene."""
+        """Begin with nothing rehearsed, for a hand that is alone in a scene."""
         self._config, self._dt, self._simulator = config, dt, simulator
         self._servos, self._keyboard = servos_of(scene), scene.keyboard
         self._window = steps_in(config.window, dt)
@@ -75,7 +75,7 @@ class HandRehearsal:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets what was rehearsed."""
+        """Forget what was rehearsed."""
         self._first, self._ctrl = 0, np.zeros((0, len(self._servos.noise)))
         self._expected = np.zeros((0, 0))  # (N, J) after each step
         self.tail = self._ctrl
@@ -83,11 +83,11 @@ class HandRehearsal:
 
     @property
     def end(self) -> int:
-        """The step after the last one that was rehearsed."""
+        """Step after the last one that was rehearsed."""
         return self._first + len(self._ctrl)
 
     def ctrl(self, step: int) -> Array:
-        """(N, A) the controls from `step` on, as far as they have been rehearsed."""
+        """Controls (N, A) from `step` on, as far as they have been rehearsed."""
         return self._ctrl[step - self._first :]
 
     def goes_as_rehearsed(self, step: int, hand_qpos: Array) -> bool:
@@ -104,7 +104,7 @@ class HandRehearsal:
         steps: NDArray[np.intp],
         simulation: PlanningSimulation,
     ) -> int:
-        """Rehearses the next steps (S,) of a plan and returns how many were simulated.
+        """Rehearse the next steps (S,) of a plan, and return the number of simulated steps.
 
         There are `lookahead` steps, or less at the end of the plan. The simulation is of the hand
         on all keys, in its present state.
@@ -148,7 +148,7 @@ class HandRehearsal:
     def _roll_out(
         self, ctrl: Array, tracking: Tracking, steps: NDArray[np.intp], horizon: HorizonCost
     ) -> Rollout:
-        """Simulates controls (S, A), with feedback."""
+        """Simulate controls (S, A), with feedback."""
 
         def with_feedback() -> Iterator[Array]:
             for step, planned in zip(steps, ctrl, strict=True):
@@ -158,7 +158,7 @@ class HandRehearsal:
         return roll_out(self._simulator, horizon, with_feedback(), cost_steps=self._cost_steps)
 
     def _update(self, rollout: Rollout, feedback: Array, horizon: HorizonCost) -> Array:
-        """(S, A) the update of the controls of a rollout of all S steps."""
+        """Update (S, A) of the controls of a rollout of all S steps."""
         fingertips, key_qpos = np.array(rollout.fingertips), np.array(rollout.key_qpos)
         error, weight = horizon.errors_by_sound(fingertips, key_qpos)
         jacobian = self._simulator.fingertip_jacobian(np.array(rollout.hand_qpos))

@@ -71,7 +71,7 @@ class HandSearch:
     def __init__(
         self, plan: SongPlan, side: Side, rng: np.random.Generator, context: PlanningContext
     ) -> None:
-        """Follows a plan, as far as it goes, from its first step on."""
+        """Follow a plan, as far as it goes, from its first step on."""
         config, dt = context.config, plan.track.config.control_timestep
         scene, self.servos, self.joints = hand_alone(plan.scene, side)
         self._rng, self._dt, self._servos, self._side = rng, dt, servos_of(scene), side
@@ -101,7 +101,7 @@ class HandSearch:
         self.follow(plan, 0)
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """Changes the plan, from `step` on, to one that goes further.
+        """Continue from `step` on with a plan that goes further.
 
         Where the plan ends within the horizon, the song is taken to end.
         """
@@ -114,7 +114,7 @@ class HandSearch:
     def restart(
         self, goals: HandGoals, tracking: Tracking, step: int, rng: np.random.Generator
     ) -> None:
-        """Follows what was played, from `step` on, with a saved budget and no warm start.
+        """Follow what was played, from `step` on, with a saved budget and no warm start.
 
         It need not be rehearsed, and has no network candidate. The goals are to hold the keys that
         sounded.
@@ -138,12 +138,12 @@ class HandSearch:
 
     @property
     def lookahead(self) -> int:
-        """The number of steps of the plan that are needed, with presses that begin soon after."""
+        """Number of steps of the plan that are needed, with presses that begin soon after."""
         rehearsed = self._rehearsal.lookahead if self._rehearses else 0
         return max(self._escape_horizon, rehearsed) + steps_in(ABOUT_TO_PRESS, self._dt)
 
     def act(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> Array:
-        """(A,) the controls of this hand for a step from its joints (J,) and all keys (K,)."""
+        """Controls (A,) of this hand for a step from its joints (J,) and all keys (K,)."""
         self._synchronise(hand_qpos, hand_qvel, key_qpos)
         self._granted += self._income
         self._rehearse()
@@ -152,7 +152,7 @@ class HandSearch:
         return ctrl
 
     def _synchronise(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
-        """Puts the model into the state of the scene, unless it is there."""
+        """Put the model into the state of the scene, unless it is there."""
         drift = np.abs(self._model.state.hand_qpos[0] - hand_qpos).max()
         if not self._in_sync or drift > _MAX_DRIFT:
             self._model.set_joints(hand_qpos, hand_qvel, key_qpos)
@@ -165,7 +165,7 @@ class HandSearch:
         self._step += 1
 
     def _rehearse(self) -> None:
-        """Rehearses the next steps, unless that has been done."""
+        """Rehearse the next steps, unless that has been done."""
         if not self._rehearses or self._step < self._rehearsal.end:
             return
         last = min(self._step + self._rehearsal.lookahead, len(self._tracking.ctrl))
@@ -175,7 +175,7 @@ class HandSearch:
             )
 
     def _optimise(self) -> Array:
-        """(A,) the first controls of the best sequence that was found for the horizon."""
+        """First controls (A,) of the best sequence that was found for the horizon."""
         steps, nominal = self._nominal(self._horizon)
         if not self._searches:
             return self._servos.clip(nominal[0])
@@ -204,7 +204,7 @@ class HandSearch:
         return best[0]
 
     def _refine(self, ctrl: Array, steps: Steps) -> Array:
-        """(H, A) controls whose strikes are refined that begin in this step or the next."""
+        """Controls (H, A), refined for the strikes that begin in this step or the next."""
         inside = steps[: len(self._tracking.ctrl) - self._step][:REFINED_HORIZON]
         every = slice(0, self._keyboard.num_keys)
         if not len(HorizonStrikes(self._goals, inside, self._keyboard, every, _REFINED)):
@@ -232,13 +232,13 @@ class HandSearch:
     # The nominal trajectory
 
     def _nominal(self, horizon: int) -> tuple[Steps, Array]:
-        """(H,) the next steps, and (H, A) their nominal controls, the first with feedback."""
+        """Next steps (H,), and their nominal controls (H, A), the first with feedback."""
         steps, nominal = self._planned(horizon)
         nominal[0] -= self._tracking.feedback(self._step, self._servo_state())
         return steps, nominal
 
     def _planned(self, horizon: int) -> tuple[Steps, Array]:
-        """(H,) the next steps, and (H, A) their controls, as planned or as rehearsed."""
+        """Next steps (H,), and their controls (H, A), as planned or as rehearsed."""
         last = len(self._tracking.ctrl) - 1
         steps = np.minimum(np.arange(self._step, self._step + horizon), last)
         planned, rehearsed = self._tracking.ctrl[steps], self._rehearsal.ctrl(self._step)[:horizon]
@@ -246,7 +246,7 @@ class HandSearch:
         return steps, planned
 
     def _servo_state(self) -> Array:
-        """(A, 2) positions and speeds of the servos now."""
+        """Positions and speeds (A, 2) of the servos now."""
         state = self._model.state
         joints = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)  # (J, 2)
         return self._servos.of_joints.T @ joints
@@ -263,13 +263,13 @@ class HandSearch:
     def _search(
         self, nominal: Array, best: Array, rollout: Rollout, steps: Steps, caught: Mask
     ) -> Array:
-        """(H, A) the cheapest controls that are found before the budget is used up.
+        """Cheapest controls (H, A) that are found before the budget is used up.
 
         Stops when controls make no mistakes. Iterations after the first must leave a budget for the
         first ones of later steps, which gain the most.
 
-        `best` (H, A) are the cheapest controls so far, and `rollout` is theirs. `caught` (F,) says
-        which fingers are caught.
+        `best` (H, A) are the cheapest controls so far, with their `rollout`; `caught` (F,) are the
+        fingers that are caught.
         """
         if self._network and not caught.any():
             ctrl, candidate = self._network_candidate(self._network, rollout.cost)
@@ -296,11 +296,11 @@ class HandSearch:
     def _simulate_with_crossover(
         self, candidates: Array, best: Array, rollout: Rollout
     ) -> tuple[Array, list[Rollout]]:
-        """Candidates (N, H, A) and their crossover with the best, and the rollouts of all these."""
+        """Candidates (N, H, A) and their crossover with the best, and all their rollouts."""
         rollouts = self._rollouts.simulate_all(candidates, rollout.cost)
         child = self._crossover(np.array([best, *candidates]), [rollout, *rollouts])
-        least = min(each.cost for each in (rollout, *rollouts))
-        rollouts += self._rollouts.simulate_all(child, least)
+        cutoff = min(each.cost for each in (rollout, *rollouts))
+        rollouts += self._rollouts.simulate_all(child, cutoff)
         return np.concatenate([candidates, child]), rollouts
 
     def _draw(self, best: Array, sigma: Array) -> Array:
@@ -314,7 +314,7 @@ class HandSearch:
         return self._servos.clip(best + sigma * noise * sparse)
 
     def _sigma(self, steps: Steps) -> Array:
-        """(A,) the standard deviation of the noise."""
+        """Standard deviation (A,) of the noise."""
         playing = self._goals.playing[np.append(steps, steps[-1] + 1)].any(axis=0)
         finger = self._servos.finger
         busy = (finger < 0) | playing[finger]
@@ -323,7 +323,7 @@ class HandSearch:
     # Candidates that are not drawn
 
     def _network_candidate(self, network: NetworkCandidate, cutoff: float) -> tuple[Array, Rollout]:
-        """(H, A) the controls that the networks compute, and their rollout."""
+        """Controls (H, A) that the networks compute, and their rollout."""
         _, planned = self._planned(self._horizon)
         controls, key_qpos = self._servos.clip(planned), self._model.state.key_qpos[0]
 
@@ -338,7 +338,7 @@ class HandSearch:
         return controls, self._rollouts.simulate(recorded(), cutoff)
 
     def _corrected(self, ctrl: Array, rollout: Rollout) -> Array:
-        """(C, H, A) controls (H, A) with fingertip corrections; none if the rollout was given up.
+        """Controls (C, H, A) with fingertip corrections; none if the rollout was given up.
 
         A control changes by what would correct the fingertips a step later, in a multiple of what
         the Jacobian says: iterative learning control (Arimoto et al., 1984).
@@ -352,7 +352,7 @@ class HandSearch:
         return self._servos.clip(ctrl + _CORRECTION_GAINS[:, None, None] * change[rows])
 
     def _restarts(self, nominal: Array, best: Array, caught: Mask) -> Array:
-        """(N, H, A) the nominal controls, and motions that free a hand or caught fingers."""
+        """Nominal controls, and motions that free a hand or caught fingers (N, H, A)."""
         candidates = [self._servos.clip(nominal), self._escapes.hand_lift(best, self._step)]
         if caught.any():
             posture = self._servo_state()[:, 0]
@@ -360,7 +360,7 @@ class HandSearch:
         return np.array(candidates)
 
     def _crossover(self, candidates: Array, rollouts: Sequence[Rollout]) -> Array:
-        """(C, H, A) the crossover of candidates (N, H, A); none if the best makes no mistakes."""
+        """Crossover (C, H, A) of candidates (N, H, A); none if the best makes no mistakes."""
         best = min(range(len(rollouts)), key=lambda i: rollouts[i].cost)
         if not rollouts[best].mistakes:
             return candidates[:0]
@@ -371,17 +371,17 @@ class HandSearch:
     # Fingers that are caught between keys
 
     def _off_target(self, fingertips: Array, state: int) -> Mask:
-        """(F,) whether `fingertips` (F, 3) [m] play in a state and are far off their targets."""
+        """Fingers (F,) that play in a state and whose tips (F, 3) [m] are far off their targets."""
         error = (fingertips - self._goals.fingertips[state])[:, :2]
         return self._goals.playing[state] & (np.linalg.norm(error, axis=1) > _CAUGHT)
 
     def _caught(self) -> Mask:
-        """(F,) whether fingers are off their targets at the end of the last rollout."""
+        """Fingers (F,) that are off their targets at the end of the last rollout."""
         end = min(self._step + self._horizon, len(self._tracking.ctrl))
         return self._off_target(self._simulator.fingertips(), end)
 
     def _escape(self, best: Array, fingertips: Array) -> Array:
-        """(H, A) an escape motion, if fingers stay caught by `best` and it pays in the long run.
+        """Escape motion (H, A), if fingers stay caught by `best` and it pays in the long run.
 
         `fingertips` (F, 3) are those now [m].
         """

@@ -27,7 +27,7 @@ class HandsInScene:
     servos = slice(None)
 
     def __init__(self, plan: SongPlan, rng: np.random.Generator, context: PlanningContext) -> None:
-        """Follows a plan from its first step on, with the options and threads of `context`."""
+        """Follow a plan from its first step on, with the options and threads of `context`."""
         sides = plan.scene.sides
         self._threads, self._size = context.threads, plan.nominal.tracking.ctrl.shape[1]
         self._hands = [
@@ -36,7 +36,7 @@ class HandsInScene:
         ]
 
     def act(self, step: int, state: State) -> Array:
-        """(A,) the controls of all hands in the next step."""
+        """Controls (A,) of all hands in the next step."""
         ctrl = np.zeros(self._size)
 
         def act(i: int) -> None:
@@ -49,11 +49,11 @@ class HandsInScene:
 
     @property
     def lookahead(self) -> int:
-        """The number of steps of the plan that are needed."""
+        """Number of steps of the plan that are needed."""
         return max(hand.lookahead for hand in self._hands)
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """Changes the plan, from `step` on, to one that goes further."""
+        """Continue from `step` on with a plan that goes further."""
         for hand in self._hands:
             hand.follow(plan, step)
 
@@ -64,7 +64,7 @@ class HandsInScene:
         step: int,
         rngs: Sequence[np.random.Generator],
     ) -> None:
-        """Follows what was played, from `step` on, and searches where less of it would sound.
+        """Follow what was played, from `step` on, and search where less of it would sound.
 
         The goals of each hand are to hold the keys that sounded.
         """

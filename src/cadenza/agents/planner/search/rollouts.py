@@ -1,4 +1,4 @@
-"""Simulates candidates for a hand's controls over the look-ahead horizon."""
+"""Rollouts of candidates for a hand's controls over the look-ahead horizon."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def start_rollouts(
     steps: NDArray[np.intp],
     keyboard: Keyboard,
 ) -> HorizonCost:
-    """Makes rollouts start where a hand is, on all keys on its path through `steps` (H,).
+    """Make rollouts start where a hand is, on all keys on its path through `steps` (H,).
 
     The simulation is of the hand on all keys, in its present state.
 
@@ -94,7 +94,7 @@ def roll_out(
     cutoff: float = np.inf,
     cost_to_go: Array | None = None,
 ) -> Rollout:
-    """Simulates controls (H, A), whose rows may depend on the state that was reached.
+    """Simulate controls (H, A), whose rows may depend on the state that was reached.
 
     The first `cost_steps` count in the cost and the mistakes, all by default. With `cost_to_go`
     (H,), which is expected after each step, a rollout that is to cost `cutoff` is given up.
@@ -128,16 +128,16 @@ class Rollouts:
     """
 
     def __init__(self, simulator: HandRollouts, threads: Threads) -> None:
-        """Prepares rollouts, none of which are made before `start`."""
+        """Prepare rollouts, which begin with `start`."""
         self._simulator, self._threads, self.simulated = simulator, threads, 0
 
     def start(self, horizon: Cost[Any]) -> None:
-        """Begins rollouts with this cost from the state that the simulator starts from."""
+        """Begin rollouts with this cost from the state that the simulator starts from."""
         self._horizon = horizon
-        self._least = np.full(horizon.num_steps, np.inf)
+        self._min_costs = np.full(horizon.num_steps, np.inf)
 
     def simulate(self, ctrl: Iterable[Array], cutoff: float = np.inf) -> Rollout:
-        """Simulates controls (H, A), unless they are likely to cost `cutoff` or more.
+        """Simulate controls (H, A), unless they are likely to cost `cutoff` or more.
 
         The rollout is then given up before its end, at infinite cost.
         """
@@ -148,7 +148,7 @@ class Rollouts:
     def simulate_all(
         self, candidates: Sequence[Iterable[Array]] | Array, cutoff: float = np.inf
     ) -> list[Rollout]:
-        """Simulates candidates (N, H, A); those that cost more than `cutoff` are of no use.
+        """Simulate candidates (N, H, A), and give up any that would cost more than `cutoff`.
 
         They are simulated in pairs, so that an idle thread can take one of each: candidate i in
         slot i modulo `NUM_SLOTS`. What is known of earlier pairs decides what is given up, so that
@@ -169,13 +169,13 @@ class Rollouts:
     def _run(self, ctrl: Iterable[Array], cutoff: float, slot: int = 0) -> Rollout:
         cost_to_go = None
         if cutoff < np.inf:
-            cost_to_go = _EXPECTED * (self._least.sum() - np.cumsum(self._least))
+            cost_to_go = _EXPECTED * (self._min_costs.sum() - np.cumsum(self._min_costs))
         return roll_out(
             self._simulator, self._horizon, ctrl, slot, cutoff=cutoff, cost_to_go=cost_to_go
         )
 
     def _record(self, rollout: Rollout) -> None:
-        """Counts the steps of a rollout, and lowers the least costs that were seen."""
+        """Count the steps of a rollout, and lower the minimum costs that were seen."""
         steps = len(rollout.step_costs)
         self.simulated += steps
-        self._least[:steps] = np.minimum(self._least[:steps], rollout.step_costs)
+        self._min_costs[:steps] = np.minimum(self._min_costs[:steps], rollout.step_costs)

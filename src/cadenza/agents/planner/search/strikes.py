@@ -26,13 +26,13 @@ _AFTER = 3  # steps after that of a strike in which it may be at fault: its fing
 _MIN_SPEED = 0.05  # [rad/s] with which a key that hardly moves counts, for the logarithm
 
 
-def strike_costs(outcome: Array, wanted: Array) -> Array:
-    """(N,) the costs of strikes with outcomes (N, 2) that were wanted otherwise (N, 2).
+def strike_costs(outcome: Array, target: Array) -> Array:
+    """Costs (N,) of strikes with outcomes (N, 2), by their targets (N, 2).
 
     Both are times [s] and log2 of angular speeds [rad/s]. NaN is a key that did not begin to sound,
     which is as late as can be.
     """
-    error = np.abs(outcome - wanted) / UNIT
+    error = np.abs(outcome - target) / UNIT
     costs = np.where(error < _LARGE, error * error, _LARGE**2 + error - _LARGE)
     return np.where(np.isnan(costs), _NOT_STRUCK, costs) @ WEIGHT
 
@@ -61,7 +61,7 @@ class HorizonStrikes:
         keys: slice,
         struck: int | None = None,
     ) -> None:
-        """Takes the strikes of `goals` in consecutive steps (H,), of the keys simulated.
+        """Take the strikes of `goals` in consecutive steps (H,), of the simulated keys.
 
         If only the first steps count, `struck` is their number.
         """
@@ -86,7 +86,7 @@ class HorizonStrikes:
         return len(self.step)
 
     def cost(self, k: int, key_path: Array) -> float:
-        """The cost of the strikes of the k-th step, in which keys move along (S + 1, K) [rad]."""
+        """Cost of the strikes of the k-th step, in which keys move along (S + 1, K) [rad]."""
         if k not in self._in_step:
             return 0.0
         rows, substep = self._in_step[k], self._dt / (len(key_path) - 1)
@@ -97,7 +97,7 @@ class HorizonStrikes:
         return float(strike_costs(outcome, self.wanted[rows]).sum())
 
     def outcome(self, key_paths: Sequence[Array]) -> Array:
-        """(N, 2) times and log2 of the speeds of all strikes, as `wanted`.
+        """Times and log2 of the speeds (N, 2) of all strikes, as `wanted`.
 
         Of the onsets from the step before to the step after, the nearest in time counts. The values
         are NaN where there is none.
@@ -116,7 +116,7 @@ class HorizonStrikes:
         return outcome
 
     def faults(self, key_paths: Sequence[Array]) -> Array:
-        """(N,) the wrong keys and wrong onsets while each strike may be at fault.
+        """Wrong keys and wrong onsets (N,) while each strike may be at fault.
 
         That is from the step before it to some steps after it. A key of the plan that does not
         sound at the end of a step is wrong there, and so is one that should not and does.
@@ -132,7 +132,7 @@ class HorizonStrikes:
 
 
 def _onsets(key_path: Array, sounds_from: float, substep: float) -> Array:
-    """(C, 2) the times [s] and log2 of the speeds [rad/s] with which a key begins to sound.
+    """Times [s] and log2 of the speeds [rad/s] (C, 2) with which a key begins to sound.
 
     The key moves along (S + 1,) [rad], sampled every `substep` [s], and linearly in between.
     """

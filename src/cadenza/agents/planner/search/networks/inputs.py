@@ -93,7 +93,7 @@ class InputLayout(NamedTuple):
 
     @classmethod
     def of(cls, alone: Scene) -> InputLayout:
-        """The layout for the hand that is `alone` in a scene."""
+        """Layout for the hand that is `alone` in a scene."""
         servos, fingers = servos_of(alone).finger, np.arange(alone.fingers.per_hand)
         parts = [(servos, 1, True)] * (len(_POSTURE_STEPS) + 3) + [(fingers, _PRESS_INPUTS, False)]
         parts += [(servos, 1, True)] * 3
@@ -105,12 +105,12 @@ class InputLayout(NamedTuple):
         previous = [np.full(len(of), i == correction) for i, of in enumerate(finger)]
         size = sum(map(len, finger))
         striking = np.arange(size - len(fingers) * _STRIKE_INPUTS, size, _STRIKE_INPUTS)
-        whole = np.concatenate
-        return cls(whole(finger), whole(private), whole(previous), striking)
+        joined = np.concatenate
+        return cls(joined(finger), joined(private), joined(previous), striking)
 
 
 def sizes_of(scene: Scene) -> tuple[int, int]:
-    """D and A: how many inputs and outputs each hand of a scene has."""
+    """D and A: numbers of inputs and outputs of each hand of a scene."""
     alone = hand_alone(scene, scene.sides[0]).scene
     return len(InputLayout.of(alone).finger), len(servos_of(alone).low)
 
@@ -119,7 +119,7 @@ class HandInputs:
     """The inputs of H hands at each step of a plan, from `first` on."""
 
     def __init__(self, plan: SongPlan, sides: Sequence[Side], alone: Scene, first: int) -> None:
-        """Computes the inputs that depend on the plan only, for all hands of its scene or one.
+        """Compute the inputs that depend on the plan only, for all hands of its scene or one.
 
         `alone` is a scene with one of these hands only.
         """
@@ -135,13 +135,13 @@ class HandInputs:
         self._radius = np.array([finger.tip_radius for finger in fingers])
         steps = np.arange(first, plan.nominal.num_steps)
         thumb = scene.fingers.of_hand(SIDES.index(sides[0])).start
-        mine = [press for press in plan.nominal.presses if press.side in sides]
-        self._key, self._presses = self._presses_ahead(mine, thumb, steps)  # (S, H F), (S, H F, 15)
+        presses = [press for press in plan.nominal.presses if press.side in sides]
         dt = plan.track.config.control_timestep
-        # (S, H F, 4), (S, H F)
-        self._strikes, self._on_key = self._strikes_ahead(mine, thumb, steps, dt)
-        presses = self._presses.reshape(len(steps), self._hands, -1)
-        planned = [self._postures(alone, steps), presses]
+        # (S, H F), (S, H F, 15); (S, H F, 4), (S, H F)
+        self._key, self._presses = self._presses_ahead(presses, thumb, steps)
+        self._strikes, self._on_key = self._strikes_ahead(presses, thumb, steps, dt)
+        by_hand = self._presses.reshape(len(steps), self._hands, -1)
+        planned = [self._postures(alone, steps), by_hand]
         self._planned = np.concatenate(planned, axis=2, dtype=np.float32)
 
     def _postures(self, alone: Scene, steps: NDArray[np.intp]) -> Array:
