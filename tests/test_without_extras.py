@@ -19,7 +19,7 @@ for name in (
 from cadenza.cli import main
 for words in (
     "info songs/tune.mid",
-    "play songs/tune.mid -o played --video",
+    "play songs/tune.mid -o played",
     "film played -o tune.gif",
     "arrange songs/tune.mid -o tune.musicxml",
     "practice songs/tune.mid --effort 0.01 -o practised",

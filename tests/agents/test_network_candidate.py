@@ -77,7 +77,7 @@ def proposed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def test_search_begins_with_what_is_proposed(proposed: list[int]) -> None:
-    score = load_score("CMajorChordProgressionTwoHands").beginning(3.0)
+    score = load_score("CMajorChordProgressionTwoHands").beginning(2.0)
     with_it = play_episode(PianoTask([score], TASK), Planner(), 0)
     assert proposed
     proposed.clear()
@@ -87,7 +87,7 @@ def test_search_begins_with_what_is_proposed(proposed: list[int]) -> None:
 
 
 def test_nothing_is_proposed_to_hands_that_it_was_not_learnt_with() -> None:
-    score = load_score("OdeToJoy").beginning(2.0)
+    score = load_score("OdeToJoy").beginning(1.0)
     for scene in (SceneConfig(hand="allegro"), SceneConfig(reduced_action_space=False)):
         actions = [
             play_episode(
