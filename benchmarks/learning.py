@@ -42,6 +42,7 @@ from cadenza.learning.observation import (
     Observer,
     pruned,
 )
+from cadenza.learning.problem import problem_of
 from cadenza.learning.replay_buffer import Batch, ReplayBuffer
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import Training
@@ -184,7 +185,7 @@ def training(config: TrainingConfig, score: Score, folder: Path, rounds: int) ->
         checkpoint_interval=math.inf,
     )
     folder.mkdir()
-    run = Training(config, [score], RunFolder(folder))
+    run = Training(problem_of(config, [score]), RunFolder(folder))
 
     def run_for(rounds: int) -> float:
         seen: list[tuple[float, int]] = []  # asked between rounds; the save at the end is outside

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 import io
 import json
 import math
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 import safetensors.numpy
 
+from cadenza import files
 from cadenza.errors import CadenzaError
 
 Arrays = dict[str, np.ndarray]
@@ -137,11 +137,13 @@ def npz_bytes(arrays: Arrays, compressed: bool = False) -> bytes:
     return buffer.getvalue()
 
 
-def tensor_bytes(arrays: Arrays, header: dict[str, str] | None = None) -> bytes:
-    """A .safetensors file, without what such a file cannot hold."""
+def tensor_bytes(arrays: Arrays, facts: Any = None) -> bytes:
+    """A .safetensors file with the right digest, without what such a file cannot hold."""
     kinds = {name: array for name, array in arrays.items() if array.dtype.kind in "fiub"}
-    in_order = {name: np.asarray(array, order="C") for name, array in kinds.items()}
-    return safetensors.numpy.save(in_order, header)
+    try:
+        return files.tensor_bytes(kinds, facts)
+    except (RecursionError, TypeError, ValueError):  # facts that are none
+        return safetensors.numpy.save(kinds, {"facts": json_bytes(facts).decode()})
 
 
 def other_bytes(rng: np.random.Generator, content: bytes) -> bytes:
@@ -174,10 +176,13 @@ def other_members(rng: np.random.Generator, content: bytes) -> bytes:
     return buffer.getvalue()
 
 
-def reseal(folder: Path, files: dict[str, bytes]) -> None:
-    """Changes files of a sealed folder, and its digests with them."""
-    manifest = json.loads((folder / "manifest.json").read_text())
-    for name, content in files.items():
-        (folder / name).write_bytes(content)
-        manifest["sha256"][name] = hashlib.sha256(content).hexdigest()
-    (folder / "manifest.json").write_text(json.dumps(manifest))
+def other_tensors(rng: np.random.Generator, path: Path) -> bytes:
+    """A .safetensors file with its arrays changed, or facts in its header, or bytes."""
+    arrays, facts = files.read_tensors(path, files.ANY, 2**28)
+    match rng.integers(4):
+        case 0:
+            return other_bytes(rng, path.read_bytes())
+        case 1:
+            return tensor_bytes(arrays, other_json(rng, facts))
+        case _:
+            return tensor_bytes(other_arrays(rng, arrays), facts)

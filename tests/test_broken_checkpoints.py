@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 import shutil
 from collections.abc import Iterator
 from contextlib import closing
@@ -12,16 +11,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import safetensors.numpy
 
 import mutations
+from cadenza.errors import CadenzaError
+from cadenza.files import ANY, read_tensors
 from cadenza.learning.algorithms import on_jax
 from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.observation import Inputs
+from cadenza.learning.problem import problem_of
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import Training
 from cadenza.music.score import Note, Score
+from cadenza.resumable import CHECKPOINT
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
@@ -49,7 +51,7 @@ def _compiled_once() -> Iterator[None]:
 def go_on(path: Path, rounds: int = 2) -> int:
     """The step from which a run goes on; it does some rounds more."""
     left = iter(range(rounds))
-    with closing(Training(CONFIG, [SONG], RunFolder(path))) as run:
+    with closing(Training(problem_of(CONFIG, [SONG]), RunFolder(path))) as run:
         first = run.step
         run.run(lambda: next(left, None) is not None)
     return first
@@ -57,7 +59,7 @@ def go_on(path: Path, rounds: int = 2) -> int:
 
 @pytest.fixture(scope="module")
 def begun(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With two checkpoints, each with a file of experience."""
+    """With two files of experience."""
     path = tmp_path_factory.mktemp("run")
     go_on(path, 3)
     go_on(path, 2)
@@ -69,22 +71,12 @@ def copy(begun: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(begun, tmp_path / "copy"))
 
 
-def newest(run: Path) -> Path:
-    return max((run / "checkpoints").iterdir())
-
-
 def change(rng: np.random.Generator, run: Path) -> None:
-    """Something in its newest checkpoint or experience, of which no digest tells."""
-    checkpoint = newest(run)
-    facts, arrays = checkpoint / "facts.json", checkpoint / "arrays.safetensors"
-    chunk = max((run / "replay").iterdir())
+    """Something in its checkpoint or experience, mostly with a digest that is right."""
+    checkpoint, chunk = run / CHECKPOINT, max((run / "replay").iterdir())
     match rng.integers(4):
-        case 0:
-            other = mutations.other_json(rng, json.loads(facts.read_text()))
-            mutations.reseal(checkpoint, {"facts.json": mutations.json_bytes(other)})
-        case 1:
-            changed = mutations.other_arrays(rng, safetensors.numpy.load_file(arrays))
-            mutations.reseal(checkpoint, {"arrays.safetensors": mutations.tensor_bytes(changed)})
+        case 0 | 1:
+            checkpoint.write_bytes(mutations.other_tensors(rng, checkpoint))
         case 2:
             with np.load(chunk) as file:
                 changed = mutations.other_arrays(rng, dict(file))
@@ -100,17 +92,26 @@ def test_goes_on_or_says_what_is_wrong(number: int, begun: Path, tmp_path: Path)
         shutil.copytree(begun, run)
         change(np.random.default_rng(seed), run)
         with mutations.at_most_refused():
-            assert go_on(run) in (24, 40)
+            assert go_on(run) == 40
 
 
-def test_experience_that_is_lost_is_done_without(
-    copy: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("lost", ["checkpoint.safetensors", "replay/000000000024.0.npz"])
+@pytest.mark.parametrize("keep", [0, 0.5, None])
+def test_what_is_cut_off_or_missing_is_refused_in_a_line(
+    copy: Path, lost: str, keep: float | None
 ) -> None:
-    min((copy / "replay").iterdir()).unlink()
-    assert go_on(copy) == 40
-    assert "up to 26 transitions are lost" in capsys.readouterr().err
-    assert go_on(copy) == 56
-    assert capsys.readouterr().err == ""  # what is lost is forgotten
+    """Without its checkpoint, a run begins anew."""
+    path = copy / lost
+    if keep is None:
+        path.unlink()
+    else:
+        path.write_bytes(path.read_bytes()[: int(keep * path.stat().st_size)])
+    if keep is None and lost == CHECKPOINT:
+        assert go_on(copy) == 0
+        return
+    with pytest.raises(CadenzaError, match=path.name) as error:
+        go_on(copy)
+    assert "\n" not in str(error.value)
 
 
 def test_another_end_and_since_when_it_holds_is_kept(
@@ -118,11 +119,11 @@ def test_another_end_and_since_when_it_holds_is_kept(
 ) -> None:
     """Learning rates that fall know where they are: the learner is told all ends of the run."""
     longer = replace(CONFIG, num_steps=128)
-    with closing(Training(longer, [SONG], RunFolder(copy))) as run:
+    with closing(Training(problem_of(longer, [SONG]), RunFolder(copy))) as run:
         run.run(lambda: run.step < 80)
     told, make = list[object](), DroQConfig.make
     monkeypatch.setattr(DroQConfig, "make", lambda *given: told.append(given[-1]) or make(*given))
-    with closing(Training(longer, [SONG], RunFolder(copy))):
+    with closing(Training(problem_of(longer, [SONG]), RunFolder(copy))):
         pass
     assert told == [tuple(tuple(map(longer.updates_by, end)) for end in ((0, 64), (40, 128)))]
 
@@ -138,4 +139,4 @@ def test_a_run_whose_learner_has_other_threads_says_so(
         assert capsys.readouterr().err.count("JAX was started before this run with 7") == said
     monkeypatch.setattr(DroQConfig, "make", make)
     go_on(copy, 1)
-    assert json.loads((newest(copy) / "facts.json").read_text())["threads"] == 7
+    assert read_tensors(copy / CHECKPOINT, ANY, 2**28)[1]["own"]["threads"] == 7

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import safetensors.numpy
 
 import mutations
 from cadenza.agents.agent import ZeroAgent
@@ -21,10 +20,9 @@ from cadenza.agents.planner.practice.practised_planner import PractisedPlan
 from cadenza.agents.playback import load_plan, save_plan
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import load_episode
-from cadenza.files import ANY, read_tensors
 from cadenza.fingers import Fingers
 from cadenza.learning.config import TrainingConfig
-from cadenza.learning.policy_folder import load_policy
+from cadenza.learning.policy_folder import POLICY_FILE, load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.learning.run_folder import RunFolder
 from cadenza.music.formats.fingering_file import read_fingering, write_fingering
@@ -68,20 +66,6 @@ def other_npz(rng: np.random.Generator, path: Path) -> bytes:
     return mutations.npz_bytes(arrays, compressed=True)
 
 
-def other_tensors(rng: np.random.Generator, path: Path) -> bytes:
-    """With arrays changed, or facts in the header, or bytes."""
-    arrays, facts = read_tensors(path, ANY, 2**28)
-    match rng.integers(4):
-        case 0:
-            return mutations.other_bytes(rng, path.read_bytes())
-        case 1:
-            content = mutations.json_bytes(mutations.other_json(rng, facts)).decode()
-            return safetensors.numpy.save(arrays, {"facts": content})
-        case _:
-            header = {"facts": json.dumps(facts)}
-            return mutations.tensor_bytes(mutations.other_arrays(rng, arrays), header)
-
-
 def many(fast: int, slow: int) -> Any:
     return pytest.mark.parametrize("number", [fast, pytest.param(slow, marks=pytest.mark.slow)])
 
@@ -101,7 +85,7 @@ def test_plans(number: int, performance: Any, tmp_path: Path) -> None:
     assert read_back is not None
     assert read_back.variant.equals(Variant(np.array([-1, -1]), later))
     for _, rng in draws(number):
-        path.write_bytes(other_tensors(rng, whole))
+        path.write_bytes(mutations.other_tensors(rng, whole))
         with mutations.at_most_refused():
             load_plan(path).check(options)
 
@@ -128,35 +112,15 @@ def test_episodes(number: int, performance: Any, tmp_path: Path) -> None:
             write_page(tmp_path / "page.html", page)
 
 
-def other_sealed(rng: np.random.Generator, whole: Path, folder: Path) -> None:
-    """A copy of a sealed folder with something wrong in it that its digests do not tell."""
-    folder.mkdir(exist_ok=True)
-    for path in whole.iterdir():
-        (folder / path.name).write_bytes(path.read_bytes())
-    facts, arrays = (whole / name for name in ("facts.json", "arrays.safetensors"))
-    match rng.integers(5):
-        case 0:
-            content = mutations.other_json(rng, json.loads((whole / "manifest.json").read_text()))
-            (folder / "manifest.json").write_bytes(mutations.json_bytes(content))
-        case 1 | 2:
-            changed = mutations.other_json(rng, json.loads(facts.read_text()))
-            mutations.reseal(folder, {"facts.json": mutations.json_bytes(changed)})
-        case 3:
-            changed = mutations.other_bytes(rng, arrays.read_bytes())
-            mutations.reseal(folder, {"arrays.safetensors": changed})
-        case _:
-            changed = mutations.other_arrays(rng, safetensors.numpy.load_file(arrays))
-            mutations.reseal(folder, {"arrays.safetensors": mutations.tensor_bytes(changed)})
-
-
 @many(6, 400)
 @pytest.mark.parametrize("song", ["TwinkleTwinkleLittleStar", "OdeToJoy"])
 def test_policies(number: int, song: str, tmp_path: Path) -> None:
     """With the ranges of a song, and with a plan."""
     for _, rng in draws(number):
-        other_sealed(rng, pretrained_folder(song), tmp_path / "policy")
+        changed = mutations.other_tensors(rng, pretrained_folder(song) / POLICY_FILE)
+        (tmp_path / POLICY_FILE).write_bytes(changed)
         with mutations.at_most_refused():
-            learnt = load_policy(tmp_path / "policy")
+            learnt = load_policy(tmp_path)
             with closing(PianoTask([learnt.score], learnt.task, learnt.scene)) as task:
                 task.reset([np.random.default_rng(0)], [0])
                 agent = learnt.agent

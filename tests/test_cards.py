@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from huggingface_hub import ModelCard
 
 import cadenza
 from cadenza.cli import COMMANDS, GROUPS
+from cadenza.learning.policy_folder import POLICY_FILE, remarks_on
 from cadenza.report.bench_summary import METRICS
 
 ROOT = Path(__file__).parents[1]
@@ -39,11 +39,10 @@ def test_shipped_networks_have_a_card_with_figures_that_were_measured(weights: P
         assert command in {*COMMANDS, *GROUPS}
     for target in LINKS.findall(card.text):
         assert any((at / target).exists() for at in (ROOT, path.parent)), target
-    facts = weights.with_name("facts.json")
     for result in card.data.eval_results or ():
         assert result.metric_type in METRICS
         assert f"{result.metric_value:.3f}" in card.text
         assert f"{result.metric_value:.3f}" in PAGES
-        if facts.exists() and result.metric_type == "f1":
-            measured = json.loads(facts.read_text())["about"]["eval/f1"]
+        if weights.name == POLICY_FILE and result.metric_type == "f1":
+            measured = remarks_on(weights.parent)["eval/f1"]
             assert result.metric_value == pytest.approx(measured, abs=5e-4)

@@ -266,13 +266,13 @@ def test_training_goes_through_the_same_matrix_and_is_resumed(folder: Path) -> N
     until(lambda: under_way(folder, "learning"))
     os.killpg(command.pid, signal.SIGINT)
     assert "1 left" in of(command, status=130)
-    assert list((folder / "out").rglob("checkpoints/*"))  # to go on from
+    assert list((folder / "out").rglob("checkpoint.safetensors"))  # to go on from
     assert "1 of 1 runs finished" in of(started(*chosen))
     (result,) = read_results(folder / "out").results
     assert result.training is not None
     assert result.training.steps == 6000
-    assert (result.folder / "training" / "best" / "manifest.json").exists()
-    assert not (result.folder / "training" / "checkpoints").exists()
+    assert (result.folder / "training" / "best" / "policy.safetensors").exists()
+    assert not (result.folder / "training" / "checkpoint.safetensors").exists()
 
 
 def test_rows_of_the_table_tell_runs_apart(

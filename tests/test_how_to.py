@@ -103,5 +103,5 @@ def test_a_learner(follow: Follow) -> None:
     assert losses[-1] < losses[0]
     main([*train, "-o", "stopped", "--num-steps", "104"])
     main(["train", "--resume", "stopped", "--num-steps", "200", "--no-video"])
-    last = [Path(run, "last/arrays.safetensors").read_bytes() for run in ("run", "stopped")]
+    last = [Path(run, "last/policy.safetensors").read_bytes() for run in ("run", "stopped")]
     assert last[0] == last[1]

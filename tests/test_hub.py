@@ -78,7 +78,7 @@ def test_a_policy_is_published_and_played(
     (mine / "notes.txt").write_text("nobody else's business")
     assert hub.url in printed(capsys, "publish", "mine", REPO)
     (kept,) = hub.commits["models", REPO].values()
-    assert kept.keys() == {"README.md", "arrays.safetensors", "facts.json", "manifest.json"}
+    assert kept.keys() == {"README.md", "policy.safetensors"}
     card = kept["README.md"].decode()
     assert card.startswith("---\nlibrary_name: cadenza\n")
     assert f"cadenza play hub:{REPO}" in card
@@ -101,9 +101,9 @@ def test_a_policy_of_the_hub_takes_part_in_many_runs(
 
 def test_a_commit_stays_what_it_was(hub: Hub, capsys: pytest.CaptureFixture[str]) -> None:
     first = hub.commit("models", REPO, files_of(ODE))
-    hub.commit("models", REPO, {"arrays.safetensors": b"of another time"})
+    hub.commit("models", REPO, {"policy.safetensors": b"of another time"})
     assert "Ode to Joy" in printed(capsys, "info", f"hub:{REPO}@{first}")
-    refused(capsys, "damaged or modified", "info", f"hub:{REPO}")
+    refused(capsys, "not a readable .safetensors file", "info", f"hub:{REPO}")
     refused(capsys, "@gone: there is no such revision", "info", f"hub:{REPO}@gone")
 
 
@@ -116,7 +116,7 @@ def test_what_cannot_be_had_is_one_line(
     hub.commit("models", REPO, {"model.pkl": b"code", "config.json": b"{}"})
     refused(capsys, f"{place}: holds no policy of Cadenza", "play", place)
     hub.commit("models", REPO, files_of(ODE))
-    hub.pretended_sizes["arrays.safetensors"] = 2**40
+    hub.pretended_sizes["policy.safetensors"] = 2**40
     refused(capsys, f"{place}: its files take 1,048,576 MiB", "play", place)
     refused(capsys, "so it is no policy; name another", "publish", str(ODE.parent), REPO)
     hub.commit("datasets", REPO, {"runs/../../../../../elsewhere/result.json": b"{}"})

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from cadenza.errors import CadenzaError
@@ -13,9 +18,10 @@ from cadenza.resumable import ResumableFolder
 
 
 @dataclass(frozen=True)
-class Options:
-    song: str
-    seed: int = 0
+class Facts:
+    step: int
+    seconds: float
+    rng: dict[str, Any]
 
 
 @pytest.fixture
@@ -48,22 +54,89 @@ def test_what_a_killed_process_was_writing_is_removed_by_the_next(folder: Resuma
 def test_a_folder_is_continued_with_the_options_with_which_it_was_begun(
     folder: ResumableFolder,
 ) -> None:
-    assert folder.known(Options) is None
-    folder.begin_or_continue(Options("joy"), None)
-    folder.begin_or_continue(Options("joy"), folder.known(Options))
+    for steps in (10, 20):
+        fields = {"song": "joy", "seed": 0, "places": (Path("a"),), "steps": steps}
+        folder.begin_or_continue(fields, changeable=("steps",))
     with pytest.raises(CadenzaError, match="holds a run with other options"):
-        folder.begin_or_continue(Options("joy", seed=1), folder.known(Options))
-    assert folder.known(Options) == Options("joy")
+        folder.begin_or_continue(fields | {"seed": 1}, changeable=("steps",))
+    with pytest.raises(CadenzaError, match="holds a run with other options"):
+        folder.begin_or_continue(fields | {"steps": 30})
+    assert folder.read_manifest() == fields | {"places": ["a"]}
 
 
 def test_the_work_of_another_command_is_refused(folder: ResumableFolder) -> None:
-    folder.begin_or_continue(Options("joy"), None)
+    folder.begin_or_continue({"song": "joy"})
+    folder.save({}, {})
     other = ResumableFolder(folder.path, "cadenza sleep", "somebody sleeps there")
     with pytest.raises(CadenzaError, match="holds a run of cadenza dream"):
-        other.known(Options)
+        other.begin_or_continue({"song": "joy"})
+    with pytest.raises(CadenzaError, match="is no checkpoint of cadenza sleep"):
+        other.load(Facts)
 
 
-def test_checkpoints_without_a_manifest_are_not_continued(folder: ResumableFolder) -> None:
-    folder.check_complete(has_checkpoints=False)
-    with pytest.raises(CadenzaError, match=r"run\.json: missing, but there are checkpoints"):
-        folder.check_complete(has_checkpoints=True)
+def test_a_checkpoint_without_a_manifest_is_not_continued(folder: ResumableFolder) -> None:
+    assert not folder.begun
+    folder.save({}, {})
+    with pytest.raises(CadenzaError, match=r"run\.json: missing, but there is a checkpoint"):
+        folder.begin_or_continue({})
+
+
+# Checkpoints
+
+ARRAYS = {
+    "a/kernel": np.arange(6, dtype=np.float32).reshape(2, 3),
+    "b": np.array(7, np.int64),
+    "none": np.zeros((0, 4), bool),
+}
+
+
+def saved(folder: ResumableFolder, step: int) -> None:
+    folder.save(asdict(Facts(step, 0.1 + 0.2, {"state": 2**127 + 1})), ARRAYS)
+
+
+def test_a_checkpoint_gives_back_what_was_saved(folder: ResumableFolder) -> None:
+    assert folder.load(Facts) is None
+    for step in (1, 2):
+        saved(folder, step)
+        found = folder.load(Facts)
+        assert found is not None
+        facts, arrays = found
+        assert facts == Facts(step, 0.1 + 0.2, {"state": 2**127 + 1})
+        assert arrays.keys() == ARRAYS.keys()
+        for name, array in ARRAYS.items():
+            assert arrays[name].dtype == array.dtype
+            np.testing.assert_array_equal(arrays[name], array)
+    assert [path.name for path in folder.path.iterdir()] == [folder.checkpoint.name]
+
+
+def test_facts_of_something_else_are_refused(folder: ResumableFolder) -> None:
+    folder.save({"step": "three"}, {})
+    with pytest.raises(CadenzaError, match=r"checkpoint\.safetensors: .*step"):
+        folder.load(Facts)
+
+
+@contextmanager
+def no_file_over(size: int) -> Iterator[None]:
+    """The system itself refuses to write more, in the middle of a file as a full disk does."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+@pytest.mark.parametrize("size", [0, 30, 300])
+def test_where_there_is_no_room_the_last_checkpoint_still_loads(
+    folder: ResumableFolder, size: int
+) -> None:
+    saved(folder, 1)
+    with (
+        pytest.raises(CadenzaError, match=r"could not be written \(File too large\); make room"),
+        no_file_over(size),
+        folder.errors_of_writing(),
+    ):
+        saved(folder, 2)
+    found = folder.load(Facts)
+    assert found is not None
+    assert found[0].step == 1

@@ -37,7 +37,7 @@ MAX_JSON = 32 * 2**20
 """Bytes of a file that is read as a whole; a song of half a million notes takes as many."""
 TENSORS = ".safetensors"
 """The ending of the names of our own files of arrays."""
-_FACTS = "facts"  # in the header of such a file
+_FACTS, _SHA256 = "facts", "sha256"  # in the header of such a file
 _ANOTHER = "it is damaged, modified or from another version; use another copy"
 
 # Writing
@@ -451,16 +451,38 @@ def read_arrays(path: Path, expected: Expected, most: int | None = None) -> dict
 
 
 def tensor_bytes(arrays: Mapping[str, NDArray[Any]], facts: Any = None) -> bytes:
-    """A .safetensors file of arrays of numbers, with `facts` as JSON in its header."""
+    """A .safetensors file of arrays of numbers, with `facts` as JSON in its header.
+
+    The header also has the SHA-256 of both, which `read_tensors` checks.
+    """
     in_order = {name: np.asarray(array, order="C") for name, array in arrays.items()}
-    header = None if facts is None else {_FACTS: json.dumps(plain(facts), allow_nan=False)}
-    return safetensors.numpy.save(in_order, header)
+    about = {} if facts is None else plain(facts)
+    digest = {_SHA256: _digest(in_order, about)}
+    header = json.dumps(about | digest, allow_nan=False)  # one entry: several have no fixed order
+    return safetensors.numpy.save(in_order, {_FACTS: header})
 
 
-def write_tensors(path: Path, arrays: Mapping[str, NDArray[Any]], facts: Any = None) -> None:
-    """Write a .safetensors file as a whole or not at all; see `tensor_bytes`."""
+def _digest(arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> str:
+    content = safetensors.numpy.save(arrays)
+    return hashlib.sha256(json.dumps(facts).encode() + content).hexdigest()
+
+
+def write_tensors(
+    path: Path, arrays: Mapping[str, NDArray[Any]], facts: Any = None, most: int | None = None
+) -> None:
+    """Write a .safetensors file as a whole or not at all; see `tensor_bytes`.
+
+    Raises:
+        CadenzaError: The file would take over `most` bytes, and could not be read again.
+    """
+    content = tensor_bytes(arrays, facts)
+    if most is not None and len(content) > most:
+        raise CadenzaError(
+            f"{path}: would take {len(content) >> 20:,} MiB; such a file holds up to "
+            f"{most >> 20:,} MiB"
+        )
     with write_atomically(path) as file:
-        file.write(tensor_bytes(arrays, facts))
+        file.write(content)
 
 
 def read_tensors(
@@ -469,24 +491,28 @@ def read_tensors(
     """Read the arrays of a .safetensors file by name, and the facts in its header.
 
     Args:
-        path: the file.
-        expected: all arrays that it may hold.
-        most: bytes that it may take.
+        path: The file.
+        expected: All arrays that it may hold.
+        most: The bytes that it may take.
 
     Raises:
-        CadenzaError: the file is not there, is no such file, or holds more or something else.
+        CadenzaError: The file is not there, is no such file, was damaged or changed, or holds more
+            or something else.
     """
     content = content_of(path, most)
     try:
         arrays: dict[str, NDArray[Any]] = safetensors.numpy.load(content)
         size = int.from_bytes(content[:8], "little")  # of the header, which has just been checked
-        about = json.loads(content[8 : 8 + size]).get("__metadata__", {})
+        header = json.loads(content[8 : 8 + size]).get("__metadata__", {})
     except Exception as error:  # damage shows in many ways
         raise CadenzaError(f"{path}: not a readable .safetensors file") from error
     if not all(map(str.isprintable, arrays)):
         raise CadenzaError(f"{path}: holds arrays of names that cannot be printed")
+    facts = parsed_json(header.get(_FACTS, "{}"), dict[str, Any], f"{path}, header")
+    if facts.pop(_SHA256, None) != _digest(arrays, facts):
+        raise CadenzaError(f"{path}: damaged or modified; use another copy")
     check_arrays(arrays, expected, path)
-    return arrays, parsed_json(about.get(_FACTS, "{}"), dict[str, Any], f"{path}, header")
+    return arrays, facts
 
 
 def check_arrays(arrays: Mapping[str, NDArray[Any]], expected: Expected, where: object) -> None:

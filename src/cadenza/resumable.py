@@ -1,27 +1,52 @@
-"""Folders of work that is stopped and resumed at any moment, such as training, benches, practice.
+"""The store of work that is stopped and resumed at any moment: training, benches, practice.
 
-One process at a time holds the folder's lock. A manifest says what the work is, and is written
-before the work begins. Every file is replaced as a whole (`cadenza.files.write_atomically`), so
-that a kill at any moment leaves what was finished last.
+A folder holds a manifest, which says what the work is and is written before it begins, and a lock,
+which one process has at a time. Work that has a state of its own keeps it in a checkpoint. Every
+file is replaced as a whole (`cadenza.files.write_atomically`) and a checkpoint has a digest, so
+that a kill at any moment leaves what was finished last, and damage is noticed.
+
+    FOLDER/run.json                  the manifest
+    FOLDER/checkpoint.safetensors    arrays, and facts as JSON in its header
+    FOLDER/lock
+
+Orbax, the library for checkpoints of JAX, is not used: it saves PyTrees for many hosts and devices
+as a folder of many small files, and restores them into a structure that the caller has to have
+already. Here one host keeps a few megabytes, whose shapes the file tells; arrays are NumPy's as
+often as JAX's (practice and playing work without JAX); and facts, the manifest, the lock, and
+refusing what was damaged or is of another command would be ours all the same.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
+
+from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError, quoted
-from cadenza.files import checked, locked, read_json, remove_half_written, write_json
+from cadenza.files import (
+    ANY,
+    checked,
+    locked,
+    plain,
+    read_json,
+    read_tensors,
+    remove_half_written,
+    write_json,
+    write_tensors,
+)
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
+T = TypeVar("T")
+Arrays = dict[str, NDArray[Any]]
 
-    Manifest = TypeVar("Manifest", bound=DataclassInstance)
+CHECKPOINT = "checkpoint.safetensors"
+"""The name of the file of a checkpoint."""
+_COMMAND = "command"  # in manifests and checkpoints
+_MAX_CHECKPOINT = 2**30  # bytes; those of learners take some ten million
 
 
 class ResumableFolder:
@@ -30,7 +55,8 @@ class ResumableFolder:
     Attributes:
         path: The folder.
         command: The command that begins and resumes the work, such as "cadenza train".
-        manifest: The path of the manifest, which says what the work is.
+        manifest: The path of the manifest.
+        checkpoint: The path of the checkpoint.
     """
 
     def __init__(
@@ -44,7 +70,8 @@ class ResumableFolder:
             locked_out: What the error of `locked` says when another process holds the lock.
             manifest: The name of the manifest.
         """
-        self.path, self.command, self.manifest = path, command, path / manifest
+        self.path, self.command = path, command
+        self.manifest, self.checkpoint = path / manifest, path / CHECKPOINT
         self._locked_out = locked_out
 
     @contextmanager
@@ -76,14 +103,25 @@ class ResumableFolder:
                 raise CadenzaError(f"{self.path}: {self._locked_out}")
             yield
 
+    # What the work is
+
     @property
     def begun(self) -> bool:
-        """Whether there is a manifest."""
+        """Whether there is a manifest.
+
+        Raises:
+            CadenzaError: There is none, but a checkpoint, from which new work would go on.
+        """
+        if not self.manifest.exists() and self.checkpoint.exists():
+            raise CadenzaError(
+                f"{self.manifest}: missing, but there is a checkpoint; use another copy, or choose "
+                "another folder with --output"
+            )
         return self.manifest.exists()
 
-    def write_manifest(self, fields: dict[str, Any]) -> None:
+    def write_manifest(self, fields: Mapping[str, Any]) -> None:
         """Write the manifest, with the command besides its fields."""
-        write_json(self.manifest, {"command": self.command, **fields})
+        write_json(self.manifest, {_COMMAND: self.command, **fields})
 
     def read_manifest(self) -> dict[str, Any]:
         """The fields of the manifest, unchecked.
@@ -92,7 +130,7 @@ class ResumableFolder:
             CadenzaError: There is no manifest, it is damaged, or it is that of another command.
         """
         fields = read_json(self.manifest, dict[str, Any])
-        command = checked(fields.pop("command", None), str, self.manifest)
+        command = checked(fields.pop(_COMMAND, None), str, self.manifest)
         if command != self.command:
             raise CadenzaError(
                 f"{self.path}: holds a run of {command}, which that command continues; for "
@@ -100,38 +138,81 @@ class ResumableFolder:
             )
         return fields
 
-    def known(self, kind: type[Manifest]) -> Manifest | None:
-        """The manifest as a dataclass, None where there is none.
+    def begin_or_continue(
+        self, fields: Mapping[str, Any], changeable: Collection[str] = ()
+    ) -> None:
+        """Write the manifest of new work, or of the same work.
+
+        Args:
+            fields: What the work is, as JSON has it.
+            changeable: The names of fields that may differ from those of the manifest so far.
 
         Raises:
-            CadenzaError: The manifest is damaged, or that of another command.
+            CadenzaError: The folder holds other work, or a damaged manifest.
         """
-        return checked(self.read_manifest(), kind, self.manifest) if self.begun else None
+        wanted = plain(fields)
+        if self.begun:
+            known = self.read_manifest()
+            if known | {name: wanted[name] for name in changeable} != wanted:
+                raise CadenzaError(
+                    f"{self.path}: holds a run with other options; give the same to continue it, "
+                    "or choose another folder with --output"
+                )
+        self.write_manifest(wanted)
 
-    def begin_or_continue(self, wanted: Manifest, known: Manifest | None) -> None:
-        """Write the manifest that is wanted, unless the `known` one is of other work.
+    # How far it is
+
+    def save(self, facts: Mapping[str, Any], arrays: Arrays) -> None:
+        """Write a checkpoint in place of the one before.
 
         Raises:
-            CadenzaError: The two manifests differ.
+            CadenzaError: It is too large to be read again.
         """
-        self.check_same(wanted, known)
-        self.write_manifest(asdict(wanted))
+        about = {_COMMAND: self.command, **facts}
+        write_tensors(self.checkpoint, arrays, about, _MAX_CHECKPOINT)
 
-    def check_same(self, wanted: Manifest, known: Manifest | None) -> None:
-        """Raise a CadenzaError if there is a `known` manifest, and it is not the `wanted` one."""
-        if known not in (None, wanted):
-            raise CadenzaError(
-                f"{self.path}: holds a run with other options; give the same to continue it, or "
-                "choose another folder with --output"
-            )
+    def load(self, kind: type[T]) -> tuple[T, Arrays] | None:
+        """The facts of the checkpoint, as this type, and its arrays; None if there is none.
 
-    def check_complete(self, has_checkpoints: bool) -> None:
-        """Raise a CadenzaError if there are checkpoints, but no manifest says what they are of."""
-        if has_checkpoints and not self.begun:  # a new run would go on from them
+        Raises:
+            CadenzaError: It is damaged, or that of another command.
+        """
+        if not self.checkpoint.exists():
+            return None
+        arrays, facts = read_tensors(self.checkpoint, ANY, _MAX_CHECKPOINT)
+        if facts.pop(_COMMAND, None) != self.command:
+            raise CadenzaError(f"{self.checkpoint}: is no checkpoint of {self.command}")
+        return checked(facts, kind, self.checkpoint), arrays
+
+    @contextmanager
+    def errors_of_writing(self) -> Iterator[None]:
+        """Say what to do where the block cannot write in the folder.
+
+        Raises:
+            CadenzaError: It could not.
+        """
+        try:
+            yield
+        except OSError as error:
             raise CadenzaError(
-                f"{self.manifest}: missing, but there are checkpoints; use another copy, or choose "
-                "another folder with --output"
-            )
+                f"{self.path}: could not be written ({error.strerror}); make room there, and "
+                "continue from the last checkpoint"
+            ) from error
+
+    @contextmanager
+    def errors_of_resuming(self) -> Iterator[None]:
+        """Name the folder in errors of a block that restores its checkpoint.
+
+        Raises:
+            CadenzaError: The checkpoint does not fit the work, which shows in many ways.
+        """
+        try:
+            yield
+        except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+            raise CadenzaError(
+                f"{self.path}: its checkpoint does not belong to this run ({quoted(error)}); "
+                "use another copy, or start a new run"
+            ) from error
 
 
 class RateLimited:
@@ -158,20 +239,3 @@ def installed_versions(packages: Iterable[str]) -> dict[str, str]:
         with suppress(PackageNotFoundError):
             versions[package] = version(package)
     return versions
-
-
-@contextmanager
-def errors_of_resuming(run: Path) -> Iterator[None]:
-    """Names the run in errors of a block that restores its checkpoint.
-
-    Raises:
-        CadenzaError: The checkpoint does not fit the run, which shows in many ways.
-    """
-    try:
-        yield
-    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
-        raise CadenzaError(
-            f"{run}: its checkpoint does not belong to this run ({quoted(error)}); "
-            "use another copy, or "
-            "start a new run"
-        ) from error

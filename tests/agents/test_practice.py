@@ -367,23 +367,12 @@ def test_practice_with_other_options_is_refused(
         restored(other, practised, tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("practice/numbers", -1),
-        ("practice/num_failed", -1.0),
-        ("initial/numbers", -1),
-        ("initial/numbers", 1000),
-        ("initial/fingers", 10),
-        ("spliced/release_delays", 9),
-    ],
-)
-def test_practice_that_cannot_be_is_refused(
-    name: str, value: float, practised: Practice, tmp_path: Path
-) -> None:
-    wrong = np.full_like(practised.state()[name], value)
-    path = changed(practised, tmp_path, **{name: wrong})
-    with pytest.raises(CadenzaError, match=rf"state\.safetensors: {name} is not within"):
+def test_a_damaged_state_is_refused(practised: Practice, tmp_path: Path) -> None:
+    path = changed(practised, tmp_path)
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(CadenzaError, match=r"state\.safetensors: damaged or modified"):
         practice().restore(path)
 
 
@@ -393,7 +382,7 @@ def test_practice_with_parts_missing_is_refused(lost: str, tmp_path: Path) -> No
     begun.run(EFFORT, on_and_off(1))
     assert lost in begun.state()
     path = changed(begun, tmp_path, **{lost: None})
-    with pytest.raises(CadenzaError, match=rf"state\.safetensors: (damaged|holds no .*{lost})"):
+    with pytest.raises(CadenzaError, match=r"state\.safetensors: parts of it are missing"):
         practice().restore(path)
 
 

@@ -79,10 +79,10 @@ def test_cloning_goes_on_where_it_was_stopped(
 ) -> None:
     config = GeneralistCloningConfig(batch_size=8, num_epochs=2, hidden_sizes=(8, 8))
     run = GeneralistCloning(config, [demonstrations], tmp_path / "run")
-    run.run(lambda: run.update < 4)
+    run.run(lambda: run.step < 4)
     assert not (tmp_path / "run/weights.npz").exists()
     again = GeneralistCloning(config, [demonstrations], tmp_path / "run")
-    assert again.update == 4
+    assert again.step == 4
     again.run(lambda: True)
     assert same(tmp_path / "run/weights.npz", cloned / "weights.npz")
     with pytest.raises(CadenzaError, match="holds a run with other options"):
@@ -144,9 +144,9 @@ def test_learning_to_strike_goes_on_where_it_was_stopped(tmp_path: Path) -> None
         return GeneralistStriking(config, "scales", [SCALE], folder)
 
     run = run_in(tmp_path / "run")
-    run.run(lambda: run.update < 1)
+    run.run(lambda: run.step < 1)
     again = run_in(tmp_path / "run")
-    assert again.update == 1
+    assert again.step == 1
     again.run(lambda: True)
     assert again.finished
     assert len(Weights.load(tmp_path / "run/weights.npz").striking) == 2

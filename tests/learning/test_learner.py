@@ -14,10 +14,10 @@ from rl_examples import melody
 
 from cadenza.cli import main
 from cadenza.errors import CadenzaError
-from cadenza.learning.checksummed_folder import read_checksummed, write_checksummed
+from cadenza.files import ANY, read_tensors, write_tensors
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.learner import LearnerConfig
-from cadenza.learning.policy_folder import load_policy
+from cadenza.learning.policy_folder import POLICY_FILE, load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.learning.run_folder import RunFolder
 from cadenza.music.formats.midi import write_midi
@@ -137,7 +137,7 @@ def tune(tmp_path: Path) -> Path:
 
 
 def newest(run: Path) -> dict[str, np.ndarray]:
-    return read_checksummed(max((run / "checkpoints").iterdir()), "checkpoint")[1]
+    return read_tensors(run / "checkpoint.safetensors", ANY, 2**28)[0]
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -190,7 +190,7 @@ def test_a_learner_may_make_policies_of_another_kind(
     for name, array in newest(whole).items():
         assert_array_equal(array, newest(stopped)[name], err_msg=name)
     assert type(load_policy(whole / "last").policy).__name__ == "Linear"
-    facts, arrays = read_checksummed(whole / "last", "policy")
+    arrays, facts = read_tensors(whole / "last" / POLICY_FILE, ANY, 2**28)
     assert (facts["learner"], facts["policy"]) == ("linear", {"noise": 0.1})
     assert_array_equal(arrays["policy/kernel"], newest(whole)["learner:mean"])
 
@@ -201,7 +201,8 @@ def test_a_learner_may_make_policies_of_another_kind(
     agents = ["--agents", "zero", str(whole / "best")]
     main(["compare", str(tune), *agents, "-o", str(tmp_path / "compared")])
 
-    write_checksummed(whole / "last", "policy", facts, arrays | {"policy/kernel": np.zeros(3)})
+    wrong = arrays | {"policy/kernel": np.zeros(3)}
+    write_tensors(whole / "last" / POLICY_FILE, wrong, facts)
     assert f"{whole / 'last'}: cannot be read: ValueError: no matrix (" in refused(
         capsys, "play", whole / "last"
     )
@@ -239,11 +240,12 @@ def test_no_policy_has_a_module_imported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Nobody has asked for what a module does when it is imported."""
-    facts, arrays = read_checksummed(pretrained_folder("TwinkleTwinkleLittleStar"), "policy")
+    whole = pretrained_folder("TwinkleTwinkleLittleStar") / POLICY_FILE
+    arrays, facts = read_tensors(whole, ANY, 2**28)
     facts = {n: v for n, v in facts.items() if n not in ("activation", "log_std_range")}
     others = {"learner": "antigravity:Config", "policy": {}}
     ranges = {name: array for name, array in arrays.items() if name.startswith("ranges/")}
-    write_checksummed(tmp_path / "policy", "policy", facts | others, ranges)
+    write_tensors(tmp_path / "policy" / POLICY_FILE, ranges, facts | others)
     assert "learner antigravity:Config: " in refused(capsys, "play", tmp_path / "policy")
     assert "antigravity" not in sys.modules
 

@@ -16,11 +16,11 @@ from rl_examples import melody
 
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
+from cadenza.files import ANY, read_tensors, write_tensors
 from cadenza.learning.actions import reference_of
-from cadenza.learning.checksummed_folder import read_checksummed, write_checksummed
 from cadenza.learning.observation import GoalTable, ObservationSpec, pruned
 from cadenza.learning.policy import Perceptron
-from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
+from cadenza.learning.policy_folder import POLICY_FILE, LearntPolicy, load_policy, save_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
@@ -161,10 +161,15 @@ def test_no_file_has_a_module_imported(tmp_path: Path, option: str) -> None:
     assert "antigravity" not in sys.modules
 
 
+def with_facts(folder: Path, change: dict[str, Any]) -> None:
+    """Changes facts of a policy, with the right digest."""
+    arrays, facts = read_tensors(folder / POLICY_FILE, ANY, 2**28)
+    write_tensors(folder / POLICY_FILE, arrays, facts | change)
+
+
 def test_another_format_is_refused(tmp_path: Path) -> None:
     save_policy(tmp_path / "policy", some_policy(), {})
-    facts, arrays = read_checksummed(tmp_path / "policy", "policy")
-    write_checksummed(tmp_path / "policy", "policy", facts | {"format": 99}, arrays)
+    with_facts(tmp_path / "policy", {"format": 99})
     assert_refused(
         tmp_path / "policy", "format 99, but this version reads only 3; install the version"
     )
@@ -188,10 +193,9 @@ def test_another_format_is_refused(tmp_path: Path) -> None:
 )
 def test_facts_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any]) -> None:
     save_policy(tmp_path / "policy", some_policy(), {})
-    facts, arrays = read_checksummed(tmp_path / "policy", "policy")
-    write_checksummed(tmp_path / "policy", "policy", facts | change, arrays)
+    with_facts(tmp_path / "policy", change)
     (name,) = change
-    assert_refused(tmp_path / "policy", rf"facts\.json: .*{name}")
+    assert_refused(tmp_path / "policy", rf"policy\.safetensors: .*{name}")
 
 
 @pytest.mark.parametrize("name", ["hidden_0/kernel", "hidden_1/bias", "mean/kernel"])
@@ -224,6 +228,15 @@ def test_a_task_that_shows_something_else_is_refused() -> None:
         play_episode(PianoTask([SONG], learnt.task, SceneConfig()), learnt.agent)
 
 
+def test_a_folder_without_a_policy_is_refused(tmp_path: Path) -> None:
+    assert_refused(tmp_path, "holds no policy.safetensors, so it is no policy; name another")
+    assert_refused(tmp_path / "nowhere", "so it is no policy; name another")
+    (tmp_path / "best").mkdir()
+    assert_refused(tmp_path, "is the folder of a training run; its best policy is .*best")
+    (tmp_path / "file").write_text("no folder")
+    assert_refused(tmp_path / "file", "so it is no policy; name another")
+
+
 def test_a_checkpoint_is_no_policy(tmp_path: Path) -> None:
-    write_checksummed(tmp_path / "policy", "checkpoint", {"step": 3}, {})
-    assert_refused(tmp_path / "policy", "is not a policy written by Cadenza")
+    write_tensors(tmp_path / POLICY_FILE, {}, {"command": "cadenza train", "step": 3})
+    assert_refused(tmp_path, "not a policy that this version can read|has format None")

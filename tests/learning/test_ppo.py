@@ -25,6 +25,7 @@ from cadenza.learning.device_rollouts import DeviceRollouts
 from cadenza.learning.observation import GoalTable, Inputs, ObservationSpec, Observer
 from cadenza.learning.on_policy import HostRollouts
 from cadenza.learning.policy_folder import load_policy
+from cadenza.learning.problem import problem_of
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.rollout import Rollout
 from cadenza.learning.run_folder import RunFolder
@@ -63,7 +64,7 @@ def train(config: TrainingConfig, songs: list[Score], folder: Path, *stops: int)
     run.begin(config, songs)
     for rounds in (*stops, 10**9):
         left = iter(range(rounds))
-        with closing(Training(config, songs, run)) as one:
+        with closing(Training(problem_of(config, songs), run)) as one:
             one.run(lambda left=left: next(left, None) is not None)  # type: ignore[misc]
     return run
 

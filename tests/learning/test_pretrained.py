@@ -12,7 +12,9 @@ from cadenza.learning.policy_folder import load_policy
 from cadenza.music.libraries.library import songs
 from cadenza.tasks.piano_task import PianoTask
 
-FOLDERS = sorted(path.parent for path in Path(pretrained.__file__).parent.glob("*/manifest.json"))
+FOLDERS = sorted(
+    path.parent for path in Path(pretrained.__file__).parent.glob("*/policy.safetensors")
+)
 
 
 def test_there_are_three_and_they_are_small() -> None:

@@ -27,10 +27,11 @@ from rl_examples import TINY, melody
 
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
+from cadenza.files import ANY, read_tensors
 from cadenza.learning.algorithms.droq.config import DroQConfig
-from cadenza.learning.checksummed_folder import read_checksummed
 from cadenza.learning.config import TrainingConfig
-from cadenza.learning.policy_folder import load_policy
+from cadenza.learning.policy_folder import load_policy, remarks_on
+from cadenza.learning.problem import problem_of
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import Training
 from cadenza.scene.config import SceneConfig
@@ -85,7 +86,7 @@ def train(config: TrainingConfig, run: RunFolder, *stops: int) -> None:
     """Trains to the end, closed and opened again after these numbers of rounds."""
     for rounds in (*stops, 10**9):
         left = iter(range(rounds))
-        with closing(Training(config, [SONG], run)) as one:
+        with closing(Training(problem_of(config, [SONG]), run)) as one:
             one.run(lambda left=left: next(left, None) is not None)  # type: ignore[misc]
 
 
@@ -100,21 +101,21 @@ def figures(run: RunFolder) -> list[dict[str, Any]]:
     return [{name: v for name, v in row.items() if name != "seconds"} for row in rows]
 
 
-def newest(run: RunFolder) -> Path:
-    """The folder of its last checkpoint."""
-    return max((run.path / "checkpoints").iterdir())
+def checkpoint(run: RunFolder) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The arrays and the facts of its checkpoint."""
+    return read_tensors(run.checkpoint, ANY, 2**28)
 
 
 def assert_same_runs(run: RunFolder, other: RunFolder) -> None:
     """Weights and all else that the last checkpoint holds; policies; figures."""
-    assert newest(run).name == newest(other).name
-    facts, arrays = read_checksummed(newest(run), "checkpoint")
-    other_facts, other_arrays = read_checksummed(newest(other), "checkpoint")
+    (arrays, facts), (other_arrays, other_facts) = checkpoint(run), checkpoint(other)
     assert arrays.keys() == other_arrays.keys()
     for name, array in arrays.items():
         assert_array_equal(array, other_arrays[name], err_msg=name)
-    for name in ("step", "sample_rng", "collector", "finished"):
+    for name in ("step", "rng"):
         assert facts[name] == other_facts[name]
+    for name in ("collector", "finished"):
+        assert facts["own"][name] == other_facts["own"][name]
     for name in ("best", "last"):
         ours, theirs = (load_policy(r.path / name) for r in (run, other))
         nothing: dict[str, Any] = {"policy": None, "reference": None, "ranges": None}
@@ -147,7 +148,7 @@ def test_a_run_evaluates_and_keeps_the_best_and_the_last(
     run = undisturbed(way)
     rows = evaluations(run)
     assert [row["eval_step"] for row in rows] == [64, 120, 184, 208]  # the last at the end
-    about = read_checksummed(run.path / "best", "policy")[0]["about"]
+    about = remarks_on(run.path / "best")
     best = max(rows, key=lambda row: row["eval/f1"])
     assert about["eval/f1"] == best["eval/f1"]
     assert about["eval_step"] == best["eval_step"]
@@ -172,7 +173,7 @@ def test_an_evaluation_that_ends_early_is_not_the_best_for_what_it_played(
     monkeypatch.setattr("cadenza.learning.training.play_episode", played)
     run = runs()
     train(CONFIG, run)
-    about = read_checksummed(run.path / "best", "policy")[0]["about"]
+    about = remarks_on(run.path / "best")
     assert (about["eval/f1"], about["eval/steps"]) == (0.7, 13)
 
 
@@ -206,7 +207,7 @@ def test_a_policy_that_diverges_is_not_kept(runs: Callable[[], RunFolder]) -> No
 
 def test_the_policy_is_trained(undisturbed: Callable[[str], RunFolder]) -> None:
     run = undisturbed("in turn")
-    with closing(Training(CONFIG, [SONG], RunFolder(run.path / "unused"))) as fresh:
+    with closing(Training(problem_of(CONFIG, [SONG]), RunFolder(run.path / "unused"))) as fresh:
         begun = fresh.learnt().policy.weights
     for name, array in load_policy(run.path / "last").policy.weights.items():
         assert (array != begun[name]).any(), name
@@ -325,7 +326,7 @@ def test_a_run_that_is_killed_at_any_write_of_its_end_goes_on(
 ) -> None:
     """The last evaluation, the best policy, the last checkpoint, what it drops, the last policy."""
     begun = runs()
-    with closing(Training(WAYS[way], [SONG], begun)) as one:
+    with closing(Training(problem_of(WAYS[way], [SONG]), begun)) as one:
         one.run(lambda: one.step < 176)
     for calls in count():
         killed = runs()
@@ -339,7 +340,7 @@ def test_a_run_that_is_killed_at_any_write_of_its_end_goes_on(
                 break
         train(WAYS[way], killed)
         assert_same_runs(killed, undisturbed(way))
-    assert made.count("rename") >= 4  # a checkpoint, the last policy and that which it replaces
+    assert made.count("replace") >= 4  # experience, a checkpoint, the best policy and the last
 
 
 def test_a_run_that_goes_on_to_another_end_learns_as_if_begun_with_it(
@@ -348,8 +349,7 @@ def test_a_run_that_goes_on_to_another_end_learns_as_if_begun_with_it(
     run = runs()
     train(replace(CONFIG, num_steps=104), run)
     train(CONFIG, run)
-    _, arrays = read_checksummed(newest(run), "checkpoint")
-    _, whole = read_checksummed(newest(undisturbed("in turn")), "checkpoint")
+    arrays, whole = checkpoint(run)[0], checkpoint(undisturbed("in turn"))[0]
     assert arrays.keys() == whole.keys()
     for name, array in arrays.items():
         assert_array_equal(array, whole[name], err_msg=name)
@@ -360,23 +360,12 @@ def test_a_run_that_is_to_end_where_it_is_has_a_best_policy(
 ) -> None:
     """This also holds if it has not been evaluated before."""
     run = runs()
-    with closing(Training(CONFIG, [SONG], run)) as one:
+    with closing(Training(problem_of(CONFIG, [SONG]), run)) as one:
         one.run(lambda: one.step < 8)
     assert not (run.path / "best").exists()
     train(replace(CONFIG, num_steps=one.step), run)
     assert load_policy(run.path / "best").score == SONG
     assert [row["eval_step"] for row in run.metrics.rows() if "eval_step" in row] == [one.step]
-
-
-def test_a_damaged_checkpoint_costs_only_time(
-    runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
-) -> None:
-    run = runs()
-    with closing(Training(replace(CONFIG, checkpoint_interval=0.0), [SONG], run)) as one:
-        one.run(lambda: one.step < 200)
-    (newest(run) / "arrays.safetensors").write_bytes(b"")
-    train(CONFIG, run)
-    assert_same_runs(run, undisturbed("in turn"))
 
 
 @pytest.mark.parametrize("damage", ["gone", "changed"])
@@ -385,7 +374,7 @@ def test_a_best_policy_that_is_lost_is_made_up_for(
 ) -> None:
     """The best of the evaluations to come makes up for it."""
     run = runs()
-    with closing(Training(CONFIG, [SONG], run)) as one:
+    with closing(Training(problem_of(CONFIG, [SONG]), run)) as one:
         one.run(lambda: one.step < 100)
         one.best["eval/f1"] = 2.0  # none is better
         one.run(lambda: one.step < 120)
@@ -393,10 +382,10 @@ def test_a_best_policy_that_is_lost_is_made_up_for(
     if damage == "gone":
         shutil.rmtree(run.path / "best")
     else:
-        (run.path / "best" / "facts.json").write_text("{}")
+        (run.path / "best" / "policy.safetensors").write_text("{}")
     train(CONFIG, run)
     assert str(run.path / "best") in capsys.readouterr().err
-    about = read_checksummed(run.path / "best", "policy")[0]["about"]
+    about = remarks_on(run.path / "best")
     assert about["eval_step"] > 120
 
 
@@ -427,7 +416,7 @@ def test_a_full_disk_ends_a_run_with_what_to_do(
                 break
     assert all("could not be written (No space left on device" in message for message in failed)
     assert {message.partition(":")[0] for message in failed} == {"", "/best", "/last"}
-    assert len(failed) > 6  # two rows, three files of the best policy, what was gathered, ...
+    assert len(failed) > 4  # two rows, the best policy, experience, a checkpoint, ...
     train(CONFIG, run)
     assert_same_runs(run, undisturbed("in turn"))
 
@@ -443,11 +432,12 @@ jax.config.update("jax_disable_most_optimizations", True)
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+from cadenza.learning.problem import problem_of
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import Training
 run = RunFolder(Path(sys.argv[2]))
 config, score = run.settings()
-with run.locked(), closing(Training(config, score, run)) as training:
+with run.locked(), closing(Training(problem_of(config, score), run)) as training:
     print("begins", training.step, flush=True)
     training.run(lambda: True)
 """

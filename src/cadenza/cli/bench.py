@@ -159,12 +159,11 @@ def _pretrained(read: Read[Bench], song: str) -> Contender | None:
 def _with_policy(read: Read[Bench], agent: str, folder: Path) -> Contender:
     from cadenza.evaluation.jobs import Contender
     from cadenza.files import sha256_of
-    from cadenza.learning.checksummed_folder import MANIFEST
-    from cadenza.learning.policy_folder import load_policy
+    from cadenza.learning.policy_folder import POLICY_FILE, load_policy
 
     learnt = load_policy(folder)
     own = read(task=learnt.task, scene=learnt.scene)
-    digest = sha256_of(folder / MANIFEST)[:12]
+    digest = sha256_of(folder / POLICY_FILE)[:12]
     return Contender(agent, own.task, own.scene, agent_digest=digest)
 
 

@@ -60,16 +60,16 @@ def train_until_stopped(run: CheckpointedRun, stage: str, unit: str, metric: str
     Raises:
         KeyboardInterrupt: there was a signal.
     """
-    first, began = run.update, time.perf_counter()
+    first, began = run.step, time.perf_counter()
     shown = progress(stage, unit, SECONDS_BETWEEN_LINES_OF_TRAINING)
     with shown as advance, stop_on_signal("a checkpoint") as stop:
         stop()  # signals are caught from its first call on
 
         def should_continue() -> bool:
-            remark = f"{(run.update - first) / (time.perf_counter() - began):.3g} a second"
+            remark = f"{(run.step - first) / (time.perf_counter() - began):.3g} a second"
             if run.rows and (value := run.rows[-1].get(metric)) is not None:
                 remark += f", {metric.rpartition('/')[2].replace('_', ' ')} {value:.5f}"
-            advance(run.update, run.num_updates, remark)
+            advance(run.step, run.num_steps, remark)
             return not stop()
 
         run.run(should_continue)

@@ -154,6 +154,7 @@ def _title(scores: Sequence[Score]) -> str:
 
 
 def _train(command: Train, folder: Path) -> None:
+    from cadenza.learning.problem import problem_of
     from cadenza.learning.run_folder import RunFolder
     from cadenza.learning.training import Training, begin
     from cadenza.performing.performance import play
@@ -176,7 +177,7 @@ def _train(command: Train, folder: Path) -> None:
         else:
             run.set_end(command.training)
             config, scores = run.settings()
-            training = Training(config, scores, run)
+            training = Training(problem_of(config, scores), run)
         title = _title(scores)
         with closing(training):
             finished = _train_until_stopped(training, command, run, title)
@@ -244,14 +245,14 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
     if (run.path / _PAGE).exists():
         write_page(at_once=True)  # says that the run goes on
     scores, enough = "", _steps_to_play_well(command) or 0
+    num_shown = len(training.rows)
     shown_steps = progress("learning", "steps", SECONDS_BETWEEN_LINES_OF_TRAINING)
     with shown_steps as advance, stop_on_signal("a checkpoint") as stop:
         stop()  # signals are caught from its first call on
 
         def should_continue() -> bool:
-            nonlocal scores
-            while training.rows:
-                row = training.rows.popleft()
+            nonlocal scores, num_shown
+            for row in training.rows[num_shown:]:
                 for scalars in shown:
                     scalars.add(row)
                 write_page(at_once=not (run.path / _PAGE).exists())
@@ -260,6 +261,7 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
                     onsets = row["eval/note_onset_f1"]
                     scores = f"F1 {row['eval/f1']:.3f}, note onsets F1 {onsets:.3f}"
                     scores += f", best F1 {best:.3f}"
+            num_shown = len(training.rows)
             if training.step < enough:  # how long that takes is shown first
                 advance(training.step, enough, ", ".join(filter(None, ("to play well", scores))))
             else:

@@ -25,7 +25,7 @@ from cadenza.scene.scene import Scene
 def problems(
     folder: Path, replays: int, progress: Callable[[int, int], None] = lambda *_: None
 ) -> Iterator[str]:
-    """Yields every problem of the episodes in a folder, as a line of text.
+    """Yield every problem of the episodes in a folder, as a line of text.
 
     So many episodes as `replays`, spread evenly over all, are played again and compared.
     `progress` is told how many of how many episodes have been looked at.
@@ -60,7 +60,7 @@ def problems(
 
 
 def _unfinished(runs: Path) -> Iterator[str]:
-    """Yields episodes whose arrays are there, but not the file that says that they are whole."""
+    """Yield episodes whose arrays are there, but not the file that says that they are whole."""
     for at in sorted(runs.iterdir()):
         if (at / STEPS).exists() and not (at / RESULT).exists():
             yield f"{at}: has no {RESULT}, so it does not count; collect again, or delete it"
@@ -68,7 +68,7 @@ def _unfinished(runs: Path) -> Iterator[str]:
 
 @contextmanager
 def _reported(folder: Path, problems: list[str]) -> Iterator[None]:
-    """Adds an error of the block to the problems of an episode, with its folder and what to do."""
+    """Add an error of the block to the problems of an episode, with its folder and what to do."""
     try:
         yield
     except OSError as error:
@@ -80,7 +80,7 @@ def _reported(folder: Path, problems: list[str]) -> Iterator[None]:
 
 
 def _content_problems(recorded: RecordedEpisode, scene: Scene) -> Iterator[str]:
-    """Yields which arrays have wrong shapes or values; raises if the score does not fit them."""
+    """Yield which arrays have wrong shapes or values; raises if the score does not fit them."""
     yield from wrong_values(recorded, scene)
     if wrong := wrong_start(recorded, scene):
         yield wrong
@@ -89,7 +89,7 @@ def _content_problems(recorded: RecordedEpisode, scene: Scene) -> Iterator[str]:
 
 
 def _replay_problems(recorded: RecordedEpisode, scene: Scene) -> Iterator[str]:
-    """Yields by how much states and rewards differ when the episode is played again."""
+    """Yield by how much states and rewards differ when the episode is played again."""
     found = differences(recorded, scene)
     if found:
         what = ", ".join(f"{name} by {most:.1g}" for name, most in found.items())

@@ -113,7 +113,7 @@ class Dataset:
     """
 
     def __init__(self, episodes: Sequence[RecordedEpisode]) -> None:
-        """Raises a CadenzaError if there is none, or if they do not go together."""
+        """Raise a CadenzaError if there is none, or if they do not go together."""
         if not episodes:
             raise CadenzaError("no demonstrations: none was kept, or none was asked for")
         _allow_open_files()
@@ -132,11 +132,11 @@ class Dataset:
         self._plans = [_Rows(e, PLAN, plan_type(self.scene)) for e in episodes]
 
     def sample(self, rng: np.random.Generator, count: int) -> Ids:
-        """Draws numbers of steps (count,) uniformly with replacement."""
+        """Draw numbers of steps (count,) uniformly with replacement."""
         return rng.integers(self.num_steps, size=count)
 
     def place(self, steps: Ids) -> tuple[Ids, Ids]:
-        """Returns the episodes of these steps (B,), and which steps of those they are (B,).
+        """The episodes of these steps (B,), and which steps of those they are (B,).
 
         Raises:
             CadenzaError: there is no such step.
@@ -149,7 +149,7 @@ class Dataset:
         return episode, steps - self.first[episode]
 
     def batch(self, steps: Ids, lookahead: int = LOOKAHEAD, ahead: Sequence[int] = ()) -> Batch:
-        """Returns what there is to learn from `steps` (B,).
+        """What there is to learn from `steps` (B,).
 
         Args:
             steps: their numbers, from 0 up to `num_steps`.
@@ -181,7 +181,7 @@ class Dataset:
         )
 
     def actions(self, steps: Ids, count: int) -> Floats:
-        """Returns the chosen actions (B, count, A + 1) in these `steps` (B,) and after them.
+        """The chosen actions (B, count, A + 1) in these `steps` (B,) and after them.
 
         Past the end of an episode its last action is repeated. Later actions follow from the states
         in which the episode really was.
@@ -192,16 +192,16 @@ class Dataset:
         return rows
 
     def goals(self, episode: int) -> Goals:
-        """Returns keys, fingers and pedal per step of an episode, rebuilt from its score."""
+        """Keys, fingers and pedal per step of an episode, rebuilt from its score."""
         return self.episodes[episode].goals(self.scene)
 
     def _in_units(self, played: Floats, step: Ids) -> Floats:
-        """Returns actions (B, A + 1) in actuator units, 0 before the first step."""
+        """Actions (B, A + 1) in actuator units, 0 before the first step."""
         ctrl = to_range(played, self.scene.action_low, self.scene.action_high)
         return np.where(step[:, None] > 0, ctrl, 0.0).astype(np.float32)
 
     def _within(self, episode: Ids, step: Ids, ahead: Sequence[int]) -> Ids:
-        """Returns rows of the episodes (B, S)."""
+        """Rows of the episodes (B, S)."""
         return np.minimum(step[:, None] + np.array(ahead, np.intp), self._lengths[episode, None])
 
     def _goal(
@@ -261,7 +261,7 @@ class _Rows:
 
 
 def check_rows(episode: RecordedEpisode, name: str, array: Array, kind: np.dtype[np.void]) -> None:
-    """Raises a CadenzaError if an array has other rows, or not as many as the episode."""
+    """Raise a CadenzaError if an array has other rows, or not as many as the episode."""
     if array.dtype != kind or array.shape != (episode.facts.num_steps + 1,):
         raise CadenzaError(
             f"{episode.folder / name}: not the {episode.facts.num_steps + 1} rows of this episode; "
@@ -270,7 +270,7 @@ def check_rows(episode: RecordedEpisode, name: str, array: Array, kind: np.dtype
 
 
 def wrong_values(episode: RecordedEpisode, scene: Scene) -> Iterator[str]:
-    """Yields a line for each array of an episode with impossible values.
+    """Yield a line for each array of an episode with impossible values.
 
     Raises:
         CadenzaError: an array has other rows than it should have.
@@ -294,7 +294,7 @@ def wrong_values(episode: RecordedEpisode, scene: Scene) -> Iterator[str]:
 
 
 def check_values(episode: RecordedEpisode, scene: Scene) -> None:
-    """Reads all of an episode's arrays.
+    """Read all of an episode's arrays.
 
     Raises:
         CadenzaError: one is not as it was written, or what is in it cannot be.
@@ -305,7 +305,7 @@ def check_values(episode: RecordedEpisode, scene: Scene) -> None:
 
 
 def _gathered(rows: Sequence[_Rows], episode: Ids, within: Ids) -> Array:
-    """Returns rows (B, S) of these episodes (B,)."""
+    """Rows (B, S) of these episodes (B,)."""
     kind = rows[0].kind
     result = np.empty((*within.shape, kind.itemsize), np.uint8)
     if within.size:
@@ -336,7 +336,7 @@ def _common(episodes: Sequence[RecordedEpisode], what: str, values: Sequence[Any
 
 
 def dataset_folder(place: str | Path) -> Path:
-    """Returns the folder of a dataset, which is fetched if it is one of the hub: see `cadenza.hub`.
+    """The folder of a dataset, which is fetched if it is one of the hub: see `cadenza.hub`.
 
     Raises:
         CadenzaError: there is none on the hub, or it cannot be fetched.
@@ -345,7 +345,7 @@ def dataset_folder(place: str | Path) -> Path:
 
 
 def finished(folder: str | Path) -> list[tuple[Path, EpisodeFacts]]:
-    """Returns the episodes of a folder that are finished, kept or not, by name.
+    """The episodes of a folder that are finished, kept or not, by name.
 
     Raises:
         CadenzaError: it holds no demonstrations, or a result.json is damaged.
@@ -359,7 +359,7 @@ def finished(folder: str | Path) -> list[tuple[Path, EpisodeFacts]]:
 
 
 def results_in(runs: Path) -> list[Path]:
-    """Returns the result.json of each episode that is finished, by name.
+    """The result.json of each episode that is finished, by name.
 
     Raises:
         OSError: a folder cannot be read, which `Path.glob` would not say.
@@ -370,7 +370,7 @@ def results_in(runs: Path) -> list[Path]:
 def open_dataset(
     folder: str | Path, wanted: Callable[[EpisodeFacts], bool] = lambda _: True
 ) -> Dataset:
-    """Opens the episodes of a folder that were kept and are `wanted`.
+    """Open the episodes of a folder that were kept and are `wanted`.
 
     Raises:
         CadenzaError: there is none, they do not go together, or a result.json is damaged.
@@ -379,7 +379,7 @@ def open_dataset(
 
 
 def kept(folder: str | Path) -> list[RecordedEpisode]:
-    """Returns the episodes of a folder that were kept, by name; none of their arrays is read.
+    """The episodes of a folder that were kept, by name; none of their arrays is read.
 
     Raises:
         CadenzaError: it holds no demonstrations, or a result.json is damaged.

@@ -45,7 +45,7 @@ def write_lerobot(
     advance: Callable[[int, int], None],
     pictures: Sequence[Picture] = (),
 ) -> None:
-    """Writes a dataset into a new folder, with these `pictures` of every step.
+    """Write a dataset into a new folder, with these `pictures` of every step.
 
     Raises:
         CadenzaError: pyarrow is not installed, the folder exists, an episode is damaged, the
@@ -104,7 +104,7 @@ def _fps(dataset: Dataset) -> int:
 def _row(
     number: int, song: str, frames: range, place: tuple[int, int], stats: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Returns the row of an episode, whose frames are in a file of a chunk, the `place`."""
+    """The row of an episode, whose frames are in a file of a chunk, the `place`."""
     chunk, file = place
     return {
         "episode_index": number,
@@ -122,7 +122,7 @@ def _row(
 def _info(
     robot: str, counts: Mapping[str, int], fps: int, features: dict[str, Any]
 ) -> dict[str, Any]:
-    """Returns the content of info.json."""
+    """The content of info.json."""
     return {
         "codebase_version": "v3.0",
         "robot_type": robot,
@@ -164,7 +164,7 @@ def _feature(values: NDArray[Any], names: Sequence[str] | None) -> dict[str, Any
 
 
 def _names(scene: Scene) -> dict[str, tuple[str, ...]]:
-    """Returns what the numbers of features are called: by joint, or by actuator."""
+    """What the numbers of features are called: by joint, or by actuator."""
     joints, actions = scene.hand_joint_names, (*scene.actuator_names, "sustain_pedal")
     return {
         "observation.state": joints,
@@ -186,7 +186,7 @@ def _task(song: str) -> str:
 
 
 def _tasks(pa: Any, songs: Sequence[str]) -> Any:
-    """Returns the table of tasks, whose names pandas, which reads it, takes as their index."""
+    """The table of tasks, whose names pandas, which reads it, takes as their index."""
     table = pa.table({"task_index": range(len(songs)), "task": [_task(song) for song in songs]})
     columns: list[dict[str, Any]] = [
         {"name": "task_index", "pandas_type": "int64", "numpy_type": "int64"},
@@ -202,7 +202,7 @@ def _tasks(pa: Any, songs: Sequence[str]) -> Any:
 
 
 def _stats(statistics: Mapping[str, Statistics]) -> dict[str, dict[str, Any]]:
-    """Returns statistics as JSON by feature; those of a video have a place for each channel."""
+    """Statistics as JSON by feature; those of a video have a place for each channel."""
     return {
         name: of.as_json((-1, 1, 1) if name.startswith(IMAGES) else (-1,))
         for name, of in statistics.items()
@@ -217,7 +217,7 @@ class _FrameFiles:
         self._writer: Any = None
 
     def add(self, table: Any) -> tuple[int, int]:
-        """Adds an episode; returns the numbers of its chunk and its file."""
+        """Add an episode; returns the numbers of its chunk and its file."""
         import pyarrow.parquet as pq
 
         if self._writer is None or self._path.stat().st_size > _MAX_DATA_BYTES:
@@ -285,13 +285,13 @@ class Statistics(NamedTuple):
 
     @classmethod
     def of(cls, values: NDArray[Any]) -> Statistics:
-        """Returns the statistics of values (N, ...), whose entries are the columns."""
+        """The statistics of values (N, ...), whose entries are the columns."""
         columns = values.reshape(len(values), -1).astype(np.float64)
         least, most = columns.min(axis=0), columns.max(axis=0)
         return cls(len(columns), least, most, columns.mean(axis=0), columns.var(axis=0))
 
     def merged(self, other: Statistics) -> Statistics:
-        """Returns the statistics of the rows of both, by the law of total variance."""
+        """The statistics of the rows of both, by the law of total variance."""
         rows = self.rows + other.rows
         share = other.rows / rows
         mean = (1 - share) * self.mean + share * other.mean
@@ -301,7 +301,7 @@ class Statistics(NamedTuple):
         return Statistics(rows, least, most, mean, within + between)
 
     def as_json(self, shape: tuple[int, ...] = (-1,)) -> dict[str, Any]:
-        """Returns the statistics as LeRobot keeps them, each of this shape."""
+        """The statistics as LeRobot keeps them, each of this shape."""
         arrays = {"min": self.least, "max": self.most, "mean": self.mean}
         arrays["std"] = np.sqrt(self.variance)
         return {name: a.reshape(shape).tolist() for name, a in arrays.items()} | {
@@ -328,7 +328,7 @@ class Video:
     """
 
     def __init__(self, dataset: Dataset, picture: Picture, fps: int, folder: Path) -> None:
-        """Opens the renderer; the first file begins with the first episode.
+        """Open the renderer; the first file begins with the first episode.
 
         Raises:
             CadenzaError: this machine cannot draw, or a video cannot have this size.
@@ -370,7 +370,7 @@ class Video:
         }
 
     def add(self, number: int) -> tuple[dict[str, Any], Statistics]:
-        """Adds an episode; returns where it is, and the statistics of its colours."""
+        """Add an episode; returns where it is, and the statistics of its colours."""
         if self._output is None or self._path.stat().st_size > FILE_BYTES:
             self._begin()
         first, pictures = self._frames, []
@@ -390,7 +390,7 @@ class Video:
         return row, reduce(Statistics.merged, pictures)
 
     def close(self) -> None:
-        """Ends the last file, and frees graphics."""
+        """End the last file, and frees graphics."""
         self._end()
         self._renderer.close()
 

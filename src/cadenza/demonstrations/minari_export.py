@@ -60,7 +60,7 @@ def minari_id(folder: Path, name: str | None = None, version: int = 0) -> str:
 def write_minari(
     dataset: Dataset, path: Path, id_: str, advance: Callable[[int, int], None]
 ) -> None:
-    """Writes the dataset of that id to a folder, which MINARI_DATASETS_PATH has to name then.
+    """Write the dataset of that id to a folder, which MINARI_DATASETS_PATH has to name then.
 
     Others may lie there.
 
@@ -103,7 +103,7 @@ def write_minari(
 
 
 def _environment(dataset: Dataset) -> EnvSpec:
-    """Returns what `recover_environment` of Minari makes: it draws from all songs as was asked."""
+    """What `recover_environment` of Minari makes: it draws from all songs as was asked."""
     facts = dataset.episodes[0].facts
     spec = deepcopy(gymnasium.spec("cadenza/Piano-v0"))
     lookahead = {"n_steps_lookahead": LOOKAHEAD, "n_seconds_lookahead": None}
@@ -134,7 +134,7 @@ def _buffer(kind: Any, made: Transitions, episode: RecordedEpisode) -> Any:
 
 
 def _metadata(facts: EpisodeFacts) -> dict[str, Any]:
-    """Returns the metadata of an episode beside its seed and its options."""
+    """The metadata of an episode beside its seed and its options."""
     return {
         "song": facts.song,
         "f1": facts.f1,
@@ -158,7 +158,7 @@ def _root(folder: Path) -> Iterator[None]:
 
 
 def batched(episodes: range, lengths: Sequence[int], most: int = _MAX_BATCH) -> Iterator[range]:
-    """Yields episodes that are written together: of `most` steps, or a single longer one."""
+    """Yield episodes that are written together: of `most` steps, or a single longer one."""
     first, steps = episodes.start, 0
     for episode in episodes:
         if steps and steps + lengths[episode] > most:

@@ -55,7 +55,7 @@ _MIN_TIMESTEP = 1e-4  # [s]; a shorter one is damage
 
 
 def steps_type(scene: Scene) -> np.dtype[np.void]:
-    """Returns the type of a row of steps.npy.
+    """The type of a row of steps.npy.
 
     The scene has J joints, A servos, K keys and F fingers.
 
@@ -95,7 +95,7 @@ def steps_type(scene: Scene) -> np.dtype[np.void]:
 
 
 def plan_type(scene: Scene) -> np.dtype[np.void]:
-    """Returns the type of a row of plan.npy: where the plan has the hands before a step.
+    """The type of a row of plan.npy: where the plan has the hands before a step.
 
     - `reference` (A, 2) position and speed of each servo [m, rad] and [m/s, rad/s]
     - `fingertips` (F, 3) [m]
@@ -154,7 +154,7 @@ class RecordedEpisode:
     facts: EpisodeFacts
 
     def build_scene(self) -> Scene:
-        """Builds the scene in which it was played.
+        """Build the scene in which it was played.
 
         Raises:
             CadenzaError: the hands are of a module that nobody has imported.
@@ -163,7 +163,7 @@ class RecordedEpisode:
         return build_scene(self.facts.scene)
 
     def path(self, name: str) -> Path:
-        """Returns where one of its files is."""
+        """Where one of its files is."""
         if name == SONG:
             return _path_of_song(self.folder, self.facts.files.get(name, ""))
         return self.folder / name
@@ -206,7 +206,7 @@ class RecordedEpisode:
             raise CadenzaError(f"{said}; or {MAKE_AGAIN}") from error
 
     def check_files(self, names: Collection[str]) -> None:
-        """Compares files with their checksums; `score` does so by itself.
+        """Compare files with their checksums; `score` does so by itself.
 
         Raises:
             CadenzaError: one is not there, or is not as it was written.
@@ -215,7 +215,7 @@ class RecordedEpisode:
             raise CadenzaError(what)
 
     def wrong_files(self, names: Collection[str] = (STEPS, PLAN, SCORE, SONG)) -> Iterator[str]:
-        """Yields a line for each file that is not there, or not as it was written."""
+        """Yield a line for each file that is not there, or not as it was written."""
         for name in names:
             path = self.path(name)
             if name not in self.facts.files:
@@ -226,7 +226,7 @@ class RecordedEpisode:
                 yield f"{path}: damaged, its checksum is another; {MAKE_AGAIN}"
 
     def goals(self, scene: Scene) -> Goals:
-        """Returns keys, fingers and pedal per control step, rebuilt from the score.
+        """Keys, fingers and pedal per control step, rebuilt from the score.
 
         Raises:
             CadenzaError: the file of the score is not there, is damaged, or has other steps.
@@ -241,12 +241,12 @@ class RecordedEpisode:
 
 
 def played_actions(steps: Array, scene: Scene) -> NDArray[np.float64]:
-    """Returns the played actions (T, A + 1) in rows of steps.npy, in actuator units."""
+    """The played actions (T, A + 1) in rows of steps.npy, in actuator units."""
     return to_range(steps["played"][1:], scene.action_low, scene.action_high)
 
 
 def mapped(path: Path) -> Array:
-    """Returns the array of an .npy file, of which only what is read comes into memory.
+    """The array of an .npy file, of which only what is read comes into memory.
 
     Raises:
         CadenzaError: the file is not there, or is no such file.
@@ -269,7 +269,7 @@ MAKE_AGAIN = "delete its folder and collect again"
 
 
 def read_facts(folder: Path) -> EpisodeFacts:
-    """Reads the result.json of an episode.
+    """Read the result.json of an episode.
 
     Raises:
         CadenzaError: it is not finished, or the file is damaged.
@@ -288,7 +288,7 @@ def read_facts(folder: Path) -> EpisodeFacts:
 
 
 def _impossible_value(facts: EpisodeFacts) -> str | None:
-    """Returns a value on which readers count and which cannot be; None if there is none."""
+    """A value on which readers count and which cannot be; None if there is none."""
     steps = facts.metrics.get("steps")
     if type(steps) is not int or not 0 < steps <= _MAX_STEPS:
         return f"steps {quoted(steps)}"
@@ -308,7 +308,7 @@ def _impossible_value(facts: EpisodeFacts) -> str | None:
 def write(
     folder: Path, facts: EpisodeFacts, song: Score, score: Score, arrays: Mapping[str, Array]
 ) -> None:
-    """Writes an episode that is kept, whose facts do not name its files yet.
+    """Write an episode that is kept, whose facts do not name its files yet.
 
     The `score` is the part of the `song` that was to be played; `arrays` are STEPS and PLAN.
     """
@@ -334,23 +334,23 @@ def _bytes_of(score: Score) -> bytes:
 
 
 def _path_of_song(folder: Path, digest: str) -> Path:
-    """Returns where the song of an episode is, which others of the same folder share."""
+    """Where the song of an episode is, which others of the same folder share."""
     return folder.parent.parent / SONGS / f"{digest}.json"
 
 
 def written(score: Score) -> dict[str, Any]:
-    """Returns a score as JSON has it, see `WrittenScore`."""
+    """A score as JSON has it, see `WrittenScore`."""
     content: dict[str, Any] = plain(asdict(WrittenScore.of(score)))
     return content
 
 
 def write_facts(folder: Path, facts: EpisodeFacts) -> None:
-    """Writes result.json, with which an episode is finished."""
+    """Write result.json, with which an episode is finished."""
     content = plain(asdict(facts))
     write_json(folder / RESULT, content | {_SEAL: _seal(folder, content)})
 
 
 def _seal(folder: Path, facts: Mapping[str, Any]) -> str:
-    """Returns the SHA-256 of the name of the folder and the facts of result.json."""
+    """The SHA-256 of the name of the folder and the facts of result.json."""
     content = json.dumps([folder.name, facts], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()

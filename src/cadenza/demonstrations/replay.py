@@ -26,7 +26,7 @@ _COMPARED = ("hand_qpos", "hand_qvel", "fingertip_xpos", "key_state")
 
 
 def wrong_start(recorded: RecordedEpisode, scene: Scene) -> str | None:
-    """Returns what is wrong with the joint positions at the start; None if nothing is."""
+    """What is wrong with the joint positions at the start; None if nothing is."""
     start, joints = recorded.facts.start, len(scene.hand_joint_names)
     if len(start) == joints and np.isfinite(start).all():
         return None
@@ -35,7 +35,7 @@ def wrong_start(recorded: RecordedEpisode, scene: Scene) -> str | None:
 
 @contextmanager
 def task_of(recorded: RecordedEpisode, scene: Scene) -> Iterator[PianoTask]:
-    """Yields the task of an episode in its `scene`, with the hands where they began.
+    """Yield the task of an episode in its `scene`, with the hands where they began.
 
     Raises:
         CadenzaError: they cannot begin there, or a file is not as it was written.
@@ -52,13 +52,13 @@ def task_of(recorded: RecordedEpisode, scene: Scene) -> Iterator[PianoTask]:
 
 
 def replayed(recorded: RecordedEpisode, scene: Scene) -> EpisodeResult:
-    """Plays the recorded actions again."""
+    """Play the recorded actions again."""
     with task_of(recorded, scene) as task:
         return play_episode(task, Playback(played_actions(recorded.steps, scene)))
 
 
 def differences(recorded: RecordedEpisode, scene: Scene) -> dict[str, float]:
-    """Returns the largest difference of each quantity when an episode is played again.
+    """The largest difference of each quantity when an episode is played again.
 
     Arrays are compared bit for bit, in the precision of the recording.
     """

@@ -17,7 +17,7 @@ _MIB = 2**20
 
 
 def summarize(folder: Path) -> Iterator[str]:
-    """Yields songs, episodes, steps, F1, size on disk, and which versions made it.
+    """Yield songs, episodes, steps, F1, size on disk, and which versions made it.
 
     Raises:
         CadenzaError: it holds no demonstrations, or a result.json is damaged.
@@ -55,7 +55,7 @@ def _spread(what: str, values: list[float]) -> str:
 
 
 def _rewarded(kept: list[EpisodeFacts]) -> Iterator[str]:
-    """Yields whose fingers the rewards are for, see `GoalTrack.rewarded_fingers`."""
+    """Yield whose fingers the rewards are for, see `GoalTrack.rewarded_fingers`."""
     counts = Counter(str(facts.metrics.get("rewarded_fingers")) for facts in kept)
     for fingers, count in sorted(counts.items()):
         yield f"rewarded fingers: {printable(fingers)} in {count} episodes"

@@ -46,7 +46,7 @@ class Transitions(NamedTuple):
 
 
 def transitions(dataset: Dataset, number: int) -> Transitions:
-    """Returns the transitions of the episode of that number.
+    """The transitions of the episode of that number.
 
     Raises:
         CadenzaError: a file is not there, or is damaged.

@@ -74,8 +74,9 @@ def carry_out(
             result = _result(job, folder, num_threads, stop)
             if result is not None:
                 write_json(folder / RESULT, asdict(result))
-                for name in ("checkpoints", "replay"):  # they are most of what training wrote
-                    shutil.rmtree(folder / "training" / name, ignore_errors=True)
+                training = RunFolder(folder / "training")
+                training.checkpoint.unlink(missing_ok=True)
+                shutil.rmtree(training.replay, ignore_errors=True)  # most of what training wrote
 
 
 def is_complete(job: Job, folder: Path) -> bool:
@@ -140,7 +141,8 @@ def _train(
     stop: Callable[[], bool],
 ) -> Trained | None:
     """Train a policy, or resume its training; return None where it is stopped before the end."""
-    from cadenza.learning.training import Training  # heavy
+    from cadenza.learning.problem import problem_of  # heavy
+    from cadenza.learning.training import Training
 
     run = RunFolder(folder)
     with claimed_cores(num_threads), run.locked():
@@ -148,10 +150,9 @@ def _train(
             score = spec.arrangement.score(spec.song)
             run.begin(config, [spec.arrangement.written_for(config.scene.hands, score)])
         config, scores = run.settings()
-        with closing(Training(config, scores, run)) as training:
+        with closing(Training(problem_of(config, scores), run)) as training:
 
             def should_continue() -> bool:
-                training.rows.clear()  # they are in the folder
                 progress("learning", training.step, config.num_steps)
                 return not stop()
 

@@ -39,7 +39,7 @@ class Reference(NamedTuple):
 
 
 def reference_of(task: PianoTask) -> Reference:
-    """Plans the only score of a task.
+    """Plan the only score of a task.
 
     Raises:
         CadenzaError: the task has several scores, changes one or the start at random, or has no
@@ -56,7 +56,7 @@ def reference_of(task: PianoTask) -> Reference:
 
 
 def check_one_score(config: TaskConfig) -> None:
-    """Raises a CadenzaError if the task changes the score or the start at random."""
+    """Raise a CadenzaError if the task changes the score or the start at random."""
     names = ("random_hand_position", "random_stretch", "random_pitch_shift", "random_octave_shift")
     if drawn := [name for name in names if getattr(config, name)]:
         raise CadenzaError(
@@ -65,7 +65,7 @@ def check_one_score(config: TaskConfig) -> None:
 
 
 class ActionMapping:
-    """Maps a policy's actions in [-1, 1] to controls of a task.
+    """Map a policy's actions in [-1, 1] to controls of a task.
 
     Attributes:
         reference: The actions (T, A + 1) of the reference with the pedal, in [-1, 1]; None without
@@ -75,7 +75,7 @@ class ActionMapping:
     def __init__(
         self, task: TaskSpec, reference: Reference | None = None, ranges: Ranges | None = None
     ) -> None:
-        """Corrects a reference if there is one, else scales to `ranges` or to those of the task."""
+        """Correct a reference if there is one, else scales to `ranges` or to those of the task."""
         self._reference, self.reference = reference, None
         self._scaled = ranges.ctrl if ranges else task.scale_action
         if reference is not None:
@@ -86,7 +86,7 @@ class ActionMapping:
             self.reference = ((action - centre) / scale).astype(np.float32)
 
     def ctrl(self, action: Floats, steps: NDArray[np.intp], state: State) -> Array:
-        """Returns controls (N, A + 1) in actuator units, the pedal last.
+        """Controls (N, A + 1) in actuator units, the pedal last.
 
         The pedal of a reference is that of the score, whatever the action.
 

@@ -1,8 +1,7 @@
-"""Training that can be stopped and resumed: the loop, one checkpoint and a log of metrics.
+"""Training that can be stopped and resumed: the loop, its checkpoint and a log of metrics.
 
-RUN/run.json            what was asked for
-RUN/checkpoint/         the learner and the random generator after so many updates
-RUN/metrics.jsonl       metrics, a row a line
+RUN/run.json and RUN/checkpoint.safetensors are those of `cadenza.resumable`, RUN/metrics.jsonl has
+the metrics, a row a line.
 """
 
 from __future__ import annotations
@@ -12,18 +11,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from msgspec import Meta
 
-from cadenza.files import Expected, checked
-from cadenza.learning.checksummed_folder import is_there, read_checksummed, write_checksummed
 from cadenza.learning.metrics_log import MetricsLog
-from cadenza.resumable import ResumableFolder, errors_of_resuming
+from cadenza.resumable import Arrays, ResumableFolder
 
-Arrays = dict[str, NDArray[Any]]
-
+Count = Annotated[int, Meta(ge=0, le=2**53)]
+Row = dict[str, Any]
 
 LOCKED_OUT = "another process is training this run"
 """The error where another process holds the lock of a run."""
@@ -33,109 +30,139 @@ LOCKED_OUT = "another process is training this run"
 class _Facts:
     """The facts of a checkpoint."""
 
-    update: int
+    step: Count
     seconds: float
     rng: dict[str, Any]
-    metrics_size: int
+    metrics_size: Count
+    own: dict[str, Any]
+    """Those of the kind of run."""
 
 
 class CheckpointedRun(ABC):
     """A run of training by the one process that works in its folder.
 
     Attributes:
-        update: updates so far.
-        num_updates: The number of updates of the whole run.
-        rows: metrics so far, oldest first.
+        folder: The folder of the run, which the caller must have locked.
+        step: Steps so far: updates, or what else a kind of run counts.
+        num_steps: The number of steps of the whole run.
+        rows: Metrics so far, oldest first.
     """
 
     command: ClassVar[str]
     """The command that begins and resumes such runs."""
-    expected: ClassVar[Expected]
-    """The arrays of a checkpoint."""
 
     @classmethod
     def folder_at(cls, path: Path) -> ResumableFolder:
-        """Returns the folder of such a run, which whoever trains it locks before."""
+        """The folder of such a run; the caller must lock it before making the run."""
         return ResumableFolder(path, cls.command, LOCKED_OUT)
 
-    def __init__(self, path: Path, num_updates: int, checkpoint_interval: float, seed: int) -> None:
-        self.folder, self.num_updates = self.folder_at(path), num_updates
-        self.update, self._seconds = 0, 0.0
-        self.rows: list[dict[str, Any]] = []
-        self._rng = np.random.default_rng(seed)
-        self._interval, self._metrics = checkpoint_interval, MetricsLog(path)
-        self._checkpoint = path / "checkpoint"
-        self._kind = f"checkpoint of {self.command}"
+    def __init__(
+        self,
+        folder: ResumableFolder,
+        num_steps: int,
+        checkpoint_interval: float,
+        rng: np.random.Generator,
+    ) -> None:
+        """Neither begins nor resumes the run; see `resume`.
+
+        Args:
+            folder: The folder of the run.
+            num_steps: The number of steps of the whole run.
+            checkpoint_interval: The time between checkpoints [s].
+            rng: The source of randomness, whose state is part of checkpoints.
+        """
+        self.folder, self.num_steps = folder, num_steps
+        self.step, self._seconds = 0, 0.0
+        self.rows: list[Row] = []
+        self._rng, self._interval = rng, checkpoint_interval
+        self._metrics_log = MetricsLog(folder.path)
+
+    def _begin(self) -> None:  # noqa: B027 - most have nothing to do
+        """Begins a run without a checkpoint."""
 
     @abstractmethod
-    def _learn(self) -> dict[str, Any] | None:
-        """Makes one or more updates and counts them; returns metrics, if it is time for a row."""
+    def _learn(self) -> Row | None:
+        """Make one or more steps and counts them; returns metrics, if it is time for a row."""
 
     @abstractmethod
     def _arrays(self) -> Arrays:
-        """Returns the state of the learner, for `_restore`."""
+        """The state of the learner, for `_restore`."""
+
+    def _facts(self) -> dict[str, Any]:
+        """What `_restore` needs besides arrays."""
+        return {}
 
     @abstractmethod
-    def _restore(self, arrays: Arrays) -> None:
-        """Goes on from `_arrays`.
+    def _restore(self, facts: dict[str, Any], arrays: Arrays) -> None:
+        """Go on from `_facts` and `_arrays`; `step` is restored already.
 
         Raises:
-            CadenzaError: they are of another learner.
+            CadenzaError: They are of another learner.
         """
 
     @abstractmethod
     def _save_result(self) -> None:
-        """Writes what has been learnt so far."""
+        """Write what has been learnt so far."""
+
+    def _settle(self) -> None:  # noqa: B027 - most have nothing to do
+        """Finishes what goes on in the background, before a checkpoint."""
 
     @property
     def finished(self) -> bool:
-        """True when all updates are done."""
-        return self.update >= self.num_updates
-
-    @property
-    def has_checkpoint(self) -> bool:
-        """True if there is one to resume from."""
-        return is_there(self._checkpoint)
+        """True when all steps are done."""
+        return self.step >= self.num_steps
 
     def run(self, goes_on: Callable[[], bool]) -> None:
-        """Trains until all updates are done, or `goes_on` is false, asked between updates."""
-        first, began = self.update, time.perf_counter() - self._seconds
-        saved = time.perf_counter()
-        while not self.finished and goes_on():
-            row = self._learn()
-            self._seconds = time.perf_counter() - began
-            if row is not None:
-                self.rows.append({"step": self.update, "seconds": round(self._seconds, 3)} | row)
-                self._metrics.add(self.rows[-1])
-            if time.perf_counter() - saved > self._interval:
-                self._save()
-                saved = time.perf_counter()
-        if self.update > first:
-            self._save()
-
-    def _save(self) -> None:
-        rng = dict(self._rng.bit_generator.state)
-        facts = _Facts(self.update, self._seconds, rng, self._metrics.size)
-        write_checksummed(self._checkpoint, self._kind, asdict(facts), self._arrays())
-        self._save_result()
-
-    def resume(self) -> None:
-        """Goes on from the checkpoint, if there is one.
+        """Train until all steps are done, or `goes_on` is false, asked after every few of them.
 
         Raises:
-            CadenzaError: it is damaged, or that of another run.
+            CadenzaError: There is no room for a checkpoint.
         """
-        if not self.has_checkpoint:
-            self._metrics.delete()
+        self._began = time.perf_counter() - self._seconds
+        saved_step, saved = self.step, time.perf_counter()
+        while not self.finished and goes_on():
+            row = self._learn()
+            if row is not None:
+                self._add_row(row)
+            if time.perf_counter() - saved > self._interval:
+                self._save()
+                saved_step, saved = self.step, time.perf_counter()
+        self._settle()
+        if self.step > saved_step:
+            self._save()
+
+    def _add_row(self, row: Row) -> None:
+        self._seconds = time.perf_counter() - self._began
+        row = {"step": self.step, "seconds": round(self._seconds, 3)} | row
+        with self.folder.errors_of_writing():
+            self._metrics_log.add(row)
+        self.rows.append(row)
+
+    def _save(self) -> None:
+        self._settle()
+        self._seconds = time.perf_counter() - self._began
+        with self.folder.errors_of_writing():
+            rng, size = dict(self._rng.bit_generator.state), self._metrics_log.size
+            facts = _Facts(self.step, self._seconds, rng, size, self._facts())
+            self.folder.save(asdict(facts), self._arrays())
+            self._save_result()
+
+    def resume(self) -> None:
+        """Go on from the checkpoint, or begins where there is none.
+
+        Raises:
+            CadenzaError: It is damaged, or that of another run.
+        """
+        if (found := self.folder.load(_Facts)) is None:
+            self._metrics_log.delete()
+            self._begin()
             return
-        with errors_of_resuming(self.folder.path):
-            plain, arrays = read_checksummed(self._checkpoint, self._kind, self.expected)
-            facts = checked(plain, _Facts, self._checkpoint / "facts.json")
-            if not 0 <= facts.update <= self.num_updates:
-                raise ValueError(f"after {facts.update} updates")
-            self._restore(arrays)
-            self.update, self._seconds = facts.update, facts.seconds
+        facts, arrays = found
+        with self.folder.errors_of_resuming():
+            self.step, self._seconds = facts.step, facts.seconds
+            self._restore(facts.own, arrays)
             self._rng.bit_generator.state = facts.rng
-            self._metrics.truncate(facts.metrics_size)
-            self.rows = self._metrics.rows()
+        with self.folder.errors_of_writing():
+            self._metrics_log.truncate(facts.metrics_size)
+            self.rows = self._metrics_log.rows()
             self._save_result()  # a kill may have come before it

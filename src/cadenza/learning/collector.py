@@ -34,7 +34,7 @@ class Step(NamedTuple):
 
 
 class Collector:
-    """Gathers experience in N environments.
+    """Gather experience in N environments.
 
     Attributes:
         observation: (N, D) what they show now.
@@ -51,7 +51,7 @@ class Collector:
         mapping: ActionMapping,
         rng: np.random.Generator,
     ) -> None:
-        """Collects nothing before `begin` or `restore`.
+        """Collect nothing before `begin` or `restore`.
 
         Args:
             task: The task with N environments.
@@ -73,12 +73,12 @@ class Collector:
         self._rng_states: list[dict[str, Any]] = [{} for _ in self._env_ids]
 
     def begin(self) -> None:
-        """Begins an episode in every environment."""
+        """Begin an episode in every environment."""
         self._reset(self._env_ids)
         self._observe(self._env_ids)
 
     def collect(self, policy: Policy | None, steps: int) -> list[Finished]:
-        """Takes steps in every environment, uniformly at random without a policy.
+        """Take steps in every environment, uniformly at random without a policy.
 
         Returns:
             The episodes that ended.
@@ -93,7 +93,7 @@ class Collector:
         return finished
 
     def step(self, action: Floats) -> Step:
-        """Takes a control step with actions (N, A) in [-1, 1] in every environment.
+        """Take a control step with actions (N, A) in [-1, 1] in every environment.
 
         Where an episode has ended, the next one begins.
         """
@@ -147,13 +147,13 @@ class Collector:
     # To go on later
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Returns the state as JSON and arrays, for `restore`."""
+        """The state as JSON and arrays, for `restore`."""
         plain = {"action_rng": self._rng.bit_generator.state, "began": self._rng_states}
         taken = [np.array(actions, np.float32) for actions in self._actions_so_far]
         return plain, {f"taken_{env}": actions for env, actions in enumerate(taken)}
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-        """Plays the unfinished episodes again, with the same actions.
+        """Play the unfinished episodes again, with the same actions.
 
         The simulation repeats itself to the last bit, and its state need not be kept. The replay
         is to be restored before.

@@ -56,7 +56,7 @@ class TrainingConfig:
     __repr__ = in_short
 
     def updates_by(self, step: int) -> int:
-        """Updates that a run makes until it has done so many steps."""
+        """Update that a run makes until it has done so many steps."""
         rounds = (step - self.learning_starts) / (self.train_freq * self.num_envs)
         return max(math.ceil(rounds * self.gradient_steps), 0)
 
@@ -67,7 +67,7 @@ def preset(
     learner: str = DROQ,
     otherwise: Mapping[str, Any] | None = None,
 ) -> TrainingConfig:
-    """Returns the options of a preset.
+    """The options of a preset.
 
     paper: the table of the paper. published: the same with what the published run script sets
     differently, and the reward terms for pedal and forearms. fast: for few cores, changed by
@@ -92,7 +92,7 @@ def preset(
 
 
 def _with(options: Mapping[str, Any], config: TrainingConfig) -> TrainingConfig:
-    """Returns `config` with those of `options` that it or its learner has."""
+    """`config` with those of `options` that it or its learner has."""
     own, its = (
         {f.name: options[f.name] for f in fields(each) if f.name in options}
         for each in (config, config.learner)
@@ -101,7 +101,7 @@ def _with(options: Mapping[str, Any], config: TrainingConfig) -> TrainingConfig:
 
 
 def _fast() -> TrainingConfig:
-    """Returns the preset fast.
+    """The preset fast.
 
     Tunes are learnt long before its end; pieces for two hands still improve.
     """
@@ -146,7 +146,7 @@ _OFF_POLICY = {"learning_starts": 0, "parallel": False, "buffer_size": TrainingC
 
 
 def check(config: TrainingConfig) -> None:
-    """Checks the options; raises a CadenzaError if one makes no sense."""
+    """Check the options; raises a CadenzaError if one makes no sense."""
     check_ranges(config, _RANGES)
     config.learner.check()
     if config.learner.on_policy:
@@ -185,7 +185,7 @@ class ImitationConfig:
     """Random seed."""
 
     def check(self) -> None:
-        """Checks the options; raises a CadenzaError if one makes no sense."""
+        """Check the options; raises a CadenzaError if one makes no sense."""
         check_ranges(
             self,
             {

@@ -17,7 +17,7 @@ from cadenza.files import locked_file
 
 @contextmanager
 def claimed_cores(number: int) -> Iterator[set[int]]:
-    """Keeps this process and the threads that it starts to cores that no other run has claimed.
+    """Keep this process and the threads that it starts to cores that no other run has claimed.
 
     Yields fewer than `number` cores where fewer are left. Where none is, it yields none and shares
     one, that of the fewest runs, and says so on standard error. A claim ends with the process,
@@ -49,7 +49,7 @@ def claimed_cores(number: int) -> Iterator[set[int]]:
 
 
 def _claims_folder() -> Path:
-    """Returns the folder of this user's lock files, `CORE.SHARE` for each run that uses a core.
+    """The folder of this user's lock files, `CORE.SHARE` for each run that uses a core.
 
     Raises:
         OSError: somebody else could write there.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -11,13 +12,13 @@ import numpy as np
 from cadenza.learning.algorithms.on_jax import from_arrays, to_arrays
 from cadenza.learning.collector import Finished
 from cadenza.learning.config import TrainingConfig
-from cadenza.learning.experience import Saved
+from cadenza.learning.experience import Chunk
 from cadenza.learning.learner import OnPolicyLearner
 from cadenza.learning.observation import Inputs
 from cadenza.learning.on_policy import MAX_SEED, RolloutExperience
 from cadenza.learning.ranges import Ranges
 from cadenza.learning.rollout import Rollout
-from cadenza.learning.run_folder import Arrays
+from cadenza.resumable import Arrays
 from cadenza.tasks.functional import FunctionalPianoTask, PianoState
 
 Array = Any  # of JAX
@@ -52,7 +53,7 @@ class DeviceRollouts(RolloutExperience):
         rng: np.random.Generator,
         sample_rng: np.random.Generator,
     ) -> None:
-        """Begins no episode yet.
+        """Begin no episode yet.
 
         Args:
             config: the options of the run.
@@ -129,7 +130,7 @@ class DeviceRollouts(RolloutExperience):
     def state(self) -> tuple[dict[str, Any], Arrays]:
         return {}, to_arrays(_with_key_data(self._progress))
 
-    def restore(self, plain: dict[str, Any], arrays: Arrays, saved: Saved) -> None:
+    def restore(self, plain: dict[str, Any], arrays: Arrays, chunks: Sequence[Chunk]) -> None:
         like = jax.eval_shape(lambda: _with_key_data(self._begun(self._key)))
         progress = from_arrays(arrays, like)
         key = jax.random.wrap_key_data(progress.worlds.key)

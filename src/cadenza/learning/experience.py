@@ -2,40 +2,53 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Protocol
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Annotated, Any, Protocol
 
 import numpy as np
+from msgspec import Meta
 
 from cadenza.errors import CadenzaError
+from cadenza.files import ANY, read_arrays, remove_half_written, write_atomically
+from cadenza.learning.checkpointed_run import Count
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.learner import Learner
 from cadenza.learning.observation import GoalTable
 from cadenza.learning.policy import Policy
 from cadenza.learning.replay_buffer import Batch, ReplayBuffer
-from cadenza.learning.run_folder import Arrays, Chunk, RunFolder
+from cadenza.resumable import Arrays
+
+_CHUNK = r"\d{12,}\.\d+\.npz"  # names of files of experience; others are left alone
+_MAX_HEADERS = 2**12  # bytes, of the arrays of experience
 
 Round = tuple[Any, dict[str, Any], list[Finished]]
 """The learner's state after a round; metrics (U,) by name of each update, empty if there was none;
 and the episodes that ended."""
-Saved = Sequence[tuple[Chunk, Arrays | None]]
-"""Files of experience, and what is in them; None where it is lost."""
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A file of experience for the replay buffer."""
+
+    file: Annotated[str, Meta(pattern=f"^{_CHUNK}$")]
+    to: tuple[Count, ...]
+    """The number of frames of each environment up to the end of the chunk."""
 
 
 class Experience(Protocol):
     """N environments that give experience, by which a learner improves its policy in rounds."""
 
-    @property
-    def most_bytes(self) -> int | None:
-        """The bytes that one file of experience may take; None if none is written."""
-
     def begin(self) -> None:
-        """Begins an episode in every environment."""
+        """Begin an episode in every environment."""
 
     def round(self, learner: Any, state: Any, policy: Policy, step: int) -> Round:
-        """Takes `train_freq` control steps in every environment, and makes updates.
+        """Take `train_freq` control steps in every environment, and makes updates.
 
         Args:
             learner: the learner.
@@ -44,17 +57,20 @@ class Experience(Protocol):
             step: control steps so far, of all environments together.
         """
 
-    def save(self, folder: RunFolder, step: int) -> tuple[Chunk, ...]:
-        """Writes experience that is in no file yet; returns which files `restore` needs."""
+    def save(self, step: int) -> tuple[Chunk, ...]:
+        """Write experience that is in no file yet; returns the files that `restore` needs."""
+
+    def drop_unneeded(self) -> None:
+        """Delete files that the latest checkpoint does not need."""
 
     def state(self) -> tuple[dict[str, Any], Arrays]:
-        """Returns the state of the environments as JSON and arrays, for `restore`."""
+        """The state of the environments as JSON and arrays, for `restore`."""
 
-    def restore(self, plain: dict[str, Any], arrays: Arrays, saved: Saved) -> None:
-        """Goes on from `state` and from experience that was `saved`.
+    def restore(self, plain: dict[str, Any], arrays: Arrays, chunks: Sequence[Chunk]) -> None:
+        """Go on from `state` and from the files of `save`.
 
         Raises:
-            CadenzaError: they are of another run.
+            CadenzaError: They are of another run, or a file is missing or damaged.
         """
 
 
@@ -68,8 +84,9 @@ class ReplayExperience:
         replay: ReplayBuffer,
         goals: GoalTable,
         sample_rng: np.random.Generator,
+        folder: Path,
     ) -> None:
-        """Begins with an empty buffer.
+        """Begin with an empty buffer.
 
         Args:
             config: the options of the run.
@@ -77,12 +94,12 @@ class ReplayExperience:
             replay: the buffer.
             goals: the goals of all scores that it knows.
             sample_rng: the source of randomness of what is sampled.
+            folder: The folder of the files of experience.
         """
         self._config, self._collector, self._replay = config, collector, replay
         self._goals, self._sample_rng = goals, sample_rng
         self.begin, self.state = collector.begin, collector.state
-        self.most_bytes = replay.num_bytes
-        self._chunks: list[Chunk] = []
+        self._folder, self._chunks = folder, list[Chunk]()
 
     def round(self, learner: Learner[Any], state: Any, policy: Policy, step: int) -> Round:
         collect, steps = self._collector.collect, self._config.train_freq
@@ -100,22 +117,32 @@ class ReplayExperience:
         shape = self._config.gradient_steps, self._config.learner.batch_size
         return self._replay.sample(self._sample_rng, shape)
 
-    def save(self, folder: RunFolder, step: int) -> tuple[Chunk, ...]:
+    def save(self, step: int) -> tuple[Chunk, ...]:
         since = np.array(self._chunks[-1].to) if self._chunks else 0
         frames = self._replay.since(since)
-        chunk = Chunk(folder.save_experience(step, frames), tuple(frames["to"].tolist()))
+        # The file of a checkpoint at the same step is still needed.
+        paths = (self._folder / f"{step:012}.{number}.npz" for number in count())
+        path = next(path for path in paths if not path.exists())
+        with write_atomically(path) as file:
+            np.savez(file, allow_pickle=False, **frames)
+        chunk = Chunk(path.name, tuple(frames["to"].tolist()))
         self._chunks = [c for c in self._chunks if self._replay.holds(np.array(c.to))] + [chunk]
         return tuple(self._chunks)
 
-    def restore(self, plain: dict[str, Any], arrays: Arrays, saved: Saved) -> None:
-        for chunk, frames in saved:
-            if frames is None:
-                continue
+    def drop_unneeded(self) -> None:
+        remove_half_written(self._folder)
+        needed = {chunk.file for chunk in self._chunks}
+        for path in self._folder.glob("*.npz"):
+            if path.name not in needed and re.fullmatch(_CHUNK, path.name, re.ASCII):
+                path.unlink()
+
+    def restore(self, plain: dict[str, Any], arrays: Arrays, chunks: Sequence[Chunk]) -> None:
+        most = self._replay.num_bytes + _MAX_HEADERS
+        for chunk in chunks:
+            frames = read_arrays(self._folder / chunk.file, ANY, most)
             rows = frames["row"]
             if len(rows) and not 0 <= rows.min() <= rows.max() < self._goals.num_rows:
                 raise CadenzaError(f"{chunk.file}: experience of other scores; start a new run")
             self._replay.restore(frames)
-            self._chunks.append(chunk)
-        if saved:
-            self._replay.skip(np.array(saved[-1][0].to))
+        self._chunks = list(chunks)
         self._collector.restore(plain, arrays)

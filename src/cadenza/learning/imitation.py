@@ -1,7 +1,7 @@
 """Trains a policy for many songs on demonstrations, to be stopped and resumed at any moment.
 
-RUN/run.json also says which episodes are learnt from. RUN/last/ is the policy of the checkpoint.
-The other files are those of `checkpointed_run`.
+RUN/run.json also names the episodes that are learnt from, and RUN/last/ is the policy of the
+checkpoint. The other files are those of `checkpointed_run`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from cadenza.demonstrations.dataset import Batch, Dataset, check_values, dataset_folder, kept
 from cadenza.demonstrations.recorded_episode import RecordedEpisode
 from cadenza.errors import CadenzaError, extra_packages
-from cadenza.files import FLOATS, NUMBERS, ArrayOf, Expected
-from cadenza.learning.checkpointed_run import Arrays, CheckpointedRun
+from cadenza.files import checked
+from cadenza.learning.checkpointed_run import CheckpointedRun
 from cadenza.learning.config import ImitationConfig
 from cadenza.learning.observation import Floats, Inputs, ObservationSpec
 from cadenza.learning.policy_folder import LearntPolicy, save_policy
 from cadenza.learning.ranges import Ranges
 from cadenza.music.formats.reading import name_without_ending
+from cadenza.resumable import Arrays
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import from_range
 
@@ -34,6 +35,7 @@ _UPDATES_AT_ONCE = 20  # between two questions whether to go on
 _MAX_HELD_OUT = 5_000  # steps on which the error on held-out demonstrations is measured
 _MAX_CACHED = 2**30  # bytes of examples; of more, those of each update are made anew
 _CACHED_AT_ONCE = 4_096  # examples
+_LEARNT_FROM, _HELD_OUT = "learnt_from", "held_out"  # in run.json: names of episodes
 _MIN_RANGE = 0.05  # of a joint's or a servo's range, where demonstrations hardly move it
 
 
@@ -44,32 +46,17 @@ class Examples(NamedTuple):
     action: Floats
 
     def at(self, steps: NDArray[np.intp]) -> Examples:
-        """Returns the examples of these rows."""
+        """The examples of these rows."""
         return Examples(self.observation[steps], self.action[steps])
-
-
-@dataclass(frozen=True)
-class _Manifest:
-    """The content of run.json."""
-
-    config: ImitationConfig
-    demonstrations: str
-    learnt_from: tuple[str, ...]
-    """Names of episodes."""
-    held_out: tuple[str, ...]
 
 
 class Imitation(CheckpointedRun):
     """A run of training on demonstrations."""
 
     command: ClassVar[str] = "cadenza clone"
-    expected: ClassVar[Expected] = {
-        "learner:*": ArrayOf(NUMBERS, None),
-        "errors": ArrayOf(FLOATS, ("updates",), needed=True),
-    }
 
     def __init__(self, config: ImitationConfig, demonstrations: Path, folder: Path) -> None:
-        """Goes on with the run in `folder`, if there is one.
+        """Go on with the run in `folder`, if there is one.
 
         Args:
             config: The options of the run.
@@ -81,17 +68,19 @@ class Imitation(CheckpointedRun):
                 go together, or the folder holds a run with other options.
         """
         config.check()
-        super().__init__(folder, config.num_updates, config.checkpoint_interval, config.seed)
+        rng = np.random.default_rng(config.seed)
+        interval = config.checkpoint_interval
+        super().__init__(self.folder_at(folder), config.num_updates, interval, rng)
         self.config = config
         demonstrations = dataset_folder(demonstrations)
         recorded = kept(demonstrations)
-        manifest = self._manifest(demonstrations, recorded)
+        learnt_from, held_out = self._split(recorded)
         episodes = {episode.folder.name: episode for episode in recorded}
-        if lost := {*manifest.learnt_from, *manifest.held_out} - episodes.keys():
+        names = (*learnt_from, *held_out)
+        if lost := set(names) - episodes.keys():
             raise CadenzaError(f"{demonstrations}: {min(lost)} is gone, which the run learns from")
-        names = (*manifest.learnt_from, *manifest.held_out)
         scene = Dataset([episodes[name] for name in names]).scene  # or says what differs
-        self._dataset = Dataset([episodes[name] for name in manifest.learnt_from])
+        self._dataset = Dataset([episodes[name] for name in learnt_from])
         self.songs = tuple(sorted({episode.facts.song for episode in self._dataset.episodes}))
         first = self._dataset.episodes[0]
         self._task = replace(  # as is observed, see `observed`
@@ -109,35 +98,37 @@ class Imitation(CheckpointedRun):
         self._inputs = _inputs(self._spec, self._dataset, config.previous_action)
         self._ranges = _ranges(self._dataset, limits)
         self._held_out: Examples | None = None
-        if manifest.held_out:
-            held_out = Dataset([episodes[name] for name in manifest.held_out])
-            every = -(-held_out.num_steps // _MAX_HELD_OUT)
-            self._held_out = self._examples(held_out, np.arange(0, held_out.num_steps, every))
+        if held_out:
+            others = Dataset([episodes[name] for name in held_out])
+            every = -(-others.num_steps // _MAX_HELD_OUT)
+            self._held_out = self._examples(others, np.arange(0, others.num_steps, every))
         with extra_packages("train", "training"):
             from cadenza.learning.algorithms.cloning.learner import Cloning
         ends = ((0, config.num_updates),)
         self._learner = Cloning(config.learner, self._inputs, limits.shape[1], ends)
         self._state = self._learner.init(config.seed)
         self._errors = np.zeros(0, np.float32)
-        if not self.folder.begun:  # now that nothing stands in its way
-            self.folder.write_manifest(asdict(manifest))
+        # Now that nothing stands in its way.
+        manifest = {"config": asdict(config), "demonstrations": str(demonstrations.resolve())}
+        self.folder.begin_or_continue(manifest | {_LEARNT_FROM: learnt_from, _HELD_OUT: held_out})
         self.resume()
 
-    def _manifest(self, demonstrations: Path, recorded: Sequence[RecordedEpisode]) -> _Manifest:
-        """Returns the manifest of the run, or of a new one that learns from recorded episodes."""
-        config, where = self.config, str(demonstrations.resolve())
-        if (known := self.folder.known(_Manifest)) is not None:
-            self.folder.check_same(replace(known, config=config, demonstrations=where), known)
-            return known
-        self.folder.check_complete(self.has_checkpoint)
-        learnt_from, held_out = _split(_by_song(recorded, config.songs), config.held_out)
-        return _Manifest(config, where, learnt_from, held_out)
+    def _split(self, recorded: Sequence[RecordedEpisode]) -> tuple[tuple[str, ...], ...]:
+        """The names of episodes to learn from and of those held out.
+
+        A run that has begun goes on with its own, whatever has been recorded since.
+        """
+        if self.folder.begun:
+            known = self.folder.read_manifest()
+            names = [known.get(name) for name in (_LEARNT_FROM, _HELD_OUT)]
+            return checked(names, tuple[tuple[str, ...], ...], self.folder.manifest)
+        return _split(_by_song(recorded, self.config.songs), self.config.held_out)
 
     def _learn(self) -> dict[str, Any] | None:
         interval = self.config.log_interval
-        to_log = interval - self.update % interval
-        self._make_updates(min(_UPDATES_AT_ONCE, to_log, self.num_updates - self.update))
-        return self._row() if self.finished or self.update % interval == 0 else None
+        to_log = interval - self.step % interval
+        self._make_updates(min(_UPDATES_AT_ONCE, to_log, self.num_steps - self.step))
+        return self._row() if self.finished or self.step % interval == 0 else None
 
     def _make_updates(self, updates: int) -> None:
         shape = updates, self.config.learner.batch_size
@@ -149,7 +140,7 @@ class Imitation(CheckpointedRun):
         self._errors = np.concatenate([self._errors, np.asarray(metrics["error"])])
         if not np.isfinite(self._errors).all():  # before it is kept
             raise CadenzaError("the error is no longer finite; choose a smaller --learning-rate")
-        self.update += updates
+        self.step += updates
 
     @cached_property
     def _cached(self) -> Examples | None:
@@ -194,16 +185,16 @@ class Imitation(CheckpointedRun):
             scene=self._dataset.episodes[0].facts.scene,
             score=None,
         )
-        save_policy(self.folder.path / "last", learnt, {"step": self.update, "songs": self.songs})
+        save_policy(self.folder.path / "last", learnt, {"step": self.step, "songs": self.songs})
 
-    def _restore(self, arrays: Arrays) -> None:
+    def _restore(self, facts: dict[str, Any], arrays: Arrays) -> None:
         learner = {n.removeprefix("learner:"): a for n, a in arrays.items() if n != "errors"}
         self._state = self._learner.from_arrays(learner)
         self._errors = arrays["errors"]
 
 
 def observed(batch: Batch, ranges: Ranges) -> Floats:
-    """Returns observations (B, D) of a policy without a reference, see `ObservationSpec`.
+    """Observations (B, D) of a policy without a reference, see `ObservationSpec`.
 
     Args:
         batch: The steps (B,).
@@ -225,7 +216,7 @@ def observed(batch: Batch, ranges: Ranges) -> Floats:
 
 
 def _inputs(spec: ObservationSpec, dataset: Dataset, previous_action: bool) -> Inputs:
-    """Returns inputs without goals of keys that no demonstration asks for.
+    """Inputs without goals of keys that no demonstration asks for.
 
     The previous action and its reward are left out unless `previous_action`.
     """
@@ -239,7 +230,7 @@ def _inputs(spec: ObservationSpec, dataset: Dataset, previous_action: bool) -> I
 
 
 def _ranges(dataset: Dataset, limits: NDArray[np.float64]) -> Ranges:
-    """Returns the ranges of joints and actions in the demonstrations.
+    """The ranges of joints and actions in the demonstrations.
 
     `limits` (2, A) are the least and the largest actions.
     """
@@ -253,7 +244,7 @@ def _ranges(dataset: Dataset, limits: NDArray[np.float64]) -> Ranges:
 
 
 def _used(arrays: Sequence[NDArray[Any]], limits: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns the range (2, N) of arrays (..., N), at least `_MIN_RANGE` of the limits (2, N)."""
+    """The range (2, N) of arrays (..., N), at least `_MIN_RANGE` of the limits (2, N)."""
     low = np.min([array.min(axis=0) for array in arrays], axis=0).astype(np.float64)
     high = np.max([array.max(axis=0) for array in arrays], axis=0).astype(np.float64)
     missing = np.maximum(_MIN_RANGE * (limits[1] - limits[0]) - (high - low), 0) / 2
@@ -263,7 +254,7 @@ def _used(arrays: Sequence[NDArray[Any]], limits: NDArray[np.float64]) -> NDArra
 def _by_song(
     episodes: Sequence[RecordedEpisode], wanted: Sequence[str]
 ) -> dict[str, list[RecordedEpisode]]:
-    """Returns episodes by song; those of all songs if none are `wanted`."""
+    """Episodes by song; those of all songs if none are `wanted`."""
     found = defaultdict[str, list[RecordedEpisode]](list)
     for episode in episodes:
         found[episode.facts.song].append(episode)
@@ -273,7 +264,7 @@ def _by_song(
 
 
 def _song_named(name: str, songs: Sequence[str]) -> str:
-    """Returns the song with this name, or with this last part of it.
+    """The song with this name, or with this last part of it.
 
     Raises:
         CadenzaError: there is none, or there are several.
@@ -292,7 +283,7 @@ def _song_named(name: str, songs: Sequence[str]) -> str:
 def _split(
     songs: dict[str, list[RecordedEpisode]], held_out: int
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Returns names of episodes to learn from, at least one of each song, and of those held out."""
+    """Names of episodes to learn from, at least one of each song, and of those held out."""
     learnt_from, others = [], []
     for episodes in songs.values():
         names = [episode.folder.name for episode in episodes]

@@ -48,7 +48,7 @@ LEARNERS = Registry(
 
 
 class AnyLearner(Protocol[State]):
-    """Improves a policy.
+    """Improve a policy.
 
     All that learning changes is in a state, so that a run can be stopped and resumed.
     """
@@ -57,19 +57,19 @@ class AnyLearner(Protocol[State]):
     """The number of threads, if the last digits of the results depend on it."""
 
     def init(self, seed: int) -> State:
-        """Draws the state before the first update."""
+        """Draw the state before the first update."""
 
     def policy(self, state: State) -> Policy:
-        """Returns the policy that is evaluated and saved."""
+        """The policy that is evaluated and saved."""
 
     def behavior_policy(self, state: State) -> Policy:
-        """Returns the policy that collects experience, by its samples."""
+        """The policy that collects experience, by its samples."""
 
     def to_arrays(self, state: State) -> dict[str, NDArray[Any]]:
-        """Returns a state as arrays by name, for `from_arrays`."""
+        """A state as arrays by name, for `from_arrays`."""
 
     def from_arrays(self, arrays: dict[str, NDArray[Any]]) -> State:
-        """Returns the state of `to_arrays`.
+        """The state of `to_arrays`.
 
         Raises:
             CadenzaError: the arrays are those of another learner.
@@ -77,10 +77,10 @@ class AnyLearner(Protocol[State]):
 
 
 class Learner(AnyLearner[State], Protocol[State]):
-    """Improves a policy by batches of transitions, whichever policy they come from."""
+    """Improve a policy by batches of transitions, whichever policy they come from."""
 
     def update(self, state: State, batches: Batch) -> tuple[State, dict[str, NDArray[Any]]]:
-        """Makes one update for each of the batches (U, B, ...); `state` may be used up.
+        """Make one update for each of the batches (U, B, ...); `state` may be used up.
 
         Returns:
             The new state, and by name metrics (U,) of each update, NaN where an update has none.
@@ -88,21 +88,21 @@ class Learner(AnyLearner[State], Protocol[State]):
 
 
 class OnPolicyLearner(AnyLearner[State], Protocol[State]):
-    """Improves a policy by rollouts of that policy; its arrays are those of JAX."""
+    """Improve a policy by rollouts of that policy; its arrays are those of JAX."""
 
     def act(self, state: State, observation: Any, key: Any) -> Decision:
-        """Decides what to do for observations (N, D); what is random follows from `key`.
+        """Decide what to do for observations (N, D); what is random follows from `key`.
 
         It may be called in functions that JAX compiles.
         """
 
     def value(self, state: State, observation: Any) -> Any:
-        """Returns the values (N,) of observations (N, D); see `act`."""
+        """The values (N,) of observations (N, D); see `act`."""
 
     def update(
         self, state: State, rollout: Rollout, rows: Any
     ) -> tuple[State, dict[str, NDArray[Any]]]:
-        """Makes one update for each of `rows` (U, B) of the T * N transitions of a rollout.
+        """Make one update for each of `rows` (U, B) of the T * N transitions of a rollout.
 
         Those of a step stand side by side. `state` may be used up.
 
@@ -134,11 +134,11 @@ class LearnerConfig:
         return cls()
 
     def check(self) -> None:
-        """Checks the options; raises a CadenzaError if one makes no sense."""
+        """Check the options; raises a CadenzaError if one makes no sense."""
         check_ranges(self, {"batch_size": (1, MAX_BATCH)})
 
     def make(self, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)) -> Any:
-        """Returns the `Learner` that these options describe, or the `OnPolicyLearner`.
+        """The `Learner` that these options describe, or the `OnPolicyLearner`.
 
         Args:
             inputs: The entries that its policy observes.
@@ -157,7 +157,7 @@ class LearnerConfig:
 
     @classmethod
     def policy_of(cls, facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Policy:
-        """Returns the policy of such a learner from its `state`, if it is no `Perceptron`.
+        """The policy of such a learner from its `state`, if it is no `Perceptron`.
 
         Raises:
             CadenzaError: there is none.
@@ -166,13 +166,13 @@ class LearnerConfig:
 
 
 def check_hidden_sizes(sizes: tuple[int, ...]) -> None:
-    """Raises a CadenzaError if there is no hidden layer, or one without a unit."""
+    """Raise a CadenzaError if there is no hidden layer, or one without a unit."""
     if not sizes or min(sizes) < 1:
         raise CadenzaError(f"hidden_sizes {sizes}: give one width per layer")
 
 
 def learner_config(name: str) -> type[LearnerConfig]:
-    """Returns the configuration of the learner of this name.
+    """The configuration of the learner of this name.
 
     Raises:
         CadenzaError: there is none. A name may come from a file, and of `module:Name` the module is
@@ -190,7 +190,7 @@ def learner_config(name: str) -> type[LearnerConfig]:
 
 
 def name_of(config: LearnerConfig) -> str:
-    """Returns the name by which `learner_config` finds the class of `config`.
+    """The name by which `learner_config` finds the class of `config`.
 
     Raises:
         CadenzaError: another process could not find it.

@@ -27,7 +27,7 @@ class MetricsLog:
         self._path = run / "metrics.jsonl"
 
     def add(self, row: Mapping[str, float]) -> None:
-        """Appends a row; a number that is not finite becomes null."""
+        """Append a row; a number that is not finite becomes null."""
         plain = {name: finite(value) for name, value in row.items()}
         with open(self._path, "ab") as file:
             file.write((json.dumps(plain) + "\n").encode())
@@ -35,7 +35,7 @@ class MetricsLog:
             os.fsync(file.fileno())  # a checkpoint counts on all rows before it
 
     def rows(self) -> list[dict[str, Any]]:
-        """Returns the rows so far, each with `step` and `seconds`.
+        """The rows so far, each with `step` and `seconds`.
 
         Half a row at the end is left out, and with a remark on standard error what is no row.
         """
@@ -61,7 +61,7 @@ class MetricsLog:
         return self._path.stat().st_size if self._path.exists() else 0
 
     def truncate(self, size: int) -> None:
-        """Drops what was written after a checkpoint: all but whole rows within `size` bytes."""
+        """Drop what was written after a checkpoint: all but whole rows within `size` bytes."""
         if not self._path.exists():
             return
         with open(self._path, "r+b") as file:
@@ -71,10 +71,10 @@ class MetricsLog:
             print(f"{self._path}: rows of metrics are missing", file=sys.stderr)
 
     def delete(self) -> None:
-        """Deletes the file."""
+        """Delete the file."""
         self._path.unlink(missing_ok=True)
 
 
 def finite(value: float) -> float | None:
-    """Returns the number, or None in place of one that JSON does not have."""
+    """The number, or None in place of one that JSON does not have."""
     return value if math.isfinite(value) else None

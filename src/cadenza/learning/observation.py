@@ -56,7 +56,7 @@ class ObservationSpec:
 
     @classmethod
     def of(cls, task: TaskSpec, residual: bool = False) -> ObservationSpec:
-        """Returns the observation of a task."""
+        """The observation of a task."""
         sizes = {name: part.stop - part.start for name, part in task.observation_layout.items()}
         own = {"previous_action": task.action_size, "previous_reward": 1}
         own["reference"] = task.action_size * residual
@@ -97,7 +97,7 @@ class Inputs:
     """The number of entries of the observation."""
 
     def __post_init__(self) -> None:
-        """Raises a CadenzaError if the indices are not ascending, or not below the total."""
+        """Raise a CadenzaError if the indices are not ascending, or not below the total."""
         if any(a >= b for a, b in pairwise((-1, *self.kept, self.total))):
             raise CadenzaError("inputs must be ascending indices below their total")
 
@@ -109,7 +109,7 @@ class GoalTable:
     """
 
     def __init__(self, task: TaskSpec) -> None:
-        """Begins with an empty table; `task` says how far ahead the score is observed."""
+        """Begin with an empty table; `task` says how far ahead the score is observed."""
         spec = ObservationSpec.of(task)
         self._num_goals = spec.goals_of_a_step
         self._num_keys, self._control_timestep = spec.key_state, task.config.control_timestep
@@ -124,7 +124,7 @@ class GoalTable:
         self._first: dict[bytes, int] = {}
 
     def add(self, track: GoalTrack) -> int:
-        """Adds what is played, unless it is there; returns the row of its first step."""
+        """Add what is played, unless it is there; returns the row of its first step."""
         goals = track.goals
         onsets = goals.onsets if self._shows_onsets else NO_ONSETS
         silence = np.zeros((self._silent_rows, self._num_bits), bool)
@@ -143,22 +143,22 @@ class GoalTable:
         return len(self._onsets_seen) > 0
 
     def add_all(self, task: PianoTask) -> None:
-        """Adds what `task` draws from."""
+        """Add what `task` draws from."""
         for track in task.tracks:
             self.add(track)
 
     def goals(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
-        """Returns what the task observes as goal from these rows (...) on, (..., len(kept))."""
+        """What the task observes as goal from these rows (...) on, (..., len(kept))."""
         bits = self._unpacked(rows[..., None] + self._ahead)
         flat = bits[..., : self._num_goals].reshape(*rows.shape, -1)
         return flat[..., kept].astype(np.float32)
 
     def fingers(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
-        """Returns the fingers (..., len(kept)) that have a key to press in these rows (...)."""
+        """The fingers (..., len(kept)) that have a key to press in these rows (...)."""
         return self._unpacked(rows)[..., self._num_goals + kept].astype(np.float32)
 
     def onsets(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
-        """Returns what the task observes of the onsets around these rows (...), (..., len(kept)).
+        """What the task observes of the onsets around these rows (...), (..., len(kept)).
 
         Those are the times, and then the velocities.
         """
@@ -184,12 +184,12 @@ class GoalTable:
         return np.unpackbits(self._rows[rows], axis=-1, count=self._num_bits)
 
     def ever_wanted(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Returns keys and pedal (K + 1,) and fingers (F,) that any row asks for."""
+        """Keys and pedal (K + 1,) and fingers (F,) that any row asks for."""
         ever = np.unpackbits(np.bitwise_or.reduce(self._rows), count=self._num_bits).astype(bool)
         return ever[: self._num_goals], ever[self._num_goals :]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Returns the table as arrays, for `restore`."""
+        """The table as arrays, for `restore`."""
         first = np.array(sorted(self._first.values()), np.int64)
         arrays: dict[str, NDArray[Any]] = {"rows": self._rows, "first": first}
         if self._shows_onsets:
@@ -202,7 +202,7 @@ class GoalTable:
         return len(self._rows) - self._silent_rows
 
     def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Restores what `arrays` returned; raises a CadenzaError if it is something else."""
+        """Restore what `arrays` returned; raises a CadenzaError if it is something else."""
         expected = {
             "rows": ArrayOf("u", ("rows", self._rows.shape[1]), needed=True),
             "first": ArrayOf(INTEGERS, ("scores",), needed=True),
@@ -231,7 +231,7 @@ def _bytes_of(bits: NDArray[np.uint8], onsets: Onsets) -> bytes:
 
 
 def pruned(spec: ObservationSpec, goals: GoalTable) -> Inputs:
-    """Returns inputs without goals of keys and fingers that no score ever asks for.
+    """Inputs without goals of keys and fingers that no score ever asks for.
 
     They are always zero, so that no weight of theirs would ever be used or change. A network
     without them begins with the same other weights.
@@ -296,7 +296,7 @@ class Observer:
         self._proprioception = slice(shown, task.observation_size)
 
     def proprioception(self, shown: Floats) -> Floats:
-        """Returns the entries (N, S) of what is `shown` (N, D) that the score does not tell."""
+        """The entries (N, S) of what is `shown` (N, D) that the score does not tell."""
         if self._ranges is not None:
             shown = shown.copy()
             shown[:, self._joints] = self._ranges.scaled(shown[:, self._joints])
@@ -315,7 +315,7 @@ class Observer:
         previous_reward: Floats,
         first: NDArray[np.bool_],
     ) -> Floats:
-        """Returns observations (..., D).
+        """Observations (..., D).
 
         Args:
             rows: (...) of the scores, that are played next.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -11,11 +12,11 @@ from numpy.typing import NDArray
 
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig
-from cadenza.learning.experience import Round, Saved
+from cadenza.learning.experience import Chunk, Round
 from cadenza.learning.learner import OnPolicyLearner
 from cadenza.learning.policy import Policy
 from cadenza.learning.rollout import Rollout
-from cadenza.learning.run_folder import Arrays, Chunk, RunFolder
+from cadenza.resumable import Arrays
 
 Array = Any  # of NumPy or of JAX
 
@@ -25,17 +26,15 @@ MAX_SEED = 2**31
 class RolloutExperience(ABC):
     """`Experience` by rollouts, on CPU cores or all on one device."""
 
-    most_bytes = None
-
     def __init__(self, config: TrainingConfig, sample_rng: np.random.Generator) -> None:
-        """Takes the options of the run, and what decides on seeds and on the order of learning."""
+        """Take the options of the run, and what decides on seeds and on the order of learning."""
         self._config, self._sample_rng = config, sample_rng
 
     @abstractmethod
     def rollout(
         self, learner: OnPolicyLearner[Any], state: Any, num_steps: int, seed: int
     ) -> tuple[Rollout, list[Finished], dict[str, float]]:
-        """Takes steps in every environment, with the policy of a learner's `state`.
+        """Take steps in every environment, with the policy of a learner's `state`.
 
         Returns:
             The rollout; the episodes that ended in it; and metrics by name.
@@ -50,17 +49,20 @@ class RolloutExperience(ABC):
         return state, metrics, finished
 
     def _rows(self) -> NDArray[np.int32]:
-        """Returns rows (U, B) of a rollout, each as often as the others but for once."""
+        """Minibatches (U, B) of rows of a rollout, each used equally often (+-1)."""
         config = self._config
         steps = config.train_freq * config.num_envs
-        wanted = config.gradient_steps * config.learner.batch_size
-        passes = -(-wanted // steps)
+        num_rows = config.gradient_steps * config.learner.batch_size
+        passes = -(-num_rows // steps)
         orders = np.concatenate([self._sample_rng.permutation(steps) for _ in range(passes)])
-        return orders[:wanted].reshape(config.gradient_steps, -1).astype(np.int32)
+        return orders[:num_rows].reshape(config.gradient_steps, -1).astype(np.int32)
 
-    def save(self, folder: RunFolder, step: int) -> tuple[Chunk, ...]:
-        """Writes nothing: the rollout has been learnt from."""
+    def save(self, step: int) -> tuple[Chunk, ...]:
+        """Write nothing: the rollout has been learnt from."""
         return ()
+
+    def drop_unneeded(self) -> None:  # noqa: B027 - the protocol's
+        """Deletes nothing, as nothing was written."""
 
 
 class HostRollouts(RolloutExperience):
@@ -96,5 +98,5 @@ class HostRollouts(RolloutExperience):
         last = learner.value(state, collector.observation)
         return Rollout._make([*parts, last]), finished, {"unstable": unstable}
 
-    def restore(self, plain: dict[str, Any], arrays: Arrays, saved: Saved) -> None:
+    def restore(self, plain: dict[str, Any], arrays: Arrays, chunks: Sequence[Chunk]) -> None:
         self._collector.restore(plain, arrays)

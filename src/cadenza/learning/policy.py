@@ -18,7 +18,7 @@ def relu(x: Floats) -> Floats:
 
 
 def gelu(x: Floats) -> Floats:
-    """Returns GELU as approximated by tanh (Hendrycks & Gimpel, GELUs, 2016)."""
+    """GELU as approximated by tanh (Hendrycks & Gimpel, GELUs, 2016)."""
     return x / 2 * (1 + np.tanh(_SQRT_2_OVER_PI * (x + np.float32(0.044715) * x**3)))
 
 
@@ -29,13 +29,13 @@ class Policy(Protocol):
     """A map from observations (N, D) to actions (N, A) in [-1, 1]."""
 
     def mode(self, observation: Floats) -> Floats:
-        """Returns the best actions (N, A), with which the policy is evaluated and plays."""
+        """The best actions (N, A), with which the policy is evaluated and plays."""
 
     def sample(self, observation: Floats, rng: np.random.Generator) -> Floats:
-        """Draws actions (N, A), with which the policy collects experience."""
+        """Draw actions (N, A), with which the policy collects experience."""
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Returns facts for JSON and arrays by name, for `LearnerConfig.policy_of`."""
+        """Facts for JSON and arrays by name, for `LearnerConfig.policy_of`."""
 
 
 class Perceptron:
@@ -50,7 +50,7 @@ class Perceptron:
         activation: Activation,
         log_std_range: tuple[float, float],
     ) -> None:
-        """Keeps the weights as they are.
+        """Keep the weights as they are.
 
         Args:
             weights: "hidden_0/kernel" (D, H), "hidden_0/bias" (H,) and so on, "mean/..." and
@@ -64,18 +64,18 @@ class Perceptron:
         self._hidden = [f"hidden_{i}" for i in range(depth)]
 
     def mode(self, observation: Floats) -> Floats:
-        """Returns the mean (N, A), squashed by tanh."""
+        """The mean (N, A), squashed by tanh."""
         return np.tanh(self._layer("mean", self._features(observation)))
 
     def sample(self, observation: Floats, rng: np.random.Generator) -> Floats:
-        """Draws actions (N, A) from the distribution."""
+        """Draw actions (N, A) from the distribution."""
         features = self._features(observation)
         mean, log_std = self._layer("mean", features), self._layer("log_std", features)
         noise = rng.standard_normal(mean.shape, np.float32)
         return np.tanh(mean + np.exp(np.clip(log_std, *self.log_std_range)) * noise)
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Returns the arguments of `__init__`."""
+        """The arguments of `__init__`."""
         facts = {"activation": self.activation, "log_std_range": self.log_std_range}
         return facts, self.weights
 

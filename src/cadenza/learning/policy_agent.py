@@ -17,7 +17,7 @@ from cadenza.tasks.view import TaskSpec, View
 
 
 class PolicyAgent(Agent):
-    """Plays the mode of a policy, in all environments at once."""
+    """Play the mode of a policy, in all environments at once."""
 
     def __init__(
         self,
@@ -48,7 +48,7 @@ class PolicyAgent(Agent):
         self._begun.update(env_ids)
 
     def act(self, view: View) -> Array:
-        """Returns the policy's actions (N, A) in actuator units.
+        """The policy's actions (N, A) in actuator units.
 
         Raises:
             CadenzaError: The task shows other things than the policy was trained to observe, or is

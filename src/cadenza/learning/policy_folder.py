@@ -10,15 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError, by_others, errors_in, quoted
-from cadenza.files import FLOATS, NUMBERS, ArrayOf, check_arrays, checked
+from cadenza.files import (
+    ANY,
+    FLOATS,
+    NUMBERS,
+    TENSORS,
+    ArrayOf,
+    check_arrays,
+    checked,
+    read_tensors,
+    write_tensors,
+)
 from cadenza.hub import Kind, fetched
 from cadenza.learning.actions import Reference
-from cadenza.learning.checksummed_folder import (
-    FILES,
-    MAX_BYTES,
-    read_checksummed,
-    write_checksummed,
-)
 from cadenza.learning.learner import learner_config
 from cadenza.learning.observation import Inputs, ObservationSpec
 from cadenza.learning.policy import Activation, Perceptron, Policy
@@ -30,8 +34,10 @@ from cadenza.scene.config import SceneConfig, check_modules
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
-_KIND = "policy"
-POLICY = Kind(_KIND, "model", FILES, MAX_BYTES)
+POLICY_FILE = f"policy{TENSORS}"
+"""The file of a policy: arrays, and facts as JSON in its header."""
+_MAX_BYTES = 2**30  # policies take a few million
+POLICY = Kind("policy", "model", (POLICY_FILE,), _MAX_BYTES)
 """A policy as the hub keeps it."""
 _FORMAT = 3
 _REFERENCE, _RANGES, _POLICY = "reference/", "ranges/", "policy/"  # begin names of arrays
@@ -88,7 +94,7 @@ _EXPECTED = _EXPECTED_OF_ALL | {
 
 @dataclass(frozen=True)
 class _Facts:
-    """The content of facts.json."""
+    """The facts in the header."""
 
     format: int
     observation: ObservationSpec
@@ -143,14 +149,14 @@ class LearntPolicy:
         return self.reference is not None
 
     def has_learnt(self, score: Score) -> bool:
-        """Returns whether it was trained on the notes and pedal of `score`, or plays any song."""
+        """Whether it was trained on the notes and pedal of `score`, or plays any song."""
         if self.score is None:
             return True
         notes = score.without_fingers().notes
         return (notes, score.pedal) == (self.score.without_fingers().notes, self.score.pedal)
 
     def check(self, name: str, task: PianoTask) -> None:
-        """Checks that the policy can play a task.
+        """Check that the policy can play a task.
 
         Raises:
             CadenzaError: The policy, which is called `name`, corrects another reference than that
@@ -172,7 +178,7 @@ class LearntPolicy:
 
 
 def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> None:
-    """Writes a policy to a folder, with remarks `about` it.
+    """Write a policy to a folder, with remarks `about` it.
 
     Raises:
         CadenzaError: there is no room; what the folder held is still there.
@@ -193,7 +199,7 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
     }
     try:
         parts = _with_prefix(_REFERENCE, learnt.reference) | _with_prefix(_RANGES, learnt.ranges)
-        write_checksummed(folder, _KIND, facts, arrays | parts)
+        write_tensors(folder / POLICY_FILE, arrays | parts, facts, _MAX_BYTES)
     except OSError as error:
         raise CadenzaError(
             f"{folder}: could not be written ({error.strerror}); make room there"
@@ -201,7 +207,7 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
 
 
 def check_is_no_run(folder: Path) -> None:
-    """Raises a CadenzaError if the folder is that of a training run, which holds policies."""
+    """Raise a CadenzaError if the folder is that of a training run, which holds policies."""
     for name, which in ("best", "best"), ("last", "latest"):
         if (folder / name).is_dir():
             raise CadenzaError(
@@ -210,15 +216,17 @@ def check_is_no_run(folder: Path) -> None:
 
 
 def load_policy(folder: str | Path) -> LearntPolicy:
-    """Reads the policy in a folder, or one of the hub, see `cadenza.hub`.
+    """Read the policy in a folder, or one of the hub, see `cadenza.hub`.
 
     Raises:
         CadenzaError: there is no policy, or not one that this version wrote, unchanged.
     """
     folder = fetched(folder, POLICY)
-    check_is_no_run(folder)
-    plain, arrays = read_checksummed(folder, _KIND)
-    where = folder / "facts.json"
+    where = folder / POLICY_FILE
+    if not where.exists():
+        check_is_no_run(folder)
+        raise CadenzaError(f"{folder}: holds no {POLICY_FILE}, so it is no policy; name another")
+    arrays, plain = read_tensors(where, ANY, _MAX_BYTES)
     if (number := plain.get("format")) != _FORMAT:
         raise CadenzaError(
             f"{folder}: this policy has format {quoted(number)}, but this version "
@@ -244,6 +252,16 @@ def load_policy(folder: str | Path) -> LearntPolicy:
     return learnt
 
 
+def remarks_on(folder: Path) -> dict[str, Any]:
+    """The remarks about a policy, such as the metrics of its evaluation.
+
+    Raises:
+        CadenzaError: There is no policy, or it is damaged.
+    """
+    facts = read_tensors(folder / POLICY_FILE, ANY, _MAX_BYTES)[1]
+    return checked(facts.get("about"), dict[str, Any], folder / POLICY_FILE)
+
+
 def _with_prefix(prefix: str, part: Reference | Ranges | None) -> dict[str, NDArray[Any]]:
     return {} if part is None else {prefix + name: a for name, a in part._asdict().items()}
 
@@ -255,7 +273,7 @@ def _without_prefix(prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, N
 def _learnt(
     facts: _Facts, score: Score | None, arrays: dict[str, NDArray[Any]]
 ) -> LearntPolicy | None:
-    """Returns the policy, or None if arrays of the reference or of the ranges are missing."""
+    """The policy, or None if arrays of the reference or of the ranges are missing."""
     reference, ranges = _without_prefix(_REFERENCE, arrays), _without_prefix(_RANGES, arrays)
     for found, kind in ((reference, Reference), (ranges, Ranges)):
         if found and found.keys() != set(kind._fields):
@@ -284,7 +302,7 @@ def _policy(facts: _Facts, arrays: dict[str, NDArray[Any]]) -> Policy:
 
 
 def _fits_together(learnt: LearntPolicy) -> bool:
-    """Returns whether the shapes of the arrays are those of the observation and the actions."""
+    """Whether the shapes of the arrays are those of the observation and the actions."""
     observation, reference, ranges = learnt.observation, learnt.reference, learnt.ranges
     actions = observation.previous_action
     try:

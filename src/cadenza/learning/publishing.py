@@ -9,8 +9,7 @@ from cadenza.demonstrations.dataset import DATASET, EPISODES, open_dataset
 from cadenza.demonstrations.summary import summarize
 from cadenza.errors import extra_packages
 from cadenza.hub import upload
-from cadenza.learning.checksummed_folder import read_checksummed
-from cadenza.learning.policy_folder import POLICY, LearntPolicy, load_policy
+from cadenza.learning.policy_folder import POLICY, LearntPolicy, load_policy, remarks_on
 
 _TAGS = ["cadenza", "piano", "robotics", "mujoco"]
 _MEASURED = {"f1": "F1", "note_onset_f1": "note onset F1"}
@@ -36,7 +35,7 @@ Recorded with [Cadenza](https://github.com/cadenza-piano/cadenza), to learn from
 
 
 def publish(folder: Path, repo: str) -> str:
-    """Uploads a policy or a dataset to the hub and returns where it is.
+    """Upload a policy or a dataset to the hub and returns where it is.
 
     Without a README.md in the folder, a card is written for it.
 
@@ -59,7 +58,7 @@ def publish(folder: Path, repo: str) -> str:
 def _policy_card(folder: Path, learnt: LearntPolicy, repo: str) -> str:
     from huggingface_hub import EvalResult, ModelCardData
 
-    about = read_checksummed(folder, POLICY.name)[0]["about"]
+    about = remarks_on(folder)
     title = "any song" if learnt.score is None else learnt.score.title or "a song"
     results = [
         EvalResult("robotics", "cadenza", title, metric, value, metric_name=name)

@@ -35,17 +35,17 @@ class Ranges(NamedTuple):
     """(2, A) [m, rad], the pedal last."""
 
     def ctrl(self, action: Floats) -> Array:
-        """Returns actions (N, A) in actuator units from those in [-1, 1], which are clipped."""
+        """Actions (N, A) in actuator units from those in [-1, 1], which are clipped."""
         return to_range(action, *self.actions)
 
     def scaled(self, joints: Floats) -> Floats:
-        """Returns joint positions (..., J) normalised to [-1, 1], beyond it where out of range."""
+        """Joint positions (..., J) normalised to [-1, 1], beyond it where out of range."""
         low, high = self.joints.astype(np.float32)
         return (joints - (high + low) / 2) / ((high - low) / 2)
 
 
 def ranges_of(task: PianoTask) -> Ranges:
-    """Returns the ranges of a task with hands.
+    """The ranges of a task with hands.
 
     Those of fingers are near their rest, those of forearms where the scores need them.
     """
@@ -75,7 +75,7 @@ def ranges_of(task: PianoTask) -> Ranges:
 
 
 def _keys_of_fingers(task: PianoTask) -> NDArray[np.bool_]:
-    """Returns where (F, K) a score wants the key from that finger, or from any."""
+    """Where (F, K) a score wants the key from that finger, or from any."""
     there = task.scene.present_fingers
     numbers = range(there.start, there.stop)
     keys = np.full((len(numbers), task.scene.keyboard.num_keys), draws_pitch(task.config))

@@ -39,7 +39,7 @@ class ReplayBuffer:
     """
 
     def __init__(self, observer: Observer, num_envs: int, capacity: int, action_size: int) -> None:
-        """Makes room for `capacity` frames of all environments together.
+        """Make room for `capacity` frames of all environments together.
 
         Raises:
             CadenzaError: there is no room for them.
@@ -67,7 +67,7 @@ class ReplayBuffer:
         }
 
     def __len__(self) -> int:
-        """Returns the number of transitions."""
+        """The number of transitions."""
         return self._size
 
     @property
@@ -79,7 +79,7 @@ class ReplayBuffer:
     def observe(
         self, env_ids: Rows, proprioception: Floats, row: Rows, first: NDArray[np.bool_]
     ) -> None:
-        """Adds a frame (E, ...) to each of these environments."""
+        """Add a frame (E, ...) to each of these environments."""
         frames, (_, length) = self._frames, self._shape
         at = (env_ids, self._count[env_ids] % length)
         self._size -= int(frames["complete"][at].sum())
@@ -94,7 +94,7 @@ class ReplayBuffer:
         frames["complete"][after] &= ~lost
 
     def act(self, action: Floats, reward: Floats, terminated: NDArray[np.bool_]) -> None:
-        """Completes the newest frame of every environment, (N, A), (N,), (N,)."""
+        """Complete the newest frame of every environment, (N, A), (N,), (N,)."""
         frames, (num_envs, length) = self._frames, self._shape
         at = (np.arange(num_envs), (self._count - 1) % length)
         frames["action"][at], frames["reward"][at] = action, reward
@@ -102,7 +102,7 @@ class ReplayBuffer:
         self._size += num_envs
 
     def sample(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Batch:
-        """Draws transitions uniformly with replacement, arrays (*shape, ...).
+        """Draw transitions uniformly with replacement, arrays (*shape, ...).
 
         Raises:
             ValueError: there is none.
@@ -155,15 +155,15 @@ class ReplayBuffer:
     # To go on later
 
     def complete_counts(self) -> Rows:
-        """Returns how many frames (N,) were ever added that will not change any more."""
+        """How many frames (N,) were ever added that will not change any more."""
         return self._count - 1
 
     def holds(self, counts: Rows) -> bool:
-        """Returns whether a frame is left that was added before there were `counts` (N,)."""
+        """Whether a frame is left that was added before there were `counts` (N,)."""
         return bool((counts > self.complete_counts() - self._shape[1]).any())
 
     def since(self, counts: Rows | int) -> dict[str, NDArray[Any]]:
-        """Returns the frames left that were completed since the environments had `counts` (N,).
+        """The frames left that were completed since the environments had `counts` (N,).
 
         They are in order of environments; `from` and `to` (N,) number them.
         """
@@ -176,7 +176,7 @@ class ReplayBuffer:
         }
 
     def restore(self, chunk: dict[str, NDArray[Any]]) -> None:
-        """Adds the frames of `since`, in its order. The newest frame is to be observed again.
+        """Add the frames of `since`, in its order. The newest frame is to be observed again.
 
         Raises:
             CadenzaError: the frames are of other environments.
@@ -200,7 +200,7 @@ class ReplayBuffer:
         self._count, self._size = to.copy(), int(self._frames["complete"].sum())
 
     def skip(self, counts: Rows) -> None:
-        """Continues after `counts` (N,) frames; those that were not restored are lost."""
+        """Continue after `counts` (N,) frames; those that were not restored are lost."""
         length, complete = self._shape[1], self._frames["complete"]
         # The last before a gap lacks the one after it.
         last = np.where(self._count < counts, self._count - 1, counts)
@@ -208,7 +208,7 @@ class ReplayBuffer:
         self._count, self._size = counts.copy(), int(complete.sum())
 
     def _places(self, start: Rows, to: Rows) -> tuple[Rows, Rows]:
-        """Returns environments and columns of the frames from `start` (N,) up to `to` (N,)."""
+        """Environments and columns of the frames from `start` (N,) up to `to` (N,)."""
         env = np.repeat(np.arange(len(to)), to - start)
         number = np.concatenate([np.arange(a, b) for a, b in zip(start, to, strict=True)])
         return env, number % self._shape[1]

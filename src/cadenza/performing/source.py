@@ -12,8 +12,13 @@ from cadenza.configs import as_config
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.files import TENSORS
 from cadenza.hub import fetched, is_on_hub
-from cadenza.learning.checksummed_folder import MANIFEST
-from cadenza.learning.policy_folder import POLICY, LearntPolicy, check_is_no_run, load_policy
+from cadenza.learning.policy_folder import (
+    POLICY,
+    POLICY_FILE,
+    LearntPolicy,
+    check_is_no_run,
+    load_policy,
+)
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.reading import name_without_ending
 from cadenza.music.libraries.bundled import songs
@@ -139,7 +144,7 @@ def _own_song(folder: Path, name: str, arrangement: Arrangement) -> Source:
             f"{name}: practice has not played the song to the end yet; run the same command again "
             "that practised there"
         )
-    if not (folder / MANIFEST).is_file():
+    if not (folder / POLICY_FILE).is_file():
         check_is_no_run(folder)
         raise CadenzaError(
             f"{name}: is a folder, but not of a policy or of practice; give a music file"

@@ -53,7 +53,6 @@ def train(
     with run.locked(), closing(begin(config, scores, run)) as training:
 
         def should_continue() -> bool:
-            training.rows.clear()  # they are in the run's folder
             progress("learning", training.step, config.num_steps)
             return True
 

@@ -74,7 +74,7 @@ class StateOnJax(ABC, Generic[State]):
 
     @abstractmethod
     def _draw_state(self, key: jax.Array) -> State:
-        """Draws the state before the first update."""
+        """Draw the state before the first update."""
 
     def init(self, seed: int) -> State:
         return self._draw(jax.random.key(seed))
@@ -96,7 +96,7 @@ class JaxLearner(StateOnJax[State]):
 
     @abstractmethod
     def _update(self, state: State, batch: Any) -> tuple[State, dict[str, Any]]:
-        """Returns the state after an update by a batch (B, ...), and the update's metrics."""
+        """The state after an update by a batch (B, ...), and the update's metrics."""
 
     def update(self, state: State, batches: Any) -> tuple[State, dict[str, Any]]:
         return self._update_all(state, batches)
@@ -105,7 +105,7 @@ class JaxLearner(StateOnJax[State]):
 def learning_rate_schedule(
     rate: float, final_fraction: float, ends: Ends
 ) -> optax.ScalarOrSchedule:
-    """Returns a learning rate that decays linearly from `rate` to a fraction of it, by updates.
+    """A learning rate that decays linearly from `rate` to a fraction of it, by updates.
 
     Each of `ends` is since which update, the first 0, and at which one the decay is to end. Where
     the end has been moved, it decays from its value at that update.
@@ -125,7 +125,7 @@ def learning_rate_schedule(
 
 
 def named_weights(layers: dict[str, dict[str, jax.Array]]) -> dict[str, NDArray[Any]]:
-    """Returns the weights of a network's layers as `Perceptron` names them."""
+    """The weights of a network's layers as `Perceptron` names them."""
     return {
         f"{layer}/{name}": np.asarray(array)
         for layer, arrays in layers.items()
@@ -134,13 +134,13 @@ def named_weights(layers: dict[str, dict[str, jax.Array]]) -> dict[str, NDArray[
 
 
 def to_arrays(state: Any) -> dict[str, NDArray[Any]]:
-    """Returns a state as arrays by name, for `from_arrays`."""
+    """A state as arrays by name, for `from_arrays`."""
     leaves = jax.tree_util.tree_flatten_with_path(state)[0]
     return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
 
 
 def from_arrays(arrays: dict[str, NDArray[Any]], like: State) -> State:
-    """Returns the state of `to_arrays`; `like` is one of the same shapes.
+    """The state of `to_arrays`; `like` is one of the same shapes.
 
     Raises:
         CadenzaError: the arrays have other names, shapes or types.

@@ -5,16 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 from cadenza.errors import CadenzaError, quoted
+from cadenza.learning.policy_folder import POLICY_FILE
 
 
 def pretrained_folder(song: str) -> Path:
-    """Returns the folder of the policy that plays a bundled song, in upper or lower case.
+    """The folder of the policy that plays a bundled song, in upper or lower case.
 
     Raises:
         CadenzaError: there is none.
     """
     here = Path(__file__).parent
-    names = sorted(path.parent.name for path in here.glob("*/manifest.json"))
+    names = sorted(path.parent.name for path in here.glob(f"*/{POLICY_FILE}"))
     for name in names:
         if name.lower() == song.lower():
             return here / name

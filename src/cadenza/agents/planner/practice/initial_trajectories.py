@@ -27,7 +27,6 @@ from cadenza.agents.planner.practice.practised_planner import PracticeResult, Pr
 from cadenza.agents.planner.practice.trajectory import Snapshots, Trajectory, WholeScene
 from cadenza.agents.planner.search.hands_in_scene import HandsInScene
 from cadenza.fingering.transitions import Costs
-from cadenza.fingers import NO_FINGER
 from cadenza.music.metrics import playing_metrics
 from cadenza.tasks.goal_track import GoalTrack
 
@@ -40,7 +39,6 @@ _MAX_ROLLOUTS = 4  # of each chunk, by hands that follow a spliced trajectory
 Parts = dict[str, dict[str, Any]]
 """The arrays of a state by part and name."""
 
-Limits = dict[str, tuple[Any, Any]]
 """The least and the greatest values by "part/name", of which `*` stands for any."""
 
 
@@ -290,17 +288,6 @@ class InitialTrajectories:
         return {
             "initial": numbers | planned.variant._asdict(),
             "spliced": variant._asdict() | trajectory._asdict(),
-        }
-
-    @property
-    def limits(self) -> Limits:
-        """The least and the greatest values of some of the parts."""
-        counts = [len(self._trajectory.ctrl), len(self._schedule)]
-        last = self._planned.plan.scene.fingers.count - 1
-        return {
-            "initial/numbers": ([0, 0], counts),
-            "*/fingers": (NO_FINGER, last),
-            "*/release_delays": (0, self._max_delay),
         }
 
     def restore(self, parts: Mapping[str, dict[str, Any]], best: Trajectory) -> None:

@@ -31,20 +31,11 @@ from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.practice.hand_practice import Attempt, Change
-from cadenza.agents.planner.practice.initial_trajectories import InitialTrajectories, Limits, Parts
+from cadenza.agents.planner.practice.initial_trajectories import InitialTrajectories, Parts
 from cadenza.agents.planner.practice.practised_planner import PracticeResult
 from cadenza.agents.planner.practice.trajectory import Snapshots, Trajectory, scene_before
 from cadenza.errors import CadenzaError
-from cadenza.files import (
-    ANY,
-    FLOATS,
-    ArrayOf,
-    Expected,
-    check_arrays,
-    first_fitting,
-    read_tensors,
-    write_tensors,
-)
+from cadenza.files import ANY, read_tensors, write_tensors
 from cadenza.music.metrics import step_metrics
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
@@ -62,7 +53,6 @@ _WINDOW = 4  # intervals that are worked on at a time
 _STRIDE = 3  # intervals from one window to the next
 _CONSEQUENCES = 2  # intervals after a window whose cost counts too
 _AROUND = 0.15  # [s] before and after a step that share its failed attempts
-_OF_A_SWEEP = "sweep", "before"  # parts of a state, saved only within one
 _MAX_BYTES = 2**32  # of a file: hours of music
 
 
@@ -360,9 +350,6 @@ class Practice:
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All that decides how practice goes on, as arrays by "part/name"."""
-        return _named(self._parts(self._sweep) | self._initial.parts())
-
-    def _parts(self, sweep: _Sweep | None) -> Parts:
         parts: Parts = {
             "practice": {
                 "history": np.reshape(self.history, (-1, 3)),
@@ -371,10 +358,14 @@ class Practice:
             },
             "best": self.trajectory._asdict(),
         }
-        if sweep:
+        if sweep := self._sweep:
             numbers = {"first": sweep.first, "until": sweep.until}
             parts |= {"sweep": numbers, "before": sweep.before._asdict()}
-        return parts
+        return {
+            f"{part}/{name}": np.array(value)
+            for part, values in (parts | self._initial.parts()).items()
+            for name, value in values.items()
+        }
 
     def save(self, path: Path) -> None:
         """Writes the state, for `restore`."""
@@ -392,34 +383,12 @@ class Practice:
                 f"{path}: is the practice of another song, or with other options or another "
                 "version of Cadenza; choose another folder with --output"
             )
-        check_arrays(arrays, self._expected(), path)
         try:
             self._restore(arrays)
         except (LookupError, OverflowError, TypeError, ValueError) as error:
             raise CadenzaError(
-                f"{path}: damaged, parts of it are missing; delete it to practise from the start"
+                f"{path}: parts of it are missing; delete it to practise from the start"
             ) from error
-
-    def _expected(self) -> Expected:
-        """The arrays that `state` may hold."""
-        sweep = _Sweep(0, np.zeros(self.num_steps), self.trajectory)
-        everything = _named(self._parts(sweep) | self._initial.parts())
-        limits: Limits = {
-            "practice/numbers": (0, np.inf),
-            "practice/num_failed": (0, np.inf),
-            "sweep/first": (0, self.num_steps - 1),
-            **self._initial.limits,
-        }
-        return {
-            name: ArrayOf(
-                kind := values.dtype.kind,
-                values.shape,
-                needed=name.partition("/")[0] not in _OF_A_SWEEP,
-                finite=kind in FLOATS,
-                within=first_fitting(name, limits),
-            )
-            for name, values in everything.items()
-        } | {"practice/history": ArrayOf(FLOATS, ("sweeps", 3), needed=True, finite=True)}
 
     def _restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         parts: Parts = defaultdict(dict)
@@ -446,15 +415,6 @@ class Practice:
         _, self._snapshots = scene.roll_out(
             self.trajectory, known, first, first + self._reach, self._interval
         )
-
-
-def _named(parts: Parts) -> dict[str, NDArray[Any]]:
-    """The arrays of all parts by "part/name"."""
-    return {
-        f"{part}/{name}": np.array(value)
-        for part, values in parts.items()
-        for name, value in values.items()
-    }
 
 
 def _digest(plan: SongPlan, start: Array, seed: int, config: PlannerConfig) -> str:

@@ -28,7 +28,7 @@ class CloningConfig(LearnerConfig):
     """Fraction of the learning rate that is left at the end. It decays linearly."""
 
     def check(self) -> None:
-        """Checks the hyperparameters; raises a CadenzaError if one makes no sense."""
+        """Check the hyperparameters; raises a CadenzaError if one makes no sense."""
         super().check()
         check_ranges(self, {"final_learning_rate_fraction": (0, 1)})
         check_hidden_sizes(self.hidden_sizes)

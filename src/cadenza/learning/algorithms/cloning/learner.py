@@ -57,7 +57,7 @@ class Cloning(JaxLearner[CloningState]):
     def __init__(
         self, config: CloningConfig, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
     ) -> None:
-        """Builds the actor and its optimiser; nothing is drawn yet.
+        """Build the actor and its optimiser; nothing is drawn yet.
 
         Args:
             config: the hyperparameters.
@@ -76,11 +76,11 @@ class Cloning(JaxLearner[CloningState]):
         return CloningState(params, self._optimizer.init(params))
 
     def error(self, state: CloningState, examples: Examples) -> float:
-        """Returns the mean squared error on examples (B, ...)."""
+        """The mean squared error on examples (B, ...)."""
         return float(self._loss(state.params, examples))
 
     def policy(self, state: CloningState) -> Perceptron:
-        """Returns the policy, whose samples are its modes."""
+        """The policy, whose samples are its modes."""
         weights = named_weights(state.params)
         weights["log_std/kernel"] = np.zeros_like(weights["mean/kernel"])
         weights["log_std/bias"] = np.full_like(weights["mean/bias"], _LOG_STD)

@@ -62,7 +62,7 @@ class DroQConfig(LearnerConfig):
 
     @classmethod
     def preset(cls, name: Preset, residual: bool) -> Self:
-        """Returns the hyperparameters of a preset.
+        """The hyperparameters of a preset.
 
         The preset fast has a low initial temperature, as one of 1 takes tens of thousands of
         updates to fall. A `residual` policy is nearly right from the start: it gets smaller steps
@@ -93,7 +93,7 @@ class DroQConfig(LearnerConfig):
         )
 
     def check(self) -> None:
-        """Checks the hyperparameters; raises a CadenzaError if one makes no sense."""
+        """Check the hyperparameters; raises a CadenzaError if one makes no sense."""
         super().check()
         rates = ("discount", "tau", "actor_ema", "final_learning_rate_fraction")
         check_ranges(

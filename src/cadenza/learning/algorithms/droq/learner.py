@@ -47,7 +47,7 @@ class DroQState(NamedTuple):
 
 
 def actor_weights(actor: Params) -> dict[str, NDArray[np.float32]]:
-    """Returns the weights of an actor by the names that `Perceptron` gives them."""
+    """The weights of an actor by the names that `Perceptron` gives them."""
     heads = {name: actor[name] for name in ("mean", "log_std")}
     return named_weights(actor["HiddenLayers_0"] | heads)
 
@@ -55,7 +55,7 @@ def actor_weights(actor: Params) -> dict[str, NDArray[np.float32]]:
 def adam(
     config: DroQConfig, learning_rate: float, ends: Ends, every: int = 1
 ) -> optax.GradientTransformation:
-    """Returns Adam that steps once in `every` updates, so its schedule is as much shorter."""
+    """Adam that steps once in `every` updates, so its schedule is as much shorter."""
     ends = tuple((-(-begin // every), -(-end // every)) for begin, end in ends)
     rate = learning_rate_schedule(learning_rate, config.final_learning_rate_fraction, ends)
     return optax.adam(rate, config.adam_beta1, config.adam_beta2)
@@ -71,7 +71,7 @@ class DroQ(JaxLearner[DroQState]):
     def __init__(
         self, config: DroQConfig, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
     ) -> None:
-        """Builds the networks and their optimisers; nothing is drawn yet.
+        """Build the networks and their optimisers; nothing is drawn yet.
 
         Args:
             config: The hyperparameters.
@@ -96,7 +96,7 @@ class DroQ(JaxLearner[DroQState]):
         self._critic_optimizer = adam(config, config.critic_learning_rate, ends)
 
     def _draw_state(self, key: jax.Array) -> DroQState:
-        """Draws the weights; the target critics and the average begin as copies."""
+        """Draw the weights; the target critics and the average begin as copies."""
         config = self._config
         key, actor_key, *critic_keys = jax.random.split(key, 2 + config.num_critics)
         observation = jnp.zeros((1, self._num_inputs))
@@ -121,11 +121,11 @@ class DroQ(JaxLearner[DroQState]):
         )
 
     def policy(self, state: DroQState) -> Perceptron:
-        """Returns the policy of the averaged actor."""
+        """The policy of the averaged actor."""
         return self._policy(state.actor_ema)
 
     def behavior_policy(self, state: DroQState) -> Perceptron:
-        """Returns the policy of the latest actor."""
+        """The policy of the latest actor."""
         return self._policy(state.actor)
 
     def _policy(self, actor: Params) -> Perceptron:
@@ -134,7 +134,7 @@ class DroQ(JaxLearner[DroQState]):
         return Perceptron(actor_weights(actor), config.activation, log_std_range)
 
     def _update(self, state: DroQState, batch: Batch) -> tuple[DroQState, Metrics]:
-        """Updates the critics, and once in `policy_delay` times the actor and the temperature."""
+        """Update the critics, and once in `policy_delay` times the actor and the temperature."""
         key, critic_key, actor_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
         state, critic_metrics = self._update_critics(state, batch, critic_key)
         state, actor_metrics = jax.lax.cond(
@@ -209,7 +209,7 @@ class DroQ(JaxLearner[DroQState]):
     def _sample(
         self, actor: Params, observation: Any, key: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Draws actions (B, A) with log pi (B,), as in SAC's appendix on action bounds."""
+        """Draw actions (B, A) with log pi (B,), as in SAC's appendix on action bounds."""
         mean, log_std = self._actor.apply({"params": actor}, observation)
         noise = jax.random.normal(key, mean.shape)
         u = mean + jnp.exp(log_std) * noise
@@ -221,7 +221,7 @@ class DroQ(JaxLearner[DroQState]):
     def _q_values(
         self, critics: tuple[Params, ...], observation: Any, action: Any, key: jax.Array
     ) -> jax.Array:
-        """Returns Q-values (C, B) of each critic, with dropout, as everywhere in DroQ."""
+        """Q-values (C, B) of each critic, with dropout, as everywhere in DroQ."""
         # One after the other: products of stacked matrices take a little longer on a CPU.
         keys = jax.random.split(key, len(critics))
         q_values = [

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -46,7 +46,8 @@ from cadenza.learning.algorithms.generalist.hand_networks import (
     initial_layers,
 )
 from cadenza.learning.algorithms.on_jax import start_jax
-from cadenza.learning.checkpointed_run import Arrays, CheckpointedRun
+from cadenza.learning.checkpointed_run import CheckpointedRun
+from cadenza.resumable import Arrays
 from cadenza.scene.scene import Scene, hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
@@ -62,7 +63,7 @@ _EXAMPLES: Expected = {
 
 
 class Examples(NamedTuple):
-    """Steps of recorded episodes, for either hand."""
+    """Step of recorded episodes, for either hand."""
 
     inputs: Array
     """(N, D) what networks see of a hand."""
@@ -70,20 +71,10 @@ class Examples(NamedTuple):
     """(N, A) of the plan, by the planner."""
 
 
-@dataclass(frozen=True)
-class _Manifest:
-    """The content of run.json."""
-
-    config: GeneralistCloningConfig
-    demonstrations: tuple[str, ...]
-    episodes: tuple[str, ...]
-
-
 class GeneralistCloning(CheckpointedRun):
     """A run that fits networks; an update fits one perceptron of an ensemble."""
 
     command: ClassVar[str] = "cadenza generalist clone"
-    expected: ClassVar[Expected] = {"*": ArrayOf(FLOATS, None, finite=True)}
 
     def __init__(
         self,
@@ -92,7 +83,7 @@ class GeneralistCloning(CheckpointedRun):
         folder: Path,
         progress: Progress = silent,
     ) -> None:
-        """Resumes the run in `folder`, if there is one.
+        """Resume the run in `folder`, if there is one.
 
         Args:
             config: its options.
@@ -105,19 +96,18 @@ class GeneralistCloning(CheckpointedRun):
                 few, or the folder holds a run with other options.
         """
         config.check()
-        updates = len(NETWORKS) * _ENSEMBLE
-        super().__init__(folder, updates, config.checkpoint_interval, config.seed)
+        updates, rng = len(NETWORKS) * _ENSEMBLE, np.random.default_rng(config.seed)
+        super().__init__(self.folder_at(folder), updates, config.checkpoint_interval, rng)
         start_jax()
         self.config = config
         demonstrations = [dataset_folder(place) for place in demonstrations]
         episodes = [episode for place in demonstrations for episode in kept(place)]
         scene = Dataset(episodes).scene  # or says which do not go together
-        self.folder.check_complete(self.has_checkpoint)
-        places = tuple(str(place.resolve()) for place in demonstrations)
-        names = tuple(episode.folder.name for episode in episodes)
+        places = [str(place.resolve()) for place in demonstrations]
+        names = [episode.folder.name for episode in episodes]
         self._songs = self._examples_by_song(episodes, progress)
-        known = self.folder.known(_Manifest)
-        self.folder.begin_or_continue(_Manifest(config, places, names), known)
+        manifest = {"config": asdict(config), "demonstrations": places, "episodes": names}
+        self.folder.begin_or_continue(manifest)
         alone = hand_alone(scene, scene.sides[0]).scene
         self._inputs, servos = InputLayout.of(alone), servos_of(alone).finger
         self._sizes, self._parts = (len(self._inputs.finger), len(servos)), hand_parts(alone)
@@ -143,7 +133,7 @@ class GeneralistCloning(CheckpointedRun):
         return [_joined(of_song) for of_song in songs.values()]
 
     def _learn(self) -> dict[str, Any]:
-        network, left_out = divmod(self.update, _ENSEMBLE)
+        network, left_out = divmod(self.step, _ENSEMBLE)
         inputs, servos = self._parts[network]
         mean, std = self._normalisation(inputs, servos)
 
@@ -160,11 +150,11 @@ class GeneralistCloning(CheckpointedRun):
         previous = np.append(self._inputs.previous, [False] * len(CONSTANTS))[inputs[0]]
         layers, explained = fit(train, validation, previous, self.config, left_out)
         self._layers.append(layers)
-        self.update += 1
+        self.step += 1
         return {"train/explained_variance": explained}
 
     def _normalisation(self, inputs: Array, servos: Array) -> tuple[Array, Array]:
-        """Returns mean and standard deviation (I,) of what a network sees."""
+        """Mean and standard deviation (I,) of what a network sees."""
         seen = _of_parts(self._songs, inputs, servos).inputs
         std = seen.std(axis=0)
         return seen.mean(axis=0), np.where(std < _MIN_STD, 1.0, std)
@@ -177,7 +167,7 @@ class GeneralistCloning(CheckpointedRun):
             for kind, array in zip(("kernel", "bias"), layer, strict=True)
         }
 
-    def _restore(self, arrays: Arrays) -> None:
+    def _restore(self, facts: dict[str, Any], arrays: Arrays) -> None:
         depth = len(self.config.hidden_sizes) + 1
         self._layers = [
             [(arrays[f"{i}:kernel{j}"], arrays[f"{i}:bias{j}"]) for j in range(depth)]
@@ -204,7 +194,7 @@ def fit(
     config: GeneralistCloningConfig,
     seed: int,
 ) -> tuple[Layers, float]:
-    """Fits a perceptron; returns its layers and the share of the squared corrections it explains.
+    """Fit a perceptron; returns its layers and the share of the squared corrections it explains.
 
     AdamW (Loshchilov & Hutter, Decoupled Weight Decay Regularization, 2019) with dropout and early
     stopping. Inputs that are the `previous` correction (I,) are often hidden: what the planner did
@@ -247,7 +237,7 @@ def fit(
 
 @lru_cache
 def _adamw(config: GeneralistCloningConfig) -> tuple[Any, Any]:
-    """Returns the initial state of AdamW as a function of layers, and an update; compiled once."""
+    """The initial state of AdamW as a function of layers, and an update; compiled once."""
     adam = optax.scale_by_adam(), optax.add_decayed_weights(config.weight_decay)
     optimizer = optax.chain(*adam)  # its learning rate is an argument of each update
 
@@ -270,7 +260,7 @@ def _adamw(config: GeneralistCloningConfig) -> tuple[Any, Any]:
 
 
 def _predicted(layers: Layers, x: Array) -> Array:
-    """Returns outputs (B, O) of a perceptron for x (B, I), without JAX."""
+    """Outputs (B, O) of a perceptron for x (B, I), without JAX."""
     for kernel, bias in layers[:-1]:
         x = np.maximum(x @ np.asarray(kernel[0]) + np.asarray(bias[0]), 0.0)
     kernel, bias = layers[-1]
@@ -278,7 +268,7 @@ def _predicted(layers: Layers, x: Array) -> Array:
 
 
 def examples_of(recorded: RecordedEpisode) -> Examples:
-    """Returns the examples of an episode.
+    """The examples of an episode.
 
     Raises:
         CadenzaError: its plan was made by another version.
@@ -303,14 +293,14 @@ def examples_of(recorded: RecordedEpisode) -> Examples:
 
 
 def _state_of(rows: Array, zeros: State, scene: Scene) -> State:
-    """Returns the recorded part of a state."""
+    """The recorded part of a state."""
     names = ("hand_qpos", "hand_qvel", "fingertip_xpos")
     known: Any = {name: rows[name].astype(np.float64) for name in names}
     return zeros._replace(**known, key_qpos=rows["key_state"] * scene.keyboard.travel)
 
 
 def _cached_examples(recorded: RecordedEpisode, folder: Path) -> Examples:
-    """Returns the examples of an episode, which are made once and kept in a folder."""
+    """The examples of an episode, which are made once and kept in a folder."""
     files = hashlib.sha256("".join(recorded.facts.files.values()).encode()).hexdigest()
     path = folder / f"{recorded.folder.name}-{files[:12]}.npz"
     if path.exists():
@@ -326,7 +316,7 @@ def _joined(examples: Sequence[Examples]) -> Examples:
 
 
 def _of_parts(songs: Sequence[Examples], inputs: Array, servos: Array) -> Examples:
-    """Returns examples of parts of a hand, with their `inputs` (M, I) and `servos` (M, O)."""
+    """Examples of parts of a hand, with their `inputs` (M, I) and `servos` (M, O)."""
     examples = _joined(songs)
     constants = np.broadcast_to(CONSTANTS, (len(examples.inputs), len(CONSTANTS)))
     seen = np.concatenate([examples.inputs, constants], axis=1)
@@ -335,7 +325,7 @@ def _of_parts(songs: Sequence[Examples], inputs: Array, servos: Array) -> Exampl
 
 
 def hand_parts(alone: Scene) -> list[tuple[Array, Array]]:
-    """Returns inputs (M, I) and servos (M, O) of each `Network` of a hand alone in a scene."""
+    """Inputs (M, I) and servos (M, O) of each `Network` of a hand alone in a scene."""
     about, servos = InputLayout.of(alone), servos_of(alone).finger
     size, fingers = len(about.finger), np.unique(servos[servos >= 0])
     zero, one = size, size + 1  # `CONSTANTS`

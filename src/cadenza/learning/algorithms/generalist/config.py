@@ -31,7 +31,7 @@ class _RunConfig:
     """Random seed, also of which songs are drawn."""
 
     def check(self) -> None:
-        """Checks the options; raises a CadenzaError if one makes no sense."""
+        """Check the options; raises a CadenzaError if one makes no sense."""
         check_ranges(self, {name: r for name, r in _RANGES.items() if hasattr(self, name)})
 
 

@@ -7,16 +7,17 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, ClassVar
+
+import numpy as np
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.generalist.generalist import shipped_for
 from cadenza.agents.planner.search.networks.inputs import sizes_of
 from cadenza.agents.planner.search.networks.weights import Weights
 from cadenza.errors import CadenzaError
-from cadenza.files import NUMBERS, ArrayOf, Expected, plain, sha256_of
+from cadenza.files import sha256_of
 from cadenza.learning.algorithms.generalist.config import ExcerptConfig
 from cadenza.learning.algorithms.generalist.excerpts import ExcerptEnvs, planned_excerpts
 from cadenza.learning.algorithms.on_jax import start_jax
@@ -25,23 +26,11 @@ from cadenza.music.score import Score
 from cadenza.scene.scene import Scene, build_scene
 
 
-@dataclass(frozen=True)
-class _Manifest:
-    """The content of run.json."""
-
-    config: dict[str, Any]
-    library: str
-    weights: str
-    """SHA-256 of the networks to begin with; empty for those of Cadenza."""
-
-
 class ExcerptRun(CheckpointedRun):
     """A run of training on excerpts; when it is resumed, they begin anew.
 
     Another `num_rounds` changes its end.
     """
-
-    expected: ClassVar[Expected] = {"*": ArrayOf(NUMBERS, None)}
 
     def __init__(
         self,
@@ -52,7 +41,7 @@ class ExcerptRun(CheckpointedRun):
         weights: Path | None = None,
         progress: Progress = silent,
     ) -> None:
-        """Resumes the run in `folder`, if there is one.
+        """Resume the run in `folder`, if there is one.
 
         Args:
             config: its options.
@@ -69,16 +58,16 @@ class ExcerptRun(CheckpointedRun):
         config.check()
         if not scores:
             raise CadenzaError(f"{library}: no songs to play")
-        super().__init__(folder, config.num_rounds, config.checkpoint_interval, config.seed)
+        rng = np.random.default_rng(config.seed)
+        interval = config.checkpoint_interval
+        super().__init__(self.folder_at(folder), config.num_rounds, interval, rng)
         start_jax()
         self.config, scene = config, build_scene()
         initial = _initial_weights(scene, weights)
-        digest = "" if weights is None else sha256_of(weights)
-        manifest = _Manifest(plain(asdict(config)), library, digest)
-        self.folder.check_complete(self.has_checkpoint)
-        if (known := self.folder.known(_Manifest)) is not None:
-            known = replace(known, config=known.config | {"num_rounds": config.num_rounds})
-        self.folder.begin_or_continue(manifest, known)
+        options = asdict(config)
+        manifest = {"num_rounds": options.pop("num_rounds"), "config": options, "library": library}
+        manifest["weights"] = None if weights is None else sha256_of(weights)
+        self.folder.begin_or_continue(manifest, changeable=("num_rounds",))
         self._prepare(initial, scene)
         self.resume()
         if not self.finished:
@@ -87,11 +76,11 @@ class ExcerptRun(CheckpointedRun):
 
     @abstractmethod
     def _prepare(self, initial: Weights, scene: Scene) -> None:
-        """Begins with these networks, before a checkpoint is restored."""
+        """Begin with these networks, before a checkpoint is restored."""
 
 
 def _initial_weights(scene: Scene, path: Path | None) -> Weights:
-    """Returns the networks of a file, by default those of Cadenza for the hands of a scene.
+    """The networks of a file, by default those of Cadenza for the hands of a scene.
 
     Raises:
         CadenzaError: they are of other hands, or the file is damaged.

@@ -68,11 +68,11 @@ class FingerCosts:
         self._top = scene.keyboard.centre[:, 2] + scene.keyboard.half_size[:, 2]
 
     def holds(self, step: int, key: int) -> bool:
-        """Returns whether the plan holds a key down after a step."""
+        """Whether the plan holds a key down after a step."""
         return step < self.num_steps and bool(self._held[step, key])
 
     def after(self, step: int, state: State, sounded: Array) -> tuple[Array, Array]:
-        """Returns costs (F,) of the fingers after a step, and the keys (K,) that sound.
+        """Costs (F,) of the fingers after a step, and the keys (K,) that sound.
 
         Args:
             step: The step of the song.
@@ -118,21 +118,21 @@ class StrikesOfPlan(NamedTuple):
 
     @classmethod
     def of(cls, plan: SongPlan, held: Array) -> StrikesOfPlan:
-        """Takes the strikes of keys that the plan holds, as `held` (T, K) says."""
+        """Take the strikes of keys that the plan holds, as `held` (T, K) says."""
         step, key, time, speed = plan.strikes
         wanted = np.column_stack([time, np.log2(speed)])
         rows = held[step, key]
         return cls(step[rows], key[rows], plan.goals.fingers[step, key][rows], wanted[rows])
 
     def at(self, step: int) -> Iterator[tuple[int, int, Array]]:
-        """Yields the key, the finger and what is wanted of each strike of a step."""
+        """Yield the key, the finger and what is wanted of each strike of a step."""
         rows = slice(*np.searchsorted(self.step, [step, step + 1]))
         yield from zip(
             self.key[rows].tolist(), self.finger[rows].tolist(), self.wanted[rows], strict=True
         )
 
     def costs(self, step: int, state: State) -> tuple[Array, Array]:
-        """Returns fingers (M,) that strike in a step, and the costs (M,) of how they did."""
+        """Fingers (M,) that strike in a step, and the costs (M,) of how they did."""
         rows = slice(*np.searchsorted(self.step, [step, step + 1]))
         key = self.key[rows]
         outcome = np.column_stack([state.key_onset[0, key], as_heard(state.key_speed[0, key])])
@@ -149,7 +149,7 @@ class Excerpt(NamedTuple):
 
 
 def planned_excerpts(scores: Sequence[Score], progress: Progress = silent) -> list[Excerpt]:
-    """Plans each of the scores for the hands and the keyboard of the default scene."""
+    """Plan each of the scores for the hands and the keyboard of the default scene."""
     excerpts, config = [], TaskConfig(repeats="shortened")
     for i, score in enumerate(scores):
         progress("plans", i, len(scores))
@@ -162,7 +162,7 @@ def planned_excerpts(scores: Sequence[Score], progress: Progress = silent) -> li
 
 
 def with_dynamics(score: Score, rng: np.random.Generator) -> Score:
-    """Returns the score with velocities from soft to loud, which rise and fall, drawn at random.
+    """The score with velocities from soft to loud, which rise and fall, drawn at random.
 
     Many files of music have the same velocity throughout.
     """
@@ -201,19 +201,19 @@ class ExcerptEpisode:
         return self._total / self.step
 
     def inputs(self, state: State) -> Array:
-        """Returns inputs (H, D) of the networks in a state of one simulation."""
+        """Inputs (H, D) of the networks in a state of one simulation."""
         inputs, self._planned = self.hands.observe(self.step, state)
         return inputs
 
     def ctrl(self, corrections: Array, touch: Array | None) -> Array:
-        """Returns controls (H A,) of a step with corrections (H, A) and touches (H, F, 2)."""
+        """Controls (H A,) of a step with corrections (H, A) and touches (H, F, 2)."""
         planned = self._planned
         if touch is not None:
             planned, corrections = self.hands.touched(self.step, planned, corrections, touch)
         return self.hands.corrected(planned, corrections)
 
     def costs(self, state: State) -> Array:
-        """Returns costs (H, F) of the fingers of each hand in the step that led to a state."""
+        """Costs (H, F) of the fingers of each hand in the step that led to a state."""
         costs, self._sounding = self.excerpt.costs.after(self.step, state, self._sounding)
         self.step += 1
         self._total += float(costs.sum())
@@ -251,7 +251,7 @@ class ExcerptEnvs:
         self.episodes = [self._next_episode(i) for i in range(num_envs)]
 
     def rollout(self, policy: Callable[[Array], Array], steps: int, noise: float) -> Rollout:
-        """Plays the next steps, with Gaussian noise added to the policy's corrections (N, A)."""
+        """Play the next steps, with Gaussian noise added to the policy's corrections (N, A)."""
         inputs, corrections, rewards, ends = [self.inputs()], [], [], []
         for _ in range(steps):
             mean = policy(inputs[-1])
@@ -264,11 +264,11 @@ class ExcerptEnvs:
         return Rollout(*map(np.array, (inputs, corrections, rewards, ends)))
 
     def inputs(self) -> Array:
-        """Returns the inputs (N, D) of the networks for the hands of all simulations."""
+        """The inputs (N, D) of the networks for the hands of all simulations."""
         return np.concatenate([e.inputs(self._state(i)) for i, e in enumerate(self.episodes)])
 
     def step(self, corrections: Array, touch: Array | None = None) -> tuple[State, Array, Array]:
-        """Takes a step with corrections (N, A), and touches (N, F, 2) of fingers that strike.
+        """Take a step with corrections (N, A), and touches (N, F, 2) of fingers that strike.
 
         Returns:
             The state after it, costs (N, F) of the fingers, and which excerpts (E,) are over. Other

@@ -27,7 +27,7 @@ OUTPUT_SCALE = 0.1 * np.sqrt(2)  # of a policy's last layer: it begins with smal
 def initial_layers(
     sizes: Sequence[int], rng: np.random.Generator, output_scale: float = np.sqrt(2)
 ) -> Layers:
-    """Draws layers (1, I, O) of rectified units (He et al., Delving Deep into Rectifiers, 2015)."""
+    """Draw layers (1, I, O) of rectified units (He et al., Delving Deep into Rectifiers, 2015)."""
     gains = [np.sqrt(2)] * (len(sizes) - 2) + [output_scale]
     return [
         (
@@ -39,7 +39,7 @@ def initial_layers(
 
 
 def forward(layers: Layers, x: Any, dropout: float = 0.0, key: Any = None) -> Any:
-    """Returns outputs (N, B, O) for x (1, B, I), with dropout of hidden units given a `key`."""
+    """Outputs (N, B, O) for x (1, B, I), with dropout of hidden units given a `key`."""
     for i, (kernel, bias) in enumerate(layers):
         if i:
             x = jax.nn.relu(x)
@@ -51,7 +51,7 @@ def forward(layers: Layers, x: Any, dropout: float = 0.0, key: Any = None) -> An
 
 
 def hand_outputs(layers: Layers, network: Network, inputs: Any) -> Any:
-    """Returns outputs (B, M, O) for the M parts a network serves, from hands' inputs (B, D).
+    """Outputs (B, M, O) for the M parts a network serves, from hands' inputs (B, D).
 
     `layers` take the place of the network's own.
     """
@@ -63,6 +63,6 @@ def hand_outputs(layers: Layers, network: Network, inputs: Any) -> Any:
 
 
 def with_layers(network: Network, layers: Layers) -> Network:
-    """Returns the network with other layers."""
+    """The network with other layers."""
     kernels, biases = (tuple(map(np.asarray, each)) for each in zip(*layers, strict=True))
     return network._replace(kernels=kernels, biases=biases)

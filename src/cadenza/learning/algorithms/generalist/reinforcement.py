@@ -29,7 +29,7 @@ from cadenza.learning.algorithms.generalist.hand_networks import (
 )
 from cadenza.learning.algorithms.on_jax import from_arrays, to_arrays
 from cadenza.learning.algorithms.ppo.learner import clipped_objective, gae
-from cadenza.learning.checkpointed_run import Arrays
+from cadenza.resumable import Arrays
 from cadenza.scene.scene import Scene, hand_alone
 from cadenza.scene.servos import servos_of
 
@@ -57,7 +57,7 @@ class HandPPO:
         scene: Scene,
         rng: np.random.Generator,
     ) -> None:
-        """Builds the optimisers; nothing is drawn yet.
+        """Build the optimisers; nothing is drawn yet.
 
         Args:
             config: the hyperparameters.
@@ -86,7 +86,7 @@ class HandPPO:
         self._value_step = jax.jit(self._step(self._value_optimizer, self._value_loss))
 
     def init(self) -> PPOState:
-        """Returns the state with the layers of the weights; the value functions are drawn."""
+        """The state with the layers of the weights; the value functions are drawn."""
         networks = self._weights.networks
         policy = [list(zip(each.kernels, each.biases, strict=True)) for each in networks]
         values = [
@@ -96,12 +96,12 @@ class HandPPO:
         return PPOState(policy, policy, values, *opt_states)
 
     def weights(self, state: PPOState) -> Weights:
-        """Returns the averaged networks; touches that were learnt for others are left out."""
+        """The averaged networks; touches that were learnt for others are left out."""
         networks = map(with_layers, self._weights.networks, state.policy_ema)
         return self._weights._replace(networks=tuple(networks), striking=())
 
     def update(self, state: PPOState, rollout: Rollout, values_only: bool) -> PPOState:
-        """Updates value functions, and unless `values_only` networks, by a rollout."""
+        """Update value functions, and unless `values_only` networks, by a rollout."""
         config = self._config
         inputs = rollout.inputs.reshape(-1, rollout.inputs.shape[-1])
         values = np.asarray(self._jitted_values(state.values, inputs))
@@ -141,7 +141,7 @@ class HandPPO:
         return step
 
     def _corrections(self, policy: list[Layers], inputs: Any) -> Any:
-        """Returns corrections (N, A) for inputs (N, D)."""
+        """Corrections (N, A) for inputs (N, D)."""
         corrections = jnp.zeros((len(inputs), len(self._part_of_servo)))
         for layers, network in zip(policy, self._weights.networks, strict=True):
             outputs = hand_outputs(layers, network, inputs)
@@ -149,7 +149,7 @@ class HandPPO:
         return corrections
 
     def _values(self, layers: list[Layers], inputs: Any) -> Any:
-        """Returns values (N, F) of the fingers for inputs (N, D)."""
+        """Values (N, F) of the fingers for inputs (N, D)."""
         values = jnp.zeros((len(inputs), self._num_fingers))
         networks = zip(layers, self._weights.networks[1:], self._fingers[1:], strict=True)
         for own, network, fingers in networks:
@@ -157,7 +157,7 @@ class HandPPO:
         return values
 
     def _log_prob(self, policy: list[Layers], inputs: Any, corrections: Any) -> Any:
-        """Returns log probabilities (N, 1 + F) of each part's corrections, up to a constant."""
+        """Log probabilities (N, 1 + F) of each part's corrections, up to a constant."""
         z = (corrections - self._corrections(policy, inputs)) / self._config.noise
         return -0.5 * jnp.square(z) @ self._part_of_servo
 
@@ -169,7 +169,7 @@ class HandPPO:
         old_log_prob: Any,
         advantages: Any,
     ) -> Any:
-        """Returns the negative clipped surrogate objective, summed over the parts of a hand."""
+        """The negative clipped surrogate objective, summed over the parts of a hand."""
         log_ratio = self._log_prob(policy, inputs, corrections) - old_log_prob
         objective = clipped_objective(log_ratio, advantages, self._config.clip)
         return -objective.sum(axis=1).mean()
@@ -179,7 +179,7 @@ class HandPPO:
 
 
 def _normalised(advantages: Array) -> Array:
-    """Returns normalised advantages (T, N, 1 + F) of the whole hand and each of its fingers.
+    """Normalised advantages (T, N, 1 + F) of the whole hand and each of its fingers.
 
     That of the hand is the sum of those (T, N, F) of its fingers.
     """
@@ -201,9 +201,9 @@ class GeneralistReinforcement(ExcerptRun):
     def _learn(self) -> dict[str, Any]:
         config = self.config
         rollout = self._envs.rollout(self._policy, config.rollout_steps, config.noise)
-        values_only = self.update < config.value_warmup
+        values_only = self.step < config.value_warmup
         self._state = self._ppo.update(self._state, rollout, values_only)
-        self.update += 1
+        self.step += 1
         return {"train/cost": float(-rollout.rewards.sum(axis=2).mean())}
 
     def _policy(self, inputs: Array) -> Array:
@@ -212,7 +212,7 @@ class GeneralistReinforcement(ExcerptRun):
     def _arrays(self) -> Arrays:
         return to_arrays(self._state)
 
-    def _restore(self, arrays: Arrays) -> None:
+    def _restore(self, facts: dict[str, Any], arrays: Arrays) -> None:
         self._state = from_arrays(arrays, self._state)
 
     def _save_result(self) -> None:

@@ -35,7 +35,7 @@ from cadenza.learning.algorithms.generalist.hand_networks import (
     initial_layers,
     with_layers,
 )
-from cadenza.learning.checkpointed_run import Arrays
+from cadenza.resumable import Arrays
 from cadenza.scene.scene import Scene, hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
@@ -93,7 +93,7 @@ class _Step(NamedTuple):
 
 
 def play(envs: ExcerptEnvs, weights: Weights, steps: int, rng: np.random.Generator) -> Strikes:
-    """Plays steps with touches drawn around those of the networks; returns their strikes.
+    """Play steps with touches drawn around those of the networks; returns their strikes.
 
     Raises:
         CadenzaError: there were none.
@@ -115,7 +115,7 @@ def play(envs: ExcerptEnvs, weights: Weights, steps: int, rng: np.random.Generat
 
 
 def _drawn(weights: Weights, inputs: Array, striking: Array, rng: np.random.Generator) -> Array:
-    """Draws touches (N, F, 2) of hands with inputs (N, D), 0 for fingers that do not strike."""
+    """Draw touches (N, F, 2) of hands with inputs (N, D), 0 for fingers that do not strike."""
     touch = np.zeros((*striking.shape, 2))
     if weights.striking:
         touch += weights.touch(inputs)
@@ -128,7 +128,7 @@ def _drawn(weights: Weights, inputs: Array, striking: Array, rng: np.random.Gene
 
 
 def _strikes(before: _Step, now: _Step, after: _Step) -> list[Any]:
-    """Returns the strikes of a step, as the rows of `Strikes`."""
+    """The strikes of a step, as the rows of `Strikes`."""
     rows, hands, near = [], len(now.touch) // len(now.episodes), (before, now, after)
     for i, episode in enumerate(now.episodes):
         if any(each.episodes[i] is not episode for each in near):
@@ -163,13 +163,13 @@ class _Part(NamedTuple):
 
 
 class TouchFit:
-    """Fits a critic of strikes, and by it a network for touches, to the strikes of some fingers."""
+    """Fit a critic of strikes, and by it a network for touches, to the strikes of some fingers."""
 
     def __init__(self, config: GeneralistStrikingConfig, rng: np.random.Generator) -> None:
         self._config, self._rng = config, rng
 
     def fit(self, of: Network, fingers: Array, strikes: Strikes) -> tuple[Network, float]:
-        """Returns the network for touches, and the mean cost that the critics predict with it.
+        """The network for touches, and the mean cost that the critics predict with it.
 
         Args:
             of: The network of the same fingers, which sees the same.
@@ -191,7 +191,7 @@ class TouchFit:
     def _descend(
         self, layers: Layers, loss: Any, part: _Part, rate: float, decay: float, hide: bool = False
     ) -> Layers:
-        """Returns layers after some epochs of AdamW, with some inputs hidden if that is wanted."""
+        """Layers after some epochs of AdamW, with some inputs hidden if that is wanted."""
         config, rng = self._config, self._rng
         batches = max(len(part.seen) // config.batch_size, 1)
         schedule = optax.cosine_decay_schedule(rate, config.num_epochs * batches)
@@ -217,7 +217,7 @@ class TouchFit:
 
 
 def _part(of: Network, fingers: Array, strikes: Strikes) -> tuple[_Part, Array, Array]:
-    """Returns the strikes of some fingers, and mean and standard deviation (I,) of their inputs."""
+    """The strikes of some fingers, and mean and standard deviation (I,) of their inputs."""
     mine = np.isin(strikes.finger, fingers)
     own = Strikes._make(values[mine] for values in strikes)
     constants = np.broadcast_to(CONSTANTS, (len(own.inputs), len(CONSTANTS)))
@@ -243,7 +243,7 @@ def _ensemble(sizes: Sequence[int], rng: np.random.Generator, scale: float) -> L
 
 
 def _predicted(critics: Layers, seen: Any, touch: Any) -> Any:
-    """Returns (C, R, 5) outcomes, normalised, and logits of whether keys sound, by C critics."""
+    """(C, R, 5) outcomes, normalised, and logits of whether keys sound, by C critics."""
     return forward(critics, jnp.concatenate([seen, touch], axis=1)[None])
 
 
@@ -293,7 +293,7 @@ class GeneralistStriking(ExcerptRun):
         parts = zip(self._weights.networks[1:], self._fingers, strict=True)
         networks, costs = zip(*(fit.fit(*part, strikes) for part in parts), strict=True)
         self._weights = self._weights._replace(striking=networks)
-        self.update += 1
+        self.step += 1
         return {"train/cost": float(np.mean(costs))}
 
     def _arrays(self) -> Arrays:
@@ -304,7 +304,7 @@ class GeneralistStriking(ExcerptRun):
         }
         return arrays | self._weights.arrays
 
-    def _restore(self, arrays: Arrays) -> None:
+    def _restore(self, facts: dict[str, Any], arrays: Arrays) -> None:
         self._played = [
             Strikes(*(arrays[f"{i}:{name}"] for name in Strikes._fields))
             for i in range(sum(name.endswith(":finger") for name in arrays))

@@ -55,7 +55,7 @@ class PPOConfig(LearnerConfig):
     """Gradients are scaled down to this norm."""
 
     def check(self) -> None:
-        """Checks the hyperparameters; raises a CadenzaError if one makes no sense."""
+        """Check the hyperparameters; raises a CadenzaError if one makes no sense."""
         super().check()
         check_ranges(self, dict.fromkeys(("discount", "gae_lambda"), (0, 1)))
         weights = ("value_coefficient", "entropy_coefficient")

@@ -114,7 +114,7 @@ class PPO(StateOnJax[PPOState]):
     def __init__(
         self, config: PPOConfig, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
     ) -> None:
-        """Builds the network and its optimiser; nothing is drawn yet.
+        """Build the network and its optimiser; nothing is drawn yet.
 
         Args:
             config: the hyperparameters.
@@ -139,7 +139,7 @@ class PPO(StateOnJax[PPOState]):
         return PPOState(params, self._optimizer.init(params), rate, normalisation)
 
     def policy(self, state: PPOState) -> Perceptron:
-        """Returns the policy; its first layer normalises."""
+        """The policy; its first layer normalises."""
         layers = {
             name.removeprefix("actor_").replace("out", "mean"): layer
             for name, layer in state.params.items()
@@ -160,7 +160,7 @@ class PPO(StateOnJax[PPOState]):
     def update(
         self, state: PPOState, rollout: Rollout, rows: Array
     ) -> tuple[PPOState, dict[str, Array]]:
-        """Makes an update for each of the `rows` (U, B) of a rollout; see `OnPolicyLearner`."""
+        """Make an update for each of the `rows` (U, B) of a rollout; see `OnPolicyLearner`."""
         return self._learn_all(state, rollout, rows)
 
     def _outputs(self, params: Params, normalisation: Normalisation, observation: Array) -> Any:
@@ -231,7 +231,7 @@ class PPO(StateOnJax[PPOState]):
 
 
 def gae(rewards: Array, values: Array, ended: Array, discount: float, gae_lambda: float) -> Array:
-    """Returns generalised advantage estimates (T, N, ...).
+    """Generalised advantage estimates (T, N, ...).
 
     Schulman et al., High-Dimensional Continuous Control Using Generalized Advantage Estimation,
     2016.
@@ -258,7 +258,7 @@ def gae(rewards: Array, values: Array, ended: Array, discount: float, gae_lambda
 
 
 def clipped_objective(log_ratio: Array, advantage: Array, clip: float) -> Array:
-    """Returns PPO's clipped surrogate objective of each transition, to be maximised.
+    """PPO's clipped surrogate objective of each transition, to be maximised.
 
     Args:
         log_ratio: log of the ratio of the new to the old probability.
@@ -270,7 +270,7 @@ def clipped_objective(log_ratio: Array, advantage: Array, clip: float) -> Array:
 
 
 def _log_prob(action: Array, mean: Array, std: Array) -> Array:
-    """Returns the log probability (...) of what was drawn (..., A), before tanh."""
+    """The log probability (...) of what was drawn (..., A), before tanh."""
     z = (action - mean) / std
     return (-0.5 * z**2 - jnp.log(std) - 0.5 * jnp.log(2 * jnp.pi)).sum(axis=-1)
 

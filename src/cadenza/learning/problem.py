@@ -1,0 +1,89 @@
+"""What a run of training has to learn: songs as a task, what is observed, and how actions act."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from cadenza.learning.actions import ActionMapping, Reference, reference_of
+from cadenza.learning.config import TrainingConfig, check
+from cadenza.learning.observation import GoalTable, Inputs, ObservationSpec, Observer, pruned
+from cadenza.learning.ranges import Ranges, ranges_of
+from cadenza.music.score import Score
+from cadenza.scene.config import SceneConfig
+from cadenza.sim.threads import available_cores
+from cadenza.tasks.augmentation import draws_pitch
+from cadenza.tasks.piano_task import PianoTask
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The songs of a run and the environments that play them."""
+
+    config: TrainingConfig
+    scores: tuple[Score, ...]
+    """The songs, of which each episode draws one."""
+    task: PianoTask
+    """The environments in C, or one of them where policies learn on a device."""
+    goals: GoalTable
+    observation: ObservationSpec
+    inputs: Inputs
+    """The entries of the observation that the policy is given."""
+    reference: Reference | None
+    """The plan that a residual policy corrects."""
+    ranges: Ranges | None
+    """The scale of joints and actions, if not the task's."""
+
+    @property
+    def scene(self) -> SceneConfig:
+        """The scene in which policies are evaluated: what is learnt on a GPU plays in C."""
+        return replace(self.config.scene, engine="c")
+
+    @property
+    def mapping(self) -> ActionMapping:
+        """The map from the policy's actions to controls."""
+        return ActionMapping(self.task.spec, self.reference, self.ranges)
+
+    @property
+    def observer(self) -> Observer:
+        """The maker of the policy's observations."""
+        reference = self.mapping.reference
+        return Observer(self.task.spec, self.goals, self.inputs, reference, self.ranges)
+
+    def alone(self, score: Score) -> PianoTask:
+        """One environment that plays one of the songs, for evaluations."""
+        return PianoTask([score], self.config.task, self.scene)
+
+
+def problem_of(config: TrainingConfig, scores: Sequence[Score]) -> Problem:
+    """What a run with these options has to learn; whoever asks for it closes its task.
+
+    Raises:
+        CadenzaError: A song cannot be played, or an option makes no sense.
+    """
+    check(config)
+    scores = tuple(score.without_fingers() if config.residual else score for score in scores)
+    on_policy, on_device = config.learner.on_policy, config.scene.engine == "warp"
+    num_envs = 1 if on_device else config.num_envs
+    threads = available_cores() if on_policy else 1
+    scene = replace(config.scene, engine="c")
+    task = PianoTask(scores, config.task, scene, num_envs, threads)
+    goals = GoalTable(task.spec)
+    goals.add_all(task)
+    observation = ObservationSpec.of(task.spec, config.residual)
+    prune = config.prune_inputs and not draws_pitch(config.task)  # asks for the same keys
+    inputs = pruned(observation, goals) if prune else observation.inputs
+    if on_policy:  # rollouts need not tell what an action led to: the state does
+        layout = observation.layout
+        previous = range(layout["previous_action"].start, layout["previous_reward"].stop)
+        inputs = Inputs(tuple(i for i in inputs.kept if i not in previous), inputs.total)
+    return Problem(
+        config,
+        scores,
+        task,
+        goals,
+        observation,
+        inputs,
+        reference=reference_of(task) if config.residual else None,
+        ranges=ranges_of(task) if config.song_range and task.scene.sides else None,
+    )
