@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from cadenza.cli import main, train
-from cadenza.learning import training
+from cadenza.learning import problem
 from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.run_folder import RunFolder
 from cadenza.music.formats.midi import write_midi
@@ -279,7 +279,7 @@ def test_a_run_that_is_stopped_at_once_can_go_on(
     folder = tmp_path / "run"
     with monkeypatch.context() as patch:
         if when == "while it is made":
-            patch.setattr(training, "reference_of", interrupted)
+            patch.setattr(problem, "reference_of", interrupted)
         else:
             patch.setattr(train, "stop_on_signal", at_once)
         with pytest.raises(SystemExit) as stop:

@@ -82,7 +82,7 @@ class CheckpointedRun(ABC):
 
     @abstractmethod
     def _learn(self) -> Row | None:
-        """Make one or more steps and counts them; returns metrics, if it is time for a row."""
+        """Make one or more steps and count them; return metrics, if it is time for a row."""
 
     @abstractmethod
     def _arrays(self) -> Arrays:

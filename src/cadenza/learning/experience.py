@@ -48,7 +48,7 @@ class Experience(Protocol):
         """Begin an episode in every environment."""
 
     def round(self, learner: Any, state: Any, policy: Policy, step: int) -> Round:
-        """Take `train_freq` control steps in every environment, and makes updates.
+        """Take `train_freq` control steps in every environment, and make updates.
 
         Args:
             learner: the learner.

@@ -35,7 +35,7 @@ Recorded with [Cadenza](https://github.com/cadenza-piano/cadenza), to learn from
 
 
 def publish(folder: Path, repo: str) -> str:
-    """Upload a policy or a dataset to the hub and returns where it is.
+    """Upload a policy or a dataset to the hub and return where it is.
 
     Without a README.md in the folder, a card is written for it.
 

@@ -1,4 +1,4 @@
-"""Trains a policy for a song or for several, to be stopped and resumed at any moment."""
+"""Train a policy for a song or for several, to be stopped and resumed at any moment."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class Training(CheckpointedRun):
         return before // interval != self.step // interval
 
     def _round(self) -> None:
-        """Collect experience, and learns from it.
+        """Collect experience, and learn from it.
 
         Raises:
             CadenzaError: The policy is no longer finite.
@@ -202,7 +202,7 @@ class Training(CheckpointedRun):
         return {"eval_step": step} | row, learnt
 
     def _finish_evaluation(self) -> None:
-        """Wait for the running evaluation and saves its policy if it is the best so far."""
+        """Wait for the running evaluation and save its policy if it is the best so far."""
         if self._evaluation is None:
             return
         row, learnt = self._evaluation.result()

@@ -15,7 +15,7 @@ from cadenza.learning.observation import Inputs
 
 
 class Dropout(nn.Module):
-    """Sets a share `rate` of its inputs to zero and scales the others up.
+    """Set a share `rate` of its inputs to zero and scale the others up.
 
     It is `flax.linen.Dropout` with other random bits: MurmurHash3's finaliser (A. Appleby) of the
     entry's index, with a new key each time. Better bits took a sixth of an update.
