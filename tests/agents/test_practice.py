@@ -376,7 +376,7 @@ def test_a_damaged_state_is_refused(practised: Practice, tmp_path: Path) -> None
         practice().restore(path)
 
 
-@pytest.mark.parametrize("lost", ["spliced/fingers", "initial/release_delays"])
+@pytest.mark.parametrize("lost", ["spliced/fingers", "practice/numbers", "best/ctrl"])
 def test_practice_with_parts_missing_is_refused(lost: str, tmp_path: Path) -> None:
     begun = practice()
     begun.run(EFFORT, on_and_off(1))
