@@ -313,7 +313,7 @@ def test_plays_as_it_has_rehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_keeps_no_change_that_makes_it_worse(monkeypatch: pytest.MonkeyPatch) -> None:
-    score = load_score("CanonInDOpening").beginning(3.0)
+    score = load_score("CanonInDOpening").beginning(6.0)
     changed = actions(score, GeneralistConfig(rehearsals=1))
     hardly = lambda off, *others: 1e-9 * control_update(off, *others)  # noqa: E731
     monkeypatch.setattr(hand_rehearsal, "control_update", hardly)
