@@ -166,29 +166,53 @@ def played_order(bars: Sequence[Signs]) -> Iterator[tuple[int, int]]:
     to the coda leads there, and a fine to what follows the jump, which is another movement, if
     anything. A sign whose goal is missing has no effect, see `without_goal`.
     """
-    jumps, sections = _Jumps(bars), _sections(bars)
+    goals, sections = _Goals(bars), _sections(bars)
     at, turn = 0, 1  # the bar, and the number of the pass through its section
+    first, returned = 0, -1  # bar of the movement; bar from which the latest jump led back, if any
+    goes_to_coda = False  # whether a sign to the coda is followed
+    jumped = set[int]()  # bars whose jump back was taken
+    played = Counter[int]()  # how often bars were played
     while at < len(bars):
         signs = bars[at]
         section = sections[bisect_right(sections, at, key=lambda each: each.begin) - 1]
-        begin, end, turns = section.begin, section.end, section.turns
-        if at <= jumps.returned and not section.after_jump:
-            turn = turns
+        if at <= returned and not section.after_jump:
+            turn = section.turns
         if not signs.ending or turn in signs.ending:
             yield at, turn
-            is_last = turn == max(signs.ending, default=turns)
-            if is_last and signs.fine and jumps.returned >= 0:
-                at, turn = jumps.end(at), 1
+            is_last = turn == max(signs.ending, default=section.turns)
+            if is_last and signs.fine and returned >= 0:
+                if at > returned:
+                    return
+                at = first = returned + 1
+                turn, returned, goes_to_coda = 1, -1, False
                 continue
-            if (goal := jumps.goal(at, is_last)) is not None:
+            played[at] += 1
+            goal = None
+            if _is_on(signs.to_coda_on, played[at], is_last and goes_to_coda):
+                goal = goals.of_coda(at)
+                goes_to_coda &= goal is None
+            is_next = is_last and at not in jumped
+            if goal is None and _is_on(signs.returns_on, played[at], is_next):
+                jumped.add(at)
+                goal = goals.of_return(at, first)
+                if goal is not None:
+                    returned, goes_to_coda = at, True
+            if goal is not None:
                 at, turn = goal, 1
                 continue
-            bracket_ends = signs.ending and (at + 1 == end or bars[at + 1].ending != signs.ending)
-            if turn < turns and (signs.times > 1 or bracket_ends):
-                at, turn = begin, turn + 1
+            bracket_ends = signs.ending and (
+                at + 1 == section.end or bars[at + 1].ending != signs.ending
+            )
+            if turn < section.turns and (signs.times > 1 or bracket_ends):
+                at, turn = section.begin, turn + 1
                 continue
         at += 1
-        turn = 1 if at == end else turn
+        turn = 1 if at == section.end else turn
+
+
+def _is_on(times: frozenset[int], time: int, otherwise: bool) -> bool:
+    """Whether something is done at a time: one of the `times`, if it says any."""
+    return time in times if times else otherwise
 
 
 def without_goal(bars: Sequence[Signs]) -> int:
@@ -199,48 +223,6 @@ def without_goal(bars: Sequence[Signs]) -> int:
         + (signs.to_coda is not None and goals.of_coda(at) is None)
         for at, signs in enumerate(bars)
     )
-
-
-class _Jumps:
-    """The jumps taken so far; the latest led back from the bar `returned`, -1 for none."""
-
-    def __init__(self, bars: Sequence[Signs]) -> None:
-        self.returned = -1
-        self._bars = bars
-        self._goals = _Goals(bars)
-        self._to_coda = False  # whether a sign to the coda is followed
-        self._taken: set[int] = set()  # bars whose jump back was
-        self._played = Counter[int]()  # how often bars were
-        self._begin, self._end = 0, len(bars)  # of the movement, and of all
-
-    def goal(self, at: int, is_last: bool) -> int | None:
-        """Take the jump at the end of a bar; None if there is none to be taken now.
-
-        Args:
-            at: the bar.
-            is_last: whether this is the last pass through its section.
-        """
-        self._played[at] += 1
-        signs, time = self._bars[at], self._played[at]
-        is_on = time in signs.to_coda_on if signs.to_coda_on else is_last and self._to_coda
-        if is_on and (coda := self._goals.of_coda(at)) is not None:
-            self._to_coda = False
-            return coda
-        is_on = time in signs.returns_on if signs.returns_on else is_last and at not in self._taken
-        if not is_on:
-            return None
-        self._taken.add(at)
-        goal = self._goals.of_return(at, self._begin)
-        if goal is not None:
-            self.returned, self._to_coda = at, True
-        return goal
-
-    def end(self, at: int) -> int:
-        """End the movement at a fine; where the next begins."""
-        if at > self.returned:
-            return self._end
-        self._begin, self.returned, self._to_coda = self.returned + 1, -1, False
-        return self._begin
 
 
 class _Goals:

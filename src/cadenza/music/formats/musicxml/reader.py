@@ -205,6 +205,14 @@ def _remarks(
     """Yield remarks on what is left out or changed."""
     lost = without_goal([bar.signs for bar in bars])
     unplayed = len(bars) - len({passage.index for passage in passages})
+    repeats = sum(sign.get("type") == "start" for sign in root.iter("measure-repeat"))
+    lines = (*root.iter("glissando"), *root.iter("slide"))
+    slides = sum(line.get("type") == "start" for line in lines)
+    sounds = [
+        sound
+        for sound in root.iter("sound")
+        if passes_of(sound) and (len(sound) or not JUMPS.issuperset(sound.keys()))
+    ]
     yield from counted_remarks(
         (
             (counts["fingering"], "unreadable fingering", "left out"),
@@ -216,7 +224,12 @@ def _remarks(
             (counts["slash"], "note", "that a slash stands for left out"),
             (counts["other staff"], "note", "of an ossia, or on a staff for reference, left out"),
             (counts["unreadable"], "note", "with an unreadable <step> or <octave> left out"),
-            *_unread(root),
+            (repeats, "bar-repeat sign", "left out"),
+            (sostenuto_words(root), "sostenuto pedal", "left out, as only words tell of it"),
+            (len(sounds), "sound", "for single passes left out"),
+            (sum(1 for _ in root.iter("harmony")), "chord symbol", "left out"),
+            (sum(1 for _ in root.iter("figured-bass")), "figured bass", "left out"),
+            (slides, "glissando", "left out"),
             (lost, "jump", "without a segno or coda to go to left out"),
             (unplayed, "bar", "passed over by all repeats and jumps"),
         )
@@ -279,17 +292,3 @@ def _silence(listed: Element, part: Element, elements: Iterable[Placed]) -> Call
         return "silent" if begun and changes[begun - 1][1] == 0 else ""
 
     return silence
-
-
-def _unread(root: Element) -> Iterator[tuple[int, str, str]]:
-    """Yield the numbers of signs that are left out, what they are, and that they are."""
-    repeats = sum(sign.get("type") == "start" for sign in root.iter("measure-repeat"))
-    yield repeats, "bar-repeat sign", "left out"
-    yield sostenuto_words(root), "sostenuto pedal", "left out, as only words tell of it"
-    of_passes = (sound for sound in root.iter("sound") if passes_of(sound))
-    count = sum(len(sound) > 0 or not JUMPS.issuperset(sound.keys()) for sound in of_passes)
-    yield count, "sound", "for single passes left out"
-    yield sum(1 for _ in root.iter("harmony")), "chord symbol", "left out"
-    yield sum(1 for _ in root.iter("figured-bass")), "figured bass", "left out"
-    slides = (*root.iter("glissando"), *root.iter("slide"))
-    yield sum(each.get("type") == "start" for each in slides), "glissando", "left out"
