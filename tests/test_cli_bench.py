@@ -18,7 +18,7 @@ import pytest
 
 from cadenza.cli import main
 from cadenza.evaluation.bench import BenchState
-from cadenza.evaluation.jobs import Job, JobSpec
+from cadenza.evaluation.jobs import BenchJob, JobSpec
 from cadenza.evaluation.results import BenchResults, read_results
 from cadenza.evaluation.run_status import read_progress
 from cadenza.learning.config import preset
@@ -144,7 +144,7 @@ def test_a_policy_plays_as_it_was_trained_unless_told_otherwise(
 ) -> None:
     planned: dict[str, JobSpec] = {}
 
-    def plan(jobs: list[Job], *_: object) -> BenchState:
+    def plan(jobs: list[BenchJob], *_: object) -> BenchState:
         planned.update({job.spec.agent: job.spec for job in jobs})
         return BenchState(folder, 0)
 
@@ -168,7 +168,7 @@ def test_other_weights_in_the_same_file_are_another_run(
 ) -> None:
     weights, planned = tmp_path / "weights.npz", list[JobSpec]()
 
-    def plan(jobs: list[Job], *_: object) -> BenchState:
+    def plan(jobs: list[BenchJob], *_: object) -> BenchState:
         planned.append(jobs[0].spec)
         return BenchState(folder, 0)
 
@@ -281,7 +281,7 @@ def test_rows_of_the_table_tell_runs_apart(
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     (folder / "songs" / "60.mid").rename(folder / "songs" / f"{'long-' * 20}60.mid")
 
-    def watched(jobs: list[Job], *others: Any) -> BenchState:
+    def watched(jobs: list[BenchJob], *others: Any) -> BenchState:
         state = BenchState(folder, 0, running={job.spec.name: job for job in jobs})
         others[3](state)
         return state

@@ -10,10 +10,10 @@ import pytest
 from cadenza.agents.planner.plan.hand_goals import HandGoals, last_in_time, may_begin
 from cadenza.agents.planner.plan.song_plan import plan_song
 from cadenza.agents.planner.practice.losses import (
-    Evaluation,
     KeyEvents,
     KeyHistory,
     Losses,
+    StepLoss,
 )
 from cadenza.music.metrics import playing_metrics
 from cadenza.music.score import Note, Score
@@ -111,7 +111,7 @@ def test_a_strike_loses_by_its_time_and_speed_but_less_than_a_key_or_an_onset() 
     step, before = int(strikes.step[0]), KeyHistory.of_steps(np.zeros((0, 88), bool))
     angles = plan.goals.keys[step] * keyboard.travel
 
-    def evaluated(late: float = 0.0, louder: float = 1.0, keys: slice = slice(None)) -> Evaluation:
+    def evaluated(late: float = 0.0, louder: float = 1.0, keys: slice = slice(None)) -> StepLoss:
         onset, speed = NO_EVENTS.onset.copy(), NO_EVENTS.speed.copy()
         onset[strikes.key], speed[strikes.key] = strikes.time, strikes.speed
         onset[KEY] += late

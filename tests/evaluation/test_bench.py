@@ -12,7 +12,7 @@ import pytest
 
 from cadenza.errors import CadenzaWarning
 from cadenza.evaluation.bench import BenchState, Ended, bench
-from cadenza.evaluation.jobs import Contender, Job, bench_jobs
+from cadenza.evaluation.jobs import BenchJob, Contender, bench_jobs
 from cadenza.evaluation.results import RESULT, read_results
 from cadenza.evaluation.run import carry_out
 from cadenza.evaluation.run_status import write_failure
@@ -35,7 +35,7 @@ class OneByOne:
         self._instead = list(instead)
         self._ended: list[Ended] = []
 
-    def start(self, job: Job, folder: Path) -> None:
+    def start(self, job: BenchJob, folder: Path) -> None:
         self.begun.append(job.spec.agent)
         instead = self._instead.pop(0) if self._instead else None
         if instead is None:
@@ -54,12 +54,12 @@ class OneByOne:
 
 
 @pytest.fixture
-def jobs(tmp_path: Path) -> Callable[..., list[Job]]:
+def jobs(tmp_path: Path) -> Callable[..., list[BenchJob]]:
     """Runs of agents with a song of one note."""
     write_midi(Score((Note(0.0, 0.2, 60),)), tmp_path / "songs" / "song.mid")
     library = open_library(tmp_path / "songs")
 
-    def make(*agents: str, **task: Any) -> list[Job]:
+    def make(*agents: str, **task: Any) -> list[BenchJob]:
         who = [Contender(agent, TaskConfig(**task), SceneConfig()) for agent in agents]
         return bench_jobs(library, lambda _: who, [0], Arrangement(), "none")
 
@@ -67,7 +67,7 @@ def jobs(tmp_path: Path) -> Callable[..., list[Job]]:
 
 
 def carried_out(
-    jobs: list[Job], folder: Path, instead: Sequence[Ended | None] = (), retry: bool = False
+    jobs: list[BenchJob], folder: Path, instead: Sequence[Ended | None] = (), retry: bool = False
 ) -> tuple[BenchState, list[str]]:
     """Returns the state at the end, and which agents began."""
     executor, told = OneByOne(instead), list[str]()
@@ -90,7 +90,7 @@ def test_a_song_that_cannot_be_read_is_left_out_with_a_line(tmp_path: Path) -> N
 
 
 def test_a_folder_is_extended_and_what_is_finished_never_done_again(
-    jobs: Callable[..., list[Job]], tmp_path: Path
+    jobs: Callable[..., list[BenchJob]], tmp_path: Path
 ) -> None:
     assert carried_out(jobs("zero"), tmp_path)[1] == ["zero"]
     assert carried_out(jobs("zero"), tmp_path)[1] == []
@@ -100,7 +100,7 @@ def test_a_folder_is_extended_and_what_is_finished_never_done_again(
 
 
 def test_what_has_finished_before_it_was_stopped_counts(
-    jobs: Callable[..., list[Job]], tmp_path: Path
+    jobs: Callable[..., list[BenchJob]], tmp_path: Path
 ) -> None:
     class LateNews(OneByOne):
         def ended(self, seconds: float) -> list[Ended]:
@@ -113,7 +113,7 @@ def test_what_has_finished_before_it_was_stopped_counts(
 
 
 def test_what_failed_is_told_and_carried_out_again_on_demand(
-    jobs: Callable[..., list[Job]], tmp_path: Path
+    jobs: Callable[..., list[BenchJob]], tmp_path: Path
 ) -> None:
     both = jobs("bench_agents:Raises", "zero")
     for begun in ["bench_agents:Raises", "zero"], []:
@@ -127,7 +127,7 @@ def test_what_failed_is_told_and_carried_out_again_on_demand(
 
 
 def after_a_result_that_was_not_good_enough(
-    job: Job, folder: Path, executor: OneByOne
+    job: BenchJob, folder: Path, executor: OneByOne
 ) -> BenchState:
     """Returns the state after a run is carried out again."""
     run = folder / "runs" / job.spec.name
@@ -139,10 +139,10 @@ def after_a_result_that_was_not_good_enough(
 
 
 def test_what_fails_now_counts_as_failed_whatever_it_has_left_before(
-    jobs: Callable[..., list[Job]], tmp_path: Path
+    jobs: Callable[..., list[BenchJob]], tmp_path: Path
 ) -> None:
     class Fails(OneByOne):
-        def start(self, job: Job, folder: Path) -> None:
+        def start(self, job: BenchJob, folder: Path) -> None:
             write_failure(folder, "not today")
             self._ended.append(Ended(job))
 
@@ -152,10 +152,10 @@ def test_what_fails_now_counts_as_failed_whatever_it_has_left_before(
 
 
 def test_a_process_that_dies_is_not_saved_by_a_result_that_was_not_good_enough(
-    jobs: Callable[..., list[Job]], tmp_path: Path
+    jobs: Callable[..., list[BenchJob]], tmp_path: Path
 ) -> None:
     class Dies(OneByOne):
-        def start(self, job: Job, folder: Path) -> None:
+        def start(self, job: BenchJob, folder: Path) -> None:
             self._ended.append(Ended(job, "killed"))
 
     (job,) = jobs("zero")
@@ -163,7 +163,7 @@ def test_a_process_that_dies_is_not_saved_by_a_result_that_was_not_good_enough(
     assert (state.finished, list(state.failed)) == (0, [job.spec.name])
 
 
-def test_songs_may_have_long_names(jobs: Callable[..., list[Job]]) -> None:
+def test_songs_may_have_long_names(jobs: Callable[..., list[BenchJob]]) -> None:
     (job,) = jobs("zero")
     name = replace(job.spec, song="songs/" + "\N{KATAKANA LETTER A}" * 78).name
     assert len(name.encode()) < 200
@@ -171,7 +171,7 @@ def test_songs_may_have_long_names(jobs: Callable[..., list[Job]]) -> None:
 
 
 def test_a_run_whose_process_dies_is_taken_up_again_but_not_forever(
-    jobs: Callable[..., list[Job]], tmp_path: Path
+    jobs: Callable[..., list[BenchJob]], tmp_path: Path
 ) -> None:
     dies, vanishes, lives = three = jobs("zero", "random", "bench_agents:Still")
     killed, gone = Ended(dies, "killed"), Ended(vanishes)
@@ -184,7 +184,7 @@ def test_a_run_whose_process_dies_is_taken_up_again_but_not_forever(
 
 
 def test_what_a_run_before_has_left_may_be_corrupt(
-    jobs: Callable[..., list[Job]], tmp_path: Path
+    jobs: Callable[..., list[BenchJob]], tmp_path: Path
 ) -> None:
     (job,) = jobs("zero")
     failed = tmp_path / "runs" / job.spec.name / "failed.json"
@@ -195,7 +195,7 @@ def test_what_a_run_before_has_left_may_be_corrupt(
 
 
 def test_a_run_of_others_is_waited_for_and_taken_up_if_they_give_up(
-    jobs: Callable[..., list[Job]], tmp_path: Path
+    jobs: Callable[..., list[BenchJob]], tmp_path: Path
 ) -> None:
     (job,) = jobs("zero")
     looks = 0
@@ -215,7 +215,7 @@ def test_a_run_of_others_is_waited_for_and_taken_up_if_they_give_up(
 
 
 def test_a_song_that_has_changed_since_is_told(
-    jobs: Callable[..., list[Job]], tmp_path: Path
+    jobs: Callable[..., list[BenchJob]], tmp_path: Path
 ) -> None:
     planned = jobs("zero")
     write_midi(Score((Note(0.0, 0.2, 62),)), tmp_path / "songs" / "song.mid")
@@ -224,7 +224,7 @@ def test_a_song_that_has_changed_since_is_told(
 
 
 def test_pages_of_finished_runs_are_made_from_their_files(
-    jobs: Callable[..., list[Job]], tmp_path: Path
+    jobs: Callable[..., list[BenchJob]], tmp_path: Path
 ) -> None:
     (job,) = jobs("random", random_stretch=0.5)
     paged = replace(job, page=True)
@@ -246,7 +246,7 @@ def test_pages_of_finished_runs_are_made_from_their_files(
 
 
 def test_a_run_of_which_no_page_can_be_made_keeps_its_result(
-    jobs: Callable[..., list[Job]], tmp_path: Path
+    jobs: Callable[..., list[BenchJob]], tmp_path: Path
 ) -> None:
     (job,) = jobs("zero")
     carried_out([job], tmp_path)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.jobs import Contender, Job, JobSpec, bench_jobs, songs_of
+from cadenza.evaluation.jobs import BenchJob, Contender, JobSpec, bench_jobs, songs_of
 from cadenza.evaluation.results import read_results, write_plan
 from cadenza.evaluation.run import carry_out, is_complete
 from cadenza.music.arrangement import Arrangement
@@ -21,10 +21,10 @@ from cadenza.tasks.config import TaskConfig
 SCALE = Library("debug", (find_song("CMajorScaleOneHand"),))
 
 
-def job(agent: str = "zero", seed: int = 0, page: bool = False, seconds: float = 0.4) -> Job:
+def job(agent: str = "zero", seed: int = 0, page: bool = False, seconds: float = 0.4) -> BenchJob:
     ((song, digest),), beginning = songs_of(SCALE), Arrangement(first_seconds=seconds)
     spec = JobSpec(song.name, digest, agent, seed, TaskConfig(), SceneConfig(), beginning)
-    return Job(spec, song, page)
+    return BenchJob(spec, song, page)
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ from cadenza.learning.on_policy import HostRollouts
 from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.problem import problem_of
 from cadenza.learning.ranges import ranges_of
-from cadenza.learning.rollout import Rollout
+from cadenza.learning.rollout import EnvRollout
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import Training, begin
 from cadenza.music.score import Score
@@ -143,7 +143,7 @@ def test_a_contextual_bandit_is_solved() -> None:
         action, log_prob, value = (np.stack(p) for p in zip(*decisions, strict=True))
         reward = -((np.tanh(action) - observation / 2) ** 2)[..., 0]
         ended, zero = np.ones((4, 64), bool), np.zeros((4, 64), np.float32)
-        rollout = Rollout(observation, action, log_prob, value, reward, ended, zero, zero[0])
+        rollout = EnvRollout(observation, action, log_prob, value, reward, ended, zero, zero[0])
         rows = np.concatenate([rng.permutation(256) for _ in range(4)]).reshape(16, 64)
         state, _ = learner.update(state, rollout, rows)
     observation = np.linspace(-1, 1, 9, dtype=np.float32)[:, None]

@@ -22,7 +22,7 @@ from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
 from cadenza.studio import player, practice, practice_process
-from cadenza.studio.messages import JSON, Message
+from cadenza.studio.messages import JSON, WireMessage
 from cadenza.studio.request import PRACTISED, Order, PlayRequest
 
 SCORE = Score(tuple(Note(0.4 * i, 0.4 * i + 0.3, 60 + i) for i in range(3)), title="Three")
@@ -98,7 +98,7 @@ def test_practice_that_cannot_begin_is_no_end_of_all_practice(
 
 @pytest.mark.slow
 def test_what_was_practised_is_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    song, told = tmp_path / "three.mid", list[Message]()
+    song, told = tmp_path / "three.mid", list[WireMessage]()
     write_midi(SCORE, song)
     monkeypatch.setattr(practice_process, "ENOUGH", 0.2)
     practice_process.practise(order(str(song), tmp_path), told.append)
@@ -114,7 +114,7 @@ def test_what_was_practised_is_played(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_practice_that_cannot_go_on_begins_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    song, told = tmp_path / "three.mid", list[Message]()
+    song, told = tmp_path / "three.mid", list[WireMessage]()
     write_midi(SCORE, song)
     folder = player.practice_folder_of(order(str(song), tmp_path))
     folder.mkdir(parents=True)

@@ -16,7 +16,7 @@ from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
 from cadenza.performing.setup import select, set_up
-from cadenza.studio.messages import JSON, ROWS, Message
+from cadenza.studio.messages import JSON, ROWS, WireMessage
 from cadenza.studio.state_stream import StateStream
 from cadenza.tasks.config import TaskConfig
 
@@ -26,7 +26,7 @@ from cadenza.tasks.config import TaskConfig
 )
 def test_the_rows_hold_the_episode(task: TaskConfig) -> None:
     score = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, 60 + i) for i in range(4)), title="Four")
-    sent: list[Message] = []
+    sent: list[WireMessage] = []
     with set_up(select(score, RandomAgent()).with_options(task, seed=3)) as setup:
         states = StateStream(setup, sent.append)
         states.begin()
@@ -66,7 +66,7 @@ def test_the_rows_hold_the_episode(task: TaskConfig) -> None:
 
 def test_what_an_arrangement_left_out_and_what_was_missed_is_sent() -> None:
     chords = tuple(Note(i, i + 0.9, pitch) for i in range(3) for pitch in range(36, 84, 6))
-    sent: list[Message] = []
+    sent: list[WireMessage] = []
     agent = make_agent(PLANNER, PlannerConfig(method="none"))
     song = select(Score(chords), agent, arrangement=Arrangement(arrange="always"))
     with set_up(song) as setup:

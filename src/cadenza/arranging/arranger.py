@@ -9,7 +9,7 @@ from functools import cache
 from itertools import pairwise
 
 from cadenza.arranging.fidelity import NOTHING_LOST, Fate, Fidelity, fates_of, fidelity_of
-from cadenza.arranging.moments import SHORTEST, Moment, beats_of, moments_of
+from cadenza.arranging.moments import SHORTEST, SongMoment, beats_of, moments_of
 from cadenza.arranging.parts import TOGETHER, sources_of
 from cadenza.arranging.reduction import Held, OneHand, Struck, reduced
 from cadenza.fingering.difficulty import EASIEST, FITTED, HARDEST, features_of
@@ -78,7 +78,7 @@ class Arranger:
         return arranged(min(easy, costs[-1]))
 
     def _struck(
-        self, score: Score, moments: Sequence[Moment], cost: float
+        self, score: Score, moments: Sequence[SongMoment], cost: float
     ) -> tuple[list[Struck], Score]:
         """What the hands strike, and the score of it with fingers.
 

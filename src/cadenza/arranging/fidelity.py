@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.arranging.parts import TOGETHER, Source
+from cadenza.arranging.parts import TOGETHER, SourceNote
 from cadenza.arranging.reduction import Struck
 from cadenza.music.score import OCTAVE, Note, Score
 
@@ -18,7 +18,7 @@ from cadenza.music.score import OCTAVE, Note, Score
 class Fate(NamedTuple):
     """What became of a note of a song in an arrangement of it."""
 
-    note: Source
+    note: SourceNote
     """The note as written; of one that is struck again while it sounds, from then on."""
     played: int | None
     """The pitch at which it is played; None if it is left out."""
@@ -83,7 +83,7 @@ def _whole(share: float) -> str:
     return f"{min(percent, 99) if share < 1 else percent}%"  # 100 % only where all are played
 
 
-def fates_of(song: Sequence[Source], struck: Iterable[Struck]) -> tuple[Fate, ...]:
+def fates_of(song: Sequence[SourceNote], struck: Iterable[Struck]) -> tuple[Fate, ...]:
     """What became of each note of a song, and the notes that were struck again, by their start."""
     played = {each.source: each.pitch for each in struck}
     again = [source for source in played if source.added]
@@ -113,7 +113,7 @@ def _share(fates: Iterable[Fate]) -> float:
 
 
 def pitch_classes(
-    notes: Iterable[Source] | Iterable[Note], beats: Sequence[float]
+    notes: Iterable[SourceNote] | Iterable[Note], beats: Sequence[float]
 ) -> NDArray[np.bool_]:
     """(B, 12) the pitch classes that sound in each beat."""
     table = np.zeros((len(beats), OCTAVE), bool)

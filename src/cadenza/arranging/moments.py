@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cadenza.arranging.parts import TOGETHER, Source
+from cadenza.arranging.parts import TOGETHER, SourceNote
 from cadenza.music.notation.beats import estimated_bars
 from cadenza.music.score import MIDI_PITCHES, Score, chords
 
@@ -22,18 +22,18 @@ _APART = 0.1  # [s] from such a moment to others
 _WORTH = 0.15  # [s] before its end a note of an earlier beat is not worth striking any more
 
 
-class Moment(NamedTuple):
+class SongMoment(NamedTuple):
     """A moment at which notes begin."""
 
     time: float
     begins_beat: bool
-    melody: tuple[Source, ...]
+    melody: tuple[SourceNote, ...]
     """The notes of the melody, the highest first."""
-    bass: tuple[Source, ...]
+    bass: tuple[SourceNote, ...]
     """The notes of the bass, the lowest first."""
-    harmony: tuple[Source, ...]
+    harmony: tuple[SourceNote, ...]
     """The other notes that begin, by pitch."""
-    sounding: tuple[Source, ...]
+    sounding: tuple[SourceNote, ...]
     """Notes of the harmony that began before, in this beat or such that they sound on, by pitch."""
     ceiling: int
     """The highest pitch to which notes may be moved: that of the melody."""
@@ -53,19 +53,19 @@ def beats_of(score: Score) -> list[float]:
     return [min(beats[0], 0.0), *beats[1:], *np.arange(beats[-1] + beat, end + beat, beat).tolist()]
 
 
-def moments_of(notes: Sequence[Source], beats: Sequence[float]) -> list[Moment]:
+def moments_of(notes: Sequence[SourceNote], beats: Sequence[float]) -> list[SongMoment]:
     """The moments of a song with these notes, in order."""
     notes = sorted(notes, key=attrgetter("start", "pitch"))
     melody, bass = [n for n in notes if n.melody], [n for n in notes if n.bass]
     moments, beat_before = [], -1
-    sounding: list[Source] = []
+    sounding: list[SourceNote] = []
     for time, group in _groups(notes, beats):
         beat = bisect_right(beats, time + TOGETHER) - 1
         since = beats[beat] - TOGETHER
         sounding = [n for n in sounding if n.end > time + _WORTH or n.start > since]
         inner = sorted((n for n in group if not n.melody and not n.bass), key=attrgetter("pitch"))
         moments.append(
-            Moment(
+            SongMoment(
                 time,
                 beat != beat_before,
                 tuple(sorted((n for n in group if n.melody), key=lambda n: -n.pitch)),
@@ -81,7 +81,9 @@ def moments_of(notes: Sequence[Source], beats: Sequence[float]) -> list[Moment]:
     return moments
 
 
-def _groups(notes: Sequence[Source], beats: Sequence[float]) -> list[tuple[float, list[Source]]]:
+def _groups(
+    notes: Sequence[SourceNote], beats: Sequence[float]
+) -> list[tuple[float, list[SourceNote]]]:
     """The times at which notes, in order, begin together, and parts of beats where none do."""
     groups = [(group[0].start, group) for group in chords(notes, TOGETHER)]
     begins = np.array([time for time, _ in groups])
@@ -92,7 +94,7 @@ def _groups(notes: Sequence[Source], beats: Sequence[float]) -> list[tuple[float
     return sorted(groups, key=itemgetter(0))
 
 
-def _pitch_at(voice: Sequence[Source], time: float, otherwise: int) -> int:
+def _pitch_at(voice: Sequence[SourceNote], time: float, otherwise: int) -> int:
     """The pitch of a voice, by its notes in order, at a time [s]; `otherwise` if it is silent."""
     i = bisect_right(voice, time + TOGETHER, key=attrgetter("start")) - 1
     return voice[i].pitch if i >= 0 and voice[i].end >= time else otherwise

@@ -31,7 +31,7 @@ _FOLLOWS = 3.0  # how much less a second voice is like a melody
 _CALLED, _LOW, _SEMITONES = 3.0, 40.0, 6.0  # a bass is called so; so much lower is worth 1
 
 
-class Source(NamedTuple):
+class SourceNote(NamedTuple):
     """A note of the song: `start` and `end` [s], and what it is for."""
 
     start: float
@@ -47,7 +47,7 @@ class Source(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Part:
+class _InstrumentPart:
     """The notes of one instrument."""
 
     name: str
@@ -55,7 +55,7 @@ class _Part:
     notes: tuple[Note, ...]
 
 
-def sources_of(score: Score) -> list[Source]:
+def sources_of(score: Score) -> list[SourceNote]:
     """The notes of all parts of a song, of which each has the melody and the bass in stretches.
 
     A score without tracks is one part, of which the highest notes are the melody and the lowest
@@ -76,7 +76,7 @@ def sources_of(score: Score) -> list[Source]:
     )
 
 
-def _parts(score: Score) -> list[_Part]:
+def _parts(score: Score) -> list[_InstrumentPart]:
     """The parts of a score by the tracks of its notes."""
     by_track: dict[int, list[Note]] = {}
     for note in score.notes:
@@ -84,7 +84,7 @@ def _parts(score: Score) -> list[_Part]:
             by_track.setdefault(number, []).append(note)
     names = {track.number: (track.name, track.instrument) for track in score.tracks}
     return [
-        _Part(*names.get(number, ("", "")), tuple(notes))
+        _InstrumentPart(*names.get(number, ("", "")), tuple(notes))
         for number, notes in sorted(by_track.items())
     ]
 
@@ -100,20 +100,23 @@ def _stretches(score: Score) -> list[float]:
 
 
 def _sources(
-    part: _Part, edges: Sequence[float], has_melody: Sequence[bool], has_bass: Sequence[bool]
-) -> Iterator[Source]:
+    part: _InstrumentPart,
+    edges: Sequence[float],
+    has_melody: Sequence[bool],
+    has_bass: Sequence[bool],
+) -> Iterator[SourceNote]:
     """Yield the notes of a part that has the melody, or the bass, in some stretches."""
     tops, bottoms = _outer(part.notes, 1), _outer(part.notes, -1)
     for i, n in enumerate(part.notes):
         stretch = bisect_right(edges, n.start + CHORD_TOLERANCE) - 1
         melody = has_melody[stretch] and i in tops
         bass = not melody and has_bass[stretch] and i in bottoms
-        yield Source(n.start, n.end, n.pitch, n.velocity, melody, bass, hands=n.hands)
+        yield SourceNote(n.start, n.end, n.pitch, n.velocity, melody, bass, hands=n.hands)
 
 
-def _merged(sources: Iterable[Source]) -> list[Source]:
+def _merged(sources: Iterable[SourceNote]) -> list[SourceNote]:
     """The notes, one at a time on each key; see `sources_of`."""
-    by_pitch: dict[int, list[Source]] = {}
+    by_pitch: dict[int, list[SourceNote]] = {}
     for note in sorted(sources, key=lambda n: (n.start, not n.melody, not n.bass)):
         same = by_pitch.setdefault(note.pitch, [])
         if not same:
@@ -146,7 +149,9 @@ def _outer(notes: Sequence[Note], sign: Literal[1, -1]) -> set[int]:
     return found
 
 
-def _melody_likeness(parts: Sequence[_Part], edges: Sequence[float], bars: Array) -> Array:
+def _melody_likeness(
+    parts: Sequence[_InstrumentPart], edges: Sequence[float], bars: Array
+) -> Array:
     """(P, S) how much each part is like a melody in each stretch."""
     loudness = float(np.mean([note.velocity for part in parts for note in part.notes]))
     active = _activity(parts, edges)
@@ -161,7 +166,7 @@ def _melody_likeness(parts: Sequence[_Part], edges: Sequence[float], bars: Array
     return likeness * active - _ABSENT_MELODY * (1 - active)
 
 
-def _bass_likeness(parts: Sequence[_Part], edges: Sequence[float]) -> Array:
+def _bass_likeness(parts: Sequence[_InstrumentPart], edges: Sequence[float]) -> Array:
     """(P, S) how much each part is like a bass in each stretch."""
     low = [np.mean([min(n.pitch for n in chord) for chord in chords(p.notes)]) for p in parts]
     called = [bool(CALLED_BASS.search(f"{part.name} {part.instrument}".lower())) for part in parts]
@@ -169,7 +174,7 @@ def _bass_likeness(parts: Sequence[_Part], edges: Sequence[float]) -> Array:
     return likeness[:, None] - _ABSENT_BASS * (1 - _activity(parts, edges))
 
 
-def _activity(parts: Sequence[_Part], edges: Sequence[float]) -> Array:
+def _activity(parts: Sequence[_InstrumentPart], edges: Sequence[float]) -> Array:
     """(P, S) twice the share of each stretch in which each part sounds, at most 1."""
     last = max(note.end for part in parts for note in part.notes)
     bounds = np.array([*edges, max(last, edges[-1] + _STRETCH)])

@@ -19,8 +19,8 @@ from heapq import nsmallest
 from itertools import product
 from typing import NamedTuple
 
-from cadenza.arranging.moments import SHORTEST, Moment
-from cadenza.arranging.parts import TOGETHER, Source
+from cadenza.arranging.moments import SHORTEST, SongMoment
+from cadenza.arranging.parts import TOGETHER, SourceNote
 from cadenza.fingering.players import Players, ways_to_hold
 from cadenza.fingers import LEFT, RIGHT
 from cadenza.hands.reach import JumpTimes
@@ -102,7 +102,7 @@ class Held(NamedTuple):
     melody: bool
 
 
-class Hand(NamedTuple):
+class Grip(NamedTuple):
     """A hand between two moments."""
 
     held: tuple[Held, ...] = ()
@@ -121,7 +121,7 @@ class Struck(NamedTuple):
     """A note that is played: at which moment [s], its source, and its pitch."""
 
     time: float
-    source: Source
+    source: SourceNote
     pitch: int
 
     @property
@@ -143,7 +143,7 @@ class Struck(NamedTuple):
 class Action(NamedTuple):
     """What one hand does at a moment."""
 
-    hand: Hand
+    hand: Grip
     """The hand afterwards."""
     struck: tuple[Struck, ...]
     early_ends: tuple[Held, ...]
@@ -151,33 +151,33 @@ class Action(NamedTuple):
     cost: float
 
 
-class State(NamedTuple):
+class ReductionState(NamedTuple):
     """A state of the search: the least cost of getting there, and from where."""
 
     cost: float
-    hands: tuple[Hand, Hand]
+    hands: tuple[Grip, Grip]
     classes: frozenset[int]
     """The pitch classes that have sounded in this beat."""
     actions: tuple[Action, ...]
-    before: State | None
+    before: ReductionState | None
 
 
 def reduced(
-    moments: Sequence[Moment], hands: tuple[OneHand, OneHand], cost: float
+    moments: Sequence[SongMoment], hands: tuple[OneHand, OneHand], cost: float
 ) -> tuple[list[Struck], list[Held]]:
     """The notes that the hands play of these moments, and those of them that end early.
 
     What is played becomes easier with the `cost` of every note of the harmony.
     """
-    beam = [State(0.0, (Hand(), Hand()), frozenset(), (), None)]
+    beam = [ReductionState(0.0, (Grip(), Grip()), frozenset(), (), None)]
     for moment in moments:
         found = [after for state in beam for after in _successors(state, moment, hands, cost)]
-        best: dict[tuple[object, ...], State] = {}
+        best: dict[tuple[object, ...], ReductionState] = {}
         for state in nsmallest(4 * _BEAM, found, key=lambda each: each.cost):
             best.setdefault((state.hands, state.classes), state)
         beam = list(best.values())[:_BEAM]
     actions: list[Action] = []
-    last: State | None = beam[0]
+    last: ReductionState | None = beam[0]
     while last is not None:
         actions += last.actions
         last = last.before
@@ -187,7 +187,7 @@ def reduced(
 
 def _again(struck: Iterable[Struck]) -> Iterator[Struck]:
     """Yield notes by time; where a source is struck again, a source that is added."""
-    before: set[Source] = set()
+    before: set[SourceNote] = set()
     for each in struck:
         if each.source in before:
             added = each.source._replace(start=each.time, end=each.end, added=True)
@@ -198,8 +198,8 @@ def _again(struck: Iterable[Struck]) -> Iterator[Struck]:
 
 
 def _successors(
-    state: State, moment: Moment, hands: tuple[OneHand, OneHand], cost: float
-) -> Iterator[State]:
+    state: ReductionState, moment: SongMoment, hands: tuple[OneHand, OneHand], cost: float
+) -> Iterator[ReductionState]:
     """Yield the states after a moment, by what each hand strikes."""
     classes = state.classes
     if moment.begins_beat:
@@ -218,7 +218,7 @@ def _successors(
             value += _value(struck, now, cost)
             now |= {struck.pitch % OCTAVE}
         total = state.cost - value + right.cost + left.cost
-        yield State(total, (right.hand, left.hand), now, (right, left), state)
+        yield ReductionState(total, (right.hand, left.hand), now, (right, left), state)
 
 
 def _collide(right: Action, left: Action) -> bool:
@@ -258,7 +258,7 @@ class _HandAtMoment:
     """What one hand may do at one moment: the right hand has the melody, the left the bass."""
 
     def __init__(
-        self, hand: int, before: Hand, moment: Moment, one: OneHand, classes: frozenset[int]
+        self, hand: int, before: Grip, moment: SongMoment, one: OneHand, classes: frozenset[int]
     ) -> None:
         inwards = -1 if hand == RIGHT else 1  # so that hands share what begins
         written, late = moment.harmony[::inwards], moment.sounding[::inwards]
@@ -289,7 +289,7 @@ class _HandAtMoment:
         for base in bases:
             yield from self._with_harmony(base)
 
-    def _strike(self, note: Source, shift: int = 0) -> Struck:
+    def _strike(self, note: SourceNote, shift: int = 0) -> Struck:
         return Struck(self._moment.time, note, note.pitch + shift)
 
     def _with_harmony(self, base: tuple[Struck, ...]) -> Iterator[tuple[Struck, ...]]:
@@ -308,7 +308,7 @@ class _HandAtMoment:
                 pitches = tuple(sorted((*pitches, note.pitch + shift)))
                 yield struck
 
-    def _shift(self, note: Source, pitches: tuple[int, ...]) -> int | None:
+    def _shift(self, note: SourceNote, pitches: tuple[int, ...]) -> int | None:
         """The octaves by which a note is moved so that the hand strikes it with these pitches.
 
         A note that is moved stays below the melody, and above the bass.
@@ -340,7 +340,7 @@ class _HandAtMoment:
         cost += sum(self._early_cost(held, end) for held, end in early)
         early_ends = tuple(held._replace(end=end) for held, end in early)
         new = (Held(s.pitch, time, s.end, s.source.melody) for s in struck)
-        hand = Hand(tuple(sorted((*kept, *new))), pitches, time)
+        hand = Grip(tuple(sorted((*kept, *new))), pitches, time)
         return Action(hand, struck, early_ends, cost)
 
     def _kept(self, pitches: tuple[int, ...]) -> list[Held]:

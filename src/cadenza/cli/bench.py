@@ -18,7 +18,7 @@ from cadenza.learning.config import preset
 from cadenza.learning.learner import Preset
 
 if TYPE_CHECKING:
-    from cadenza.evaluation.jobs import Contender, Job
+    from cadenza.evaluation.jobs import BenchJob, Contender
 
 _MAX_SEEDS = 10_000  # of one range, so that a typo ends at once
 _MAX_RUNS = 20_000  # which take days
@@ -186,7 +186,7 @@ def _trained(command: Bench, read: Read[Bench], agent: str) -> Contender:
     return Contender(agent, own.task, own.scene, config)
 
 
-def _result(folder: Path, job: Job) -> str:
+def _result(folder: Path, job: BenchJob) -> str:
     """Returns a line on a run that has finished."""
     from cadenza.evaluation.results import PAGE, read_result
 

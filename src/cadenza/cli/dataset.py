@@ -22,7 +22,7 @@ from cadenza.tasks.config import TaskConfig
 
 if TYPE_CHECKING:
     from cadenza.evaluation.collecting.collect import Demonstrator
-    from cadenza.evaluation.jobs import Job
+    from cadenza.evaluation.jobs import BenchJob
 
 _MAX_EPISODES = 1_000_000
 
@@ -119,7 +119,7 @@ def _demonstrator(command: Collect) -> Demonstrator:
     return Demonstrator(agent, configs[agent], *how, None if student is None else configs[student])
 
 
-def _outcome(folder: Path, _job: Job) -> str:
+def _outcome(folder: Path, _job: BenchJob) -> str:
     """Returns a line on an episode that was recorded."""
     from cadenza.demonstrations.recorded_episode import read_facts
 

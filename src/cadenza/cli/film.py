@@ -38,11 +38,11 @@ class Film:
 def run(command: Film) -> None:
     from cadenza.cli.saving import film, voice_of
     from cadenza.performing.film_renderer import Look
-    from cadenza.performing.filming import FILM, Excerpt, look_of
+    from cadenza.performing.filming import FILM, FilmExcerpt, look_of
 
     path = command.output or command.folder / FILM
     look = look_of(path)
     size = command.size or (look.width, look.height)
     look = Look(*size, look.fps if command.fps is None else command.fps)
-    excerpt = Excerpt(command.start, command.seconds)
+    excerpt = FilmExcerpt(command.start, command.seconds)
     film(command.folder, voice_of(command.sound_font), path, look, excerpt)

@@ -23,7 +23,7 @@ from cadenza.sim.threads import MAX_THREADS
 
 if TYPE_CHECKING:
     from cadenza.evaluation.bench import BenchState, CarryOut, Executor
-    from cadenza.evaluation.jobs import Job
+    from cadenza.evaluation.jobs import BenchJob
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Work:
     """Carries out one of them."""
     is_complete: Callable[[Any, Path], bool]
     """Returns whether nothing is left to do for a run in its folder."""
-    outcome: Callable[[Path, Job], str]
+    outcome: Callable[[Path, BenchJob], str]
     """Returns a line on a run that has finished in its folder."""
     until: str
     """The last thing that happens after Ctrl-C, such as "a checkpoint"."""
@@ -77,7 +77,7 @@ class Work:
     """The command that sums the runs up."""
 
 
-def run_all(command: _Command, jobs: Sequence[Job], work: Work) -> None:
+def run_all(command: _Command, jobs: Sequence[BenchJob], work: Work) -> None:
     """Carries out the jobs that are not complete yet, until Ctrl-C, and prints what is left.
 
     Raises:
@@ -144,7 +144,7 @@ class _Table:
         print(*(line[: columns - 1] for line in [*lines, total]), sep="\n", file=sys.stderr)
         self._lines = len(lines) + 1
 
-    def ended(self, state: BenchState, job: Job) -> None:
+    def ended(self, state: BenchState, job: BenchJob) -> None:
         """Prints what became of a run that has finished or failed, or whose process has died."""
         if QUIET.get():
             return
@@ -172,17 +172,17 @@ class _Table:
             yield f"{_fitted_label(job, columns - 31)} {how_far:<20} {seconds:5.0f} s"
 
 
-def _fitted_label(job: Job, columns: int) -> str:
+def _fitted_label(job: BenchJob, columns: int) -> str:
     """Returns the name of a run; without enough room, its beginning is left out."""
     name = _label(job)
     return f"…{name[1 - columns :]}" if len(name) > columns else name.ljust(columns)
 
 
-def _label(job: Job) -> str:
+def _label(job: BenchJob) -> str:
     return f"{job.spec.song}  {job.spec.agent}  seed {job.spec.seed}"
 
 
-def _outcome_line(state: BenchState, job: Job, work: Work) -> str:
+def _outcome_line(state: BenchState, job: BenchJob, work: Work) -> str:
     if job.spec.name in state.failed:
         how = f"failed: {state.failed[job.spec.name]}"
     elif job in state.todo:

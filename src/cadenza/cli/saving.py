@@ -13,7 +13,7 @@ from cadenza.files import folder_name
 
 if TYPE_CHECKING:
     from cadenza.performing.film_renderer import Look
-    from cadenza.performing.filming import Excerpt
+    from cadenza.performing.filming import FilmExcerpt
     from cadenza.performing.performance import Performance
     from cadenza.performing.setup import Selection
     from cadenza.report.tone import Tone
@@ -99,7 +99,7 @@ def film(
     voice: Tone,
     path: Path | None = None,
     look: Look | None = None,
-    excerpt: Excerpt | None = None,
+    excerpt: FilmExcerpt | None = None,
 ) -> None:
     """Makes the film of the performance in a folder as `write_film` does, with progress.
 

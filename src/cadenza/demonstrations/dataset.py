@@ -54,7 +54,7 @@ DATASET = Kind(
 _ROUNDING = 1e-6  # of actions that are kept as float32, beyond their limits [m, rad]
 
 
-class Batch(NamedTuple):
+class StepBatch(NamedTuple):
     """B steps of episodes of a scene with J joints, A servos, K keys and F fingers."""
 
     hand_qpos: Floats
@@ -148,7 +148,7 @@ class Dataset:
         episode = np.searchsorted(self.first, steps, side="right") - 1
         return episode, steps - self.first[episode]
 
-    def batch(self, steps: Ids, lookahead: int = LOOKAHEAD, ahead: Sequence[int] = ()) -> Batch:
+    def batch(self, steps: Ids, lookahead: int = LOOKAHEAD, ahead: Sequence[int] = ()) -> StepBatch:
         """What there is to learn from `steps` (B,).
 
         Args:
@@ -165,7 +165,7 @@ class Dataset:
         plan = _gathered(self._plans, episode, self._within(episode, step, ahead))
         keys = self.scene.keyboard.num_keys
         goal, fingers = self._goal(episode, step, lookahead)
-        return Batch(
+        return StepBatch(
             hand_qpos=rows["hand_qpos"],
             hand_qvel=rows["hand_qvel"],
             fingertip_xpos=rows["fingertip_xpos"],

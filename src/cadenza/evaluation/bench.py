@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.jobs import Job
+from cadenza.evaluation.jobs import BenchJob
 from cadenza.evaluation.results import FAILED, RESULT, RUNS, failure
 from cadenza.evaluation.run import is_complete
 from cadenza.evaluation.run_status import folder_of, write_failure
@@ -26,7 +26,7 @@ CarryOut = Callable[[Any, Path, int, Callable[[], bool]], None]
 class Ended(NamedTuple):
     """A run whose process has ended."""
 
-    job: Job
+    job: BenchJob
     crash: str = ""
     """Cause of death of the process, in a line; empty if it ended by itself."""
 
@@ -38,7 +38,7 @@ class Executor(Protocol):
     def capacity(self) -> int:
         """The number of runs at once."""
 
-    def start(self, job: Job, folder: Path) -> None:
+    def start(self, job: BenchJob, folder: Path) -> None:
         """Begin to carry out a job, as with `cadenza.evaluation.run.carry_out`."""
 
     def ended(self, seconds: float) -> list[Ended]:
@@ -60,9 +60,9 @@ class BenchState:
     total: int
     is_complete: Callable[[Any, Path], bool] = is_complete
     """Tells whether nothing is left to do for a run in its folder."""
-    todo: deque[Job] = field(default_factory=deque)
-    running: dict[str, Job] = field(default_factory=dict)
-    elsewhere: list[Job] = field(default_factory=list)
+    todo: deque[BenchJob] = field(default_factory=deque)
+    running: dict[str, BenchJob] = field(default_factory=dict)
+    elsewhere: list[BenchJob] = field(default_factory=list)
     """Runs that another process works on."""
     finished: int = 0
     failed: dict[str, str] = field(default_factory=dict)
@@ -77,10 +77,10 @@ class BenchState:
 
 
 def bench(
-    jobs: Sequence[Job],
+    jobs: Sequence[BenchJob],
     folder: Path,
     executor: Executor,
-    ended: Callable[[BenchState, Job], None],
+    ended: Callable[[BenchState, BenchJob], None],
     should_continue: Callable[[BenchState], bool],
     retry: bool = False,
     is_complete: Callable[[Any, Path], bool] = is_complete,
@@ -125,7 +125,7 @@ def bench(
     return state
 
 
-def _is_finished(state: BenchState, job: Job, crash: str = "") -> bool:
+def _is_finished(state: BenchState, job: BenchJob, crash: str = "") -> bool:
     """Return whether a run has ended well; a result of an earlier attempt may lack its page."""
     folder = state.folder / job.spec.name
     pageless = job.page and not crash and (folder / RESULT).exists()  # as none can be made of it
@@ -135,7 +135,7 @@ def _is_finished(state: BenchState, job: Job, crash: str = "") -> bool:
     return finished
 
 
-def _has_failed(state: BenchState, job: Job) -> bool:
+def _has_failed(state: BenchState, job: BenchJob) -> bool:
     try:
         why = failure(state.folder / job.spec.name)
     except CadenzaError as error:  # what it says is corrupt
@@ -145,7 +145,7 @@ def _has_failed(state: BenchState, job: Job) -> bool:
     return why is not None
 
 
-def _process_ended(state: BenchState, job: Job, crash: str) -> bool:
+def _process_ended(state: BenchState, job: BenchJob, crash: str) -> bool:
     """Record how a run ended; return False where another process works on it."""
     name, folder = job.spec.name, state.folder / job.spec.name
     if _is_finished(state, job, crash):
@@ -165,7 +165,7 @@ def _process_ended(state: BenchState, job: Job, crash: str) -> bool:
     return True
 
 
-def _poll_elsewhere(state: BenchState, ended: Callable[[BenchState, Job], None]) -> None:
+def _poll_elsewhere(state: BenchState, ended: Callable[[BenchState, BenchJob], None]) -> None:
     """Take over runs that other processes have given up."""
     waiting, state.elsewhere = state.elsewhere, []
     for job in waiting:

@@ -92,7 +92,7 @@ class SongFacts:
 
 
 @dataclass(frozen=True)
-class Job:
+class BenchJob:
     """A run to be carried out."""
 
     command: ClassVar[str] = "cadenza bench"
@@ -126,7 +126,7 @@ def bench_jobs(
     seeds: Sequence[int],
     arrangement: Arrangement,
     pages: Pages = "first-seed",
-) -> list[Job]:
+) -> list[BenchJob]:
     """Return all runs, each once: those of the first seed come first.
 
     Args:
@@ -138,7 +138,7 @@ def bench_jobs(
     """
     songs = songs_of(library)
     by_song = {song.name: list(contenders(song.name)) for song, _ in songs}
-    jobs = dict[str, Job]()
+    jobs = dict[str, BenchJob]()
     for seed, (song, digest) in product(seeds, songs):
         for contender in by_song[song.name]:
             spec = JobSpec(
@@ -149,7 +149,7 @@ def bench_jobs(
                 **vars(contender.with_seed(seed)),
             )
             page = pages == "all" or (pages == "first-seed" and seed == seeds[0])
-            jobs.setdefault(spec.key, Job(spec, song, page))
+            jobs.setdefault(spec.key, BenchJob(spec, song, page))
     return list(jobs.values())
 
 

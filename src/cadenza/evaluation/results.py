@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.jobs import Job, SongFacts, key_of
+from cadenza.evaluation.jobs import BenchJob, SongFacts, key_of
 from cadenza.files import checked, read_json, write_json
 
 FORMAT: Literal[1] = 1
@@ -114,7 +114,7 @@ class _Plan:
     runs: tuple[str, ...]
 
 
-def write_plan(folder: Path, command: str, jobs: Iterable[Job]) -> None:
+def write_plan(folder: Path, command: str, jobs: Iterable[BenchJob]) -> None:
     """Keep which runs were asked for, so that missing runs can be named."""
     names = [job.spec.name for job in jobs]
     plan = {"format": FORMAT, "command": command, "runs": names}

@@ -23,7 +23,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from cadenza.agents.agent import Progress
-from cadenza.evaluation.jobs import Job, JobSpec
+from cadenza.evaluation.jobs import BenchJob, JobSpec
 from cadenza.evaluation.results import (
     FORMAT,
     PAGE,
@@ -52,7 +52,7 @@ _SCORE = "score.json"
 
 
 def carry_out(
-    job: Job, folder: Path, num_threads: int, stop: Callable[[], bool] = lambda: False
+    job: BenchJob, folder: Path, num_threads: int, stop: Callable[[], bool] = lambda: False
 ) -> None:
     """Leave a result, or why there is none, in `folder`, unless another process works on it.
 
@@ -79,7 +79,7 @@ def carry_out(
                 shutil.rmtree(training.replay, ignore_errors=True)  # most of what training wrote
 
 
-def is_complete(job: Job, folder: Path) -> bool:
+def is_complete(job: BenchJob, folder: Path) -> bool:
     """Return whether the run is finished, and has the page that is wanted."""
     return is_finished(folder) and (not job.page or (folder / PAGE).exists())
 
@@ -93,7 +93,7 @@ def _add_page(folder: Path) -> None:
 
 
 def _result(
-    job: Job, folder: Path, num_threads: int, stop: Callable[[], bool]
+    job: BenchJob, folder: Path, num_threads: int, stop: Callable[[], bool]
 ) -> ResultFile | None:
     """Play, after training if asked to; return None where it is stopped."""
     spec, progress = job.spec, progress_writer(folder)

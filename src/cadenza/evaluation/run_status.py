@@ -20,7 +20,7 @@ from pathlib import Path
 
 from cadenza.agents.agent import Progress
 from cadenza.errors import CadenzaError, in_a_line
-from cadenza.evaluation.jobs import Job, JobSpec, song_digest
+from cadenza.evaluation.jobs import BenchJob, JobSpec, song_digest
 from cadenza.evaluation.results import FAILED, FORMAT
 from cadenza.files import read_json, write_json
 from cadenza.music.libraries.library import find_song
@@ -42,13 +42,13 @@ class RunProgress:
     pid: int
 
 
-def folder_of(job: Job, path: Path) -> ResumableFolder:
+def folder_of(job: BenchJob, path: Path) -> ResumableFolder:
     """Return the folder of a run, whose name has the hash of what its manifest says."""
     return ResumableFolder(path, job.command, "another process carries it out", "job.json")
 
 
 @contextmanager
-def claimed_run(job: Job, path: Path, is_complete: Callable[[], bool]) -> Iterator[bool]:
+def claimed_run(job: BenchJob, path: Path, is_complete: Callable[[], bool]) -> Iterator[bool]:
     """Yield whether this process is to carry out a run, whose output goes to its log meanwhile.
 
     It is not to where another process does, or where the run `is_complete`.

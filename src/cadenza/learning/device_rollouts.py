@@ -17,14 +17,14 @@ from cadenza.learning.learner import OnPolicyLearner
 from cadenza.learning.observation import Inputs
 from cadenza.learning.on_policy import MAX_SEED, RolloutExperience
 from cadenza.learning.ranges import Ranges
-from cadenza.learning.rollout import Rollout
+from cadenza.learning.rollout import EnvRollout
 from cadenza.resumable import Arrays
 from cadenza.tasks.functional import FunctionalPianoTask, PianoState
 
 Array = Any  # of JAX
 
 
-class _Progress(NamedTuple):
+class _DeviceProgress(NamedTuple):
     """N environments, and what their episodes have earned so far."""
 
     worlds: PianoState
@@ -75,12 +75,12 @@ class DeviceRollouts(RolloutExperience):
     def begin(self) -> None:
         self._progress = self._begun(self._key)
 
-    def _begun(self, key: Array) -> _Progress:
-        return _Progress(self._task.reset(key), jnp.zeros(self._task.num_envs))
+    def _begun(self, key: Array) -> _DeviceProgress:
+        return _DeviceProgress(self._task.reset(key), jnp.zeros(self._task.num_envs))
 
     def rollout(
         self, learner: OnPolicyLearner[Any], state: Any, num_steps: int, seed: int
-    ) -> tuple[Rollout, list[Finished], dict[str, float]]:
+    ) -> tuple[EnvRollout, list[Finished], dict[str, float]]:
         self._progress, rollout, ends = self._collect(
             learner, state, self._progress, num_steps, jax.random.key(seed)
         )
@@ -92,11 +92,13 @@ class DeviceRollouts(RolloutExperience):
         self,
         learner: OnPolicyLearner[Any],
         state: Any,
-        progress: _Progress,
+        progress: _DeviceProgress,
         num_steps: int,
         key: Array,
-    ) -> tuple[_Progress, Rollout, _Ends]:
-        def step(progress: _Progress, key: Array) -> tuple[_Progress, tuple[Any, _Ends]]:
+    ) -> tuple[_DeviceProgress, EnvRollout, _Ends]:
+        def step(
+            progress: _DeviceProgress, key: Array
+        ) -> tuple[_DeviceProgress, tuple[Any, _Ends]]:
             observation = self._observed(progress.worlds.obs)
             decision = learner.act(state, observation, key)
             worlds = self._task.step(progress.worlds, self._action(jnp.tanh(decision.action)))
@@ -106,11 +108,11 @@ class DeviceRollouts(RolloutExperience):
             returns = progress.returns + worlds.reward
             part = (observation, *decision, worlds.reward, ended, value_at_end)
             ends = _Ends(ended, worlds.metrics["f1"], returns, info["unstable"])
-            return _Progress(worlds, jnp.where(ended, 0.0, returns)), (part, ends)
+            return _DeviceProgress(worlds, jnp.where(ended, 0.0, returns)), (part, ends)
 
         progress, (parts, ends) = jax.lax.scan(step, progress, jax.random.split(key, num_steps))
         last = learner.value(state, self._observed(progress.worlds.obs))
-        return progress, Rollout._make([*parts, last]), ends
+        return progress, EnvRollout._make([*parts, last]), ends
 
     def _observed(self, observation: Array) -> Array:
         """What the policy observes of the task's observations (N, D)."""
@@ -137,7 +139,7 @@ class DeviceRollouts(RolloutExperience):
         self._progress = progress._replace(worlds=progress.worlds._replace(key=key))
 
 
-def _with_key_data(progress: _Progress) -> _Progress:
+def _with_key_data(progress: _DeviceProgress) -> _DeviceProgress:
     """The same with a key that can be written to a file."""
     data = jax.random.key_data(progress.worlds.key)
     return progress._replace(worlds=progress.worlds._replace(key=data))

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.demonstrations.dataset import Batch, Dataset, check_values, dataset_folder, kept
+from cadenza.demonstrations.dataset import Dataset, StepBatch, check_values, dataset_folder, kept
 from cadenza.demonstrations.recorded_episode import RecordedEpisode
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import checked
@@ -193,7 +193,7 @@ class Imitation(CheckpointedRun):
         self._errors = arrays["errors"]
 
 
-def observed(batch: Batch, ranges: Ranges) -> Floats:
+def observed(batch: StepBatch, ranges: Ranges) -> Floats:
     """Observations (B, D) of a policy without a reference, see `ObservationSpec`.
 
     Args:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cadenza.learning.observation import Inputs
     from cadenza.learning.policy import Policy
     from cadenza.learning.replay_buffer import Batch
-    from cadenza.learning.rollout import Decision, Rollout
+    from cadenza.learning.rollout import Decision, EnvRollout
 
 State = TypeVar("State")
 Preset = Literal["fast", "paper", "published"]
@@ -100,7 +100,7 @@ class OnPolicyLearner(AnyLearner[State], Protocol[State]):
         """The values (N,) of observations (N, D); see `act`."""
 
     def update(
-        self, state: State, rollout: Rollout, rows: Any
+        self, state: State, rollout: EnvRollout, rows: Any
     ) -> tuple[State, dict[str, NDArray[Any]]]:
         """Make one update for each of `rows` (U, B) of the T * N transitions of a rollout.
 

@@ -15,7 +15,7 @@ from cadenza.learning.config import TrainingConfig
 from cadenza.learning.experience import Chunk, Round
 from cadenza.learning.learner import OnPolicyLearner
 from cadenza.learning.policy import Policy
-from cadenza.learning.rollout import Rollout
+from cadenza.learning.rollout import EnvRollout
 from cadenza.resumable import Arrays
 
 Array = Any  # of NumPy or of JAX
@@ -33,7 +33,7 @@ class RolloutExperience(ABC):
     @abstractmethod
     def rollout(
         self, learner: OnPolicyLearner[Any], state: Any, num_steps: int, seed: int
-    ) -> tuple[Rollout, list[Finished], dict[str, float]]:
+    ) -> tuple[EnvRollout, list[Finished], dict[str, float]]:
         """Take steps in every environment, with the policy of a learner's `state`.
 
         Returns:
@@ -77,7 +77,7 @@ class HostRollouts(RolloutExperience):
 
     def rollout(
         self, learner: OnPolicyLearner[Any], state: Any, num_steps: int, seed: int
-    ) -> tuple[Rollout, list[Finished], dict[str, float]]:
+    ) -> tuple[EnvRollout, list[Finished], dict[str, float]]:
         collector = self._collector
         finished: list[Finished] = []
         steps: list[tuple[Array, ...]] = []
@@ -96,7 +96,7 @@ class HostRollouts(RolloutExperience):
             unstable += float(result.unstable.mean()) / num_steps
         parts = [np.stack([np.asarray(p) for p in part]) for part in zip(*steps, strict=True)]
         last = learner.value(state, collector.observation)
-        return Rollout._make([*parts, last]), finished, {"unstable": unstable}
+        return EnvRollout._make([*parts, last]), finished, {"unstable": unstable}
 
     def restore(self, plain: dict[str, Any], arrays: Arrays, chunks: Sequence[Chunk]) -> None:
         self._collector.restore(plain, arrays)

@@ -93,7 +93,7 @@ _EXPECTED = _EXPECTED_OF_ALL | {
 
 
 @dataclass(frozen=True)
-class _Facts:
+class _PolicyFacts:
     """The facts in the header."""
 
     format: int
@@ -106,13 +106,13 @@ class _Facts:
 
 
 @dataclass(frozen=True)
-class _PerceptronFacts(_Facts):
+class _PerceptronFacts(_PolicyFacts):
     activation: Activation
     log_std_range: tuple[float, float]
 
 
 @dataclass(frozen=True)
-class _OtherFacts(_Facts):
+class _OtherFacts(_PolicyFacts):
     learner: str
     """The name of the learner that reads the policy."""
     policy: dict[str, Any]
@@ -235,7 +235,7 @@ def load_policy(folder: str | Path) -> LearntPolicy:
         )
     of_others = "learner" in plain
     check_arrays(arrays, _EXPECTED_OF_OTHERS if of_others else _EXPECTED, folder)
-    facts: _Facts = checked(plain, _OtherFacts if of_others else _PerceptronFacts, where)
+    facts: _PolicyFacts = checked(plain, _OtherFacts if of_others else _PerceptronFacts, where)
     check_modules(facts.scene, where)
     try:
         score = None if facts.score is None else facts.score.score
@@ -271,7 +271,7 @@ def _without_prefix(prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, N
 
 
 def _learnt(
-    facts: _Facts, score: Score | None, arrays: dict[str, NDArray[Any]]
+    facts: _PolicyFacts, score: Score | None, arrays: dict[str, NDArray[Any]]
 ) -> LearntPolicy | None:
     """The policy, or None if arrays of the reference or of the ranges are missing."""
     reference, ranges = _without_prefix(_REFERENCE, arrays), _without_prefix(_RANGES, arrays)
@@ -291,7 +291,7 @@ def _learnt(
     )
 
 
-def _policy(facts: _Facts, arrays: dict[str, NDArray[Any]]) -> Policy:
+def _policy(facts: _PolicyFacts, arrays: dict[str, NDArray[Any]]) -> Policy:
     if isinstance(facts, _OtherFacts):
         return learner_config(facts.learner).policy_of(
             facts.policy, _without_prefix(_POLICY, arrays)

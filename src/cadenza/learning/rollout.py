@@ -18,7 +18,7 @@ class Decision(NamedTuple):
     """(N,) value of the observation."""
 
 
-class Rollout(NamedTuple):
+class EnvRollout(NamedTuple):
     """T control steps of N environments, in the order in which they were taken."""
 
     observation: Array

@@ -42,7 +42,7 @@ _WAITING = 2  # such pieces for each process, which bounds the memory
 
 
 @dataclass(frozen=True)
-class Excerpt:
+class FilmExcerpt:
     """A part of a performance: from `start` [s] on, for so many seconds or to its end."""
 
     start: float = 0.0
@@ -63,7 +63,7 @@ class Excerpt:
         return self.start, end
 
 
-WHOLE = Excerpt()
+WHOLE = FilmExcerpt()
 """All of a performance."""
 
 
@@ -91,7 +91,7 @@ def write_film(
     folder: Path,
     path: Path | None = None,
     look: Look | None = None,
-    excerpt: Excerpt = WHOLE,
+    excerpt: FilmExcerpt = WHOLE,
     voice: Tone = tone,
     progress: Progress = silent,
 ) -> Path:
@@ -139,7 +139,7 @@ def write_film(
     return path
 
 
-def _heard(episode: Episode, excerpt: Excerpt, voice: Tone) -> Samples:
+def _heard(episode: Episode, excerpt: FilmExcerpt, voice: Tone) -> Samples:
     """The sound of a part of an episode; the last notes of the whole ring on after its end."""
     audio = synthesize(played_in(episode), voice=voice)
     if excerpt == WHOLE:

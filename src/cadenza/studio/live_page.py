@@ -14,7 +14,7 @@ from dataclasses import asdict
 from cadenza.agents.agent import Progress
 from cadenza.performing.performance import Performance
 from cadenza.performing.setup import Setup
-from cadenza.studio.messages import Message, json_message
+from cadenza.studio.messages import WireMessage, json_message
 from cadenza.studio.request import Order, PlayRequest
 from cadenza.studio.state_stream import StateStream
 
@@ -50,7 +50,7 @@ class LivePage:
             # With a timeout it looks now and then: else Ctrl-C just before it waits is not heeded.
             self._process.wait(math.inf)
 
-    def _send(self, message: Message) -> None:
+    def _send(self, message: WireMessage) -> None:
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):  # nobody can watch any more; the hands play on
             message.write(self._process.stdin)

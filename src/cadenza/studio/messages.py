@@ -27,7 +27,7 @@ SOUNDS = 128  # in a row, of a key that sounds; what is less is the velocity of 
 STEP_PARTS = 255  # of a step, in which a row says when keys are struck and cease to sound
 
 
-class Message(NamedTuple):
+class WireMessage(NamedTuple):
     """A message: its kind, and its content."""
 
     kind: bytes
@@ -39,9 +39,9 @@ class Message(NamedTuple):
         stream.flush()
 
 
-Send = Callable[[Message], None]
+Send = Callable[[WireMessage], None]
 
 
-def json_message(**content: Any) -> Message:
+def json_message(**content: Any) -> WireMessage:
     """Return a message that holds an object of JSON."""
-    return Message(JSON, json.dumps(content, allow_nan=False).encode())
+    return WireMessage(JSON, json.dumps(content, allow_nan=False).encode())

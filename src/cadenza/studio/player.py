@@ -33,7 +33,7 @@ from cadenza.performing.setup import Selection, Setup, select, set_up
 from cadenza.performing.source import PRACTISED as PLAN
 from cadenza.performing.source import Source, resolve
 from cadenza.studio.limits import PLAYING, limit
-from cadenza.studio.messages import IDLE, Message, Send, json_message
+from cadenza.studio.messages import IDLE, Send, WireMessage, json_message
 from cadenza.studio.request import (
     HEADER_FILE,
     PLANNER_VARIANTS,
@@ -71,7 +71,7 @@ def main() -> None:
                 if dropped == _MAX_DROPPED:
                     break
                 with suppress(BrokenPipeError):  # the server has gone, and so do its orders
-                    Message(IDLE, b"").write(out)
+                    WireMessage(IDLE, b"").write(out)
 
 
 class Cancelled(BaseException):
@@ -85,7 +85,7 @@ def play_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
         Cancelled: there is a line in `orders`, or their end, before the song is at its own.
     """
 
-    def send(message: Message) -> None:
+    def send(message: WireMessage) -> None:
         try:
             message.write(out)
         except BrokenPipeError:  # the server has gone

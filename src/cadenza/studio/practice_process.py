@@ -19,7 +19,7 @@ from cadenza.performing.practising import Practising, practice_folder
 from cadenza.performing.source import PRACTICE, PRACTISED
 from cadenza.resumable import RateLimited
 from cadenza.studio.limits import PLAYING, limit
-from cadenza.studio.messages import Message, Send, json_message
+from cadenza.studio.messages import Send, WireMessage, json_message
 from cadenza.studio.player import ProgressReporter, error_text, practice_folder_of, set_up_order
 from cadenza.studio.request import Order
 
@@ -36,7 +36,7 @@ def main() -> None:
         limit(PLAYING)
         order = parsed_json(sys.stdin.buffer.readline(), Order, "order")
 
-        def send(message: Message) -> None:
+        def send(message: WireMessage) -> None:
             try:
                 message.write(out)
             except BrokenPipeError:  # the server has gone

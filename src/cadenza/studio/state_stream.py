@@ -14,7 +14,7 @@ from cadenza.performing.setup import Setup
 from cadenza.report.engraver import Engraver
 from cadenza.report.recording import arranged_notes, finger_numbers, lost_notes, packed
 from cadenza.scene.drawing import drawing
-from cadenza.studio.messages import ROWS, SOUNDS, STEP_PARTS, Message, Send, json_message
+from cadenza.studio.messages import ROWS, SOUNDS, STEP_PARTS, Send, WireMessage, json_message
 from cadenza.studio.tone_samples import INSTRUMENT
 from cadenza.tasks import reward
 from cadenza.tasks.augmentation import draws_variation
@@ -98,7 +98,7 @@ class StateStream:
         row["sounds"], row["times"] = self._sounds()
         row["pedal"] = task.pedal_down[0]
         self.rows += row.tobytes()
-        self._send(Message(ROWS, row.tobytes()))
+        self._send(WireMessage(ROWS, row.tobytes()))
 
     def finish(self, performance: Performance) -> None:
         """Send how well all was played, the score if that is yet to come, and what was missed."""

@@ -22,10 +22,10 @@ from cadenza.music.signs.notes import (
 from cadenza.music.signs.realising import realised
 from cadenza.music.signs.tempo_map import (
     Caesura,
-    Change,
     Fermata,
     Swing,
     Tempo,
+    TempoChange,
     TempoMap,
     TempoWord,
 )
@@ -73,7 +73,7 @@ notes = st.builds(
 )
 marks = st.lists(
     st.builds(Tempo, places, st.floats(0.1, 3))
-    | st.builds(TempoWord, places, st.sampled_from(Change))
+    | st.builds(TempoWord, places, st.sampled_from(TempoChange))
     | st.builds(lambda onset, length: Fermata(onset, onset + length), places, lengths)
     | st.builds(Caesura, places),
     max_size=6,

@@ -9,9 +9,9 @@ from scipy.integrate import quad
 from cadenza.music.signs.conventions import LONG_FERMATA
 from cadenza.music.signs.tempo_map import (
     Caesura,
-    Change,
     Fermata,
     Tempo,
+    TempoChange,
     TempoMap,
     TempoWord,
     says_tempo,
@@ -37,8 +37,8 @@ def test_tempos_change_where_they_stand():
 def test_a_ritardando_slows_down_evenly_until_a_tempo():
     marks = [
         Tempo(Q(0), 0.6),
-        TempoWord(Q(4), Change.RITARDANDO),
-        TempoWord(Q(8), Change.A_TEMPO),
+        TempoWord(Q(4), TempoChange.RITARDANDO),
+        TempoWord(Q(8), TempoChange.A_TEMPO),
     ]
     got = onsets(marks)
     last = 0.6 / 0.75
@@ -49,22 +49,22 @@ def test_a_ritardando_slows_down_evenly_until_a_tempo():
 
 
 def test_a_ritardando_leads_to_a_slower_tempo_and_an_accelerando_to_a_faster_one():
-    for change, tempo in ((Change.RITARDANDO, 1.5), (Change.ACCELERANDO, 0.5)):
+    for change, tempo in ((TempoChange.RITARDANDO, 1.5), (TempoChange.ACCELERANDO, 0.5)):
         got = onsets([Tempo(Q(0), 1.0), TempoWord(Q(0), change), Tempo(Q(8), tempo)])
         assert got[8] == pytest.approx(8 * (1 + tempo) / 2)
-    against = onsets([Tempo(Q(0), 1.0), TempoWord(Q(4), Change.RITARDANDO), Tempo(Q(8), 0.5)])
+    against = onsets([Tempo(Q(0), 1.0), TempoWord(Q(4), TempoChange.RITARDANDO), Tempo(Q(8), 0.5)])
     assert against[8] - against[4] == pytest.approx(4 * (1 + 1 / 0.75) / 2)
 
 
 def test_a_ritardando_that_the_score_forgets_does_not_slow_down_all_that_follows():
-    marks = [Tempo(Q(0), 1.0), TempoWord(Q(0), Change.RITARDANDO)]
+    marks = [Tempo(Q(0), 1.0), TempoWord(Q(0), TempoChange.RITARDANDO)]
     lengths = np.diff(onsets(marks, places=[Q(k) for k in range(30)], end=Q(40)))
     assert lengths[15] > 1.3
     assert lengths[16:] == pytest.approx(1.0)
 
 
 def test_a_last_ritardando_goes_on_to_the_end():
-    got = onsets([Tempo(Q(0), 1.0), TempoWord(Q(12), Change.RITARDANDO)])
+    got = onsets([Tempo(Q(0), 1.0), TempoWord(Q(12), TempoChange.RITARDANDO)])
     assert got[16] - got[12] == pytest.approx(4 * (1 + 1 / 0.75) / 2)
 
 
@@ -72,16 +72,16 @@ def test_a_tempo_leads_back_to_what_was_before_and_tempo_primo_to_the_beginning(
     marks = [
         Tempo(Q(0), 0.5),
         Tempo(Q(2), 1.0),
-        TempoWord(Q(4), Change.MENO_MOSSO),
-        TempoWord(Q(6), Change.A_TEMPO),
-        TempoWord(Q(8), Change.TEMPO_PRIMO),
+        TempoWord(Q(4), TempoChange.MENO_MOSSO),
+        TempoWord(Q(6), TempoChange.A_TEMPO),
+        TempoWord(Q(8), TempoChange.TEMPO_PRIMO),
     ]
     lengths = np.diff(onsets(marks)).tolist()
     assert lengths == pytest.approx([0.5] * 2 + [1] * 2 + [1 / 0.85] * 2 + [1] * 2 + [0.5] * 8)
 
 
 def test_a_tempo_for_playback_overrules_the_word_beside_it():
-    for word in (Change.MENO_MOSSO, Change.RITARDANDO):
+    for word in (TempoChange.MENO_MOSSO, TempoChange.RITARDANDO):
         marks = [Tempo(Q(0), 1.0), Tempo(Q(4), 2.0), TempoWord(Q(4), word)]
         assert np.diff(onsets(marks))[4:] == pytest.approx(2.0)
 
@@ -118,10 +118,10 @@ def test_the_last_note_is_held_by_a_fermata_where_the_music_is_played_by_section
 def test_plain_has_tempos_only():
     marks = [
         Tempo(Q(0), 1.0),
-        TempoWord(Q(1), Change.RITARDANDO),
+        TempoWord(Q(1), TempoChange.RITARDANDO),
         Fermata(Q(3), Q(4)),
         Caesura(Q(8)),
-        TempoWord(Q(9), Change.PIU_MOSSO),
+        TempoWord(Q(9), TempoChange.PIU_MOSSO),
         Tempo(Q(12), 0.5),
     ]
     assert np.diff(onsets(filter(says_tempo, marks))).tolist() == [1.0] * 12 + [0.5] * 4

@@ -2,27 +2,27 @@
 
 import pytest
 
-from cadenza.music.signs.tempo_map import Change
+from cadenza.music.signs.tempo_map import TempoChange
 from cadenza.music.signs.words import loudness_step, swing, tempo_change
 
 
 @pytest.mark.parametrize(
     ("text", "change"),
     [
-        ("rit.", Change.RITARDANDO),
-        ("poco rit.", Change.RITARDANDO),
-        ("Rallentando", Change.RITARDANDO),
-        ("molto allargando", Change.RITARDANDO),
-        ("accel.", Change.ACCELERANDO),
-        ("stringendo", Change.ACCELERANDO),
-        ("a tempo", Change.A_TEMPO),
-        ("A  Tempo", Change.A_TEMPO),
-        ("Tempo I", Change.TEMPO_PRIMO),
-        ("Tempo I°", Change.TEMPO_PRIMO),
-        ("Tempo primo", Change.TEMPO_PRIMO),
-        ("ritenuto", Change.MENO_MOSSO),
-        ("Più mosso", Change.PIU_MOSSO),
-        ("meno mosso", Change.MENO_MOSSO),
+        ("rit.", TempoChange.RITARDANDO),
+        ("poco rit.", TempoChange.RITARDANDO),
+        ("Rallentando", TempoChange.RITARDANDO),
+        ("molto allargando", TempoChange.RITARDANDO),
+        ("accel.", TempoChange.ACCELERANDO),
+        ("stringendo", TempoChange.ACCELERANDO),
+        ("a tempo", TempoChange.A_TEMPO),
+        ("A  Tempo", TempoChange.A_TEMPO),
+        ("Tempo I", TempoChange.TEMPO_PRIMO),
+        ("Tempo I°", TempoChange.TEMPO_PRIMO),
+        ("Tempo primo", TempoChange.TEMPO_PRIMO),
+        ("ritenuto", TempoChange.MENO_MOSSO),
+        ("Più mosso", TempoChange.PIU_MOSSO),
+        ("meno mosso", TempoChange.MENO_MOSSO),
         ("con spirito", None),
         ("tempo giusto", None),
         ("Tempo di valse", None),

@@ -31,7 +31,7 @@ from cadenza.demonstrations.recorded_episode import (
 )
 from cadenza.evaluation.collecting.perturbed_agent import PerturbedAgent, observed_pedal
 from cadenza.evaluation.collecting.variation import Variation
-from cadenza.evaluation.jobs import Job, JobSpec, digest_of_files, songs_of
+from cadenza.evaluation.jobs import BenchJob, JobSpec, digest_of_files, songs_of
 from cadenza.evaluation.run_status import (
     check_song,
     claimed_run,
@@ -69,7 +69,7 @@ class EpisodeSpec(JobSpec):
 
 
 @dataclass(frozen=True)
-class EpisodeJob(Job):
+class EpisodeJob(BenchJob):
     """An episode to be played, and recorded if it is good enough."""
 
     command: ClassVar[str] = "cadenza dataset collect"

@@ -12,7 +12,7 @@ from pathlib import Path
 from threading import Thread
 
 from cadenza.evaluation.bench import CarryOut, Ended
-from cadenza.evaluation.jobs import Job
+from cadenza.evaluation.jobs import BenchJob
 from cadenza.sim.threads import available_cores
 
 _SPAWN = get_context("spawn")  # MuJoCo and JAX do not survive a fork
@@ -27,9 +27,9 @@ class LocalExecutor:
         os.environ.setdefault("OMP_NUM_THREADS", str(num_threads))
         self.capacity = num_jobs or max(available_cores() // num_threads, 1)
         self._num_threads, self._carry_out = num_threads, carry_out
-        self._running: list[tuple[Job, BaseProcess]] = []
+        self._running: list[tuple[BenchJob, BaseProcess]] = []
 
-    def start(self, job: Job, folder: Path) -> None:
+    def start(self, job: BenchJob, folder: Path) -> None:
         process = _SPAWN.Process(
             target=_work, args=(self._carry_out, job, folder, self._num_threads)
         )
@@ -66,7 +66,7 @@ class LocalExecutor:
             process.kill()
 
 
-def _ended(job: Job, process: BaseProcess) -> Ended:
+def _ended(job: BenchJob, process: BaseProcess) -> Ended:
     process.join()
     status = process.exitcode or 0
     process.close()
@@ -79,7 +79,7 @@ def _ended(job: Job, process: BaseProcess) -> Ended:
     return Ended(job)
 
 
-def _work(carry_out: CarryOut, job: Job, folder: Path, num_threads: int) -> None:
+def _work(carry_out: CarryOut, job: BenchJob, folder: Path, num_threads: int) -> None:
     Thread(target=_end_with_parent, daemon=True).start()
     stop = _stop_requested() if job.spec.training is not None else lambda: False
     carry_out(job, folder, num_threads, stop)

@@ -10,7 +10,7 @@ from typing import Any
 
 from cadenza.errors import by_others, extra_packages
 from cadenza.evaluation.bench import CarryOut, Ended
-from cadenza.evaluation.jobs import Job
+from cadenza.evaluation.jobs import BenchJob
 
 
 class RayExecutor:
@@ -45,7 +45,7 @@ class RayExecutor:
             )
         self._ray = ray
         self._num_threads, self._num_jobs = num_threads, num_jobs
-        self._running: dict[Any, Job] = {}
+        self._running: dict[Any, BenchJob] = {}
         # A process a run, as on one machine: it leaves no memory behind.
         # One that dies is for the bench to take up again, as on one machine.
         self._carry_out = carry_out
@@ -56,7 +56,7 @@ class RayExecutor:
         cores = int(self._ray.cluster_resources().get("CPU", 0))
         return self._num_jobs or max(cores // self._num_threads, 1)
 
-    def start(self, job: Job, folder: Path) -> None:
+    def start(self, job: BenchJob, folder: Path) -> None:
         there = folder.resolve(), self._num_threads, os.getcwd()
         place = self._begin.remote(self._carry_out, job, *there)
         self._running[place] = job
@@ -84,7 +84,9 @@ class RayExecutor:
         self._ray.shutdown()
 
 
-def _work(carry_out: CarryOut, job: Job, folder: Path, num_threads: int, started_in: str) -> None:
+def _work(
+    carry_out: CarryOut, job: BenchJob, folder: Path, num_threads: int, started_in: str
+) -> None:
     if os.path.isdir(started_in):  # names of files are as they were given
         os.chdir(started_in)
     if started_in not in sys.path:

@@ -40,7 +40,7 @@ class Tempo:
     seconds: float
 
 
-class Change(Enum):
+class TempoChange(Enum):
     """A change of tempo in words."""
 
     RITARDANDO = auto()
@@ -66,7 +66,7 @@ class TempoWord:
     """
 
     onset: Fraction
-    change: Change
+    change: TempoChange
     end: Fraction | None = None
 
 
@@ -103,7 +103,7 @@ TempoMark = Tempo | TempoWord | Modulation | Fermata | Caesura
 def says_tempo(mark: TempoMark) -> bool:
     """Whether a mark gives a tempo, and not a way to play: a change by degrees, or a wait."""
     if isinstance(mark, TempoWord):
-        return mark.change is Change.TEMPO_PRIMO
+        return mark.change is TempoChange.TEMPO_PRIMO
     return isinstance(mark, Tempo | Modulation)
 
 
@@ -236,8 +236,8 @@ class TempoMap:
         return TempoSegment(place, seconds, segment.slope, time, silence)
 
 
-_SUDDEN = (Change.MENO_MOSSO, Change.PIU_MOSSO)
-_GRADUAL = (Change.RITARDANDO, Change.ACCELERANDO)
+_SUDDEN = (TempoChange.MENO_MOSSO, TempoChange.PIU_MOSSO)
+_GRADUAL = (TempoChange.RITARDANDO, TempoChange.ACCELERANDO)
 
 
 def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoSegment]:
@@ -265,10 +265,10 @@ def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoSegme
             seconds = now * float(mark.slower)
         else:
             seconds = {
-                Change.MENO_MOSSO: now / MENO_MOSSO,
-                Change.PIU_MOSSO: now / PIU_MOSSO,
-                Change.A_TEMPO: before,
-                Change.TEMPO_PRIMO: _SECONDS_PER_QUARTER if primo is None else primo,
+                TempoChange.MENO_MOSSO: now / MENO_MOSSO,
+                TempoChange.PIU_MOSSO: now / PIU_MOSSO,
+                TempoChange.A_TEMPO: before,
+                TempoChange.TEMPO_PRIMO: _SECONDS_PER_QUARTER if primo is None else primo,
             }[mark.change]
         sudden = isinstance(mark, TempoWord) and mark.change in _SUDDEN
         before, gradual = now if sudden else seconds, False
@@ -284,7 +284,7 @@ def _is_said(word: TempoWord | Modulation, speeds: Sequence[TempoSegment]) -> bo
     if isinstance(word, Modulation) or word.change not in _GRADUAL:
         return True
     before = [speed.seconds for speed in speeds[-2:] if speed.place < word.onset]
-    slower = word.change is Change.RITARDANDO
+    slower = word.change is TempoChange.RITARDANDO
     return any(before) and (speeds[-1].seconds > before[-1]) == slower
 
 
@@ -300,7 +300,7 @@ def _ramp(
     It leads to the tempo that follows where it reaches it and that is on the way. Where the score
     forgets it, the tempo after it is that `before` it.
     """
-    slower = word.change is Change.RITARDANDO
+    slower = word.change is TempoChange.RITARDANDO
     open_end = word.onset + OPEN_RAMP
     reaches = [open_end if word.end is None else word.end]
     reaches += [] if following is None else [following.onset]

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import re
 
-from cadenza.music.signs.tempo_map import Change
+from cadenza.music.signs.tempo_map import TempoChange
 
 # Each with the words that the change is called by; \b before all, so that "brit." is no "rit.".
 _CHANGES = (
-    (Change.TEMPO_PRIMO, r"(tempo (primo|i\b|1)|(1o|1\.|primo) tempo)"),
-    (Change.A_TEMPO, r"(a tempo|au mouvement|im zeitma(ss|ß))"),
-    (Change.MENO_MOSSO, r"(meno (mosso|allegro|vivo|presto)|ritenut|riten\b|langsamer|plus lent)"),
-    (Change.PIU_MOSSO, r"(pi(ù|u'?) (mosso|allegro|vivo|presto)|schneller|plus vite)"),
+    (TempoChange.TEMPO_PRIMO, r"(tempo (primo|i\b|1)|(1o|1\.|primo) tempo)"),
+    (TempoChange.A_TEMPO, r"(a tempo|au mouvement|im zeitma(ss|ß))"),
     (
-        Change.RITARDANDO,
+        TempoChange.MENO_MOSSO,
+        r"(meno (mosso|allegro|vivo|presto)|ritenut|riten\b|langsamer|plus lent)",
+    ),
+    (TempoChange.PIU_MOSSO, r"(pi(ù|u'?) (mosso|allegro|vivo|presto)|schneller|plus vite)"),
+    (
+        TempoChange.RITARDANDO,
         r"(rit\b|ritard|rallent|rall\b|allarg|slarg|lentando|calando|morendo|smorz|cédez|"
         r"ritenendo)",
     ),
-    (Change.ACCELERANDO, r"(accel|string(endo|\b)|affrett|precipit|serrez|beschleunig)"),
+    (TempoChange.ACCELERANDO, r"(accel|string(endo|\b)|affrett|precipit|serrez|beschleunig)"),
 )
 _LOUDER = r"(cresc|rinforzando|dal niente)"
 _SOFTER = r"(decresc|dim\b|dimin|calando|morendo|smorz|perdendosi|al niente)"
@@ -25,7 +28,7 @@ _TRIPLETS = 2, 1  # "Swing": the first note is about twice as long (MuseScore's 
 _EVEN = 1, 1
 
 
-def tempo_change(text: str) -> Change | None:
+def tempo_change(text: str) -> TempoChange | None:
     """The change of tempo that words such as "poco rit." ask for, if any."""
     return next((change for change, words in _CHANGES if _has(text, words)), None)
 

@@ -40,7 +40,7 @@ _HORIZON = 0.6  # [s] for which a change is evaluated after its end
 _REFINEMENTS = 6  # rollouts at most in which the strikes of a change are refined
 
 
-class Change(NamedTuple):
+class ChangedControls(NamedTuple):
     """Other controls for a hand with A servos over L steps, and the servos' states with them."""
 
     first: int
@@ -58,7 +58,7 @@ class Attempt(NamedTuple):
     """The step with the loss."""
     first: int
     """The step at which perturbations began."""
-    change: Change | None
+    change: ChangedControls | None
     """The best of them, if one was better than the trajectory."""
     simulated: int
     """Control steps that were simulated."""
@@ -169,7 +169,7 @@ class HandPractice:
 
     def _best_change(
         self, offsets: Array, trajectory: Trajectory, first: int, end: int, rng: np.random.Generator
-    ) -> Change | None:
+    ) -> ChangedControls | None:
         """Rolls out `offsets` (N, L, A) and corrections from the step `first` up to `end`.
 
         The strikes of the cheapest are refined.
@@ -178,7 +178,7 @@ class HandPractice:
             The controls of the cheapest rollout, None if the trajectory is as cheap.
         """
         steps, changed, rows = end - first, offsets.shape[1], slice(first, end)
-        as_it_is = Change(
+        as_it_is = ChangedControls(
             first, trajectory.ctrl[rows, self.servos], trajectory.expected[rows, self.servos]
         )
         still = np.zeros((steps + 1, offsets.shape[2]))
@@ -195,7 +195,9 @@ class HandPractice:
         change, rollout = self._refined(*min(made, key=_cost))
         return change if rollout.cost < unchanged.cost else None
 
-    def _refined(self, change: Change, rollout: Rollout) -> tuple[Change, Rollout]:
+    def _refined(
+        self, change: ChangedControls, rollout: Rollout
+    ) -> tuple[ChangedControls, Rollout]:
         """The change with its strikes refined, where that is cheaper, and the rollout of it."""
         made, still = [(change, rollout)], np.zeros((len(change.ctrl) + 1, change.ctrl.shape[1]))
 
@@ -226,8 +228,8 @@ class HandPractice:
         return np.stack([scale * change * each for scale, each in scaled])
 
     def _candidate(
-        self, base: Change, offsets: Array, slot: int = 0
-    ) -> tuple[Change, Iterator[Array]]:
+        self, base: ChangedControls, offsets: Array, slot: int = 0
+    ) -> tuple[ChangedControls, Iterator[Array]]:
         """Other controls, with offsets (L + 1, A) to the positions of servos.
 
         Returns:
@@ -246,10 +248,10 @@ class HandPractice:
                 ctrl[k] = self._servos.clip(ctrl[k] - feedback + offsets[k + 1])
                 yield ctrl[k]
 
-        return Change(first, ctrl, expected), controls()
+        return ChangedControls(first, ctrl, expected), controls()
 
 
-def _cost(made: tuple[Change, Rollout]) -> float:
+def _cost(made: tuple[ChangedControls, Rollout]) -> float:
     return made[1].cost
 
 

@@ -60,7 +60,7 @@ class KeyEvents(NamedTuple):
     """How fast they moved then [rad/s]."""
 
 
-class Evaluation(NamedTuple):
+class StepLoss(NamedTuple):
     """The evaluation of a step."""
 
     loss: float
@@ -99,7 +99,7 @@ class Losses:
         history: KeyHistory,
         keys: slice = slice(None),
         near: Mask | bool = True,
-    ) -> Evaluation:
+    ) -> StepLoss:
         """Evaluates the state after a step.
 
         Args:
@@ -133,7 +133,7 @@ class Losses:
         nearly = _DEPTH_WEIGHT * (too_high @ too_high + too_deep @ too_deep)
         nearly += _FINGERTIP_WEIGHT * astray
         strike_loss, more = self._strikes(step, events, keys)
-        return Evaluation(float(loss), strike_loss, float(loss + nearly) + more, now)
+        return StepLoss(float(loss), strike_loss, float(loss + nearly) + more, now)
 
     def _strikes(self, step: int, events: KeyEvents, keys: slice) -> tuple[float, float]:
         """The loss and the cost of the strikes of a step, of these keys."""

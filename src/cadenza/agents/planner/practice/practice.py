@@ -30,7 +30,7 @@ from cadenza.agents.agent import Array, steps_in
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.song_plan import SongPlan
-from cadenza.agents.planner.practice.hand_practice import Attempt, Change
+from cadenza.agents.planner.practice.hand_practice import Attempt, ChangedControls
 from cadenza.agents.planner.practice.initial_trajectories import InitialTrajectories, Parts
 from cadenza.agents.planner.practice.practised_planner import PracticeResult
 from cadenza.agents.planner.practice.trajectory import Snapshots, Trajectory, scene_before
@@ -278,7 +278,9 @@ class Practice:
                 around = slice(max(step - self._around, 0), step + self._around + 1)
                 self._num_failed[around, i] += 1
 
-    def _accept(self, changes: Mapping[int, Change], last: int, before: Trajectory) -> bool:
+    def _accept(
+        self, changes: Mapping[int, ChangedControls], last: int, before: Trajectory
+    ) -> bool:
         """Makes changes by hands, if the cost from there to `last` falls in the whole scene.
 
         For note onsets they may give up what F1 has risen by up to there, compared with `before`;

@@ -37,7 +37,7 @@ class CloningState(NamedTuple):
     opt_state: Any
 
 
-class Actor(nn.Module):
+class CloningActor(nn.Module):
     """Observations (..., D) to actions (..., A) in [-1, 1]."""
 
     config: CloningConfig
@@ -67,7 +67,7 @@ class Cloning(JaxLearner[CloningState]):
         """
         super().__init__()
         self._config, self._num_inputs = config, len(inputs.kept)
-        self._actor = Actor(config, action_size)
+        self._actor = CloningActor(config, action_size)
         final = config.final_learning_rate_fraction
         self._optimizer = optax.adam(learning_rate_schedule(config.learning_rate, final, ends))
 

@@ -62,7 +62,7 @@ _EXAMPLES: Expected = {
 }
 
 
-class Examples(NamedTuple):
+class HandExamples(NamedTuple):
     """Step of recorded episodes, for either hand."""
 
     inputs: Array
@@ -118,8 +118,8 @@ class GeneralistCloning(CheckpointedRun):
 
     def _examples_by_song(
         self, episodes: Sequence[RecordedEpisode], progress: Progress
-    ) -> list[Examples]:
-        songs: dict[str, list[Examples]] = {}
+    ) -> list[HandExamples]:
+        songs: dict[str, list[HandExamples]] = {}
         for i, episode in enumerate(episodes):
             progress("examples", i, len(episodes))
             examples = _cached_examples(episode, self.folder.path / "examples")
@@ -137,9 +137,11 @@ class GeneralistCloning(CheckpointedRun):
         inputs, servos = self._parts[network]
         mean, std = self._normalisation(inputs, servos)
 
-        def normalised(songs: list[Examples]) -> Examples:
+        def normalised(songs: list[HandExamples]) -> HandExamples:
             seen, corrections = _of_parts(songs, inputs, servos)
-            return Examples(np.clip((seen - mean) / std, -INPUT_LIMIT, INPUT_LIMIT), corrections)
+            return HandExamples(
+                np.clip((seen - mean) / std, -INPUT_LIMIT, INPUT_LIMIT), corrections
+            )
 
         train, validation = (
             normalised(
@@ -188,8 +190,8 @@ class GeneralistCloning(CheckpointedRun):
 
 
 def fit(
-    train: Examples,
-    validation: Examples,
+    train: HandExamples,
+    validation: HandExamples,
     previous: Array,
     config: GeneralistCloningConfig,
     seed: int,
@@ -267,7 +269,7 @@ def _predicted(layers: Layers, x: Array) -> Array:
     return x @ np.asarray(kernel[0]) + np.asarray(bias[0])
 
 
-def examples_of(recorded: RecordedEpisode) -> Examples:
+def examples_of(recorded: RecordedEpisode) -> HandExamples:
     """The examples of an episode.
 
     Raises:
@@ -289,7 +291,9 @@ def examples_of(recorded: RecordedEpisode) -> Examples:
         inputs.append(seen)
         corrections.append(hands.output_for(rows["action"][step, hands.servos], planned))
         hands.record(played[step, hands.servos], planned)
-    return Examples(*(np.concatenate(each).astype(np.float32) for each in (inputs, corrections)))
+    return HandExamples(
+        *(np.concatenate(each).astype(np.float32) for each in (inputs, corrections))
+    )
 
 
 def _state_of(rows: Array, zeros: State, scene: Scene) -> State:
@@ -299,29 +303,29 @@ def _state_of(rows: Array, zeros: State, scene: Scene) -> State:
     return zeros._replace(**known, key_qpos=rows["key_state"] * scene.keyboard.travel)
 
 
-def _cached_examples(recorded: RecordedEpisode, folder: Path) -> Examples:
+def _cached_examples(recorded: RecordedEpisode, folder: Path) -> HandExamples:
     """The examples of an episode, which are made once and kept in a folder."""
     files = hashlib.sha256("".join(recorded.facts.files.values()).encode()).hexdigest()
     path = folder / f"{recorded.folder.name}-{files[:12]}.npz"
     if path.exists():
-        return Examples(**read_arrays(path, _EXAMPLES))
+        return HandExamples(**read_arrays(path, _EXAMPLES))
     examples = examples_of(recorded)
     with write_atomically(path) as file:
         np.savez(file, allow_pickle=False, **examples._asdict())
     return examples
 
 
-def _joined(examples: Sequence[Examples]) -> Examples:
-    return Examples(*(np.concatenate(parts) for parts in zip(*examples, strict=True)))
+def _joined(examples: Sequence[HandExamples]) -> HandExamples:
+    return HandExamples(*(np.concatenate(parts) for parts in zip(*examples, strict=True)))
 
 
-def _of_parts(songs: Sequence[Examples], inputs: Array, servos: Array) -> Examples:
+def _of_parts(songs: Sequence[HandExamples], inputs: Array, servos: Array) -> HandExamples:
     """Examples of parts of a hand, with their `inputs` (M, I) and `servos` (M, O)."""
     examples = _joined(songs)
     constants = np.broadcast_to(CONSTANTS, (len(examples.inputs), len(CONSTANTS)))
     seen = np.concatenate([examples.inputs, constants], axis=1)
     parts = zip(inputs, servos, strict=True)
-    return _joined([Examples(seen[:, i], examples.corrections[:, own]) for i, own in parts])
+    return _joined([HandExamples(seen[:, i], examples.corrections[:, own]) for i, own in parts])
 
 
 def hand_parts(alone: Scene) -> list[tuple[Array, Array]]:

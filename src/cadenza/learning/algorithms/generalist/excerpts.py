@@ -139,7 +139,7 @@ class StrikesOfPlan(NamedTuple):
         return self.finger[rows], strike_costs(outcome, self.wanted[rows])
 
 
-class Excerpt(NamedTuple):
+class PlannedExcerpt(NamedTuple):
     """A planned excerpt of a song."""
 
     costs: FingerCosts
@@ -148,7 +148,7 @@ class Excerpt(NamedTuple):
     """(J,) initial joint positions [m, rad]."""
 
 
-def planned_excerpts(scores: Sequence[Score], progress: Progress = silent) -> list[Excerpt]:
+def planned_excerpts(scores: Sequence[Score], progress: Progress = silent) -> list[PlannedExcerpt]:
     """Plan each of the scores for the hands and the keyboard of the default scene."""
     excerpts, config = [], TaskConfig(repeats="shortened")
     for i, score in enumerate(scores):
@@ -157,7 +157,7 @@ def planned_excerpts(scores: Sequence[Score], progress: Progress = silent) -> li
             start = task.state.hand_qpos[0].copy()
             (track,) = task.tracks
             plan = plan_song(track, start, jump_acceleration=JUMP_ACCELERATION, strikes=True)
-        excerpts.append(Excerpt(FingerCosts(plan), CorrectedHands(plan), start))
+        excerpts.append(PlannedExcerpt(FingerCosts(plan), CorrectedHands(plan), start))
     return excerpts
 
 
@@ -185,7 +185,7 @@ class ExcerptEpisode:
         step: the next step.
     """
 
-    def __init__(self, excerpt: Excerpt) -> None:
+    def __init__(self, excerpt: PlannedExcerpt) -> None:
         self.excerpt, self.step, self._total = excerpt, 0, 0.0
         self.hands = copy(excerpt.hands)
         self.hands.output = np.zeros_like(self.hands.output)
@@ -220,7 +220,7 @@ class ExcerptEpisode:
         return costs.reshape(len(self.hands.output), -1)
 
 
-class Rollout(NamedTuple):
+class ExcerptRollout(NamedTuple):
     """T steps of N hands."""
 
     inputs: Array
@@ -241,7 +241,11 @@ class ExcerptEnvs:
     """
 
     def __init__(
-        self, excerpts: Sequence[Excerpt], scene: Scene, num_envs: int, rng: np.random.Generator
+        self,
+        excerpts: Sequence[PlannedExcerpt],
+        scene: Scene,
+        num_envs: int,
+        rng: np.random.Generator,
     ) -> None:
         self._excerpts, self._rng = excerpts, rng
         self._unplayed = rng.permutation(len(excerpts)).tolist()
@@ -250,7 +254,7 @@ class ExcerptEnvs:
         self._playing = [0] * num_envs  # indices of excerpts
         self.episodes = [self._next_episode(i) for i in range(num_envs)]
 
-    def rollout(self, policy: Callable[[Array], Array], steps: int, noise: float) -> Rollout:
+    def rollout(self, policy: Callable[[Array], Array], steps: int, noise: float) -> ExcerptRollout:
         """Play the next steps, with Gaussian noise added to the policy's corrections (N, A)."""
         inputs, corrections, rewards, ends = [self.inputs()], [], [], []
         for _ in range(steps):
@@ -261,7 +265,7 @@ class ExcerptEnvs:
             rewards.append(-costs)
             ends.append(np.repeat(over, len(action) // len(over)))
             inputs.append(self.inputs())
-        return Rollout(*map(np.array, (inputs, corrections, rewards, ends)))
+        return ExcerptRollout(*map(np.array, (inputs, corrections, rewards, ends)))
 
     def inputs(self) -> Array:
         """The inputs (N, D) of the networks for the hands of all simulations."""

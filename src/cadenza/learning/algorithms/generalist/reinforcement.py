@@ -19,7 +19,7 @@ import optax
 from cadenza.agents.planner.search.networks.weights import Weights
 from cadenza.learning.algorithms.generalist.config import GeneralistReinforcementConfig
 from cadenza.learning.algorithms.generalist.excerpt_run import ExcerptRun
-from cadenza.learning.algorithms.generalist.excerpts import Rollout
+from cadenza.learning.algorithms.generalist.excerpts import ExcerptRollout
 from cadenza.learning.algorithms.generalist.hand_networks import (
     Array,
     Layers,
@@ -37,7 +37,7 @@ _VALUE_HIDDEN = (128, 64)  # widths of the hidden layers of the value functions
 _MAX_GRADIENT_NORM = 1.0
 
 
-class PPOState(NamedTuple):
+class GeneralistPPOState(NamedTuple):
     """Everything that learning changes."""
 
     policy: list[Layers]
@@ -85,7 +85,7 @@ class HandPPO:
         self._policy_step = jax.jit(self._step(self._policy_optimizer, self._policy_loss))
         self._value_step = jax.jit(self._step(self._value_optimizer, self._value_loss))
 
-    def init(self) -> PPOState:
+    def init(self) -> GeneralistPPOState:
         """The state with the layers of the weights; the value functions are drawn."""
         networks = self._weights.networks
         policy = [list(zip(each.kernels, each.biases, strict=True)) for each in networks]
@@ -93,14 +93,16 @@ class HandPPO:
             initial_layers((len(each.mean), *_VALUE_HIDDEN, 1), self._rng) for each in networks[1:]
         ]
         opt_states = self._policy_optimizer.init(policy), self._value_optimizer.init(values)
-        return PPOState(policy, policy, values, *opt_states)
+        return GeneralistPPOState(policy, policy, values, *opt_states)
 
-    def weights(self, state: PPOState) -> Weights:
+    def weights(self, state: GeneralistPPOState) -> Weights:
         """The averaged networks; touches that were learnt for others are left out."""
         networks = map(with_layers, self._weights.networks, state.policy_ema)
         return self._weights._replace(networks=tuple(networks), striking=())
 
-    def update(self, state: PPOState, rollout: Rollout, values_only: bool) -> PPOState:
+    def update(
+        self, state: GeneralistPPOState, rollout: ExcerptRollout, values_only: bool
+    ) -> GeneralistPPOState:
         """Update value functions, and unless `values_only` networks, by a rollout."""
         config = self._config
         inputs = rollout.inputs.reshape(-1, rollout.inputs.shape[-1])
@@ -130,7 +132,7 @@ class HandPPO:
         ema = jax.tree.map(
             lambda mean, now: mean + config.ema * (now - mean), state.policy_ema, policy
         )
-        return PPOState(policy, ema, value_layers, policy_opt, value_opt)
+        return GeneralistPPOState(policy, ema, value_layers, policy_opt, value_opt)
 
     @staticmethod
     def _step(optimizer: optax.GradientTransformation, loss: Any) -> Any:

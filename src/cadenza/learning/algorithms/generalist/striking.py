@@ -151,7 +151,7 @@ def _strikes(before: _Step, now: _Step, after: _Step) -> list[Any]:
     return rows
 
 
-class _Part(NamedTuple):
+class _StrikeData(NamedTuple):
     """What is learnt from: R strikes of fingers that share a network."""
 
     seen: Array
@@ -189,7 +189,13 @@ class TouchFit:
         return with_layers(network, policy), float(loss(policy, part))
 
     def _descend(
-        self, layers: Layers, loss: Any, part: _Part, rate: float, decay: float, hide: bool = False
+        self,
+        layers: Layers,
+        loss: Any,
+        part: _StrikeData,
+        rate: float,
+        decay: float,
+        hide: bool = False,
     ) -> Layers:
         """Layers after some epochs of AdamW, with some inputs hidden if that is wanted."""
         config, rng = self._config, self._rng
@@ -200,7 +206,7 @@ class TouchFit:
         )
 
         @jax.jit
-        def step(layers: Layers, opt_state: Any, batch: _Part) -> tuple[Layers, Any]:
+        def step(layers: Layers, opt_state: Any, batch: _StrikeData) -> tuple[Layers, Any]:
             gradient = jax.grad(loss)(layers, batch)
             updates, opt_state = optimizer.update(gradient, opt_state, layers)
             return optax.apply_updates(layers, updates), opt_state
@@ -208,7 +214,7 @@ class TouchFit:
         opt_state = optimizer.init(layers)
         for _ in range(config.num_epochs):
             for rows in np.array_split(rng.permutation(len(part.seen)), batches):
-                batch = _Part._make(values[rows] for values in part)
+                batch = _StrikeData._make(values[rows] for values in part)
                 if hide:
                     shown = rng.random(batch.seen.shape, np.float32) >= _HIDDEN_INPUTS
                     batch = batch._replace(seen=batch.seen * shown)
@@ -216,7 +222,7 @@ class TouchFit:
         return layers
 
 
-def _part(of: Network, fingers: Array, strikes: Strikes) -> tuple[_Part, Array, Array]:
+def _part(of: Network, fingers: Array, strikes: Strikes) -> tuple[_StrikeData, Array, Array]:
     """The strikes of some fingers, and mean and standard deviation (I,) of their inputs."""
     mine = np.isin(strikes.finger, fingers)
     own = Strikes._make(values[mine] for values in strikes)
@@ -229,7 +235,7 @@ def _part(of: Network, fingers: Array, strikes: Strikes) -> tuple[_Part, Array, 
     time = np.nan_to_num(own.outcome[:, 0], nan=_LATEST)
     outcome = np.stack([np.clip(time, _EARLIEST, _LATEST), own.outcome[:, 1]], axis=1)
     arrays = seen, own.touch, outcome, own.wanted, own.sounding
-    part = _Part._make(values.astype(np.float32) for values in arrays)
+    part = _StrikeData._make(values.astype(np.float32) for values in arrays)
     return part, mean.astype(np.float32), std.astype(np.float32)
 
 
@@ -247,7 +253,7 @@ def _predicted(critics: Layers, seen: Any, touch: Any) -> Any:
     return forward(critics, jnp.concatenate([seen, touch], axis=1)[None])
 
 
-def _critic_loss(critics: Layers, part: _Part) -> Any:
+def _critic_loss(critics: Layers, part: _StrikeData) -> Any:
     predicted = _predicted(critics, part.seen, part.touch)
     error = predicted[..., :2] - (part.outcome - _MIDDLE) / _SCALE
     known, logit, sounds = jnp.isfinite(error), predicted[..., 2:], part.sounding
@@ -257,7 +263,7 @@ def _critic_loss(critics: Layers, part: _Part) -> Any:
     return huber.mean() + jnp.where(jnp.isnan(sounds), 0.0, entropy).mean()
 
 
-def _touch_loss(critics: Layers, policy: Layers, part: _Part) -> Any:
+def _touch_loss(critics: Layers, policy: Layers, part: _StrikeData) -> Any:
     raw = forward(policy, part.seen[None]).mean(axis=0)
     touch = jnp.clip(raw, jnp.array([-MAX_LOWER, 0.0]), jnp.array([MAX_LOWER, 1.0]))
     predicted = _predicted(critics, part.seen, touch)

@@ -28,7 +28,7 @@ from cadenza.learning.algorithms.ppo.config import PPOConfig
 from cadenza.learning.learner import Ends
 from cadenza.learning.observation import Inputs
 from cadenza.learning.policy import Perceptron
-from cadenza.learning.rollout import Decision, Rollout
+from cadenza.learning.rollout import Decision, EnvRollout
 
 Array = Any  # of JAX
 Params = Any  # nested dictionaries of arrays
@@ -76,7 +76,7 @@ class PPOState(NamedTuple):
     normalisation: Normalisation
 
 
-class Batch(NamedTuple):
+class PPOBatch(NamedTuple):
     """Transitions (B, ...) of a rollout with what is learnt from them."""
 
     observation: Array
@@ -158,7 +158,7 @@ class PPO(StateOnJax[PPOState]):
     behavior_policy = policy
 
     def update(
-        self, state: PPOState, rollout: Rollout, rows: Array
+        self, state: PPOState, rollout: EnvRollout, rows: Array
     ) -> tuple[PPOState, dict[str, Array]]:
         """Make an update for each of the `rows` (U, B) of a rollout; see `OnPolicyLearner`."""
         return self._learn_all(state, rollout, rows)
@@ -176,14 +176,14 @@ class PPO(StateOnJax[PPOState]):
         return self._outputs(state.params, state.normalisation, observation)[2]
 
     def _learn(
-        self, state: PPOState, rollout: Rollout, rows: Array
+        self, state: PPOState, rollout: EnvRollout, rows: Array
     ) -> tuple[PPOState, dict[str, Array]]:
         config = self._config
         rewards = rollout.reward + config.discount * rollout.value_at_end
         values = jnp.concatenate([rollout.value, rollout.last_value[None]])
         advantages = gae(rewards, values, rollout.ended, config.discount, config.gae_lambda)
         parts = rollout.observation, rollout.action, rollout.log_prob
-        steps = Batch(*parts, advantages, advantages + rollout.value)
+        steps = PPOBatch(*parts, advantages, advantages + rollout.value)
         flat = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), steps)
 
         def update(state: PPOState, rows: Array) -> tuple[PPOState, dict[str, Array]]:
@@ -193,7 +193,7 @@ class PPO(StateOnJax[PPOState]):
         seen = state.normalisation.updated(rollout.observation)
         return state._replace(normalisation=seen), metrics
 
-    def _update(self, state: PPOState, batch: Batch) -> tuple[PPOState, dict[str, Array]]:
+    def _update(self, state: PPOState, batch: PPOBatch) -> tuple[PPOState, dict[str, Array]]:
         gradient, metrics = jax.grad(self._loss, has_aux=True)(
             state.params, state.normalisation, batch
         )
@@ -207,7 +207,7 @@ class PPO(StateOnJax[PPOState]):
         return PPOState(params, opt_state, rate, state.normalisation), metrics
 
     def _loss(
-        self, params: Params, normalisation: Normalisation, batch: Batch
+        self, params: Params, normalisation: Normalisation, batch: PPOBatch
     ) -> tuple[Array, dict[str, Array]]:
         config = self._config
         mean, std, value = self._outputs(params, normalisation, batch.observation)

@@ -73,7 +73,7 @@ _DIRECTIONS = {"up": 1, "down": -1}
 
 
 @dataclass(frozen=True, slots=True)
-class WrittenNote:
+class SheetNote:
     """A note in its measure, with times on the sheet.
 
     `tied` and `ties` say whether a tie leads to it and on from it. It is played on some `passes`
@@ -104,7 +104,7 @@ def notes_of(
     silence: Callable[[Placed], str],
     plain: bool,
     counts: Counter[str],
-) -> list[WrittenNote]:
+) -> list[SheetNote]:
     """The notes of a part that sound; others are added to `counts`.
 
     Args:
@@ -122,7 +122,7 @@ def notes_of(
     is_slashed = attribute(part, "measure-style[slash]", _is_slashed, before=False)
     others = [is_other(placed) for placed in written]
     graces, hand_of = _graces(written), _hands_of(part, others)
-    notes: list[WrittenNote] = []
+    notes: list[SheetNote] = []
     for index, placed in enumerate(written):
         note, hand, grace = placed.element, hand_of[index], graces.get(index)
         if note.find("cue") is not None or note.find("rest") is not None:
@@ -159,7 +159,7 @@ def notes_of(
         )
         tied, ties = _ties(note)
         signed = signed.plain if plain else signed
-        notes.append(WrittenNote(placed.measure, signed, tied, ties, passes_of(note)))
+        notes.append(SheetNote(placed.measure, signed, tied, ties, passes_of(note)))
         if shift.doubled:
             octave = replace(signed, pitch=signed.pitch + shift.doubled, finger=None)
             notes.append(replace(notes[-1], signed=octave))

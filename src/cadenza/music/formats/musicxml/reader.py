@@ -16,7 +16,7 @@ import numpy as np
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.music.formats.musicxml.bars import WrittenBar, bars_of, without_goal
 from cadenza.music.formats.musicxml.jumps import JUMPS, read_jumps
-from cadenza.music.formats.musicxml.notes import WrittenNote, notes_of
+from cadenza.music.formats.musicxml.notes import SheetNote, notes_of
 from cadenza.music.formats.musicxml.pedal import (
     PEDALS,
     Move,
@@ -173,7 +173,7 @@ class _Part:
     """A part with notes: these and the motions of its pedals, of each bar."""
 
     track: Track
-    notes: list[WrittenNote]
+    notes: list[SheetNote]
     pedal: list[Move]
     sostenuto: list[Move]
 
@@ -238,7 +238,7 @@ def _remarks(
         yield "the soft pedal is left out"
 
 
-def _track(at: int, name: str, notes: Sequence[WrittenNote]) -> Track:
+def _track(at: int, name: str, notes: Sequence[SheetNote]) -> Track:
     struck = [note.signed.pitch for note in notes if not note.tied] or [notes[0].signed.pitch]
     return Track(at, name, name, None, len(struck), min(struck), max(struck))
 

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from cadenza.errors import CadenzaError
 from cadenza.music.formats.musicxml.bars import WrittenBar, bar_at, played_order
-from cadenza.music.formats.musicxml.notes import WrittenNote
+from cadenza.music.formats.musicxml.notes import SheetNote
 from cadenza.music.formats.musicxml.pedal import Move
 from cadenza.music.formats.musicxml.timeline import ZERO
 from cadenza.music.score import PITCHES
@@ -81,12 +81,12 @@ class Unrolled:
             sections.append((begin, passage.bar.end))
         return sections
 
-    def notes(self, written: Iterable[WrittenNote], counts: Counter[str]) -> list[SignedNote]:
+    def notes(self, written: Iterable[SheetNote], counts: Counter[str]) -> list[SignedNote]:
         """The notes of a part as they are played; tied notes are one, with the signs of all.
 
         Those that no key plays are left out, and added to `counts`.
         """
-        by_bar: defaultdict[int, list[WrittenNote]] = defaultdict(list)
+        by_bar: defaultdict[int, list[SheetNote]] = defaultdict(list)
         for note in written:
             by_bar[bar_at(self._bars, note.measure, note.signed.onset)].append(note)
         notes: list[SignedNote] = []
