@@ -430,6 +430,16 @@ def test_parts_are_tracks(saved):
         load_score(path, tracks=[4])
 
 
+def test_a_part_without_measures_is_silent(saved):
+    score = load_score(saved(document([FOUR_QUARTERS + note("C4", 4)], [])))
+    assert pitches(score) == [60]
+
+
+def test_a_message_repeats_only_the_beginning_of_a_long_name(saved):
+    with pytest.raises(CadenzaError, match=r"\(it is <x{30,40}\.\.\.>\)"):
+        load_score(saved(f"<{'x' * 5000}/>"))
+
+
 def test_transposing_instruments_sound_as_they_do(saved):
     clarinet = "<transpose><diatonic>-1</diatonic><chromatic>-2</chromatic></transpose>"
     attributes = FOUR_QUARTERS.replace("</attributes>", f"{clarinet}</attributes>")
