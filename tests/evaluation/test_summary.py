@@ -62,6 +62,14 @@ def test_figures_worked_out_by_hand(tmp_path: Path) -> None:
     assert np.isnan(summary.by_piece["recall"].value).all()
 
 
+def test_an_agent_with_one_piece_has_the_interval_of_the_piece(tmp_path: Path) -> None:
+    write(tmp_path, {("a", "good", seed): f1 for seed, f1 in enumerate((0.5, 0.6, 0.7))})
+    summary = summary_of(tmp_path)
+    of_agent, of_piece = summary.groups[0].agents["good"].mean["f1"], summary.by_piece["f1"]
+    assert of_agent == (of_piece.value[0, 0], of_piece.low[0, 0], of_piece.high[0, 0])
+    assert of_agent.low == pytest.approx(0.6 - 4.303 * 0.1 / math.sqrt(3), abs=1e-3)  # t of 2
+
+
 def test_who_plays_the_same_with_every_seed_has_no_interval(tmp_path: Path) -> None:
     still = {("a", "still", seed): 0.8 for seed in (0, 1)} | {("b", "still", 0): 0.4}
     write(tmp_path, TWO_AGENTS | still)

@@ -153,8 +153,13 @@ def _rank(f1: Scores) -> tuple[int, float]:
 
 def _by_piece(scores: AllScores, metric: str) -> Estimate:
     """Return means over seeds and their intervals, arrays (agents, pieces)."""
-    value, low, high = np.stack([mean_interval(own[metric]) for own in scores.values()], axis=1)
-    return Estimate(value, low.clip(0), high.clip(max=1 if metric in SHARES else None))
+    of_agents = [_of_each_piece(own[metric], metric) for own in scores.values()]
+    return Estimate(*np.stack(of_agents, axis=1))
+
+
+def _of_each_piece(scores: Scores, metric: str) -> tuple[Scores, Scores, Scores]:
+    value, low, high = mean_interval(scores)
+    return value, low.clip(0), high.clip(max=1 if metric in SHARES else math.inf)
 
 
 def _groups(pieces: Sequence[PieceSummary], scores: AllScores) -> Iterator[Group]:
@@ -179,14 +184,19 @@ def _group(name: str, pieces: Sequence[int], scores: AllScores) -> Group:
             agents[agent] = AgentSummary(
                 pieces=len(played),
                 runs=int(np.sum(~np.isnan(own["f1"][:, played]))),
-                mean={metric: _estimate(own[metric][:, played]) for metric in METRICS},
+                mean={metric: _estimate(own[metric][:, played], metric) for metric in METRICS},
             )
     return Group(name, list(pieces), agents)
 
 
-def _estimate(scores: Scores) -> Estimate:
-    """Return the mean of scores (runs, pieces), but for pieces without any, and its interval."""
+def _estimate(scores: Scores, metric: str) -> Estimate:
+    """Return the mean of scores (runs, pieces), but for pieces without any, and its interval.
+
+    Of one piece, the interval is the same as in the table of pieces.
+    """
     scores = scores[:, sorted(_played(scores))]
+    if scores.shape[1] == 1:
+        return Estimate(*(float(part[0]) for part in _of_each_piece(scores, metric)))
     if not scores.size:
         return Estimate(math.nan, math.nan, math.nan)
     return Estimate(float(mean(scores)), *bootstrap_interval(scores))
