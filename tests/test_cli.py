@@ -848,7 +848,7 @@ def test_options_that_make_no_sense(
 def test_an_address_is_no_song(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     url = "https://example.org/song.mid"
     said = refused(capsys, command, url).splitlines()[-1]
-    assert said == f"cadenza: {url}: is an address; give a path, of a file that you download first"
+    assert said == f"cadenza: {url}: is an address; download the file, and give its path"
 
 
 def test_a_film_wants_the_folder_of_a_performance(capsys: pytest.CaptureFixture[str]) -> None:

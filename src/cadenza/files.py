@@ -509,7 +509,10 @@ def read_tensors(
     if not all(map(str.isprintable, arrays)):
         raise CadenzaError(f"{path}: holds arrays of names that cannot be printed")
     facts = parsed_json(header.get(_FACTS, "{}"), dict[str, Any], f"{path}, header")
-    if facts.pop(_SHA256, None) != _digest(arrays, facts):
+    digest = facts.pop(_SHA256, None)
+    if digest is None:
+        raise CadenzaError(f"{path}: was written by another program; give a file of Cadenza's own")
+    if digest != _digest(arrays, facts):
         raise CadenzaError(f"{path}: damaged or modified; use another copy")
     check_arrays(arrays, expected, path)
     return arrays, facts

@@ -468,6 +468,7 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
             r"num_envs: this is one environment; make several with gymnasium\.make_vec",
         ),
         (lambda: gym.make(ID, autoreset_mode="SameStep"), "autoreset_mode: this is one"),
+        (lambda: PianoEnv(SHORT, picture={"width": 64}), r"picture .*: give a cadenza\.sim"),
     ],
 )
 def test_says_what_is_wrong(use: Callable, message: str) -> None:

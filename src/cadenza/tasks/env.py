@@ -135,6 +135,8 @@ class PianoVectorEnv(VectorEnv):
         self.closed = True  # Gymnasium before 1.3 closes even what could not be made
         if render_mode not in (None, "rgb_array"):
             raise CadenzaError(f"render_mode {render_mode!r}: choose 'rgb_array' or None")
+        if not isinstance(picture, Picture | None):
+            raise CadenzaError(f"picture {quoted(picture)}: give a cadenza.sim.render.Picture")
         self._given: list[Any] = list(song) if isinstance(song, list | tuple) else [song]
         self.task = _make_task(
             self._given, num_envs, num_threads, task, scene, reward_terms, options

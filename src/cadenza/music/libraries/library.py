@@ -115,7 +115,7 @@ def find_song(name_or_path: str | Path) -> Song:
     check_is_name(name_or_path)
     path, name = Path(name_or_path), str(name_or_path)
     if name.startswith(_WEB):
-        raise CadenzaError(f"{name}: is an address; give a path, of a file that you download first")
+        raise CadenzaError(f"{name}: is an address; download the file, and give its path")
     if path.suffix.lower() in (*MUSIC, *NOT_READ) or os.path.isfile(path):
         return Song(name, partial(read_score, path))
     library, _, piece = name.partition("/")
