@@ -98,7 +98,7 @@ def test_a_million_steps_take_less_than_two_gigabytes(made: Path) -> None:
 
 def test_what_there_is(made: Path) -> None:
     lines = list(summarize(made))
-    assert lines[:2] == ["2 episodes of 1 songs kept", "0 not kept, 0 not finished"]
+    assert lines[:2] == ["2 episodes of 1 song kept", "0 not kept, 0 not finished"]
     assert any("mujoco" in line for line in lines)
     assert any(line.startswith("note onsets F1 ") for line in lines)
     assert "rewarded fingers: found in 2 episodes" in lines

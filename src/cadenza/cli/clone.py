@@ -14,6 +14,7 @@ from cadenza.cli.console import stop_on_signal
 from cadenza.cli.options import RecordedParts
 from cadenza.cli.progress import SECONDS_BETWEEN_LINES_OF_TRAINING, progress
 from cadenza.cli.saving import check_writable
+from cadenza.errors import counted
 from cadenza.learning.config import ImitationConfig
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def clone(command: Clone) -> None:
         run = Imitation(command.imitation, command.demonstrations, command.output)
         train_until_stopped(run, "cloning", "updates", "train/error")
     policy = command.output / "last"
-    print(f"learnt {len(run.songs)} songs; cadenza play SONG --agent {policy}")
+    print(f"learnt {counted(len(run.songs), 'song')}; cadenza play SONG --agent {policy}")
 
 
 def train_until_stopped(run: CheckpointedRun, stage: str, unit: str, metric: str) -> None:

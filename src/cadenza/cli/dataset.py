@@ -260,4 +260,4 @@ def export(command: DatasetExport) -> None:
         else:
             write_lerobot(dataset, command.output, advance, pictures)
     what = f"the dataset {id_}" if command.format == "minari" else "a LeRobot dataset"
-    print(f"{len(dataset.episodes)} episodes: {what} in {command.output}")
+    print(f"{counted(len(dataset.episodes), 'episode')}: {what} in {command.output}")

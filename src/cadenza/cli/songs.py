@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.errors import CadenzaError, CadenzaWarning, counted
 
 if TYPE_CHECKING:
     from cadenza.music.libraries.songs import Library, Song
@@ -71,7 +71,7 @@ def libraries(_: Libraries) -> None:
     for name, about in known().items():
         try:
             library = open_library(name)
-            count, splits = f"{len(library.songs)} songs", _splits(library)
+            count, splits = counted(len(library.songs), "song"), _splits(library)
         except CadenzaError as error:
             count, splits = "not there", ""
             missing[str(error)] = None

@@ -10,6 +10,7 @@ import numpy as np
 
 from cadenza.demonstrations.dataset import EPISODES, dataset_folder, finished
 from cadenza.demonstrations.recorded_episode import SONGS, EpisodeFacts
+from cadenza.errors import counted
 from cadenza.files import files_in
 from cadenza.music.formats.titles import printable
 
@@ -28,14 +29,15 @@ def summarize(folder: Path) -> Iterator[str]:
     names = {at.name for at, _ in found}
     there = (path for path in (folder / EPISODES).iterdir() if path.is_dir())
     unfinished = sum(path.name not in names for path in there)
-    yield f"{len(kept)} episodes of {len({facts.song for facts in kept})} songs kept"
+    songs = {facts.song for facts in kept}
+    yield f"{counted(len(kept), 'episode')} of {counted(len(songs), 'song')} kept"
     yield f"{len(found) - len(kept)} not kept, {unfinished} not finished"
     yield _steps(kept)
     if kept:
         yield _spread("F1", [facts.f1 for facts in kept])
         yield _spread("note onsets F1", [facts.note_onset_f1 for facts in kept])
         yield from _rewarded(kept)
-        yield f"{sum(facts.drawn['mirrored'] for facts in kept)} episodes are mirrored"
+        yield f"{sum(facts.drawn['mirrored'] for facts in kept):,} mirrored"
     there = (folder / part / file for part in (EPISODES, SONGS) for file in files_in(folder / part))
     size = sum(file.lstat().st_size for file in there)
     steps = sum(facts.num_steps for facts in kept)
@@ -58,7 +60,7 @@ def _rewarded(kept: list[EpisodeFacts]) -> Iterator[str]:
     """Yield whose fingers the rewards are for, see `GoalTrack.rewarded_fingers`."""
     counts = Counter(str(facts.metrics.get("rewarded_fingers")) for facts in kept)
     for fingers, count in sorted(counts.items()):
-        yield f"rewarded fingers: {printable(fingers)} in {count} episodes"
+        yield f"rewarded fingers: {printable(fingers)} in {counted(count, 'episode')}"
 
 
 def _versions(found: Iterable[EpisodeFacts]) -> Iterator[str]:
@@ -68,4 +70,4 @@ def _versions(found: Iterable[EpisodeFacts]) -> Iterator[str]:
         for name, version in facts.versions.items()
     )
     for what, count in sorted(counts.items()):
-        yield f"made with {what}: {count} episodes"
+        yield f"made with {what}: {counted(count, 'episode')}"

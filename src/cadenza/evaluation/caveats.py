@@ -121,7 +121,7 @@ def _with_fewer_runs(results: Sequence[Result]) -> list[str]:
     most = max(map(len, songs.values()))
     return [
         f"{agent}: {counted(len(of), 'run')} of {counted(len(set(of)), 'piece')}; "
-        f"there are {len(all_songs)} pieces, and agents with {most} runs"
+        f"the most are {counted(most, 'run')} of {counted(len(all_songs), 'piece')}"
         for agent, of in songs.items()
         if len(of) < most or len(set(of)) < len(all_songs)
     ]
