@@ -109,8 +109,11 @@ LICENCES := 0BSD;AFL;Apache;BSD;CC0;ISC;LGPL;MIT;MPL;Mozilla Public License;PSF;
 licences:
 	@mkdir -p build
 	uv tool run --quiet --python 3.11 --with-requirements requirements-dev.lock pip-licenses@5.5.5 --from mixed \
-		--format markdown --partial-match --allow-only '$(LICENCES)' --output-file build/table.md
-	sed '/^|/d' docs/licences.md | cat - build/table.md > build/licences.md
+		--format csv --partial-match --allow-only '$(LICENCES)' --output-file build/licences.csv
+	awk -F '","' 'NR > 1 { gsub(/"/, "", $$1); gsub(/"/, "", $$3); names[$$3] = names[$$3] ", " $$1 } \
+		END { for (licence in names) print "| " licence " | " substr(names[licence], 3) " |" }' \
+		build/licences.csv | LC_ALL=C sort -f > build/table.md
+	sed '/^| ---/q' docs/licences.md | cat - build/table.md > build/licences.md
 	mv build/licences.md docs/licences.md
 
 release-check:
