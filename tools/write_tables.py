@@ -7,7 +7,7 @@ A table stands below a comment that says what is in it:
     <!-- table: pieces library=bundled by agent: f1 note_onset_f1 -->
 
 has the means of the columns `f1` and `note_onset_f1` of `pieces.csv`, over its rows of the library
-`bundled`, in a row for each agent. `by setting across piece: f1` has a column for each piece.
+`bundled`, in a row for each agent; without `by`, in a single row. `by setting across piece: f1` has a column for each piece.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from statistics import fmean
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 MARKED = re.compile(
-    r"(<!-- table: (?P<file>\S+)(?P<where>(?: \w+=\S+)*) by (?P<by>[\w ]+?)"
+    r"(<!-- table: (?P<file>\S+)(?P<where>(?: \w+=\S+)*)(?: by (?P<by>[\w ]+?))?"
     r"(?: across (?P<across>\w+))?: (?P<columns>[\w ]+) -->\n\n)(?:(?:\|.*\n)+\n)?"
 )
 Row = dict[str, str]
@@ -68,7 +68,7 @@ def mean(rows: list[Row], column: str) -> str:
 
 
 def table(match: re.Match[str]) -> str:
-    """A marker and its table in Markdown, with a row for the mean of all pieces."""
+    """A marker and its table in Markdown."""
     where = [condition.split("=") for condition in match["where"].split()]
     with (ROOT / "docs" / "results" / f"{match['file']}.csv").open(newline="") as file:
         rows = [
@@ -76,12 +76,10 @@ def table(match: re.Match[str]) -> str:
             for row in csv.DictReader(file)
             if all(row[column] in values.split(",") for column, values in where)
         ]
-    by, columns, across = match["by"].split(), match["columns"].split(), match["across"]
+    by, columns, across = (match["by"] or "").split(), match["columns"].split(), match["across"]
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(tuple(row[column] for column in by), []).append(row)
-    if by == ["piece"]:
-        groups["mean",] = rows
     splits = list(dict.fromkeys(row[across] for row in rows)) if across else []
     lines = [[*by, *(splits or (HEADINGS.get(column, column) for column in columns))]]
     lines.append(["---"] * len(lines[0]))
