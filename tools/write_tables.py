@@ -7,7 +7,8 @@ A table stands below a comment that says what is in it:
     <!-- table: pieces library=bundled by agent: f1 note_onset_f1 -->
 
 has the means of the columns `f1` and `note_onset_f1` of `pieces.csv`, over its rows of the library
-`bundled`, in a row for each agent; without `by`, in a single row. `by setting across piece: f1` has a column for each piece.
+`bundled`, in a row for each agent, or without `by agent` in a single row.
+`by setting across piece: f1` has a column for each piece.
 """
 
 from __future__ import annotations
