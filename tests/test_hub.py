@@ -145,9 +145,9 @@ def test_a_dataset_is_published_and_read(
     main(["dataset", "collect", "--songs", "songs", "-o", "mine", "--quiet"])
     assert "/datasets/" in printed(capsys, "publish", "mine", "someone/scales")
     (kept,) = hub.commits["datasets", "someone/scales"].values()
-    assert "1 episodes of 1 songs kept" in kept["README.md"].decode()
+    assert "1 episode of 1 song kept" in kept["README.md"].decode()
     place = "hub:someone/scales"
-    assert printed(capsys, "dataset", "info", place).startswith("1 episodes of 1 songs kept")
+    assert printed(capsys, "dataset", "info", place).startswith("1 episode of 1 song kept")
     assert "nothing is wrong" in printed(capsys, "dataset", "check", place, "--replays", "1")
     of_policies = "there is no such policy on the hub"
     refused(capsys, of_policies, "play", place)
