@@ -13,6 +13,7 @@ has the means of the columns `f1` and `note_onset_f1` of `pieces.csv`, over its 
 
 from __future__ import annotations
 
+import argparse
 import csv
 import re
 from pathlib import Path
@@ -97,6 +98,7 @@ def written(page: str) -> str:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0]).parse_args()
     for page in PAGES:
         page.write_text(written(page.read_text()))
 

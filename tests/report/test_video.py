@@ -47,7 +47,11 @@ def test_a_full_disk_is_said_to_be_full(room, tmp_path, monkeypatch) -> None:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             return super().write(data)
 
-    monkeypatch.setattr(os, "fdopen", lambda descriptor, mode: Full(descriptor, mode))
+    monkeypatch.setattr(
+        "cadenza.files.open",
+        lambda path, mode, opener: Full(path, mode, opener=opener),
+        raising=False,
+    )
     rng = np.random.default_rng(0)
     noise = (rng.integers(0, 255, (64, 64, 3), np.uint8) for _ in range(40))
     with pytest.raises(OSError, match=r"a\.mp4") as raised:
