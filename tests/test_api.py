@@ -10,6 +10,7 @@ import threading
 import tracemalloc
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
@@ -24,7 +25,7 @@ from cadenza.music.formats.fingering_file import read_fingering
 from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.performance import played_in
 from cadenza.performing.performance import perform
-from cadenza.performing.setup import select, set_up
+from cadenza.performing.setup import set_up
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 
 ROOT = Path(__file__).parents[1]
@@ -124,14 +125,14 @@ def test_an_agent_of_ones_own_plays() -> None:
 def test_no_agent_takes_more_than_two_cores_unasked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cadenza.sim.threads.available_cores", lambda: 16)
     for wanted, used in ((None, 2), (3, 3)):
-        with set_up(select(TUNE, "planner").with_options(num_threads=wanted)) as setup:
+        with set_up(TUNE, "planner", num_threads=wanted) as setup:
             assert setup.agent.threads == used
             assert max(pool["num_threads"] for pool in threadpool_info()) <= used
 
 
 def test_the_part_that_was_played_is_a_performance(tmp_path: Path) -> None:
     steps_left = iter(range(12))
-    with set_up(select(TUNE, "planner")) as setup:
+    with set_up(TUNE, "planner") as setup:
         performance = perform(setup, stop=lambda: next(steps_left, None) is None)
     assert (performance.episode.num_steps, setup.num_steps) == (13, 23)
     assert performance.metrics["steps"] == 13
@@ -183,7 +184,10 @@ def test_a_performance_does_not_keep_the_postures_that_were_planned() -> None:
 
 
 def test_loading_songs(tmp_path: Path) -> None:
-    assert cadenza.load_song("odetojoy") == cadenza.load_song("OdeToJoy")
+    (joy,) = (song for song in cadenza.songs() if song.name == "OdeToJoy")
+    assert cadenza.load_song("odetojoy") == cadenza.load_song(joy)
+    assert cadenza.play(joy, "zero").score == cadenza.load_song(joy)
+    assert gymnasium.make("cadenza/Piano-v0", song=joy).unwrapped.task.scores[0].title == joy.title
     (tmp_path / "broken.mid").write_bytes(b"MThd")
     with pytest.raises(cadenza.CadenzaError, match=r"broken\.mid"):
         cadenza.load_song(tmp_path / "broken.mid")
@@ -232,8 +236,8 @@ def test_a_score_that_is_called_like_a_folder_is_played_as_it_is(
     monkeypatch.chdir(tmp_path)
     (tmp_path / TUNE.title).mkdir()
     (tmp_path / TUNE.title / "plan.safetensors").write_bytes(b"of another song")
-    selection = select(TUNE)
-    assert (selection.name, selection.score) == ("planner", TUNE)
+    with set_up(TUNE) as setup:
+        assert (setup.settings["agent"], setup.score) == ("planner", TUNE)
 
 
 def test_what_a_prompt_shows_is_a_short_line() -> None:

@@ -152,7 +152,7 @@ def test_help_says_what_it_does(command: str, capsys: pytest.CaptureFixture[str]
         ([], "Expected one of {play, plan, film"),
         (["dance"], "Available subcommands: play, plan, film"),
         (["dataset", "colect"], "Available subcommands: collect, info"),
-        (["play"], "Missing from cadenza play: SONG A song by its name"),
+        (["plan"], "Missing from cadenza plan: SONG A song by its name"),
         (["play", "OdeToJoy", "FurElise"], "Unrecognized options: FurElise"),
         (["play", "OdeToJoy", "--seed", "x"], "Error parsing --seed"),
         (["play", "OdeToJoy", "--seed"], "Missing value for argument '--seed'"),

@@ -101,15 +101,30 @@ def settings(folder: Path) -> dict:
 # Policies
 
 
-def test_the_folder_of_a_policy_as_the_song_plays_that_policy(
+def test_a_policy_plays_the_song_that_it_has_learnt(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     policy(here / "run" / "best")
-    main(["play", "run/best", "--no-video"])
+    main(["play", "--agent", "run/best", "--no-video"])
     assert settings(here / "played" / "A tune" / "run-best")["agent"] == "run/best"
+    main(["play", "--agent", "run", "--no-video"])  # a run's folder stands for its best policy
+    assert settings(here / "played" / "A tune" / "run")["song"] == "A tune"
     assert capsys.readouterr().err == ""
-    main(["play", "run/best", "--agent", "zero", "--no-video"])
-    assert settings(here / "played" / "A tune" / "zero")["agent"] == "zero"
+
+
+@pytest.mark.usefixtures("here")
+def test_who_has_learnt_no_song_wants_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert refused(capsys, "play") == "cadenza: planner: plays any song; name one"
+    line = refused(capsys, "play", "--agent", "pretrained")
+    assert "choose from AuClairDeLaLune, OdeToJoy" in line
+
+
+@pytest.mark.parametrize("command", ["play", "info", "plan", "train"])
+def test_a_folder_is_no_song(command: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    policy(here / "run")
+    line = refused(capsys, command, "run")
+    assert "run: is no song; " in line
+    assert line.endswith("plays as an agent, such as cadenza play --agent run")
 
 
 def test_the_folder_of_a_policy_may_have_an_equals_sign(here: Path) -> None:
@@ -172,11 +187,11 @@ def test_a_policy_that_corrects_a_plan_plays_no_other_song(
 
 def test_what_the_user_gives_wins_over_what_the_policy_was_trained_with(here: Path) -> None:
     policy(here / "run", task={"initial_buffer_time": 0.1}, scene={"physics": "fast"})
-    main(["play", "run", "--no-video", "-o", "own"])
+    main(["play", "--agent", "run", "--no-video", "-o", "own"])
     own = settings(here / "own")
     assert (own["task"]["initial_buffer_time"], own["scene"]["physics"]) == (0.1, "fast")
     defaults = ["--initial-buffer-time", "0.5", "--physics", "published"]
-    main(["play", "run", "--no-video", *defaults, "-o", "given"])
+    main(["play", "--agent", "run", "--no-video", *defaults, "-o", "given"])
     given = settings(here / "given")
     assert (given["task"]["initial_buffer_time"], given["scene"]["physics"]) == (0.5, "published")
     assert load_episode(here / "given" / "episode.npz").num_steps == 23
@@ -224,17 +239,8 @@ def test_what_a_policy_cannot_observe(
     option: str, value: str, said: str, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     policy(here / "run")
-    assert said in refused(capsys, "play", "run", option, value)
-    main(["play", "run", "--n-seconds-lookahead", "0.5", "--no-video"])  # as many steps
-
-
-def test_the_folder_of_a_run_is_not_that_of_a_policy(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    policy(here / "run" / "best")
-    for arguments in (["run"], ["OdeToJoy", "--agent", "run"]):
-        line = refused(capsys, "play", *arguments)
-        assert line == "cadenza: run: is the folder of a training run; its best policy is run/best"
+    assert said in refused(capsys, "play", "--agent", "run", option, value)
+    main(["play", "--agent", "run", "--n-seconds-lookahead", "0.5", "--no-video"])  # as many steps
 
 
 def test_plans_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -254,11 +260,11 @@ def test_who_cannot_play_is_told_before_anyone_has_played(
 # Songs and folders
 
 
-def test_a_folder_named_like_a_bundled_song_does_not_hide_it(here: Path) -> None:
+def test_a_folder_named_like_a_song_does_not_hide_it(here: Path) -> None:
     policy(here / "OdeToJoy")
     main(["play", "OdeToJoy", "--agent", "zero", "--no-video", "-o", "bundled"])
     assert load_episode(here / "bundled" / "episode.npz").song == "Ode to Joy"
-    main(["play", "./OdeToJoy", "--agent", "zero", "--no-video", "-o", "folder"])
+    main(["play", "--agent", "OdeToJoy", "--no-video", "-o", "folder"])
     assert load_episode(here / "folder" / "episode.npz").song == "A tune"
 
 
@@ -326,6 +332,7 @@ def test_a_planner_needs_a_thread(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["play", "tune.mid", "--agent", "generalist", "--planner.effort", "1"], "planner.effort"),
         (["play", "tune.mid", "--ilqg.iterations", "2"], "ilqg.iterations"),
+        (["play", "--agent", ".", "--planner.effort", "1"], "planner.effort"),
         (["compare", "tune.mid", "--agents", "zero", "--planner.method=none"], "planner.method"),
         (["bench", "--agents", "zero", "--planner.horizon", "0.5"], "planner.horizon"),
         (["dataset", "collect", "--generalist.rehearsals", "2"], "generalist.rehearsals"),
@@ -338,13 +345,6 @@ def test_options_of_agents_that_do_not_play_are_refused(
         main(words)
     assert stop.value.code == 2
     assert f"--{option}" in capsys.readouterr().err
-
-
-def test_a_policy_has_no_options_of_the_planner(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    line = refused(capsys, "play", policy(here / "run"), "--planner.effort", "1")
-    assert line.endswith("run: a policy plays it, which has no --planner options")
 
 
 # Ctrl-C

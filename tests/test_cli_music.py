@@ -22,7 +22,7 @@ from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.formats.reading import name_without_ending
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.performing.arranging import arrange, arrange_song
-from cadenza.performing.source import resolve
+from cadenza.performing.loaded_song import load
 from cadenza.scene.scene import build_scene
 
 QUICK = ("--agent", "zero", "--no-video")
@@ -215,7 +215,7 @@ def test_expression_is_that_of_the_arrangement() -> None:
     how = Arrangement(expression=1.0, first_seconds=6.0)
     scene = build_scene()
     written = arrange(load_song("etudes/band-7"), Arrangement(), scene)
-    played = arrange_song(resolve("etudes/band-7", how), scene)
+    played = arrange_song(load("etudes/band-7", how), scene)
     assert played.arranged.score == performed(written.arranged.score).beginning(6.0)
     assert played.original.total_time <= played.arranged.score.total_time
     assert len(played.original.notes) > len(played.arranged.score.notes)

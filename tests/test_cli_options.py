@@ -22,7 +22,7 @@ RECORDED = Path(__file__).parent / "data" / "command_line.txt"
 
 
 def help_of(command: str) -> str:
-    """What --help prints of its arguments without descriptions, sorted, each on a line."""
+    """What --help-all prints of its arguments without descriptions, sorted, each on a line."""
     said = io.TextIOWrapper(io.BytesIO(), "utf-8")
     with (
         mock.patch("tyro.cli", partial(tyro.cli, compact_help=True)),
@@ -30,9 +30,10 @@ def help_of(command: str) -> str:
         redirect_stdout(said),
         suppress(SystemExit),
     ):
-        main([*command.split(), "--help"])
+        main([*command.split(), "--help-all"])
     said.seek(0)
-    columns = zip_longest(*(line.split("││") for line in said), fillvalue="")
+    boxes = (re.split("(?<=[│╮╯])(?=[│╭╰])", line) for line in said)  # side by side
+    columns = zip_longest(*boxes, fillvalue="")
     text = "\n".join(cell.strip("│ \n") for column in columns for cell in column)
     text = text.replace("\n(default: ", " (default: ")  # of an option with a long name
     options = re.findall(r"^(?:-(?!h, |H, ).+|\[.+|.+ \(required\))$", text, re.MULTILINE)

@@ -87,8 +87,7 @@ def test_the_policy_plays_as_it_was_evaluated(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     best = max(row["eval/f1"] for row in rows(run) if "eval/f1" in row)
-    folder = str(run / "best")
-    main(["play", folder, "--agent", folder, "--no-video", "-o", str(tmp_path)])
+    main(["play", "--agent", str(run), "--no-video", "-o", str(tmp_path)])
     capsys.readouterr()
     assert json.loads((tmp_path / "metrics.json").read_text())["f1"] == best
 
@@ -116,9 +115,8 @@ def test_a_policy_learns_when_notes_begin_and_how_loud_and_plays(
     )
 
 
-def test_compare_takes_policies(run: Path, tmp_path: Path) -> None:
-    folder = str(run / "best")
-    main(["compare", folder, "--agents", "zero", folder, "-o", str(tmp_path)])
+def test_compare_takes_policies(run: Path, tune: Path, tmp_path: Path) -> None:
+    main(["compare", str(tune), "--agents", "zero", str(run), "-o", str(tmp_path)])
     assert len(json.loads((tmp_path / "compare.json").read_text())["runs"]) == 2
 
 
@@ -126,13 +124,13 @@ def test_help_shows_the_named_preset(capsys: pytest.CaptureFixture[str]) -> None
     shown = {}
     for name in ("paper", "published", "fast"):
         with pytest.raises(SystemExit):
-            main(["train", "--preset", name, "--help"])
+            main(["train", "--preset", name, "--help-all"])
         shown[name] = " ".join(capsys.readouterr().out.split())
     assert "--discount FLOAT" in shown["paper"]
     for name, discount in (("paper", "0.99"), ("published", "0.8"), ("fast", "0.84")):
         assert f"(default: {discount})" in shown[name], name
     with pytest.raises(SystemExit):
-        main(["train", "--setup", "mini-allegro", "--help"])
+        main(["train", "--setup", "mini-allegro", "--help-all"])
     assert "(default: 128 128)" in " ".join(capsys.readouterr().out.split())
 
 
@@ -161,7 +159,7 @@ def test_a_run_goes_on_to_another_end(
     assert len(before) > 0
     assert not last
     with pytest.raises(SystemExit):
-        main(["train", "--resume", str(longer), "--help"])
+        main(["train", "--resume", str(longer), "--help-all"])
     shown = " ".join(capsys.readouterr().out.split())
     assert "(default: 300)" in shown  # the run's own
     assert "(default: 16 16)" in shown

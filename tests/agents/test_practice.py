@@ -504,7 +504,7 @@ def begun_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_practised_plan_plays_again_bit_for_bit(practised_folder: tuple[Path, Hands]) -> None:
     folder, hands = practised_folder
     played = load_episode(folder / "episode.npz")
-    with_feedback = cadenza.play(folder)  # song and task are those of the folder
+    with_feedback = cadenza.play(agent=folder)  # song and task are those of the folder
     task = PianoTask([HARD], QUICK, SceneConfig(hands=hands))
     actions = load_plan(folder / "plan.safetensors").actions
     for again in with_feedback.episode, play_episode(task, Playback(actions)).episode:
@@ -524,13 +524,12 @@ def test_practice_goes_on_from_elsewhere_and_after_something_else_was_played(
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     before = (tmp_path / "hard" / "practice.safetensors").read_bytes()
-    main(["practice", "../hard", "--effort", "0.05", *quick[:2]])
+    main(["practice", "--resume", "../hard", "--effort", "0.05", *quick[:2]])
     assert (tmp_path / "hard" / "practice.safetensors").read_bytes() != before
-    main(["info", "../hard"])
-    assert "notes      6\n" in capsys.readouterr().out
     with pytest.raises(SystemExit):
         main(["play", "OdeToJoy", "--agent", "../hard"])
-    assert "holds a song that was practised, not a policy" in capsys.readouterr().err
+    assert "../hard: has practised 'hard', and can play nothing else" in capsys.readouterr().err
+    main(["play", "../hard.mid", "--agent", "../hard", "-o", "played", *quick[:2]])  # the same song
 
 
 @pytest.mark.parametrize("by_play", [False, True])
@@ -546,7 +545,7 @@ def test_what_was_practised_is_scored_and_explained_alike_when_it_is_played(
     options += ["--arrange", "off"]
     main([*practise, "0.1", str(tmp_path / "apart.mid"), *options])
     said = capsys.readouterr().out
-    main(["play", str(folder), "--no-video", "-o", str(out)])
+    main(["play", "--agent", str(folder), "--no-video", "-o", str(out)])
     again = capsys.readouterr().out
     for line in "F1 ", "missed ", "no finger ":
         (told,) = [each for each in said.splitlines() if each.startswith(line)]
@@ -572,10 +571,10 @@ def test_practised_hands_that_are_pushed_search_as_the_planner_does(
     noise = DomainRandomization(control_noise=0.1)
     noisy = TaskConfig(initial_buffer_time=0.4, repeats="shortened", randomization=noise)
     monkeypatch.setattr(HandsInScene, "restart", restarted)
-    cadenza.play(folder)
+    cadenza.play(agent=folder)
     assert not searches
     pushed, actions = (
-        cadenza.play(folder, task=noisy),
+        cadenza.play(agent=folder, task=noisy),
         load_plan(folder / "plan.safetensors").actions,
     )
     assert searches
@@ -598,7 +597,7 @@ def test_effort_is_refused_for_what_was_practised(
     begun_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):
-        main(["play", str(begun_folder), "--planner.effort", "1"])
+        main(["play", "--agent", str(begun_folder), "--planner.effort", "1"])
     assert "leave out --planner.effort" in capsys.readouterr().err
 
 
@@ -644,10 +643,10 @@ def test_practice_that_was_killed_has_its_plan_after_the_first_take(
         folder_of(tmp_path, "--effort", "0.05")
     folder = tmp_path / "practised"
     assert not (folder / "report.html").exists()
-    assert cadenza.play(folder).metrics["f1"] > 0.5
+    assert cadenza.play(agent=folder).metrics["f1"] > 0.5
     (folder / "plan.safetensors").unlink()
     with pytest.raises(CadenzaError, match="practice has not played the song to the end yet"):
-        cadenza.play(folder)
+        cadenza.play(agent=folder)
 
 
 A_SECOND = "--effort", "0.02", "--first-seconds", "1.1", "--seed", "3"
@@ -659,16 +658,12 @@ def straight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder_of(tmp_path_factory.mktemp("straight"), *A_SECOND, "--effort", "0.2")
 
 
-@pytest.mark.parametrize("named", [False, True])
-def test_the_folder_of_practice_goes_on_where_it_was_left(
-    named: bool, straight: Path, tmp_path: Path
-) -> None:
+def test_practice_is_resumed_where_it_was_left(straight: Path, tmp_path: Path) -> None:
     folder = folder_of(tmp_path, *A_SECOND)
     begun = read_tensors(folder / "practice.safetensors", ANY, 2**28)[0]
     before = json.loads((folder / "settings.json").read_text())
     assert 0 < before["planner"]["effort"] < 0.09
-    again = ["practice", str(folder), "--effort", "0.2", "--no-video"]
-    main([*again, *["-o", str(folder)] * named])
+    main(["practice", "--resume", str(folder), "--effort", "0.2", "--no-video"])
     one, other = ((f / "practice.safetensors").read_bytes() for f in (folder, straight))
     assert one == other
     done = read_tensors(folder / "practice.safetensors", ANY, 2**28)[0]
@@ -679,14 +674,6 @@ def test_the_folder_of_practice_goes_on_where_it_was_left(
         settings.pop("remarks", None)  # they tell what was missed
     assert after == before
     assert before["arrangement"]["first_seconds"] == 1.1
-
-
-def test_practice_of_what_was_practised_elsewhere_says_what_is_played(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, "--effort", "0", "--first-seconds", "0.7")
-    other = str(tmp_path / "other")
-    main(["practice", str(folder), "--effort", "0", "--no-video", "-o", other])
-    settings = json.loads((tmp_path / "other" / "settings.json").read_text())
-    assert settings["arrangement"]["first_seconds"] == 0.7
 
 
 def test_the_time_of_the_first_take_says_nothing_of_how_long_practice_takes(
@@ -755,7 +742,7 @@ def test_a_folder_that_does_not_say_how_it_was_practised(
     for name in ("practice.json", "settings.json"):
         (folder / name).unlink()
     with pytest.raises(SystemExit):
-        main(["practice", str(folder)])
+        main(["practice", "--resume", str(folder)])
     assert "run the same command again that practised there" in capsys.readouterr().err
 
 

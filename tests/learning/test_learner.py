@@ -223,7 +223,7 @@ def test_a_learner_need_not_be_installed(
     assert load_policy(run / "best").learner == name[1]
     again = (
         ["train", "--resume", run, "--num-steps", "112", "--no-video"],
-        ["play", run / "best", "--no-video", "-o", tmp_path / "out"],
+        ["play", "--agent", run, "--no-video", "-o", tmp_path / "out"],
         ["compare", tune, "--agents", "zero", run / "best", "-o", tmp_path / "compared"],
         ["curves", run, "-o", page],
     )

@@ -11,7 +11,7 @@ from cadenza.music.arrangement import Arrangement
 from cadenza.music.etudes import make_etude
 from cadenza.music.score import Note, Score, Track, chords
 from cadenza.performing.arranging import arranged_for
-from cadenza.performing.source import resolve
+from cadenza.performing.loaded_song import load
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.augmentation import prepare_tracks
 from cadenza.tasks.config import TaskConfig
@@ -64,7 +64,7 @@ def piano(score: Score) -> Score:
 def test_a_song_is_arranged_where_much_would_be_missed(
     score: Score, stretch: float, arranged: bool
 ) -> None:
-    task, source = replace(TASK, stretch=stretch), resolve(score, Arrangement())
+    task, source = replace(TASK, stretch=stretch), load(score, Arrangement())
     assert (arranged_for(source, SCENE, task) is not None) == arranged
 
 

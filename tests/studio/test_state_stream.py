@@ -15,7 +15,7 @@ from cadenza.agents.registry import PLANNER, make_agent
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
-from cadenza.performing.setup import select, set_up
+from cadenza.performing.setup import set_up
 from cadenza.studio.messages import JSON, ROWS, WireMessage
 from cadenza.studio.state_stream import StateStream
 from cadenza.tasks.config import TaskConfig
@@ -27,7 +27,7 @@ from cadenza.tasks.config import TaskConfig
 def test_the_rows_hold_the_episode(task: TaskConfig) -> None:
     score = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, 60 + i) for i in range(4)), title="Four")
     sent: list[WireMessage] = []
-    with set_up(select(score, RandomAgent()).with_options(task, seed=3)) as setup:
+    with set_up(score, RandomAgent(), task=task, seed=3) as setup:
         states = StateStream(setup, sent.append)
         states.begin()
         played = perform(setup, lambda stage, *_: states.step() if stage == "playing" else None)
@@ -68,8 +68,8 @@ def test_what_an_arrangement_left_out_and_what_was_missed_is_sent() -> None:
     chords = tuple(Note(i, i + 0.9, pitch) for i in range(3) for pitch in range(36, 84, 6))
     sent: list[WireMessage] = []
     agent = make_agent(PLANNER, PlannerConfig(method="none"))
-    song = select(Score(chords), agent, arrangement=Arrangement(arrange="always"))
-    with set_up(song) as setup:
+    always = Arrangement(arrange="always")
+    with set_up(Score(chords), agent, arrangement=always) as setup:
         states = StateStream(setup, sent.append)
         states.begin()
         played = perform(setup, lambda stage, *_: states.step() if stage == "playing" else None)

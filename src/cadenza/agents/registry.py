@@ -1,11 +1,12 @@
 """The names of agents. Imports nothing heavy: the command line shows them.
 
-Learnt policies are folders, see `cadenza.learning.policy_folder`.
+Policies and practised songs are folders, see `cadenza.performing.player`.
 """
 
 from __future__ import annotations
 
 import inspect
+import os
 import re
 from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
@@ -19,12 +20,16 @@ from cadenza.agents.planner.config import (
 )
 from cadenza.configs import as_config, check_kind
 from cadenza.errors import CadenzaError, by_others, quoted
+from cadenza.files import TENSORS
+from cadenza.hub import is_on_hub
 from cadenza.registry import Entry, Registry
 
 if TYPE_CHECKING:
     from cadenza.agents.agent import Agent
 
 PLANNER, PRETRAINED, PLAYBACK = "planner", "pretrained", "playback"
+PRACTISED = f"plan{TENSORS}"
+"""The plan in the folder of a practised song."""
 
 _BASELINES = "cadenza.agents.baselines"
 AGENTS = Registry(
@@ -67,6 +72,11 @@ AGENTS = Registry(
     },
     otherwise="the folder of a policy or module:Class",
 )
+
+
+def is_folder(agent: str) -> bool:
+    """Whether an agent is named by the folder of a policy or of practice, or lies on the hub."""
+    return agent not in AGENTS.own and (os.path.isdir(agent) or is_on_hub(agent))
 
 
 def make_agent(name: str, config: Any = None) -> Agent:

@@ -7,9 +7,10 @@ these begin with (`choose`); the second reads the whole command (`parse`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass, make_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, make_dataclass, replace
+from inspect import getdoc
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, TypeVar, Union
+from typing import Annotated, Any, NoReturn, TypeVar, Union, cast
 
 import tyro
 from tyro.constructors import (
@@ -19,7 +20,13 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.learning.algorithms.droq.config import DroQConfig
+from cadenza.learning.config import TrainingConfig
 from cadenza.learning.learner import Preset
+from cadenza.music.expression_rules import ExpressionRules
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import DomainRandomization, TaskConfig
 
 T = TypeVar("T")
 
@@ -43,6 +50,17 @@ SoundFont = Annotated[
 SETTINGS = (tyro.conf.DisallowNone,)
 """What holds for all options: what is None by default is left out to be None."""
 
+HELP_ALL = "--help-all"
+"""The option that lists what `--help` leaves out."""
+_RARELY_SET = (
+    *(TaskConfig, SceneConfig, DomainRandomization, ExpressionRules),
+    *(PlannerConfig, TrainingConfig, DroQConfig),
+)
+"""Configurations whose options `--help` leaves out, but for a few."""
+_OFTEN_SET = (
+    *("hand", "hands", "keyboard", "stretch", "transpose", "initial_buffer_time"),
+    *("num_steps", "residual", "num_envs", "seed"),
+)
 _FLAT_IN_OTHERS = "learner", "task", "scene"  # fields of the configurations of learning
 
 
@@ -81,39 +99,54 @@ def parse(kind: type[T], prog: str, words: Sequence[str], default: T | None = No
     Args:
         kind: the dataclass of the command.
         prog: the program and the command, as in "cadenza play".
-        words: the words after them.
+        words: the words after them; `HELP_ALL` among them lists all options.
         default: where the options begin, if not with the defaults of `kind`.
     """
-    begun: Any = tyro.MISSING_NONPROP if default is None else default
+    about, begun = getdoc(kind) or "", tyro.MISSING_NONPROP if default is None else default
+    if any(field.name in ("scene", "training") for field in fields(cast(Any, kind))):
+        about += f"\n\nFor the options of task, scene, agent and training: {prog} {HELP_ALL}"
     return tyro.cli(
-        kind, prog=prog, args=words, default=begun, config=SETTINGS, registry=_registry()
+        kind,
+        prog=prog,
+        description=about,
+        args=["--help" if word == HELP_ALL else word for word in words],
+        default=cast(Any, begun),
+        config=SETTINGS,
+        registry=_registry(everything=HELP_ALL in words),
     )
 
 
-def _registry() -> ConstructorRegistry:
-    """Returns how tyro makes options of a dataclass: as it does, but for three things.
+def _registry(everything: bool) -> ConstructorRegistry:
+    """How tyro makes options of a dataclass: as it does, but for four things.
 
     Configurations of learning have a task, a scene and a learner, whose options are flat. The
     docstring of a field becomes a paragraph, as tyro does with that of a class. Where nothing is
-    the default, the docstring says what that means, and help not that the default is None.
+    the default, the docstring says what that means, and help not that the default is None. Unless
+    help is to list `everything`, it leaves out what is rarely set.
     """
     registry, asking = ConstructorRegistry(), False
 
     @registry.struct_rule
-    def options(info: StructTypeInfo) -> StructConstructorSpec | None:
+    def spec_of(info: StructTypeInfo) -> StructConstructorSpec | None:
         nonlocal asking
         if asking or not is_dataclass(info.type):
             return None
         asking = True
         spec: Any = ConstructorRegistry.get_struct_spec(info)
         asking = False
-        return replace(spec, fields=tuple(map(_option, spec.fields)))
+        hides = info.type in _RARELY_SET and not everything
+        shown = () if info.type is DomainRandomization else _OFTEN_SET
+        options = [_option(each, hides and each.name not in shown) for each in spec.fields]
+        return replace(spec, fields=tuple(options))
 
     return registry
 
 
-def _option(field: StructFieldSpec) -> StructFieldSpec:
+def _option(field: StructFieldSpec, hidden: bool) -> StructFieldSpec:
     kind: Any = field.type
+    if hidden and not is_dataclass(kind):
+        suppressed: Any = tyro.conf.Suppress
+        kind = suppressed[kind]
     if field.default is None or field.default == ():
         kind = Annotated[kind, tyro.conf.arg(help_behavior_hint="")]
     if field.name in _FLAT_IN_OTHERS and is_dataclass(kind):
@@ -157,7 +190,7 @@ def print_commands(
         description=about,
         args=words,
         config=SETTINGS,
-        registry=_registry(),
+        registry=_registry(everything=True),
     )
     raise AssertionError(f"{words} are a command")
 

@@ -15,7 +15,7 @@ from cadenza.errors import counted
 from cadenza.files import folder_name
 from cadenza.fingers import SIDES
 from cadenza.music.arrangement import Arrangement
-from cadenza.music.formats.reading import SHEET
+from cadenza.music.formats.reading import SHEET, name_without_ending
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.setups import NamedSetup, setup_named
 
@@ -54,18 +54,18 @@ def run(command: Arrange) -> None:
     from cadenza.music.formats.midi import write_midi
     from cadenza.music.formats.musicxml_writing import write_musicxml
     from cadenza.performing.arranging import arrange_song
-    from cadenza.performing.source import resolve
+    from cadenza.performing.loaded_song import load
     from cadenza.scene.scene import build_scene
     from cadenza.tasks.config import TaskConfig
     from cadenza.tasks.goal_track import GoalTrack
 
-    source = resolve(command.song, command.arrangement)
-    path = command.output or Path(f"{folder_name(source.short_name)}{SHEET}")
+    song = load(command.song, command.arrangement)
+    path = command.output or Path(f"{folder_name(name_without_ending(song.name))}{SHEET}")
     if path.suffix != _MIDI:
         check_name(path, SHEET, f"an arrangement is a {SHEET} or {_MIDI} file")
     check_writable(path.parent)
     scene = build_scene(command.scene)
-    arranged = arrange_song(source.written_for(command.scene.hands), scene).arranged
+    arranged = arrange_song(song.written_for(command.scene.hands), scene).arranged
     how = TaskConfig(fingering=command.fingering, hands_as_written=command.hands_as_written)
     score = GoalTrack(arranged.score, None, how, scene).fingered().score
     if path.suffix == SHEET:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
-from cadenza.agents.registry import PLAYBACK, PRETRAINED
+from cadenza.agents.registry import PLAYBACK, PRETRAINED, is_folder
 from cadenza.cli.arguments import Flat, Output, Quiet
 from cadenza.cli.options import TRAIN, Options, Read, split_agents
 from cadenza.cli.runs import Execution, Work, check_execution, run_all
@@ -129,14 +129,13 @@ def _contenders(
 def _contender(command: Bench, read: Read[Bench], agent: str) -> Contender:
     from cadenza.agents.registry import make_agent
     from cadenza.evaluation.jobs import Contender, digest_of_files
-    from cadenza.hub import fetched, pinned
-    from cadenza.learning.policy_folder import POLICY
-    from cadenza.performing.setup import is_policy_folder
+    from cadenza.hub import pinned
+    from cadenza.learning.policy_folder import policy_folder
 
     if agent.startswith(TRAIN):
         return _trained(command, read, agent)
-    if is_policy_folder(agent):
-        folder = fetched(agent, POLICY)
+    if is_folder(agent):
+        folder = policy_folder(agent)
         return _with_policy(read, pinned(agent, folder), folder)
     config = command.configs.get(agent)
     make_agent(agent, config)  # an unknown agent is an error before any plays

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
 
 from cadenza.agents.registry import PLAYBACK
 from cadenza.cli.arguments import Output, Quiet
-from cadenza.cli.options import Performing, Read, setting_up
+from cadenza.cli.options import LEARNER, SONG, Options, Read, setting_up
 from cadenza.cli.progress import stages
 from cadenza.cli.saving import check_writable, default_folder
 from cadenza.errors import CadenzaError
@@ -19,44 +21,47 @@ from cadenza.files import folder_name, write_json
 
 if TYPE_CHECKING:
     from cadenza.music.score import Score
-    from cadenza.performing.setup import Selection
+    from cadenza.performing.loaded_song import LoadedSong
+    from cadenza.performing.player import Player
     from cadenza.report.bench_summary import RunSummary
 
 
 @dataclass(frozen=True)
-class Compare(Performing):
+class Compare(Options):
     """Compare agents on one song, in a table and on a page.
 
     Example: cadenza compare OdeToJoy --agents planner predictive-sampling --seeds 0 1 2
     """
 
+    song: Annotated[tyro.conf.Positional[str], SONG] = field(kw_only=True)
     agents: tuple[str, ...] = ("planner", "predictive-sampling")
     """Agents to compare, named as in "cadenza play". All but playback."""
     seeds: tuple[int, ...] = (0,)
     """Random seeds. Each agent plays once with each seed."""
     output: Output[Path | None] = None
     """Folder for compare.html, compare.json and a folder of each run; played/SONG by default."""
+    learner: Annotated[str | None, LEARNER] = None
     quiet: Quiet = False
 
 
 def compare(command: Compare, read: Read[Compare]) -> None:
-    from cadenza.performing.setup import select
-    from cadenza.performing.source import resolve
+    from cadenza.performing.loaded_song import load
+    from cadenza.performing.player import find_player
 
     if not command.agents or not command.seeds:
         raise CadenzaError("nothing to compare: name at least one agent and one seed")
     if PLAYBACK in command.agents:
         raise CadenzaError(f"{PLAYBACK} plays a single file: name other agents")
-    source = resolve(command.song, command.arrangement)
-    selections = {name: select(source, name, configs=command.configs) for name in command.agents}
-    commands = {
-        name: read(task=selection.task, scene=selection.scene)
-        for name, selection in selections.items()
+    song = load(command.song, command.arrangement)
+    players = {
+        name: find_player(name, song.name, configs=command.configs) for name in command.agents
     }
-    for name, selection in selections.items():
-        with setting_up(selection, commands[name]):
-            pass  # what cannot be played is an error before any plays
-    folder = command.output or default_folder(selections[command.agents[0]])
+    commands = {
+        name: read(task=player.task, scene=player.scene) for name, player in players.items()
+    }
+    for name, player in players.items():  # what cannot be played is an error before any plays
+        with setting_up(commands[name], song, player, 0) as setup:
+            folder = command.output or default_folder(setup)
     check_writable(folder)
     remarks = [
         f"{name} plays with {differing}, as it was trained"
@@ -65,25 +70,25 @@ def compare(command: Compare, read: Read[Compare]) -> None:
     ]
     runs: list[RunSummary] = []
     try:
-        for name, seed in product(selections, dict.fromkeys(command.seeds)):
-            runs.append(_run(name, selections[name], commands[name], seed, folder))
+        for name, seed in product(players, dict.fromkeys(command.seeds)):
+            runs.append(_run(commands[name], song, players[name], seed, folder))
     finally:  # also of what was stopped, or has failed
         if runs:
-            _write(folder, source.score, runs, remarks, command)
+            _write(folder, song.score, runs, remarks, command)
 
 
-def _run(name: str, selection: Selection, command: Compare, seed: int, folder: Path) -> RunSummary:
+def _run(command: Compare, song: LoadedSong, player: Player, seed: int, folder: Path) -> RunSummary:
     """Plays once, and leaves the performance in a folder of its own."""
     from cadenza.evaluation.results import PAGE, Timing
     from cadenza.evaluation.summary import run_metrics
     from cadenza.performing.performance import check_replaceable, perform
     from cadenza.report.bench_summary import RunSummary
 
-    own = folder / folder_name(f"{name}--s{seed}")
+    own = folder / folder_name(f"{player.name}--s{seed}")
     check_replaceable(own)
     began, cpu_before = time.perf_counter(), time.process_time()
-    with stages(f"{name}, seed {seed}") as progress:
-        with setting_up(selection, command, seed) as setup:
+    with stages(f"{player.name}, seed {seed}") as progress:
+        with setting_up(command, song, player, seed) as setup:
             performance = perform(setup, progress)
         timing = Timing(
             wall_seconds=time.perf_counter() - began,
@@ -92,7 +97,7 @@ def _run(name: str, selection: Selection, command: Compare, seed: int, folder: P
             cpu_seconds=time.process_time() - cpu_before,
         )
         performance.save(own, progress)
-    return RunSummary(0, name, seed, run_metrics(performance.metrics, timing), own / PAGE)
+    return RunSummary(0, player.name, seed, run_metrics(performance.metrics, timing), own / PAGE)
 
 
 def _write(

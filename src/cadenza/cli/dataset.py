@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from cadenza.agents.registry import PLAYBACK, PRETRAINED
+from cadenza.agents.registry import PLAYBACK, PRETRAINED, is_folder
 from cadenza.cli.arguments import Flat, Output, Quiet
 from cadenza.cli.options import Options, Read, RecordedParts
 from cadenza.cli.progress import progress, stages
@@ -98,15 +98,14 @@ def _check(command: Collect) -> None:
 def _demonstrator(command: Collect) -> Demonstrator:
     from cadenza.agents.registry import make_agent
     from cadenza.evaluation.collecting.collect import Demonstrator
-    from cadenza.performing.setup import is_policy_folder
 
     agent = command.agent
     if command.arrangement.asks_for_hands:
         raise CadenzaError("songs are recorded as written: leave out --arrange and --level")
-    if agent in (PLAYBACK, PRETRAINED) or is_policy_folder(agent):
+    if agent in (PLAYBACK, PRETRAINED) or is_folder(agent):
         raise CadenzaError(f"--agent {agent}: does not plan, nor play any song; choose the planner")
     student = command.variation.student
-    if student is not None and is_policy_folder(student):
+    if student is not None and is_folder(student):
         raise CadenzaError(
             f"--student {student}: policies cannot be students; choose an agent with a name, such "
             "as generalist"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +11,6 @@ from cadenza.agents.registry import AGENTS
 from cadenza.cli.arguments import Flat
 from cadenza.cli.console import in_columns
 from cadenza.errors import CadenzaError, counted
-from cadenza.hub import is_on_hub
 from cadenza.learning.learner import LEARNERS
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import note_name
@@ -31,8 +29,7 @@ class Info:
     """Describe a song: length, notes, range, fingering. Without a song, this installation."""
 
     song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
-    """A song by its name, a MIDI or MusicXML file, or the folder of what has learnt or practised a
-    song."""
+    """A song by its name, or a MIDI or MusicXML file."""
     arrangement: Flat[Arrangement] = field(default_factory=Arrangement)
 
 
@@ -40,20 +37,10 @@ def info(command: Info) -> None:
     if command.song is None:
         _print_facts(_installation_facts())
         return
-    score = _score(command.song, command.arrangement)
+    score = command.arrangement.score(command.song)
     _print_facts(_song_facts(score))
     if len(score.tracks) > 1:
         print("\n" + _table_of_tracks(score.tracks))
-
-
-def _score(song: str, arrangement: Arrangement) -> Score:
-    if os.path.isdir(song) or is_on_hub(song):  # it may be what has learnt or practised a song
-        # Heavy, so only here.
-        from cadenza.performing.source import is_own_folder, load_song
-
-        if is_own_folder(song):
-            return load_song(song, arrangement)
-    return arrangement.score(song)
 
 
 def _print_facts(facts: dict[str, Any]) -> None:

@@ -7,22 +7,24 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import MISSING, dataclass, field, fields, make_dataclass, replace
 from keyword import iskeyword
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import tyro
 
-from cadenza.agents.registry import PLANNER, agent_options, options_name
+from cadenza.agents.registry import PLANNER, PRACTISED, agent_options, is_folder, options_name
 from cadenza.cli.arguments import Chosen, Flat, parse
 from cadenza.cli.progress import stages
 from cadenza.errors import CadenzaError
-from cadenza.hub import is_on_hub
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
 from cadenza.tasks.setups import NamedSetup, setup_named
 
 if TYPE_CHECKING:
-    from cadenza.performing.setup import Selection, Setup
+    from cadenza.performing.loaded_song import LoadedSong
+    from cadenza.performing.player import Player
+    from cadenza.performing.setup import Setup
 
 Command = TypeVar("Command", bound="Options")
 Read = Callable[..., Command]
@@ -31,9 +33,13 @@ Read = Callable[..., Command]
 TRAIN = "train:"  # what the name of an agent begins with that is trained first
 
 AGENTS_HELP = (
-    'Who plays: a name from "cadenza info", the folder of a policy, hub:OWNER/NAME, or '
-    "module:Class. By default the planner, or the policy whose folder is SONG."
+    'Who plays: a name from "cadenza info", the folder of a policy, a training run or practice, '
+    "hub:OWNER/NAME, or module:Class. What has learnt or practised a song needs no SONG."
 )
+SONG = tyro.conf.arg(
+    metavar="SONG", help='A song by its name (see "cadenza songs"), or a MIDI or MusicXML file.'
+)
+LEARNER = tyro.conf.arg(help="Learner of a policy, if it was given as module:NAME.")
 SETUP_HELP = 'Options by one name, such as allegro, see "cadenza info". Others override it.'
 
 
@@ -55,17 +61,6 @@ class Options:
     def configs(self) -> dict[str, Any]:
         """Agent -> its options."""
         return {agent: getattr(self, field) for agent, field in self.options.items()}
-
-
-@dataclass(frozen=True)
-class Performing(Options):
-    """Options of the commands that perform one song."""
-
-    song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")] = field(kw_only=True)
-    """A song by its name (see "cadenza songs"), a MIDI or MusicXML file, or the folder of a policy
-    or of a practised song."""
-    learner: str | None = None
-    """Learner of a policy, if it was given as module:NAME."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,8 +115,9 @@ def with_options_of(kind: type[Command], agents: Sequence[str]) -> type[Command]
     names: dict[str, str] = {}
     taken = {*dir(kind), *(each.name for each in fields(kind))}
     for agent in dict.fromkeys(agents):
-        policy = os.path.isdir(agent) or is_on_hub(agent)
-        if policy or agent.startswith(TRAIN) or agent_options(agent) is None:
+        if (Path(agent) / PRACTISED).is_file():
+            agent = PLANNER  # which searches where the hands are pushed
+        if agent.startswith(TRAIN) or is_folder(agent) or agent_options(agent) is None:
             continue
         name = options_name(agent)
         if name in taken or not name.isidentifier() or iskeyword(name):
@@ -153,16 +149,23 @@ def split_agents(words: Sequence[str]) -> list[str]:
 
 
 @contextmanager
-def setting_up(selection: Selection, command: Options, seed: int = 0) -> Iterator[Setup]:
-    """`set_up` with the command's task and scene; shows how far the search for fingers is."""
+def setting_up(
+    command: Options, song: str | LoadedSong | None, player: Player, seed: int
+) -> Iterator[Setup]:
+    """`set_up` with the options of a command; shows how far the search for fingers is."""
     from cadenza.performing.setup import set_up
 
     with ExitStack() as kept:
         with stages("playing") as progress:
-            setup = kept.enter_context(
-                set_up(
-                    selection.with_options(command.task, command.scene, seed, command.num_threads),
-                    progress,
-                )
+            setup = set_up(
+                song,
+                player,
+                arrangement=command.arrangement,
+                task=command.task,
+                scene=command.scene,
+                seed=seed,
+                num_threads=command.num_threads,
+                progress=progress,
             )
-        yield setup
+            ready = kept.enter_context(setup)
+        yield ready

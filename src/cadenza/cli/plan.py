@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from cadenza.agents.registry import PLANNER, PLAYBACK
+import tyro
+
+from cadenza.agents.registry import PLANNER, PLAYBACK, PRACTISED
 from cadenza.cli.arguments import Output, Quiet
-from cadenza.cli.options import Performing, Read, setting_up
+from cadenza.cli.options import SONG, Options, Read, setting_up
 from cadenza.cli.progress import stages
 from cadenza.cli.saving import (
     check_name,
@@ -29,12 +31,13 @@ _PICTURE = ".svg"
 
 
 @dataclass(frozen=True)
-class PlanCommand(Performing):
+class PlanCommand(Options):
     """Plan a song, and write the actions and the fingering to files.
 
     Example: cadenza plan OdeToJoy -o joy.safetensors
     """
 
+    song: Annotated[tyro.conf.Positional[str], SONG] = field(kw_only=True)
     output: Output[Path | None] = None
     """The plan, a .safetensors file; played/SONG/plan.safetensors by default. The fingering is
     written beside it as text, to a file that ends in .safetensors.fingering."""
@@ -47,9 +50,9 @@ class PlanCommand(Performing):
 
 
 def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
-    from cadenza.performing.planning import fingering_of, make_plan
-    from cadenza.performing.setup import select
-    from cadenza.performing.source import resolve
+    from cadenza.performing.performance import perform
+    from cadenza.performing.planning import fingering_of, plan_of
+    from cadenza.performing.player import find_player
 
     if command.output is not None:
         check_name(command.output, TENSORS, f"a plan is a {TENSORS} file")
@@ -57,13 +60,12 @@ def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
         if command.score.suffix != _PICTURE:
             check_name(command.score, SHEET, f"sheet music is a {SHEET} or {_PICTURE} file")
         check_writable(command.score.parent, "--score")
-    source = resolve(command.song, command.arrangement)
-    selection = select(source, PLANNER, configs=command.configs)
-    path = command.output or default_folder(selection) / f"plan{TENSORS}"
-    with setting_up(selection, command, command.seed) as setup:
+    player = find_player(PLANNER, configs=command.configs)
+    with setting_up(command, command.song, player, command.seed) as setup:
+        path = command.output or default_folder(setup) / PRACTISED
         check_writable(path.parent)
         with stages("planning") as progress:
-            planned = make_plan(setup, progress)
+            planned = plan_of(setup, perform(setup, progress))
     planned.save(path)
     print_scores(planned.performance)
     print_losses(planned.performance)

@@ -11,28 +11,29 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from cadenza.agents.registry import PLANNER
 from cadenza.cli.arguments import Output, Quiet, SoundFont
 from cadenza.cli.console import stop_on_signal
-from cadenza.cli.options import AGENTS_HELP, Performing, Read, setting_up
+from cadenza.cli.options import AGENTS_HELP, LEARNER, Options, Read, setting_up
 from cadenza.cli.practice import practised
 from cadenza.cli.progress import stages
 from cadenza.cli.saving import check_writable, default_folder, save, voice_of
 from cadenza.cli.studio import need_server
-from cadenza.errors import CadenzaError
 from cadenza.files import folder_name
 
 if TYPE_CHECKING:
-    from cadenza.performing.setup import Selection, Setup
+    from cadenza.performing.setup import Setup
 
 
 @dataclass(frozen=True)
-class PlayCommand(Performing):
+class PlayCommand(Options):
     """Play a song, and write a report page with sound, scores and MIDI.
 
     Example: cadenza play OdeToJoy -o joy
     """
 
+    song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
+    """A song by its name (see "cadenza songs"), or a MIDI or MusicXML file; by default the one that
+    the agent has learnt or practised."""
     agent: Annotated[str | None, tyro.conf.arg(help=AGENTS_HELP)] = None
     output: Output[Path | None] = None
     """Folder for the results, which replace older ones; played/SONG/AGENT by default."""
@@ -45,26 +46,24 @@ class PlayCommand(Performing):
     sound_font: SoundFont = None
     watch: tyro.conf.FlagCreatePairsOff[bool] = False
     """Show it on a page while it is planned, until Ctrl-C."""
+    learner: Annotated[str | None, LEARNER] = None
     quiet: Quiet = False
 
 
 def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
     from cadenza.performing.performance import check_replaceable, perform
-    from cadenza.performing.setup import select
-    from cadenza.performing.source import resolve
+    from cadenza.performing.player import find_player
     from cadenza.studio.live_page import open_page
 
-    source = resolve(command.song, command.arrangement)
-    selection = select(source, command.agent, configs=command.configs, plan=command.plan)
-    _check_planner_plays(command, selection)
-    command = read(task=selection.task, scene=selection.scene)
+    player = find_player(command.agent, command.song, configs=command.configs, plan=command.plan)
+    command = read(task=player.task, scene=player.scene)
     voice_of(command.sound_font)  # says so before anything is played if it cannot be used
-    folder = command.output or default_folder(selection) / _name_of(selection.name)
     if command.watch:
         need_server()
     with ExitStack() as kept:
         with stop_on_signal("writing the results") as stop:
-            with setting_up(selection, command, command.seed) as setup:
+            with setting_up(command, command.song, player, command.seed) as setup:
+                folder = command.output or default_folder(setup) / _name_of(player.name)
                 check_writable(folder)
                 check_replaceable(folder, command.song)
                 setup, cut_short = kept.enter_context(_practised(setup, folder))
@@ -87,20 +86,6 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
         print(f"stopped after {part}: the results cover only that part", file=sys.stderr)
     if cut_short or stopped:
         raise KeyboardInterrupt
-
-
-def _check_planner_plays(command: PlayCommand, selection: Selection) -> None:
-    """Checks that nobody gives options of the planner where the song is the folder of a policy.
-
-    Raises:
-        CadenzaError: they do.
-    """
-    from cadenza.agents.planner.config import PlannerConfig
-    from cadenza.agents.planner.practice.practised_planner import PractisedHands
-
-    plays = selection.name == PLANNER or isinstance(selection.agent, PractisedHands)
-    if not plays and command.configs.get(PLANNER, PlannerConfig()) != PlannerConfig():
-        raise CadenzaError(f"{command.song}: a policy plays it, which has no --{PLANNER} options")
 
 
 @contextmanager

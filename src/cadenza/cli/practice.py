@@ -8,12 +8,14 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
 
 from cadenza.agents.registry import PLANNER
 from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.console import stop_on_signal
-from cadenza.cli.options import Performing, Read, setting_up
+from cadenza.cli.options import Options, Read, setting_up
 from cadenza.cli.progress import one_after_other, stages
 from cadenza.cli.saving import check_writable, default_folder, save
 from cadenza.errors import CadenzaError, counted
@@ -33,14 +35,18 @@ _LATE = 0.999  # of a step, so that a bar that begins within it has begun
 
 
 @dataclass(frozen=True)
-class PracticeCommand(Performing):
+class PracticeCommand(Options):
     """Practise a song: play it, go back to what fails, and keep what is better.
 
-    Ctrl-C keeps the best so far; the same command goes on. "cadenza play FOLDER" plays it.
+    Ctrl-C keeps the best so far; the same command goes on. "cadenza play --agent FOLDER" plays it.
 
     Example: cadenza practice FurEliseOpening -o elise --minutes 5
     """
 
+    song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
+    """A song by its name (see "cadenza songs"), or a MIDI or MusicXML file."""
+    resume: Path | None = None
+    """Go on with the practice in this folder, with its song and its options."""
     output: Output[Path | None] = None
     """Folder of practice and its results; played/SONG/practised by default."""
     effort: float | None = None
@@ -57,43 +63,41 @@ class PracticeCommand(Performing):
 def run(command: PracticeCommand, read: Read[PracticeCommand]) -> None:
     from cadenza.agents.planner.config import ENOUGH
     from cadenza.performing.performance import check_replaceable
-    from cadenza.performing.setup import select
-    from cadenza.performing.source import resolve
+    from cadenza.performing.player import find_player
 
-    source, folder = resolve(command.song, command.arrangement), Path(command.song)
-    elsewhere = command.output is not None and command.output.resolve() != folder.resolve()
-    if source.practised is not None and not elsewhere:
-        command = _continued(folder, command, read)
-        source = resolve(command.song, command.arrangement)
+    if (command.song is None) == (command.resume is None):
+        raise CadenzaError("give a song to practise, or the folder of practice with --resume")
+    if command.resume is not None:
+        command = _resumed(command.resume, command, read)
     _check(command)
-    selection = select(source, PLANNER, configs=command.configs)
-    folder = command.output or default_folder(selection) / "practised"
-    check_writable(folder)
-    check_replaceable(folder, command.song)
+    player = find_player(PLANNER, configs=command.configs)
     effort = ENOUGH if command.effort is None else command.effort
-    with (
-        setting_up(selection, command, command.seed) as setup,
-        stop_on_signal("this passage, and writing the results") as stop,
-        practised(setup, folder, effort, command.minutes, stop=stop) as practising,
-    ):
-        assert practising.performance is not None
-        save(practising.performance, folder, command.video)
-        stopped = stop()
+    with setting_up(command, command.song, player, command.seed) as setup:
+        folder = command.output or default_folder(setup) / "practised"
+        check_writable(folder)
+        check_replaceable(folder, command.song)
+        with (
+            stop_on_signal("this passage, and writing the results") as stop,
+            practised(setup, folder, effort, command.minutes, stop=stop) as practising,
+        ):
+            assert practising.performance is not None
+            save(practising.performance, folder, command.video)
+            stopped = stop()
     if stopped:
         print(f"stopped; the same command goes on in {folder}", file=sys.stderr)
         raise KeyboardInterrupt
 
 
-def _continued(
+def _resumed(
     folder: Path, command: PracticeCommand, read: Read[PracticeCommand]
 ) -> PracticeCommand:
-    """Returns the command with the song and the options of what was practised in `folder`.
+    """The command with the song and the options of what was practised in `folder`.
 
     Raises:
         CadenzaError: the folder does not say how it was practised, or that cannot be read.
     """
     from cadenza.agents.planner.config import PlannerConfig
-    from cadenza.performing.source import PRACTISED_HOW
+    from cadenza.performing.player import PRACTISED_HOW
 
     where = folder / PRACTISED_HOW
     settings = read_json(where, dict[str, Any]) if where.exists() else {}
@@ -132,12 +136,12 @@ def _check(command: PracticeCommand) -> None:
     if command.scene.engine != "c":
         raise CadenzaError(
             f"--engine {command.scene.engine}: hands practise in the engine c; give it to "
-            '"cadenza play FOLDER", to hear what becomes of what was practised'
+            '"cadenza play --agent FOLDER", to hear what becomes of what was practised'
         )
     if command.task.randomization.is_on:
         raise CadenzaError(
             "--randomization: hands practise with the nominal model; give it to "
-            '"cadenza play FOLDER", to hear what becomes of what was practised'
+            '"cadenza play --agent FOLDER", to hear what becomes of what was practised'
         )
 
 

@@ -15,7 +15,7 @@ from cadenza.cli.arguments import Quiet
 class Publish:
     """Upload a policy or demonstrations to the Hugging Face hub.
 
-    Example: cadenza publish run/best me/twinkle; cadenza play hub:me/twinkle
+    Example: cadenza publish run/best me/twinkle; cadenza play --agent hub:me/twinkle
     """
 
     folder: tyro.conf.Positional[Path]

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 from cadenza.cli.progress import stages
 from cadenza.errors import CadenzaError, counted
 from cadenza.files import folder_name
+from cadenza.music.formats.reading import name_without_ending
 
 if TYPE_CHECKING:
     from cadenza.performing.film_renderer import Look
     from cadenza.performing.filming import FilmExcerpt
     from cadenza.performing.performance import Performance
-    from cadenza.performing.setup import Selection
+    from cadenza.performing.setup import Setup
     from cadenza.report.tone import Tone
 
 _MS_PER_SECOND = 1000
@@ -60,9 +61,9 @@ def check_writable(folder: Path, option: str = "--output", mode: int = 0o777) ->
         ) from error
 
 
-def default_folder(selection: Selection) -> Path:
-    """Returns the folder where the results of a song are written by default."""
-    return Path("played") / folder_name(selection.source.short_name)
+def default_folder(setup: Setup) -> Path:
+    """The folder where the results of a song are written by default."""
+    return Path("played") / folder_name(name_without_ending(setup.settings["song"]))
 
 
 def voice_of(sound_font: Path | None) -> Tone:

@@ -140,11 +140,10 @@ def train(command: Train) -> None:
 def _name_of(songs: Sequence[str]) -> str:
     """Returns the name of the folder of a run, and what its pages are called."""
     from cadenza.music.libraries.library import find_song
-    from cadenza.performing.source import is_own_folder
 
     first, *more = songs
-    name = first if is_own_folder(first) else find_song(first).name
-    return folder_name(name_without_ending(name)) + (f"_and_{len(more)}_more" if more else "")
+    others = f"_and_{len(more)}_more" if more else ""
+    return folder_name(name_without_ending(find_song(first).name)) + others
 
 
 def _title(scores: Sequence[Score]) -> str:
@@ -157,8 +156,8 @@ def _train(command: Train, folder: Path) -> None:
     from cadenza.learning.problem import problem_of
     from cadenza.learning.run_folder import RunFolder
     from cadenza.learning.training import Training, begin
+    from cadenza.performing.loaded_song import load
     from cadenza.performing.performance import play
-    from cadenza.performing.source import load_song
     from cadenza.report.scalars import need_wandb
 
     run = RunFolder(folder)
@@ -166,8 +165,8 @@ def _train(command: Train, folder: Path) -> None:
         need_wandb()  # before a run begins for it
     if command.songs:
         hands = command.training.scene.hands
-        whole = [load_song(song, command.arrangement) for song in command.songs]
-        scores = tuple(command.arrangement.written_for(hands, score) for score in whole)
+        loaded = [load(song, command.arrangement) for song in command.songs]
+        scores = tuple(song.written_for(hands).score for song in loaded)
         check_writable(folder)
     with run.locked(), _prints_how_to_resume(folder, command.training):
         if command.songs:
@@ -183,9 +182,8 @@ def _train(command: Train, folder: Path) -> None:
             finished = _train_until_stopped(training, command, run, title)
         if finished:
             with stages("playing") as reporter:
-                best = folder / "best"  # which holds its song, if it is only one
-                song = best if len(scores) == 1 else scores[0]
-                performance = play(song, best, progress=reporter)
+                song = None if len(scores) == 1 else scores[0]  # a policy of one holds it
+                performance = play(song, folder, progress=reporter)
             save(performance, folder / "best_played", command.video)
         if run.metrics.rows():
             _write_curves(folder, title, config)

@@ -46,7 +46,8 @@ from cadenza.learning.cpu_affinity import claimed_cores
 from cadenza.learning.run_folder import RunFolder
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.performing.performance import add_page, perform
-from cadenza.performing.setup import Selection, select, set_up
+from cadenza.performing.player import find_player
+from cadenza.performing.setup import set_up
 
 _SCORE = "score.json"
 
@@ -104,7 +105,18 @@ def _result(
         trained = _train(spec, spec.training, folder / "training", num_threads, progress, stop)
         if trained is None:
             return None
-    with set_up(_selection(spec, folder, num_threads), progress) as setup:
+    agent = spec.agent if trained is None else str(folder / "training" / "best")
+    configs = {spec.agent: spec.config} if trained is None else {}
+    with set_up(
+        spec.song,
+        find_player(agent, spec.song, configs=configs),
+        arrangement=spec.arrangement,
+        task=spec.task,
+        scene=spec.scene,
+        seed=spec.seed,
+        num_threads=num_threads,
+        progress=progress,
+    ) as setup:
         performance = perform(setup, progress)
     if trained is None:
         seconds, cpu_seconds = time.perf_counter() - began, time.process_time() - cpu_before
@@ -122,14 +134,6 @@ def _result(
         versions=versions(),
         training=trained,
     )
-
-
-def _selection(spec: JobSpec, folder: Path, num_threads: int | None = None) -> Selection:
-    """Return the song of a run, and who plays it: where it trains, what was learnt."""
-    agent = spec.agent if spec.training is None else str(folder / "training" / "best")
-    configs = {} if spec.training is not None else {spec.agent: spec.config}
-    selection = select(spec.song, agent, arrangement=spec.arrangement, configs=configs)
-    return selection.with_options(spec.task, spec.scene, spec.seed, num_threads)
 
 
 def _train(

@@ -148,13 +148,6 @@ class LearntPolicy:
         """True if it corrects a reference, which is that of one song."""
         return self.reference is not None
 
-    def has_learnt(self, score: Score) -> bool:
-        """Whether it was trained on the notes and pedal of `score`, or plays any song."""
-        if self.score is None:
-            return True
-        notes = score.without_fingers().notes
-        return (notes, score.pedal) == (self.score.without_fingers().notes, self.score.pedal)
-
     def check(self, name: str, task: PianoTask) -> None:
         """Check that the policy can play a task.
 
@@ -206,25 +199,21 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
         ) from error
 
 
-def check_is_no_run(folder: Path) -> None:
-    """Raise a CadenzaError if the folder is that of a training run, which holds policies."""
-    for name, which in ("best", "best"), ("last", "latest"):
-        if (folder / name).is_dir():
-            raise CadenzaError(
-                f"{folder}: is the folder of a training run; its {which} policy is {folder / name}"
-            )
+def policy_folder(folder: str | Path) -> Path:
+    """The folder of a policy, here or of the hub; for that of a training run, its best policy's."""
+    folder = fetched(folder, POLICY)
+    return best if (best := folder / "best").is_dir() else folder
 
 
 def load_policy(folder: str | Path) -> LearntPolicy:
-    """Read the policy in a folder, or one of the hub, see `cadenza.hub`.
+    """Read a policy: that in a folder, the best one of a training run, or one of the hub.
 
     Raises:
         CadenzaError: there is no policy, or not one that this version wrote, unchanged.
     """
-    folder = fetched(folder, POLICY)
+    folder = policy_folder(folder)
     where = folder / POLICY_FILE
     if not where.exists():
-        check_is_no_run(folder)
         raise CadenzaError(f"{folder}: holds no {POLICY_FILE}, so it is no policy; name another")
     arrays, plain = read_tensors(where, ANY, _MAX_BYTES)
     if (number := plain.get("format")) != _FORMAT:

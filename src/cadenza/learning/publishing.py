@@ -9,7 +9,13 @@ from cadenza.demonstrations.dataset import DATASET, EPISODES, open_dataset
 from cadenza.demonstrations.summary import summarize
 from cadenza.errors import extra_packages
 from cadenza.hub import upload
-from cadenza.learning.policy_folder import POLICY, LearntPolicy, load_policy, remarks_on
+from cadenza.learning.policy_folder import (
+    POLICY,
+    LearntPolicy,
+    load_policy,
+    policy_folder,
+    remarks_on,
+)
 
 _TAGS = ["cadenza", "piano", "robotics", "mujoco"]
 _MEASURED = {"f1": "F1", "note_onset_f1": "note onset F1"}
@@ -51,6 +57,7 @@ def publish(folder: Path, repo: str) -> str:
     if (folder / EPISODES).is_dir():
         open_dataset(folder)
         return upload(folder, repo, DATASET, _dataset_card(folder, repo))
+    folder = policy_folder(folder)
     learnt = load_policy(folder)
     return upload(folder, repo, POLICY, _policy_card(folder, learnt, repo))
 
@@ -74,7 +81,7 @@ def _policy_card(folder: Path, learnt: LearntPolicy, repo: str) -> str:
     )
     scene = learnt.scene
     hands = "two hands" if scene.hands == "both" else f"the {scene.hands} hand"
-    words = f"hub:{repo}" if learnt.score else f"SONG --agent hub:{repo}"
+    words = f"--agent hub:{repo}" if learnt.score else f"SONG --agent hub:{repo}"
     text = _POLICY.format(
         title=title, hands=hands, hand=scene.hand, keyboard=scene.keyboard, words=words
     )

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
 from cadenza.fingers import SIDES
 from cadenza.music.expression_rules import ExpressionRules, check_quantities
 from cadenza.music.score import Score, check_beginning, check_length
+
+if TYPE_CHECKING:
+    from cadenza.music.libraries.songs import Song
 
 EASIEST, HARDEST = 1, 10
 """The grades of difficulty."""
@@ -64,7 +67,7 @@ class Arrangement:
         """
         return self.performed(self.whole(song), song)
 
-    def whole(self, song: str) -> Score:
+    def whole(self, song: str | Song) -> Score:
         """The whole score of `song`, as it is written.
 
         Raises:

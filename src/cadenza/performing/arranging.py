@@ -19,7 +19,7 @@ from cadenza.music.expression import performed_with_times
 from cadenza.music.metrics import expressive_metrics, step_metrics
 from cadenza.music.performance import played_in
 from cadenza.music.score import Note, Score
-from cadenza.performing.source import Source
+from cadenza.performing.loaded_song import LoadedSong
 from cadenza.scene.scene import Scene
 from cadenza.tasks.augmentation import prepare_tracks
 from cadenza.tasks.config import TaskConfig
@@ -121,7 +121,7 @@ class HandArrangement:
 
 
 def arranged_for(
-    source: Source, scene: Scene, task: TaskConfig, progress: Progress = silent
+    song: LoadedSong, scene: Scene, task: TaskConfig, progress: Progress = silent
 ) -> HandArrangement | None:
     """The arrangement of a song for the hands of a scene; None if it is to be played as written.
 
@@ -133,25 +133,25 @@ def arranged_for(
     Raises:
         CadenzaError: the song is to be arranged, and the scene has no hands.
     """
-    score, arrangement = source.score, source.arrangement
+    score, arrangement = song.score, song.arrangement
     if arrangement.arrange == "off" or not score.notes:
         return None
     if not arrangement.asks_for_hands and (
         not scene.sides or _is_playable(score, scene, task, progress)
     ):
         return None
-    return arrange_song(source, scene)
+    return arrange_song(song, scene)
 
 
-def arrange_song(source: Source, scene: Scene) -> HandArrangement:
+def arrange_song(song: LoadedSong, scene: Scene) -> HandArrangement:
     """The arrangement of a song for the hands of a scene, which is then played with expression.
 
     Raises:
         CadenzaError: the scene has no hands.
     """
-    if source.written is None:
-        return arrange(source.score, source.arrangement, scene)
-    return arrange(source.written, source.arrangement, scene).performed(source.arrangement)
+    if song.written is None:
+        return arrange(song.score, song.arrangement, scene)
+    return arrange(song.written, song.arrangement, scene).performed(song.arrangement)
 
 
 def arrange(score: Score, arrangement: Arrangement, scene: Scene) -> HandArrangement:

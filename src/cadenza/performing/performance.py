@@ -24,8 +24,9 @@ from cadenza.music.formats.midi import write_midi
 from cadenza.music.performance import key_runs, played_in
 from cadenza.music.score import Score
 from cadenza.performing.advice import advice
-from cadenza.performing.setup import Setup, SomeAgent, select, set_up
-from cadenza.performing.source import Song
+from cadenza.performing.loaded_song import SomeSong
+from cadenza.performing.player import SomeAgent, find_player
+from cadenza.performing.setup import Setup, set_up
 from cadenza.report.html_pages import write_page
 from cadenza.report.performance_page import performance_page
 from cadenza.report.sound import Sound, bit_rate_of, encode_opus, synthesize
@@ -209,7 +210,7 @@ def _listed(path: Path) -> list[dict[str, Any]]:
 
 
 def play(
-    song: Song,
+    song: SomeSong | None = None,
     agent: SomeAgent | None = None,
     seed: int = 0,
     *,
@@ -227,12 +228,11 @@ def play(
         performance.save("played/joy")
 
     Args:
-        song: a bundled song (see `cadenza.songs`), the path of a MIDI or MusicXML file, the folder
-            of a policy, which holds the song that it has learnt, or a `Score`.
-        agent: a name of `cadenza.agents.registry`, such as "planner"; the folder of a policy;
-            "module:Class"; or an `Agent`, such as a planner with options,
-            `make_agent("planner", config)`. None is the policy where the song is its folder, and
-            the planner everywhere else.
+        song: the name of a piece (see `cadenza.songs`), the path of a MIDI or MusicXML file, a
+            `Song` or a `Score`. None is the song that the agent has learnt or practised.
+        agent: a name of `cadenza.agents.registry`; the folder of a policy, of a training run or of
+            practice; "hub:OWNER/NAME"; "module:Class"; a `LearntPolicy`; or an `Agent`, such as a
+            planner with options, `make_agent("planner", config)`. None is the planner.
         seed: of everything random; the same seed plays the same.
         task: what is played, observed and rewarded. None is what the policy was trained with, and
             for other agents `TaskConfig(initial_buffer_time=0.5, repeats="shortened")`, time for
@@ -252,9 +252,16 @@ def play(
     named = NamedSetup() if setup is None else setup_named(setup)
     if setup is not None and scene is not None:
         raise CadenzaError(f"setup {setup} has a scene of its own: give a setup or a scene")
-    selection = select(song, named.agent if agent is None else agent, plan=plan)
-    chosen = named.applied_to(selection).with_options(task, scene, seed, num_threads)
-    with set_up(chosen, progress) as ready:
+    player = find_player(named.agent if agent is None else agent, song, plan=plan)
+    with set_up(
+        song,
+        named.applied_to(player),
+        task=task,
+        scene=scene,
+        seed=seed,
+        num_threads=num_threads,
+        progress=progress,
+    ) as ready:
         return perform(ready, progress)
 
 

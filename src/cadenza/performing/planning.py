@@ -19,9 +19,10 @@ from cadenza.files import TENSORS
 from cadenza.fingers import Finger
 from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
 from cadenza.music.score import Score
+from cadenza.performing.loaded_song import SomeSong
 from cadenza.performing.performance import Performance, perform
-from cadenza.performing.setup import Setup, select, set_up
-from cadenza.performing.source import Song
+from cadenza.performing.player import find_player
+from cadenza.performing.setup import Setup, set_up
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
@@ -94,7 +95,7 @@ def fingering_of(plan: Path) -> Path:
 
 
 def plan(
-    song: Song,
+    song: SomeSong,
     seed: int = 0,
     *,
     task: TaskConfig | None = None,
@@ -113,14 +114,16 @@ def plan(
         CadenzaError: the song is not there, an option makes no sense, or the hands could not play
             to the end.
     """
-    selection = select(song, PLANNER, configs={PLANNER: config})
-    with set_up(selection.with_options(task, scene, seed, num_threads), progress) as setup:
-        return make_plan(setup, progress)
-
-
-def make_plan(setup: Setup, progress: Progress = silent) -> Plan:
-    """Plans what was set up, see `plan`; its agent plans the whole song."""
-    return plan_of(setup, perform(setup, progress))
+    with set_up(
+        song,
+        find_player(PLANNER, configs={PLANNER: config}),
+        task=task,
+        scene=scene,
+        seed=seed,
+        num_threads=num_threads,
+        progress=progress,
+    ) as setup:
+        return plan_of(setup, perform(setup, progress))
 
 
 def plan_of(setup: Setup, performance: Performance) -> Plan:

@@ -14,13 +14,13 @@ from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.practice.practice import Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedHands, PractisedPlan
-from cadenza.agents.registry import options_name
+from cadenza.agents.registry import PRACTISED, options_name
 from cadenza.agents.rollout import begin_episodes
 from cadenza.errors import CadenzaError
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.planning import plan_of
+from cadenza.performing.player import PRACTICE, PRACTISED_HOW
 from cadenza.performing.setup import Setup
-from cadenza.performing.source import PRACTICE, PRACTISED, PRACTISED_HOW, is_own_folder
 from cadenza.resumable import RateLimited, ResumableFolder
 from cadenza.scene.servos import servos_of
 from cadenza.sim.threads import Threads
@@ -80,9 +80,7 @@ class Practising:
         if self._path.exists():
             self.practice.restore(self._path)
         settings, song = setup.settings, setup.settings["song"]
-        if os.path.exists(song) and (
-            os.path.isfile(song) or is_own_folder(song)
-        ):  # it goes on from anywhere
+        if os.path.isfile(song):  # it goes on from anywhere
             settings = settings | {"song": os.path.abspath(song)}
         folder.write_manifest(settings)
 

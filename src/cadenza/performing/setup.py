@@ -1,104 +1,33 @@
-"""Makes the task and the agent that play a song, from names and options."""
+"""The task and the agent that play a song, made once from names and options."""
 
 from __future__ import annotations
 
-import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 from cadenza.agents.agent import Agent, Progress, silent
-from cadenza.agents.planner.planner import Planner
-from cadenza.agents.planner.practice.practised_planner import PractisedHands
-from cadenza.agents.playback import Playback, SavedPlan, load_plan
-from cadenza.agents.registry import (
-    AGENTS,
-    PLANNER,
-    PLAYBACK,
-    PRETRAINED,
-    agent_options,
-    checked_agent,
-    make_agent,
-    options_name,
-)
+from cadenza.agents.playback import SavedPlan
+from cadenza.agents.registry import options_name
 from cadenza.configs import MAX_SEED, as_config, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning, quoted
-from cadenza.hub import is_on_hub
-from cadenza.learning.policy_folder import LearntPolicy, load_policy
-from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.goals import held_pedal_changes, merged_notes
 from cadenza.music.score import Score
 from cadenza.performing.arranging import HandArrangement, arranged_for
-from cadenza.performing.source import PRACTICE, PRACTISED, Song, Source, resolve
+from cadenza.performing.loaded_song import LoadedSong, SomeSong, load
+from cadenza.performing.player import Player, SomeAgent, find_player
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import build_scene
 from cadenza.sim.threads import MAX_THREADS
-from cadenza.tasks.config import TaskConfig, task_identity, with_time_to_begin
+from cadenza.tasks.config import TaskConfig, task_identity
 from cadenza.tasks.goal_track import GoalTrack, check_written_hands
 from cadenza.tasks.piano_task import PianoTask
-
-SomeAgent = str | Path | Agent
-
-
-@dataclass(frozen=True)
-class Selection:
-    """A song and who is to play it."""
-
-    source: Source
-    name: str
-    """The name of the agent."""
-    agent: Agent
-    config: Any = None
-    """The options of the agent, if it has any."""
-    task: TaskConfig = field(default_factory=with_time_to_begin)
-    """The task; for a policy, the one that it was trained with."""
-    scene: SceneConfig = field(default_factory=SceneConfig)
-    """The scene; for a plan, with the physics that it was made in."""
-    learnt: LearntPolicy | None = None
-    plan: SavedPlan | None = None
-    seed: int = 0
-    """Seed of everything random."""
-    num_threads: int | None = None
-    """Number of threads of an agent that can use several; by default its own, or one for each
-    hand."""
-
-    @property
-    def score(self) -> Score:
-        """The song that is to be played."""
-        return self.source.score
-
-    def with_score(self, score: Score) -> Selection:
-        """Returns this selection with another score of the song."""
-        return replace(self, source=replace(self.source, score=score))
-
-    def with_options(
-        self,
-        task: TaskConfig | None = None,
-        scene: SceneConfig | None = None,
-        seed: int = 0,
-        num_threads: int | None = None,
-    ) -> Selection:
-        """Returns the same with the options that are given.
-
-        Raises:
-            CadenzaError: an option makes no sense.
-        """
-        if num_threads is not None:
-            num_threads = whole_number(num_threads, "num_threads", 1, MAX_THREADS)
-        return replace(
-            self,
-            task=as_config(self.task if task is None else task, TaskConfig),
-            scene=as_config(self.scene if scene is None else scene, SceneConfig),
-            seed=whole_number(seed, "seed", 0, MAX_SEED),
-            num_threads=num_threads,
-        )
 
 
 @dataclass(frozen=True)
@@ -123,192 +52,142 @@ class Setup:
         return int(self.task.goals.num_steps[0])
 
 
-def select(
-    song: Song | Source,
-    agent: SomeAgent | None = None,
+@contextmanager
+def set_up(
+    song: SomeSong | LoadedSong | None,
+    agent: SomeAgent | Player | None = None,
     *,
     arrangement: Arrangement | None = None,
-    configs: Mapping[str, Any] | None = None,
-    plan: str | Path | None = None,
-) -> Selection:
-    """Loads a song and whoever is to play it.
+    task: TaskConfig | None = None,
+    scene: SceneConfig | None = None,
+    seed: int = 0,
+    num_threads: int | None = None,
+    progress: Progress = silent,
+) -> Iterator[Setup]:
+    """Load a song, and yield who plays it in what task.
 
     Args:
-        song: see `cadenza.load_song`; a score; or what `resolve` has made of it.
-        agent: a name of `cadenza.agents.registry`, the folder of a policy, which may lie on the
-            hub as `hub:OWNER/NAME`, `module:Class`, or an agent. Where there is none, the policy
-            or the practised plan plays whose folder is the song, or the planner.
-        arrangement: which notes of a song that is a name or a path.
-        configs: agent's name -> its options, see `make_agent`.
-        plan: the file whose actions "playback" plays.
-
-    Raises:
-        CadenzaError: the song or the agent is not there, or cannot be used.
-    """
-    source = song if isinstance(song, Source) else resolve(song, arrangement)
-    selection = partial(Selection, source)
-    if agent is None and plan is None and (own := source.practised) is not None:
-        task, scene = own.config(TaskConfig), own.config(SceneConfig)
-        return _played_back(partial(selection, task=task, scene=scene), own, configs)
-    if agent is None and source.policy is not None:
-        agent = source.name
-    if not isinstance(agent, str | Path | None):
-        name = type(agent).__name__
-        agent = checked_agent(agent, name)
-        return selection(name=name, agent=agent, config=agent.config)
-    name = PLANNER if agent is None else str(agent)
-    if (name == PLAYBACK) != (plan is not None):
-        raise CadenzaError("--agent playback and --plan FILE go together: give both or neither")
-    if not isinstance(plan, str | Path | None):
-        raise CadenzaError(f"plan {quoted(plan)}: give the path of a file")
-    if plan is not None:
-        saved = load_plan(Path(plan))
-        scene = replace(SceneConfig(), **saved.physics)
-        return _played_back(partial(selection, scene=scene), saved, configs)
-    if (learnt := _policy(name, source)) is not None:
-        return _with_policy(selection(name=name, agent=learnt.agent), learnt)
-    config, options = (configs or {}).get(name), agent_options(name)
-    config = config if options is None else as_config(config, options)
-    return selection(name=name, agent=make_agent(name, config), config=config)
-
-
-def _played_back(
-    selection: Callable[..., Selection], plan: SavedPlan, configs: Mapping[str, Any] | None
-) -> Selection:
-    """Returns who plays a plan: open loop or, if it was practised, with feedback and a search.
-
-    `configs` has the options of the planner that hold for the search.
-    """
-    if plan.practised is None:
-        return selection(name=PLAYBACK, agent=Playback(plan.actions), plan=plan)
-    config = Planner((configs or {}).get(PLANNER)).config
-    if config.effort:
-        raise CadenzaError(
-            f"{plan.path}: is played as it was practised; leave out --planner.effort, or practise "
-            "more: cadenza practice"
-        )
-    return selection(name=PLAYBACK, agent=PractisedHands(plan.practised, config), plan=plan)
-
-
-def _policy(agent: str, source: Source) -> LearntPolicy | None:
-    """Returns the policy that `agent` names, None where it names another agent."""
-    if agent == PRETRAINED:
-        return load_policy(pretrained_folder(source.name))
-    if agent == source.name and source.policy is not None:
-        return source.policy
-    if not is_policy_folder(agent):
-        return None
-    if any((Path(agent) / name).is_file() for name in (PRACTISED, PRACTICE)):
-        raise CadenzaError(
-            f"{agent}: holds a song that was practised, not a policy; give it as the song, "
-            "without an agent"
-        )
-    return load_policy(agent)
-
-
-def is_policy_folder(agent: str) -> bool:
-    """Returns whether an agent is named by the folder of a policy, which may lie on the hub."""
-    return agent not in AGENTS.own and (os.path.isdir(agent) or is_on_hub(agent))
-
-
-def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:
-    """Returns the selection with a policy, in the task and the scene that it was trained in."""
-    if learnt.score is None or not learnt.has_learnt(selection.score):
-        mine = selection.source.written_for(learnt.scene.hands)
-        selection = replace(selection, source=mine)
-    if learnt.score is not None and not learnt.has_learnt(selection.score):
-        what = f"{selection.name}: was trained on {quoted(learnt.score.title)}"
-        if learnt.score.title == selection.score.title:
-            what += " in another arrangement, or a part of it"
-        if learnt.residual:
-            raise CadenzaError(f"{what}, with residual learning, so it can play nothing else")
-        warnings.warn(f"{what}, not {selection.source.name}", CadenzaWarning, stacklevel=4)
-    # Plans are made for fingers that are found, and demonstrations of any song have such.
-    found = learnt.residual or learnt.score is None
-    score = selection.score.without_fingers() if found else selection.score
-    selection = selection.with_score(score)
-    return replace(selection, task=learnt.task, scene=learnt.scene, learnt=learnt)
-
-
-@contextmanager
-def set_up(selection: Selection, progress: Progress = silent) -> Iterator[Setup]:
-    """Yields what to play, in the task and the scene of the selection.
-
-    Args:
-        selection: what is played, who plays, and how.
+        song: see `cadenza.load_song`, or a score; None for the one that the agent has learnt.
+        agent: see `find_player`.
+        arrangement: which notes of the song.
+        task: by default the one of the player.
+        scene: by default the one of the player.
+        seed: of everything random.
+        num_threads: of an agent that can use several; by default its own, or one for each hand.
         progress: is told of "fingers", which are looked for before anyone plays.
 
     Raises:
-        CadenzaError: the agent cannot play with these options.
+        CadenzaError: the song or the agent is not there, an option makes no sense, or they do not
+            go together.
     """
-    task, scene, seed = selection.task, selection.scene, selection.seed
-    options = task_identity(task, scene, seed, **asdict(selection.source.arrangement))
-    if selection.plan is not None:
-        _check_plan(selection.plan, options, scene)
-    settings = _settings(selection)
-    looking = partial(progress, "fingers")
+    player = find_player(agent, song)
+    task = as_config(player.task if task is None else task, TaskConfig)
+    scene = as_config(player.scene if scene is None else scene, SceneConfig)
+    seed = whole_number(seed, "seed", 0, MAX_SEED)
+    if num_threads is not None:
+        num_threads = whole_number(num_threads, "num_threads", 1, MAX_THREADS)
+    chosen = _chosen_song(song, arrangement, player, scene.hands)
+    options = task_identity(task, scene, seed, **asdict(chosen.arrangement))
+    if player.plan is not None:
+        _check_plan(player.plan, options, scene)
     built = build_scene(scene)
-    whole = mine = selection.score
-    if not _is_learnt(selection):
-        selection = replace(selection, source=selection.source.written_for(scene.hands))
-        mine = selection.score
-    check_written_hands(task, mine, selection.source.name)
-    arranged = _arranged(selection, built, progress)
-    if arranged is not None:
-        selection = selection.with_score(arranged.arranged.score)
+    played = chosen if player.knows(chosen.score) else chosen.written_for(scene.hands)
+    check_written_hands(task, played.score, chosen.name)
+    arranged = None
+    if not player.knows(played.score):
+        arranged = arranged_for(played, built, task, progress)
+    score = played.score if arranged is None else arranged.arranged.score
     with (
-        closing(PianoTask([selection.score], task, built, progress=looking)) as piano_task,
-        _with_threads(selection.agent, selection.num_threads),
+        closing(PianoTask([score], task, built, progress=partial(progress, "fingers"))) as made,
+        _with_threads(player.agent, num_threads),
     ):
-        remarks = list(_lost_between_steps(piano_task.tracks[0]))
-        remarks += _about_hands(piano_task.tracks[0], whole, mine)
-        for loss in remarks:
-            warnings.warn(f"{selection.source.name}: {loss}", CadenzaWarning, stacklevel=4)
-        remarks = [*selection.score.remarks, *remarks]
-        if arranged is not None:
-            said = f"{selection.source.name}: {arranged}; as written: --arrange off"
-            warnings.warn(said, CadenzaWarning, stacklevel=4)
-            remarks.insert(0, str(arranged))  # it changes most
-        if remarks:
+        lost = [*_lost_between_steps(made.tracks[0])]
+        lost += _about_hands(made.tracks[0], chosen.score, played.score)
+        about = [] if arranged is None else [str(arranged)]  # it changes most
+        for remark in (*lost, *(f"{each}; as written: --arrange off" for each in about)):
+            warnings.warn(f"{chosen.name}: {remark}", CadenzaWarning, stacklevel=4)
+        if player.policy is not None:
+            player.policy.check(player.name, made)
+        settings: dict[str, Any] = {
+            "song": chosen.name,
+            "agent": player.name,
+            "seed": seed,
+            "plan": None if player.plan is None else str(player.plan.path),
+            "arrangement": asdict(chosen.arrangement),
+            "task": asdict(task),
+            "scene": asdict(scene),
+        }
+        if is_dataclass(player.config) and not isinstance(player.config, type):
+            settings[options_name(player.name)] = asdict(player.config)
+        if remarks := [*about, *score.remarks, *lost]:
             settings["remarks"] = remarks
-        if selection.learnt is not None:
-            selection.learnt.check(selection.name, piano_task)
-        score, agent = selection.score, selection.agent
-        yield Setup(score, agent, piano_task, seed, settings, options, arranged)
+        yield Setup(score, player.agent, made, seed, settings, options, arranged)
 
 
-def _arranged(selection: Selection, scene: Scene, progress: Progress) -> HandArrangement | None:
-    """Arranges a song for the hands, but not one that was learnt or practised as it is."""
-    learnt, arrangement = selection.learnt, selection.source.arrangement
-    if _is_learnt(selection):
-        if learnt is not None and arrangement.asks_for_hands:
+def _chosen_song(
+    song: SomeSong | LoadedSong | None, arrangement: Arrangement | None, player: Player, hands: str
+) -> LoadedSong:
+    """The song that is given, or the one that the player knows, as it can play it.
+
+    Raises:
+        CadenzaError: there is none, or the player cannot play it.
+    """
+    if song is None:
+        if player.song is None:
+            raise CadenzaError(f"{player.name}: plays any song; name one")
+        if arrangement is not None and arrangement.chosen:
             raise CadenzaError(
-                f"{selection.name}: plays this song as it has learnt it; leave out --arrange and "
+                f"{player.name}: plays its song as it was trained or practised; leave out "
+                "--tracks, --plain, --arrange, --level, --drums, --first-seconds and --expression"
+            )
+        return player.song
+    chosen = load(song, arrangement)
+    if player.song is not None:
+        if not player.knows(chosen.score):
+            chosen = chosen.written_for(hands)
+        if not player.knows(chosen.score):
+            _check_other_song(chosen, player, player.song)
+        elif chosen.arrangement.asks_for_hands:
+            raise CadenzaError(
+                f"{player.name}: plays this song as it has learnt it; leave out --arrange and "
                 "--level"
             )
-        return None
-    return arranged_for(selection.source, scene, selection.task, progress)
+        elif player.policy is None:  # the fingers are those of practice
+            return player.song
+    # Plans are made for fingers that are found, and demonstrations of any song have such.
+    if player.policy is not None and (player.policy.residual or player.song is None):
+        return replace(chosen, score=chosen.score.without_fingers())
+    return chosen
 
 
-def _is_learnt(selection: Selection) -> bool:
-    """Whether the song was learnt or practised as it is."""
-    learnt = selection.learnt
-    return selection.source.practised is not None or (
-        learnt is not None and learnt.score is not None and learnt.has_learnt(selection.score)
-    )
+def _check_other_song(song: LoadedSong, player: Player, known: LoadedSong) -> None:
+    """Warn that a player plays a song that it does not know.
+
+    Raises:
+        CadenzaError: it cannot play any other.
+    """
+    learnt = "was trained on" if player.policy is not None else "has practised"
+    what = f"{player.name}: {learnt} {quoted(known.score.title)}"
+    if known.score.title == song.score.title:
+        what += " in another arrangement, or a part of it"
+    if player.policy is None:
+        raise CadenzaError(f"{what}, and can play nothing else; leave out the song")
+    if player.policy.residual:
+        raise CadenzaError(f"{what}, with residual learning, so it can play nothing else")
+    warnings.warn(f"{what}, not {song.name}", CadenzaWarning, stacklevel=5)
 
 
-def _about_hands(track: GoalTrack, whole: Score, mine: Score) -> Iterator[str]:
-    """Yields what one hand leaves to the other, and what is not played as it is written for hands.
+def _about_hands(track: GoalTrack, whole: Score, own: Score) -> Iterator[str]:
+    """Yield what one hand leaves to the other, and what is not played as it is written for hands.
 
     Args:
         track: the song as the task plays it.
         whole: all notes of the song.
-        mine: those that are written for the hands of the scene.
+        own: the notes that are written for the hands of the scene.
     """
-    if others := len(whole.notes) - len(mine.notes):
+    if others := len(whole.notes) - len(own.notes):
         (side,) = track.scene.sides
-        what = "1 note is" if len(mine.notes) == 1 else f"{len(mine.notes)} notes are"
+        what = "1 note is" if len(own.notes) == 1 else f"{len(own.notes)} notes are"
         yield (f"{what} written for the {side} hand; without the other {others} (all: --all-notes)")
     if track.config.hands_as_written:
         notes = track.with_found_fingers().fingered().score.notes
@@ -319,7 +198,7 @@ def _about_hands(track: GoalTrack, whole: Score, mine: Score) -> Iterator[str]:
 
 
 def _lost_between_steps(track: GoalTrack) -> Iterator[str]:
-    """Yields what of the song control steps are too long for: repeated notes, pedal changes."""
+    """Yield what of the song control steps are too long for: repeated notes, pedal changes."""
     dt = track.config.control_timestep
     if count := merged_notes(track.score, track.goals):
         repeat, are = ("note repeats", "is") if count == 1 else ("notes repeat", "are")
@@ -336,7 +215,7 @@ def _lost_between_steps(track: GoalTrack) -> Iterator[str]:
 
 
 def _check_plan(plan: SavedPlan, options: dict[str, Any], scene: SceneConfig) -> None:
-    """Raises a CadenzaError if a plan would not play the same with these options."""
+    """Raise a CadenzaError if a plan would not play the same with these options."""
     plan.check(options)
     made_in = replace(SceneConfig(), **plan.physics).physics
     if scene.physics != made_in:
@@ -345,25 +224,9 @@ def _check_plan(plan: SavedPlan, options: dict[str, Any], scene: SceneConfig) ->
         warnings.warn(played, CadenzaWarning, stacklevel=4)
 
 
-def _settings(selection: Selection) -> dict[str, Any]:
-    """Returns what was chosen, see `Setup.settings`."""
-    settings: dict[str, Any] = {
-        "song": selection.source.name,
-        "agent": selection.name,
-        "seed": selection.seed,
-        "plan": None if selection.plan is None else str(selection.plan.path),
-        "arrangement": asdict(selection.source.arrangement),
-        "task": asdict(selection.task),
-        "scene": asdict(selection.scene),
-    }
-    if is_dataclass(selection.config) and not isinstance(selection.config, type):
-        settings[options_name(selection.name)] = asdict(selection.config)
-    return settings
-
-
 @contextmanager
 def _with_threads(agent: Agent, num_threads: int | None) -> Iterator[None]:
-    """Gives the agent `num_threads` threads and linear algebra one; closes the agent afterwards."""
+    """Give the agent `num_threads` threads and linear algebra one; close the agent afterwards."""
     if num_threads is not None:
         agent.num_threads = num_threads
     try:

@@ -4,31 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.learning.config import TrainingConfig, preset
+from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import begin
-from cadenza.music.arrangement import Arrangement
+from cadenza.music.libraries.songs import Song
 from cadenza.music.score import Score
-from cadenza.performing.source import Song, load_song
+from cadenza.performing.loaded_song import SomeSong, load
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """A training run that is over."""
+
+    folder: Path
+    """The folder of the run."""
+    metrics: dict[str, Any]
+    """The last value of each metric of the run, such as "eval/f1"."""
+    policy: LearntPolicy
+    """The policy that played best."""
+
+    def __repr__(self) -> str:
+        return f"TrainingResult({str(self.folder)!r}, F1 {self.metrics.get('eval/f1')})"
 
 
 def train(
-    song: Song | Sequence[Song],
+    song: SomeSong | Sequence[SomeSong],
     folder: str | Path,
     config: TrainingConfig | None = None,
     *,
     progress: Progress = silent,
     **options: Any,
-) -> Path:
-    """Trains a policy for a song or for several, as `cadenza train` does::
+) -> TrainingResult:
+    """Train a policy for a song or for several, as `cadenza train` does::
 
-        best = cadenza.train("TwinkleTwinkleLittleStar", "run", num_steps=200_000)
-        print(cadenza.play(best).metrics["f1"])
+        trained = cadenza.train("TwinkleTwinkleLittleStar", "run", num_steps=200_000)
+        print(cadenza.play(agent=trained.policy).metrics["f1"])
 
     Args:
         song: see `cadenza.play`; of several, each episode plays one.
@@ -38,17 +54,13 @@ def train(
         progress: is told how far it is, `progress("learning", done, total)`.
         options: fields of `TrainingConfig`, which change `config`.
 
-    Returns:
-        The folder of the policy that played best, to be given to `cadenza.play`.
-
     Raises:
         CadenzaError: the song is not there, an option makes no sense, the folder holds a run
             already, or JAX is not installed.
     """
     config = replace(config or preset("fast"), **options)
-    songs = [song] if isinstance(song, Score | str | Path) else song
-    whole = [each if isinstance(each, Score) else load_song(each) for each in songs]
-    scores = [Arrangement().written_for(config.scene.hands, score) for score in whole]
+    songs = [song] if isinstance(song, Score | Song | str | Path) else song
+    scores = [load(each).written_for(config.scene.hands).score for each in songs]
     run = RunFolder(Path(folder))
     with run.locked(), closing(begin(config, scores, run)) as training:
 
@@ -58,4 +70,5 @@ def train(
 
         training.run(should_continue)
         should_continue()
-    return run.path / "best"
+    metrics = {name: value for row in run.metrics.rows() for name, value in row.items()}
+    return TrainingResult(run.path, metrics, load_policy(run.path))

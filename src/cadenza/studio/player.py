@@ -23,15 +23,15 @@ from typing import IO
 from cadenza.agents.agent import Progress
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.registry import PLANNER
+from cadenza.agents.registry import PRACTISED as PLAN
 from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json, write_json
-from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Note, Score
 from cadenza.performing.filming import write_film
+from cadenza.performing.loaded_song import LoadedSong, load
 from cadenza.performing.performance import Performance, perform
-from cadenza.performing.setup import Selection, Setup, select, set_up
-from cadenza.performing.source import PRACTISED as PLAN
-from cadenza.performing.source import Source, resolve
+from cadenza.performing.player import find_player
+from cadenza.performing.setup import Setup, set_up
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.messages import IDLE, Send, WireMessage, json_message
 from cadenza.studio.request import (
@@ -118,7 +118,7 @@ def error_text(error: BaseException, order: Order) -> str:
 
 def warm_up() -> None:
     """Take a step, so that what a first step loads and computes is there for the next."""
-    with set_up(select(Score((Note(0.0, 0.1, 60),)), PLANNER)) as setup:
+    with set_up(Score((Note(0.0, 0.1, 60),)), PLANNER) as setup:
         perform(setup, stop=lambda: True)
 
 
@@ -148,14 +148,17 @@ def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performan
 
 def set_up_order(order: Order, progress: Progress) -> AbstractContextManager[Setup]:
     """Set up the song, the agent and the hands that an order asks for."""
-    request, selection = order.request, _select(order)
-    task, scene = selection.task, selection.scene
-    if selection.learnt is None:
+    request, song = order.request, _song(order)
+    agent = PLANNER if request.agent in PLANNER_VARIANTS else request.agent
+    configs = {PLANNER: PlannerConfig(method="none")} if request.agent == UNREFINED else None
+    player = find_player(agent, song.name, configs=configs)
+    task, scene = player.task, player.scene
+    if player.policy is None:
         scene = replace(scene, hand=request.hand, hands=request.playing_hands)
     transpose, stretch = task.transpose + request.transpose, task.stretch / request.tempo
     as_written = request.hands == "written"
     task = replace(task, transpose=transpose, stretch=stretch, hands_as_written=as_written)
-    return set_up(selection.with_options(task, scene, request.seed), progress)
+    return set_up(song, player, task=task, scene=scene, seed=request.seed, progress=progress)
 
 
 def _practised_setup(order: Order) -> AbstractContextManager[Setup] | None:
@@ -166,39 +169,30 @@ def _practised_setup(order: Order) -> AbstractContextManager[Setup] | None:
     if not (folder / PLAN).exists():
         return None
     try:
-        selection = select(str(folder))
+        player = find_player(folder)
     except CadenzaError:  # damaged: practice makes another
         (folder / PLAN).replace(folder / f"{PLAN}.old")
         return None
-    return set_up(selection.with_options(seed=order.request.seed))
+    return set_up(None, player, seed=order.request.seed)
 
 
 def practice_folder_of(order: Order) -> Path:
     """Return the folder in which an order is practised."""
-    return practice_folder(Path(order.folder), order.request, _select(order).score)
+    return practice_folder(Path(order.folder), order.request, _song(order).score)
 
 
-def _select(order: Order) -> Selection:
-    """Select the song and the agent of an order.
+def _song(order: Order) -> LoadedSong:
+    """Load the song of an order.
 
     Raises:
         CadenzaError: there is nothing to play, or more than the studio takes.
     """
-    request = order.request
-    agent = PLANNER if request.agent in PLANNER_VARIANTS else request.agent
-    config = {PLANNER: PlannerConfig(method="none")} if request.agent == UNREFINED else None
-    arrangement = request.arrangement
-    song = _read_upload(order, arrangement) if order.uploaded else order.source
-    selection = select(song, agent, arrangement=arrangement, configs=config)
-    check_size(selection.score)
-    return selection
-
-
-def _read_upload(order: Order, arrangement: Arrangement) -> Source:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        source = resolve(order.source, arrangement)
-    return source.titled(order.title)
+        if order.uploaded:
+            warnings.simplefilter("ignore")
+        song = load(order.source, order.request.arrangement)
+    check_size(song.score)
+    return song.titled(order.title) if order.uploaded else song
 
 
 def save(performance: Performance, states: StateStream, order: Order, send: Send) -> None:

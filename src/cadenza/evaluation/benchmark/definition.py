@@ -18,18 +18,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import ZeroAgent
 from cadenza.agents.registry import AGENTS
 from cadenza.errors import CadenzaError, CadenzaWarning, quoted
 from cadenza.files import read_json
 from cadenza.fingers import NO_FINGER, Finger
-from cadenza.music.arrangement import Arrangement
 from cadenza.music.libraries.benchmark import BENCHMARK
 from cadenza.music.libraries.imported import is_imported
 from cadenza.music.libraries.library import LIBRARIES, open_library
 from cadenza.music.libraries.songs import Library, Song
-from cadenza.performing.setup import Selection, Setup, set_up
-from cadenza.performing.source import Source
+from cadenza.performing.setup import Setup, set_up
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene
 from cadenza.tasks.config import TaskConfig
@@ -152,11 +149,10 @@ def set_up_song(song: Song) -> Iterator[Setup]:
     Raises:
         CadenzaError: it cannot be read, or is not the one that version 1 has frozen.
     """
-    source = Source(song.name, song.load(), Arrangement())
     task = replace(TASK, fingering="off")  # keys and metrics do not depend on it
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CadenzaWarning)  # on what cannot be played
-        with set_up(Selection(source, "zero", ZeroAgent(), task=task, scene=SCENE)) as setup:
+        with set_up(song, "zero", task=task, scene=SCENE) as setup:
             yield setup
 
 

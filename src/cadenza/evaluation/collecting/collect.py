@@ -43,7 +43,9 @@ from cadenza.keyboards.registry import keyboard_named
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.libraries.songs import Library
 from cadenza.music.score import Score
-from cadenza.performing.setup import Setup, select, set_up
+from cadenza.performing.loaded_song import load
+from cadenza.performing.player import find_player
+from cadenza.performing.setup import Setup, set_up
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import TaskConfig
@@ -138,15 +140,22 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
     seed, rng = _randomness(spec)
     configs = {spec.agent: spec.config}
     as_written = replace(spec.arrangement, arrange="off", level=None)
-    selection = select(spec.song, spec.agent, arrangement=as_written, configs=configs)
-    song = selection.score
-    if not selection.agent.keeps_fingering:  # so that the task finds the same as the agent
+    player = find_player(spec.agent, configs=configs)
+    loaded = load(spec.song, as_written)
+    song = loaded.score
+    if not player.agent.keeps_fingering:  # so that the task finds the same as the agent
         song = song.without_fingers()
     score, drawn = spec.variation.draw(song, spec.pitches, rng)
-    selection = selection.with_score(score)
-    selection = selection.with_options(spec.task, spec.scene, seed, num_threads)
     with (
-        set_up(selection, progress) as setup,
+        set_up(
+            replace(loaded, score=score),
+            player,
+            task=spec.task,
+            scene=spec.scene,
+            seed=seed,
+            num_threads=num_threads,
+            progress=progress,
+        ) as setup,
         closing(_perturbed_agent(setup, drawn["noise"], spec)) as perturbed,
     ):
         result = play_episode(setup.task, perturbed, seed, progress)

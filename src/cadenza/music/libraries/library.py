@@ -14,15 +14,16 @@ from functools import partial
 from pathlib import Path
 
 from cadenza.errors import CadenzaError, by_others, quoted
+from cadenza.hub import is_on_hub
 from cadenza.music.formats.reading import MUSIC, NOT_READ, read_score
-from cadenza.music.libraries.bundled import Piece, bundled, songs
+from cadenza.music.libraries.bundled import bundled, songs
 from cadenza.music.libraries.folder import folder_library
 from cadenza.music.libraries.imported import imported, imported_libraries, is_imported
 from cadenza.music.libraries.songs import Library, Song, song_named
 from cadenza.music.score import Score
 from cadenza.registry import Entry, Registry
 
-__all__ = ["LIBRARIES", "Piece", "find_song", "libraries", "load_score", "open_library", "songs"]
+__all__ = ["LIBRARIES", "find_song", "libraries", "load_score", "open_library", "songs"]
 
 ETUDES = "etudes"
 _WEB = ("http:/", "https:/", "ftp:/", "file:/")  # of an address, also of one that became a path
@@ -102,8 +103,10 @@ def open_library(spec: str | Path) -> Library:
     return library.of_split(split) if colon else library
 
 
-def find_song(name_or_path: str | Path) -> Song:
+def find_song(song: str | Path | Song) -> Song:
     """The song of a name, in upper or lower case, or of the path of a MIDI or MusicXML file.
+
+    A `Song` is returned as it is.
 
     Bundled pieces are called by their names, those of other libraries `library/piece`. A word is a
     path if there is such a file, or if it has the ending of a music file. Notes have the fingers
@@ -112,8 +115,14 @@ def find_song(name_or_path: str | Path) -> Song:
     Raises:
         CadenzaError: there is no such song.
     """
-    check_is_name(name_or_path)
-    path, name = Path(name_or_path), str(name_or_path)
+    if isinstance(song, Song):
+        return song
+    if not isinstance(song, str | Path):
+        raise CadenzaError(
+            f"song {quoted(song)}: give the name of a piece, the path of a MIDI or MusicXML file, "
+            "a Song or a Score"
+        )
+    path, name = Path(song), str(song)
     if name.startswith(_WEB):
         raise CadenzaError(f"{name}: is an address; download the file, and give its path")
     if path.suffix.lower() in (*MUSIC, *NOT_READ) or os.path.isfile(path):
@@ -123,20 +132,25 @@ def find_song(name_or_path: str | Path) -> Song:
         from cadenza.music.etudes.library import etude_song
 
         return etude_song(name)
-    among = _named(library) if piece and _is_library(library) else bundled()
-    return song_named(name, among)
+    if piece and _is_library(library):
+        return song_named(name, _named(library))
+    is_piece = any(each.name.lower() == name.lower() for each in songs())
+    if not is_piece and (os.path.isdir(name) or is_on_hub(name)):
+        raise CadenzaError(
+            f"{name}: is no song; what has learnt or practised one plays as an agent, such as "
+            f"cadenza play --agent {name}"
+        )
+    return song_named(name, bundled())
 
 
-def load_score(
-    name_or_path: str | Path, tracks: Collection[int] = (), plain: bool = False
-) -> Score:
+def load_score(song: str | Path | Song, tracks: Collection[int] = (), plain: bool = False) -> Score:
     """The score of a song or file, see `find_song` and `Song.load`.
 
     Raises:
         CadenzaError: no such song or track, a format that is not read, or a file that
             `read_midi`, `read_musicxml` or `read_fingering` refuses.
     """
-    return find_song(name_or_path).load(tracks, plain)
+    return find_song(song).load(tracks, plain)
 
 
 def check_is_free(name: str) -> None:
@@ -148,19 +162,6 @@ def check_is_free(name: str) -> None:
     if name in (entries := LIBRARIES.entries()):
         raise CadenzaError(
             f"there is a library {name} already ({entries[name].about}); choose another --name"
-        )
-
-
-def check_is_name(song: object) -> None:
-    """Check that a song is given by a name or a path.
-
-    Raises:
-        CadenzaError: it is not.
-    """
-    if not isinstance(song, str | Path):
-        raise CadenzaError(
-            f"song {quoted(song)}: give the name of a bundled song, the path of a MIDI or MusicXML "
-            "file, or a Score"
         )
 
 

@@ -1,0 +1,83 @@
+"""Songs as they are loaded: a piece by its name, a music file or a score, with its arrangement."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from cadenza.configs import as_config
+from cadenza.errors import CadenzaWarning
+from cadenza.music.arrangement import Arrangement
+from cadenza.music.libraries.library import find_song
+from cadenza.music.libraries.songs import Song
+from cadenza.music.score import Score
+
+SomeSong = str | Path | Song | Score
+
+
+@dataclass(frozen=True)
+class LoadedSong:
+    """A score, where it comes from, and the part of it that is played."""
+
+    name: str
+    """The name of the piece, the path of the file, or the title of a score."""
+    score: Score
+    arrangement: Arrangement = field(default_factory=Arrangement)
+    """The part of the song that the score has."""
+    written: Score | None = None
+    """The whole song without the expression that its score has, if that has any."""
+
+    def titled(self, title: str) -> LoadedSong:
+        """The song under another title."""
+        whole = self.written and replace(self.written, title=title)
+        return replace(self, name=title, score=replace(self.score, title=title), written=whole)
+
+    def written_for(self, hands: str) -> LoadedSong:
+        """The song with the notes that are written for these hands, see `Arrangement.written_for`.
+
+        Raises:
+            CadenzaError: nothing is written for the one hand that plays.
+        """
+        score = self.arrangement.written_for(hands, self.score)
+        whole = self.written and self.arrangement.written_for(hands, self.written)
+        return replace(self, score=score, written=whole)
+
+
+def load(song: SomeSong | LoadedSong, arrangement: Arrangement | None = None) -> LoadedSong:
+    """Load a song; what was repaired in it is a warning.
+
+    Args:
+        song: see `load_song`, or a score.
+        arrangement: which notes of it; all by default. A score is then played as written.
+
+    Raises:
+        CadenzaError: there is no such song, or it cannot be read.
+    """
+    if isinstance(song, LoadedSong):
+        return song
+    if arrangement is None and isinstance(song, Score):
+        arrangement = Arrangement(arrange="off")
+    arrangement = as_config(arrangement, Arrangement)
+    if isinstance(song, Score):
+        return LoadedSong(song.title, song, arrangement)
+    found = find_song(song)
+    whole = arrangement.whole(found)
+    score = arrangement.performed(whole, found.name)
+    for remark in score.remarks:
+        warnings.warn(f"{found.name}: {remark}", CadenzaWarning, stacklevel=3)
+    return LoadedSong(found.name, score, arrangement, whole if arrangement.expression else None)
+
+
+def load_song(song: str | Path | Song, arrangement: Arrangement | None = None) -> Score:
+    """Load the score of a song; what was repaired in it is a warning.
+
+    Args:
+        song: the name of a piece, see `cadenza.songs`; the path of a MIDI or MusicXML file; or a
+            `Song` of a library.
+        arrangement: which notes of it; all by default.
+
+    Raises:
+        CadenzaError: there is no such song, or it cannot be read.
+    """
+    return load(song, arrangement).score
