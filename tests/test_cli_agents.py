@@ -114,17 +114,17 @@ def test_a_policy_plays_the_song_that_it_has_learnt(
 
 @pytest.mark.usefixtures("here")
 def test_who_has_learnt_no_song_wants_one(capsys: pytest.CaptureFixture[str]) -> None:
-    assert refused(capsys, "play") == "cadenza: planner: plays any song; name one"
+    assert refused(capsys, "play") == "cadenza: no song to play: give one; planner has learnt none"
     line = refused(capsys, "play", "--agent", "pretrained")
     assert "choose from AuClairDeLaLune, OdeToJoy" in line
 
 
-@pytest.mark.parametrize("command", ["play", "info", "plan", "train"])
+@pytest.mark.parametrize("command", ["play", "practice", "info", "plan", "compare", "train"])
 def test_a_folder_is_no_song(command: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     policy(here / "run")
     line = refused(capsys, command, "run")
-    assert "run: is no song; " in line
-    assert line.endswith("plays as an agent, such as cadenza play --agent run")
+    assert "run: is no song; give a piece or a music file" in line
+    assert line.endswith("plays it as --agent run)")
 
 
 def test_the_folder_of_a_policy_may_have_an_equals_sign(here: Path) -> None:

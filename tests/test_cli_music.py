@@ -314,19 +314,6 @@ def test_notes_too_fast_for_control_steps_are_told(
     assert "too fast" not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["play", "practice", "plan", "compare", "train"])
-def test_a_folder_of_something_else_is_no_song(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main([command, str(tmp_path)])
-    assert stop.value.code == 1
-    *_, said = capsys.readouterr().err.splitlines()  # train also tells of cores in use
-    assert said == (
-        f"cadenza: {tmp_path}: is a folder, but not of a policy or of practice; give a music file"
-    )
-
-
 def test_a_pedal_that_is_hardly_lifted_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -172,7 +172,7 @@ def test_a_learner_of_another_package_trains_resumes_and_plays(
     assert "its own options" in refused(capsys, "train", "--resume", whole, "--step-size", 1)
     # A perceptron is read without the learner that made it.
     (package / "regression-1.0.dist-info" / "entry_points.txt").write_text("")
-    main(["play", str(whole / "best"), "--no-video", "-o", str(tmp_path / "out")])
+    main(["play", "--agent", str(whole / "best"), "--no-video", "-o", str(tmp_path / "out")])
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["f1"] == best
 
 
@@ -196,7 +196,7 @@ def test_a_learner_may_make_policies_of_another_kind(
 
     rows = [json.loads(line) for line in (whole / "metrics.jsonl").read_text().splitlines()]
     best = max(row["eval/f1"] for row in rows if "eval/f1" in row)
-    main(["play", str(whole / "best"), "--no-video", "-o", str(tmp_path / "out")])
+    main(["play", "--agent", str(whole / "best"), "--no-video", "-o", str(tmp_path / "out")])
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["f1"] == best
     agents = ["--agents", "zero", str(whole / "best")]
     main(["compare", str(tune), *agents, "-o", str(tmp_path / "compared")])
@@ -204,11 +204,11 @@ def test_a_learner_may_make_policies_of_another_kind(
     wrong = arrays | {"policy/kernel": np.zeros(3)}
     write_tensors(whole / "last" / POLICY_FILE, wrong, facts)
     assert f"{whole / 'last'}: cannot be read: ValueError: no matrix (" in refused(
-        capsys, "play", whole / "last"
+        capsys, "play", "--agent", whole / "last"
     )
     (package / "regression-1.0.dist-info" / "entry_points.txt").write_text("")
     assert f"{whole / 'best'}: no learner 'linear': choose from droq, ppo, or give" in refused(
-        capsys, "play", whole / "best"
+        capsys, "play", "--agent", whole / "best"
     )
 
 
@@ -246,7 +246,7 @@ def test_no_policy_has_a_module_imported(
     others = {"learner": "antigravity:Config", "policy": {}}
     ranges = {name: array for name, array in arrays.items() if name.startswith("ranges/")}
     write_tensors(tmp_path / "policy" / POLICY_FILE, ranges, facts | others)
-    assert "learner antigravity:Config: " in refused(capsys, "play", tmp_path / "policy")
+    assert "learner antigravity:Config: " in refused(capsys, "play", "--agent", tmp_path / "policy")
     assert "antigravity" not in sys.modules
 
 

@@ -231,8 +231,6 @@ def test_a_task_that_shows_something_else_is_refused() -> None:
 def test_a_folder_without_a_policy_is_refused(tmp_path: Path) -> None:
     assert_refused(tmp_path, "holds no policy.safetensors, so it is no policy; name another")
     assert_refused(tmp_path / "nowhere", "so it is no policy; name another")
-    (tmp_path / "best").mkdir()
-    assert_refused(tmp_path, "is the folder of a training run; its best policy is .*best")
     (tmp_path / "file").write_text("no folder")
     assert_refused(tmp_path / "file", "so it is no policy; name another")
 

@@ -112,17 +112,17 @@ def parse(kind: type[T], prog: str, words: Sequence[str], default: T | None = No
         args=["--help" if word == HELP_ALL else word for word in words],
         default=cast(Any, begun),
         config=SETTINGS,
-        registry=_registry(everything=HELP_ALL in words),
+        registry=_registry(is_short_help="--help" in words or "-h" in words),
     )
 
 
-def _registry(everything: bool) -> ConstructorRegistry:
+def _registry(is_short_help: bool = False) -> ConstructorRegistry:
     """How tyro makes options of a dataclass: as it does, but for four things.
 
     Configurations of learning have a task, a scene and a learner, whose options are flat. The
     docstring of a field becomes a paragraph, as tyro does with that of a class. Where nothing is
-    the default, the docstring says what that means, and help not that the default is None. Unless
-    help is to list `everything`, it leaves out what is rarely set.
+    the default, the docstring says what that means, and help not that the default is None. Short
+    help has no options that are rarely set; tyro does not read what help does not list.
     """
     registry, asking = ConstructorRegistry(), False
 
@@ -134,7 +134,7 @@ def _registry(everything: bool) -> ConstructorRegistry:
         asking = True
         spec: Any = ConstructorRegistry.get_struct_spec(info)
         asking = False
-        hides = info.type in _RARELY_SET and not everything
+        hides = is_short_help and info.type in _RARELY_SET
         shown = () if info.type is DomainRandomization else _OFTEN_SET
         options = [_option(each, hides and each.name not in shown) for each in spec.fields]
         return replace(spec, fields=tuple(options))
@@ -190,7 +190,7 @@ def print_commands(
         description=about,
         args=words,
         config=SETTINGS,
-        registry=_registry(everything=True),
+        registry=_registry(),
     )
     raise AssertionError(f"{words} are a command")
 

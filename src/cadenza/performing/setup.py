@@ -134,7 +134,7 @@ def _chosen_song(
     """
     if song is None:
         if player.song is None:
-            raise CadenzaError(f"{player.name}: plays any song; name one")
+            raise CadenzaError(f"no song to play: give one; {player.name} has learnt none")
         if arrangement is not None and arrangement.chosen:
             raise CadenzaError(
                 f"{player.name}: plays its song as it was trained or practised; leave out "

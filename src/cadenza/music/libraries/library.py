@@ -137,8 +137,8 @@ def find_song(song: str | Path | Song) -> Song:
     is_piece = any(each.name.lower() == name.lower() for each in songs())
     if not is_piece and (os.path.isdir(name) or is_on_hub(name)):
         raise CadenzaError(
-            f"{name}: is no song; what has learnt or practised one plays as an agent, such as "
-            f"cadenza play --agent {name}"
+            f"{name}: is no song; give a piece or a music file (what has learnt or practised one "
+            f"plays it as --agent {name})"
         )
     return song_named(name, bundled())
 
