@@ -91,7 +91,7 @@ def test_a_reward_that_is_none(value: Any) -> None:
 @pytest.mark.parametrize("song", [5, None, b"x", [], {}, 3.5], ids=repr)
 def test_what_is_no_song(song: Any) -> None:
     for play in (cadenza.load_song, cadenza.play, cadenza.plan):
-        with pytest.raises(CadenzaError, match=r"song .*: give") as error:
+        with pytest.raises(CadenzaError, match=r"song .*: give|plays any song; name one") as error:
             play(song)
         line(error)
 
