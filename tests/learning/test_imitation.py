@@ -214,7 +214,7 @@ def test_it_cannot_play_with_another_hand(run: Path) -> None:
 
 
 def test_its_folder_names_no_song(run: Path) -> None:
-    with pytest.raises(CadenzaError, match="plays any song; name one"):
+    with pytest.raises(CadenzaError, match="is no song; give a piece"):
         cadenza.play(run / "last")
     with pytest.raises(CadenzaError, match=r"its latest policy is .*last"):
         cadenza.play("OdeToJoy", run)
