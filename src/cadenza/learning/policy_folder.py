@@ -214,7 +214,9 @@ def load_policy(folder: str | Path) -> LearntPolicy:
     folder = policy_folder(folder)
     where = folder / POLICY_FILE
     if not where.exists():
-        raise CadenzaError(f"{folder}: holds no {POLICY_FILE}, so it is no policy; name another")
+        latest = folder / "last"
+        hint = f"its latest policy is {latest}" if latest.is_dir() else "name another"
+        raise CadenzaError(f"{folder}: holds no {POLICY_FILE}, so it is no policy; {hint}")
     arrays, plain = read_tensors(where, ANY, _MAX_BYTES)
     if (number := plain.get("format")) != _FORMAT:
         raise CadenzaError(
