@@ -35,7 +35,7 @@ class _Facts:
     rng: dict[str, Any]
     metrics_size: Count
     own: dict[str, Any]
-    """Those of the kind of run."""
+    """The values that this kind of run keeps beside those of every run."""
 
 
 class CheckpointedRun(ABC):

@@ -35,9 +35,9 @@ _FORCE_MARGIN = 1.6
 _STRIKE = 1.5
 _STRIKING = 0.05  # [s]
 # Before a strike that is to be in time.
-_DEEPEST_BEFORE = 0.75  # share of the way to where the key sounds
-_DEEPEST_LET_GO = 0.4  # the same if the key was let go just before: it has to come up in time
-_HIGHEST_BEFORE = 0.012  # [m]
+_MAX_DEPTH_BEFORE = 0.75  # share of the way to where the key sounds
+_MAX_DEPTH_LET_GO = 0.4  # the same if the key was let go just before: it has to come up in time
+_MAX_HEIGHT_BEFORE = 0.012  # [m]
 _READY_ROOM, _READY_SIGMA = 0.0005, 0.0015  # [m]
 
 # The weight of a box: the distance from it [m] that counts as one standard deviation.
@@ -160,8 +160,8 @@ class _TargetWriter:
         before, after = self._model.heights(presses.time[struck], speed * lever, sounds_at)
         targets = self._targets
         just_let_go = presses.before[struck] >= first - 1
-        share = np.where(just_let_go, _DEEPEST_LET_GO, _DEEPEST_BEFORE)
-        before = np.clip(before, -share * sounds_at, _HIGHEST_BEFORE)
+        share = np.where(just_let_go, _MAX_DEPTH_LET_GO, _MAX_DEPTH_BEFORE)
+        before = np.clip(before, -share * sounds_at, _MAX_HEIGHT_BEFORE)
         # A finger that has just let go of another key is not there yet.
         free = (~just_let_go | presses.again[struck]) & ~presses.jumps_to[struck]
         ready = first[free] - 1, finger[free]

@@ -14,8 +14,8 @@ from cadenza.music.etudes.band.melody import Singing, answers, melody, second_vo
 from cadenza.music.etudes.band.parts import Band, BandSection
 from cadenza.music.etudes.band.plan import (
     BandPlan,
+    BandPlayer,
     Cast,
-    Player,
     planned,
     played,
     random_cast,
@@ -39,13 +39,13 @@ _LONG = 1  # quarters of a note that can be two
 _UNUSED_SHARE = 4  # verses leave out the highest quarter of a range, choruses the lowest
 
 
-def give_melodies(rng: np.random.Generator, plan: BandPlan, cast: Cast) -> list[Player | None]:
+def give_melodies(rng: np.random.Generator, plan: BandPlan, cast: Cast) -> list[BandPlayer | None]:
     """Give lead, soloist, second voice and double what they play; who leads each section."""
     who = _who_leads(rng, plan, cast)
     pickups, replies = happens(rng, _PICKUPS), happens(rng, _ANSWERS)
     along = {passage.kind for passage in plan.passages} if happens(rng, _DOUBLES_ALL) else set()
     known: dict[str, tuple[SongPassage, list[Tone]]] = {}
-    last: dict[Player, int] = {}
+    last: dict[BandPlayer, int] = {}
     for (passage, start), player in zip(plan.placed, who, strict=True):
         if player is None:
             continue
@@ -68,9 +68,9 @@ def give_melodies(rng: np.random.Generator, plan: BandPlan, cast: Cast) -> list[
     return who
 
 
-def _who_leads(rng: np.random.Generator, plan: BandPlan, cast: Cast) -> list[Player | None]:
+def _who_leads(rng: np.random.Generator, plan: BandPlan, cast: Cast) -> list[BandPlayer | None]:
     lead, solo = cast.lead, cast.solo
-    who: dict[str, Player | None] = {
+    who: dict[str, BandPlayer | None] = {
         "intro": solo if happens(rng, _INTRO_BY_SOLO) else None,
         "bridge": solo if happens(rng, _BRIDGE_BY_SOLO) else lead,
         "solo": solo,
@@ -172,7 +172,7 @@ def _accompany(rng: np.random.Generator, plan: BandPlan, cast: Cast) -> None:
                 player.play(tones, start, "harmony")
 
 
-def _below_solo(player: Player, tones: list[Tone], start: float, end: float) -> list[Tone]:
+def _below_solo(player: BandPlayer, tones: list[Tone], start: float, end: float) -> list[Tone]:
     """The tones of a section that lie below the melody that the same player has there, if any."""
     melody = [tone for tone, role in player.tones if role == "melody" and start <= tone.at < end]
     lowest = min((tone.pitch for tone in melody), default=MIDI_PITCHES[-1])
@@ -180,7 +180,7 @@ def _below_solo(player: Player, tones: list[Tone], start: float, end: float) -> 
 
 
 def _sections(
-    plan: BandPlan, players: list[Player], who: list[Player | None]
+    plan: BandPlan, players: list[BandPlayer], who: list[BandPlayer | None]
 ) -> tuple[BandSection, ...]:
     return tuple(
         BandSection(

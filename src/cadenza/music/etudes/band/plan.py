@@ -70,7 +70,7 @@ _SOLO_BY_CHAIR = 30  # an accompanying instrument takes the solo
 
 
 @dataclass(eq=False)
-class Player:
+class BandPlayer:
     """A player of the song: the part that becomes of it, and what it has been given to play.
 
     `loud` is the velocity before sections and accents, `legato` the share of the time of a note for
@@ -95,20 +95,20 @@ class Player:
 class Cast:
     """All players of a song; a second voice and one that doubles the lead are not in each."""
 
-    lead: Player
+    lead: BandPlayer
     singing: Singing
-    solo: Player
+    solo: BandPlayer
     soloing: Singing
-    bass: Player
-    drums: Player
-    chairs: tuple[Player, ...]
-    second: Player | None
+    bass: BandPlayer
+    drums: BandPlayer
+    chairs: tuple[BandPlayer, ...]
+    second: BandPlayer | None
     second_above: bool
-    double: Player | None
+    double: BandPlayer | None
     double_by: int
     """Semitones that the lead is doubled above, or below if negative."""
 
-    def in_order(self, rng: np.random.Generator) -> list[Player]:
+    def in_order(self, rng: np.random.Generator) -> list[BandPlayer]:
         """The players who have something to play, in the order of the tracks of the file."""
         players = [self.lead, self.bass, self.drums, *self.chairs, self.solo]
         players += [player for player in (self.second, self.double) if player]
@@ -122,17 +122,17 @@ def random_cast(rng: np.random.Generator, style: Style) -> Cast:
     """Players for a song of a style, with their names."""
     naming = int(rng.integers(100))
 
-    def player(names: Sequence[str], program: int, kind: str) -> Player:
+    def player(names: Sequence[str], program: int, kind: str) -> BandPlayer:
         loud = int(rng.integers(*_FIRST_VELOCITIES[kind], endpoint=True))
         name = pick(rng, names)
         if naming >= _INFORMATIVE:
             general = "Drums" if kind == "drums" else INSTRUMENTS[program].title()
             name = general if naming < _INFORMATIVE + _INSTRUMENTS_ONLY else ""
-        return Player(name, program, loud, pick(rng, _LEGATO) if kind == "melody" else 1.0)
+        return BandPlayer(name, program, loud, pick(rng, _LEGATO) if kind == "melody" else 1.0)
 
     lead = player(_LEAD_NAMES, pick(rng, style.leads), "melody")
     chosen = [chair for chair in style.chairs if happens(rng, chair.share)]
-    chairs: list[Player] = []
+    chairs: list[BandPlayer] = []
     for chair in chosen if len(chosen) >= _MIN_CHAIRS else style.chairs[:_MIN_CHAIRS]:
         chairs.append(player(chair.names, pick(rng, chair.programs), "chords"))
         chairs[-1].chair, chairs[-1].pedal = chair, chair.pedal and happens(rng, _PEDAL)
@@ -168,7 +168,7 @@ def _singing(rng: np.random.Generator, program: int, cells: str, colour: str) ->
     return Singing(low, high, cells, colour)
 
 
-def _number_channels(rng: np.random.Generator, players: Sequence[Player]) -> None:
+def _number_channels(rng: np.random.Generator, players: Sequence[BandPlayer]) -> None:
     channels = [c for c in range(1, _CHANNELS + 1) if c != DRUM_CHANNEL]
     if not happens(rng, _CHANNELS_IN_ORDER):
         channels = [channels[i] for i in rng.permutation(len(channels))]
@@ -300,7 +300,7 @@ def random_hand(rng: np.random.Generator, plan: BandPlan) -> Manner:
     return Manner(late, happens(rng, _FLAT))
 
 
-def played(rng: np.random.Generator, plan: BandPlan, player: Player, hand: Manner) -> BandPart:
+def played(rng: np.random.Generator, plan: BandPlan, player: BandPlayer, hand: Manner) -> BandPart:
     """The part of a player, in which no two notes of a pitch, or of a melody, overlap."""
     events = [_event(rng, plan, player, tone, role, hand) for tone, role in player.tones]
     events = sorted(_apart(events), key=attrgetter("start", "pitch"))
@@ -314,7 +314,12 @@ def played(rng: np.random.Generator, plan: BandPlan, player: Player, hand: Manne
 
 
 def _event(
-    rng: np.random.Generator, plan: BandPlan, player: Player, tone: Tone, role: Role, hand: Manner
+    rng: np.random.Generator,
+    plan: BandPlan,
+    player: BandPlayer,
+    tone: Tone,
+    role: Role,
+    hand: Manner,
 ) -> _TickNote:
     start, end = plan.ticks(tone.at), plan.ticks(tone.at + player.legato * tone.length)
     length = max(end - start - min(_RELEASE, (end - start) // _RELEASE_SHARE), 1)
