@@ -10,6 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.score import Note, Score
+
 TOOLS = Path(__file__).parents[1] / "tools"
 ELSEWHERE = {"check_lerobot"}  # needs a package that is none of ours
 SHARED = {"openings"}  # a module of the others
@@ -29,6 +32,24 @@ def test_a_tool_asked_for_help_does_nothing_else(
     assert stopped.value.code == 0
     assert capsys.readouterr().out.startswith(f"usage: {name}")
     assert not list(tmp_path.iterdir())
+
+
+def test_notes_are_counted_over_folders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    written = Score(tuple(Note(time, time + 0.5, 60) for time in range(4)))
+    brushed = Note(0.1, 0.14, 61)
+    for folder, notes in (("a", (*written.notes, brushed)), ("b", written.notes[1:])):
+        (tmp_path / folder).mkdir()
+        write_midi(written, tmp_path / folder / "wanted.mid")
+        write_midi(Score(notes), tmp_path / folder / "played.mid")
+    monkeypatch.setattr(sys, "argv", ["count_notes", str(tmp_path)])
+    runpy.run_path(str(TOOLS / "count_notes.py"), run_name="__main__")
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"25.0 extra 0.0 missed {tmp_path / 'a'}" in printed
+    assert "8 written notes, 7 played in time; per 100:" in printed
+    assert "a key beside a right one 1 12.5 shorter than 60 ms 1 12.5" in printed
+    assert "key never sounds 1 12.5" in printed
 
 
 def test_what_is_the_same_in_all_songs_has_no_weight_in_their_difficulty(

@@ -89,6 +89,8 @@ def _metrics(f1: float, seconds: float) -> dict[str, Any]:
         "pooled_f1": f1**1.3,
         "note_onset_f1": f1**2,
         "note_onset_offset_f1": f1**3,
+        "extra_notes_per_100": 100 * (1 - f1),
+        "missed_notes_per_100": 60 * (1 - f1),
         "timing_error": 0.01,
         "onset_error_median": 0.004,
         "velocity_error": 8 * (1 - f1),

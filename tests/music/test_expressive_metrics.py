@@ -34,6 +34,7 @@ def test_what_is_written_is_perfect():
     assert metrics["velocity_error"] == metrics["velocity_error_with_misses"] == 0
     assert metrics["velocity_correlation"] == pytest.approx(1)
     assert metrics["note_onset_f1"] == metrics["note_onset_velocity_f1"] == 1
+    assert metrics["extra_notes_per_100"] == metrics["missed_notes_per_100"] == 0
     assert metrics["onset_f1_times_velocity_accuracy"] == 1
 
 
@@ -93,6 +94,11 @@ def test_one_note():
     assert metrics["ioi_error_median"] is metrics["chord_spread_90"] is None
     assert metrics["velocity_correlation"] is None
     assert (metrics["velocity_error"], metrics["note_onset_velocity_f1"]) == (10, 1)
+
+
+def test_notes_are_extra_or_missed_per_hundred_that_are_written():
+    metrics = expressive_metrics(score((1, 2, 60), (1.1, 2, 64), (2, 3, 63)), WRITTEN)
+    assert (metrics["extra_notes_per_100"], metrics["missed_notes_per_100"]) == (50, 75)
 
 
 @pytest.mark.parametrize("played", [Score(()), score((1, 2, 61), (2.3, 3, 62))])

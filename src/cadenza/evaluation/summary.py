@@ -115,6 +115,8 @@ def run_metrics(metrics: Mapping[str, Any], timing: Timing) -> dict[str, float]:
     music = timing.music_seconds or math.nan
     shares = {name: _number(metrics.get(name)) for name in SHARES}
     return shares | {
+        "extra_notes": _number(metrics.get("extra_notes_per_100")),
+        "missed_notes": _number(metrics.get("missed_notes_per_100")),
         "onset_error": _MS_PER_SECOND * _number(metrics.get("onset_error_median")),
         "velocity_error": _number(metrics.get("velocity_error")),
         "wall_per_music": timing.wall_seconds / music,

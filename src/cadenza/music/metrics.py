@@ -219,6 +219,8 @@ def expressive_metrics(played: Score, written: Score) -> dict[str, float | None]
       side is constant.
     - `note_onset_f1`: F1 of the pairs that begin within 0.05 s, as in `mir_eval.transcription`
       without offsets (Raffel et al., ISMIR 2014).
+    - `extra_notes_per_100`, `missed_notes_per_100`: notes that are in none of these pairs, played
+      and written ones, for every hundred that are written.
     - `note_onset_velocity_f1`: the same of those pairs whose velocities also agree, as in
       `mir_eval.transcription_velocity` (Hawthorne et al., ISMIR 2018): the played velocities are
       fitted to the written ones by linear regression, and may then be off by less than a tenth of
@@ -227,7 +229,7 @@ def expressive_metrics(played: Score, written: Score) -> dict[str, float | None]
     - `onset_f1_times_velocity_accuracy`: `note_onset_f1` times one minus the mean absolute velocity
       error of the pairs within 0.05 s divided by 127.
 
-    Where nothing was written and nothing was played, the last three are 1.
+    Where nothing was written and nothing was played, the three F1 are 1.
 
     Args:
         played: what sounded, at the resolution of the physics.
@@ -235,8 +237,8 @@ def expressive_metrics(played: Score, written: Score) -> dict[str, float | None]
     """
     close = matched_notes(written.notes, played.notes, ONSET_TOLERANCE)
     pairs = close + matched_notes(
-        _without(written.notes, (pair[0] for pair in close)),
-        _without(played.notes, (pair[1] for pair in close)),
+        without(written.notes, (pair[0] for pair in close)),
+        without(played.notes, (pair[1] for pair in close)),
         SAME_NOTE,
     )
     return {
@@ -246,7 +248,7 @@ def expressive_metrics(played: Score, written: Score) -> dict[str, float | None]
     }
 
 
-def _without(notes: Iterable[Note], others: Iterable[Note]) -> list[Note]:
+def without(notes: Iterable[Note], others: Iterable[Note]) -> list[Note]:
     """The notes that are not among the `others`, which are told apart by identity."""
     left_out = {id(note) for note in others}
     return [note for note in notes if id(note) not in left_out]
@@ -302,8 +304,13 @@ def _note_f1(close: Sequence[Pair], written: Score, played: Score) -> dict[str, 
     def f1(hits: int) -> float:
         return 2 * hits / notes if notes else 1.0
 
+    def per_100(notes: int) -> float | None:
+        return 100 * notes / len(written.notes) if written.notes else None
+
     return {
         "note_onset_f1": f1(len(close)),
+        "extra_notes_per_100": per_100(len(played.notes) - len(close)),
+        "missed_notes_per_100": per_100(len(written.notes) - len(close)),
         "note_onset_velocity_f1": f1(_equally_loud(wanted, heard, written)),
         "onset_f1_times_velocity_accuracy": f1(len(close)) * accuracy,
     }

@@ -30,6 +30,17 @@ SHARES = {
 }
 """Metrics from 0 to 1, where 1 is perfect."""
 METRICS = SHARES | {
+    "extra_notes": Metric(
+        "Extra notes / 100",
+        1,
+        "Notes played for none that was written, for every hundred written: wrong ones, and those "
+        "more than 50 ms late or early.",
+    ),
+    "missed_notes": Metric(
+        "Missed notes / 100",
+        1,
+        "Written notes for which none was played within 50 ms, for every hundred written.",
+    ),
     "onset_error": Metric(
         "Onset error [ms]",
         1,
