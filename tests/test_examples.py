@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import runpy
@@ -102,6 +103,16 @@ def test_a_random_agent(run) -> None:
     first, last = run("random_agent", "Up.mid")
     assert first.startswith("Up: observations (1124,), actions (39,)")
     assert float(last.split()[-1]) < 0.9
+
+
+def test_a_loop_of_robopianist(run) -> None:
+    said = run("from_robopianist", "Up.mid")
+    assert said[0] == "39 actions, the last is sustain"
+    metrics = [ast.literal_eval(line) for line in said[2:]]
+    assert len(metrics) == 2
+    for each in metrics:
+        assert each["length"] == 11
+        assert 0 <= each["f1"] <= 1
 
 
 def test_an_agent_of_ones_own(run) -> None:

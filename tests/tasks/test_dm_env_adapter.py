@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from absl.testing import absltest
 from dm_env import StepType, test_utils
+from numpy.testing import assert_allclose
 
 from cadenza.errors import CadenzaError
 from cadenza.music.score import Note, Score
-from cadenza.tasks.dm_env_adapter import DmEnvAdapter
+from cadenza.tasks.dm_env_adapter import DmEnvAdapter, load
 from cadenza.tasks.env import PianoEnv
 from numbered import finger
 
@@ -80,3 +83,68 @@ def test_refuses_what_has_no_such_parts() -> None:
     ):
         with pytest.raises(CadenzaError, match=message):
             DmEnvAdapter(env)
+
+
+@pytest.mark.parametrize("name", "ad")
+def test_a_published_environment_replays_its_recording(name: str) -> None:
+    """It has each reward and the metrics, by the names of the options that it was made with."""
+    with np.load(Path(__file__).parents[1] / f"data/episode_{name}.npz") as file:
+        recording = dict(file)
+    options = {
+        "n_steps_lookahead": 10,
+        "trim_silence": bool(recording["trim_silence"]),
+        "reduced_action_space": bool(recording["reduced_action_space"]),
+        "gravity_compensation": True,
+        "primitive_fingertip_collisions": True,
+        "change_color_on_activation": True,
+        "disable_forearm_reward": False,
+        "sleeping_keys": False,
+    }
+    env = load(f"RoboPianist-debug-{recording['song']}-v0", seed=1, task_kwargs=options)
+    spec = env.action_spec()
+    assert_allclose(spec.minimum, recording["action_min"], atol=1e-6)
+    assert_allclose(spec.maximum, recording["action_max"], atol=1e-6)
+    assert len(spec.name.split("\t")) == len(spec.minimum)
+    assert_allclose(env.reset().observation["goal"], recording["goal_obs0"])
+    steps = [env.step(action) for action in recording["action"]]
+    assert [step.last() for step in steps] == [False] * (len(steps) - 1) + [True]
+    rewards = [step.reward for step in steps]
+    assert_allclose(rewards, recording["reward_total"], atol=1e-6)
+    statistics = env.get_statistics()
+    assert statistics["length"] == len(steps)
+    assert_allclose(statistics["return"], sum(rewards))
+    for metric, value in json.loads(str(recording["metrics"])).items():
+        assert_allclose(env.get_musical_metrics()[metric], value, err_msg=metric)
+
+
+def test_metrics_and_statistics_are_means_over_the_last_episodes() -> None:
+    adapter = DmEnvAdapter(PianoEnv(SHORT), seed=0, deque_size=2)
+    with pytest.raises(CadenzaError, match="no episode has ended"):
+        adapter.get_musical_metrics()
+    seen = []
+    for action in (np.zeros(39), np.ones(39), -np.ones(39)):
+        total, timestep = 0.0, adapter.reset()
+        while not timestep.last():
+            timestep = adapter.step(action)
+            total += timestep.reward
+        seen.append((total, adapter.task.episode_metrics(0)["sustain_f1"]))
+    assert_allclose(adapter.get_statistics()["return"], np.mean(seen[1:], axis=0)[0])
+    assert_allclose(adapter.get_musical_metrics()["sustain_f1"], np.mean(seen[1:], axis=0)[1])
+
+
+def test_says_what_a_published_option_is_here() -> None:
+    for option, meant in (
+        ({"disable_fingering_reward": True}, "fingering='off'"),
+        ({"disable_forearm_reward": False}, "forearm_term=True"),
+        ({"hand_side": "right"}, "hands='right'"),
+        ({"recompile_physics": True}, "not needed"),
+        ({"midi": None}, "song='FILE.mid'"),
+    ):
+        with pytest.raises(CadenzaError, match=meant):
+            gym.make("cadenza/Piano-v0", song=SHORT, **option)
+    with pytest.raises(CadenzaError, match="random_stretch"):
+        load(midi_file="no.mid", task_kwargs={"augmentations": []})
+    with pytest.raises(CadenzaError, match="RoboPianist-debug-CMajorScaleOneHand-v0"):
+        load("Twinkle")
+    with pytest.raises(CadenzaError, match=r"task\.state"):
+        _ = DmEnvAdapter(PianoEnv(SHORT)).physics

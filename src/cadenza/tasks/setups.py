@@ -15,6 +15,7 @@ from cadenza.errors import CadenzaError, quoted
 from cadenza.registry import Entry, Registry
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.published import hint
 
 T = TypeVar("T", bound=Any)
 
@@ -131,10 +132,12 @@ def configure(
     options = {name: value for name, value in options.items() if name != "setup"}
     names = {field.name for kind in (TaskConfig, SceneConfig) for field in fields(kind)}
     if unknown := sorted(options.keys() - names):
+        if published := hint(unknown[0], options[unknown[0]]):
+            raise CadenzaError(f"unknown option {unknown[0]}: {published}")
         close = get_close_matches(unknown[0], [*names, "setup", "song"], 1)
-        hint = f"did you mean {close[0]}? " if close else ""
+        meant = f"did you mean {close[0]}? " if close else ""
         raise CadenzaError(
-            f"unknown option {', '.join(unknown)}: {hint}choose from "
+            f"unknown option {', '.join(unknown)}: {meant}choose from "
             f"{', '.join(sorted({*names, 'setup'}))}"
         )
 
