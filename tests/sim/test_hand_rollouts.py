@@ -52,6 +52,31 @@ def test_a_hand_on_the_keys_near_it_moves_as_on_all(side: Side) -> None:
     assert touched
 
 
+def test_key_paths_are_the_angles_after_each_physics_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, servos, _ = hand_alone(build_scene(), "right")
+    actions = load_plan(RECORDED).actions[40:47, :-1][:, servos]
+    simulation = PlanningSimulation(scene)
+    rollouts = HandRollouts(scene, simulation.control_timestep)
+    y = scene.keyboard.centre[:, 1]
+    simulation.set_joints(scene.hand_start, np.zeros_like(scene.hand_start), np.zeros(len(y)))
+    rollouts.start_from(simulation, y[30], y[50])
+    paths = [path for path, _ in rollouts.run(actions)]
+    followed: list[np.ndarray] = []
+
+    def stop_after_each(model: mujoco.MjModel, data: mujoco.MjData, count: int) -> None:
+        for _ in range(count):
+            followed.append(data.qpos[: paths[0].shape[1]].copy())
+            step(model, data)
+
+    step = mujoco.mj_step
+    monkeypatch.setattr(mujoco, "mj_step", stop_after_each)
+    again = [path for path, _ in rollouts.run(actions)]
+    np.testing.assert_array_equal(again, paths)
+    np.testing.assert_array_equal(np.array(paths)[:, :-1], np.reshape(followed, (7, 10, -1)))
+    np.testing.assert_array_equal(np.array(paths)[1:, 0], np.array(paths)[:-1, -1])
+    assert np.ptp(paths, axis=(0, 1)).max() > 0.01  # a key moves
+
+
 def test_fingertips_move_with_servos_as_the_jacobian_says() -> None:
     scene, _, _ = hand_alone(build_scene(), "left")
     simulation, moved = PlanningSimulation(scene), PlanningSimulation(scene)

@@ -193,7 +193,9 @@ def colliding_parts(scene: Scene) -> set[Part]:
     return parts
 
 
-def reduced_model(scene: Scene, keys: range, parts: Container[Part]) -> mujoco.MjModel:
+def reduced_model(
+    scene: Scene, keys: range, parts: Container[Part], num_samples: int = 0
+) -> mujoco.MjModel:
     """A faster model of a scene with hands, with few keys and few geoms.
 
     Joints, servos and fingertips are those of the scene, in its order, except for keys that are
@@ -203,12 +205,22 @@ def reduced_model(scene: Scene, keys: range, parts: Container[Part]) -> mujoco.M
         scene: a scene with hands.
         keys: the keys that are kept.
         parts: the parts of the hands that are kept beside the ends of the fingers.
+        num_samples: of how many physics steps MuJoCo keeps the angles of the keys, as the histories
+            of sensors, which come before all others.
     """
     spec = mujoco.MjSpec()
     _set_options(spec, scene.config, scene.hand)
     scene.keyboard.add_to(spec, keys, actuated=False)
     for geom in spec.geoms:
         geom.conaffinity = _KEY_BIT
+    for joint in spec.joints if num_samples else ():
+        spec.add_sensor(
+            type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            objname=joint.name,
+            name=joint.name,
+            nsample=num_samples,
+        )
     for side in scene.sides:
         scene.hand.add_to(spec, side, _options(scene.config, scene.keyboard))
         ends = {prefix(side) + name for each in scene.hand.fingers for name in each.links[-2:]}

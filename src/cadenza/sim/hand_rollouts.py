@@ -63,7 +63,9 @@ class HandRollouts:
         keys = self._keys_between(low - _MARGIN, high + _MARGIN)
         self.keys = slice(keys.start, keys.stop)
         model = self._models.pop(keys, None)
-        self._model = model or _HandOnKeys(self._scene, keys, self._parts, self._whole)
+        self._model = model or _HandOnKeys(
+            self._scene, keys, self._parts, self._whole, self._substeps
+        )
         self._models[keys] = self._model
         if len(self._models) > _MAX_MODELS:
             del self._models[next(iter(self._models))]  # the least recently used
@@ -84,13 +86,9 @@ class HandRollouts:
         mujoco.mj_copyData(data, model, hand.start)
         for row in ctrl:
             data.ctrl = row
-            key_path = np.empty((self._substeps + 1, hand.keys.stop))
-            key_path[0] = data.qpos[hand.keys]
-            for after in key_path[1:]:
-                mujoco.mj_step(model, data)
-                after[:] = data.qpos[hand.keys]
+            mujoco.mj_step(model, data, self._substeps)
             mujoco.mj_kinematics(model, data)
-            yield key_path, data.site_xpos[hand.fingertips]
+            yield hand.key_path(data), data.site_xpos[hand.fingertips]
 
     def hand_joints(self, slot: int = 0) -> tuple[Array, Array]:
         """(J,) positions [m, rad] and velocities [m/s, rad/s] of the hand's joints."""
@@ -150,8 +148,11 @@ class _HandOnKeys:
         fingertips: the sites of the fingertips.
     """
 
-    def __init__(self, scene: Scene, keys: range, parts: set[Part], whole: Scene) -> None:
-        self.model = reduced_model(scene, keys, parts)
+    def __init__(
+        self, scene: Scene, keys: range, parts: set[Part], whole: Scene, substeps: int
+    ) -> None:
+        self.model = reduced_model(scene, keys, parts, substeps)
+        self._substeps = substeps
         self.start = mujoco.MjData(self.model)
         self.data = [mujoco.MjData(self.model) for _ in range(NUM_SLOTS)]
         self.posed = mujoco.MjData(self.model)
@@ -159,6 +160,7 @@ class _HandOnKeys:
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dofs = np.array([joint.dofadr[0] for joint in joints])
         self.keys = slice(0, len(keys))
+        self._size = len(keys) * (2 + 2 * substeps)  # of the histories of all keys
         sites = [scene.model.site(site).name for site in scene.fingertip_sites]
         self.fingertips = [self.model.site(name).id for name in sites]
 
@@ -171,3 +173,14 @@ class _HandOnKeys:
         asleep = whole.tree_asleep[whole.model.dof_treeid[self._dofs]]
         start.tree_asleep[self.model.dof_treeid] = np.where(asleep >= 0, _READY_TO_SLEEP, asleep)
         mujoco.mj_kinematics(self.model, start)  # where fingertips are
+
+    def key_path(self, data: mujoco.MjData) -> Array:
+        """(S + 1, K) the angles of the keys before and after each of the last S physics steps.
+
+        MuJoCo keeps them, which is faster than to stop after each physics step, and lets other
+        threads work meanwhile.
+        """
+        # Of each key: two numbers, then times and angles before each step. A control step replaces
+        # all of them, so that the oldest is always the first.
+        kept = data.history[: self._size].reshape(self.keys.stop, -1)[:, -self._substeps :]
+        return np.concatenate([kept.T, data.qpos[None, self.keys]])
