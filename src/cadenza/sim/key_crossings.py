@@ -64,10 +64,11 @@ def last_key_events(
         are NaN for keys that did not begin or cease to sound.
     """
     crossings = key_crossings(key_paths, sounds_from, substep)
-    onsets, offsets = crossings.onsets, crossings.offsets
-    onset, offset, speed = (np.full_like(key_paths[..., 0, :], np.nan) for _ in range(3))
-    onset[onsets.place], speed[onsets.place] = onsets.time, onsets.speed  # the last one stays
-    offset[offsets.place] = offsets.time
+    onset, offset, speed = np.full((3, *key_paths[..., 0, :].shape), np.nan)
+    if crossings.time.size:  # one simulation has none in most steps
+        onsets, offsets = crossings.onsets, crossings.offsets
+        onset[onsets.place], speed[onsets.place] = onsets.time, onsets.speed  # the last one stays
+        offset[offsets.place] = offsets.time
     return onset, offset, speed
 
 

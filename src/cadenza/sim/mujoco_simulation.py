@@ -133,7 +133,7 @@ class MujocoSimulation:
             self._read(i, out, i)
 
         self._threads.for_each(range(len(stepped)), advance)
-        self._read_key_events(out, stepped, paths)
+        self._read_key_events(out, slice(None) if env_ids is None else env_ids, paths)
         self._set_state(out)
 
     def _ids(self, env_ids: Sequence[int] | None) -> Sequence[int]:
@@ -147,16 +147,17 @@ class MujocoSimulation:
         # Ends on mj_step1, so that what is read afterwards belongs to the new state. This order
         # also reproduces the published recordings, which were made by the same engine.
         model, data, keys = self._models[i], self._data[i], self.scene.key_qpos
-        qpos = data.qpos
+        key_qpos = data.qpos[keys]  # a view, which moves with the simulation
         late = 0 if held is None else int(held.substeps[i])
-        key_path[0] = qpos[keys]
-        for substep in range(self.num_substeps):
-            data.ctrl = held.ctrl[i] if held and substep < late else ctrl
-            if substep:
-                mujoco.mj_step(model, data)
-            else:
-                mujoco.mj_step2(model, data)
-            key_path[substep + 1] = qpos[keys]
+        data.ctrl = held.ctrl[i] if held and late else ctrl
+        key_path[0] = key_qpos
+        mujoco.mj_step2(model, data)
+        key_path[1] = key_qpos
+        for substep in range(1, self.num_substeps):
+            if substep == late:
+                data.ctrl = ctrl
+            mujoco.mj_step(model, data)
+            key_path[substep + 1] = key_qpos
         mujoco.mj_step1(model, data)
 
     def _read(self, i: int, out: State, row: int | tuple[int, int]) -> None:
@@ -186,8 +187,9 @@ class MujocoSimulation:
 
     def _set_state(self, state: State) -> None:
         """Take the state after a step, and log which simulations have become unstable."""
-        for i in (state.unstable & ~self.state.unstable).nonzero()[0]:
-            _LOG.warning("simulation %d became unstable", i)
+        if state.unstable.any():
+            for i in (state.unstable & ~self.state.unstable).nonzero()[0]:
+                _LOG.warning("simulation %d became unstable", i)
         self.state = state
 
     def copy_to(self, data: Sequence[mujoco.MjData], env_id: int) -> None:

@@ -267,6 +267,8 @@ class PianoTask:
         """Keep what happened to keys in the `steps` (n,) that environments (n,) have taken."""
         onset, offset, speed = (values[env_ids] for values in self.state.key_events)
         here = np.nonzero(~(np.isnan(onset) & np.isnan(offset)))
+        if not len(here[0]):
+            return
         velocity = midi_velocity(speed[here], self.scene.keyboard)
         events = np.stack([onset[here], offset[here], velocity], axis=1).tolist()
         for row, key, event in zip(*(ids.tolist() for ids in here), events, strict=True):
