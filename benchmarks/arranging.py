@@ -29,6 +29,7 @@ from cadenza.music.performance import played_in
 from cadenza.music.score import OCTAVE, Note, Score
 from cadenza.performing.arranging import HandArrangement, arrange
 from cadenza.performing.performance import perform
+from cadenza.performing.player import find_player
 from cadenza.performing.setup import set_up
 from cadenza.scene.scene import build_scene
 
@@ -69,7 +70,7 @@ def measure(
     begin = min(begin, max(score.total_time - seconds, 0.0))
     part = Score(excerpt(found.arranged.score.notes, begin, seconds))
     original = Score(excerpt(score.notes, begin, seconds))
-    with set_up(part) as setup:
+    with set_up(part, find_player()) as setup:
         performance, track = perform(setup), setup.task.tracks[0]
     arranged = replace(found.arranged, score=part)
     against = HandArrangement(original, arranged, found.hands).metrics(performance.episode, track)

@@ -25,6 +25,7 @@ from cadenza.music.formats.fingering_file import read_fingering
 from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.performance import played_in
 from cadenza.performing.performance import perform
+from cadenza.performing.player import find_player
 from cadenza.performing.setup import set_up
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 
@@ -125,14 +126,14 @@ def test_an_agent_of_ones_own_plays() -> None:
 def test_no_agent_takes_more_than_two_cores_unasked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cadenza.sim.threads.available_cores", lambda: 16)
     for wanted, used in ((None, 2), (3, 3)):
-        with set_up(TUNE, "planner", num_threads=wanted) as setup:
+        with set_up(TUNE, find_player(), num_threads=wanted) as setup:
             assert setup.agent.threads == used
             assert max(pool["num_threads"] for pool in threadpool_info()) <= used
 
 
 def test_the_part_that_was_played_is_a_performance(tmp_path: Path) -> None:
     steps_left = iter(range(12))
-    with set_up(TUNE, "planner") as setup:
+    with set_up(TUNE, find_player()) as setup:
         performance = perform(setup, stop=lambda: next(steps_left, None) is None)
     assert (performance.episode.num_steps, setup.num_steps) == (13, 23)
     assert performance.metrics["steps"] == 13
@@ -236,7 +237,7 @@ def test_a_score_that_is_called_like_a_folder_is_played_as_it_is(
     monkeypatch.chdir(tmp_path)
     (tmp_path / TUNE.title).mkdir()
     (tmp_path / TUNE.title / "plan.safetensors").write_bytes(b"of another song")
-    with set_up(TUNE) as setup:
+    with set_up(TUNE, find_player()) as setup:
         assert (setup.settings["agent"], setup.score) == ("planner", TUNE)
 
 

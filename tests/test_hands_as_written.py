@@ -12,6 +12,7 @@ from cadenza.errors import CadenzaError
 from cadenza.fingers import LEFT, RIGHT
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Note, Score
+from cadenza.performing.player import find_player
 from cadenza.performing.setup import Setup, set_up
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -38,10 +39,10 @@ def set_up_with(song: Path | Score, all_notes: bool = False, **options) -> tuple
     """The setup for the planner, and the warnings."""
     hands = options.pop("hands", "both")
     arrangement = Arrangement(all_notes=all_notes, arrange="off")
-    task, scene = TaskConfig(**options), SceneConfig(hands=hands)
+    player = find_player().playing_in(TaskConfig(**options), SceneConfig(hands=hands))
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        with set_up(song, arrangement=arrangement, task=task, scene=scene) as setup:
+        with set_up(song, player, arrangement=arrangement) as setup:
             return setup, [str(each.message) for each in said]
 
 

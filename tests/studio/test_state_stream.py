@@ -15,6 +15,7 @@ from cadenza.agents.registry import PLANNER, make_agent
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
+from cadenza.performing.player import find_player
 from cadenza.performing.setup import set_up
 from cadenza.studio.messages import JSON, ROWS, WireMessage
 from cadenza.studio.state_stream import StateStream
@@ -27,7 +28,7 @@ from cadenza.tasks.config import TaskConfig
 def test_the_rows_hold_the_episode(task: TaskConfig) -> None:
     score = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, 60 + i) for i in range(4)), title="Four")
     sent: list[WireMessage] = []
-    with set_up(score, RandomAgent(), task=task, seed=3) as setup:
+    with set_up(score, find_player(RandomAgent()).playing_in(task, None), seed=3) as setup:
         states = StateStream(setup, sent.append)
         states.begin()
         played = perform(setup, lambda stage, *_: states.step() if stage == "playing" else None)
@@ -69,7 +70,7 @@ def test_what_an_arrangement_left_out_and_what_was_missed_is_sent() -> None:
     sent: list[WireMessage] = []
     agent = make_agent(PLANNER, PlannerConfig(method="none"))
     always = Arrangement(arrange="always")
-    with set_up(Score(chords), agent, arrangement=always) as setup:
+    with set_up(Score(chords), find_player(agent), arrangement=always) as setup:
         states = StateStream(setup, sent.append)
         states.begin()
         played = perform(setup, lambda stage, *_: states.step() if stage == "playing" else None)

@@ -159,10 +159,8 @@ def setting_up(
         with stages("playing") as progress:
             setup = set_up(
                 song,
-                player,
+                player.playing_in(command.task, command.scene),
                 arrangement=command.arrangement,
-                task=command.task,
-                scene=command.scene,
                 seed=seed,
                 num_threads=command.num_threads,
                 progress=progress,

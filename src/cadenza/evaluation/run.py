@@ -109,10 +109,8 @@ def _result(
     configs = {spec.agent: spec.config} if trained is None else {}
     with set_up(
         spec.song,
-        find_player(agent, spec.song, configs=configs),
+        find_player(agent, spec.song, configs=configs).playing_in(spec.task, spec.scene),
         arrangement=spec.arrangement,
-        task=spec.task,
-        scene=spec.scene,
         seed=spec.seed,
         num_threads=num_threads,
         progress=progress,

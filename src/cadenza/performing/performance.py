@@ -253,15 +253,8 @@ def play(
     if setup is not None and scene is not None:
         raise CadenzaError(f"setup {setup} has a scene of its own: give a setup or a scene")
     player = find_player(named.agent if agent is None else agent, song, plan=plan)
-    with set_up(
-        song,
-        named.applied_to(player),
-        task=task,
-        scene=scene,
-        seed=seed,
-        num_threads=num_threads,
-        progress=progress,
-    ) as ready:
+    player = named.applied_to(player).playing_in(task, scene)
+    with set_up(song, player, seed=seed, num_threads=num_threads, progress=progress) as ready:
         return perform(ready, progress)
 
 

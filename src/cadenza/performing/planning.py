@@ -114,15 +114,8 @@ def plan(
         CadenzaError: the song is not there, an option makes no sense, or the hands could not play
             to the end.
     """
-    with set_up(
-        song,
-        find_player(PLANNER, configs={PLANNER: config}),
-        task=task,
-        scene=scene,
-        seed=seed,
-        num_threads=num_threads,
-        progress=progress,
-    ) as setup:
+    player = find_player(PLANNER, configs={PLANNER: config}).playing_in(task, scene)
+    with set_up(song, player, seed=seed, num_threads=num_threads, progress=progress) as setup:
         return plan_of(setup, perform(setup, progress))
 
 

@@ -16,7 +16,6 @@ from cadenza.agents.registry import (
     PLAYBACK,
     PRACTISED,
     PRETRAINED,
-    agent_options,
     checked_agent,
     is_folder,
     make_agent,
@@ -27,7 +26,6 @@ from cadenza.files import TENSORS
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.arrangement import Arrangement
-from cadenza.music.score import Score
 from cadenza.performing.loaded_song import LoadedSong
 from cadenza.scene.config import SceneConfig, check_modules
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
@@ -46,8 +44,6 @@ class Player:
 
     name: str
     agent: Agent
-    config: Any = None
-    """The options of the agent, if it has any."""
     task: TaskConfig = field(default_factory=with_time_to_begin)
     """The task; of a policy or of practice, the one in which it was made."""
     scene: SceneConfig = field(default_factory=SceneConfig)
@@ -57,17 +53,35 @@ class Player:
     policy: LearntPolicy | None = None
     plan: SavedPlan | None = None
 
-    def knows(self, score: Score) -> bool:
-        """Whether these notes and this pedal were learnt or practised, with whatever fingers."""
+    def playing_in(self, task: TaskConfig | None, scene: SceneConfig | None) -> Player:
+        """The player in another task and another scene; None leaves those it has.
+
+        Raises:
+            CadenzaError: an option is of the wrong type.
+        """
+        task = as_config(self.task if task is None else task, TaskConfig)
+        scene = as_config(self.scene if scene is None else scene, SceneConfig)
+        return replace(self, task=task, scene=scene)
+
+    def known(self, song: LoadedSong) -> LoadedSong | None:
+        """The song, or what is written for the hands, if just that was learnt or practised.
+
+        Fingers may differ. None if neither was.
+
+        Raises:
+            CadenzaError: nothing is written for the one hand that plays.
+        """
         if self.song is None:
-            return False
-        known = self.song.score
-        notes = known.without_fingers().notes
-        return (notes, known.pedal) == (score.without_fingers().notes, score.pedal)
+            return None
+        notes = _without_fingers(self.song)
+        if _without_fingers(song) == notes:
+            return song
+        song = song.written_for(self.scene.hands)
+        return song if _without_fingers(song) == notes else None
 
 
 def find_player(
-    agent: SomeAgent | Player | None = None,
+    agent: SomeAgent | None = None,
     song: object = None,
     *,
     configs: Mapping[str, Any] | None = None,
@@ -88,27 +102,24 @@ def find_player(
         CadenzaError: the agent is not there, or cannot be used.
     """
     configs = configs or {}
-    if isinstance(agent, Player):
-        return agent
     if isinstance(agent, LearntPolicy):
         return _with_policy("policy", agent)
     if not isinstance(agent, str | Path | None):
         name = type(agent).__name__
-        agent = checked_agent(agent, name)
-        return Player(name, agent, agent.config)
+        return Player(name, checked_agent(agent, name))
     name = PLANNER if agent is None else str(agent)
     if (name == PLAYBACK) != (plan is not None):
         raise CadenzaError("--agent playback and --plan FILE go together: give both or neither")
     if plan is not None:
         return _with_plan(plan, configs)
-    if name == PRETRAINED:
-        return _with_policy(name, load_policy(pretrained_folder(str(song or ""))))
-    if is_folder(name):
-        practised = _practised(name, configs)
-        return practised or _with_policy(name, load_policy(name))
-    config, options = configs.get(name), agent_options(name)
-    config = config if options is None else as_config(config, options)
-    return Player(name, make_agent(name, config), config)
+    if name != PRETRAINED and not is_folder(name):
+        return Player(name, make_agent(name, configs.get(name)))
+    folder = str(pretrained_folder(str(song or ""))) if name == PRETRAINED else name
+    return _practised(folder, configs) or _with_policy(name, load_policy(folder))
+
+
+def _without_fingers(song: LoadedSong) -> tuple[object, object]:
+    return song.score.without_fingers().notes, song.score.pedal
 
 
 def _with_plan(plan: str | Path, configs: Mapping[str, Any]) -> Player:
@@ -154,4 +165,4 @@ def _practised(name: str, configs: Mapping[str, Any]) -> Player | None:
 
 def _with_policy(name: str, policy: LearntPolicy) -> Player:
     song = None if policy.score is None else LoadedSong(policy.score.title, policy.score)
-    return Player(name, policy.agent, None, policy.task, policy.scene, song, policy)
+    return Player(name, policy.agent, policy.task, policy.scene, song, policy)

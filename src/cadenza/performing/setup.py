@@ -14,19 +14,19 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.agent import Agent, Progress, silent
 from cadenza.agents.playback import SavedPlan
 from cadenza.agents.registry import options_name
-from cadenza.configs import MAX_SEED, as_config, whole_number
+from cadenza.configs import MAX_SEED, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning, quoted
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.goals import held_pedal_changes, merged_notes
 from cadenza.music.score import Score
 from cadenza.performing.arranging import HandArrangement, arranged_for
 from cadenza.performing.loaded_song import LoadedSong, SomeSong, load
-from cadenza.performing.player import Player, SomeAgent, find_player
+from cadenza.performing.player import Player
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from cadenza.sim.threads import MAX_THREADS
-from cadenza.tasks.config import TaskConfig, task_identity
-from cadenza.tasks.goal_track import GoalTrack, check_written_hands
+from cadenza.tasks.config import task_identity
+from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
 
 
@@ -55,11 +55,9 @@ class Setup:
 @contextmanager
 def set_up(
     song: SomeSong | LoadedSong | None,
-    agent: SomeAgent | Player | None = None,
+    player: Player,
     *,
     arrangement: Arrangement | None = None,
-    task: TaskConfig | None = None,
-    scene: SceneConfig | None = None,
     seed: int = 0,
     num_threads: int | None = None,
     progress: Progress = silent,
@@ -68,66 +66,60 @@ def set_up(
 
     Args:
         song: see `cadenza.load_song`, or a score; None for the one that the agent has learnt.
-        agent: see `find_player`.
+        player: who plays, in its task and its scene.
         arrangement: which notes of the song.
-        task: by default the one of the player.
-        scene: by default the one of the player.
         seed: of everything random.
         num_threads: of an agent that can use several; by default its own, or one for each hand.
         progress: is told of "fingers", which are looked for before anyone plays.
 
     Raises:
-        CadenzaError: the song or the agent is not there, an option makes no sense, or they do not
-            go together.
+        CadenzaError: the song is not there, an option makes no sense, or song and player do not go
+            together.
     """
-    player = find_player(agent, song)
-    task = as_config(player.task if task is None else task, TaskConfig)
-    scene = as_config(player.scene if scene is None else scene, SceneConfig)
     seed = whole_number(seed, "seed", 0, MAX_SEED)
     if num_threads is not None:
         num_threads = whole_number(num_threads, "num_threads", 1, MAX_THREADS)
-    chosen = _chosen_song(song, arrangement, player, scene.hands)
-    options = task_identity(task, scene, seed, **asdict(chosen.arrangement))
+    chosen, is_known = _chosen_song(song, arrangement, player)
+    options = task_identity(player.task, player.scene, seed, **asdict(chosen.arrangement))
     if player.plan is not None:
-        _check_plan(player.plan, options, scene)
-    built = build_scene(scene)
-    played = chosen if player.knows(chosen.score) else chosen.written_for(scene.hands)
-    check_written_hands(task, played.score, chosen.name)
-    arranged = None
-    if not player.knows(played.score):
-        arranged = arranged_for(played, built, task, progress)
+        _check_plan(player.plan, options, player.scene)
+    scene, played, arranged = build_scene(player.scene), chosen, None
+    if not is_known:
+        played = chosen.written_for(player.scene.hands)
+        arranged = arranged_for(played, scene, player.task, progress)
     score = played.score if arranged is None else arranged.arranged.score
+    searching = partial(progress, "fingers")
     with (
-        closing(PianoTask([score], task, built, progress=partial(progress, "fingers"))) as made,
+        closing(PianoTask([score], player.task, scene, progress=searching)) as task,
         _with_threads(player.agent, num_threads),
     ):
-        lost = [*_lost_between_steps(made.tracks[0])]
-        lost += _about_hands(made.tracks[0], chosen.score, played.score)
+        lost = [*_lost_between_steps(task.tracks[0])]
+        lost += _about_hands(task.tracks[0], chosen.score, played.score)
         about = [] if arranged is None else [str(arranged)]  # it changes most
         for remark in (*lost, *(f"{each}; as written: --arrange off" for each in about)):
             warnings.warn(f"{chosen.name}: {remark}", CadenzaWarning, stacklevel=4)
         if player.policy is not None:
-            player.policy.check(player.name, made)
+            player.policy.check(player.name, task)
         settings: dict[str, Any] = {
             "song": chosen.name,
             "agent": player.name,
             "seed": seed,
             "plan": None if player.plan is None else str(player.plan.path),
             "arrangement": asdict(chosen.arrangement),
-            "task": asdict(task),
-            "scene": asdict(scene),
+            "task": asdict(player.task),
+            "scene": asdict(player.scene),
         }
-        if is_dataclass(player.config) and not isinstance(player.config, type):
-            settings[options_name(player.name)] = asdict(player.config)
+        if is_dataclass(config := player.agent.config) and not isinstance(config, type):
+            settings[options_name(player.name)] = asdict(config)
         if remarks := [*about, *score.remarks, *lost]:
             settings["remarks"] = remarks
-        yield Setup(score, player.agent, made, seed, settings, options, arranged)
+        yield Setup(score, player.agent, task, seed, settings, options, arranged)
 
 
 def _chosen_song(
-    song: SomeSong | LoadedSong | None, arrangement: Arrangement | None, player: Player, hands: str
-) -> LoadedSong:
-    """The song that is given, or the one that the player knows, as it can play it.
+    song: SomeSong | LoadedSong | None, arrangement: Arrangement | None, player: Player
+) -> tuple[LoadedSong, bool]:
+    """The song that is given, or the one that the player knows, and whether it knows it.
 
     Raises:
         CadenzaError: there is none, or the player cannot play it.
@@ -140,12 +132,11 @@ def _chosen_song(
                 f"{player.name}: plays its song as it was trained or practised; leave out "
                 "--tracks, --plain, --arrange, --level, --drums, --first-seconds and --expression"
             )
-        return player.song
+        return player.song, True
     chosen = load(song, arrangement)
+    known = player.known(chosen)
     if player.song is not None:
-        if not player.knows(chosen.score):
-            chosen = chosen.written_for(hands)
-        if not player.knows(chosen.score):
+        if known is None:
             _check_other_song(chosen, player, player.song)
         elif chosen.arrangement.asks_for_hands:
             raise CadenzaError(
@@ -153,11 +144,12 @@ def _chosen_song(
                 "--level"
             )
         elif player.policy is None:  # the fingers are those of practice
-            return player.song
+            return player.song, True
+    chosen = known or chosen
     # Plans are made for fingers that are found, and demonstrations of any song have such.
     if player.policy is not None and (player.policy.residual or player.song is None):
-        return replace(chosen, score=chosen.score.without_fingers())
-    return chosen
+        chosen = replace(chosen, score=chosen.score.without_fingers())
+    return chosen, known is not None
 
 
 def _check_other_song(song: LoadedSong, player: Player, known: LoadedSong) -> None:

@@ -10,6 +10,7 @@ import os
 import sys
 
 from cadenza.agents.registry import PLANNER
+from cadenza.performing.player import find_player
 from cadenza.performing.setup import set_up
 from cadenza.studio.state_stream import StateStream
 
@@ -19,7 +20,7 @@ _NICENESS = 4  # the process that plays gets ready beside it
 def main() -> None:
     """Print the picture of the song that the command line names."""
     os.nice(_NICENESS)
-    with set_up(sys.argv[1], PLANNER) as setup:
+    with set_up(sys.argv[1], find_player(PLANNER)) as setup:
         StateStream(setup, lambda message: print(message.content.decode())).begin()
 
 

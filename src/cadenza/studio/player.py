@@ -118,7 +118,7 @@ def error_text(error: BaseException, order: Order) -> str:
 
 def warm_up() -> None:
     """Take a step, so that what a first step loads and computes is there for the next."""
-    with set_up(Score((Note(0.0, 0.1, 60),)), PLANNER) as setup:
+    with set_up(Score((Note(0.0, 0.1, 60),)), find_player(PLANNER)) as setup:
         perform(setup, stop=lambda: True)
 
 
@@ -158,7 +158,8 @@ def set_up_order(order: Order, progress: Progress) -> AbstractContextManager[Set
     transpose, stretch = task.transpose + request.transpose, task.stretch / request.tempo
     as_written = request.hands == "written"
     task = replace(task, transpose=transpose, stretch=stretch, hands_as_written=as_written)
-    return set_up(song, player, task=task, scene=scene, seed=request.seed, progress=progress)
+    player = player.playing_in(task, scene)
+    return set_up(song, player, seed=request.seed, progress=progress)
 
 
 def _practised_setup(order: Order) -> AbstractContextManager[Setup] | None:

@@ -26,6 +26,7 @@ from cadenza.music.libraries.benchmark import BENCHMARK
 from cadenza.music.libraries.imported import is_imported
 from cadenza.music.libraries.library import LIBRARIES, open_library
 from cadenza.music.libraries.songs import Library, Song
+from cadenza.performing.player import find_player
 from cadenza.performing.setup import Setup, set_up
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene
@@ -152,7 +153,7 @@ def set_up_song(song: Song) -> Iterator[Setup]:
     task = replace(TASK, fingering="off")  # keys and metrics do not depend on it
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CadenzaWarning)  # on what cannot be played
-        with set_up(song, "zero", task=task, scene=SCENE) as setup:
+        with set_up(song, find_player("zero").playing_in(task, SCENE)) as setup:
             yield setup
 
 

@@ -149,9 +149,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
     with (
         set_up(
             replace(loaded, score=score),
-            player,
-            task=spec.task,
-            scene=spec.scene,
+            player.playing_in(spec.task, spec.scene),
             seed=seed,
             num_threads=num_threads,
             progress=progress,
