@@ -163,7 +163,7 @@ class MujocoPhysics:
 
     def __init__(self, scene: Any, num_envs: int, control_timestep: float, *_: Any) -> None:
         self._simulation = MujocoSimulation(scene, num_envs, control_timestep)
-        self._state = single_precision(State.zeros(scene, num_envs))
+        self._state = single_precision(State.at_rest(scene, num_envs))
 
     def start(self, hand_qpos: Any) -> Data:
         fresh = jnp.ones(len(hand_qpos), bool)

@@ -55,7 +55,7 @@ class RecordedPhysics:
     states: Iterator[State]
 
     def __init__(self, scene: Any, num_envs: int, *_: Any) -> None:
-        self.zeros = State.zeros(scene, num_envs)
+        self.zeros = State.at_rest(scene, num_envs)
 
     def start(self, hand_qpos: Any) -> Data:
         return Data(jax.numpy.zeros(len(hand_qpos), int))

@@ -46,7 +46,7 @@ class PlayedPiano:
     """Keys begin to sound as they are told, and then sound until the end of the next step."""
 
     def __init__(self, scene: Scene, num_envs: int, **_: Any) -> None:
-        self.zeros = self.state = State.zeros(scene, num_envs)
+        self.zeros = self.state = State.at_rest(scene, num_envs)
         self.onsets: Sequence[Onset] = ()
         self.steps = np.zeros(num_envs, int)
 

@@ -28,7 +28,7 @@ class SelfPlayingPiano:
     """Keys are at once where their controls want them; there are no hands."""
 
     def __init__(self, scene: Scene, num_envs: int, **_: Any) -> None:
-        self.state = State.zeros(scene, num_envs)
+        self.state = State.at_rest(scene, num_envs)
         self.closed = False
 
     def reset(self, env_ids: Sequence[int], hand_qpos: np.ndarray) -> None:

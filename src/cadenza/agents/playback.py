@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -14,7 +15,7 @@ from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.practice.plan_variants import Variant
 from cadenza.agents.planner.practice.practised_planner import PractisedPlan
 from cadenza.episode import Episode
-from cadenza.errors import CadenzaError, quoted
+from cadenza.errors import CadenzaError, CadenzaWarning, quoted
 from cadenza.files import (
     FLAGS,
     FLOATS,
@@ -119,7 +120,7 @@ class SavedPlan:
         return checked(given, kind, f"{self.path}, options")
 
     def check(self, options: Mapping[str, Any]) -> None:
-        """Compare `options` with those of the plan.
+        """Compare `options` with those of the plan; other physics is a warning.
 
         Raises:
             CadenzaError: they differ.
@@ -136,6 +137,11 @@ class SavedPlan:
                     f"{self.path}: was planned with {name} {quoted(value)}, but here it is "
                     f"{quoted(options[name])}; use the same value"
                 )
+        made_in = self.physics.get("physics", SceneConfig.physics)
+        if made_in != options["physics"]:
+            made = f"{self.path}: made in the {made_in} physics"
+            played = f"{made}, played in the {options['physics']} physics"
+            warnings.warn(played, CadenzaWarning, stacklevel=5)
 
 
 def save_plan(

@@ -36,9 +36,10 @@ class Film:
 
 
 def run(command: Film) -> None:
-    from cadenza.cli.saving import film, voice_of
+    from cadenza.cli.saving import film
     from cadenza.performing.film_renderer import Look
     from cadenza.performing.filming import FILM, FilmExcerpt, look_of
+    from cadenza.report.sound_font import voice_of
 
     path = command.output or command.folder / FILM
     look = look_of(path)

@@ -16,9 +16,8 @@ from cadenza.cli.console import stop_on_signal
 from cadenza.cli.options import AGENTS_HELP, LEARNER, Options, Read, setting_up
 from cadenza.cli.practice import practised
 from cadenza.cli.progress import stages
-from cadenza.cli.saving import check_writable, default_folder, save, voice_of
+from cadenza.cli.saving import agent_folder, check_writable, save
 from cadenza.cli.studio import need_server
-from cadenza.files import folder_name
 
 if TYPE_CHECKING:
     from cadenza.performing.setup import Setup
@@ -53,17 +52,18 @@ class PlayCommand(Options):
 def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
     from cadenza.performing.performance import check_replaceable, perform
     from cadenza.performing.player import find_player
+    from cadenza.report.sound_font import voice_of
     from cadenza.studio.live_page import open_page
 
     player = find_player(command.agent, command.song, configs=command.configs, plan=command.plan)
     command = read(task=player.task, scene=player.scene)
-    voice_of(command.sound_font)  # says so before anything is played if it cannot be used
+    voice = voice_of(command.sound_font)  # says so before anything is played if it cannot be used
     if command.watch:
         need_server()
     with ExitStack() as kept:
         with stop_on_signal("writing the results") as stop:
             with setting_up(command, command.song, player, command.seed) as setup:
-                folder = command.output or default_folder(setup) / _name_of(player.name)
+                folder = command.output or agent_folder(setup)
                 check_writable(folder)
                 check_replaceable(folder, command.song)
                 setup, cut_short = kept.enter_context(_practised(setup, folder))
@@ -73,7 +73,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
                     performance = perform(setup, reporting, stop)
             if page:
                 page.finish(performance)
-            save(performance, folder, command.video, command.sound_font)
+            save(performance, folder, command.video, voice)
             stopped = stop()
         if page and not stopped:
             print("Ctrl-C ends the page")
@@ -90,7 +90,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
 
 @contextmanager
 def _practised(setup: Setup, folder: Path) -> Iterator[tuple[Setup, bool]]:
-    """Yields the setup to play, practised if the planner is to, and whether Ctrl-C stopped that."""
+    """Yield the setup to play, practised if the planner is to, and whether Ctrl-C stopped that."""
     from cadenza.agents.planner.planner import Planner
 
     if not isinstance(setup.agent, Planner) or not setup.agent.config.effort:
@@ -102,8 +102,3 @@ def _practised(setup: Setup, folder: Path) -> Iterator[tuple[Setup, bool]]:
             practising = kept.enter_context(practised(setup, folder, effort, stop=stop))
             stopped = stop()
         yield practising.best(), stopped
-
-
-def _name_of(agent: str) -> str:
-    """Returns the name of an agent's folder; for a policy the last two parts, as in run-best."""
-    return folder_name("-".join(Path(agent).parts[-2:]))

@@ -66,23 +66,20 @@ def default_folder(setup: Setup) -> Path:
     return Path("played") / folder_name(name_without_ending(setup.settings["song"]))
 
 
-def voice_of(sound_font: Path | None) -> Tone:
-    """Returns what makes the notes: a sound font, or the built-in piano if there is none.
+def agent_folder(setup: Setup) -> Path:
+    """The folder in it for those of the agent; a policy's has its last two parts, as run-best."""
+    parts = Path(setup.settings["agent"]).parts[-2:]
+    return default_folder(setup) / folder_name("-".join(parts))
 
-    Raises:
-        CadenzaError: the file cannot be used as a sound font.
+
+def save(performance: Performance, folder: Path, video: bool, voice: Tone | None = None) -> None:
+    """Write the results of a performance, print how well it was played, and make its film.
+
+    Without a `voice`, the built-in piano plays.
     """
-    from cadenza.report.sound_font import font_tone
     from cadenza.report.tone import tone
 
-    return tone if sound_font is None else font_tone(sound_font)
-
-
-def save(
-    performance: Performance, folder: Path, video: bool, sound_font: Path | None = None
-) -> None:
-    """Writes the results of a performance, prints how well it was played, and makes its film."""
-    voice = voice_of(sound_font)
+    voice = voice or tone
     with stages("playing") as progress:
         performance.save(folder, progress, voice=voice)
     print_scores(performance)

@@ -65,18 +65,19 @@ class Arrangement:
         Raises:
             CadenzaError: it cannot be read, has no such tracks, or lasts over an hour.
         """
-        return self.performed(self.whole(song), song)
+        from cadenza.music.libraries.library import find_song
 
-    def whole(self, song: str | Song) -> Score:
+        return self.performed(self.whole(find_song(song)), song)
+
+    def whole(self, song: Song) -> Score:
         """The whole score of `song`, as it is written.
 
         Raises:
             CadenzaError: it cannot be read, or has no such tracks.
         """
         from cadenza.music.accents import accented
-        from cadenza.music.libraries.library import load_score
 
-        score = load_score(song, self.tracks, self.plain)
+        score = song.load(self.tracks, self.plain)
         return accented(score) if self.drums == "accents" else score
 
     def performed(self, score: Score, song: str) -> Score:

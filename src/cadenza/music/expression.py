@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.configs import as_config
-from cadenza.music.expression_rules import ExpressionRules, check_quantities
+from cadenza.music.expression_rules import ExpressionRules
 from cadenza.music.score import CHORD_TOLERANCE, RELEASE_TIME, Bar, Note, Score, chords
 
 Floats = NDArray[np.float64]
@@ -82,6 +81,8 @@ _LEAD = 0.025  # [s]
 _LEAD_DECIBELS = 3.0  # [dB]
 _LEAD_SHARE = 0.5  # of a note, by which it begins later at most
 
+_DEFAULT = ExpressionRules()
+
 
 class _Melody(NamedTuple):
     """The M notes of the melody, and when they begin and how long they take; see `_melody`."""
@@ -102,7 +103,7 @@ class _Melody(NamedTuple):
         return inner
 
 
-def performed(score: Score, dose: float = 1.0, rules: ExpressionRules | None = None) -> Score:
+def performed(score: Score, dose: float = 1.0, rules: ExpressionRules = _DEFAULT) -> Score:
     """`score` as the rules perform it: other onsets, durations and velocities.
 
     Pitches, fingers and the order of notes on a key stay as they are, and notes overlap on a key
@@ -128,24 +129,15 @@ def performed(score: Score, dose: float = 1.0, rules: ExpressionRules | None = N
     Args:
         score: what is written.
         dose: multiplies the quantities of all rules; 0 is as written.
-        rules: how much each rule does; None is the default.
-
-    Raises:
-        CadenzaError: `dose` or a rule is not from 0 to 10.
+        rules: how much each rule does; `Arrangement` checks them and the dose.
     """
     return performed_with_times(score, dose, rules)[0]
 
 
 def performed_with_times(
-    score: Score, dose: float = 1.0, rules: ExpressionRules | None = None
+    score: Score, dose: float = 1.0, rules: ExpressionRules = _DEFAULT
 ) -> tuple[Score, Callable[[float], float]]:
-    """The performed score, see `performed`, and the map from written to played times [s].
-
-    Raises:
-        CadenzaError: `dose` or a rule is not from 0 to 10.
-    """
-    rules = as_config(rules, ExpressionRules)
-    check_quantities(dose, rules)
+    """The performed score, see `performed`, and the map from written to played times [s]."""
     quantity = ExpressionRules(*(dose * k for k in astuple(rules)))
     if not score.notes:
         return score, lambda time: time

@@ -125,7 +125,8 @@ def write_film(
         excerpt = replace(excerpt, seconds=_ANIMATED)
     start, end = excerpt.of(episode.num_steps * episode.dt)
     if kind in CODECS:
-        write_sound(path, _heard(episode, excerpt, voice), seconds=end - start)
+        audio = _heard(episode, excerpt, voice)
+        write_sound(path, audio, seconds=end - start)
         return path
     look = look or look_of(path)
     size, count = (look.width, look.height), max(int((end - start) * look.fps), 1)

@@ -30,8 +30,8 @@ class LoadedSong:
 
     def titled(self, title: str) -> LoadedSong:
         """The song under another title."""
-        whole = self.written and replace(self.written, title=title)
-        return replace(self, name=title, score=replace(self.score, title=title), written=whole)
+        written = self.written and replace(self.written, title=title)
+        return replace(self, name=title, score=replace(self.score, title=title), written=written)
 
     def written_for(self, hands: str) -> LoadedSong:
         """The song with the notes that are written for these hands, see `Arrangement.written_for`.
@@ -40,8 +40,8 @@ class LoadedSong:
             CadenzaError: nothing is written for the one hand that plays.
         """
         score = self.arrangement.written_for(hands, self.score)
-        whole = self.written and self.arrangement.written_for(hands, self.written)
-        return replace(self, score=score, written=whole)
+        written = self.written and self.arrangement.written_for(hands, self.written)
+        return replace(self, score=score, written=written)
 
 
 def load(song: SomeSong | LoadedSong, arrangement: Arrangement | None = None) -> LoadedSong:
@@ -56,17 +56,14 @@ def load(song: SomeSong | LoadedSong, arrangement: Arrangement | None = None) ->
     """
     if isinstance(song, LoadedSong):
         return song
-    if arrangement is None and isinstance(song, Score):
-        arrangement = Arrangement(arrange="off")
-    arrangement = as_config(arrangement, Arrangement)
     if isinstance(song, Score):
-        return LoadedSong(song.title, song, arrangement)
-    found = find_song(song)
-    whole = arrangement.whole(found)
-    score = arrangement.performed(whole, found.name)
+        return LoadedSong(song.title, song, arrangement or Arrangement(arrange="off"))
+    song, arrangement = find_song(song), arrangement or Arrangement()
+    written = arrangement.whole(song)
+    score = arrangement.performed(written, song.name)
     for remark in score.remarks:
-        warnings.warn(f"{found.name}: {remark}", CadenzaWarning, stacklevel=3)
-    return LoadedSong(found.name, score, arrangement, whole if arrangement.expression else None)
+        warnings.warn(f"{song.name}: {remark}", CadenzaWarning, stacklevel=3)
+    return LoadedSong(song.name, score, arrangement, written if arrangement.expression else None)
 
 
 def load_song(song: str | Path | Song, arrangement: Arrangement | None = None) -> Score:
@@ -80,4 +77,4 @@ def load_song(song: str | Path | Song, arrangement: Arrangement | None = None) -
     Raises:
         CadenzaError: there is no such song, or it cannot be read.
     """
-    return load(song, arrangement).score
+    return load(song, as_config(arrangement, Arrangement)).score

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from cadenza.agents.agent import Agent
-from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.practice.practised_planner import PractisedHands
 from cadenza.agents.playback import Playback, SavedPlan, load_plan
 from cadenza.agents.registry import (
@@ -104,17 +103,20 @@ def find_player(
     configs = configs or {}
     if isinstance(agent, LearntPolicy):
         return _with_policy("policy", agent)
+    if (agent == PLAYBACK) != (plan is not None):
+        raise CadenzaError("--agent playback and --plan FILE go together: give both or neither")
+    if plan is not None:
+        return _with_plan(plan, configs)
     if not isinstance(agent, str | Path | None):
         name = type(agent).__name__
         return Player(name, checked_agent(agent, name))
     name = PLANNER if agent is None else str(agent)
-    if (name == PLAYBACK) != (plan is not None):
-        raise CadenzaError("--agent playback and --plan FILE go together: give both or neither")
-    if plan is not None:
-        return _with_plan(plan, configs)
-    if name != PRETRAINED and not is_folder(name):
+    if name == PRETRAINED:
+        folder = str(pretrained_folder(str(song or "")))
+    elif is_folder(name):
+        folder = name
+    else:
         return Player(name, make_agent(name, configs.get(name)))
-    folder = str(pretrained_folder(str(song or ""))) if name == PRETRAINED else name
     return _practised(folder, configs) or _with_policy(name, load_policy(folder))
 
 
@@ -134,7 +136,7 @@ def _with_plan(plan: str | Path, configs: Mapping[str, Any]) -> Player:
 def _practised_hands(plan: SavedPlan, configs: Mapping[str, Any]) -> PractisedHands | None:
     if plan.practised is None:
         return None
-    config = Planner(configs.get(PLANNER)).config
+    config = make_agent(PLANNER, configs.get(PLANNER)).config
     if config.effort:
         raise CadenzaError(
             f"{plan.path}: is played as it was practised; leave out --planner.effort, or practise "

@@ -12,7 +12,6 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from cadenza.agents.agent import Agent, Progress, silent
-from cadenza.agents.playback import SavedPlan
 from cadenza.agents.registry import options_name
 from cadenza.configs import MAX_SEED, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning, quoted
@@ -22,7 +21,6 @@ from cadenza.music.score import Score
 from cadenza.performing.arranging import HandArrangement, arranged_for
 from cadenza.performing.loaded_song import LoadedSong, SomeSong, load
 from cadenza.performing.player import Player
-from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from cadenza.sim.threads import MAX_THREADS
 from cadenza.tasks.config import task_identity
@@ -82,7 +80,7 @@ def set_up(
     chosen, is_known = _chosen_song(song, arrangement, player)
     options = task_identity(player.task, player.scene, seed, **asdict(chosen.arrangement))
     if player.plan is not None:
-        _check_plan(player.plan, options, player.scene)
+        player.plan.check(options)
     scene, played, arranged = build_scene(player.scene), chosen, None
     if not is_known:
         played = chosen.written_for(player.scene.hands)
@@ -204,16 +202,6 @@ def _lost_between_steps(track: GoalTrack) -> Iterator[str]:
             f"{count} {changes} of the pedal within a control step of {dt:g} s {are} left out "
             "(with repeats shortened, it comes up)"
         )
-
-
-def _check_plan(plan: SavedPlan, options: dict[str, Any], scene: SceneConfig) -> None:
-    """Raise a CadenzaError if a plan would not play the same with these options."""
-    plan.check(options)
-    made_in = replace(SceneConfig(), **plan.physics).physics
-    if scene.physics != made_in:
-        made = f"{plan.path}: made in the {made_in} physics"
-        played = f"{made}, played in the {scene.physics} physics"
-        warnings.warn(played, CadenzaWarning, stacklevel=4)
 
 
 @contextmanager

@@ -9,11 +9,20 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.report.sound import SAMPLE_RATE
-from cadenza.report.tone import Tone
+from cadenza.report.tone import Tone, tone
 
 _HARDEST = 127  # MIDI velocity
 _TRIED = 60  # the pitch that every piano has
 _QUALITY = 6  # of the resampling of symusic, 0 to 6
+
+
+def voice_of(sound_font: Path | None) -> Tone:
+    """The voice of a sound font, or the built-in piano if there is none.
+
+    Raises:
+        CadenzaError: as `font_tone` raises it.
+    """
+    return tone if sound_font is None else font_tone(sound_font)
 
 
 def font_tone(path: Path) -> Tone:
@@ -32,7 +41,7 @@ def font_tone(path: Path) -> Tone:
         raise CadenzaError(f"{path}: there is no such file")
     synthesizers = {}
 
-    def tone(pitch: int, hardness: float, seconds: float, rate: int) -> NDArray[np.float32]:
+    def font(pitch: int, hardness: float, seconds: float, rate: int) -> NDArray[np.float32]:
         if rate not in synthesizers:
             try:
                 synthesizers[rate] = symusic.Synthesizer(path, rate, _QUALITY)
@@ -48,6 +57,6 @@ def font_tone(path: Path) -> Tone:
         sound[: len(rendered)] = rendered
         return sound
 
-    if not tone(_TRIED, 1.0, 0.1, SAMPLE_RATE).any():
+    if not font(_TRIED, 1.0, 0.1, SAMPLE_RATE).any():
         raise CadenzaError(f"{path}: has no sound for program 1, the piano; choose another file")
-    return tone
+    return font

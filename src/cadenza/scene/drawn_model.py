@@ -30,7 +30,7 @@ Mesh = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]
 
 def drawn_model(scene: Scene) -> mujoco.MjModel:
     """A model with the joints and keys of a scene, in its order, that is for drawing only."""
-    spec, _ = scene_spec(scene.config)
+    spec, _ = scene_spec(scene.config, scene.keyboard, scene.hand)
     _furnish(spec, scene.keyboard)
     for side in scene.sides:
         for link in scene.hand.body.links:

@@ -121,7 +121,7 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     config = as_config(config, SceneConfig)
     keyboard, hand = keyboard_named(config.keyboard), hand_named(config.hand)
     try:
-        spec, sites = scene_spec(config)
+        spec, sites = scene_spec(config, keyboard, hand)
         model = spec.compile()
     except ValueError as error:  # hand and keyboard may come from other packages
         said, which = " ".join(str(error).split()), f"hand {hand.name}, keyboard {keyboard.name}"
@@ -131,20 +131,20 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     return _resolve(config, keyboard, hand, model, sides, sites)
 
 
-def scene_spec(config: SceneConfig) -> tuple[mujoco.MjSpec, list[str]]:
+def scene_spec(
+    config: SceneConfig, keyboard: Keyboard, hand: Hand
+) -> tuple[mujoco.MjSpec, list[str]]:
     """The scene that `config` describes, not compiled, and the names of its fingertips' sites.
 
     Raises:
         CadenzaError: the options contradict each other, or are out of range.
     """
-    keyboard, hand = keyboard_named(config.keyboard), hand_named(config.hand)
     _check(config, keyboard, hand)
     spec = mujoco.MjSpec()
     _set_options(spec, config, hand)
     add_cameras(spec)
-    sides = _sides(config)
+    sides, options = _sides(config), _options(config, keyboard)
     keyboard.add_to(spec, range(keyboard.num_keys), actuated=not sides)
-    options = _options(config, keyboard)
     return spec, [site for side in sides for site in hand.add_to(spec, side, options)]
 
 

@@ -73,7 +73,7 @@ class MujocoSimulation:
         self._models = [scene.model] * num_envs  # the nominal one until it is randomized
         self._factors: dict[int, Factors] = {}
         self._watch_forearms = watch_forearms and len(scene.sides) == 2
-        self.state = State.zeros(scene, num_envs)
+        self.state = State.at_rest(scene, num_envs)
         self.reset()
 
     def reset(self, env_ids: Sequence[int] | None = None, hand_qpos: Array | None = None) -> None:

@@ -48,7 +48,7 @@ class PlanningSimulation(MujocoSimulation):
         Returns:
             A state whose arrays have leading dimensions (N, K) instead of (N,).
         """
-        states = State.zeros(self.scene, *ctrl.shape[:2])
+        states = State.at_rest(self.scene, *ctrl.shape[:2])
         keys = self.scene.keyboard.num_keys
         paths = np.empty((*ctrl.shape[:2], self.num_substeps + 1, keys))
 
@@ -72,7 +72,7 @@ class PlanningSimulation(MujocoSimulation):
         if model.opt.timestep != other.scene.model.opt.timestep:
             for data in self._data:
                 mujoco.mj_step1(model, data)  # how stiff constraints are depends on the timestep
-        state = State.zeros(self.scene, self.num_envs)
+        state = State.at_rest(self.scene, self.num_envs)
         for i in range(self.num_envs):
             self._read(i, state, i)
         self.state = state

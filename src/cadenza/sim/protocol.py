@@ -53,8 +53,8 @@ class State(NamedTuple):
     """(N,) whether the simulation has diverged since its last reset and is of no more use."""
 
     @classmethod
-    def zeros(cls, scene: Scene, *rows: int) -> State:
-        """A state of zeros with the shapes of `scene` and leading dimensions `rows`."""
+    def at_rest(cls, scene: Scene, *rows: int) -> State:
+        """The state of hands and keys at 0 in `scene`; arrays begin with the dimensions `rows`."""
         joints, actuators = len(scene.hand_joint_names), len(scene.actuator_names)
         keys = scene.keyboard.num_keys
         return cls(

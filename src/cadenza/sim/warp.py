@@ -334,7 +334,7 @@ class WarpSimulation:
         self._at_start = MujocoSimulation(scene, 1, control_timestep, 1, watch_forearms)
         self._models: dict[str, NDArray[np.float32]] = {}
         self._physics = self.physics.start(np.zeros(len(scene.hand_joint_names)))
-        self.state = State.zeros(scene, num_envs)
+        self.state = State.at_rest(scene, num_envs)
         self.reset(range(num_envs), np.zeros((num_envs, len(scene.hand_joint_names))))
 
     def _use(self, physics: WarpPhysics) -> None:

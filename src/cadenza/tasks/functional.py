@@ -220,7 +220,7 @@ class FunctionalPianoTask:
 
     def _resting(self, start: Array) -> State:
         """What is observed of worlds that have been reset; fingertips and forces are not."""
-        zeros = State.zeros(self.scene, self.num_envs)
+        zeros = State.at_rest(self.scene, self.num_envs)
         return jax.tree.map(jnp.asarray, zeros)._replace(hand_qpos=start)
 
     def _row(self, episodes: Episodes) -> Array:

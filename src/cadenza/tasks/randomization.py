@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cadenza.configs import MAX_COUNT, check_ranges
 from cadenza.errors import CadenzaError
-from cadenza.scene.randomization import Factors, shapes, sliding
+from cadenza.scene.randomization import SCALED_FIELDS, Factors, shapes, sliding
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import HeldControls, Simulation
@@ -56,11 +56,11 @@ class DrawRanges:
         Raises:
             CadenzaError: a range makes no sense.
         """
-        known = shapes(scene)
-        _check(config, list(known))
+        _check(config)
         self.config, self._scene = config, scene
         self.physics_timestep = scene.model.opt.timestep
         self.substeps = round(control_timestep / self.physics_timestep)
+        known = shapes(scene)
         self.shapes = {n: shape for n, shape in known.items() if getattr(config, n) != SAME}
         self._streams = {name: stream for stream, name in enumerate([*known, *_OTHERS])}
         self.low, self.high = scene.action_low[:-1], scene.action_high[:-1]
@@ -254,8 +254,8 @@ class Randomization:
         return np.clip(key_state + self._offset[:, -key_state.shape[1] :], 0.0, 1.0)
 
 
-def _check(config: DomainRandomization, factors: Sequence[str]) -> None:
-    limits = {name: (_MIN_FACTOR.get(name, 0.0), _MAX_FACTOR) for name in factors}
+def _check(config: DomainRandomization) -> None:
+    limits = {name: (_MIN_FACTOR.get(name, 0.0), _MAX_FACTOR) for name in SCALED_FIELDS}
     for name, (least, most) in (limits | {LATENCY: (0.0, _MAX_LATENCY)}).items():
         low, high = getattr(config, name)
         if not least <= low <= high <= most:

@@ -283,7 +283,7 @@ def examples_of(recorded: RecordedEpisode) -> HandExamples:
             f"{recorded.folder}: the planner of another version had another plan; "
             "collect again, or train with that version"
         )
-    zeros, inputs, corrections = State.zeros(scene, 1), [], []
+    zeros, inputs, corrections = State.at_rest(scene, 1), [], []
     hands = CorrectedHands(plan)
     played = played_actions(rows, scene)
     for step in range(recorded.facts.num_steps):
