@@ -136,7 +136,7 @@ def options_name(name: str) -> str:
 
 
 def checked_agent(agent: Any, place: str) -> Agent:
-    """Returns `agent` if it is one; errors name it `place`.
+    """Return `agent` if it is one; errors name it `place`.
 
     Raises:
         CadenzaError: it is a class, or its class is not derived from `cadenza.Agent`.

@@ -91,7 +91,7 @@ first, and "cadenza --version" for the version."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Runs the command line.
+    """Run the command line.
 
     Exits with 0 when done, 1 when something is wrong, 2 when the command line cannot be read, and
     130 when interrupted.
@@ -142,7 +142,7 @@ def _run(words: list[str]) -> None:
 
 
 def _import_parts(chosen: Chosen) -> None:
-    """Imports the hand, the keyboard and the learner of a command line; no file does.
+    """Import the hand, the keyboard and the learner of a command line; no file does.
 
     Raises:
         CadenzaError: there is no such thing.
@@ -160,7 +160,7 @@ def _import_parts(chosen: Chosen) -> None:
 
 
 def _kinds() -> dict[str, type]:
-    """Returns name -> the dataclass of a command, with the options of the planner if it plays."""
+    """Return name -> the dataclass of a command, with the options of the planner if it plays."""
     return {
         name: with_options_of(kind, [PLANNER]) if issubclass(kind, Options) else kind
         for name, (kind, _) in COMMANDS.items()
@@ -168,7 +168,7 @@ def _kinds() -> dict[str, type]:
 
 
 def _exit(status: int, message: str = "") -> NoReturn:
-    """Prints why, and exits; drops output that cannot be written, of which Python complains."""
+    """Print why, and exit; drop output that cannot be written, of which Python complains."""
     with suppress(OSError):
         if message:
             print(f"cadenza: {on_one_line(message)}", file=sys.stderr)

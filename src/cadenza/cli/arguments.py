@@ -81,7 +81,7 @@ class Chosen:
 
 
 def choose(prog: str, words: Sequence[str]) -> Chosen:
-    """Finds in the words of a command line what the options of the command depend on.
+    """Find in the words of a command line what the options of the command depend on.
 
     Args:
         prog: the program and the command, as in "cadenza play".
@@ -94,7 +94,7 @@ def choose(prog: str, words: Sequence[str]) -> Chosen:
 
 
 def parse(kind: type[T], prog: str, words: Sequence[str], default: T | None = None) -> T:
-    """Reads a command of the type `kind`, or prints its help or an error and exits.
+    """Read a command of the type `kind`, or print its help or an error and exit.
 
     Args:
         kind: the dataclass of the command.
@@ -170,7 +170,7 @@ def print_commands(
     about: str,
     words: Sequence[str],
 ) -> NoReturn:
-    """Prints what commands there are, what completes them, or why `words` are none, and exits.
+    """Print what commands there are, what completes them, or why `words` are none, and exit.
 
     Args:
         commands: name -> the dataclass of a command; a name may begin with a group.
@@ -196,7 +196,7 @@ def print_commands(
 
 
 def _any_of(commands: Mapping[str, type]) -> Any:
-    """Returns the union of the types of commands, each with its name and a line of help."""
+    """Return the union of the types of commands, each with its name and a line of help."""
     kinds = [
         Annotated[
             kind, tyro.conf.subcommand(name, description=str(kind.__doc__).partition("\n")[0])

@@ -121,7 +121,7 @@ def verify(command: Verify) -> None:
 
 
 def _in_words(played: PlayedAgain) -> str:
-    """Returns who was played again, and with what result."""
+    """Return who was played again, and with what result."""
     from cadenza.evaluation.benchmark.leaderboard import means
 
     found, entry = means(played), played.entry

@@ -50,7 +50,7 @@ def clone(command: Clone) -> None:
 
 
 def train_until_stopped(run: CheckpointedRun, stage: str, unit: str, metric: str) -> None:
-    """Trains until all updates are done, or until a signal, which saves a checkpoint first.
+    """Train until all updates are done, or until a signal, which saves a checkpoint first.
 
     Args:
         run: the run, new or resumed.

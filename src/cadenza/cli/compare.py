@@ -78,7 +78,7 @@ def compare(command: Compare, read: Read[Compare]) -> None:
 
 
 def _run(command: Compare, song: LoadedSong, player: Player, seed: int, folder: Path) -> RunSummary:
-    """Plays once, and leaves the performance in a folder of its own."""
+    """Play once, and leave the performance in a folder of its own."""
     from cadenza.evaluation.results import PAGE, Timing
     from cadenza.evaluation.summary import run_metrics
     from cadenza.performing.performance import check_replaceable, perform
@@ -103,7 +103,7 @@ def _run(command: Compare, song: LoadedSong, player: Player, seed: int, folder: 
 def _write(
     folder: Path, score: Score, runs: list[RunSummary], remarks: list[str], command: Compare
 ) -> None:
-    """Writes the files, and prints the table."""
+    """Write the files, and print the table."""
     from cadenza.cli.results import in_text
     from cadenza.evaluation.summary import summary_of
     from cadenza.report.bench_summary import PieceSummary
@@ -130,7 +130,7 @@ def _write(
 
 
 def _differing(own: Compare, command: Compare) -> str:
-    """Returns the options of task and scene that an agent has otherwise than the command."""
+    """Return the options of task and scene that an agent has otherwise than the command."""
     from cadenza.tasks.config import task_identity
 
     options, others = (task_identity(each.task, each.scene, seed=0) for each in (own, command))

@@ -15,7 +15,7 @@ from cadenza.errors import CadenzaWarning, on_one_line
 
 
 def in_columns(rows: Sequence[Sequence[str]], alignment: str = "<") -> str:
-    """Returns a table as text.
+    """Return a table as text.
 
     Args:
         rows: the cells of each row.
@@ -31,7 +31,7 @@ def in_columns(rows: Sequence[Sequence[str]], alignment: str = "<") -> str:
 
 @contextmanager
 def stop_on_signal(what_comes: str) -> Iterator[Callable[[], bool]]:
-    """Yields a function that says whether Ctrl-C was pressed or SIGTERM has arrived.
+    """Yield a function that says whether Ctrl-C was pressed or SIGTERM has arrived.
 
     Until it is called for the first time, either ends the process at once. Afterwards the first of
     them only prints that the command stops after `what_comes`, and the second ends the process.
@@ -60,7 +60,7 @@ def stop_on_signal(what_comes: str) -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def quietly(quiet: bool) -> Iterator[None]:
-    """Shows no progress and no results if it is to be `quiet`."""
+    """Show no progress and no results if it is to be `quiet`."""
     if not quiet:
         yield
         return
@@ -77,7 +77,7 @@ def quietly(quiet: bool) -> Iterator[None]:
 
 @contextmanager
 def warnings_in_a_line() -> Iterator[None]:
-    """Prints every CadenzaWarning once, as a line without the place in the code."""
+    """Print every CadenzaWarning once, as a line without the place in the code."""
     show, printed = warnings.showwarning, set[str]()
 
     def print_ours(
@@ -104,7 +104,7 @@ def warnings_in_a_line() -> Iterator[None]:
 
 
 def open_closed_streams() -> None:
-    """Opens the null device in place of stdin, stdout or stderr where the caller has closed it.
+    """Open the null device in place of stdin, stdout or stderr where the caller has closed it.
 
     They are opened in this order, so that no file of ours is taken for one of them.
     """

@@ -69,7 +69,7 @@ def collect(command: Collect, _: Read[Collect]) -> None:
 
 
 def _check(command: Collect) -> None:
-    """Raises a CadenzaError if an option makes no sense."""
+    """Raise a CadenzaError if an option makes no sense."""
     from cadenza.music.score import Note, Score
     from cadenza.tasks.piano_task import PianoTask
 
@@ -119,7 +119,7 @@ def _demonstrator(command: Collect) -> Demonstrator:
 
 
 def _outcome(folder: Path, _job: BenchJob) -> str:
-    """Returns a line on an episode that was recorded."""
+    """Return a line on an episode that was recorded."""
     from cadenza.demonstrations.recorded_episode import read_facts
 
     made = read_facts(folder)
@@ -160,7 +160,7 @@ class DatasetCheck(RecordedParts):
 
 
 def check(command: DatasetCheck) -> None:
-    """Prints what is wrong with a dataset, and raises a CadenzaError if anything is."""
+    """Print what is wrong with a dataset, and raise a CadenzaError if anything is."""
     from tqdm import tqdm
 
     from cadenza.demonstrations.checking import problems

@@ -105,7 +105,7 @@ def _about_fingering(score: Score) -> str:
 
 
 def _about_hands(score: Score) -> dict[str, str]:
-    """Returns how many notes are written for each hand, if the score says so."""
+    """Return how many notes are written for each hand, if the score says so."""
     from cadenza.fingers import LEFT, RIGHT
 
     if not score.has_written_hands:
@@ -115,7 +115,7 @@ def _about_hands(score: Score) -> dict[str, str]:
 
 
 def usual_players() -> Players:
-    """Returns the hands of the default scene, by their reach."""
+    """Return the hands of the default scene, by their reach."""
     from cadenza.fingering.players import players_at
     from cadenza.fingers import SIDES
     from cadenza.hands.registry import hand_named

@@ -74,7 +74,7 @@ class RecordedParts:
 
 
 def reader(kind: type[Command], prog: str, words: Sequence[str], chosen: Chosen) -> Read[Command]:
-    """Returns a function that reads the command line over defaults and the chosen setup.
+    """Return a function that reads the command line over defaults and the chosen setup.
 
     The command has the options of those agents that play; those of others are unknown.
 
@@ -107,7 +107,7 @@ def reader(kind: type[Command], prog: str, words: Sequence[str], chosen: Chosen)
 
 
 def with_options_of(kind: type[Command], agents: Sequence[str]) -> type[Command]:
-    """Returns `kind` with a field for the options of each of the agents.
+    """Return `kind` with a field for the options of each of the agents.
 
     Raises:
         CadenzaError: there is no such agent, or its options are called like something else.
@@ -139,7 +139,7 @@ def with_options_of(kind: type[Command], agents: Sequence[str]) -> type[Command]
 
 
 def split_agents(words: Sequence[str]) -> list[str]:
-    """Returns the agents in words such as "planner,zero"; a policy's folder may have commas."""
+    """Return the agents in words such as "planner,zero"; a policy's folder may have commas."""
     return [
         name
         for word in words

@@ -77,7 +77,7 @@ def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
 
 
 def _write_sheet(score: Score, path: Path) -> tuple[str, ...]:
-    """Writes sheet music; returns in plain words what is not as in the score."""
+    """Write sheet music; return in plain words what is not as in the score."""
     from cadenza.music.formats.musicxml_writing import write_musicxml
     from cadenza.report.engraving import write_svg
 
@@ -85,7 +85,7 @@ def _write_sheet(score: Score, path: Path) -> tuple[str, ...]:
 
 
 def _to_replay(command: PlanCommand, path: Path) -> list[str]:
-    """Returns the options with which "cadenza play" replays what `command` has planned."""
+    """Return the options with which "cadenza play" replays what `command` has planned."""
     from cadenza.configs import flat
 
     flags = ["--agent", PLAYBACK, "--plan", str(path)]
@@ -102,7 +102,7 @@ def _to_replay(command: PlanCommand, path: Path) -> list[str]:
 
 
 def _as_option(name: str, value: Any) -> list[str]:
-    """Returns the words that give an option this value on a command line."""
+    """Return the words that give an option this value on a command line."""
     option = name.replace("_", "-")
     if isinstance(value, bool):
         return [f"--{'' if value else 'no-'}{option}"]

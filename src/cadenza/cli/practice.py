@@ -154,7 +154,7 @@ def practised(
     *,
     stop: Callable[[], bool],
 ) -> Iterator[Practising]:
-    """Practises in a folder, which is locked for the block.
+    """Practise in a folder, which is locked for the block.
 
     Args:
         setup: of the planner.
@@ -182,7 +182,7 @@ def practised(
 def _practise(
     practising: Practising, effort: float, minutes: float | None, stop: Callable[[], bool]
 ) -> None:
-    """Practises until the effort is made, the time is over, or `stop`; saves it now and then."""
+    """Practise until the effort is made, the time is over, or `stop`; save it now and then."""
     from cadenza.agents.planner.practice.practice import MAX_EFFORT
 
     practice = practising.practice
@@ -215,7 +215,7 @@ def _practise(
 def _progress(
     practice: Practice, effort: float, minutes: float | None, seconds: float
 ) -> tuple[str, str, float, float]:
-    """Returns the stage, its unit, how much of it is done, and how much it is, after `seconds`.
+    """Return the stage, its unit, how much of it is done, and how much it is, after `seconds`.
 
     The first take, which counts for no effort, and what is finished after the effort are stages of
     their own: what they take says nothing of how long the rest will take.
@@ -227,7 +227,7 @@ def _progress(
 
 
 def _remark(practice: Practice, score: Score) -> str:
-    """Returns what stands beside the progress: the scores, what is practised, what is left."""
+    """Return what stands beside the progress: the scores, what is practised, what is left."""
     so_far = f"{_scores(practice.history[-1])}, " if practice.history else ""
     how = "another take, " if practice.plays_variant else ""
     left = counted(len(practice.passages_with_loss()), "passage")
@@ -235,7 +235,7 @@ def _remark(practice: Practice, score: Score) -> str:
 
 
 def _scores(row: tuple[float, float, float]) -> str:
-    """Returns the scores of an entry of the history.
+    """Return the scores of an entry of the history.
 
     Practice counts onsets at control steps, `cadenza play` at physics steps: that is said.
     """
@@ -243,6 +243,6 @@ def _scores(row: tuple[float, float, float]) -> str:
 
 
 def _places(practice: Practice, score: Score, steps: Iterable[int]) -> str:
-    """Returns control steps as bars or times of the score, such as "bars 3, 7-9"."""
+    """Return control steps as bars or times of the score, such as "bars 3, 7-9"."""
     dt = practice.plan.track.config.control_timestep
     return describe_times(score, [dt * (step + _LATE) for step in steps])

@@ -34,14 +34,14 @@ class Advance(Protocol):
     """The function that a stage of work calls to show its progress."""
 
     def __call__(self, done: int, total: int, remark: str = "") -> None:
-        """Shows how many of `total` units are done; time is counted from the first call."""
+        """Show how many of `total` units are done; time is counted from the first call."""
 
 
 @contextmanager
 def progress(
     doing: str, unit: str, seconds_between_lines: float = _SECONDS_BETWEEN_LINES
 ) -> Iterator[Advance]:
-    """Shows a stage of work on stderr, and yields what to call with units done and in all.
+    """Show a stage of work on stderr, and yield what to call with units done and in all.
 
     A bar appears on a terminal after a second, and goes at the end. A file or a pipe gets a line
     at most every `seconds_between_lines`, none for shorter work, and no carriage returns.
@@ -60,7 +60,7 @@ def progress(
 
 @contextmanager
 def one_after_other() -> Iterator[Callable[..., None]]:
-    """Yields a function that shows stages of work, which begin and end as their names change.
+    """Yield a function that shows stages of work, which begin and end as their names change.
 
     It takes the name of the stage, its unit, units done, units in all, and perhaps a remark.
     """
@@ -80,7 +80,7 @@ def one_after_other() -> Iterator[Callable[..., None]]:
 
 @contextmanager
 def stages(playing: str) -> Iterator[Progress]:
-    """Shows one stage of a performance after the other; `playing` is what that stage is called.
+    """Show one stage of a performance after the other; `playing` is what that stage is called.
 
     What an agent does between its actions stands as a remark there.
     """

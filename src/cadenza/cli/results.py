@@ -58,7 +58,7 @@ def results(command: Results) -> None:
 
 
 def in_text(summary: BenchSummary) -> str:
-    """Returns the table of agents for a terminal: means."""
+    """Return the table of agents for a terminal: means."""
     from cadenza.report.bench_summary import HEADLINES, METRICS, interval_text, metric_text
 
     titles = [METRICS[name].title for name in HEADLINES]

@@ -52,7 +52,7 @@ class _Command(Protocol):
 
 
 def check_execution(command: _Command) -> None:
-    """Raises a CadenzaError if an option of where runs are carried out makes no sense."""
+    """Raise a CadenzaError if an option of where runs are carried out makes no sense."""
     execution = command.execution
     for name, number in ("num_threads", command.num_threads), ("jobs", execution.jobs):
         if number is not None:
@@ -78,7 +78,7 @@ class Work:
 
 
 def run_all(command: _Command, jobs: Sequence[BenchJob], work: Work) -> None:
-    """Carries out the jobs that are not complete yet, until Ctrl-C, and prints what is left.
+    """Carry out the jobs that are not complete yet, until Ctrl-C, and print what is left.
 
     Raises:
         KeyboardInterrupt: some runs are left.
@@ -132,7 +132,7 @@ class _Table:
         self._began: dict[str, float] = {}
 
     def show(self, state: BenchState) -> None:
-        """Shows how far the runs are now."""
+        """Show how far the runs are now."""
         if not self._live or QUIET.get():
             return
         columns, rows = shutil.get_terminal_size()
@@ -145,7 +145,7 @@ class _Table:
         self._lines = len(lines) + 1
 
     def ended(self, state: BenchState, job: BenchJob) -> None:
-        """Prints what became of a run that has finished or failed, or whose process has died."""
+        """Print what became of a run that has finished or failed, or whose process has died."""
         if QUIET.get():
             return
         self.close()
@@ -154,7 +154,7 @@ class _Table:
         print(f"{done}{_outcome_line(state, job, self._work)}", file=sys.stderr)
 
     def close(self) -> None:
-        """Takes away what `show` has drawn."""
+        """Take away what `show` has drawn."""
         if self._lines:
             print(f"\x1b[{self._lines}F\x1b[J", end="", file=sys.stderr, flush=True)
         self._lines = 0
@@ -173,7 +173,7 @@ class _Table:
 
 
 def _fitted_label(job: BenchJob, columns: int) -> str:
-    """Returns the name of a run; without enough room, its beginning is left out."""
+    """Return the name of a run; without enough room, its beginning is left out."""
     name = _label(job)
     return f"…{name[1 - columns :]}" if len(name) > columns else name.ljust(columns)
 
@@ -196,7 +196,7 @@ def _outcome_line(state: BenchState, job: BenchJob, work: Work) -> str:
 
 
 def _counts(state: BenchState, **others: int) -> str:
-    """Returns how many runs are finished, and how many failed and so on if there are any."""
+    """Return how many runs are finished, and how many failed and so on if there are any."""
     counts = {"failed": len(state.failed), **others}
     parts = [f"{state.finished} of {state.total} runs finished"]
     parts += [f"{count} {what.replace('_', ' ')}" for what, count in counts.items() if count]
@@ -204,7 +204,7 @@ def _counts(state: BenchState, **others: int) -> str:
 
 
 def _print_summary(state: BenchState, folder: Path, next_command: Sequence[str]) -> None:
-    """Prints how many runs are finished, and which command sums them up.
+    """Print how many runs are finished, and which command sums them up.
 
     Raises:
         KeyboardInterrupt: some runs are left.

@@ -28,7 +28,7 @@ _REWARDED = {
 
 
 def check_name(path: Path, suffix: str, what: str) -> None:
-    """Checks the name of an output file before anything is made for it.
+    """Check the name of an output file before anything is made for it.
 
     Raises:
         CadenzaError: it has another ending than `suffix`, or is a folder; `what` says why.
@@ -40,7 +40,7 @@ def check_name(path: Path, suffix: str, what: str) -> None:
 
 
 def check_writable(folder: Path, option: str = "--output", mode: int = 0o777) -> None:
-    """Checks that results can be written to a folder before anything is played for it.
+    """Check that results can be written to a folder before anything is played for it.
 
     Args:
         folder: it is made, with this `mode`, if it is not there.
@@ -99,7 +99,7 @@ def film(
     look: Look | None = None,
     excerpt: FilmExcerpt | None = None,
 ) -> None:
-    """Makes the film of the performance in a folder as `write_film` does, with progress.
+    """Make the film of the performance in a folder as `write_film` does, with progress.
 
     Raises:
         CadenzaError: as `write_film` raises it.
@@ -112,7 +112,7 @@ def film(
 
 
 def print_scores(performance: Performance) -> None:
-    """Prints how well a song was played, and how long that took."""
+    """Print how well a song was played, and how long that took."""
     metrics = performance.metrics
     print(
         f"F1 {metrics['f1']:.3f}  precision {metrics['precision']:.3f}  "
@@ -131,7 +131,7 @@ def print_scores(performance: Performance) -> None:
 
 
 def _expression_summary(metrics: Mapping[str, Any]) -> str:
-    """Returns how far onsets and velocities are off as text; nothing if no note was found."""
+    """Return how far onsets and velocities are off as text; nothing if no note was found."""
     delay, error = metrics["onset_delay"], metrics["onset_error_median"]
     if delay is None or error is None:
         return ""
@@ -145,7 +145,7 @@ def _expression_summary(metrics: Mapping[str, Any]) -> str:
 
 
 def _return_summary(metrics: Mapping[str, Any]) -> str:
-    """Returns the return and its terms as text, and whose fingers were rewarded."""
+    """Return the return and its terms as text, and whose fingers were rewarded."""
     terms = {
         name.removeprefix("reward/").replace("_", " "): value
         for name, value in metrics.items()
@@ -157,7 +157,7 @@ def _return_summary(metrics: Mapping[str, Any]) -> str:
 
 
 def print_losses(performance: Performance) -> None:
-    """Prints how many notes were missed, and why, if there was a plan."""
+    """Print how many notes were missed, and why, if there was a plan."""
     from collections import Counter
 
     from cadenza.agents.planner.misses import summary

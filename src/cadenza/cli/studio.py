@@ -55,6 +55,6 @@ def run(command: StudioCommand) -> None:
 
 
 def need_server() -> None:
-    """Raises a CadenzaError if the packages that serve pages are not installed."""
+    """Raise a CadenzaError if the packages that serve pages are not installed."""
     if any(find_spec(name) is None for name in ("starlette", "uvicorn", "websockets")):
         raise CadenzaError(f"pages need a web server: {install_line('studio')}")

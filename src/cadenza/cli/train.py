@@ -92,7 +92,7 @@ class Curves:
 
 
 def default(chosen: Chosen) -> Train:
-    """Returns the command with what its options change: a run's training, or that of a preset.
+    """Return the command with what its options change: a run's training, or that of a preset.
 
     Raises:
         CadenzaError: there is no such run, learner or setup.
@@ -138,7 +138,7 @@ def train(command: Train) -> None:
 
 
 def _name_of(songs: Sequence[str]) -> str:
-    """Returns the name of the folder of a run, and what its pages are called."""
+    """Return the name of the folder of a run, and what its pages are called."""
     from cadenza.music.libraries.library import find_song
 
     first, *more = songs
@@ -147,7 +147,7 @@ def _name_of(songs: Sequence[str]) -> str:
 
 
 def _title(scores: Sequence[Score]) -> str:
-    """Returns what a run learns, for its page."""
+    """Return what a run learns, for its page."""
     first, *more = scores
     return first.title + (f" and {len(more)} more" if more else "")
 
@@ -193,7 +193,7 @@ def _train(command: Train, folder: Path) -> None:
 
 
 def _print_when_it_plays_well(command: Train) -> None:
-    """Prints after how many steps a short tune plays well, by docs/learning.md."""
+    """Print after how many steps a short tune plays well, by docs/learning.md."""
     config, enough = command.training, _steps_to_play_well(command)
     if QUIET.get() or enough is None:
         return
@@ -206,7 +206,7 @@ def _print_when_it_plays_well(command: Train) -> None:
 
 
 def _steps_to_play_well(command: Train) -> int | None:
-    """Returns the steps after which a short tune plays well; None where that was not measured."""
+    """Return the steps after which a short tune plays well; None where that was not measured."""
     usual = (command.preset, command.setup, command.learner) == ("fast", None, Train.learner)
     steps = PLAYS_WELL[command.training.residual]
     return steps if usual and steps < command.training.num_steps else None
@@ -214,7 +214,7 @@ def _steps_to_play_well(command: Train) -> int | None:
 
 @contextmanager
 def _prints_how_to_resume(folder: Path, config: TrainingConfig) -> Iterator[None]:
-    """Prints the command that resumes the run when it is interrupted."""
+    """Print the command that resumes the run when it is interrupted."""
     again = ["cadenza", "train", "--resume", str(folder)]
     for option, name in named_by_module(config.scene).items():
         again += [f"--{option}", name]
@@ -228,7 +228,7 @@ def _prints_how_to_resume(folder: Path, config: TrainingConfig) -> Iterator[None
 
 
 def _train_until_stopped(training: Training, command: Train, run: RunFolder, song: str) -> bool:
-    """Trains until the last step, or until a signal; returns whether the last step was reached."""
+    """Train until the last step, or until a signal; return whether the last step was reached."""
     from cadenza.report.scalars import Scalars, TensorBoard, WeightsAndBiases
 
     shown: list[Scalars] = [TensorBoard(run.path / "tensorboard", training.step)]
@@ -274,7 +274,7 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
 
 
 def _write_curves(folder: Path, song: str, config: TrainingConfig, going_on: bool = False) -> None:
-    """Writes the page of a run."""
+    """Write the page of a run."""
     from cadenza.report.html_pages import write_page
     from cadenza.report.training_page import training_page
 
@@ -304,7 +304,7 @@ def curves(command: Curves) -> None:
 
 
 def _title_and_settings(run: Path) -> list[str]:
-    """Returns the song of a run, its preset, and the settings that differ from it but the seed.
+    """Return the song of a run, its preset, and the settings that differ from it but the seed.
 
     Of a folder that has the figures only, its name without the number at the end is taken for the
     song.

@@ -315,7 +315,7 @@ def _gathered(rows: Sequence[_Rows], episode: Ids, within: Ids) -> Array:
 
 
 def _allow_open_files() -> None:
-    """Allows as many as the system does: each mapped array is one, and episodes have two."""
+    """Allow as many as the system does: each mapped array is one, and episodes have two."""
     try:
         import resource  # which only Unix has
     except ImportError:

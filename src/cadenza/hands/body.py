@@ -240,7 +240,7 @@ class BodyBuilder:
         )
 
     def _mount(self, body: mujoco.MjsBody) -> None:
-        """Places the forearm and gives it the degrees of freedom that were asked for."""
+        """Place the forearm, and give it the degrees of freedom that were asked for."""
         sign = 1.0 if self._side == "right" else -1.0
         if (mount := self._body.mount) is not None:
             x, y, z = mount.pos

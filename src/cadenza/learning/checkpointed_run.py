@@ -78,7 +78,7 @@ class CheckpointedRun(ABC):
         self._metrics_log = MetricsLog(folder.path)
 
     def _begin(self) -> None:  # noqa: B027 - most have nothing to do
-        """Begins a run without a checkpoint."""
+        """Begin a run without a checkpoint."""
 
     @abstractmethod
     def _learn(self) -> Row | None:
@@ -105,7 +105,7 @@ class CheckpointedRun(ABC):
         """Write what has been learnt so far."""
 
     def _settle(self) -> None:  # noqa: B027 - most have nothing to do
-        """Finishes what goes on in the background, before a checkpoint."""
+        """Finish what goes on in the background, before a checkpoint."""
 
     @property
     def finished(self) -> bool:

@@ -64,7 +64,7 @@ def _claims_folder() -> Path:
 
 
 def _claims(folder: Path, stack: ExitStack, cores: set[int], share: int) -> Iterator[int]:
-    """Claims the cores one by one whose `share` nobody has, until `stack` ends.
+    """Claim the cores one by one whose `share` nobody has, until `stack` ends.
 
     Raises:
         OSError: they cannot be claimed.

@@ -130,7 +130,7 @@ class LearnerConfig:
 
     @classmethod
     def preset(cls, name: Preset, residual: bool) -> Self:  # noqa: ARG003
-        """Returns the options of a preset; by default the same for all."""
+        """Return the options of a preset; by default the same for all."""
         return cls()
 
     def check(self) -> None:

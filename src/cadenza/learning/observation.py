@@ -269,7 +269,7 @@ class Observer:
         reference: Floats | None = None,
         ranges: Ranges | None = None,
     ) -> None:
-        """Observes nothing yet.
+        """Observe nothing yet.
 
         Args:
             task: The task that is observed.

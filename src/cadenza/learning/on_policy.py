@@ -62,7 +62,7 @@ class RolloutExperience(ABC):
         return ()
 
     def drop_unneeded(self) -> None:  # noqa: B027 - the protocol's
-        """Deletes nothing, as nothing was written."""
+        """Delete nothing, as nothing was written."""
 
 
 class HostRollouts(RolloutExperience):

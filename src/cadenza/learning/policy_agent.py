@@ -27,7 +27,7 @@ class PolicyAgent(Agent):
         reference: Reference | None,
         ranges: Ranges | None,
     ) -> None:
-        """Prepares nothing before the first step.
+        """Prepare nothing before the first step.
 
         Args:
             policy: The policy that plays.
@@ -71,7 +71,7 @@ class PolicyAgent(Agent):
         return self._mapping.ctrl(self._action, step, view.state)
 
     def _prepare(self, view: View) -> None:
-        """Gets ready for another task."""
+        """Get ready for another task."""
         self._check_fits(view)
         self._task = task = view.task
         self._mapping = ActionMapping(task, self._reference, self._ranges)

@@ -88,7 +88,7 @@ class HandArrangement:
         }
 
     def fates(self, track: GoalTrack) -> Iterator[Fate]:
-        """Yields what became of each note of the song that the keyboard has.
+        """Yield what became of each note of the song that the keyboard has.
 
         Args:
             track: the goals of an episode, of the arranged song; times are on its clock.
@@ -102,7 +102,7 @@ class HandArrangement:
                 yield Fate(moved, None if played is None else played + transposed)
 
     def _on_clock(self, track: GoalTrack) -> Iterator[Note]:
-        """Yields the notes of the original that the keyboard has, on the clock of the track."""
+        """Yield the notes of the original that the keyboard has, on the clock of the track."""
         at, transposed = self._clock(track)
         for note in self.original.notes:
             start, pitch = at(note.start), note.pitch + transposed

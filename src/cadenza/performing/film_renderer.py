@@ -85,7 +85,7 @@ class Look:
     fps: int = 60
 
     def __post_init__(self) -> None:
-        """Checks the size and the rate.
+        """Check the size and the rate.
 
         Raises:
             CadenzaError: the film is too small, too large, too slow or too fast.
@@ -106,7 +106,7 @@ class FilmRenderer(Canvas):
     def __init__(
         self, scene: Scene, episode: Episode, goal: Score, look: Look, titles: Sequence[str]
     ) -> None:
-        """Opens a graphics context.
+        """Open a graphics context.
 
         Args:
             scene: the scene of the episode.
@@ -137,7 +137,7 @@ class FilmRenderer(Canvas):
         self._light = float(model.light_pos[0, 1])
 
     def frame(self, time: float) -> NDArray[np.uint8]:
-        """Draws the picture (height, width, 3) at a time [s], larger than the film by `_SHARPER`.
+        """Draw the picture (height, width, 3) at a time [s], larger than the film by `_SHARPER`.
 
         States lie at the ends of control steps, and are interpolated between them.
         """
@@ -204,7 +204,7 @@ def _at(rows: NDArray[Any], time: float, dt: float) -> NDArray[Any]:
 
 
 def _around_hands(episode: Episode) -> NDArray[np.float64]:
-    """Returns where along the keyboard a tall picture begins and ends [m], (T, 2).
+    """Return where along the keyboard a tall picture begins and ends [m], (T, 2).
 
     All fingertips are in it now and for a while before and after, and it moves slowly.
     """
@@ -238,7 +238,7 @@ class _FallingNotes:
         self._frame = np.stack([self._back, side, np.cross(self._back, side)], axis=1)
 
     def add_to(self, scene: mujoco.MjvScene, time: float, sounding: NDArray[Any]) -> None:
-        """Adds the track and what is on it at a time [s], while the keys of a mask (K,) sound."""
+        """Add the track and what is on it at a time [s], while the keys of a mask (K,) sound."""
         self._add(scene, (0.0, self._length), 0.0, self._half_width, 0.001, -0.0035, _TRACK)
         now = _PAST * _SPEED
         self._add(scene, (now - 0.0010, now + 0.0010), 0.0, self._half_width, 0.001, -0.002, _NOW)
@@ -253,7 +253,7 @@ class _FallingNotes:
     def _add_note(
         self, scene: mujoco.MjvScene, note: Note, ahead: tuple[float, float], hit: bool | None
     ) -> None:
-        """Adds a note that lies so many seconds from the lower edge; `hit` says what it is now.
+        """Add a note that lies so many seconds from the lower edge; `hit` says what it is now.
 
         That is None for a note that is not to sound now.
         """
@@ -284,7 +284,7 @@ class _FallingNotes:
         self, scene: mujoco.MjvScene, span: tuple[float, float], y: float, half_width: float,
         half_height: float, height: float, colour: tuple[float, float, float], glow: float = 0.0,
     ) -> None:  # fmt: skip
-        """Adds a box to the track, from and to so far from its lower edge [m]."""
+        """Add a box to the track, from and to so far from its lower edge [m]."""
         if scene.ngeom >= scene.maxgeom:
             return
         x = (span[0] + span[1]) / 2

@@ -49,7 +49,7 @@ class FilmExcerpt:
     seconds: float | None = None
 
     def of(self, length: float) -> tuple[float, float]:
-        """Returns from when to when it is, of a performance of a length, all in [s].
+        """Return from when to when it is, of a performance of a length, all in [s].
 
         Raises:
             CadenzaError: there is nothing of it.
@@ -68,12 +68,12 @@ WHOLE = FilmExcerpt()
 
 
 def look_of(path: Path) -> Look:
-    """Returns the usual look of a film: that of an animation is smaller and has fewer pictures."""
+    """Return the usual look of a film: that of an animation is smaller and has fewer pictures."""
     return Look(640, 360, 20) if path.suffix.lower() in ANIMATIONS else Look()
 
 
 def check_film(path: Path) -> None:
-    """Checks the name of a film, an animation or a sound before it is made.
+    """Check the name of a film, an animation or a sound before it is made.
 
     Raises:
         CadenzaError: it has another ending, or is a folder.
@@ -95,7 +95,7 @@ def write_film(
     voice: Tone = tone,
     progress: Progress = silent,
 ) -> Path:
-    """Writes the film of a performance, or what else the ending of a name asks for.
+    """Write the film of a performance, or what else the ending of a name asks for.
 
     Args:
         folder: what `Performance.save` wrote.
@@ -153,7 +153,7 @@ def _heard(episode: Episode, excerpt: FilmExcerpt, voice: Tone) -> Samples:
 def _drawn(
     folder: Path, look: Look, times: NDArray[np.float64], progress: Progress
 ) -> Iterator[NDArray[np.uint8]]:
-    """Draws pictures in several processes, and yields them in their order."""
+    """Draw pictures in several processes, and yield them in their order."""
     cores = available_cores()
     pieces = (times[i : i + _AT_ONCE] for i in range(0, len(times), _AT_ONCE))
     done = 0
@@ -181,7 +181,7 @@ def _begin(folder: Path, look: Look) -> None:
 
 
 def renderer_of(folder: Path, look: Look) -> FilmRenderer:
-    """Returns what draws the performance in a folder.
+    """Return what draws the performance in a folder.
 
     Raises:
         CadenzaError: it is not such a folder, or this machine cannot draw.
@@ -194,7 +194,7 @@ def renderer_of(folder: Path, look: Look) -> FilmRenderer:
 
 
 def _titles(episode: Episode, settings: Mapping[str, Any]) -> list[str]:
-    """Names the song, who wrote it if a library says so, and who plays."""
+    """Name the song, who wrote it if a library says so, and who plays."""
     by = ""
     with suppress(CadenzaError):  # a file, or a library that is not here
         by = find_song(str(settings.get("song"))).composer

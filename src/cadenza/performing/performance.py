@@ -80,7 +80,7 @@ class Performance:
         return f"Performance({self.score.title!r} by {agent}, {self.seconds:.1f} s, F1 {f1:.3f})"
 
     def _repr_html_(self) -> str:
-        """Returns the page of `save` for a notebook; for long music, only how to see the page."""
+        """Return the page of `save` for a notebook; for long music, only how to see the page."""
         if self.seconds > _IN_A_NOTEBOOK:
             what, how = html.escape(repr(self)), "<code>.save(folder)</code> writes report.html"
             return f"<p>{what} is long; {how}, the page to watch and hear it.</p>"
@@ -117,7 +117,7 @@ class Performance:
     def save(
         self, folder: str | Path, progress: Progress = silent, page: bool = True, voice: Tone = tone
     ) -> None:
-        """Writes what `cadenza play` leaves: report.html, metrics.json, episode.npz and so on.
+        """Write what `cadenza play` leaves: report.html, metrics.json, episode.npz and so on.
 
         Args:
             folder: files of an earlier performance are replaced.
@@ -145,7 +145,7 @@ class Performance:
 
 
 def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
-    """Checks the folder to which results will be written before a song is played.
+    """Check the folder to which results will be written before a song is played.
 
     Raises:
         CadenzaError: they would replace the song, or files that no performance has left there.
@@ -164,7 +164,7 @@ def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
 
 
 def _are_results(folder: Path) -> bool:
-    """Returns whether a performance was saved in the folder."""
+    """Return whether a performance was saved in the folder."""
     try:
         settings = read_json(folder / "settings.json", dict[str, Any])
     except CadenzaError:
@@ -173,7 +173,7 @@ def _are_results(folder: Path) -> bool:
 
 
 def add_page(folder: Path, goal: Score, audio: Sound | None = None, voice: Tone = tone) -> None:
-    """Makes the page of a performance from its files.
+    """Make the page of a performance from its files.
 
     Args:
         folder: of the performance.
@@ -221,7 +221,7 @@ def play(
     progress: Progress = silent,
     num_threads: int | None = None,
 ) -> Performance:
-    """Plays a song with an agent, as `cadenza play` does::
+    """Play a song with an agent, as `cadenza play` does::
 
         performance = cadenza.play("OdeToJoy")
         print(performance.metrics["f1"])
@@ -261,7 +261,7 @@ def play(
 def perform(
     setup: Setup, progress: Progress = silent, stop: Callable[[], bool] = lambda: False
 ) -> Performance:
-    """Plays one episode, up to the step after which `stop` is true.
+    """Play one episode, up to the step after which `stop` is true.
 
     Raises:
         CadenzaError: the agent cannot play this task, or the seed is negative.
@@ -303,7 +303,7 @@ def _energy(metrics: Mapping[str, Any], task: TaskConfig) -> float | None:
 
 
 def hand_episodes(episode: Episode, scene: Scene) -> dict[Side, Episode]:
-    """Returns side -> the episode of that hand in its own scene; empty if they play together."""
+    """Return side -> the episode of that hand in its own scene; empty if they play together."""
     apart = f"{SIDES[0]}_key_qpos" in episode.arrays
     return {side: _hand_episode(episode, scene, side) for side in scene.sides} if apart else {}
 

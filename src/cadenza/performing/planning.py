@@ -63,7 +63,7 @@ class Plan:
         return self.performance.metrics
 
     def save(self, path: str | Path) -> None:
-        """Writes the actions to `path`, a .safetensors file, and the fingers beside it.
+        """Write the actions to `path`, a .safetensors file, and the fingers beside it.
 
         `cadenza.play(song, "playback", plan=path)` plays the actions. The fingers go to a file
         whose name ends in .safetensors.fingering; call it `song.fingering`, and they go with
@@ -104,7 +104,7 @@ def plan(
     progress: Progress = silent,
     num_threads: int | None = None,
 ) -> Plan:
-    """Plans how to play a song, as `cadenza plan` does.
+    """Plan how to play a song, as `cadenza plan` does.
 
     Args:
         song, seed, task, scene, progress, num_threads: as for `cadenza.play`.

@@ -30,13 +30,13 @@ _MAX_SAVING = 0.05  # share of the time that is spent on saving
 
 
 def practice_folder(path: Path) -> ResumableFolder:
-    """Returns the folder of practice, whose manifest says of what song, in what task and scene."""
+    """Return the folder of practice, whose manifest says of what song, in what task and scene."""
     locked_out = "somebody practises there; choose another folder with --output"
     return ResumableFolder(path, "cadenza practice", locked_out, PRACTISED_HOW)
 
 
 def check_is_practice(folder: Path) -> None:
-    """Checks that practice may go on in a folder.
+    """Check that practice may go on in a folder.
 
     Raises:
         CadenzaError: it holds a plan that was made in another way.
@@ -58,7 +58,7 @@ class Practising:
     """
 
     def __init__(self, setup: Setup, folder: ResumableFolder, progress: Progress = silent) -> None:
-        """Restores what was practised in the folder, and writes what it is practice of.
+        """Restore what was practised in the folder, and write what it is practice of.
 
         Args:
             setup: the song, with the planner as its agent.
@@ -85,11 +85,11 @@ class Practising:
         folder.write_manifest(settings)
 
     def save(self) -> None:
-        """Saves in the folder how far practice has got."""
+        """Save in the folder how far practice has got."""
         self.practice.save(self._path)
 
     def save_plan(self) -> None:
-        """Performs what is played best so far, and saves it in the folder for `cadenza play`.
+        """Perform what is played best so far, and save it in the folder for `cadenza play`.
 
         Nothing is saved if the performance ended early, because of a wrong key, or if the task is
         not played on the nominal model.

@@ -13,7 +13,7 @@ from cadenza.performing.setup import Setup
 
 
 def replay_episode(recorded: RecordedEpisode, progress: Progress = silent) -> Performance:
-    """Plays a recorded episode again, with the noise that it was recorded with."""
+    """Play a recorded episode again, with the noise that it was recorded with."""
     about = recorded.facts
     scene = recorded.build_scene()
     with task_of(recorded, scene) as task:

@@ -18,7 +18,7 @@ _MARGIN = 0.05  # of the shorter side
 
 
 def draw_titles(picture: NDArray[np.uint8], lines: Sequence[str], time: float) -> None:
-    """Draws what a film says when it begins into the upper left of a picture (height, width, 3).
+    """Draw what a film says when it begins into the upper left of a picture (height, width, 3).
 
     The first line is in large letters. What is too long for the picture is made smaller.
 

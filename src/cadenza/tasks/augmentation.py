@@ -40,7 +40,7 @@ def prepare_tracks(
     scene: Scene,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[GoalTrack, ...]:
-    """Trims, stretches and transposes the scores, and fingers them for the hands of a `scene`.
+    """Trim, stretch and transpose the scores, and finger them for the hands of a `scene`.
 
     `progress` is called as by `find_fingering`.
 

@@ -39,7 +39,7 @@ class ILQG(PlannerPerEnv["ILQGPlanner"]):
     """An agent that plans anew at every control step. Nothing is random."""
 
     def __init__(self, config: ILQGConfig | None = None) -> None:
-        """Checks the options, and raises a `CadenzaError` if one makes no sense."""
+        """Check the options, and raise a `CadenzaError` if one makes no sense."""
         super().__init__()
         self.config = config or ILQGConfig()
         check_ranges(
@@ -76,7 +76,7 @@ class ILQGPlanner(EpisodePlanner):
     """
 
     def __init__(self, view: View, config: ILQGConfig, num_threads: int) -> None:
-        """Begins with a plan at rest, from the view of the first step of one environment.
+        """Begin with a plan at rest, from the view of the first step of one environment.
 
         Raises:
             CadenzaError: the timesteps of task and plan do not divide.
@@ -117,7 +117,7 @@ class ILQGPlanner(EpisodePlanner):
         return np.append(action, float(self._goals.sustain[now]))
 
     def _ctrl(self, controls: Array) -> Array:
-        """Converts controls in half ranges to actuator units."""
+        """Convert controls in half ranges to actuator units."""
         limits = self._task.action_low[:-1], self._task.action_high[:-1]
         return np.clip(self._centre + self._half_range * controls, *limits)
 

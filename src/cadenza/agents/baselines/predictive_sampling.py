@@ -28,7 +28,7 @@ class PredictiveSampling(PlannerPerEnv["SamplingPlanner"]):
     """An agent that plans anew at every control step."""
 
     def __init__(self, config: PredictiveSamplingConfig | None = None) -> None:
-        """Checks the options, and raises a `CadenzaError` if one makes no sense."""
+        """Check the options, and raise a `CadenzaError` if one makes no sense."""
         super().__init__()
         self.config = config or PredictiveSamplingConfig()
         config = self.config
@@ -73,7 +73,7 @@ class SamplingPlanner(EpisodePlanner):
         config: PredictiveSamplingConfig,
         num_threads: int,
     ) -> None:
-        """Begins with a plan at rest, from the view of the first step of one environment."""
+        """Begin with a plan at rest, from the view of the first step of one environment."""
         task, step = view.task, config.planning_timestep
         self.config, self._task, self._rng = config, task, rng
         self._goals = view.tracks[0].goals

@@ -51,7 +51,7 @@ class Generalist(PlannerPerEnv["SongPlanner | SightReader"]):
     """
 
     def __init__(self, config: GeneralistConfig | None = None) -> None:
-        """Checks the options, and raises a `CadenzaError` if one makes no sense."""
+        """Check the options, and raise a `CadenzaError` if one makes no sense."""
         super().__init__()
         self.config = config or GeneralistConfig()
         if self.config.look_ahead is not None:
@@ -148,7 +148,7 @@ class SightReader(EpisodePlanner):
         return np.append(ctrl, self._goals.sustain[step])
 
     def _plan_from(self, step: int, state: State) -> SongPlan:
-        """Plans what is in sight at a step, which is the first of the plan."""
+        """Plan what is in sight at a step, which is the first of the plan."""
         self._planned = step
         keys, _ = self._goals.at(step + self._ahead)
         strikes = self._strikes.by_place(step, step + len(keys))

@@ -67,7 +67,7 @@ class RecedingPlanner:
     def __init__(
         self, scene: Scene, motion: MotionPlanner, players: Players, hand_qpos: Array, dt: float
     ) -> None:
-        """Begins without any notes, at joint positions (J,) [m, rad], in steps of `dt` [s]."""
+        """Begin without any notes, at joint positions (J,) [m, rad], in steps of `dt` [s]."""
         self._scene, self._dt, self._motion = scene, dt, motion
         self._fingers = OnlineFingering(players, _ONSETS_AT_ONCE)
         self._notes: list[_SightedNote] = []

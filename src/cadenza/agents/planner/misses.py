@@ -301,7 +301,7 @@ class _Diagnosis:
 
 
 def _left_out(track: GoalTrack) -> Mapping[tuple[int, int], str]:
-    """Maps (key, step) to why the note that begins there has no finger.
+    """Map (key, step) to why the note that begins there has no finger.
 
     Where a key is struck again at once, the goal begins a step after the note.
     """

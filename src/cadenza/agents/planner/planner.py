@@ -29,7 +29,7 @@ class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
     """
 
     def __init__(self, config: PlannerConfig | None = None) -> None:
-        """Checks the options, and raises a `CadenzaError` if one makes no sense."""
+        """Check the options, and raise a `CadenzaError` if one makes no sense."""
         super().__init__()
         self.config = config or PlannerConfig()
         check_ranges(
@@ -93,7 +93,7 @@ class SongPlanner(EpisodePlanner):
     def __init__(
         self, plans: Iterator[SongPlan], hands_for: Callable[[SongPlan], Sequence[PlanPlayer]]
     ) -> None:
-        """Plans the first window; each of the `plans` goes further than the one before.
+        """Plan the first window; each of the `plans` goes further than the one before.
 
         Raises:
             CadenzaError: there are no hands in the scene.

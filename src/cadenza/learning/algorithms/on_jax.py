@@ -27,7 +27,7 @@ xavier = nn.initializers.xavier_uniform()
 
 
 def start_jax() -> int | None:
-    """Starts JAX with two threads, on one core and on many, unless something has done so before.
+    """Start JAX with two threads, on one core and on many, unless something has done so before.
 
     The order in which XLA sums depends on its number of threads, and so do the last digits of
     everything learnt. The variable NPROC is the only way to set it, and XLA reads it as it starts.

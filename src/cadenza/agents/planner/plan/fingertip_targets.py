@@ -68,7 +68,7 @@ class Targets(NamedTuple):
 
 
 def by_hand(rows: Array, hands: int) -> Array:
-    """Reshapes rows (N, H X, ...), in which values of a hand are adjacent, to (N, H, X, ...)."""
+    """Reshape rows (N, H X, ...), in which values of a hand are adjacent, to (N, H, X, ...)."""
     return rows.reshape(len(rows), hands, -1, *rows.shape[2:])
 
 
@@ -115,7 +115,7 @@ class _TargetWriter:
         return self._targets
 
     def _approach(self, presses: _PressArrays, over: Array) -> None:
-        """Puts fingers over their keys, the more closely the nearer in time, and low when ready."""
+        """Put fingers over their keys, the more closely the nearer in time, and low when ready."""
         approach, ready = steps_in(_APPROACH, self._dt), steps_in(_READY, self._dt)
         risen = presses.before + steps_in(RISE, self._dt)
         which, states = self._spread(np.maximum(presses.first - approach, risen), presses.first)
@@ -135,7 +135,7 @@ class _TargetWriter:
         self._box(presses, which, states, over, (low, high), sigma)
 
     def _hold(self, presses: _PressArrays) -> None:
-        """Puts fingers just below the stops of their keys, with the force that holds those down."""
+        """Put fingers just below the stops of their keys, with the force that holds those down."""
         keyboard, key = self._keyboard, presses.key
         at = self._at(presses, keyboard.travel[key])
         which, states = self._spread(presses.first, presses.last)
@@ -174,7 +174,7 @@ class _TargetWriter:
         targets.force[first, finger] = striking_torque(keyboard, key, speed) / lever
 
     def _let_go(self, presses: _PressArrays, over: Array) -> None:
-        """Lifts fingers straight up, or they would drag along the key; in a jump just up."""
+        """Lift fingers straight up, or they would drag along the key; in a jump just up."""
         risen = presses.last + steps_in(RISE, self._dt)
         which, states = self._spread(presses.last, np.minimum(risen, presses.until))
         sigma = np.tile(_ABOVE_KEY, (len(which), 1))
@@ -198,7 +198,7 @@ class _TargetWriter:
         height: tuple[Array, Array],
         sigma: Array,
     ) -> None:
-        """Writes boxes (N,) around places `at` (P, 3), between two heights (N,)."""
+        """Write boxes (N,) around places `at` (P, 3), between two heights (N,)."""
         targets, there, finger = self._targets, at[which, :2], presses.finger[which]
         low, high = (
             np.column_stack([there + room, z])

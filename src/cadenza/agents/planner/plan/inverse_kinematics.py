@@ -211,7 +211,7 @@ class PostureProblem:
     def __init__(
         self, kinematics: Kinematics, targets: Targets, guess: Array, before: Array, dt: float
     ) -> None:
-        """Sets up the problem of `solve_postures`."""
+        """Set up the problem of `solve_postures`."""
         self._kinematics, scene, servos = kinematics, kinematics.scene, kinematics.servos
         self._hands = len(scene.sides)
         low, high, sigma, wall, self._force = (

@@ -61,7 +61,7 @@ Term = tuple[Array, Array]
 
 
 def stacked(terms: Iterable[Term]) -> Term:
-    """Concatenates the residuals of terms, and their Jacobians."""
+    """Concatenate the residuals of terms, and their Jacobians."""
     residuals, jacobians = zip(*terms, strict=True)
     return np.concatenate(residuals, axis=-1), np.concatenate(jacobians, axis=-2)
 
@@ -73,7 +73,7 @@ class TipsInBoxes:
     """Distances of fingertips from their boxes, three for each."""
 
     def __init__(self, low: Array, high: Array, sigma: Array) -> None:
-        """Takes the boxes (S, H, F, 3) of `Targets`."""
+        """Take the boxes (S, H, F, 3) of `Targets`."""
         self._boxes = low, high, sigma
 
     def __call__(self, hands: PosedHands) -> Term:
@@ -89,7 +89,7 @@ class TipsBehindBlackKeys:
     """Distances of fingertips that press white keys into the wall of black keys behind these."""
 
     def __init__(self, wall: Array) -> None:
-        """Takes `wall` (S, H, F) of `Targets`."""
+        """Take `wall` (S, H, F) of `Targets`."""
         self._wall = wall
 
     def __call__(self, hands: PosedHands) -> Term:
@@ -151,7 +151,7 @@ class ForearmsApart:
     """The overlap of the forearms, which slide along the keyboard."""
 
     def __init__(self, slide: int, mounted_apart: float) -> None:
-        """Takes the servo of a hand that moves its forearm, and the distance of the mounts [m]."""
+        """Take the servo of a hand that moves its forearm, and the distance of the mounts [m]."""
         self._slide, self._mounted_apart = slide, mounted_apart
 
     def near(self, hands: PosedHands) -> NDArray[np.bool_]:
@@ -203,7 +203,7 @@ class Stencil(NamedTuple):
         return diagonals
 
     def add_gradient(self, gradient: Array, weighted: Array) -> None:
-        """Adds the gradient of its squares, given weighted residuals (N, H, A), to `gradient`."""
+        """Add the gradient of its squares, given weighted residuals (N, H, A), to `gradient`."""
         gradient += weighted * self.third
         gradient[:-1] += weighted[1:] * self.second
         gradient[:-2] += weighted[2:] * self.first

@@ -51,7 +51,7 @@ class LinkPairs:
     """
 
     def __init__(self, pairs: list[tuple[tuple[int, int], tuple[int, int]]], radii: Array) -> None:
-        """Takes pairs of (finger, link), and the radii (F, links) of all links [m]."""
+        """Take pairs of (finger, link), and the radii (F, links) of all links [m]."""
         table = np.array(pairs, np.intp).reshape(-1, 2, 2)  # (C, 2, 2)
         self._finger, self._link = table[:, :, 0].T, table[:, :, 1].T  # (2, C)
         begin = self._finger * (radii.shape[1] + 1) + self._link  # as points of all in a row

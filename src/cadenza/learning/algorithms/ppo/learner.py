@@ -53,7 +53,7 @@ class Normalisation(NamedTuple):
     variance: Array
 
     def updated(self, observation: Array) -> Normalisation:
-        """Includes observations (..., D), by Chan et al., Updating Formulae, 1979."""
+        """Include observations (..., D), by Chan et al., Updating Formulae, 1979."""
         flat = observation.reshape(-1, observation.shape[-1])
         count, total = len(flat), self.count + len(flat)
         mean, variance = flat.mean(axis=0), flat.var(axis=0)
