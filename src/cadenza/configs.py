@@ -164,8 +164,8 @@ def check_positive(config: object, names: Iterable[str]) -> None:
 
 def _check_range(value: float, name: str, least: float, most: float) -> None:
     if not least <= value <= most:
-        wanted = f"{least} or more" if most >= MAX_COUNT > value else f"{least} to {most}"
-        raise CadenzaError(f"{name} {value}: choose {wanted}")
+        limits = f"{least} or more" if most >= MAX_COUNT > value else f"{least} to {most}"
+        raise CadenzaError(f"{name} {value}: choose {limits}")
 
 
 def _as(value: Any, hint: Any, name: str) -> Any:

@@ -52,10 +52,10 @@ def quoted(value: object, most: int = _MAX_QUOTED) -> str:
         most: what is longer ends with "...".
     """
     try:
-        said = repr(value[: most + 1] if isinstance(value, str | bytes) else value)
+        text = repr(value[: most + 1] if isinstance(value, str | bytes) else value)
     except Exception:  # whole numbers of too many digits, nested lists, classes of users
-        said = f"a value of type {type(value).__name__}"
-    return shortened(said, most)
+        text = f"a value of type {type(value).__name__}"
+    return shortened(text, most)
 
 
 def shortened(text: str, most: int = _MAX_OTHERS) -> str:
@@ -97,8 +97,8 @@ def lacks_memory(error: BaseException) -> bool:
 def _lack_of_memory(error: BaseException | None) -> BaseException | None:
     """The error among `error` and its causes which says that memory was short."""
     while error is not None:
-        said = "" if isinstance(error, CadenzaError) else str(error)
-        if isinstance(error, MemoryError) or any(words in said for words in _LACKS_MEMORY):
+        message = "" if isinstance(error, CadenzaError) else str(error)
+        if isinstance(error, MemoryError) or any(words in message for words in _LACKS_MEMORY):
             return error
         error = error.__cause__
     return None
@@ -115,17 +115,19 @@ def explained(error: BaseException) -> str:
         where = f"{error.filename}: " * bool(error.filename)
         return f"{where}the disk is full; free some space, then give the same command again"
     if (lack := _lack_of_memory(error)) is not None:
-        said = shortened(str(lack)) or type(lack).__name__
-        return f"there is not enough memory ({said}); end other programs, or allow more (ulimit -v)"
+        message = shortened(str(lack)) or type(lack).__name__
+        return (
+            f"there is not enough memory ({message}); end other programs, or allow more (ulimit -v)"
+        )
     return str(error)
 
 
 def with_place(error: BaseException) -> str:
     """The type and the message of an error in a line, and where in the code it was raised."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
-    said = shortened(f"{type(error).__name__}: {error}")
+    message = shortened(f"{type(error).__name__}: {error}")
     where = f" ({frame.filename}, line {frame.lineno})"
-    return said + where * os.path.isfile(frame.filename)  # Python's own imports have no file
+    return message + where * os.path.isfile(frame.filename)  # Python's own imports have no file
 
 
 def in_a_line(error: BaseException, where: object = "") -> str:
@@ -137,8 +139,8 @@ def in_a_line(error: BaseException, where: object = "") -> str:
     """
     if isinstance(error, CadenzaError | OSError):
         return on_one_line(explained(error))
-    said = explained(error) if is_for_users(error) else with_place(error)
-    return f"{where}: {said}" if str(where) else said
+    message = explained(error) if is_for_users(error) else with_place(error)
+    return f"{where}: {message}" if str(where) else message
 
 
 @contextmanager

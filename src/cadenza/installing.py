@@ -26,7 +26,7 @@ def install_line(extra: str) -> str:
     except PackageNotFoundError:  # run from its sources
         return f"{_pip()} --editable {quote(f'{_SOURCES}[{extra}]')}"
     origin = json.loads(installed.read_text("direct_url.json") or "{}")
-    url, wanted = origin.get("url", ""), f"cadenza[{extra}]"
+    url, requirement = origin.get("url", ""), f"cadenza[{extra}]"
     if origin.get("dir_info", {}).get("editable"):
         folder = Path(unquote(urlsplit(url).path))
         if folder / ".venv" == Path(sys.prefix) and extra not in _NOT_BY_MAKE:
@@ -35,7 +35,7 @@ def install_line(extra: str) -> str:
         return f"{_installer(installed)} --editable {quote(f'{folder}[{extra}]')}"
     if repository := origin.get("vcs_info"):
         url = f"{repository['vcs']}+{url}@{repository['commit_id']}"
-    return f"{_installer(installed)} {quote(f'{wanted} @ {url}' if url else wanted)}"
+    return f"{_installer(installed)} {quote(f'{requirement} @ {url}' if url else requirement)}"
 
 
 def _installer(installed: Distribution) -> str:
@@ -47,6 +47,6 @@ def _installer(installed: Distribution) -> str:
 
 def _pip() -> str:
     """How pip installs into this environment, by the name by which a shell finds it."""
-    found = shutil.which("pip")
-    here = found and Path(found).parent == Path(sys.executable).parent
+    pip = shutil.which("pip")
+    here = pip and Path(pip).parent == Path(sys.executable).parent
     return "pip install" if here else f"{quote(sys.executable)} -m pip install"

@@ -77,15 +77,15 @@ class Registry:
         with by_others(f"{what}: cannot import {quoted(module)}"):
             imported = importlib.import_module(module)
         try:
-            found = attrgetter(attribute)(imported)
+            value = attrgetter(attribute)(imported)
         except AttributeError:
             raise CadenzaError(f"{what}: there is no {quoted(attribute)} in {module}") from None
-        if not isinstance(found, kind):
-            wanted = "class" if kind is type else kind.__name__
+        if not isinstance(value, kind):
+            kind_name = "class" if kind is type else kind.__name__
             raise CadenzaError(
-                f"{what}: {entry.place} is of type {type(found).__name__}; give a {wanted}"
+                f"{what}: {entry.place} is of type {type(value).__name__}; give a {kind_name}"
             )
-        return found
+        return value
 
     def _find(self, name: str) -> Entry:
         if name in self.own:

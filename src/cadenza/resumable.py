@@ -150,15 +150,15 @@ class ResumableFolder:
         Raises:
             CadenzaError: The folder holds other work, or a damaged manifest.
         """
-        wanted = plain(fields)
+        expected = plain(fields)
         if self.begun:
             known = self.read_manifest()
-            if known | {name: wanted[name] for name in changeable} != wanted:
+            if known | {name: expected[name] for name in changeable} != expected:
                 raise CadenzaError(
                     f"{self.path}: holds a run with other options; give the same to continue it, "
                     "or choose another folder with --output"
                 )
-        self.write_manifest(wanted)
+        self.write_manifest(expected)
 
     # How far it is
 

@@ -41,8 +41,8 @@ def check_rounding() -> None:
 
     pools = threadpool_info()
     kernels = {p["architecture"] for p in pools if p["internal_api"] == "openblas"}
-    found = np.show_config("dicts")["SIMD Extensions"].get("found", ())
-    if _has_avx2() and (kernels - _SAME or _NEWER.intersection(found)):
+    extensions = np.show_config("dicts")["SIMD Extensions"].get("found", ())
+    if _has_avx2() and (kernels - _SAME or _NEWER.intersection(extensions)):
         warnings.warn(
             "NumPy was imported before cadenza, and rounds as only processors like this one do: "
             "elsewhere, other notes are missed; import cadenza first",

@@ -120,10 +120,10 @@ def agent_options(name: str) -> type | None:
         if "config" not in inspect.signature(kind).parameters:
             return None
         hint = get_type_hints(kind.__init__).get("config")
-        for found in (hint, *get_args(hint)):
-            if isinstance(found, type) and is_dataclass(found):
-                check_kind(found)
-                return found
+        for candidate in (hint, *get_args(hint)):
+            if isinstance(candidate, type) and is_dataclass(candidate):
+                check_kind(candidate)
+                return candidate
     return None
 
 

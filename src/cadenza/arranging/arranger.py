@@ -133,10 +133,10 @@ def held_as_possible(score: Score, players: Players, times: JumpTimes) -> Score:
     """
     notes = list(score.notes)
     for hand in range(len(SIDES)):
-        mine = [i for i, n in enumerate(notes) if n.finger is not None and n.finger.hand == hand]
-        struck = list(chords(mine, TOGETHER, lambda i: notes[i].start))
+        own = [i for i, n in enumerate(notes) if n.finger is not None and n.finger.hand == hand]
+        struck = list(chords(own, TOGETHER, lambda i: notes[i].start))
         _end_for_jumps(notes, struck, hand, players, times)
-        _end_for_other_keys(notes, mine, times)
+        _end_for_other_keys(notes, own, times)
     return replace(score, notes=tuple(notes))
 
 
@@ -174,10 +174,10 @@ def _end_for_jumps(
                 _end(notes, i, begins - jump - _SPARE)
 
 
-def _end_for_other_keys(notes: list[Note], mine: Sequence[int], times: JumpTimes) -> None:
+def _end_for_other_keys(notes: list[Note], own: Sequence[int], times: JumpTimes) -> None:
     """End notes whose finger presses another key next."""
     latest: dict[int, int] = {}
-    for i in mine:
+    for i in own:
         finger = _index(notes[i].finger)
         if (before := latest.get(finger)) is not None and notes[before].pitch != notes[i].pitch:
             climbs = is_black(notes[i].pitch) and not is_black(notes[before].pitch)

@@ -58,15 +58,15 @@ class Fidelity:
         if self.melody_kept == self.bass_kept == self.others_kept == 1 and not changed:
             return "all notes kept"
         melody, bass = _in_words(self.melody_kept), _in_words(self.bass_kept)
-        said = f"{melody} of the melody, {bass} of the bass"
+        summary = f"{melody} of the melody, {bass} of the bass"
         if self.melody_kept == self.bass_kept == 1:
-            said = "melody and bass whole"
-        said += f", {_whole(self.others_kept)} of the other notes"
+            summary = "melody and bass whole"
+        summary += f", {_whole(self.others_kept)} of the other notes"
         if self.notes_moved:
-            said += f", {self.notes_moved} moved by octaves"
+            summary += f", {self.notes_moved} moved by octaves"
         if self.notes_added:
-            said += f", {self.notes_added} struck again"
-        return said
+            summary += f", {self.notes_added} struck again"
+        return summary
 
 
 NOTHING_LOST = Fidelity(1.0, 1.0, 1.0, 1.0, 0, 0)

@@ -137,16 +137,16 @@ def _merged(sources: Iterable[SourceNote]) -> list[SourceNote]:
 
 def _outer(notes: Sequence[Note], sign: Literal[1, -1]) -> set[int]:
     """Indices of the notes above which none sounds, or below which none does for -1."""
-    found: set[int] = set()
+    outer: set[int] = set()
     latest: Note | None = None
     for chord in chords(range(len(notes)), start=lambda i: notes[i].start):
         i = max(chord, key=lambda i: sign * notes[i].pitch)
         note = notes[i]
         held = latest is not None and latest.end > note.start + RELEASE_TIME
         if latest is None or not held or sign * note.pitch >= sign * latest.pitch:
-            found.add(i)
+            outer.add(i)
             latest = note
-    return found
+    return outer
 
 
 def _melody_likeness(

@@ -171,9 +171,9 @@ def reduced(
     """
     beam = [ReductionState(0.0, (Grip(), Grip()), frozenset(), (), None)]
     for moment in moments:
-        found = [after for state in beam for after in _successors(state, moment, hands, cost)]
+        successors = [after for state in beam for after in _successors(state, moment, hands, cost)]
         best: dict[tuple[object, ...], ReductionState] = {}
-        for state in nsmallest(4 * _BEAM, found, key=lambda each: each.cost):
+        for state in nsmallest(4 * _BEAM, successors, key=lambda each: each.cost):
             best.setdefault((state.hands, state.classes), state)
         beam = list(best.values())[:_BEAM]
     actions: list[Action] = []
@@ -229,8 +229,8 @@ def _collide(right: Action, left: Action) -> bool:
         and (left.hand.held[-1].pitch >= right.hand.held[0].pitch)
     ):
         return True
-    mine = {struck.source for struck in right.struck}
-    return any(struck.source in mine for struck in left.struck)
+    sources = {struck.source for struck in right.struck}
+    return any(struck.source in sources for struck in left.struck)
 
 
 def _value(struck: Struck, classes: frozenset[int], cost: float) -> float:

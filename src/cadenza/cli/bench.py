@@ -120,8 +120,8 @@ def _contenders(
     fixed = {name: _contender(command, read, name) for name in agents if name != PRETRAINED}
 
     def contenders(song: str) -> list[Contender]:
-        found = (fixed[name] if name in fixed else _pretrained(read, song) for name in agents)
-        return [contender for contender in found if contender is not None]
+        candidates = (fixed[name] if name in fixed else _pretrained(read, song) for name in agents)
+        return [contender for contender in candidates if contender is not None]
 
     return contenders
 

@@ -124,10 +124,10 @@ def _in_words(played: PlayedAgain) -> str:
     """Return who was played again, and with what result."""
     from cadenza.evaluation.benchmark.leaderboard import means
 
-    found, entry = means(played), played.entry
+    metrics, entry = means(played), played.entry
     return (
         f"{entry.name} in {entry.track} on {entry.songs}, {counted(len(entry.runs), 'run')}: "
-        f"F1 {found['f1']:.3f}, note onset F1 {found['note_onset_f1']:.3f}"
+        f"F1 {metrics['f1']:.3f}, note onset F1 {metrics['note_onset_f1']:.3f}"
     )
 
 

@@ -166,13 +166,13 @@ def check(command: DatasetCheck) -> None:
     from cadenza.demonstrations.checking import problems
 
     whole_number(command.replays, "replays", 0, _MAX_EPISODES)
-    found = 0
+    count = 0
     with progress("checking", "episodes") as advance:
         for problem in problems(command.folder, command.replays, advance):
             tqdm.write(problem, file=sys.stderr)  # at once: the rest may be stopped
-            found += 1
-    if found:
-        raise CadenzaError(f"{command.folder}: {counted(found, 'problem')}")
+            count += 1
+    if count:
+        raise CadenzaError(f"{command.folder}: {counted(count, 'problem')}")
     print(f"{command.folder}: nothing is wrong")
 
 

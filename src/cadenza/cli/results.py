@@ -43,10 +43,10 @@ def results(command: Results) -> None:
     folder = command.output or command.bench / "results"
     if command.figure:
         check_name(command.figure, ".svg", "the figure is an .svg picture")
-    found = read_results(command.bench)
-    summary = summarize(found, command.bench.resolve().name)
+    runs = read_results(command.bench)
+    summary = summarize(runs, command.bench.resolve().name)
     check_writable(folder)
-    tables = write_tables(folder, summary, usable(found))
+    tables = write_tables(folder, summary, usable(runs))
     index = folder / "index.html"
     write_page(index, summary_page(summary, folder, tables))
     if command.figure:

@@ -41,22 +41,22 @@ def problems(
     scenes, intact = dict[SceneConfig, Scene](), list[tuple[RecordedEpisode, Scene]]()
     for done, path in enumerate(paths, start=1):
         at = path.parent
-        with _reported(at, found := list[str]()):
+        with _reported(at, problems := list[str]()):
             recorded = RecordedEpisode(at, read_facts(at))
             if recorded.facts.kept:
                 if (config := recorded.facts.scene) not in scenes:
                     scenes[config] = recorded.build_scene()
                 scene = scenes[config]
-                found += list(recorded.wrong_files()) or _content_problems(recorded, scene)
-                if not found:  # anew, as what is mapped holds an open file
+                problems += list(recorded.wrong_files()) or _content_problems(recorded, scene)
+                if not problems:  # anew, as what is mapped holds an open file
                     intact.append((RecordedEpisode(at, recorded.facts), scene))
-        yield from found
+        yield from problems
         progress(done, len(paths))
     chosen = np.unique(np.linspace(0, len(intact) - 1, min(replays, len(intact))).astype(int))
     for recorded, scene in (intact[i] for i in chosen.tolist()):
-        with _reported(recorded.folder, found := list[str]()):
-            found += _replay_problems(recorded, scene)
-        yield from found
+        with _reported(recorded.folder, problems := list[str]()):
+            problems += _replay_problems(recorded, scene)
+        yield from problems
 
 
 def _unfinished(runs: Path) -> Iterator[str]:
@@ -74,9 +74,9 @@ def _reported(folder: Path, problems: list[str]) -> Iterator[None]:
     except OSError as error:
         problems.append(f"{folder}: cannot be read ({error.strerror or error})")
     except Exception as error:  # whatever an episode causes, the others are checked
-        said = in_a_line(error)
-        said = said if str(folder) in said else f"{folder}: {said}"
-        problems.append(said if said.endswith(MAKE_AGAIN) else f"{said}; or {MAKE_AGAIN}")
+        message = in_a_line(error)
+        message = message if str(folder) in message else f"{folder}: {message}"
+        problems.append(message if message.endswith(MAKE_AGAIN) else f"{message}; or {MAKE_AGAIN}")
 
 
 def _content_problems(recorded: RecordedEpisode, scene: Scene) -> Iterator[str]:
@@ -90,9 +90,9 @@ def _content_problems(recorded: RecordedEpisode, scene: Scene) -> Iterator[str]:
 
 def _replay_problems(recorded: RecordedEpisode, scene: Scene) -> Iterator[str]:
     """Yield by how much states and rewards differ when the episode is played again."""
-    found = differences(recorded, scene)
-    if found:
-        what = ", ".join(f"{name} by {most:.1g}" for name, most in found.items())
+    errors = differences(recorded, scene)
+    if errors:
+        what = ", ".join(f"{name} by {most:.1g}" for name, most in errors.items())
         yield (
             f"{recorded.folder / STEPS}: played again it differs: {what}; "
             f"where versions are the same as then, {MAKE_AGAIN}"

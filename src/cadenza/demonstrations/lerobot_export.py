@@ -63,7 +63,7 @@ def write_lerobot(
             for picture in pictures
         ]
         files, rows = _FrameFiles(folder), _EpisodeTable(folder / _EPISODES)
-        index, whole = 0, dict[str, Statistics]()
+        index, totals = 0, dict[str, Statistics]()
         features: dict[str, Any] = {}
         names = _names(dataset.scene)
         for number, episode in enumerate(dataset.episodes):
@@ -75,7 +75,7 @@ def write_lerobot(
                 at, of_episode[video.name] = video.add(number)
                 places |= at
             for name, of in of_episode.items():
-                whole[name] = whole[name].merged(of) if name in whole else of
+                totals[name] = totals[name].merged(of) if name in totals else of
             place = files.add(pa.table({n: _column(pa, v) for n, v in frames.items()}))
             end = index + len(frames["index"])
             row = _row(number, episode.facts.song, range(index, end), place, _stats(of_episode))
@@ -86,7 +86,7 @@ def write_lerobot(
         rows.close()
         features |= {video.name: video.feature for video in videos}
         pq.write_table(_tasks(pa, songs), folder / "meta/tasks.parquet")
-        write_json(folder / "meta/stats.json", _stats(whole))
+        write_json(folder / "meta/stats.json", _stats(totals))
         counts = {"episodes": len(dataset.episodes), "frames": index, "tasks": len(songs)}
         robot = f"{dataset.scene.hand.name} hands"
         write_json(folder / "meta/info.json", _info(robot, counts, fps, features))
@@ -398,10 +398,10 @@ class Video:
         episode, keyboard = self._dataset.episodes[number], self._dataset.scene.keyboard
         steps, count = episode.steps, episode.facts.num_steps
         sounding = np.unpackbits(steps["sounding"], axis=1, count=keyboard.num_keys).view(bool)
-        wanted = np.pad(self._dataset.goals(number).keys, [(1, 0), (0, 0)])
+        goal_keys = np.pad(self._dataset.goals(number).keys, [(1, 0), (0, 0)])
         depth = steps["key_state"] * keyboard.travel
         for t in range(count):
-            frame = self._renderer.frame(steps["hand_qpos"][t], depth[t], sounding[t], wanted[t])
+            frame = self._renderer.frame(steps["hand_qpos"][t], depth[t], sounding[t], goal_keys[t])
             yield np.ascontiguousarray(frame)
 
     @property

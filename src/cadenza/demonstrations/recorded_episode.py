@@ -202,8 +202,8 @@ class RecordedEpisode:
         try:
             return read_json(path, WrittenScore).score
         except CadenzaError as error:
-            said = str(error) if str(path) in str(error) else f"{path}: {error}"
-            raise CadenzaError(f"{said}; or {MAKE_AGAIN}") from error
+            message = str(error) if str(path) in str(error) else f"{path}: {error}"
+            raise CadenzaError(f"{message}; or {MAKE_AGAIN}") from error
 
     def check_files(self, names: Collection[str]) -> None:
         """Compare files with their checksums; `score` does so by itself.

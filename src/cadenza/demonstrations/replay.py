@@ -62,18 +62,18 @@ def differences(recorded: RecordedEpisode, scene: Scene) -> dict[str, float]:
 
     Arrays are compared bit for bit, in the precision of the recording.
     """
-    result, found = replayed(recorded, scene), dict[str, float]()
+    result, errors = replayed(recorded, scene), dict[str, float]()
     again = result.episode
     if missing := recorded.facts.num_steps - again.num_steps:
-        found["the number of steps"] = float(missing)
-        return found
+        errors["the number of steps"] = float(missing)
+        return errors
     depth = key_state(again["key_qpos"], scene.keyboard.travel)
     seen = {**again.arrays, "key_state": depth}
     for name in _COMPARED:
         was = recorded.steps[name][1:]
         now = seen[name].astype(was.dtype)
         if not np.array_equal(was, now):
-            found[name] = float(np.abs(was.astype(np.float64) - now).max())
+            errors[name] = float(np.abs(was.astype(np.float64) - now).max())
     if result.metrics["f1"] != recorded.facts.metrics["f1"]:
-        found["f1"] = abs((result.metrics["f1"] or 0.0) - recorded.facts.f1)
-    return found
+        errors["f1"] = abs((result.metrics["f1"] or 0.0) - recorded.facts.f1)
+    return errors

@@ -24,14 +24,14 @@ def summarize(folder: Path) -> Iterator[str]:
         CadenzaError: it holds no demonstrations, or a result.json is damaged.
     """
     folder = dataset_folder(folder)
-    found = finished(folder)
-    kept = [facts for _, facts in found if facts.kept]
-    names = {at.name for at, _ in found}
+    episodes = finished(folder)
+    kept = [facts for _, facts in episodes if facts.kept]
+    names = {at.name for at, _ in episodes}
     there = (path for path in (folder / EPISODES).iterdir() if path.is_dir())
     unfinished = sum(path.name not in names for path in there)
     songs = {facts.song for facts in kept}
     yield f"{counted(len(kept), 'episode')} of {counted(len(songs), 'song')} kept"
-    yield f"{len(found) - len(kept)} not kept, {unfinished} not finished"
+    yield f"{len(episodes) - len(kept)} not kept, {unfinished} not finished"
     yield _steps(kept)
     if kept:
         yield _spread("F1", [facts.f1 for facts in kept])
@@ -42,9 +42,9 @@ def summarize(folder: Path) -> Iterator[str]:
     size = sum(file.lstat().st_size for file in there)
     steps = sum(facts.num_steps for facts in kept)
     yield f"{size / _MIB:.1f} MiB, {size / max(steps, 1):,.0f} bytes a step"
-    hours = sum(facts.cpu_seconds for _, facts in found) / 3600
+    hours = sum(facts.cpu_seconds for _, facts in episodes) / 3600
     yield f"{hours:.2f} hours of one core to make"
-    yield from _versions(facts for _, facts in found)
+    yield from _versions(facts for _, facts in episodes)
 
 
 def _steps(kept: list[EpisodeFacts]) -> str:
@@ -63,10 +63,10 @@ def _rewarded(kept: list[EpisodeFacts]) -> Iterator[str]:
         yield f"rewarded fingers: {printable(fingers)} in {counted(count, 'episode')}"
 
 
-def _versions(found: Iterable[EpisodeFacts]) -> Iterator[str]:
+def _versions(episodes: Iterable[EpisodeFacts]) -> Iterator[str]:
     counts = Counter(
         printable(f"{name} {version}")
-        for facts in found
+        for facts in episodes
         for name, version in facts.versions.items()
     )
     for what, count in sorted(counts.items()):

@@ -133,8 +133,8 @@ def solve(
         steps.append(stage.backpointers)
         if progress:
             progress(moment.begun, len(score.notes))
-    found, _ = backtrack(stage.cost, steps, players.reach.num_fingers)
-    fingers = notes_played.ignored | found
+    path, _ = backtrack(stage.cost, steps, players.reach.num_fingers)
+    fingers = notes_played.ignored | path
     solved = score.with_fingers(n.finger or fingers.get(i) for i, n in enumerate(score.notes))
     notes = solved.notes
     return Solution(

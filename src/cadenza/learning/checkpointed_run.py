@@ -153,11 +153,11 @@ class CheckpointedRun(ABC):
         Raises:
             CadenzaError: It is damaged, or that of another run.
         """
-        if (found := self.folder.load(_Facts)) is None:
+        if (latest := self.folder.load(_Facts)) is None:
             self._metrics_log.delete()
             self._begin()
             return
-        facts, arrays = found
+        facts, arrays = latest
         with self.folder.errors_of_resuming():
             self.step, self._seconds = facts.step, facts.seconds
             self._restore(facts.own, arrays)

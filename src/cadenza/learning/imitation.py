@@ -220,11 +220,11 @@ def _inputs(spec: ObservationSpec, dataset: Dataset, previous_action: bool) -> I
 
     The previous action and its reward are left out unless `previous_action`.
     """
-    wanted = np.zeros(spec.goals_of_a_step, bool)
+    mask = np.zeros(spec.goals_of_a_step, bool)
     for number in range(len(dataset.episodes)):
         goals = dataset.goals(number)
-        wanted |= np.append(goals.keys.any(axis=0), goals.sustain.any())
-    goal = np.flatnonzero(np.tile(wanted, spec.goal // spec.goals_of_a_step))
+        mask |= np.append(goals.keys.any(axis=0), goals.sustain.any())
+    goal = np.flatnonzero(np.tile(mask, spec.goal // spec.goals_of_a_step))
     end = spec.size if previous_action else spec.layout["previous_action"].start
     return Inputs((*goal.tolist(), *range(spec.goal, end)), spec.size)
 
@@ -252,15 +252,15 @@ def _used(arrays: Sequence[NDArray[Any]], limits: NDArray[np.float64]) -> NDArra
 
 
 def _by_song(
-    episodes: Sequence[RecordedEpisode], wanted: Sequence[str]
+    episodes: Sequence[RecordedEpisode], songs: Sequence[str]
 ) -> dict[str, list[RecordedEpisode]]:
-    """Episodes by song; those of all songs if none are `wanted`."""
-    found = defaultdict[str, list[RecordedEpisode]](list)
+    """Episodes by song: those of `songs`, or of all if there are none."""
+    by_song = defaultdict[str, list[RecordedEpisode]](list)
     for episode in episodes:
-        found[episode.facts.song].append(episode)
-    if not wanted:
-        return found
-    return {song: found[song] for song in (_song_named(name, list(found)) for name in wanted)}
+        by_song[episode.facts.song].append(episode)
+    if not songs:
+        return by_song
+    return {song: by_song[song] for song in (_song_named(name, list(by_song)) for name in songs)}
 
 
 def _song_named(name: str, songs: Sequence[str]) -> str:

@@ -167,14 +167,14 @@ class GoalTable:
         since = np.searchsorted(self._onsets.step, steps)
         count = np.searchsorted(self._onsets.step, steps, "right") - since
         at = np.repeat(np.arange(len(steps)), count)
-        found = np.arange(len(at)) + np.repeat(since - (np.cumsum(count) - count), count)
+        places = np.arange(len(at)) + np.repeat(since - (np.cumsum(count) - count), count)
         values = observed_onsets(
-            self._onsets.time[found], self._onsets.velocity[found], self._control_timestep
+            self._onsets.time[places], self._onsets.velocity[places], self._control_timestep
         )
         column = np.full(2 * size, -1)
         column[kept] = np.arange(len(kept))
         result = np.zeros((rows.size, len(kept)), np.float32)
-        entry = (at % len(seen)) * self._num_keys + self._onsets.key[found]
+        entry = (at % len(seen)) * self._num_keys + self._onsets.key[places]
         for part, first in zip(values, (0, size), strict=True):
             to = column[first + entry]
             result[at[to >= 0] // len(seen), to[to >= 0]] = part[to >= 0]

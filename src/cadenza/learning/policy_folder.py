@@ -266,8 +266,8 @@ def _learnt(
 ) -> LearntPolicy | None:
     """The policy, or None if arrays of the reference or of the ranges are missing."""
     reference, ranges = _without_prefix(_REFERENCE, arrays), _without_prefix(_RANGES, arrays)
-    for found, kind in ((reference, Reference), (ranges, Ranges)):
-        if found and found.keys() != set(kind._fields):
+    for part, kind in ((reference, Reference), (ranges, Ranges)):
+        if part and part.keys() != set(kind._fields):
             return None
     return LearntPolicy(
         policy=_policy(facts, arrays),

@@ -63,12 +63,13 @@ def ranges_of(task: PianoTask) -> Ranges:
     margin = _MARGIN * scene.keyboard.spacing / PIANO.spacing
     slides = servos.along_keyboard
     for side, servo in zip(scene.sides, slides, strict=bool(slides)):
-        mine = scene.fingertips_on(side)
-        along = jacobian[mine, servo - scene.servos_on(side).start]
-        finger, key = np.nonzero(keys[mine])
-        wanted = (scene.keyboard.centre[key, _ALONG_KEYBOARD] - tips[mine][finger]) / along[finger]
-        wanted = wanted if len(wanted) else np.zeros(1)  # it may rest
-        ends = np.array([wanted.min() - margin, wanted.max() + margin])
+        own = scene.fingertips_on(side)
+        along = jacobian[own, servo - scene.servos_on(side).start]
+        finger, key = np.nonzero(keys[own])
+        centre = scene.keyboard.centre[key, _ALONG_KEYBOARD]
+        places = (centre - tips[own][finger]) / along[finger]
+        places = places if len(places) else np.zeros(1)  # it may rest
+        ends = np.array([places.min() - margin, places.max() + margin])
         actions[:, servo] = np.clip(ends, *actions[:, servo])
         joints[:, np.flatnonzero(servos.joints[servo])] = actions[:, servo, None]
     return Ranges(joints, actions)

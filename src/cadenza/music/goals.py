@@ -69,10 +69,10 @@ class Goals:
     @cached_property
     def fingers_wanted(self) -> NDArray[np.bool_]:
         """(T, F) whether each finger has a key to press."""
-        wanted = np.zeros((self.num_steps, self.num_fingers), bool)
+        fingers = np.zeros((self.num_steps, self.num_fingers), bool)
         step, key = (self.fingers >= 0).nonzero()
-        wanted[step, self.fingers[step, key]] = True
-        return wanted
+        fingers[step, self.fingers[step, key]] = True
+        return fingers
 
     def at(self, steps: NDArray[np.intp]) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
         """Keys (S, K) and fingers (S, K) of `steps` (S,); past the end there is silence."""

@@ -36,7 +36,7 @@ class RawNote:
 
 
 def repaired_notes(
-    found: list[RawNote],
+    raw_notes: list[RawNote],
     counts: Counter[str],
     remarks: Iterable[str],
     seconds: Callable[[float], float] = float,
@@ -62,7 +62,7 @@ def repaired_notes(
             note.tracks,
             note.hands,
         )
-        for note in _without_overlaps(found, counts)
+        for note in _without_overlaps(raw_notes, counts)
     )
     remarks = (*remarks, *_remarks(counts))
     if not notes:
@@ -71,18 +71,18 @@ def repaired_notes(
     return notes, remarks
 
 
-def _without_overlaps(found: list[RawNote], counts: Counter[str]) -> list[RawNote]:
+def _without_overlaps(notes: list[RawNote], counts: Counter[str]) -> list[RawNote]:
     """The notes that last, at most one of each pitch at a time.
 
     One that is struck again while it is held ends there, and the other lasts as long as both. The
     number of each kind of repair is added to `counts`.
     """
     together: dict[tuple[float, int], list[RawNote]] = {}
-    for note in sorted(found, key=lambda note: note.start):
+    for note in sorted(notes, key=lambda note: note.start):
         if note.end > note.start:
             together.setdefault((note.start, note.pitch), []).append(note)
     lasting = sum(map(len, together.values()))
-    counts["zero"] = len(found) - lasting
+    counts["zero"] = len(notes) - lasting
     counts["doubled"] += lasting - len(together)
     played: list[RawNote] = []
     latest: dict[int, RawNote] = {}

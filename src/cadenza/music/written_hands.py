@@ -39,8 +39,8 @@ def with_written_hands(score: Score) -> Score:
     if parts:
         return score if len(parts) == 1 else _with_hands(score, [()] * len(score.notes))
     hands = _hands_of_tracks(score)
-    found = ({hands[number] for number in note.tracks if number in hands} for note in score.notes)
-    return _with_hands(score, map(tuple, map(sorted, found)))
+    written = ({hands[number] for number in note.tracks if number in hands} for note in score.notes)
+    return _with_hands(score, map(tuple, map(sorted, written)))
 
 
 def _with_hands(score: Score, hands: Iterable[tuple[int, ...]]) -> Score:

@@ -77,13 +77,13 @@ class HandArrangement:
         """
         original = replace(track, score=Score(tuple(self._on_clock(track))), dropped=())
         steps = min(episode.num_steps, original.goals.num_steps)
-        keys, wanted = episode["key_activation"][:steps], original.goals.keys[:steps]
+        keys, goal_keys = episode["key_activation"][:steps], original.goals.keys[:steps]
         written = original.delayed_score.until(episode.num_steps * episode.dt)
         onsets = expressive_metrics(played_in(episode), written)["note_onset_f1"]
         return {
             **asdict(self.arranged.fidelity),
             "arranged_grade": self.arranged.grade,
-            "original_f1": float(step_metrics(keys, wanted)[2].mean()),
+            "original_f1": float(step_metrics(keys, goal_keys)[2].mean()),
             "original_note_onset_f1": onsets,
         }
 
@@ -111,9 +111,9 @@ class HandArrangement:
 
     def _clock(self, track: GoalTrack) -> tuple[Callable[[float], float], int]:
         """The function from times of the song to those of a track [s], and the semitones to it."""
-        mine, theirs = self.arranged.score, track.score
-        first, begins = mine.notes[0], theirs.notes[0]
-        stretch = (theirs.total_time - begins.start) / (mine.total_time - first.start)
+        own, theirs = self.arranged.score, track.score
+        first, begins = own.notes[0], theirs.notes[0]
+        stretch = (theirs.total_time - begins.start) / (own.total_time - first.start)
         return (
             lambda time: begins.start + (time - first.start) * stretch,
             begins.pitch - first.pitch,

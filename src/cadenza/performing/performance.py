@@ -312,7 +312,7 @@ def _hand_episode(episode: Episode, scene: Scene, side: Side) -> Episode:
     alone, servos, joints = hand_alone(scene, side)
     hand, key_qpos = scene.fingers.of_hand(SIDES.index(side)), episode[f"{side}_key_qpos"]
     number = episode["goal_fingers"]
-    mine = (number >= hand.start) & (number < hand.stop)
+    is_own = (number >= hand.start) & (number < hand.stop)
     tips = np.zeros_like(episode["fingertip_xpos"])
     tips[:, hand] = episode["fingertip_xpos"][:, hand]
     hand_qpos = episode["hand_qpos"][:, joints]
@@ -332,8 +332,8 @@ def _hand_episode(episode: Episode, scene: Scene, side: Side) -> Episode:
         "key_qpos": key_qpos,
         "key_activation": key_activation(key_qpos, scene.keyboard.sounds_from),
         "sustain_activation": episode["sustain_activation"],
-        "goal_keys": episode["goal_keys"] & mine,
-        "goal_fingers": np.where(mine, number, np.int8(NO_FINGER)),
+        "goal_keys": episode["goal_keys"] & is_own,
+        "goal_fingers": np.where(is_own, number, np.int8(NO_FINGER)),
         "goal_sustain": episode["goal_sustain"],
         "lowest_pitch": episode["lowest_pitch"],
         "body_xpos": xpos,

@@ -41,8 +41,8 @@ class Plan:
     """The feedback that leads back hands that are pushed off, if the song was practised."""
 
     def __repr__(self) -> str:
-        found = sum(finger is not None for finger in self.fingering)
-        return f"Plan({self.score!r}, fingers for {found}, F1 {self.metrics['f1']:.3f})"
+        count = sum(finger is not None for finger in self.fingering)
+        return f"Plan({self.score!r}, fingers for {count}, F1 {self.metrics['f1']:.3f})"
 
     def _repr_html_(self) -> str:
         return self.performance._repr_html_()
@@ -125,10 +125,10 @@ def plan_of(setup: Setup, performance: Performance) -> Plan:
     Raises:
         CadenzaError: the hands could not play to the end.
     """
-    steps, wanted = performance.episode.num_steps, setup.num_steps
-    if steps < wanted:
+    steps, length = performance.episode.num_steps, setup.num_steps
+    if steps < length:
         raise CadenzaError(
-            f"{setup.settings['song']}: ended after {steps} of {wanted} steps, because of a wrong "
+            f"{setup.settings['song']}: ended after {steps} of {length} steps, because of a wrong "
             "key or an unstable simulation, so the plan is incomplete; try another seed"
         )
     planned = performance.track

@@ -167,7 +167,7 @@ def _check_other_song(song: LoadedSong, player: Player, known: LoadedSong) -> No
     warnings.warn(f"{what}, not {song.name}", CadenzaWarning, stacklevel=5)
 
 
-def _about_hands(track: GoalTrack, whole: Score, own: Score) -> Iterator[str]:
+def _about_hands(track: GoalTrack, song: Score, own: Score) -> Iterator[str]:
     """Yield what one hand leaves to the other, and what is not played as it is written for hands.
 
     Args:
@@ -175,7 +175,7 @@ def _about_hands(track: GoalTrack, whole: Score, own: Score) -> Iterator[str]:
         whole: all notes of the song.
         own: the notes that are written for the hands of the scene.
     """
-    if others := len(whole.notes) - len(own.notes):
+    if others := len(song.notes) - len(own.notes):
         (side,) = track.scene.sides
         what = "1 note is" if len(own.notes) == 1 else f"{len(own.notes)} notes are"
         yield (f"{what} written for the {side} hand; without the other {others} (all: --all-notes)")

@@ -124,8 +124,8 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
         spec, sites = scene_spec(config, keyboard, hand)
         model = spec.compile()
     except ValueError as error:  # hand and keyboard may come from other packages
-        said, which = " ".join(str(error).split()), f"hand {hand.name}, keyboard {keyboard.name}"
-        raise CadenzaError(f"{which}: MuJoCo cannot build them: {said}") from error
+        message, which = " ".join(str(error).split()), f"hand {hand.name}, keyboard {keyboard.name}"
+        raise CadenzaError(f"{which}: MuJoCo cannot build them: {message}") from error
     sides = _sides(config)
     _damp_forearms_critically(model, hand, sides, config)
     return _resolve(config, keyboard, hand, model, sides, sites)

@@ -50,8 +50,8 @@ class HandsApart:
 
     def randomize(self, env_id: int, factors: Factors) -> None:
         for rows, part in zip(self._rows, self._parts, strict=True):
-            mine = {name: factor[rows.get(name, ...)] for name, factor in factors.items()}
-            part.randomize(env_id, mine)
+            own = {name: factor[rows.get(name, ...)] for name, factor in factors.items()}
+            part.randomize(env_id, own)
 
     def step(
         self, ctrl: Array, env_ids: Sequence[int] | None = None, held: HeldControls | None = None
@@ -95,7 +95,7 @@ class HandsApart:
             part.close()
 
 
-def _heard(mine: State, other: State, other_sounded: NDArray[np.bool_]) -> tuple[Array, ...]:
+def _heard(own: State, other: State, other_sounded: NDArray[np.bool_]) -> tuple[Array, ...]:
     """Onsets, offsets and speeds of one hand, NaN while the other makes the key sound as well.
 
     `other_sounded` (N, K) says whether it did so before the step.
@@ -107,18 +107,18 @@ def _heard(mine: State, other: State, other_sounded: NDArray[np.bool_]) -> tuple
         unchanged = (begun < 0) & (ended < 0)
         return ~np.where(unchanged, other_sounded, begun > ended)
 
-    starts = alone(mine.key_onset)
+    starts = alone(own.key_onset)
     return (
-        np.where(starts, mine.key_onset, np.nan),
-        np.where(alone(mine.key_offset), mine.key_offset, np.nan),
-        np.where(starts, mine.key_speed, np.nan),
+        np.where(starts, own.key_onset, np.nan),
+        np.where(alone(own.key_offset), own.key_offset, np.nan),
+        np.where(starts, own.key_speed, np.nan),
     )
 
 
 def _indices_of(scene: Scene, alone: HandAlone) -> dict[str, Any]:
     """Name of a factor -> indices, in the factors of the whole scene, of those of one hand."""
-    whole, part = scene.model, alone.scene.model
-    bodies = as_ids(whole.body(part.body(b).name).id for b in range(part.nbody))
-    joints = as_ids(whole.joint(part.joint(j).name).dofadr[0] for j in range(part.njnt))
+    both, part = scene.model, alone.scene.model
+    bodies = as_ids(both.body(part.body(b).name).id for b in range(part.nbody))
+    joints = as_ids(both.joint(part.joint(j).name).dofadr[0] for j in range(part.njnt))
     by_joint = dict.fromkeys(("joint_damping", "joint_friction", "armature"), joints)
     return {"mass": bodies, "servo_gain": alone.servos, **by_joint}

@@ -90,5 +90,5 @@ def dense_key_events(key_paths: Any, sounds_from: Any, substep: float) -> tuple[
 def _last(xp: Any, values: Any, happened: Any) -> Any:
     """(..., K) the last of the values (..., S, K) at which something `happened`, else NaN."""
     last = happened.shape[-2] - 1 - xp.argmax(xp.flip(happened, -2), -2)
-    found = xp.take_along_axis(values, last[..., None, :], -2)[..., 0, :]
-    return xp.where(happened.any(-2), found, xp.nan)
+    at_last = xp.take_along_axis(values, last[..., None, :], -2)[..., 0, :]
+    return xp.where(happened.any(-2), at_last, xp.nan)

@@ -82,11 +82,11 @@ def _opened(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco
     Raises:
         CadenzaError: none works here, or none can in this process.
     """
-    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
-    if wanted in ("on", "enable", "enabled", "1", "true"):
-        wanted = ""
-    if wanted in ("off", "disable", "disabled", "0", "false"):
-        raise CadenzaError(f"rendering is disabled by MUJOCO_GL={wanted}: unset it to render")
+    library = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if library in ("on", "enable", "enabled", "1", "true"):
+        library = ""
+    if library in ("off", "disable", "disabled", "0", "false"):
+        raise CadenzaError(f"rendering is disabled by MUJOCO_GL={library}: unset it to render")
     if any(process != os.getpid() for process in _RENDERED_IN):
         raise CadenzaError(
             "this process was forked from one that has rendered, and its graphics are unusable: "
@@ -94,7 +94,7 @@ def _opened(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco
         )
     default = tuple(_LIBRARIES) if sys.platform == "linux" else ("glfw",)
     reasons = []
-    for backend in (wanted,) if wanted else default:
+    for backend in (library,) if library else default:
         try:
             gl = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
             gl.make_current()
@@ -106,7 +106,7 @@ def _opened(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco
         else:
             _RENDERED_IN.add(os.getpid())
             return gl, context
-    missing = _LIBRARIES.get(wanted, "EGL or OSMesa") + ", or unset MUJOCO_GL" * bool(wanted)
+    missing = _LIBRARIES.get(library, "EGL or OSMesa") + ", or unset MUJOCO_GL" * bool(library)
     raise CadenzaError(f"this machine cannot render ({'; '.join(reasons)}): install {missing}")
 
 

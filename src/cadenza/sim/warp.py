@@ -232,12 +232,12 @@ class WarpPhysics:
                 wp.copy(path[:, substep], d.qpos[:, keys])
             # Positions belong to the new state, forces to the step that led there.
             mjw.kinematics(m, d)
-            wanted = [d.qpos, d.qvel, d.qacc_warmstart, None, d.overflow, d.geom_xpos, d.site_xpos]
-            wanted += [d.actuator_force, d.sensordata]
+            arrays = [d.qpos, d.qvel, d.qacc_warmstart, None, d.overflow, d.geom_xpos, d.site_xpos]
+            arrays += [d.actuator_force, d.sensordata]
             if watched:
                 mjw.collision(m, d)
-                wanted += [d.contact.geom, d.contact.worldid, d.nacon]
-            for to, values in zip(out, wanted, strict=True):
+                arrays += [d.contact.geom, d.contact.worldid, d.nacon]
+            for to, values in zip(out, arrays, strict=True):
                 if values is not None:
                     wp.copy(to, values)
 

@@ -150,5 +150,5 @@ def unfinished_folder(root: Path, id: str) -> Path:
 def practice_folder(root: Path, request: PlayRequest, score: Score) -> Path:
     """Return the folder in which a request is practised, for a song that has this score now."""
     notes = [(note.start, note.end, note.pitch) for note in score.notes]
-    wanted = json.dumps([asdict(request), notes], sort_keys=True)
-    return root / "practised" / hashlib.sha256(wanted.encode()).hexdigest()[:_ID_DIGITS]
+    text = json.dumps([asdict(request), notes], sort_keys=True)
+    return root / "practised" / hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS]

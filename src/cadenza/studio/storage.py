@@ -130,11 +130,11 @@ class Storage:
         raise CadenzaError("there is no such song; choose one from the list, or drop a file")
 
     def _uploads(self) -> list[Upload]:
-        found = []
+        uploads = []
         for path in modification_times(self.uploads.glob("*.json")):
             with suppress(CadenzaError):  # somebody else's
-                found.append(self._upload(path))
-        return found
+                uploads.append(self._upload(path))
+        return uploads
 
     def _upload(self, path: Path) -> Upload:
         """Read what an upload holds.
@@ -189,7 +189,7 @@ class Storage:
 
     def performances(self) -> list[dict[str, Any]]:
         """List all performances that are whole, the newest first."""
-        found = []
+        performances = []
         for path in self.folder.glob("*"):
             if not _ID.fullmatch(path.name) or path.is_symlink():
                 continue
@@ -197,8 +197,8 @@ class Storage:
                 kept = read_json(path / ABOUT, KeptPerformance)
                 files = [name for name in FILES if _is_own(path / name)]
                 about = {"id": path.name, "files": files, "has_states": _has_states(path)}
-                found.append(asdict(kept) | about)
-        return sorted(found, key=lambda kept: kept["finished"], reverse=True)
+                performances.append(asdict(kept) | about)
+        return sorted(performances, key=lambda kept: kept["finished"], reverse=True)
 
     def file(self, id: str, name: str) -> Path:
         """Return the path of one of `FILES` of a performance.

@@ -125,21 +125,21 @@ def find_song(scores: Sequence[Score], song: Any) -> int:
         CadenzaError: there is no such score, or several have the title.
     """
     if isinstance(song, str):
-        found = [i for i, score in enumerate(scores) if score.title == song]
+        indices = [i for i, score in enumerate(scores) if score.title == song]
     else:
         is_number = isinstance(song, int | np.integer) and not isinstance(song, bool)
-        found = [int(song)] if is_number and 0 <= song < len(scores) else []
-    if len(found) > 1:
+        indices = [int(song)] if is_number and 0 <= song < len(scores) else []
+    if len(indices) > 1:
         raise CadenzaError(
-            f"song {quoted(song)}: {len(found)} have this title; give an index: {found}"
+            f"song {quoted(song)}: {len(indices)} have this title; give an index: {indices}"
         )
-    if not found:
+    if not indices:
         titles = ", ".join(repr(score.title) for score in scores)
         raise CadenzaError(
             f"song {quoted(song)}: choose an index from 0 to {len(scores) - 1}, or a title: "
             f"{shortened(titles)}"
         )
-    return found[0]
+    return indices[0]
 
 
 def draws_pitch(config: TaskConfig) -> bool:

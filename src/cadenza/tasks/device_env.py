@@ -112,8 +112,8 @@ class DevicePianoVectorEnv(VectorEnv):
         after = self.task.step(state, action)
         counts = [each.info["unstable_count"] for each in (state, after)]
         lost = after.info["unstable_count"], after.info["overflow_count"]
-        told = partial(jax.debug.callback, _log_unstable)
-        jax.lax.cond((counts[0] == 0) & (counts[1] > 0), told, lambda *_: None, *lost)
+        log = partial(jax.debug.callback, _log_unstable)
+        jax.lax.cond((counts[0] == 0) & (counts[1] > 0), log, lambda *_: None, *lost)
         return after
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:

@@ -209,11 +209,11 @@ class PianoVectorEnv(VectorEnv):
         """(N,) starts of the episodes, as far as the options of a reset fix them."""
         given = (self._each(name, options.get(name)) for name in _EPISODE_OPTIONS)
         shape = self.task.scene.hand_start.shape
-        wanted = f"give a finite number for each of the hands' joints, {shape}"
+        demand = f"give a finite number for each of the hands' joints, {shape}"
         return [
             EpisodeStart(
                 self._song(song, score),
-                None if start is None else finite_array("start", start, shape, wanted),
+                None if start is None else finite_array("start", start, shape, demand),
                 None if drawn is None else whole_number(drawn, "randomization", 0, MAX_COUNT),
             )
             for song, score, start, drawn in zip(*given, strict=True)

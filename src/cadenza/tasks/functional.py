@@ -301,9 +301,9 @@ def _padded(goals: Sequence[Goals], lookahead: int) -> SongGoals:
         ]
         return jnp.asarray(np.stack(padded))
 
-    wanted = [np.column_stack([each.keys, each.sustain]) for each in goals]
+    tracks = [np.column_stack([each.keys, each.sustain]) for each in goals]
     return SongGoals(
-        stacked(wanted, lookahead, 0),
+        stacked(tracks, lookahead, 0),
         stacked([each.fingers for each in goals], 0, -1),
         stacked([each.fingers_wanted for each in goals], 0, 0),
         jnp.asarray([each.num_steps for each in goals], jnp.int32),

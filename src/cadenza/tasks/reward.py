@@ -307,10 +307,10 @@ class Reward:
             if config.loudness_coefficient:
                 terms["loudness"] = loudness(errors.velocity, config.loudness_coefficient)
         num_envs = len(outcome.ctrl)
-        wanted = f"give a finite number for each environment, ({num_envs},)"
+        demand = f"give a finite number for each environment, ({num_envs},)"
         for name, term in self._more_terms.items():
             what = f"reward term {quoted(name)} returned values"
-            terms[name] = finite_array(what, term(outcome), (num_envs,), wanted)
+            terms[name] = finite_array(what, term(outcome), (num_envs,), demand)
         return terms
 
     def _fingering(self, outcome: Outcome) -> Array:
@@ -337,19 +337,19 @@ def _checked(terms: Mapping[str, RewardTerm]) -> dict[str, RewardTerm]:
     return dict(terms)
 
 
-def finite_array(what: str, given: Any, shape: tuple[int, ...], wanted: str) -> Array:
+def finite_array(what: str, given: Any, shape: tuple[int, ...], demand: str) -> Array:
     """The numbers that a user has given, as an array of this shape.
 
     Raises:
         CadenzaError: they are not finite numbers of this shape; the message begins with `what` and
-            ends with what is `wanted`.
+            ends with the `demand`.
     """
     try:
         values = np.asarray(given, float)
     except (TypeError, ValueError) as error:
-        raise CadenzaError(f"{what} {quoted(given)}: {wanted}") from error
+        raise CadenzaError(f"{what} {quoted(given)}: {demand}") from error
     if values.shape != shape:
-        raise CadenzaError(f"{what} of shape {values.shape}: {wanted}")
+        raise CadenzaError(f"{what} of shape {values.shape}: {demand}")
     if not np.isfinite(values).all():
-        raise CadenzaError(f"{what} not finite: {wanted}")
+        raise CadenzaError(f"{what} not finite: {demand}")
     return values

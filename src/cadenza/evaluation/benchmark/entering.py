@@ -140,8 +140,8 @@ def _check_task(result: Result) -> None:
     if task.randomization.is_on:
         raise CadenzaError(f"{where}: was played with randomized physics; leave that out")
     played = task_identity(task, scene, 0, **asdict(arrangement))
-    wanted = task_identity(TASK, SCENE, 0, **asdict(Arrangement()))
-    for name, value in wanted.items():
+    options = task_identity(TASK, SCENE, 0, **asdict(Arrangement()))
+    for name, value in options.items():
         if played[name] != value:
             option = name.replace("_", "-")
             raise CadenzaError(

@@ -117,10 +117,10 @@ def runs_by_song(entry: BenchmarkEntry) -> list[tuple[Song, list[EnteredRun]]]:
         CadenzaError: there is no such set, or a run is missing, is there twice, or of another song.
     """
     songs, seeds = open_set(entry.songs).songs, entry.seeds
-    wanted = {(song.name, seed) for song in songs for seed in seeds}
+    expected = {(song.name, seed) for song in songs for seed in seeds}
     times = Counter((run.song, run.seed) for run in entry.runs)
-    for song, seed in sorted(wanted | times.keys()):
-        if (song, seed) not in wanted:
+    for song, seed in sorted(expected | times.keys()):
+        if (song, seed) not in expected:
             raise CadenzaError(f"{shortened(song)}: is no song of {entry.songs}")
         if (number := times[song, seed]) != 1:
             what = "is there twice" if number else "is missing"
@@ -140,11 +140,11 @@ def check_files(folder: Path, entry: BenchmarkEntry) -> None:
     Raises:
         CadenzaError: it does not, or something in it is a link.
     """
-    wanted = {actions_path(folder, run.song, run.seed) for run in entry.runs}
-    wanted |= {folder / ENTRY, folder / ACTIONS}
+    expected = {actions_path(folder, run.song, run.seed) for run in entry.runs}
+    expected |= {folder / ENTRY, folder / ACTIONS}
     there = {*folder.glob("*"), *(folder / ACTIONS).glob("*")}
-    for path in sorted(wanted ^ there):
-        what = "is missing" if path in wanted else "does not belong to an entry; remove it"
+    for path in sorted(expected ^ there):
+        what = "is missing" if path in expected else "does not belong to an entry; remove it"
         raise CadenzaError(f"{path}: {what}")
     for path in sorted(there):
         if path.is_symlink():

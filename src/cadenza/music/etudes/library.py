@@ -191,13 +191,13 @@ def etude_song(name: str) -> Song:
     if band := _BAND_NAME.fullmatch(name.lower()):
         seed = whole_number(int(band[1]), "seed", 0, MAX_SEED)
         return Song(band_name(seed), partial(_read_band, seed), source="practice piece")
-    found = _ETUDE_NAME.fullmatch(name.lower())
-    if not found:
+    match = _ETUDE_NAME.fullmatch(name.lower())
+    if not match:
         raise CadenzaError(
             f"no etude named {quoted(name)}: give {LIBRARY}/KIND-DIFFICULTY-SEED, "
             f"such as {LIBRARY}/scales-3-7"
         )
-    which = _checked(found[1], int(found[2]), int(found[3]))
+    which = _checked(match[1], int(match[2]), int(match[3]))
     read, difficulty = partial(_read, *which), float(which[1])
     return Song(etude_name(*which), read, source="practice piece", difficulty=difficulty)
 

@@ -68,12 +68,12 @@ def tempos(metre: Metre) -> list[TempoMark]:
     changes = _changes((metre.ticks / QUARTER).tolist(), metre.times.tolist())
     seconds_at = {int(metre.ticks[cell]): seconds for cell, seconds in changes.items()}
     shown = _shown(metre)
-    found = []
+    marks = []
     seconds = 0.0
     for tick in sorted({*seconds_at, *shown}):
         seconds = seconds_at.get(tick, seconds)
-        found.append(TempoMark(tick, seconds, tick in shown))
-    return found
+        marks.append(TempoMark(tick, seconds, tick in shown))
+    return marks
 
 
 def _changes(quarters: list[float], times: list[float]) -> dict[int, float]:

@@ -177,8 +177,8 @@ def _with_parts(measures: list[Measure]) -> list[Measure]:
         marked[0] = _pickup(marked[0], marked[1].written)
     for i in range(1, len(marked) - 1):
         before, here, after = marked[i - 1 : i + 2]
-        whole = WHOLE * before.written[0] // before.written[1]
-        if not here.is_part and here.length + after.length == whole:
+        bar = WHOLE * before.written[0] // before.written[1]
+        if not here.is_part and here.length + after.length == bar:
             marked[i] = replace(here, written=before.written, is_part=True)
             marked[i + 1] = _pickup(after, before.written)
     return marked

@@ -97,8 +97,8 @@ class Sheet:
     @property
     def notes(self) -> tuple[Note, ...]:
         """The notes that are written, by (start, pitch)."""
-        found = [note for symbol in self.symbols if not symbol.tied for note, _ in symbol.notes]
-        return tuple(sorted(found, key=lambda note: (note.start, note.pitch)))
+        notes = [note for symbol in self.symbols if not symbol.tied for note, _ in symbol.notes]
+        return tuple(sorted(notes, key=lambda note: (note.start, note.pitch)))
 
 
 def sheet_of(score: Score) -> Sheet:
@@ -184,12 +184,12 @@ def _staves(
 
 def _by_measure(begins: list[int], streams: Sequence[Stream], what: str) -> list[list[int]]:
     """The values that an attribute has for the notes that begin in each measure."""
-    found: list[list[int]] = [[] for _ in begins]
+    values: list[list[int]] = [[] for _ in begins]
     for stream in streams:
         for chord in stream.chords:
-            here = found[bisect_right(begins, chord.start) - 1]
+            here = values[bisect_right(begins, chord.start) - 1]
             here += [getattr(note, what) for note in chord.notes]
-    return found
+    return values
 
 
 def _grouped(begins: list[int], marks: Iterable[_Mark]) -> defaultdict[int, list[_Mark]]:
@@ -214,7 +214,7 @@ def _written(
     names: dict[int, Spelling],
 ) -> list[tuple[Symbol, ...]]:
     """The symbols of a voice in each measure, with rests."""
-    found = []
+    bars = []
     chords = iter(stream.chords)
     chord = next(chords, None)
     for measure, division in zip(measures, divisions, strict=True):
@@ -236,8 +236,8 @@ def _written(
                     for value in _values(now, end, stream, division, cells, is_rest=False)
                 )
             now = end
-        found.append(tuple(symbols))
-    return found
+        bars.append(tuple(symbols))
+    return bars
 
 
 def _values(

@@ -120,9 +120,9 @@ class StrikesOfPlan(NamedTuple):
     def of(cls, plan: SongPlan, held: Array) -> StrikesOfPlan:
         """Take the strikes of keys that the plan holds, as `held` (T, K) says."""
         step, key, time, speed = plan.strikes
-        wanted = np.column_stack([time, np.log2(speed)])
+        target = np.column_stack([time, np.log2(speed)])
         rows = held[step, key]
-        return cls(step[rows], key[rows], plan.goals.fingers[step, key][rows], wanted[rows])
+        return cls(step[rows], key[rows], plan.goals.fingers[step, key][rows], target[rows])
 
     def at(self, step: int) -> Iterator[tuple[int, int, Array]]:
         """Yield the key, the finger and what is wanted of each strike of a step."""

@@ -134,7 +134,7 @@ def _strikes(before: _Step, now: _Step, after: _Step) -> list[Any]:
         if any(each.episodes[i] is not episode for each in near):
             continue  # the excerpt has begun or ended
         keyboard, plan = episode.excerpt.costs.keyboard, episode.excerpt.costs
-        for key, finger, wanted in plan.strikes.at(now.steps[i]):
+        for key, finger, target in plan.strikes.at(now.steps[i]):
             hand, own = divmod(finger, now.touch.shape[1])
             row = hands * i + hand
             events = [
@@ -142,12 +142,12 @@ def _strikes(before: _Step, now: _Step, after: _Step) -> list[Any]:
                 for each, shift in zip(near, (-plan.dt, 0.0, plan.dt), strict=True)
             ]
             onsets = np.array(events)
-            nearest = np.nan_to_num(np.abs(onsets[:, 0] - wanted[0]), nan=np.inf).argmin()
+            nearest = np.nan_to_num(np.abs(onsets[:, 0] - target[0]), nan=np.inf).argmin()
             sounding = [each.state.key_qpos[i, key] >= keyboard.sounds_from[key] for each in near]
             held = plan.holds(now.steps[i] + 1, key)
             sounding = np.array(sounding) + np.array([0.0, 0.0, 0.0 if held else np.nan])
             touch = now.touch[row, own]
-            rows.append((now.inputs[row], own, touch, onsets[nearest], wanted, sounding))
+            rows.append((now.inputs[row], own, touch, onsets[nearest], target, sounding))
     return rows
 
 
@@ -224,8 +224,8 @@ class TouchFit:
 
 def _part(of: Network, fingers: Array, strikes: Strikes) -> tuple[_StrikeData, Array, Array]:
     """The strikes of some fingers, and mean and standard deviation (I,) of their inputs."""
-    mine = np.isin(strikes.finger, fingers)
-    own = Strikes._make(values[mine] for values in strikes)
+    is_own = np.isin(strikes.finger, fingers)
+    own = Strikes._make(values[is_own] for values in strikes)
     constants = np.broadcast_to(CONSTANTS, (len(own.inputs), len(CONSTANTS)))
     inputs = np.concatenate([own.inputs, constants], axis=1)
     seen = np.take_along_axis(inputs, of.inputs[np.searchsorted(fingers, own.finger)], axis=1)

@@ -130,18 +130,18 @@ def _chair(about: dict[str, Any]) -> Chair:
     return Chair(**about | {"names": names, "plays": plays})
 
 
-def _bass(said: str) -> Pattern:
+def _bass(text: str) -> Pattern:
     """A bass by its name, with the percentage of roots that are approached, if any."""
-    name, *percent = said.split()
+    name, *percent = text.split()
     if name == "walking":
         return walking_bass
     play = patterned_bass(tables()["basses"][name])
     return approached(play, int(percent[0])) if percent else play
 
 
-def _pattern(said: str) -> Pattern:
+def _pattern(text: str) -> Pattern:
     """What an accompaniment plays: a function of `accompaniment` and its arguments."""
-    match said.split():
+    match text.split():
         case ["picked"]:
             return picked
         case ["boom_chick"]:
@@ -160,4 +160,4 @@ def _pattern(said: str) -> Pattern:
             if voices in _GUITAR:
                 return chords(partial(map, _GUITAR[voices]), *rhythms)
             return chords(partial(led_voicings, slots=VOICES[voices]), *rhythms)
-    raise ValueError(said)
+    raise ValueError(text)
