@@ -76,6 +76,28 @@ def test_the_cursor_moves_on_with_the_music(page):
     assert len(set(places)) == 4
 
 
+def test_only_whole_systems_are_shown(browser, tmp_path, episode):
+    bar = 0.03  # [s]
+    bars = tuple(Bar(bar * i, i + 1, (bar * i, bar * (i + 0.5))) for i in range(60))
+    notes = tuple(Note(at, at + 0.01, 72) for each in bars for at in each.beats)
+    silence = np.zeros((0, 2), np.int16)
+    made = performance_page(episode, {}, {}, silence, written=Score(notes, bars=bars))
+    write_page(tmp_path / "page.html", made)
+    browser.open(tmp_path / "page.html")
+    assert browser.evaluate("document.querySelectorAll('.system').length") > 4
+    are_whole = """(() => {
+        const box = (e) => e.getBoundingClientRect(), EDGE = 7;
+        const window = box(document.querySelector('#score'));
+        const cursor = box(document.querySelector('#score .cursor'));
+        const shown = [...document.querySelectorAll('.system:not(.cut)')].map(box);
+        return shown.length === 3 && shown.some((s) => s.top <= cursor.top && cursor.top < s.bottom)
+            && shown.every((s) => s.top >= window.top - EDGE && s.bottom <= window.bottom + EDGE);
+    })()"""
+    for moment in (0.1, 0.9, 1.75):
+        browser.evaluate(f"cadenza.seek({moment})")
+        browser.wait(are_whole, 5)  # it may be scrolling
+
+
 def test_the_score_is_hidden_and_downloaded(page, tmp_path):
     page.evaluate("document.getElementById('show-score').click()")
     assert not page.evaluate("document.getElementById('score').checkVisibility()")

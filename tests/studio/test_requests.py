@@ -152,7 +152,7 @@ def test_practice_is_of_what_a_song_holds_now() -> None:
 
 def test_performances_are_found_again_and_removed(songs: Storage) -> None:
     id = "0123456789abcdef"
-    kept = KeptPerformance("Ode", PlayRequest("OdeToJoy"), 0.9, 0.8, 8.0, 1.0)
+    kept = KeptPerformance("Ode", PlayRequest("OdeToJoy"), "Well.", 8.0, 1.0)
     (songs.folder / id).mkdir()
     write_json(songs.folder / id / "studio.json", asdict(kept))
     (songs.folder / id / "report.html").write_text("report")

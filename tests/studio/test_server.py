@@ -197,7 +197,7 @@ def test_what_is_kept_is_told_again(client: TestClient, tmp_path: Path) -> None:
     id, wanted = "0123456789abcdef", PlayRequest("OdeToJoy")
     folder, rows = tmp_path / "studio" / id, bytes(range(256)) * 4000  # more than is sent at once
     folder.mkdir()
-    write_json(folder / "studio.json", asdict(KeptPerformance("Ode", wanted, 0.9, 0.8, 8.0, 1.0)))
+    write_json(folder / "studio.json", asdict(KeptPerformance("Ode", wanted, "Well.", 8.0, 1.0)))
     (folder / HEADER_FILE).write_bytes(b'{"steps": 3}')
     (folder / ROWS_FILE).write_bytes(rows)
     (kept,) = client.get("/TOKEN/api/performances").json()
@@ -229,7 +229,7 @@ def test_no_link_leads_out_of_what_is_kept(client: TestClient, tmp_path: Path) -
     studio, wanted = tmp_path / "studio", PlayRequest("OdeToJoy")
     own, linked = studio / "0123456789abcdef", studio / "fedcba9876543210"
     own.mkdir()
-    write_json(own / "studio.json", asdict(KeptPerformance("Ode", wanted, 0.9, 0.8, 8.0, 1.0)))
+    write_json(own / "studio.json", asdict(KeptPerformance("Ode", wanted, "Well.", 8.0, 1.0)))
     for name in "report.html", HEADER_FILE, ROWS_FILE:
         (own / name).symlink_to(secret)
     linked.symlink_to(own)
@@ -254,8 +254,7 @@ WEIRD = {  # contents of a JSON file
     b'"seconds": 1, "notes": 1}',
     "no tracks": b'{"id": "0123456789abcdef", "title": "x", "ending": ".mid", "seconds": 1, '
     b'"notes": 1, "tracks": [{"name": 5}]}',
-    "no request": b'{"title": "x", "request": {}, "f1": 1, "note_onset_f1": 1, "seconds": 1, '
-    b'"finished": 1}',
+    "no request": b'{"title": "x", "request": {}, "verdict": "", "seconds": 1, "finished": 1}',
 }
 
 
@@ -593,7 +592,7 @@ def test_a_song_plays_on_where_no_spare_player_can_start(
 ) -> None:
     """The spare one is started when the song has been played, and its files are being written."""
     told = io.BytesIO()
-    json_message(state="played", metrics={}).write(told)
+    json_message(state="played", verdict="").write(told)
     json_message(state="kept", performance="x").write(told)
     begun = []
 

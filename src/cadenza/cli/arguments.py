@@ -42,6 +42,12 @@ Quiet = Annotated[
 ]
 """The option of all commands that show their progress."""
 
+Verbose = Annotated[
+    tyro.conf.FlagCreatePairsOff[bool],
+    tyro.conf.arg(help="Print all figures, too: metrics, rewards, and why notes were missed."),
+]
+"""The option of commands that say how well a song was played."""
+
 SoundFont = Annotated[
     Path | None, tyro.conf.arg(help="A sound font (SF2) in place of the built-in piano.")
 ]

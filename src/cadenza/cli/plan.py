@@ -10,15 +10,14 @@ from typing import Annotated, Any
 import tyro
 
 from cadenza.agents.registry import PLANNER, PLAYBACK, PRACTISED
-from cadenza.cli.arguments import Output, Quiet
+from cadenza.cli.arguments import Output, Quiet, Verbose
 from cadenza.cli.options import SONG, Options, Read, setting_up
 from cadenza.cli.progress import stages
 from cadenza.cli.saving import (
     check_name,
     check_writable,
     default_folder,
-    print_losses,
-    print_scores,
+    print_verdict,
 )
 from cadenza.files import TENSORS
 from cadenza.music.arrangement import Arrangement
@@ -46,6 +45,7 @@ class PlanCommand(Options):
     be looked at and printed, to this .svg picture."""
     seed: int = 0
     """Random seed."""
+    verbose: Verbose = False
     quiet: Quiet = False
 
 
@@ -67,8 +67,7 @@ def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
         with stages("planning") as progress:
             planned = plan_of(setup, perform(setup, progress))
     planned.save(path)
-    print_scores(planned.performance)
-    print_losses(planned.performance)
+    print_verdict(planned.performance, command.verbose)
     if command.score is not None:
         for remark in _write_sheet(planned.score, command.score):
             print(f"{command.score}: {remark}")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from cadenza.cli.arguments import Output, Quiet, SoundFont
+from cadenza.cli.arguments import Output, Quiet, SoundFont, Verbose
 from cadenza.cli.console import stop_on_signal
 from cadenza.cli.options import AGENTS_HELP, LEARNER, Options, Read, setting_up
 from cadenza.cli.practice import practised
@@ -46,6 +46,7 @@ class PlayCommand(Options):
     watch: tyro.conf.FlagCreatePairsOff[bool] = False
     """Show it on a page while it is planned, until Ctrl-C."""
     learner: Annotated[str | None, LEARNER] = None
+    verbose: Verbose = False
     quiet: Quiet = False
 
 
@@ -73,7 +74,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
                     performance = perform(setup, reporting, stop)
             if page:
                 page.finish(performance)
-            save(performance, folder, command.video, voice)
+            save(performance, folder, command.video, voice, command.verbose)
             stopped = stop()
         if page and not stopped:
             print("Ctrl-C ends the page")

@@ -72,7 +72,13 @@ def agent_folder(setup: Setup) -> Path:
     return default_folder(setup) / folder_name("-".join(parts))
 
 
-def save(performance: Performance, folder: Path, video: bool, voice: Tone | None = None) -> None:
+def save(
+    performance: Performance,
+    folder: Path,
+    video: bool,
+    voice: Tone | None = None,
+    verbose: bool = False,
+) -> None:
     """Write the results of a performance, print how well it was played, and make its film.
 
     Without a `voice`, the built-in piano plays.
@@ -82,8 +88,7 @@ def save(performance: Performance, folder: Path, video: bool, voice: Tone | None
     voice = voice or tone
     with stages("playing") as progress:
         performance.save(folder, progress, voice=voice)
-    print_scores(performance)
-    print_losses(performance)
+    print_verdict(performance, verbose)
     print(f"\nOpen {folder / 'report.html'}")
     if video:
         try:
@@ -111,8 +116,20 @@ def film(
     print(f"Written to {written}")
 
 
-def print_scores(performance: Performance) -> None:
-    """Print how well a song was played, and how long that took."""
+def print_verdict(performance: Performance, verbose: bool) -> None:
+    """Print how well a song was played and what to try, and if `verbose` all figures of it."""
+    print(performance.verdict)
+    if performance.advice:
+        print(f"{performance.advice}.")
+    if verbose:
+        print()
+        _print_figures(performance)
+    if performance.metrics["unstable"]:
+        print("the simulation became unstable and the episode ended early", file=sys.stderr)
+
+
+def _print_figures(performance: Performance) -> None:
+    """Print the metrics, the return, why notes were missed, and how long all took."""
     metrics = performance.metrics
     print(
         f"F1 {metrics['f1']:.3f}  precision {metrics['precision']:.3f}  "
@@ -126,8 +143,7 @@ def print_scores(performance: Performance) -> None:
         f"simulation {metrics['playing_seconds']:.1f} s"
     )
     print(_return_summary(metrics))
-    if metrics["unstable"]:
-        print("the simulation became unstable and the episode ended early", file=sys.stderr)
+    _print_losses(performance)
 
 
 def _expression_summary(metrics: Mapping[str, Any]) -> str:
@@ -156,7 +172,7 @@ def _return_summary(metrics: Mapping[str, Any]) -> str:
     return f"return {metrics['return']:.1f}: {text}{fingers}"
 
 
-def print_losses(performance: Performance) -> None:
+def _print_losses(performance: Performance) -> None:
     """Print how many notes were missed, and why, if there was a plan."""
     from collections import Counter
 
@@ -168,5 +184,3 @@ def print_losses(performance: Performance) -> None:
     reasons = Counter(reason for _, reason in performance.track.dropped or ())
     for reason, count in reasons.most_common():
         print(f"no finger for {counted(count, 'note')}: {reason}")
-    if performance.advice:
-        print(performance.advice)

@@ -23,10 +23,10 @@ from cadenza.music.formats.finger_numbers import finger_number
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.performance import key_runs, played_in
 from cadenza.music.score import Score
-from cadenza.performing.advice import advice
 from cadenza.performing.loaded_song import SomeSong
 from cadenza.performing.player import SomeAgent, find_player
 from cadenza.performing.setup import Setup, set_up
+from cadenza.performing.verdict import Advice, advice, verdict
 from cadenza.report.html_pages import write_page
 from cadenza.report.performance_page import performance_page
 from cadenza.report.sound import Sound, bit_rate_of, encode_opus, synthesize
@@ -72,8 +72,8 @@ class Performance:
     """Notes that were missed or let go early, and why; None without a plan to tell by."""
     fates: list[Fate] | None = None
     """What became of each note of a song that was arranged for the hands; None if it was not."""
-    advice: str | None = None
-    """What to try where much of the song was lost, which is among the remarks too."""
+    advice: Advice | None = None
+    """What to try where much of the song was lost."""
 
     def __repr__(self) -> str:
         agent, f1 = self.settings["agent"], self.metrics["f1"]
@@ -98,6 +98,11 @@ class Performance:
     def fingered_goal(self) -> Score:
         """The goal with the fingers that were to play it, as far as the agent has planned them."""
         return self.goal if self.track is None else self.track.delayed_score
+
+    @property
+    def verdict(self) -> str:
+        """How well it was played, in a sentence, see `cadenza.performing.verdict.verdict`."""
+        return verdict(self.played, self.goal.until(self.seconds))
 
     @property
     def remarks(self) -> list[str]:
@@ -186,12 +191,14 @@ def add_page(folder: Path, goal: Score, audio: Sound | None = None, voice: Tone 
     """
     episode = load_episode(folder / "episode.npz")
     seconds = episode.num_steps * episode.dt
-    sound = synthesize(goal.until(seconds), voice=voice)
+    played, written = played_in(episode), goal.until(seconds)
+    sound = synthesize(written, voice=voice)
     page = performance_page(
         episode,
         read_json(folder / "metrics.json", dict[str, Any]),
         read_json(folder / "settings.json", dict[str, Any]),
-        synthesize(played_in(episode), voice=voice) if audio is None else audio,
+        synthesize(played, voice=voice) if audio is None else audio,
+        verdict=verdict(played, written),
         misses=_listed(folder / "misses.json"),
         arrangement=_listed(folder / "arrangement.json"),
         goal_sound=encode_opus(
@@ -270,8 +277,7 @@ def perform(
     plan, settings, played = result.plan, setup.settings, result.episode.num_steps
     if played < setup.num_steps:
         part = f"{played * result.episode.dt:.1f} of {setup.num_steps * result.episode.dt:.1f} s"
-        ended = f"ended after {part}; all of this page is about that part"
-        settings = settings | {"remarks": [*settings.get("remarks", ()), ended]}
+        settings = settings | {"notices": [f"It ended after {part}; all here is about that part."]}
     metrics = result.metrics | {"energy": _energy(result.metrics, setup.task.config)}
     arrangement, fates = setup.arrangement, None
     if arrangement is not None:
@@ -282,7 +288,7 @@ def perform(
     num_notes = len(key_runs(result.episode["goal_keys"])[0])
     tip = advice(misses or (), num_notes, metrics["f1"], settings, arrangement is not None)
     if tip:
-        settings = settings | {"remarks": [*settings.get("remarks", ()), tip]}
+        settings = settings | {"notices": [*settings.get("notices", ()), f"{tip}."]}
     return Performance(
         score=setup.score,
         goal=setup.task.score(0),

@@ -30,7 +30,7 @@ _HEADLINES = {
     "recall": ("Recall", "Of the keys that should sound, the share that do, 0 to 1."),
     "note_onset_f1": ("Note onset F1", "Notes that begin within 50 ms of their time, 0 to 1."),
 }
-"""Title and meaning of the metrics at the top of the page; the others are folded."""
+"""Title and meaning of the metrics that stand above all others."""
 _ARRANGEMENT = {
     "original_f1": ("F1 against the original", "Of all keys of the song as written, 0 to 1."),
     "original_note_onset_f1": ("Note onset F1 against it", "Of all of its notes, 0 to 1."),
@@ -52,6 +52,7 @@ def performance_page(
     metrics: Mapping[str, Any],
     settings: Mapping[str, Any],
     audio: Samples,
+    verdict: str = "",
     misses: Sequence[Mapping[str, Any]] = (),
     arrangement: Sequence[Mapping[str, Any]] = (),
     goal_sound: bytes = b"",
@@ -64,9 +65,11 @@ def performance_page(
     Args:
         episode: what to show; without a drawn scene, the page has all but the 3D view.
         metrics: name -> number or text; nested mappings are flattened. NaN is shown as a dash.
-        settings: name -> value, nested or not; `agent` and `seed` are also named at the top, and
-            each of `remarks`. None is not shown; of an absolute path, only the last part.
+        settings: name -> value, nested or not; `agent` is also named at the top, as is each of
+            `notices`; `remarks` are folded. None is not shown; of an absolute path, only the last
+            part.
         audio: the performance as `synthesize` makes it, starting with the first step.
+        verdict: how well it was played, in a sentence.
         misses: the notes that were lost, as `misses.json` has them; without any, the page has no
             such table.
         arrangement: what became of each note of a song that was arranged, as `arrangement.json`
@@ -78,7 +81,8 @@ def performance_page(
             loudness and timing differ, and a score, see `engraving_of`, if it is made in 10 s.
     """
     metrics, remarks = _shown_metrics(episode, metrics), settings.get("remarks") or ()
-    settings = {name: value for name, value in settings.items() if name != "remarks"}
+    notices = settings.get("notices") or ()
+    settings = {n: value for n, value in settings.items() if n not in ("remarks", "notices")}
     try:
         engraving = engraving_within(_PATIENCE, written) if written else ""
     except TimeoutError:
@@ -91,6 +95,8 @@ def performance_page(
         "performance.html",
         title=episode.song or "Untitled",
         facts=_facts(episode, dict(flat(settings))),
+        verdict=verdict,
+        notices=notices,
         remarks=remarks,
         headlines=_figures(_HEADLINES, metrics),
         arrangement=_figures(_ARRANGEMENT, metrics),
@@ -110,12 +116,10 @@ def performance_page(
 
 def _facts(episode: Episode, settings: Mapping[str, Any]) -> dict[str, str]:
     named = {name.rsplit(".", 1)[-1]: settings[name] for name in reversed(list(settings))}
-    known = (name for name in ("agent", "seed") if named.get(name) is not None)
-    facts = {name: _plain(named[name]) for name in known}
+    facts = {} if named.get("agent") is None else {"played by": _plain(named["agent"])}
     if named.get("hands") == "apart":
         facts["recordings"] = "of each hand by itself, combined"
-    seconds = episode.num_steps * episode.dt
-    return facts | {"length": f"{seconds:.1f} s", "control steps": str(episode.num_steps)}
+    return facts | {"length": f"{episode.num_steps * episode.dt:.1f} s"}
 
 
 def _roll_description(episode: Episode) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 from cadenza.studio.messages import JSON, ROWS
 
 _OVER = ("kept", "failed", "cancelled")
-_LASTING = "metrics", "remarks"  # fields of a status that the ones after it have as well
+_LASTING = "verdict", "remarks"  # fields of a status that the ones after it have as well
 _MAX_SENT = 1 << 18  # bytes of rows at once
 
 

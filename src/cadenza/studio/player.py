@@ -44,7 +44,7 @@ from cadenza.studio.request import (
     practice_folder,
     unfinished_folder,
 )
-from cadenza.studio.state_stream import StateStream
+from cadenza.studio.state_stream import StateStream, words_of
 from cadenza.studio.storage import ABOUT, KeptPerformance
 from cadenza.studio.upload_reader import check_size, error_without_path
 
@@ -206,8 +206,7 @@ def save(performance: Performance, states: StateStream, order: Order, send: Send
     about = KeptPerformance(
         title=order.title,
         request=order.request,
-        f1=performance.metrics["f1"],
-        note_onset_f1=performance.metrics["note_onset_f1"],
+        verdict=words_of(performance),
         seconds=performance.seconds,
         finished=time.time(),
         remarks=performance.remarks,

@@ -44,7 +44,7 @@ AGENTS = {
         "Planner, practising",
         "Plays, then practises in the background: next time better.",
     ),
-    UNREFINED: ("Planner, unrefined", "The plan as it is: it takes less time, and misses more."),
+    UNREFINED: ("Planner, unrehearsed", "The plan as it is: it takes less time, and misses more."),
     "pretrained": ("Learnt policy", "Learnt from scratch; it knows a few of the bundled pieces."),
     "predictive-sampling": ("Predictive sampling", "For contrast: a search without a plan."),
 }

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.files import plain
 from cadenza.music.performance import SoundedNotes, key_events
 from cadenza.performing.performance import Performance
 from cadenza.performing.setup import Setup
@@ -22,6 +21,12 @@ from cadenza.tasks.goal_track import GoalTrack
 
 _PATIENCE = 20.0  # [s] for which a score is waited for
 _ALL_THE_WAY = 255  # of a key that is down, in a row
+
+
+def words_of(performance: Performance) -> str:
+    """How well a song was played, and what to try, as the page says it."""
+    tip = performance.advice
+    return f"{performance.verdict} {tip.words}." if tip else performance.verdict
 
 
 class StateStream:
@@ -102,8 +107,8 @@ class StateStream:
 
     def finish(self, performance: Performance) -> None:
         """Send how well all was played, the score if that is yet to come, and what was missed."""
-        metrics, remarks = plain(performance.metrics), performance.remarks
-        self._send(json_message(state="played", metrics=metrics, remarks=remarks))
+        verdict, remarks = words_of(performance), performance.remarks
+        self._send(json_message(state="played", verdict=verdict, remarks=remarks))
         self._send_score(_PATIENCE)
         self._add(misses=lost_notes(performance.losses))
 

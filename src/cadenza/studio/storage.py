@@ -71,8 +71,7 @@ class KeptPerformance:
 
     title: str
     request: PlayRequest
-    f1: float
-    note_onset_f1: float
+    verdict: str
     seconds: float
     finished: float
     """The time [s] since 1970."""
@@ -219,8 +218,7 @@ class Storage:
         """
         folder = self._performance(id)
         kept = read_json(folder / ABOUT, KeptPerformance)
-        scores = {"f1": kept.f1, "note_onset_f1": kept.note_onset_f1}
-        status = {"state": "kept", "metrics": scores, "remarks": kept.remarks}
+        status = {"state": "kept", "verdict": kept.verdict, "remarks": kept.remarks}
         if not _has_states(folder):
             raise CadenzaError("of this performance there is only the report")
         header, rows = content_of(folder / HEADER_FILE), content_of(folder / ROWS_FILE)

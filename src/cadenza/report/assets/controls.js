@@ -28,6 +28,16 @@ function loudness(muted, volume) {
   return mute;
 }
 
+/** Says how much of the window is needed around picture and score, as the header is as high as its words. */
+function fitToWindow() {
+  const card = $("performance"), heightOf = (id) => $(id)?.offsetHeight ?? 0, BELOW = 10; // [px]
+  const observer = new ResizeObserver(() => {
+    const around = card.getBoundingClientRect().top + scrollY + card.offsetHeight - heightOf("stage") - heightOf("score") + BELOW;
+    card.style.setProperty("--around", `${Math.ceil(around)}px`);
+  });
+  for (const part of document.querySelectorAll("header, .looks, .transport, .tools")) observer.observe(part);
+}
+
 /** A button that loops; returns whether it is pressed. */
 function looping() {
   $("loop").addEventListener("click", () => press($("loop"), !isPressed($("loop"))));

@@ -134,5 +134,6 @@ function redraw() {
 new ResizeObserver(redraw).observe($("roll"));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 Object.assign(cadenza, { seek, play, pause, stage, ready: true });
+fitToWindow();
 redraw();
 frame();

@@ -5,8 +5,10 @@ const readEngraving = async (text) => JSON.parse(await unpackedText(text));
 
 const HEAD = 217, SPOT = 150; // width of a note's head and radius of the spot about it, in units of a drawing
 const BEFORE_THE_CURSOR = 0.15, WITH_THE_CURSOR = 0.85; // of a screen that is narrower than a system
-const ABOVE = 8; // [px] of a system that stay free
 const TURNING = 700; // [ms] that a browser takes to scroll smoothly
+const AHEAD = 0.4; // [s] before its first note that a system is turned to
+const STAFF = 720, SMALLEST_STAFF = 20; // height of a staff, in units of a drawing and at least [px]
+const ROOM = 0.38; // of the window's height, for three systems; where it is too little, or narrow, there is one
 const SVG_NAMES = "http://www.w3.org/2000/svg";
 const addDrawing = (name, attributes, parent) => {
   const element = document.createElementNS(SVG_NAMES, name);
@@ -26,7 +28,7 @@ function drawSystems(element, { glyphs, systems }) {
     const label = first === last ? `Bar ${first}` : `Bars ${first} to ${last}`;
     const drawing = addDrawing("svg", { class: "system", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label }, element);
     drawing.innerHTML = svg;
-    return { drawing, height, bars, begin: bars[0].begin, anchors: [] };
+    return { drawing, width, height, bars, begin: bars[0].begin, anchors: [] };
   });
 }
 
@@ -71,8 +73,7 @@ function placeAt(anchors, time) {
 function createScore(element, engraving, data, seek) {
   const systems = drawSystems(element, engraving), notes = drawnNotes(element, engraving, data.lowest);
   placeAnchors(systems, notes);
-  element.classList.toggle("short", systems.length === 1);
-  element.prepend(...engraving.remarks.map((remark) => make("p", remark, { className: "remark" })));
+  $("sheet-remarks").replaceChildren(...engraving.remarks.map((remark) => make("p", remark, { className: "remark" })));
   const cursor = make("div", [], { className: "cursor" }), longest = longestOf(notes);
   element.append(cursor);
   let now = 0, width = 0, narrow = false, shown = null, sounding = new Set(), touchedAt = -Infinity, turnedAt = -Infinity;
@@ -101,10 +102,23 @@ function createScore(element, engraving, data, seek) {
     for (const note of sounding) mark(note, true, stateOf(note, row));
   }
 
+  /** Makes room for three systems, somewhat smaller where it must be, or for one. */
+  function fitSystems() {
+    const [{ drawing, width: wide }] = systems, style = getComputedStyle(drawing);
+    const [above, below, left, right] = ["Top", "Bottom", "Left", "Right"].map((side) => parseFloat(style[`padding${side}`]));
+    const tallest = Math.max(...systems.map(({ height }) => height)), full = Math.max(width, parseFloat(style.minWidth)) - left - right;
+    const number = full + left + right > width ? 1 : Math.min(systems.length, 3), scale = Math.min((ROOM * innerHeight / number - above - below) / tallest, full / wide);
+    const isLegible = STAFF * scale >= SMALLEST_STAFF || scale === full / wide;
+    element.style.setProperty("--wide", `${(isLegible ? scale * wide : full) + left + right}px`);
+    const height = isLegible ? number * (scale * tallest + above + below) : (full / wide) * tallest + above + below;
+    element.closest(".performance").style.setProperty("--systems", `${Math.ceil(height) + element.offsetHeight - element.clientHeight}px`);
+  }
+
   /** Notes where the systems are in the element [px], so that nothing has to be measured while it plays. */
   function measure() {
     [width, shown] = [element.clientWidth, null];
     if (!width) return; // it is hidden
+    fitSystems();
     const { left, top } = element.getBoundingClientRect();
     for (const system of systems) {
       const { a: scale, e, f } = system.drawing.getScreenCTM();
@@ -113,7 +127,7 @@ function createScore(element, engraving, data, seek) {
     narrow = element.scrollWidth > width + 1;
   }
 
-  /** Scrolls to the cursor, at `x` [px]: a system that is new to the top, and a narrow screen sideways. */
+  /** Scrolls to the cursor, at `x` [px]: a system that is new to the middle, and a narrow screen sideways. */
   function turnTo(system, x, jumped) {
     const isTurned = system === shown, at = x - element.scrollLeft;
     const isAway = narrow && (at < 0 || at > WITH_THE_CURSOR * width) && (jumped || performance.now() - turnedAt > TURNING);
@@ -121,7 +135,11 @@ function createScore(element, engraving, data, seek) {
     shown = system;
     turnedAt = performance.now();
     const behavior = jumped || matchMedia("(prefers-reduced-motion: reduce)").matches ? "instant" : "smooth";
-    element.scrollTo({ behavior, left: narrow ? x - BEFORE_THE_CURSOR * width : 0, top: system.place.top - ABOVE });
+    const { clientHeight: high, scrollHeight } = element, middle = system.place.top + system.place.height / 2;
+    const top = Math.max(Math.min(middle - high / 2, scrollHeight - high), 0), isWhole = ({ place }) => place.top >= top && place.top + place.height <= top + high;
+    for (const each of systems) each.drawing.classList.toggle("cut", each !== system && !isWhole(each));
+    element.classList.remove("searched");
+    element.scrollTo({ behavior, left: narrow ? x - BEFORE_THE_CURSOR * width : 0, top });
   }
 
   function move(time) {
@@ -130,11 +148,12 @@ function createScore(element, engraving, data, seek) {
     if (jumped) notes.forEach(rest);
     colour(time);
     if (!width) return;
-    const system = systems.findLast(({ begin }) => begin <= time + 1e-6) ?? systems[0], { place } = system;
-    const x = place.left + place.scale * placeAt(system.anchors, time);
+    const at = (moment) => systems.findLast(({ begin }) => begin <= moment + 1e-6) ?? systems[0];
+    const placeOf = ({ place, anchors }) => place.left + place.scale * placeAt(anchors, time);
+    const system = at(time), next = at(time + (jumped ? 0 : AHEAD)), { place } = system, x = placeOf(system);
     cursor.style.transform = `translate(${x}px, ${place.top}px)`;
     cursor.style.height = `${place.height}px`;
-    if (jumped || performance.now() - touchedAt > LOOKING_AROUND) turnTo(system, x, jumped || !shown);
+    if (jumped || performance.now() - touchedAt > LOOKING_AROUND) turnTo(next, placeOf(next), jumped || !shown);
   }
 
   element.addEventListener("click", (event) => {
@@ -147,7 +166,10 @@ function createScore(element, engraving, data, seek) {
     seek(anchors.slice(0, -1).reduce((nearest, anchor) => (distance(anchor) < distance(nearest) ? anchor : nearest), anchors[0])[0]);
   });
   for (const name of ["wheel", "pointerdown", "touchmove"]) {
-    element.addEventListener(name, () => { touchedAt = performance.now(); }, { passive: true });
+    element.addEventListener(name, () => {
+      touchedAt = performance.now();
+      element.classList.add("searched");
+    }, { passive: true });
   }
   element.addEventListener("keydown", (event) => {
     const step = { PageUp: -1, PageDown: 1 }[event.key];

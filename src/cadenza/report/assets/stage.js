@@ -120,6 +120,12 @@ function createStage(canvas, data, colours) {
       const across = Math.abs(corner.dot(side)) / (0.97 * camera.aspect), upwards = Math.abs(corner.dot(up)) / 0.93;
       distance = Math.max(distance, corner.dot(away) + Math.max(across, upwards) / slope);
     }
+    if (Math.abs(side.y) > 0.9) { // across the keyboard: nothing beside it while a part of it is cut off
+      const farthest = distance + Math.abs(away.x) * (box[1] - box[0]) / 2;
+      const half = farthest * slope * camera.aspect, { min, max } = keyboard, middle = (min.y + max.y) / 2;
+      const play = Math.max((max.y - min.y) / 2 - half, 0);
+      target.y = Math.min(Math.max(target.y, middle - play), middle + play);
+    }
     camera.position.copy(target).addScaledVector(away, distance);
     controls.target.copy(target);
     controls.update();

@@ -76,7 +76,7 @@ function choose(id) {
 function playRequest() {
   if (!chosen) throw new Refusal(SONG_GONE);
   const wanted = { song: chosen.id }, wrong = NUMBERS.find((name) => !$(name).checkValidity());
-  if (wrong) throw new Refusal(`${wrong[0].toUpperCase()}${wrong.slice(1)}: ${$(wrong).validationMessage}`);
+  if (wrong) throw new Refusal(`${$(wrong).labels[0].textContent.trim()}: ${$(wrong).validationMessage}`);
   for (const name of OPTIONS) wanted[name] = NUMBERS.includes(name) ? Number($(name).value) : $(name).value;
   for (const name of SWITCHES) wanted[name] = $(name).checked;
   wanted.arrange = $("arrange").checked ? "auto" : "off";

@@ -11,7 +11,7 @@ async function listPerformances() {
 function performanceItem(each) {
   const links = make("nav"), { id, title, has_states: canWatch } = each;
   const when = new Date(1000 * each.finished).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
-  const about = `${formatScores(each.f1, each.note_onset_f1)} · ${minutes(each.seconds).split(".")[0]} · ${when}`;
+  const about = `${minutes(each.seconds).split(".")[0]} · ${when}`;
   if (canWatch) links.append(labelledButton("Watch", `Watch ${title}`, () => { instrument.wake(); watch(id); }));
   for (const [file, name] of Object.entries(FILE_TITLES)) {
     if (!each.files.includes(file)) continue;
@@ -20,7 +20,7 @@ function performanceItem(each) {
     links.append(link);
   }
   links.append(labelledButton("Delete", `Delete ${title}`, () => deletePerformance(each)));
-  return make("li", [make("b", title, { title }), make("small", howPlayed(each.request)), make("small", about), links]);
+  return make("li", [make("b", title, { title }), make("small", each.verdict), make("small", howPlayed(each.request)), make("small", about), links]);
 }
 async function deletePerformance({ id, title }) {
   if (!confirm(`Delete this performance of ${title}?`)) return;

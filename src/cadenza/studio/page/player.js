@@ -92,7 +92,7 @@ function showNothing() {
   roll = score = null;
   $("score").hidden = $("show-score").hidden = true;
   document.title = $("title").textContent = $("title").title = "Cadenza studio";
-  $("facts").replaceChildren();
+  for (const id of ["facts", "verdict", "losses", "sheet-remarks"]) $(id).replaceChildren();
   $("roll-card").hidden = $("looks").hidden = document.querySelector("#stage .legend").hidden = true;
   for (const card of document.querySelectorAll(".explained")) card.hidden = true;
   for (const id of ["clock", "length"]) $(id).textContent = minutes(0);
@@ -143,15 +143,17 @@ function showRequest() {
   document.title = `${title} · Cadenza studio`;
   showFacts();
 }
-/** Shows who plays, and what of the song is not played; what is the file's is said below the list of songs. */
+/** Shows who plays, how well, and what of the song is not played; what is the file's is said below the list of songs. */
 function showFacts() {
-  const { request, recording, status: { remarks = recording?.remarks ?? [] } } = current;
-  const facts = [`Played by ${howPlayed(request)}`, ...remarks.filter((remark) => !chosen?.remarks?.includes(remark))];
-  $("facts").replaceChildren(...facts.map((fact) => make("span", fact)));
+  const { request, recording, status: { verdict = "", remarks = recording?.remarks ?? [] } } = current;
+  $("facts").replaceChildren(make("span", `Played by ${howPlayed(request)}`));
+  $("verdict").textContent = verdict;
+  const losses = remarks.filter((remark) => !chosen?.remarks?.includes(remark));
+  $("losses").replaceChildren(...losses.map((remark) => make("p", remark, { className: "remark" })));
 }
 /** Returns who plays, and the options that are not the usual ones. */
 function howPlayed({ agent, hand, hands = "both", seed, tempo, transpose, plain, expression, arrange, level }) {
-  const parts = [nameOfAgent(agent), hand !== "shadow" && (handTitles[hand] ?? hand), hands !== "both" && (hands === "written" ? "hands as written" : `${hands} hand`), arrange === "off" && "as written", level && `level ${level}`, transpose && `${transpose > 0 ? "+" : "−"}${Math.abs(transpose)} semitones`, tempo !== 1 && `${tempo}×`, plain && "without its signs", expression && "with expression", seed && `seed ${seed}`];
+  const parts = [nameOfAgent(agent), hand !== "shadow" && (handTitles[hand] ?? hand), hands !== "both" && (hands === "written" ? "hands as written" : `${hands} hand`), arrange === "off" && "as written", level && `level ${level}`, transpose && `${transpose > 0 ? "+" : "−"}${Math.abs(transpose)} semitones`, tempo !== 1 && `${tempo}×`, plain && "plain notes", expression && "with expression", seed && `take ${seed}`];
   return parts.filter(Boolean).join(" · ");
 }
 
@@ -274,8 +276,7 @@ function playWhenReady(end) {
 }
 function finish() {
   cadenza.finished = true;
-  const [f1, , , onsets] = current.recording.scores, { metrics = { f1, note_onset_f1: onsets } } = current.status;
-  showNotice(`Played with ${formatScores(metrics.f1, metrics.note_onset_f1)}`, null, null, true);
+  showNotice(current.status.verdict ?? "", null, null, true);
 }
 
 /** Goes to a time that has been planned [s]. */

@@ -3,7 +3,7 @@
 $("search").addEventListener("input", showSongs);
 $("agent").addEventListener("change", showAgent);
 const levels = Array.from({ length: HARDEST }, (_, i) => make("option", i + 1));
-$("level").append(make("option", "as hard as it can be", { value: "" }), ...levels);
+$("level").append(make("option", "all that hands can play", { value: "" }), ...levels);
 $("arrange").addEventListener("change", showLevel);
 for (const id of ["start", "first"]) $(id).addEventListener("click", playChosen);
 $("speed").addEventListener("change", () => setSpeed(Number($("speed").value)));
@@ -71,4 +71,5 @@ setInterval(() => { // also where the page is hidden and draws no frames
   scheduleSound();
 }, 50);
 Object.assign(cadenza, { ready: true, upload, seek, instrument });
+fitToWindow();
 requestAnimationFrame(frame);
