@@ -100,9 +100,13 @@ def make_agent(name: str, config: Any = None) -> Agent:
     options = agent_options(name)
     if options is None and config is not None:
         raise CadenzaError(f"agent {quoted(name)} has no options: give none")
-    given = () if options is None else (as_config(config, options),)
     with by_others(f"agent {name}"):
-        return checked_agent(kind(*given), name)
+        if options is None:
+            return checked_agent(kind(), name)
+        config = as_config(config, options)
+        agent = checked_agent(kind(config), name)
+        agent.config = config  # its class may not keep it
+        return agent
 
 
 def agent_options(name: str) -> type | None:
