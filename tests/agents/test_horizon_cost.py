@@ -27,16 +27,16 @@ class Chord:
         self.wanted = keys[self.steps]
 
     def by_finger(self, depth: Array) -> Array:
-        return self.horizon.by_finger(depth * PIANO.travel, self.tips)
+        return self.horizon.by_finger((depth * PIANO.travel)[:, None], self.tips)
 
 
 def test_costs_of_fingers_are_those_of_the_steps() -> None:
     chord = Chord()
     for seed in range(10):
         depth = np.random.default_rng(seed).uniform(0.0, 1.2, chord.wanted.shape)
-        sounding, costs = np.zeros(88, bool), []
-        for k, (keys, tips) in enumerate(zip(depth * PIANO.travel, chord.tips, strict=True)):
-            cost, _, sounding = chord.horizon.step_cost(k, keys[None], tips, sounding)
+        keys, costs = chord.horizon.start, []
+        for k, (qpos, tips) in enumerate(zip(depth * PIANO.travel, chord.tips, strict=True)):
+            cost, _, keys = chord.horizon.step_cost(k, qpos[None], tips, keys)
             costs.append(cost)
         by_finger = chord.by_finger(depth)
         assert by_finger.shape == chord.tips.shape[:2]
@@ -72,7 +72,7 @@ def test_notes_that_do_not_begin_in_time_and_keys_struck_again_cost_more() -> No
 
     def cost(key: int, sounds: str) -> float:
         """Cost of a key of its own, or a wrong one, that sounds where the text has an x."""
-        before, total = np.zeros(88, bool), 0.0
+        before, total = horizon.start, 0.0
         for k, down in enumerate(sounds):
             key_qpos = np.zeros(88)
             key_qpos[key] = PIANO.travel[key] * (down == "x")
@@ -89,6 +89,42 @@ def test_notes_that_do_not_begin_in_time_and_keys_struck_again_cost_more() -> No
     assert cost(wrong, "..x.x.....") > cost(wrong, "..xx......") > cost(wrong, "..........")
 
 
+def test_a_wrong_key_that_is_only_brushed_is_a_mistake() -> None:
+    chord, beside = Chord(), CHORD[0] + 1 - PIANO.lowest_pitch
+    path = np.repeat(chord.wanted[1:2] * PIANO.travel, 4, axis=0)
+    before, tips = chord.horizon.start._replace(sounding=chord.wanted[1]), chord.tips[1]
+    clean, none, _ = chord.horizon.step_cost(1, path, tips, before)
+    path[1:3, beside] = PIANO.travel[beside]
+    brushed, mistakes, _ = chord.horizon.step_cost(1, path, tips, before)
+    assert brushed > clean + 1.0
+    assert (none, mistakes) == (0, 1)
+
+
+def test_a_note_that_was_lost_before_is_not_struck_again() -> None:
+    hand, key = OneHand(Score((Note(0.0, 0.6, 60),))), 60 - 21
+    first = int(np.flatnonzero(hand.plan.goals.keys[:, key])[0])
+    steps = np.arange(first + 4, first + 10)
+    horizon = HorizonCost(hand.goals, steps, PIANO, slice(None), np.zeros(88))
+
+    def cost_and_mistakes(sounds: str) -> tuple[float, int]:
+        keys, total, mistakes = horizon.start, 0.0, 0
+        for k, down in enumerate(sounds):
+            path = np.zeros((2, 88))
+            path[:, key] = PIANO.travel[key] * (down == "x")
+            more, wrong, keys = horizon.step_cost(
+                k, path, hand.goals.fingertips[steps[k] + 1], keys
+            )
+            total, mistakes = total + more, mistakes + wrong
+        return total, mistakes
+
+    assert cost_and_mistakes("......") < cost_and_mistakes(".xxxxx")
+    assert cost_and_mistakes("......")[1] == 0
+    assert cost_and_mistakes(".xxxxx")[1] == 1
+    finger = hand.goals.finger[steps[0], key]
+    error, _ = horizon.fingertip_errors(hand.goals.fingertips[steps + 1])
+    assert (error[:, finger, 2] > 0.005).all()  # it stays above its key
+
+
 # Where fingertips should have been
 
 
@@ -103,7 +139,8 @@ class Played:
 
     def errors(self) -> tuple[Array, Array]:
         horizon = HorizonCost(self.goals, self.steps, PIANO, slice(None), np.zeros(88))
-        return horizon.errors_by_sound(self.tips, self.sounding * PIANO.travel)
+        paths = np.repeat(self.sounding[:, None] * PIANO.travel, 2, axis=1)
+        return horizon.errors_by_sound(self.tips, paths)
 
 
 @pytest.fixture
@@ -142,12 +179,12 @@ def test_a_finger_on_a_key_that_should_be_silent_should_have_been_higher(played:
 def test_a_key_that_is_struck_again_within_a_step_costs_as_a_wrong_onset() -> None:
     chord, key = Chord(), CHORD[0] - PIANO.lowest_pitch
     path = np.repeat(chord.wanted[1:2] * PIANO.travel, 4, axis=0)
-    sounding, tips = chord.wanted[1], chord.tips[1]
-    held, *_ = chord.horizon.step_cost(1, path, tips, sounding)
+    before, tips = chord.horizon.start._replace(sounding=chord.wanted[1]), chord.tips[1]
+    held, none, _ = chord.horizon.step_cost(1, path, tips, before)
     path[1, key] = 0.0
-    struck_again, mistakes, _ = chord.horizon.step_cost(1, path, tips, sounding)
+    struck_again, mistakes, _ = chord.horizon.step_cost(1, path, tips, before)
     assert struck_again > held
-    assert not mistakes
+    assert (none, mistakes) == (0, 1)
 
 
 def test_wrong_keys_and_wrong_onsets_near_a_strike_are_its_fault() -> None:

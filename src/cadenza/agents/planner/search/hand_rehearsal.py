@@ -159,7 +159,7 @@ class HandRehearsal:
 
     def _update(self, rollout: Rollout, feedback: Array, horizon: HorizonCost) -> Array:
         """Update (S, A) of the controls of a rollout of all S steps."""
-        fingertips, key_qpos = np.array(rollout.fingertips), np.array(rollout.key_qpos)
-        error, weight = horizon.errors_by_sound(fingertips, key_qpos)
+        fingertips, key_paths = np.array(rollout.fingertips), np.array(rollout.key_paths)
+        error, weight = horizon.errors_by_sound(fingertips, key_paths)
         jacobian = self._simulator.fingertip_jacobian(np.array(rollout.hand_qpos))
         return control_update(error, weight, jacobian, feedback, self._servos, self._dt)

@@ -365,7 +365,7 @@ class HandSearch:
         if not rollouts[best].mistakes:
             return candidates[:0]
         by_finger = self._cost.by_finger
-        costs = [by_finger(np.array(r.key_qpos), np.array(r.fingertips)) for r in rollouts]
+        costs = [by_finger(r.key_paths, np.array(r.fingertips)) for r in rollouts]
         return crossover(candidates, costs, best, self._servos.finger)
 
     # Fingers that are caught between keys

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +16,7 @@ from cadenza.keyboards.keyboard import Keyboard
 
 _WRONG_KEY = 3.0  # cost of a key that sounds and should not, or the other way round
 _WRONG_ONSET = 3.0  # of a note that has not begun in time, and of an onset where no note begins
+_BRUSHED = 1.5  # of a wrong key that only sounds within a step: for a moment, but it is heard
 _DEPTH = 3.0  # of a key's squared distance from its harmless range, in units of its travel
 HARMLESS_DEPTH = 0.3
 """Share of its travel that a key may be down without any cost."""
@@ -24,6 +28,22 @@ _DEEPER = 0.006  # [m] that a fingertip should be whose key should sound and doe
 _OVER_ITS_KEY = 0.006  # [m] of horizontal error up to which its height is what is wrong
 _HIGHER = 0.01  # [m] that a fingertip should be whose key should not sound and does
 _OVER_A_KEY = 0.015  # [m] from the middle of such a key up to which a fingertip presses it
+_ASIDE = 0.002  # [m] away from it that a fingertip should be which brushes it and presses its own
+_LIFTED = 0.008  # [m] above its own key that a finger should be whose note is lost
+
+
+class KeyStates(NamedTuple):
+    """The state of K keys after a step, each (K,).
+
+    A note is lost that has not begun in time, or was let go of too early: struck again, it would be
+    one note too many, and late.
+    """
+
+    sounding: Mask
+    lost: Mask
+    """Own keys whose notes were lost within the rollout: wrong until they should end."""
+    given_up: Mask
+    """Own keys whose notes were lost before it: nothing that the rollout does can mend them."""
 
 
 class HorizonCost:
@@ -31,7 +51,7 @@ class HorizonCost:
 
     Attributes:
         num_steps: H, the number of steps.
-        start: (K,) the keys that sound before the first step.
+        start: the keys before the first step.
         strikes: how its keys should begin to sound.
     """
 
@@ -56,20 +76,27 @@ class HorizonCost:
         self._onset_wrong = goals.onset_wrong[steps, keys]
         self._centre, self._half_size = keyboard.centre[keys], keyboard.half_size[keys]
         self._sounds_from = keyboard.sounds_from[keys]
-        self.num_steps, self.start = len(steps), key_qpos >= self._sounds_from
+        self.num_steps, sounding = len(steps), key_qpos >= self._sounds_from
+        self._late = wanted & self._onset_wrong  # an own key that begins to sound then is late
+        given_up = self._late[0] & ~sounding
+        self.start = KeyStates(sounding, np.zeros_like(given_up), given_up)
         # A key's distance from its harmless range, in units of its travel: factor * angle + offset.
         sign = wrong.astype(np.float64) - wanted
         self._factor = sign / keyboard.travel[keys]
         self._offset = np.where(wanted, 1.0, np.where(wrong, -HARMLESS_DEPTH, 0.0))
         self._fingertips, self._weight = goals.fingertips[steps + 1], goals.weight[steps + 1]
+        if given_up.any():
+            self._fingertips = self._fingertips.copy()
+            step, key = np.nonzero(np.logical_and.accumulate(self._late) & given_up)
+            self._fingertips[step, self._finger[step, key], 2] += _LIFTED
         self._cost_weight = self._weight.copy()
         self._cost_weight[-1] *= _TERMINAL
         self.strikes = HorizonStrikes(goals, steps, keyboard, keys)
 
     def step_cost(
-        self, k: int, key_path: Array, fingertips: Array, before: Mask
-    ) -> tuple[float, int, Mask]:
-        """The cost and the mistakes of the state after the k-th step, and the (K,) keys that sound.
+        self, k: int, key_path: Array, fingertips: Array, before: KeyStates
+    ) -> tuple[float, int, KeyStates]:
+        """The cost and the mistakes of the state after the k-th step, and the keys then.
 
         A key that the plan lets go early is no mistake to search for, though it costs.
 
@@ -77,47 +104,56 @@ class HorizonCost:
             k: the number of the step, from 0.
             key_path: (S + 1, K) before the step and after each of its physics steps [rad].
             fingertips: (F, 3) after the step [m].
-            before: (K,) keys that sounded before the step.
+            before: the keys before the step.
         """
-        key_qpos = key_path[-1]
-        on_the_way = key_path >= self._sounds_from
-        sounding = on_the_way[-1]
-        wrong = (sounding ^ self._wanted[k]) & self._counts[k]
-        num_wrong = int(np.count_nonzero(wrong))
-        wrong_onsets = np.where(sounding, self._onset_wrong[k] & ~before, self._onset_due[k])
-        # An own key may be struck again within the step. That other keys sound for a moment must
-        # not cost, or caught fingers would not come free.
-        onsets = np.count_nonzero((on_the_way[1:] > on_the_way[:-1]) & self._wanted[k], axis=0)
-        again = np.maximum(onsets - (sounding & ~before), 0)
-        num_onsets = int(np.count_nonzero(wrong_onsets) + again.sum())
-        depth = np.maximum(self._factor[k] * key_qpos + self._offset[k], 0.0)
+        costs, mistakes, keys = self._key_costs(k, key_path, before)
         error = (fingertips - self._fingertips[k]) * _AXES
         tips = np.minimum((error * error) @ _ONES, MAX_ERROR**2) @ self._cost_weight[k]
-        mistakes = int(np.count_nonzero(wrong & self._mistakes[k])) if num_wrong else 0
-        cost = _WRONG_KEY * num_wrong + _WRONG_ONSET * num_onsets + _DEPTH * (depth @ depth) + tips
-        return float(cost) + self.strikes.cost(k, key_path), mistakes, sounding
+        return float(costs.sum() + tips) + self.strikes.cost(k, key_path), mistakes, keys
 
-    def by_finger(self, key_qpos: Array, fingertips: Array) -> Array:
-        """(L, F) the cost of each of the first L steps, by finger.
+    def _key_costs(
+        self, k: int, key_path: Array, before: KeyStates
+    ) -> tuple[Array, int, KeyStates]:
+        """Costs (K,) of the keys in the k-th step, the number of mistakes, and the keys then."""
+        key_qpos, wanted, late = key_path[-1], self._wanted[k], self._late[k]
+        on_the_way = key_path >= self._sounds_from
+        sounding, begins = on_the_way[-1], on_the_way[-1] & ~before.sounding
+        lost, given_up = before.lost & late, before.given_up & late
+        wrong = ((sounding ^ wanted) & self._counts[k] | lost) & ~given_up
+        wrong_onsets = np.where(sounding, self._onset_wrong[k] & begins, self._onset_due[k])
+        # An own key may be struck again within the step.
+        onsets = np.count_nonzero((on_the_way[1:] > on_the_way[:-1]) & wanted, axis=0)
+        again = np.maximum(onsets - begins, 0)
+        brushed = on_the_way[1:].any(axis=0) & self._wrong[k] & ~sounding & ~before.sounding
+        depth = np.maximum(self._factor[k] * key_qpos + self._offset[k], 0.0)
+        depth[lost | given_up] = 0.0
+        costs = _WRONG_KEY * wrong + _WRONG_ONSET * (wrong_onsets + again) + _BRUSHED * brushed
+        costs += _DEPTH * (depth * depth)
+        mistakes = (wrong & self._mistakes[k]) + brushed + again + (wrong_onsets & begins & wanted)
+        given_up = given_up & ~sounding
+        lost = late & (~sounding | lost) & ~given_up
+        return costs, int(mistakes.sum()), KeyStates(sounding, lost, given_up)
 
-        The cost of a key goes to the finger that should press it, or to the nearest one. After each
-        step keys are at `key_qpos` (L, K) [rad] and `fingertips` at (L, F, 3) [m].
+    def by_finger(self, key_paths: Sequence[Array], fingertips: Array) -> Array:
+        """The cost (L, F) of each of the first L steps, by finger.
+
+        The cost of a key goes to the finger that should press it, or to the nearest one.
+
+        Args:
+            key_paths: (S + 1, K) before each step and after each of its physics steps [rad].
+            fingertips: (L, F, 3) after each step [m].
         """
-        steps = len(key_qpos)
-        sounding = key_qpos >= self._sounds_from
-        before = np.concatenate([self.start[None], sounding[:-1]])
-        wanted, onset_wrong = self._wanted[:steps], self._onset_wrong[:steps] & ~before
-        wrong = (sounding ^ wanted) & self._counts[:steps]
-        onsets = np.where(sounding, onset_wrong, self._onset_due[:steps])
-        depth = np.maximum(self._factor[:steps] * key_qpos + self._offset[:steps], 0.0)
-        cost = _WRONG_KEY * wrong + _WRONG_ONSET * onsets + _DEPTH * depth**2
-        error = (fingertips - self._fingertips[:steps]) * _AXES
-        costs = np.minimum((error * error) @ _ONES, MAX_ERROR**2) * self._cost_weight[:steps]
-        step, key = np.nonzero(cost)
+        error = (fingertips - self._fingertips[: len(fingertips)]) * _AXES
+        costs = np.minimum((error * error) @ _ONES, MAX_ERROR**2)
+        costs *= self._cost_weight[: len(fingertips)]
+        keys, of_keys = self.start, np.zeros((len(fingertips), len(self._centre)))
+        for k, key_path in enumerate(key_paths):
+            of_keys[k], _, keys = self._key_costs(k, key_path, keys)
+        step, key = np.nonzero(of_keys)
         offset = fingertips[step] - self._centre[key, None]
         nearest = np.hypot(offset[..., 1], offset[..., 2]).argmin(axis=1)
-        finger = np.where(wanted[step, key], self._finger[step, key], nearest)
-        np.add.at(costs, (step, finger), cost[step, key])
+        finger = np.where(self._wanted[step, key], self._finger[step, key], nearest)
+        np.add.at(costs, (step, finger), of_keys[step, key])
         return costs
 
     def fingertip_errors(self, fingertips: Array) -> tuple[Array, Array]:
@@ -127,30 +163,63 @@ class HorizonCost:
         """
         return self._fingertips - fingertips, self._cost_weight / TIP_WEIGHT
 
-    def errors_by_sound(self, fingertips: Array, key_qpos: Array) -> tuple[Array, Array]:
+    def errors_by_sound(self, fingertips: Array, key_paths: Array) -> tuple[Array, Array]:
         """Fingertip errors, clipped, with targets that are moved where a key sounded wrong.
 
-        A target is deeper where a key should have sounded and did not, and higher where a fingertip
-        came down on a key that should not have sounded. After each step `fingertips` are at
-        (H, F, 3) [m] and keys at `key_qpos` (H, K) [rad].
+        A target is deeper where a key should have sounded and did not, unless its note was lost
+        before. Where a key sounded that should not have, a fingertip that came down on it should be
+        higher, and one that presses its own key beside it farther away.
+
+        Args:
+            fingertips: (H, F, 3) after each step [m].
+            key_paths: (H, S + 1, K) before each step and after each of its physics steps [rad].
 
         Returns:
             (H, F, 3) errors [m] and (H, F) weights, 1 for fingers that play.
         """
-        sounding = key_qpos >= self._sounds_from
+        on_the_way = key_paths >= self._sounds_from
         error, weight = clipped(self._fingertips - fingertips), self._weight / TIP_WEIGHT
-        step, key = np.nonzero(self._held & ~sounding)
-        finger = self._finger[step, key]
-        over = np.hypot(*error[step, finger, :2].T) < _OVER_ITS_KEY
-        error[step[over], finger[over], 2] -= _DEEPER
-        step, key = np.nonzero(self._wrong & sounding)
-        beside = np.abs(fingertips[step, :, :2] - self._centre[key, None, :2])
-        beside[..., 0] = np.maximum(beside[..., 0] - self._half_size[key, None, 0], 0.0)
-        distance = beside.sum(axis=2)
-        finger, over = distance.argmin(axis=1), distance.min(axis=1) < _OVER_A_KEY
+        self._move_down(error, on_the_way[:, -1])
+        step, key = np.nonzero(self._wrong & on_the_way[:, 1:].any(axis=1))
+        finger, over = self._nearest(fingertips[step], key)
+        step, key, finger = step[over], key[over], finger[over]
+        presses = np.zeros(weight.shape, bool)  # in this step or the next
+        held_step, held_key = np.nonzero(self._held)
+        presses[held_step, self._finger[held_step, held_key]] = True
+        presses[:-1] |= presses[1:]
+        aside = presses[step, finger]
+        side = np.sign(self._fingertips[step, finger, 1] - self._centre[key, 1])
         high = np.zeros(weight.shape, bool)
-        for earlier in (0, 1):  # the finger has come too low the step before
-            high[np.maximum(step - earlier, 0)[over], finger[over]] = True
+        for earlier in (0, 1):  # the finger has come too low, or too near, the step before
+            then = np.maximum(step - earlier, 0)
+            error[then[aside], finger[aside], 1] += _ASIDE * side[aside]
+            weight[then[aside], finger[aside]] = 1.0
+            high[then[~aside], finger[~aside]] = True
         error[high, 2] += _HIGHER
         weight[high] = 1.0
         return clipped(error), weight
+
+    def _move_down(self, error: Array, sounding: Mask) -> None:
+        """Move targets in `error` (H, F, 3) down whose keys (H, K) should sound, and are not lost.
+
+        Once a note is lost, only the first step counts.
+        """
+        silent, lost = self._held & ~sounding, np.zeros(sounding.shape[1], bool)
+        for k, late in enumerate(self._late):
+            lost &= late
+            silent[k] &= ~lost
+            lost |= late & ~sounding[k]
+        step, key = np.nonzero(silent)
+        finger = self._finger[step, key]
+        over = np.hypot(*error[step, finger, :2].T) < _OVER_ITS_KEY
+        error[step[over], finger[over], 2] -= _DEEPER
+
+    def _nearest(self, fingertips: Array, key: NDArray[np.intp]) -> tuple[NDArray[np.intp], Mask]:
+        """The fingers (N,) nearest to keys (N,), and whether they are over them.
+
+        Their hand has its `fingertips` at (N, F, 3) [m].
+        """
+        beside = np.abs(fingertips[..., :2] - self._centre[key, None, :2])
+        beside[..., 0] = np.maximum(beside[..., 0] - self._half_size[key, None, 0], 0.0)
+        distance = beside.sum(axis=2)
+        return distance.argmin(axis=1), distance.min(axis=1) < _OVER_A_KEY
