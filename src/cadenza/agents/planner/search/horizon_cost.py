@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import Array, Mask
+from cadenza.agents.agent import Array, Mask, steps_in
 from cadenza.agents.planner.plan.hand_goals import TIP_WEIGHT, HandGoals
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR, clipped
 from cadenza.agents.planner.search.strikes import HorizonStrikes
@@ -29,14 +30,15 @@ _OVER_ITS_KEY = 0.006  # [m] of horizontal error up to which its height is what 
 _HIGHER = 0.01  # [m] that a fingertip should be whose key should not sound and does
 _OVER_A_KEY = 0.015  # [m] from the middle of such a key up to which a fingertip presses it
 _ASIDE = 0.002  # [m] away from it that a fingertip should be which brushes it and presses its own
+_WORTH_STRIKING = 0.75  # [s] that must be left of a note to strike it late: its end outweighs that
 _LIFTED = 0.008  # [m] above its own key that a finger should be whose note is lost
 
 
 class KeyStates(NamedTuple):
     """The state of K keys after a step, each (K,).
 
-    A note is lost that has not begun in time, or was let go of too early: struck again, it would be
-    one note too many, and late.
+    A note is lost that has not begun in time, or was let go of too early, unless much of it is
+    left: struck again, it would be one note too many, and late.
     """
 
     sounding: Mask
@@ -77,7 +79,7 @@ class HorizonCost:
         self._centre, self._half_size = keyboard.centre[keys], keyboard.half_size[keys]
         self._sounds_from = keyboard.sounds_from[keys]
         self.num_steps, sounding = len(steps), key_qpos >= self._sounds_from
-        self._late = wanted & self._onset_wrong  # an own key that begins to sound then is late
+        self._late = wanted & self._onset_wrong & ~_goes_on(goals, steps, keys)
         given_up = self._late[0] & ~sounding
         self.start = KeyStates(sounding, np.zeros_like(given_up), given_up)
         # A key's distance from its harmless range, in units of its travel: factor * angle + offset.
@@ -223,3 +225,12 @@ class HorizonCost:
         beside[..., 0] = np.maximum(beside[..., 0] - self._half_size[key, None, 0], 0.0)
         distance = beside.sum(axis=2)
         return distance.argmin(axis=1), distance.min(axis=1) < _OVER_A_KEY
+
+
+def _goes_on(goals: HandGoals, steps: NDArray[np.intp], keys: slice) -> Mask:
+    """Whether own keys (H, K) go on for long enough, in consecutive steps, to be struck late."""
+    more = steps_in(_WORTH_STRIKING, goals.dt)
+    ahead = goals.keys[steps[0] : steps[-1] + 1 + more, keys]
+    ahead = np.pad(ahead, ((0, len(steps) + more - len(ahead)), (0, 0)))  # then the song is over
+    goes_on: Mask = sliding_window_view(ahead, more + 1, axis=0).all(axis=-1)
+    return goes_on
