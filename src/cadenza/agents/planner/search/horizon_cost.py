@@ -232,5 +232,4 @@ def _goes_on(goals: HandGoals, steps: NDArray[np.intp], keys: slice) -> Mask:
     more = steps_in(_WORTH_STRIKING, goals.dt)
     ahead = goals.keys[steps[0] : steps[-1] + 1 + more, keys]
     ahead = np.pad(ahead, ((0, len(steps) + more - len(ahead)), (0, 0)))  # then the song is over
-    goes_on: Mask = sliding_window_view(ahead, more + 1, axis=0).all(axis=-1)
-    return goes_on
+    return np.asarray(sliding_window_view(ahead, more + 1, axis=0).all(axis=-1))
