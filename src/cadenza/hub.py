@@ -65,7 +65,7 @@ def fetched(place: str | Path, kind: Kind) -> Path:
         from huggingface_hub import HfApi
         from huggingface_hub.errors import RepositoryNotFoundError, RevisionNotFoundError
     where: dict[str, Any] = {"repo_type": kind.repo_type, "revision": revision}
-    mine = {"allow_patterns": list(kind.files), **where}
+    files = {"allow_patterns": list(kind.files), **where}
     api = HfApi()
     with _in_a_line(str(place), kind):
         try:
@@ -73,10 +73,10 @@ def fetched(place: str | Path, kind: Kind) -> Path:
         except (RepositoryNotFoundError, RevisionNotFoundError):
             raise
         except Exception:  # the hub cannot be reached, or is down
-            there = api.snapshot_download(repo, local_files_only=True, **mine)
+            there = api.snapshot_download(repo, local_files_only=True, **files)
         else:
             _check_size(str(place), {f.rfilename: f.size for f in info.siblings or ()}, kind)
-            there = api.snapshot_download(repo, **mine)
+            there = api.snapshot_download(repo, **files)
     return Path(there)
 
 
@@ -124,9 +124,9 @@ def upload(folder: Path, repo: str, kind: Kind, card: str) -> str:
 
 def _parsed(place: str) -> tuple[str, str | None]:
     """OWNER/NAME and the revision."""
-    if (found := _NAME.fullmatch(place)) is None:
+    if (match := _NAME.fullmatch(place)) is None:
         raise CadenzaError(f"{place}: not a name on the hub; give hub:OWNER/NAME[@REVISION]")
-    repo, revision = found.groups()
+    repo, revision = match.groups()
     return repo, revision
 
 
@@ -136,12 +136,12 @@ def _is_of(kind: Kind, name: str) -> bool:
 
 def _check_size(place: str, sizes: dict[str, int | None], kind: Kind) -> None:
     """Raise a CadenzaError if nothing is of the kind, or if it takes more than it may."""
-    mine = [size or 0 for name, size in sizes.items() if _is_of(kind, name)]
-    if not mine:
+    own = [size or 0 for name, size in sizes.items() if _is_of(kind, name)]
+    if not own:
         raise CadenzaError(f"{place}: holds no {kind.name} of Cadenza; name another")
-    if sum(mine) > kind.most:
+    if sum(own) > kind.most:
         raise CadenzaError(
-            f"{place}: its files take {sum(mine) / 2**20:,.0f} MiB, but no {kind.name} takes more "
+            f"{place}: its files take {sum(own) / 2**20:,.0f} MiB, but no {kind.name} takes more "
             f"than {kind.most / 2**20:,.0f} MiB; name another"
         )
 
