@@ -379,7 +379,7 @@ def test_play_leaves_what_it_promises(
     arguments += AT_ONCE
     main([str(argument) for argument in [*arguments, "--verbose"]])
     said = capsys.readouterr()
-    assert said.out.startswith("All of ")
+    assert said.out.startswith("All ")
     assert "F1 1.000  precision 1.000  recall 1.000  note onsets F1 1.000" in said.out
     assert f"Open {folder / 'report.html'}" in said.out
     names = {path.name for path in folder.iterdir()}

@@ -82,7 +82,7 @@ def heard(*changed: Note, late: float = 0.0, louder: int = 0, first: int = 0) ->
     [
         (
             heard(),
-            "All of 10 notes in time (within 50 ms), evenly timed to 0 ms, loudness as written.",
+            "All 10 notes in time (within 50 ms), evenly timed to 0 ms, loudness as written.",
         ),
         (
             heard(Note(0.06, 0.4, 60, 70), Note(2, 2.2, 50, 70), first=2, louder=9),
@@ -92,7 +92,7 @@ def heard(*changed: Note, late: float = 0.0, louder: int = 0, first: int = 0) ->
         ),
         (
             heard(late=0.03, louder=20),
-            "All of 10 notes in time (within 50 ms), evenly timed to 0 ms, 30 ms late throughout, "
+            "All 10 notes in time (within 50 ms), evenly timed to 0 ms, 30 ms late throughout, "
             "loudness a step or more off what is written (mp to mf is a step).",
         ),
         (Score(()), "0 of 10 notes in time (within 50 ms), 10 missed."),

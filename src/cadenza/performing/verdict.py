@@ -44,8 +44,8 @@ def verdict(played: Score, written: Score) -> str:
     """
     errors, notes = note_errors(written.notes, played.notes), counted(len(written.notes), "note")
     off_time, missed, extra = errors.missed.off_time, errors.missed, errors.extra
-    share = len(errors.pairs) if len(errors.pairs) < len(written.notes) else "All"
-    parts = [f"{share} of {notes} in time (within {_ms(ONSET_TOLERANCE)})"]
+    share = f"{len(errors.pairs)} of" if len(errors.pairs) < len(written.notes) else "All"
+    parts = [f"{share} {notes} in time (within {_ms(ONSET_TOLERANCE)})"]
     if off_time:
         parts += [f"{len(off_time)} early or late"]
     if num_missed := len(missed.held) + len(missed.silent):
