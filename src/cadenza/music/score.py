@@ -274,6 +274,14 @@ class Score:
         bars = (bar for bar in self.bars if bar.time < seconds)
         return replace(self, notes=tuple(notes), pedal=tuple(pedal), bars=tuple(bars))
 
+    def since(self, seconds: float) -> Score:
+        """The notes that begin at `seconds` or later, on a clock that begins there, no pedal."""
+        if not seconds:
+            return self
+        notes = [n for n in self.notes if round(n.start - seconds, 9) >= 0]
+        moved = (replace(n, start=max(0.0, n.start - seconds), end=n.end - seconds) for n in notes)
+        return Score(tuple(moved), title=self.title)
+
     def with_initial_silence(self, seconds: float) -> Score:
         """The score later by `seconds`, so that the hands have time to get into place.
 

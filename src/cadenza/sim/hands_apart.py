@@ -63,6 +63,18 @@ class HandsApart:
             part.step(ctrl[:, alone.servos], env_ids, before)
         self._combine()
 
+    def save(self, env_id: int) -> Any:
+        """Both simulations, and which keys sounded in each before the last step."""
+        parts = zip(self._parts, self._sounded, strict=True)
+        return [(part.save(env_id), sounded[env_id].copy()) for part, sounded in parts]
+
+    def restore(self, env_id: int, saved: Any) -> None:
+        """Put a pair of simulations where `save` found this one or another."""
+        for part, sounded, each in zip(self._parts, self._sounded, saved, strict=True):
+            part.restore(env_id, each[0])
+            sounded[env_id] = each[1]
+        self._combine()
+
     def _combine(self) -> None:
         right, left = (part.state for part in self._parts)
         deeper = right.key_qpos >= left.key_qpos

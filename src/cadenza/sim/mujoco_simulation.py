@@ -206,25 +206,37 @@ class MujocoSimulation:
         mujoco.mj_getState(model, self._data[env_id], state, PHYSICS_STATE)
         return state
 
+    def save(self, env_id: int) -> Any:
+        """Everything from which a simulation goes on, to the bit, after `restore`; for pickles."""
+        data = copy(self._data[env_id])
+        awake = [getattr(data, name) for name in _AWAKE]
+        return data, awake, self._factors.get(env_id), [v[env_id].copy() for v in self.state]
+
+    def restore(self, env_id: int, saved: Any) -> None:
+        """Put a simulation where `save` found this one, or another of the same scene."""
+        data, awake, factors, state = saved
+        for name, count in zip(_AWAKE, awake, strict=True):
+            setattr(data, name, count)
+        if factors is not None:  # models are scaled anew
+            self.randomize(env_id, factors)
+        mujoco.mj_copyData(self._data[env_id], self._models[env_id], data)
+        self.state = self.state.with_row(env_id, state)
+
     def close(self) -> None:
         """Stop the threads."""
         self._threads.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        # Models are scaled anew.
-        awake = [[getattr(data, name) for name in _AWAKE] for data in self._data]
-        data = [copy(data) for data in self._data]
-        return {**self.__dict__, "_data": data, "_awake": awake, "_models": None}
+        saved = [self.save(i) for i in range(self.num_envs)]
+        return {**vars(self), "_data": None, "_models": None, "_factors": {}, "_saved": saved}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        for data, counts in zip(state["_data"], state.pop("_awake"), strict=True):
-            for name, count in zip(_AWAKE, counts, strict=True):
-                setattr(data, name, count)
-        self.__dict__.update(state)
+        saved = state.pop("_saved")
+        vars(self).update(state)
+        self._data = [mujoco.MjData(self.scene.model) for _ in saved]
         self._models = [self.scene.model] * self.num_envs
-        for env_id, factors in self._factors.items():
-            self._models[env_id] = copy(self.scene.model)
-            scale(self._models[env_id], self.scene, factors, mujoco.MjData(self.scene.model))
+        for env_id, each in enumerate(saved):
+            self.restore(env_id, each)
 
 
 def physics_steps(control_timestep: float, physics_timestep: float) -> int:

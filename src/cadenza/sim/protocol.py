@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +81,13 @@ class State(NamedTuple):
     def copy(self) -> State:
         """A copy with arrays of its own."""
         return State._make(values.copy() for values in self)
+
+    def with_row(self, env_id: int, row: Sequence[NDArray[Any]]) -> State:
+        """A copy in which one simulation has other values, in the order of the fields."""
+        changed = self.copy()
+        for values, value in zip(changed, row, strict=True):
+            values[env_id] = value
+        return changed
 
 
 class HeldControls(NamedTuple):

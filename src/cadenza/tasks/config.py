@@ -122,6 +122,8 @@ class TaskConfig:
     fingering_margin: float = 0.1
     """Distance over which the fingering reward falls to a tenth, beyond a first centimetre that
     costs nothing [m]."""
+    joint_velocities: bool = False
+    """Observe the velocities of the hands' joints, too [m/s, rad/s]."""
     onset_goals: bool = False
     """Observe when within control steps notes begin and how loud they are, and when and how loud
     keys began to sound."""
@@ -179,6 +181,7 @@ _PLAYED_ALIKE = {
     "fingering",
     "hands_as_written",
     "fingering_margin",
+    "joint_velocities",
     "onset_goals",
     "onset_timing_coefficient",
     "loudness_coefficient",

@@ -134,7 +134,8 @@ class DmEnvAdapter(dm_env.Environment):
         parts, self._return = self._parts(observation), self._return + float(reward)
         self._ended = terminated or truncated
         if self._ended:
-            length = float(self.task.goals.steps_done[0])
+            goals = self.task.goals
+            length = float(goals.steps_done[0] - goals.first_step[0])
             statistics = {"return": self._return, "length": length}
             self._episodes.append(statistics | self.task.episode_metrics(0))
         if terminated:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,12 @@ from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import EpisodeStart, PianoTask, Transition
 from cadenza.tasks.reward import RewardTerm, finite_array
 from cadenza.tasks.setups import configure
-from cadenza.tasks.view import TaskSpec
+from cadenza.tasks.view import TaskSpec, layout_of
 
 Song = str | Path | Score | Mapping[str, Any]
 Observation = Any  # an array, or with pixels a dictionary of two
 
-_EPISODE_OPTIONS = ("song", "score", "start", "randomization")
+_EPISODE_OPTIONS = ("song", "score", "step", "start", "randomization")
 _RESET_OPTIONS = {"reset_mask", *_EPISODE_OPTIONS}
 
 
@@ -47,9 +48,9 @@ def as_score(song: Any) -> Score | None:
 def state_space(spec: TaskSpec) -> spaces.Box:
     """The space of observations without pixels."""
     low, high = np.zeros(spec.observation_size, np.float32), np.ones(spec.observation_size)
-    if "joints" in spec.observation_layout:
-        joints = spec.observation_layout["joints"]
-        low[joints], high[joints] = -np.inf, np.inf  # joint limits are soft
+    for name in ("joints", "joint_velocities"):  # joint limits are soft
+        part = spec.observation_layout.get(name, slice(0, 0))
+        low[part], high[part] = -np.inf, np.inf
     return spaces.Box(low, high.astype(np.float32), dtype=np.float32)
 
 
@@ -106,6 +107,7 @@ class PianoVectorEnv(VectorEnv):
         render_mode: str | None = None,
         picture: Picture | None = None,
         pixels: bool = False,
+        privileged: bool = False,
         task: TaskConfig | PianoTask | None = None,
         scene: SceneConfig | None = None,
         reward_terms: Mapping[str, RewardTerm] | None = None,
@@ -122,6 +124,8 @@ class PianoVectorEnv(VectorEnv):
             render_mode: "rgb_array" to draw.
             picture: size and camera of what is drawn.
             pixels: observe pictures too.
+            privileged: have infos["privileged"] (N, P), what only a simulation knows, for critics;
+                `privileged_layout` names the parts, see `PianoTask.privileged`.
             task: the task's configuration, or a whole task, which has a song already.
             scene: the scene's configuration.
             reward_terms: name -> function of a `tasks.reward.Outcome` that returns (N,); added to
@@ -149,7 +153,7 @@ class PianoVectorEnv(VectorEnv):
             "autoreset_mode": AutoresetMode(autoreset_mode),
         }
         self._picture = picture or Picture()
-        self._pixels = pixels
+        self._pixels, self._privileged = pixels, privileged
         self._renderer: Renderer | None = None  # made when it is first needed
         self._rngs: list[np.random.Generator] = []
         self._finished = np.zeros(self.num_envs, bool)
@@ -163,6 +167,11 @@ class PianoVectorEnv(VectorEnv):
     def observation_layout(self) -> dict[str, slice]:
         """Name -> slice of an observation (see `PianoTask.observation`)."""
         return self.task.spec.observation_layout
+
+    @property
+    def privileged_layout(self) -> dict[str, slice]:
+        """Name -> slice of infos["privileged"]."""
+        return layout_of({n: values.shape[1] for n, values in self.task.privileged().items()})
 
     def _observation_space(self) -> spaces.Space:
         state = state_space(self.task.spec)
@@ -185,9 +194,10 @@ class PianoVectorEnv(VectorEnv):
             options: "reset_mask", (N,) bool, resets some of the environments only, but not at
                 first. The others hold for all environments, or are lists with one for each; None
                 is drawn. "song": one of the songs by index, by title or as it was given. "score": a
-                `Score`, or a `WrittenScore` as JSON, which is played exactly as it is. "start":
-                (J,) joint positions of the hands [m, rad]. "randomization": the number from which
-                all that `DomainRandomization` draws follows, as infos have it.
+                `Score`, or a `WrittenScore` as JSON, which is played exactly as it is. "step": the
+                control step of the song to begin with. "start": (J,) joint positions of the hands
+                [m, rad]. "randomization": the number from which all that `DomainRandomization`
+                draws follows, as infos have it.
 
         Raises:
             CadenzaError: a seed or an option makes no sense, or the environment is closed.
@@ -203,7 +213,38 @@ class PianoVectorEnv(VectorEnv):
         self._seed(seed, mask)
         self._restart(np.flatnonzero(mask), starts)
         self._finished = self._finished & ~mask
-        return self._observe(), self._songs(mask) | self._drawn(mask)
+        return self._observe(), self._songs(mask) | self._drawn(mask) | self._true_state()
+
+    def get_state(self) -> list[Any]:
+        """(N,) all from which each environment goes on: physics, song, step, generators.
+
+        Raises:
+            CadenzaError: no episode has started, or the simulation cannot be saved.
+        """
+        if not self._rngs:
+            raise CadenzaError("no episode has started: call reset() before get_state()")
+        own = zip(deepcopy(self._rngs), self._finished.tolist(), strict=True)
+        return [(self.task.save(env), *each) for env, each in enumerate(own)]
+
+    def set_state(self, states: Sequence[Any]) -> Observation:
+        """Put environments where `get_state` found them or others, and observe all.
+
+        Args:
+            states: (N,) a state for each environment, None where it stays.
+
+        Raises:
+            CadenzaError: a state is of other options, or missing before the first reset.
+        """
+        self._check_open()
+        states = self._each("state", list(states))
+        if not self._rngs and None in states:
+            raise CadenzaError("no episode has started: give a state for each environment")
+        self._rngs = self._rngs or [np.random.default_rng() for _ in states]
+        for env, state in enumerate(states):
+            if state is not None:
+                self.task.restore(env, state[0])
+                self._rngs[env], self._finished[env] = deepcopy(state[1]), state[2]
+        return self._observe()
 
     def _starts(self, options: Mapping[str, Any]) -> list[EpisodeStart]:
         """(N,) starts of the episodes, as far as the options of a reset fix them."""
@@ -214,9 +255,10 @@ class PianoVectorEnv(VectorEnv):
             EpisodeStart(
                 self._song(song, score),
                 None if start is None else finite_array("start", start, shape, demand),
+                0 if step is None else whole_number(step, "step", 0, MAX_COUNT),
                 None if drawn is None else whole_number(drawn, "randomization", 0, MAX_COUNT),
             )
-            for song, score, start, drawn in zip(*given, strict=True)
+            for song, score, step, start, drawn in zip(*given, strict=True)
         ]
 
     def _song(self, song: Any, score: Any) -> int | GoalTrack | None:
@@ -253,6 +295,13 @@ class PianoVectorEnv(VectorEnv):
         """Infos on the draws of domain randomization for the episodes that begin."""
         drawn = {f"randomization/{name}": v.copy() for name, v in self.task.drawn.items()}
         return _infos(drawn, fresh)
+
+    def _true_state(self) -> dict[str, Any]:
+        """Infos on what only the simulation knows, if they are asked for."""
+        if not self._privileged:
+            return {}
+        parts = np.concatenate(list(self.task.privileged().values()), axis=1)
+        return _infos({"privileged": parts.astype(np.float32)}, np.ones(self.num_envs, bool))
 
     def _metrics(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
         """Infos on the metrics of the episodes that end."""
@@ -311,6 +360,7 @@ class PianoVectorEnv(VectorEnv):
         everyone = np.ones(self.num_envs, bool)
         terms = {f"reward/{name}": values for name, values in result.terms.items()}
         infos = self._songs(everyone) | _infos({"unstable": result.unstable, **terms}, ~fresh)
+        infos |= self._true_state()
         if moving is not None:
             infos |= self._drawn(fresh)
         ended = result.terminated | result.truncated
@@ -323,7 +373,7 @@ class PianoVectorEnv(VectorEnv):
             infos |= {"final_info": infos.copy(), "_final_info": ended}
             infos |= {"final_obs": _rows(observation, ended), "_final_obs": ended}
             self._restart(np.flatnonzero(ended))
-            infos |= self._songs(everyone) | self._drawn(ended)
+            infos |= self._songs(everyone) | self._drawn(ended) | self._true_state()
             self._finished = np.zeros_like(ended)
             observation = self._observe()
         return observation, result.reward, result.terminated, result.truncated, infos
@@ -389,6 +439,11 @@ class PianoEnv(gymnasium.Env):
         """Name -> slice of an observation (see `PianoTask.observation`)."""
         return self.task.spec.observation_layout
 
+    @property
+    def privileged_layout(self) -> dict[str, slice]:
+        """Name -> slice of info["privileged"]."""
+        return self._batch.privileged_layout
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -396,7 +451,8 @@ class PianoEnv(gymnasium.Env):
 
         Args:
             seed: what is random follows from it.
-            options: "song", "score", "start" and "randomization", see `PianoVectorEnv.reset`.
+            options: "song", "score", "step", "start" and "randomization", see
+                `PianoVectorEnv.reset`.
 
         Raises:
             CadenzaError: a seed or an option makes no sense, or the environment is closed.
@@ -406,6 +462,16 @@ class PianoEnv(gymnasium.Env):
         options = {n: value for n, value in _known(options).items() if n != "reset_mask"}
         observation, infos = self._batch.reset(options=options)
         return _row(observation, 0), _first(infos)
+
+    def get_state(self) -> Any:
+        """All from which the environment goes on, see `PianoVectorEnv.get_state`."""
+        return self._batch.get_state()[0]
+
+    def set_state(self, state: Any) -> Observation:
+        """Go on from a state, and observe it, see `PianoVectorEnv.set_state`."""
+        observation = self._batch.set_state([state])
+        self.np_random = self._batch._rngs[0]
+        return _row(observation, 0)
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Take a control step, as `gymnasium.Env.step`."""

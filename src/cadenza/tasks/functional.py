@@ -280,6 +280,7 @@ class FunctionalPianoTask:
             "key_state": keys,
             "pedal": episodes.pedal,
             "joints": joints,
+            "joint_velocities": state.hand_qvel,
             "touch": observed_touch(state.touch[:, self.scene.present_fingers]),
         }
         return self.spec.observation(parts)

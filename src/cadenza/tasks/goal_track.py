@@ -101,6 +101,9 @@ class GoalTrack:
     def __getstate__(self) -> dict[str, object]:
         return {**vars(self), "_cached": []}  # weak references cannot be pickled
 
+    def __deepcopy__(self, memo: dict[int, object]) -> GoalTrack:
+        return self  # never changes
+
     def with_score(self, score: Score) -> GoalTrack:
         """The track with another score, whose fingers have not been searched for."""
         return replace(self, score=score, dropped=None, found=False)
@@ -183,7 +186,8 @@ class EpisodeGoals:
     Attributes:
         tracks: what each environment plays.
         num_steps: (N,) control steps of its episode.
-        steps_done: (N,) control steps since its reset.
+        first_step: (N,) the step that the episode began with.
+        steps_done: (N,) control steps since the beginning of the song.
         row: (N,) the step that comes next; after the last, as in the published system, the last.
     """
 
@@ -191,6 +195,7 @@ class EpisodeGoals:
         """Allocate the goals of N environments, which begin with a reset."""
         self.tracks = [GoalTrack(Score(()), None, config, scene)] * num_envs
         self.num_steps = np.ones(num_envs, np.intp)
+        self.first_step = np.zeros(num_envs, np.intp)
         self.steps_done = np.zeros(num_envs, np.intp)
         self.row = np.zeros(num_envs, np.intp)
         self._steps_seen = config.lookahead_steps + 1
@@ -199,16 +204,26 @@ class EpisodeGoals:
         self._cached: UpcomingGoals | None = None
         self._cached_onsets: UpcomingOnsets | None = None
 
-    def begin(self, env: int, track: GoalTrack) -> None:
-        """Begin an episode of environment `env`, in which it plays `track`."""
-        self.tracks[env], self._goals[env] = track, track.goals
-        self.num_steps[env] = track.goals.num_steps
-        self.steps_done[env] = self.row[env] = 0
+    def begin(self, env: int, track: GoalTrack, first_step: int = 0) -> None:
+        """Begin an episode of environment `env`, in which it plays `track` from a step on.
+
+        Raises:
+            CadenzaError: the song has no such step.
+        """
+        goals = track.goals
+        if first_step >= goals.num_steps:
+            raise CadenzaError(
+                f"step {first_step}: the song has {goals.num_steps}; choose one from 0 to "
+                f"{goals.num_steps - 1}"
+            )
+        self.tracks[env], self._goals[env] = track, goals
+        self.num_steps[env] = goals.num_steps
+        self.first_step[env] = self.steps_done[env] = self.row[env] = first_step
         self._cached = self._cached_onsets = None
 
-    def advance(self, env_ids: NDArray[np.intp] | slice) -> None:
-        """Count a step of these environments."""
-        self.steps_done[env_ids] += 1
+    def advance(self, env_ids: NDArray[np.intp] | slice, steps: int = 1) -> None:
+        """Count steps of these environments."""
+        self.steps_done[env_ids] += steps
         self.row = np.minimum(self.steps_done, self.num_steps - 1)
         self._cached = self._cached_onsets = None
 

@@ -36,16 +36,19 @@ class OnsetMatching:
     nobody hears where steps end, and a note that is due at the beginning of one may well come a
     millisecond early. An onset plays the nearest note of its key that has not been played. So each
     note is played once, by the first onset near it: to strike a key again earns nothing.
+
+    Attributes:
+        played: (N, 3, K) whether the notes that are due in these steps have been played.
     """
 
     def __init__(self, num_envs: int, keyboard: Keyboard, control_timestep: float) -> None:
         """Wait for episodes to begin in N environments, in steps of `control_timestep` [s]."""
         self._keyboard, self._control_timestep = keyboard, control_timestep
-        self._played = np.zeros((num_envs, len(_STEPS), keyboard.num_keys), bool)
+        self.played = np.zeros((num_envs, len(_STEPS), keyboard.num_keys), bool)
 
     def begin(self, env: int) -> None:
         """Begin an episode of environment `env`, in which no note has been played."""
-        self._played[env] = False
+        self.played[env] = False
 
     def match(
         self, due: UpcomingOnsets, state: State, sounded: Mask, moving: NDArray[np.intp] | slice
@@ -61,12 +64,12 @@ class OnsetMatching:
         onset = state.key_onset[env, key]
         near = due.time[env, : len(_STEPS), key] + _STEPS * self._control_timestep
         late, velocity = onset[:, None] - near, due.velocity[env, : len(_STEPS), key]
-        open_notes = (velocity > 0) & ~self._played[env, :, key]
+        open_notes = (velocity > 0) & ~self.played[env, :, key]
         nearest = np.where(open_notes, abs(late), np.inf).argmin(axis=1)
         plays = open_notes.any(axis=1)
-        self._played[env[plays], nearest[plays], key[plays]] = True
-        self._played[moving, :-1] = self._played[moving, 1:]  # the next step is the one taken next
-        self._played[moving, -1] = False
+        self.played[env[plays], nearest[plays], key[plays]] = True
+        self.played[moving, :-1] = self.played[moving, 1:]  # the next step is the one taken next
+        self.played[moving, -1] = False
 
         # A key that was silent before the step and fell silent in it before its last onset.
         twice = ~sounded[env, key] & (state.key_offset[env, key] < onset)

@@ -7,6 +7,7 @@ units, and its arrays are (num_envs, ...).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from cadenza.tasks import augmentation
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import EpisodeGoals, GoalTrack
 from cadenza.tasks.onset_matching import OnsetMatching
-from cadenza.tasks.randomization import Randomization
+from cadenza.tasks.randomization import SEED, Randomization
 from cadenza.tasks.reward import (
     Outcome,
     Reward,
@@ -64,6 +65,8 @@ class EpisodeStart(NamedTuple):
     """The index of a song among the task's, or a track that is played as it is."""
     hand_qpos: Array | None = None
     """(J,) joint positions of the hands [m, rad]."""
+    step: int = 0
+    """The control step of the song that the episode begins with."""
     randomization: int | None = None
     """The seed of everything that `DomainRandomization` draws."""
 
@@ -177,22 +180,63 @@ class PianoTask:
         starts = [EpisodeStart()] * len(env_ids) if starts is None else starts
         hand_qpos = np.tile(self.scene.hand_start, (len(env_ids), 1))
         for row, (env, rng, start) in enumerate(zip(env_ids, rngs, starts, strict=True)):
-            self.goals.begin(env, self._track(start.song, rng))
-            self._key_events[env].clear()
-            if self._onset_matching is not None:
-                self._onset_matching.begin(env)
+            self._begin(env, self._track(start.song, rng), start.step)
             if start.hand_qpos is not None:
                 hand_qpos[row] = start.hand_qpos
             elif most := self.config.random_hand_position:
                 hand_qpos[row, self._offset_joints] = rng.uniform(-most, most)
-        if (missing := int(self.goals.num_steps.max()) - self._played.shape[1]) > 0:
-            self._played = np.pad(self._played, ((0, 0), (0, missing), (0, 0)))
         reset = list(env_ids)
         self._randomization.begin(env_ids, rngs, hand_qpos, [s.randomization for s in starts])
         self.simulation.reset(env_ids, hand_qpos)
         self.wanted[reset], self._lost[reset] = False, False
         self._pedal[reset], self.reward[reset] = 0.0, 0.0
         self._read_state()
+
+    def _begin(self, env: int, track: GoalTrack, first_step: int) -> None:
+        """Begin an episode of environment `env`, in which nothing has been played."""
+        self.goals.begin(env, track, first_step)
+        if (missing := int(self.goals.num_steps.max()) - self._played.shape[1]) > 0:
+            self._played = np.pad(self._played, ((0, 0), (0, missing), (0, 0)))
+        self._played[env, :first_step] = False
+        self._key_events[env] = []
+        if self._onset_matching is not None:
+            self._onset_matching.begin(env)
+
+    def save(self, env: int) -> Any:
+        """The episode of environment `env` and its physics, for `restore` and for pickles.
+
+        Raises:
+            CadenzaError: the simulation cannot be saved.
+        """
+        if not hasattr(self.simulation, "save"):
+            raise CadenzaError("only simulations of the engine c have a state to get and to set")
+        goals, played = self.goals, self._played[env, : self._num_played(env)]
+        steps, own = (goals.first_step[env], goals.steps_done[env]), [v[env] for v in self._per_env]
+        return goals.tracks[env], *deepcopy((steps, played, own)), self.simulation.save(env)
+
+    def restore(self, env: int, saved: Any) -> None:
+        """Let environment `env` go on, to the bit, where another or itself was at `save`.
+
+        Raises:
+            CadenzaError: it had another task or another scene.
+        """
+        track, (first, done), played, own, physics = saved
+        if (track.config, track.scene.config) != (self.config, self.scene.config):
+            raise CadenzaError("this state is of an environment with other options: make it alike")
+        self._begin(env, track, first)
+        self.goals.advance(np.array([env]), done - first)
+        self._played[env, : len(played)] = played
+        for values, value in zip(self._per_env, deepcopy(own), strict=True):
+            values[env] = value
+        self.simulation.restore(env, physics)  # type: ignore[attr-defined]
+        self._read_state()
+
+    @property
+    def _per_env(self) -> list[Any]:
+        """Arrays and lists of what each environment has of its own, beside goals and physics."""
+        notes = [] if self._onset_matching is None else [self._onset_matching.played]
+        ours = [self._key_events, self.wanted, self._pedal, self._lost, self.reward]
+        return ours + notes + self._randomization.per_env
 
     def _track(self, song: int | GoalTrack | None, rng: np.random.Generator) -> GoalTrack:
         if isinstance(song, GoalTrack):
@@ -286,7 +330,8 @@ class PianoTask:
 
         goal: keys and pedal of the next step and of those after it, 0 or 1; fingering: 1 for each
         finger that has a key to press next; key_state: 0 (up) to 1 (down); pedal: 0 to 1; joints:
-        positions [m, rad]; touch: normal forces on the fingertips that are there, from 0 to 1
+        positions [m, rad]; joint_velocities [m/s, rad/s], without noise, if they are asked for;
+        touch: normal forces on the fingertips that are there, from 0 to 1
         where the sensors saturate, see `observed_touch`. Joints and key states have the noise of
         `DomainRandomization`.
 
@@ -303,11 +348,24 @@ class PianoTask:
             "key_state": self._randomization.observed_keys(self.key_state),
             "pedal": self._pedal,
             "joints": self._randomization.observed_joints(state.hand_qpos),
+            "joint_velocities": state.hand_qvel,
             "touch": observed_touch(state.touch[:, self.scene.present_fingers]),
         }
         if self.config.onset_goals:
             parts |= self._observed_onsets()
         return self.spec.observation(parts)
+
+    def privileged(self) -> dict[str, Array]:
+        """Name -> (N, size) what only a simulation knows, for critics; without noise.
+
+        Joints [m, rad] and their velocities, key states, fingertips [m], forces of the actuators
+        [N, N m], normal forces on the fingertips [N], and what domain randomization has drawn.
+        """
+        state, drawn = self.state, {n: v for n, v in self.drawn.items() if n != SEED}
+        parts = {"joints": state.hand_qpos, "joint_velocities": state.hand_qvel}
+        parts |= {"key_state": self.key_state, "fingertips": state.fingertip_xpos}
+        parts |= {"actuator_force": state.actuator_force, "touch": state.touch, **drawn}
+        return {name: values.reshape(self.num_envs, -1) for name, values in parts.items()}
 
     def _observed_onsets(self) -> dict[str, NDArray[np.float32]]:
         """The onsets of notes and of keys as parts of an observation."""
@@ -359,17 +417,18 @@ class PianoTask:
 
     def episode_metrics(self, env: int) -> dict[str, float]:
         """The metrics of the episode of environment `env` so far (see `music.metrics`)."""
-        done = self._num_played(env)
-        played, (goal, _) = self._played[env, :done], self.goals.between(env, 0, done)
+        done, first = self._num_played(env), int(self.goals.first_step[env])
+        played, (goal, _) = self._played[env, first:done], self.goals.between(env, first, done)
+        began = first * self.config.control_timestep
         return playing_metrics(
             played[:, :-1],
             played[:, -1],
             goal[:, :-1],
             goal[:, -1],
             self.config.control_timestep,
-            self.score(env),
+            self.score(env).since(began),
             self.scene.keyboard.lowest_pitch,
-            self.played(env),
+            self.played(env).since(began),
         )
 
     def close(self) -> None:

@@ -139,13 +139,13 @@ class Randomization:
         if config.is_on:
             self.drawn = {name: np.ones((num_envs, *s)) for name, s in ranges.shapes.items()}
             self.drawn[SEED] = np.zeros(num_envs, np.int64)
-        self._control_rngs: dict[int, np.random.Generator] = {}
+        self._control_rngs = [np.random.default_rng(0)] * num_envs  # until episodes begin
         self._latency_steps = np.zeros(num_envs, np.intp)  # in physics steps
         if ranges.has_latency:
             self.drawn[LATENCY] = np.zeros(num_envs)
             self._sent = np.zeros((num_envs, ranges.num_sent, len(scene.action_low)))
         self._offset = np.zeros((num_envs, len(ranges.observation_noise)))
-        self._observation_rngs: dict[int, np.random.Generator] = {}
+        self._observation_rngs = [np.random.default_rng(0)] * num_envs
 
     # At the beginning of episodes
 
@@ -188,6 +188,13 @@ class Randomization:
         self._control_rngs[env] = self._ranges.generator(seed, _CONTROL)
         self._observation_rngs[env] = self._ranges.generator(seed, _OBSERVATION)
         return factors
+
+    @property
+    def per_env(self) -> list[Any]:
+        """Arrays and lists of what each environment has of its own, without its simulation."""
+        late = [self._sent] if LATENCY in self.drawn else []
+        rngs = [self._control_rngs, self._observation_rngs]
+        return [*self.drawn.values(), *late, *rngs, self._latency_steps, self._offset]
 
     # In each step
 

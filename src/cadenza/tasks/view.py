@@ -117,15 +117,21 @@ def task_spec(config: TaskConfig, scene: Scene) -> TaskSpec:
     sizes |= {"key_state": keys, "pedal": 1}
     if scene.sides:
         sizes["joints"] = len(scene.hand_joint_names)
+        if config.joint_velocities:
+            sizes["joint_velocities"] = sizes["joints"]
     if scene.sides and scene.config.touch:
         sizes["touch"] = len(scene.fingertip_sites)
     if config.onset_goals:
         sizes |= {"key_onset": keys, "key_velocity": keys}
+    return TaskSpec(config, scene, scene.action_low, scene.action_high, layout_of(sizes))
+
+
+def layout_of(sizes: Mapping[str, int]) -> dict[str, slice]:
+    """Name -> slice of the parts of a vector that follow each other and have these sizes."""
     ends = np.cumsum(list(sizes.values())).tolist()
-    layout = {
+    return {
         name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)
     }
-    return TaskSpec(config, scene, scene.action_low, scene.action_high, layout)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +146,7 @@ class View:
     num_steps: Ids
     """(N,) control steps of the episode."""
     steps: Ids
-    """(N,) control steps since the episode began."""
+    """(N,) control steps since the song began, also those before the episode began within it."""
     playing: Mask
     """(N,) whether each takes the next step; the actions of the others are ignored."""
     state: State
