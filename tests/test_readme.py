@@ -13,7 +13,10 @@ from cadenza.cli import main
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
-SONGS = {"OdeToJoy", "FurEliseOpening", "MinuetInG", "CMajorChordProgressionTwoHands", "debug"}
+SONGS = {
+    *("OdeToJoy", "FurEliseOpening", "MinuetInG", "CMajorChordProgressionTwoHands"),
+    *("CMajorScaleOneHand", "etudes/notes-6-0", "debug"),
+}
 PLAYS = "play", "plan", "practice", "compare", "bench"
 COMMANDS = (ROOT / "docs" / "command-line.md").read_text()
 
@@ -34,7 +37,7 @@ def shortened(arguments: list[str]) -> list[str]:
     """What to add, so that a command does not take long: the video has tests of its own."""
     added = ["--no-video"] if arguments[0] in ("play", "practice", "train") else []
     added += ["--minutes", "0.02"] if arguments[0] == "practice" else []
-    added += ["--first-seconds", "2"] if SONGS & set(arguments) and arguments[0] in PLAYS else []
+    added += ["--first-seconds", "1"] if SONGS & set(arguments) and arguments[0] in PLAYS else []
     learns = arguments[0] == "train" and "--resume" not in arguments
     return [*added, *(["--num-steps", "600", "--learning-starts", "300"] if learns else [])]
 
