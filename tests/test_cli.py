@@ -654,8 +654,8 @@ def test_a_plan_is_written_as_sheet_music(
     assert f"{sheet}: the song has no bars" in capsys.readouterr().out
     fingered = read_fingering(f"{path}.fingering", read_midi(tune))
     assert numbers(cadenza.load_song(sheet)) == numbers(fingered)
-    message = refused_in_a_line(capsys, "plan", tune, "--score", tmp_path / "tune.pdf")
-    assert "tune.pdf: sheet music is a .musicxml or .svg file" in message
+    message = refused_in_a_line(capsys, "plan", tune, "--score", tmp_path / "tune.txt")
+    assert "tune.txt: sheet music is a .musicxml, .pdf, .svg or .mid file" in message
 
 
 def test_a_plan_is_drawn_as_sheet_music(tune: Path, tmp_path: Path) -> None:

@@ -34,6 +34,9 @@ def write(tmp_path):
     return written
 
 
+SHOW_DETAILS = "document.querySelector('.figures').open = true"
+
+
 def test_the_page_opens_plays_and_shows_two_hands_over_a_keyboard(browser, write, episode):
     browser.open(write(episode))
     assert browser.problems() == []
@@ -66,6 +69,7 @@ def test_the_page_opens_plays_and_shows_two_hands_over_a_keyboard(browser, write
 @pytest.mark.slow
 def test_seeking_moves_the_hands_the_cursor_and_the_sound(browser, write, episode):
     browser.open(write(episode))
+    browser.evaluate(SHOW_DETAILS)
     pictures = []
     for time in (0.2, 1.0):
         browser.evaluate(f"cadenza.seek({time})")
@@ -484,6 +488,8 @@ def test_rewards_say_what_their_numbers_are_and_the_cursor_strikes_out_none(brow
     episode = make_episode()
     episode.arrays["reward_energy"][:] = -1e-4
     browser.open(write(episode))
+    browser.evaluate(SHOW_DETAILS)
+    browser.settle()
     rows = browser.evaluate("[...document.querySelectorAll('.term')].map(row => row.textContent)")
     assert "energy mean 0.000at the cursor 0.000" in rows
     assert not any("-0.000" in row for row in rows)
@@ -510,6 +516,7 @@ def test_on_a_narrow_screen_settings_break_at_separators(browser, tmp_path, epis
     size = {"height": 800, "deviceScaleFactor": 1, "mobile": False}
     browser.call("Emulation.setDeviceMetricsOverride", width=320, **size)
     browser.open(path)
+    browser.evaluate(SHOW_DETAILS)
     lines = browser.evaluate("""(() => {
         const lines = new Map(), range = document.createRange();
         for (const node of document.querySelector('td').childNodes)

@@ -10,7 +10,7 @@ import tyro
 
 from cadenza.cli.arguments import Chosen, Flat, Output
 from cadenza.cli.options import SETUP_HELP
-from cadenza.cli.saving import check_name, check_writable
+from cadenza.cli.saving import check_sheet, write_sheet
 from cadenza.errors import counted
 from cadenza.files import folder_name
 from cadenza.fingers import SIDES
@@ -18,8 +18,6 @@ from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.reading import SHEET, name_without_ending
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.setups import NamedSetup, setup_named
-
-_MIDI = ".mid"
 
 
 @dataclass(frozen=True)
@@ -32,8 +30,8 @@ class Arrange:
     song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")]
     """A song by its name, or a MIDI or MusicXML file."""
     output: Output[Path | None] = None
-    """The arrangement, a .musicxml or .mid file; SONG.musicxml by default. The fingers of a .mid
-    file are written beside it as text, to a file that ends in .fingering."""
+    """The arrangement: a .pdf to print, a .musicxml file to edit, an .svg picture, or a .mid file,
+    with its fingers as text beside it; SONG.musicxml by default."""
     arrangement: Flat[Arrangement] = field(default_factory=lambda: Arrangement(arrange="always"))
     fingering: Literal["robot", "human"] = "robot"
     """Fingers that suit the robot's hands, or those that a pianist would use."""
@@ -50,9 +48,6 @@ def default(chosen: Chosen) -> Arrange:
 
 
 def run(command: Arrange) -> None:
-    from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
-    from cadenza.music.formats.midi import write_midi
-    from cadenza.music.formats.musicxml_writing import write_musicxml
     from cadenza.performing.arranging import arrange_song
     from cadenza.performing.loaded_song import load
     from cadenza.scene.scene import build_scene
@@ -61,19 +56,12 @@ def run(command: Arrange) -> None:
 
     song = load(command.song, command.arrangement)
     path = command.output or Path(f"{folder_name(name_without_ending(song.name))}{SHEET}")
-    if path.suffix != _MIDI:
-        check_name(path, SHEET, f"an arrangement is a {SHEET} or {_MIDI} file")
-    check_writable(path.parent)
+    check_sheet(path, "--output")
     scene = build_scene(command.scene)
     arranged = arrange_song(song.written_for(command.scene.hands), scene).arranged
     how = TaskConfig(fingering=command.fingering, hands_as_written=command.hands_as_written)
     score = GoalTrack(arranged.score, None, how, scene).fingered().score
-    if path.suffix == SHEET:
-        for remark in write_musicxml(score, path):
-            print(f"{path}: {remark}")
-    else:
-        write_midi(score, path)
-        write_fingering(score, path.with_suffix(SUFFIX))
+    write_sheet(score, path, command.song)
     hands = {note.finger.hand for note in score.notes if note.finger}
     whose = "both hands" if len(hands) > 1 else "".join(f"the {SIDES[i]} hand" for i in hands)
     print(

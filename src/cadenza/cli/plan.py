@@ -15,18 +15,16 @@ from cadenza.cli.options import SONG, Options, Read, setting_up
 from cadenza.cli.progress import stages
 from cadenza.cli.saving import (
     check_name,
+    check_sheet,
     check_writable,
     default_folder,
     print_verdict,
+    write_sheet,
 )
 from cadenza.files import TENSORS
 from cadenza.music.arrangement import Arrangement
-from cadenza.music.formats.reading import SHEET
-from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import with_time_to_begin
-
-_PICTURE = ".svg"
 
 
 @dataclass(frozen=True)
@@ -41,8 +39,8 @@ class PlanCommand(Options):
     """The plan, a .safetensors file; played/SONG/plan.safetensors by default. The fingering is
     written beside it as text, to a file that ends in .safetensors.fingering."""
     score: Path | None = None
-    """Write the song with the planned fingers as sheet music, too, to this .musicxml file, or, to
-    be looked at and printed, to this .svg picture."""
+    """Write the song with the planned fingers as sheet music, too: a .pdf to print, a .musicxml
+    file to edit, an .svg picture or a .mid file."""
     seed: int = 0
     """Random seed."""
     verbose: Verbose = False
@@ -57,9 +55,7 @@ def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
     if command.output is not None:
         check_name(command.output, TENSORS, f"a plan is a {TENSORS} file")
     if command.score is not None:
-        if command.score.suffix != _PICTURE:
-            check_name(command.score, SHEET, f"sheet music is a {SHEET} or {_PICTURE} file")
-        check_writable(command.score.parent, "--score")
+        check_sheet(command.score, "--score")
     player = find_player(PLANNER, configs=command.configs)
     with setting_up(command, command.song, player, command.seed) as setup:
         path = command.output or default_folder(setup) / PRACTISED
@@ -69,18 +65,9 @@ def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
     planned.save(path)
     print_verdict(planned.performance, command.verbose)
     if command.score is not None:
-        for remark in _write_sheet(planned.score, command.score):
-            print(f"{command.score}: {remark}")
+        write_sheet(planned.score, command.score, command.song)
     print(f"\nFingering in {fingering_of(path)}. To see and hear the plan:")
     print(shlex.join(["cadenza", "play", command.song, *_to_replay(command, path)]))
-
-
-def _write_sheet(score: Score, path: Path) -> tuple[str, ...]:
-    """Write sheet music; return in plain words what is not as in the score."""
-    from cadenza.music.formats.musicxml_writing import write_musicxml
-    from cadenza.report.engraving import write_svg
-
-    return (write_svg if path.suffix == _PICTURE else write_musicxml)(score, path)
 
 
 def _to_replay(command: PlanCommand, path: Path) -> list[str]:

@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING, Any
 from cadenza.cli.progress import stages
 from cadenza.errors import CadenzaError, counted
 from cadenza.files import folder_name
-from cadenza.music.formats.reading import name_without_ending
+from cadenza.music.formats.reading import SHEET, name_without_ending
 
 if TYPE_CHECKING:
+    from cadenza.music.score import Score
     from cadenza.performing.film_renderer import Look
     from cadenza.performing.filming import FilmExcerpt
     from cadenza.performing.performance import Performance
     from cadenza.performing.setup import Setup
     from cadenza.report.tone import Tone
 
+_SHEETS = (SHEET, ".pdf", ".svg", ".mid")  # endings of files of sheet music
 _MS_PER_SECOND = 1000
 _REWARDED = {
     "score": "; the score's fingers are rewarded",
@@ -37,6 +39,42 @@ def check_name(path: Path, suffix: str, what: str) -> None:
         raise CadenzaError(f"{path}: {what}; choose a name with that ending")
     if path.is_dir():
         raise CadenzaError(f"{path}: is a folder; choose another name")
+
+
+def check_sheet(path: Path, option: str) -> None:
+    """Check the name of a file of sheet music and its folder, which this `option` chooses.
+
+    Raises:
+        CadenzaError: it has none of the endings that `write_sheet` knows, or cannot be written.
+    """
+    known = f"{', '.join(_SHEETS[:-1])} or {_SHEETS[-1]}"
+    suffix = path.suffix if path.suffix in _SHEETS else SHEET
+    check_name(path, suffix, f"sheet music is a {known} file")
+    check_writable(path.parent, option)
+
+
+def write_sheet(score: Score, path: Path, song: str) -> None:
+    """Write a score with its fingers as its ending says, and print what is not as in the score.
+
+    Fingers of a .mid file are written beside it; who wrote the `song` stands in a PDF.
+    """
+    from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
+    from cadenza.music.formats.midi import write_midi
+    from cadenza.music.formats.musicxml_writing import write_musicxml
+    from cadenza.music.libraries.library import composer_of
+    from cadenza.report.engraving import write_svg
+    from cadenza.report.sheet_pdf import write_pdf
+
+    remarks: tuple[str, ...] = ()
+    if path.suffix == ".mid":
+        write_midi(score, path)
+        write_fingering(score, path.with_suffix(SUFFIX))
+    elif path.suffix == ".pdf":
+        remarks = write_pdf(score, path, composer_of(song))
+    else:
+        remarks = (write_svg if path.suffix == ".svg" else write_musicxml)(score, path)
+    for remark in remarks:
+        print(f"{path}: {remark}")
 
 
 def check_writable(folder: Path, option: str = "--output", mode: int = 0o777) -> None:

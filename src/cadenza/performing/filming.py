@@ -7,7 +7,6 @@ import os
 from collections import deque
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -21,7 +20,7 @@ from cadenza.episode import Episode, load_episode
 from cadenza.errors import CadenzaError
 from cadenza.files import checked, read_json
 from cadenza.music.formats.midi import read_midi
-from cadenza.music.libraries.library import find_song
+from cadenza.music.libraries.library import composer_of
 from cadenza.music.performance import played_in
 from cadenza.performing.film_renderer import FilmRenderer, Look
 from cadenza.report.sound import CODECS, SAMPLE_RATE, Samples, synthesize, write_sound
@@ -195,9 +194,7 @@ def renderer_of(folder: Path, look: Look) -> FilmRenderer:
 
 def _titles(episode: Episode, settings: Mapping[str, Any]) -> list[str]:
     """Name the song, who wrote it if a library says so, and who plays."""
-    by = ""
-    with suppress(CadenzaError):  # a file, or a library that is not here
-        by = find_song(str(settings.get("song"))).composer
+    by = composer_of(str(settings.get("song")))
     player = f"played by the {settings['agent']}" if settings.get("agent") else ""
     return [episode.song, *filter(None, (by, player))]
 

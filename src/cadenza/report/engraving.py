@@ -110,8 +110,8 @@ class Engraving:
         return f"{before}{''.join(placed)}{after}"
 
 
-def engraved(sheet: Sheet) -> Engraving:
-    """Engrave sheet music.
+def engraved(sheet: Sheet, width: int = _WIDTH) -> Engraving:
+    """Engrave sheet music in systems of a `width` in Verovio's pixels: a staff is 72 high.
 
     Raises:
         CadenzaError: Verovio cannot engrave it.
@@ -120,7 +120,7 @@ def engraved(sheet: Sheet) -> Engraving:
 
     verovio.enableLog(verovio.LOG_OFF)
     toolkit = verovio.toolkit()
-    toolkit.setOptions(_OPTIONS)
+    toolkit.setOptions(_OPTIONS | {"pageWidth": width})
     if not toolkit.loadData(musicxml_of(sheet)):
         raise CadenzaError(f"{sheet.title}: the sheet music cannot be engraved")
     drawer = _Drawer(sheet)

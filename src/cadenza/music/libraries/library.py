@@ -103,6 +103,14 @@ def open_library(spec: str | Path) -> Library:
     return library.of_split(split) if colon else library
 
 
+def composer_of(song: str) -> str:
+    """Name who wrote a song; "" if no library that is here says so, as of a file."""
+    try:
+        return find_song(song).composer
+    except CadenzaError:
+        return ""
+
+
 def find_song(song: str | Path | Song) -> Song:
     """The song of a name, in upper or lower case, or of the path of a MIDI or MusicXML file.
 
