@@ -13,6 +13,8 @@ from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
 from cadenza.installing import install_line
 
+_MAX_PLAYERS = 4  # by default, so that something is left of a machine that others use, too
+
 
 @dataclass(frozen=True)
 class StudioCommand:
@@ -30,8 +32,9 @@ class StudioCommand:
     host: str = "127.0.0.1"
     """Address to listen on. With any other than this machine's own, whoever has the address of the
     page can use this machine to play."""
-    jobs: int = 1
-    """Performances that are planned at the same time."""
+    jobs: int | None = None
+    """Performances that are planned at the same time; by default as many as there are cores, up to
+    four."""
     video: bool = False
     """Make a film of each performance, too, as "cadenza film" does."""
     browser: bool = True
@@ -39,8 +42,11 @@ class StudioCommand:
 
 
 def run(command: StudioCommand) -> None:
+    from cadenza.sim.threads import available_cores
+
     port = whole_number(command.port, "--port", 0, 65535)
-    jobs = whole_number(command.jobs, "--jobs", 1, 64)
+    jobs = min(available_cores(), _MAX_PLAYERS) if command.jobs is None else command.jobs
+    jobs = whole_number(jobs, "--jobs", 1, 64)
     check_writable(command.folder, "--folder", 0o700)  # it holds the address
     need_server()
     from cadenza.studio.address import announce
