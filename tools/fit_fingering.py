@@ -19,7 +19,7 @@ import numpy as np
 from openings import add_options, add_row, drawn_songs, metrics_of, opening, rows_of
 
 from cadenza.agents.planner.config import PlannerConfig
-from cadenza.agents.planner.practice.losses import ONSET_WEIGHT
+from cadenza.agents.planner.practice.losses import NOTE_WEIGHT
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.fingering.search import COSTS, find_fingering
 from cadenza.fingering.transitions import Costs
@@ -57,7 +57,7 @@ class Played:
                     f"{path}: holds other than {seconds:g} s; choose another --output"
                 )
             self._known[row["song"], Costs(**row["costs"])] = (
-                row["f1"] + ONSET_WEIGHT * row["onsets"]
+                row["f1"] + NOTE_WEIGHT * row["onsets"]
             )
 
     def worth(self, costs: Costs) -> float:
@@ -72,7 +72,7 @@ class Played:
             row = {"song": song, "seconds": self._seconds, "costs": asdict(costs)}
             row |= {"f1": f1, "onsets": onsets}
             add_row(self.path, row)
-            self._known[song, costs] = f1 + ONSET_WEIGHT * onsets
+            self._known[song, costs] = f1 + NOTE_WEIGHT * onsets
         return self._known[song, costs]
 
 

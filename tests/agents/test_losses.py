@@ -11,18 +11,21 @@ from cadenza.agents.planner.plan.hand_goals import HandGoals, last_in_time, may_
 from cadenza.agents.planner.plan.song_plan import plan_song
 from cadenza.agents.planner.practice.losses import (
     KeyEvents,
-    KeyHistory,
     Losses,
     StepLoss,
+    WrittenNotes,
 )
-from cadenza.music.metrics import playing_metrics
+from cadenza.music.metrics import matched_notes, playing_metrics
+from cadenza.music.performance import key_events, performed_score
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 KEY, PITCH = 39, 60
-NO_EVENTS = KeyEvents(np.full(88, np.nan), np.full(88, np.nan))
+DT = 0.05
+TIMELY = TaskConfig(repeats="shortened")
+NO_EVENTS = KeyEvents(*np.full((3, 88), np.nan))
 STEPS = [0.01, 0.02, 0.025, 0.05, 0.1]
 
 
@@ -65,40 +68,45 @@ def test_what_is_due_in_a_long_song_takes_little_memory() -> None:
     assert most < 8 * keys.nbytes
 
 
-def test_steps_since_keys_began_to_sound() -> None:
-    sounding = np.array([[0, 1], [1, 1], [1, 0], [1, 1], [0, 1]], bool)
-    history = KeyHistory.of_steps(sounding)
-    assert history.since.tolist() == [3, 1]
-    assert KeyHistory.of_steps(sounding[:0]).since.min() > 100
+def drawn_events(rng: np.random.Generator, steps: int, keys: list[int]) -> tuple[np.ndarray, ...]:
+    """Whether keys sound after each step, and when they began and ceased in it (T, K) [s]."""
+    sounding, events = np.zeros((steps, 88), bool), np.full((2, steps, 88), np.nan)
+    for key in keys:
+        for i, time in enumerate(np.cumsum(rng.choice([0.006, 0.03, 0.12, 0.4], 60))):
+            step = int(time / DT)
+            if step < steps:
+                events[i % 2, step, key] = time - step * DT
+                sounding[step:, key] = i % 2 == 0
+    return sounding, *events
 
 
-@pytest.mark.parametrize("dt", STEPS)
-def test_practice_loses_what_the_metric_does(dt: float) -> None:
-    score = Score((Note(0.5, 1.0, PITCH),))
-    task = PianoTask([score], TaskConfig(control_timestep=dt), SceneConfig(hands="right"))
+@pytest.mark.parametrize("seed", range(5))
+def test_faults_of_notes_are_those_of_note_onset_f1(seed: int) -> None:
+    rng, keys = np.random.default_rng(seed), [KEY, KEY + 1, KEY + 4]
+    notes = [
+        Note(start, start + 0.15, PITCH + key - KEY)
+        for key in keys
+        for start in np.cumsum(rng.uniform(0.22, 0.6, 12)).round(3).tolist()
+    ]
+    task = PianoTask([Score(tuple(notes))], TIMELY, SceneConfig(hands="right"))
     task.reset([np.random.default_rng(0)], [0])
     plan = plan_song(task.goals.tracks[0], task.state.hand_qpos[0])
-    goals, keyboard = HandGoals(plan, "right"), plan.scene.keyboard
-    losses, goal = Losses(plan, goals), plan.goals.keys
-    (first, *_), count = np.flatnonzero(goal[:, KEY]), len(goal)
-
-    def lost(late: int) -> float:
-        """By all notes together, beside F1."""
-        history, total = KeyHistory.of_steps(np.zeros((0, 88), bool)), 0.0
-        for row in range(count):
-            angles = np.zeros(88)
-            angles[KEY] = (goal[row, KEY] and row >= first + late) * keyboard.travel[KEY]
-            tips = goals.fingertips[row + 1]
-            after = losses.after(row, angles, NO_EVENTS, tips, history)
-            total += after.loss - (goal[row, KEY] and not angles[KEY])
-            history = after.history
-        return total
-
-    for late in range(5):
-        played = goal.copy()
-        played[: first + late] = False
-        sounds_in_time = in_time(task.score(0), played, dt)
-        assert (lost(late) == pytest.approx(0.0, abs=1e-9)) == sounds_in_time, late
+    written, steps = WrittenNotes(plan, HandGoals(plan, "right")), plan.goals.num_steps
+    sounding, onset, offset = drawn_events(rng, steps, [*keys, KEY + 2])
+    history, faults = written.history(0, sounding, onset, offset), 0
+    for step in range(steps):
+        again = written.history(step, sounding, onset, offset)
+        np.testing.assert_array_equal(again.decided, history.decided)
+        events = KeyEvents(onset[step], offset[step], onset[step])
+        after = written.events(step, sounding[step], events, history, slice(None))
+        faults += after.missed + int(after.extra.sum())
+        history = after.history
+    loudness, pedal = np.full_like(onset, 60.0), np.zeros(steps, bool)
+    played = performed_score(sounding, pedal, DT, key_events(onset, offset, loudness))
+    written_notes = sorted(task.score(0).notes, key=lambda note: note.start)
+    found = len(matched_notes(written_notes, played.notes, 0.05))
+    assert 5 < found < len(notes)
+    assert faults == len(notes) + len(played.notes) - 2 * found
 
 
 def test_a_strike_loses_by_its_time_and_speed_but_less_than_a_key_or_an_onset() -> None:
@@ -108,7 +116,8 @@ def test_a_strike_loses_by_its_time_and_speed_but_less_than_a_key_or_an_onset() 
     plan = plan_song(task.goals.tracks[0], task.state.hand_qpos[0], strikes=True)
     goals, keyboard = HandGoals(plan, "right"), plan.scene.keyboard
     losses, strikes = Losses(plan, goals), goals.strikes
-    step, before = int(strikes.step[0]), KeyHistory.of_steps(np.zeros((0, 88), bool))
+    step, unplayed = int(strikes.step[0]), np.zeros((len(goals.keys), 88))
+    before = losses.notes.history(step, unplayed > 0, unplayed * np.nan, unplayed * np.nan)
     angles = plan.goals.keys[step] * keyboard.travel
 
     def evaluated(late: float = 0.0, louder: float = 1.0, keys: slice = slice(None)) -> StepLoss:
@@ -116,7 +125,7 @@ def test_a_strike_loses_by_its_time_and_speed_but_less_than_a_key_or_an_onset() 
         onset[strikes.key], speed[strikes.key] = strikes.time, strikes.speed
         onset[KEY] += late
         speed[KEY] *= louder
-        events = KeyEvents(onset[keys], speed[keys])
+        events = KeyEvents(onset[keys], NO_EVENTS.offset[keys], speed[keys])
         tips, history = goals.fingertips[step + 1], before.of(keys)
         return losses.after(step, angles[keys], events, tips, history, keys)
 

@@ -58,7 +58,9 @@ def played(loss: np.ndarray, ctrl: float = 0.0) -> Trajectory:
         np.full((STEPS, servos), ctrl),
         np.zeros((STEPS, servos, 2)),
         np.zeros((STEPS, 88), bool),
+        *np.full((2, STEPS, 88), np.nan, np.float32),
         loss,
+        np.zeros_like(loss, int),
         np.zeros_like(loss),
         np.zeros(STEPS),
     )
@@ -198,7 +200,9 @@ def drawn(rng: np.random.Generator) -> Trajectory:
         rng.random((SHORT, 6)),
         rng.random((SHORT, 6, 2)),
         rng.random((SHORT, KEYS)) < 0.5,
+        *rng.random((2, SHORT, KEYS), np.float32),
         rng.choice([0.0, 0.5, 1.0], (SHORT, 2)),
+        rng.integers(3, size=(SHORT, 2)),
         rng.random((SHORT, 2)),
         rng.random(SHORT),
     )
@@ -222,10 +226,12 @@ def test_each_hand_keeps_the_better_of_each_window(seed: int) -> None:
             for name in ("ctrl", "expected"):
                 there, wanted = (getattr(each, name)[rows, servos] for each in (best, kept))
                 np.testing.assert_array_equal(there, wanted)
-            for name in ("loss", "strike_loss"):
+            for name in ("loss", "faults", "strike_loss"):
                 there, wanted = (getattr(each, name)[rows, hand] for each in (best, kept))
                 np.testing.assert_array_equal(there, wanted)
             mine = goals[hand].keys[0]
-            np.testing.assert_array_equal(best.sounding[rows, mine], kept.sounding[rows, mine])
+            for name in ("sounding", "onset", "offset"):
+                there, wanted = (getattr(each, name)[rows, mine] for each in (best, kept))
+                np.testing.assert_array_equal(there, wanted)
     for was, now in zip(before, one, strict=True):
         np.testing.assert_array_equal(was, now)  # the trajectories stay as they are

@@ -61,7 +61,7 @@ EASY = Score(
     tuple(Note(0.4 * i, 0.4 * i + 0.4, 60 + 2 * i, 80, finger=Finger(0, i)) for i in range(3))
 )
 JUMPS = Score(
-    tuple(Note(0.4 * i, 0.4 * i + 0.4, (48, 60)[i % 2], 80, finger=Finger(0, 2)) for i in range(10))
+    tuple(Note(0.4 * i, 0.4 * i + 0.4, (48, 62)[i % 2], 80, finger=Finger(0, 2)) for i in range(10))
 )
 
 # Far apart, so that other fingers lose less, with whatever kernels linear algebra uses.
@@ -140,7 +140,7 @@ def practised() -> Practice:
 def test_it_plays_better_than_at_first_sight(practised: Practice) -> None:
     (_, f1, onsets), *_, (effort, later_f1, later_onsets) = practised.history
     assert effort >= EFFORT
-    assert later_f1 + later_onsets / 2 > f1 + onsets / 2
+    assert later_f1 + 2 * later_onsets > f1 + 2 * onsets
 
 
 def test_the_first_take_is_what_the_planner_plays() -> None:
@@ -167,11 +167,11 @@ def test_more_practice_is_never_worse_and_plays_the_same_in_the_scene() -> None:
     one.run(np.inf, on_and_off(3))  # in the middle of a sweep
     assert worth(one) >= before
     assert_plays_as_it_says(one, CLOSE)
-    scores = [f1 + onsets / 2 for _, f1, onsets in one.history]
+    scores = [f1 + 2 * onsets for _, f1, onsets in one.history]
     assert scores == sorted(scores)
     assert scores[-1] > scores[0]
-    f1 = [f1 for _, f1, _ in one.history]
-    assert f1 == sorted(f1)
+    onsets = [onsets for *_, onsets in one.history]
+    assert onsets == sorted(onsets)
     # Fingers of the score are kept.
     assert [note.finger for note in one.plan.track.score.notes] == [n.finger for n in CLOSE.notes]
 
@@ -180,7 +180,7 @@ def assert_plays_as_it_says(practised: Practice, score: Score) -> None:
     best = practised.best()
     actions = np.append(best.practised.tracking.ctrl, practised.plan.goals.sustain[:, None], axis=1)
     metrics = play_episode(PianoTask([score], QUICK), Playback(actions)).metrics
-    assert metrics["f1"] == best.f1
+    assert (metrics["f1"], metrics["note_onset_f1"]) == (best.f1, best.note_onset_f1)
 
 
 def test_it_plays_more_in_time_and_as_loud_as_written() -> None:
@@ -254,12 +254,12 @@ def test_a_hand_corrects_how_far_its_fingertips_are_off(monkeypatch: pytest.Monk
     corrected = practice()
     corrected.run(EFFORT)
     (_, f1, onsets), *_, (_, later_f1, later_onsets) = corrected.history
-    assert later_f1 + later_onsets / 2 > f1 + onsets / 2
+    assert later_f1 + 2 * later_onsets > f1 + 2 * onsets
 
 
 @pytest.mark.parametrize(
     ("score", "config", "effort", "follows"),
-    [(WIDE, NO_SEARCH, 0.02, False), (JUMPS, GIVEN_FINGERS, 0.02, True)],
+    [(WIDE, NO_SEARCH, 0.02, False), (JUMPS, GIVEN_FINGERS, 0.04, True)],
 )
 def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
     score: Score,
@@ -273,7 +273,7 @@ def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
     at_sight = straight.plan
     straight.run(effort)
     (_, f1, onsets), *_, (_, later_f1, later_onsets) = straight.history
-    assert (later_f1, later_onsets) > (f1, onsets)
+    assert (later_onsets, later_f1) > (onsets, f1)
     assert straight.plan.nominal.presses != at_sight.nominal.presses
     assert_plays_as_it_says(straight, score)
     left, within = practice(2, score=score, config=config), set[bool]()

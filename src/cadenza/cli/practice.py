@@ -40,7 +40,7 @@ class PracticeCommand(Options):
 
     Ctrl-C keeps the best so far; the same command goes on. "cadenza play --agent FOLDER" plays it.
 
-    Example: cadenza practice FurEliseOpening -o elise --minutes 5
+    Example: cadenza practice FurEliseOpening -o elise --effort 4
     """
 
     song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
@@ -235,11 +235,8 @@ def _remark(practice: Practice, score: Score) -> str:
 
 
 def _scores(row: tuple[float, float, float]) -> str:
-    """Return the scores of an entry of the history.
-
-    Practice counts onsets at control steps, `cadenza play` at physics steps: that is said.
-    """
-    return "F1 {1:.3f}, note onsets F1 by control steps {2:.3f}".format(*row)
+    """Return the scores of an entry of the history."""
+    return "F1 {1:.3f}, note onsets F1 {2:.3f}".format(*row)
 
 
 def _places(practice: Practice, score: Score, steps: Iterable[int]) -> str:

@@ -1,4 +1,4 @@
-"""Improves what one hand plays where it has a loss.
+"""Practice of one hand where it has a loss.
 
 The hand begins a little before the fault, and rolls out many perturbations of the trajectory, by
 itself and with the keys near it only. Whether the best of them is of use shows in the whole scene,
@@ -38,6 +38,7 @@ _CORRECTION_SCALES = (1.0, 2.0, 1.0, 2.0, 0.5, 1.5)
 _LEAD = 0.6  # [s] at most from the beginning of a change to the fault
 _HORIZON = 0.6  # [s] for which a change is evaluated after its end
 _REFINEMENTS = 6  # rollouts at most in which the strikes of a change are refined
+_REFINEMENTS_OF_ALL = 12  # the same of those that are refined for their own sake
 
 
 class ChangedControls(NamedTuple):
@@ -80,9 +81,9 @@ class _PracticeCost:
         self, k: int, key_path: Array, fingertips: Array, before: KeyHistory
     ) -> tuple[float, int, KeyHistory]:
         substep = self.dt / (len(key_path) - 1)
-        onset, _, speed = last_key_events(key_path, self.sounds_from, substep)
+        events = KeyEvents(*last_key_events(key_path, self.sounds_from, substep))
         evaluation = self.losses.after(
-            self.first + k, key_path[-1], KeyEvents(onset, speed), fingertips, before, self.keys
+            self.first + k, key_path[-1], events, fingertips, before, self.keys
         )
         return evaluation.cost, 0, evaluation.history
 
@@ -95,7 +96,7 @@ class HandPractice:
     """
 
     def __init__(self, plan: SongPlan, side: Side, goals: HandGoals, threads: Threads) -> None:
-        """Prepares practice by the plan of the whole song, with `threads` that share rollouts."""
+        """Prepare practice by the plan of the whole song, with `threads` that share rollouts."""
         dt = plan.track.config.control_timestep
         alone, self.servos, _ = hand_alone(plan.scene, side)
         tracking = plan.nominal.tracking.of(self.servos)
@@ -118,7 +119,7 @@ class HandPractice:
         scene_before: Callable[[int], PlanningSimulation],
         rng: np.random.Generator,
     ) -> Attempt:
-        """Tries to lower the loss at a step that is drawn.
+        """Try to lower the loss at a step that is drawn.
 
         Steps from `first` on may change, and are drawn by `weight` (L,), which need not sum to 1;
         changes may be evaluated up to `last`.
@@ -134,6 +135,25 @@ class HandPractice:
         self._start_rollouts(trajectory, simulation, offsets, begin, end)
         change = self._best_change(offsets, trajectory, begin, end, rng)
         return Attempt(step, begin, change, self._rollouts.simulated)
+
+    def refine(
+        self,
+        trajectory: Trajectory,
+        first: int,
+        last: int,
+        end: int,
+        scene_before: Callable[[int], PlanningSimulation],
+    ) -> Attempt:
+        """Refine the strikes from `first` to before `last`: their times, and how loud they are.
+
+        Changes are evaluated up to `end`.
+        """
+        still = np.zeros((1, last - first, len(self._servos.noise)))
+        self._start_rollouts(trajectory, scene_before(first), still, first, end)
+        unchanged = self._unchanged(trajectory, first, end)
+        change, rollout = self._refined(*unchanged, last - first, _REFINEMENTS_OF_ALL)
+        better = rollout.cost < unchanged[1].cost
+        return Attempt(first, first, change if better else None, self._rollouts.simulated)
 
     def _first_wrong(self, trajectory: Trajectory, first: int, step: int) -> int:
         """The step, from `first` on, since which a key has been wrong that is wrong at `step`."""
@@ -151,7 +171,7 @@ class HandPractice:
         first: int,
         end: int,
     ) -> None:
-        """Makes rollouts start where the hand is, with all keys that it may come over."""
+        """Make rollouts start where the hand is, with all keys that it may come over."""
         tips = self._goals.fingertips[first : end + 1, :, 1]
         here = simulation.state.fingertip_xpos[0, self._goals.fingers, 1]
         low, high = (edge(np.append(tips, here)) for edge in (np.min, np.max))
@@ -160,7 +180,7 @@ class HandPractice:
             simulation, low + slides.min(initial=0.0), high + slides.max(initial=0.0)
         )
         keys = self._simulator.keys
-        history = trajectory.key_history(first).of(keys)
+        history = trajectory.key_history(first, self._losses.notes).of(keys)
         sounds_from = self._keyboard.sounds_from[keys]
         self._rollouts.start(
             _PracticeCost(self._losses, first, end - first, history, keys, sounds_from, self._dt)
@@ -170,19 +190,15 @@ class HandPractice:
     def _best_change(
         self, offsets: Array, trajectory: Trajectory, first: int, end: int, rng: np.random.Generator
     ) -> ChangedControls | None:
-        """Rolls out `offsets` (N, L, A) and corrections from the step `first` up to `end`.
+        """Roll out `offsets` (N, L, A) and corrections from the step `first` up to `end`.
 
         The strikes of the cheapest are refined.
 
         Returns:
             The controls of the cheapest rollout, None if the trajectory is as cheap.
         """
-        steps, changed, rows = end - first, offsets.shape[1], slice(first, end)
-        as_it_is = ChangedControls(
-            first, trajectory.ctrl[rows, self.servos], trajectory.expected[rows, self.servos]
-        )
-        still = np.zeros((steps + 1, offsets.shape[2]))
-        unchanged = self._rollouts.simulate(self._candidate(as_it_is, still)[1])
+        steps, changed = end - first, offsets.shape[1]
+        as_it_is, unchanged = self._unchanged(trajectory, first, end)
         offsets = np.concatenate([self._corrections(unchanged, first, changed, rng), offsets])
         # How much each servo's target is moved before each step.
         offsets = np.pad(offsets, ((0, 0), (1, steps - changed), (0, 0)))
@@ -192,13 +208,27 @@ class HandPractice:
         )
         rollouts = self._rollouts.simulate_all(controls, unchanged.cost)
         made = zip((as_it_is, *changes), (unchanged, *rollouts), strict=True)
-        change, rollout = self._refined(*min(made, key=_cost))
+        change, rollout = self._refined(*min(made, key=_cost), steps, _REFINEMENTS)
         return change if rollout.cost < unchanged.cost else None
 
-    def _refined(
-        self, change: ChangedControls, rollout: Rollout
+    def _unchanged(
+        self, trajectory: Trajectory, first: int, end: int
     ) -> tuple[ChangedControls, Rollout]:
-        """The change with its strikes refined, where that is cheaper, and the rollout of it."""
+        """The controls from `first` to before `end` as they are, and the rollout of them."""
+        rows = slice(first, end)
+        as_it_is = ChangedControls(
+            first, trajectory.ctrl[rows, self.servos], trajectory.expected[rows, self.servos]
+        )
+        still = np.zeros((end - first + 1, as_it_is.ctrl.shape[1]))
+        return as_it_is, self._rollouts.simulate(self._candidate(as_it_is, still)[1])
+
+    def _refined(
+        self, change: ChangedControls, rollout: Rollout, struck: int, rollouts: int
+    ) -> tuple[ChangedControls, Rollout]:
+        """The change with its strikes refined, where that is cheaper, and the rollout of it.
+
+        Those of the first `struck` steps are refined, in so many `rollouts` at most.
+        """
         made, still = [(change, rollout)], np.zeros((len(change.ctrl) + 1, change.ctrl.shape[1]))
 
         def simulate(ctrl: Array) -> Rollout:
@@ -207,9 +237,9 @@ class HandPractice:
             return made[-1][1]
 
         steps = np.arange(change.first, change.first + len(change.ctrl))
-        strikes = HorizonStrikes(self._goals, steps, self._keyboard, self._simulator.keys)
-        jacobian = self._simulator.fingertip_jacobian
-        self._refinement.refine(change.ctrl, rollout, strikes, jacobian, simulate, _REFINEMENTS)
+        keys, jacobian = self._simulator.keys, self._simulator.fingertip_jacobian
+        strikes = HorizonStrikes(self._goals, steps, self._keyboard, keys, struck)
+        self._refinement.refine(change.ctrl, rollout, strikes, jacobian, simulate, rollouts)
         return min(made, key=_cost)
 
     def _corrections(
@@ -264,10 +294,10 @@ _SPARSE = 0.3  # share of the servos that change otherwise
 
 
 class Perturbations:
-    """Draws offsets of the positions that the servos of one hand follow."""
+    """Random offsets of the positions that the servos of one hand follow."""
 
     def __init__(self, scene: Scene, planned: Array, dt: float) -> None:
-        """Prepares perturbations of the hand that is alone in a scene.
+        """Prepare perturbations of the hand that is alone in a scene.
 
         `planned` (T + 1, A) are the positions of its servos by the plan, `dt` [s] apart.
         """
@@ -278,13 +308,13 @@ class Perturbations:
         self._shift = steps_in(_SHIFTS, dt)
 
     def length(self, rng: np.random.Generator) -> int:
-        """Draws how many steps the next perturbation lasts."""
+        """Draw how many steps the next perturbation lasts."""
         return int(rng.integers(self._lengths[0], self._lengths[1] + 1))
 
     def draw(
         self, path: Array, first: int, last: int, count: int, rng: np.random.Generator
     ) -> Array:
-        """Draws offsets (N, L, A) for `count` candidates over the L steps from `first` to `last`.
+        """Draw offsets (N, L, A) for `count` candidates over the L steps from `first` to `last`.
 
         Half are noise, interpolated from the first step to the last or constant. The others move
         earlier or later, go some of the way to the plan, stay where they are, or lift the hand and
@@ -327,7 +357,7 @@ class Perturbations:
         return rng.uniform(*_SHARES) * (towards - path[after])
 
     def servos(self, rng: np.random.Generator) -> Mask:
-        """Draws which servos (A,) change."""
+        """Draw which servos (A,) change."""
         kind = rng.random()
         if kind < _ALL_SERVOS:
             return np.ones(len(self._sigma), bool)

@@ -28,12 +28,14 @@ from cadenza.agents.planner.practice.trajectory import Snapshots, Trajectory, Wh
 from cadenza.agents.planner.search.hands_in_scene import HandsInScene
 from cadenza.fingering.transitions import Costs
 from cadenza.music.metrics import playing_metrics
+from cadenza.music.performance import key_events, performed_score
 from cadenza.tasks.goal_track import GoalTrack
 
 T = TypeVar("T", Variant, Trajectory)
 
 _CHUNK = 1.0  # [s] that are played at a time
 _MAX_DELAY = 0.1  # [s] by which hands delay their releases before a jump
+_ANY_VELOCITY = 64  # of notes that are compared by their onsets
 _MAX_ROLLOUTS = 4  # of each chunk, by hands that follow a spliced trajectory
 
 Parts = dict[str, dict[str, Any]]
@@ -70,7 +72,7 @@ class PlannedVariant:
         context: PlanningContext,
         variant: Variant | None = None,
     ) -> None:
-        """Plans the whole song, from joint positions (J,) of the hands [m, rad].
+        """Plan the whole song, from joint positions (J,) of the hands [m, rad].
 
         By default, the variant has the fingers of the song, or those that are found for it, and the
         usual release times.
@@ -98,7 +100,7 @@ class PlannedVariant:
     def follow(
         self, trajectory: Trajectory, step: int, rngs: Sequence[np.random.Generator]
     ) -> None:
-        """Makes the hands follow a trajectory from a step on, and search where less would sound."""
+        """Make the hands follow a trajectory from a step on, and search where less would sound."""
         goals = [each.holding(trajectory.sounding) for each in self.goals]
         self.search.restart(goals, self.scene.tracking(trajectory), step, rngs)
 
@@ -107,7 +109,12 @@ class PlannedVariant:
         scene, track, goals = self.plan[:3]
         pedal, lowest = goals.sustain, scene.keyboard.lowest_pitch
         dt, score = track.config.control_timestep, track.delayed_score
-        scores = playing_metrics(trajectory.sounding, pedal, goals.keys, pedal, dt, score, lowest)
+        onset, offset = trajectory.onset, trajectory.offset
+        events = key_events(onset, offset, np.full_like(onset, _ANY_VELOCITY))
+        played = performed_score(trajectory.sounding, pedal, dt, events, lowest)
+        scores = playing_metrics(
+            trajectory.sounding, pedal, goals.keys, pedal, dt, score, lowest, played
+        )
         practised = PractisedPlan(self.scene.tracking(trajectory), self.variant)
         return PracticeResult(practised, scores["f1"], scores["note_onset_f1"])
 
@@ -133,7 +140,7 @@ class InitialTrajectories:
     def __init__(
         self, track: GoalTrack, start: Array, rng: np.random.Generator, context: PlanningContext
     ) -> None:
-        """Plans the first trajectory of a song, from joint positions (J,) of the hands [m, rad].
+        """Plan the first trajectory of a song, from joint positions (J,) of the hands [m, rad].
 
         Raises:
             CadenzaError: there are no hands in the scene.
@@ -159,7 +166,7 @@ class InitialTrajectories:
         self._spliced = self._as_played()
 
     def _begin(self, planned: PlannedVariant) -> None:
-        """Goes over to a variant of which nothing has been played."""
+        """Go over to a variant of which nothing has been played."""
         self._planned, self._trajectory = planned, Trajectory.unplayed(planned.plan)
         self.num_played = 0
         self._snapshots = {0: planned.scene.at_start()}
@@ -185,7 +192,7 @@ class InitialTrajectories:
         return not self.is_playing and self._num_tried == len(self._schedule)
 
     def advance(self) -> int:
-        """Plays a chunk, or begins another trajectory.
+        """Play a chunk, or begin another trajectory.
 
         Returns:
             How many control steps of a hand were simulated.
@@ -205,7 +212,7 @@ class InitialTrajectories:
         return sum(each.simulated for each in chunks)
 
     def _play(self, first: int, last: int) -> _Chunk:
-        """Plays from one step to another as the planner does."""
+        """Play from one step to another as the planner does."""
         search = self._planned.search
         before = search.simulated
         played, snapshots = self._planned.scene.roll_out(
@@ -214,17 +221,17 @@ class InitialTrajectories:
         return _Chunk(played, snapshots, search.simulated - before + played.loss.size)
 
     def _follow(self, first: int, last: int) -> list[_Chunk]:
-        """Follows the spliced trajectory, again and again until it loses no more than that."""
-        planned, wanted, chunks = self._planned, self._spliced.trajectory, list[_Chunk]()
-        loss = wanted.loss[first:last].sum()
+        """Follow the spliced trajectory, again and again until it loses no more than that."""
+        planned, target, chunks = self._planned, self._spliced.trajectory, list[_Chunk]()
+        loss = target.loss[first:last].sum()
         while len(chunks) < _MAX_ROLLOUTS and all(c.played.loss.sum() > loss for c in chunks):
             rng = np.random.default_rng((self.seed, self._num_tried, first, len(chunks)))
-            planned.follow(wanted, first, rng.spawn(len(planned.goals)))
+            planned.follow(target, first, rng.spawn(len(planned.goals)))
             chunks.append(self._play(first, last))
         return chunks
 
     def _compare(self) -> None:
-        """Splices the trajectory that is over, and goes on with the best one."""
+        """Splice the trajectory that is over, and go on with the best one."""
         if not self._best_before:
             self._spliced = self._as_played()
             return
@@ -240,7 +247,7 @@ class InitialTrajectories:
         return SplicedTrajectory(planned.plan.track, planned.variant, self._trajectory.copied())
 
     def _begin_next(self) -> None:
-        """Goes over to the next trajectory, if it is to differ from the best one so far."""
+        """Go over to the next trajectory, if it is to differ from the best one so far."""
         self._num_tried += 1
         variant = self._next_variant()
         if self._follows:
@@ -266,7 +273,7 @@ class InitialTrajectories:
                 return self._spliced.with_fingers_by(costs)
 
     def _planned_as(self, variant: Variant) -> PlannedVariant:
-        """Plans a variant, unless it is the current one."""
+        """Plan a variant, unless it is the current one."""
         if variant.equals(self._planned.variant):
             return self._planned
         rng, track = np.random.default_rng((self.seed, self._num_tried)), self._planned.plan.track
@@ -291,7 +298,7 @@ class InitialTrajectories:
         }
 
     def restore(self, parts: Mapping[str, dict[str, Any]], best: Trajectory) -> None:
-        """Goes on from the `parts` of the same trajectories, of which `best` was the best.
+        """Go on from the `parts` of the same trajectories, of which `best` was the best.
 
         What was being played is played again up to where it was left, and is the same to the bit.
         """

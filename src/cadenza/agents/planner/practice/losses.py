@@ -1,24 +1,27 @@
-"""Loss and cost of every control step of a hand: F1, note onsets, strikes, what is nearly lost."""
+"""Loss and cost of every control step of a hand: notes first, then frames, then strikes."""
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import Array, Mask
-from cadenza.agents.planner.plan.hand_goals import HandGoals, first_steps, last_in_time, may_begin
+from cadenza.agents.agent import Array, Mask, steps_in
+from cadenza.agents.planner.plan.hand_goals import HandGoals, first_steps
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
 from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
 from cadenza.agents.planner.search.strikes import TOLERANCE, as_heard, strike_costs
+from cadenza.music.metrics import ONSET_TOLERANCE
+from cadenza.music.performance import BOUNCE
 from cadenza.tasks import reward
 
-ONSET_WEIGHT = 0.5
-"""The weight of the F1 of note onsets beside that of F1, which is 1."""
-_EXTRA_ONSET = 0.5  # loss of a superfluous onset, relative to a missed one, which costs recall too
-_LONG_AGO = 1_000_000  # steps
+NOTE_WEIGHT = 2.0
+"""The weight of note onset F1 beside that of F1, which is 1."""
+_IN_TIME = ONSET_TOLERANCE + 5e-5  # [s] early or late: metrics round differences to 0.1 ms
+_RECENT = 0.2  # [s] after which nothing that a key did decides what is struck
 # All are small beside the loss of one key in one step, so that they only decide between rollouts
 # that lose the same.
 _DEPTH_WEIGHT = 0.06  # of the squared share of a key's travel that is missing or too much
@@ -26,69 +29,148 @@ _FINGERTIP_WEIGHT = 0.02  # of the cost that the search gives fingertips off the
 _STRIKE_WEIGHT = 0.01  # of the cost that the search gives strikes
 
 
+class KeyEvents(NamedTuple):
+    """What K keys did in a step, each (K,); NaN for those that did not."""
+
+    onset: Array
+    """When each last began to sound, from the beginning of the step on [s]."""
+    offset: Array
+    """When it last ceased to sound [s]."""
+    speed: Array
+    """How fast it moved at its onset [rad/s]."""
+
+
 class KeyHistory(NamedTuple):
     """The state of K keys after a step, each (K,)."""
 
     sounding: Mask
-    since: NDArray[np.intp]
-    """The steps since the last onset of each key."""
-
-    @classmethod
-    def of_steps(cls, sounding: Mask) -> KeyHistory:
-        """The history after steps (S, K), before which no key sounded."""
-        history = cls(np.zeros(sounding.shape[1], bool), np.full(sounding.shape[1], _LONG_AGO))
-        for keys in sounding:
-            history = history.then(keys)
-        return history
-
-    def then(self, sounding: Mask) -> KeyHistory:
-        """The history after one more step, with the keys (K,) that sound then."""
-        begins = sounding & ~self.sounding
-        return KeyHistory(sounding, np.where(begins, 0, self.since + 1))
+    ended: Array
+    """When the last note of each key ended, from the beginning of the song on [s]."""
+    decided: NDArray[np.intp]
+    """The number of written notes of each key that have been struck or missed."""
 
     def of(self, keys: slice) -> KeyHistory:
         """The history of some of the keys."""
-        return KeyHistory(self.sounding[keys], self.since[keys])
+        return KeyHistory._make(values[keys] for values in self)
 
 
-class KeyEvents(NamedTuple):
-    """How K keys began to sound in a step, each (K,); NaN for those that did not."""
+class NoteEvents(NamedTuple):
+    """What became of notes in a step."""
 
-    onset: Array
-    """When, from the beginning of the step on [s]."""
-    speed: Array
-    """How fast they moved then [rad/s]."""
+    missed: int
+    """The number of the hand's notes that were not struck and can no longer be."""
+    extra: Mask
+    """(K,) keys that began to sound, and no note is written there then."""
+    struck: NDArray[np.intp]
+    """(S,) keys whose written notes were struck in time."""
+    note: NDArray[np.intp]
+    """(S,) the numbers of these notes among those of their keys."""
+    history: KeyHistory
+    """The keys after the step."""
+
+
+class WrittenNotes:
+    """The written notes, and how what is struck is matched with them.
+
+    The matching is that of note onset F1: a key that sounds for a single physics step has played a
+    note, one that bounces has not played another, and the first note that is struck within the
+    tolerance of a written one is the one that was meant.
+    """
+
+    def __init__(self, plan: SongPlan, goals: HandGoals) -> None:
+        """Take all notes of a plan that have a first step; those of the hand can be missed."""
+        track, keys = plan.track, plan.goals.keys
+        dt, begins, strikes = goals.dt, first_steps(keys), plan.strikes.by_place(0, len(keys))
+        by_key: list[dict[int, float]] = [{} for _ in range(keys.shape[1])]  # starts by first step
+        for note in sorted(track.delayed_score.notes, key=attrgetter("start")):
+            key, step = note.pitch - plan.scene.keyboard.lowest_pitch, int(note.start * (1 / dt))
+            for first in step, step + 1:  # one that is struck again may begin a step late
+                if begins[first : first + 1, key].any():
+                    by_key[key].setdefault(first, note.start)
+                    break
+        shape = len(by_key), max(map(len, by_key)) + 1
+        self._latest, self._own = np.full(shape, np.inf), np.zeros(shape, bool)
+        self._strikes, end = np.full((*shape, 2), np.nan), len(keys) * dt
+        for key, notes in enumerate(by_key):
+            for i, (step, start) in enumerate(notes.items()):
+                self._latest[key, i] = min(start + _IN_TIME, end)
+                self._own[key, i] = goals.keys[step, key]
+                if strike := strikes.get((step, key)):
+                    self._strikes[key, i] = step * dt + strike.time, np.log2(strike.speed)
+        self.count, self._dt, self._recent = sum(map(len, by_key)), dt, steps_in(_RECENT, dt)
+
+    def events(
+        self, step: int, sounding: Mask, events: KeyEvents, history: KeyHistory, keys: slice
+    ) -> NoteEvents:
+        """What becomes of notes in a step after which keys (K,) are `sounding`."""
+        begin, row = step * self._dt, np.arange(len(sounding))
+        latest, own = self._latest[keys], self._own[keys]
+        onset, offset = begin + events.onset, begin + events.offset
+        again = history.sounding & (offset < onset)
+        ended = np.where(again, offset, history.ended)
+        begins = (again | ~history.sounding) & (onset - ended >= BOUNCE)
+        passed = begins & (latest[row, history.decided] < onset)
+        missed = int(np.count_nonzero(passed & own[row, history.decided]))
+        note = history.decided + passed
+        struck = begins & (latest[row, note] - onset <= 2 * _IN_TIME)
+        decided = note + struck
+        passed = latest[row, decided] <= (step + 1) * self._dt
+        missed += int(np.count_nonzero(passed & own[row, decided]))
+        ended = np.where(sounding | np.isnan(offset), ended, offset)
+        where = np.flatnonzero(struck & own[row, note])
+        after = KeyHistory(sounding, ended, decided + passed)
+        return NoteEvents(missed, begins & ~struck, where, note[where], after)
+
+    def strikes(self, key: NDArray[np.intp], note: NDArray[np.intp]) -> Array:
+        """(S, 2) when notes of keys (S,) are to sound [s], and log2 of their speeds [rad/s]."""
+        return self._strikes[key, note]
+
+    def history(self, step: int, sounding: Mask, onset: Array, offset: Array) -> KeyHistory:
+        """The keys before a step, by whether and when they sounded (T, K) in those before it."""
+        first = max(step - self._recent, 0)
+        before = sounding[first - 1] if first else np.zeros(sounding.shape[1], bool)
+        decided = np.count_nonzero(self._latest <= first * self._dt, axis=1)
+        history = KeyHistory(before, np.full(len(before), -np.inf), decided)
+        for row in range(first, step):
+            events = KeyEvents(onset[row], offset[row], onset[row])
+            history = self.events(row, sounding[row], events, history, slice(None)).history
+        return history
 
 
 class StepLoss(NamedTuple):
     """The evaluation of a step."""
 
     loss: float
-    """The loss of F1 and of note onsets."""
+    """The loss of notes and of F1."""
+    faults: int
+    """The number of notes that were missed, or struck and not written."""
     strike_loss: float
     """The loss by strikes that are out of time, or too loud or too soft."""
     cost: float
-    """Both, and a little for what is nearly lost."""
+    """Both losses, and a little for what is nearly lost."""
     history: KeyHistory
     """The keys after the step."""
 
 
 class Losses:
-    """Evaluates one hand after each step of a song.
+    """Evaluation of one hand after each step of a song.
 
-    The loss of a step is 1 - F1, as if the other hand played all its keys. A note loses more if its
-    key does not begin to sound on its first step or soon enough after it, as
-    `cadenza.music.metrics` counts onsets. An onset at any other time loses half as much. Strikes
-    lose little, and nothing within `TOLERANCE`.
+    The loss of a step is 1 - F1, as if the other hand played all its keys, and that of the notes
+    that are decided in it: one that is missed loses as much as one that is struck and not written.
+    Their sum over the song is T (1 - F1 + `NOTE_WEIGHT` (1 - note onset F1)), about. Strikes lose
+    little, and nothing within `TOLERANCE`.
+
+    Attributes:
+        notes: the written notes.
+        fault: the loss of a note that is missed or superfluous.
     """
 
     def __init__(self, plan: SongPlan, goals: HandGoals) -> None:
-        """Takes the plan of the whole song, and the goals of the hand in it."""
-        keys, dt = plan.goals.keys, plan.track.config.control_timestep
+        """Take the plan of the whole song, and the goals of the hand in it."""
         self._goals, self._keyboard = goals, plan.scene.keyboard
-        self._keys, self._num_wanted = keys, keys.sum(axis=1)
-        self._in_time, self._may_begin = last_in_time(goals.keys, dt), may_begin(keys, dt)
-        self._onset = ONSET_WEIGHT * len(keys) / max(int(first_steps(keys).sum()), 1)
+        self._keys, self._num_target = plan.goals.keys, plan.goals.keys.sum(axis=1)
+        self.notes = WrittenNotes(plan, goals)
+        self.fault = NOTE_WEIGHT * len(self._keys) / max(2 * self.notes.count, 1)
 
     def after(
         self,
@@ -100,52 +182,50 @@ class Losses:
         keys: slice = slice(None),
         near: Mask | bool = True,
     ) -> StepLoss:
-        """Evaluates the state after a step.
+        """Evaluate the state after a step.
 
         Args:
             step: the control step of the song.
             key_qpos: (K,) angles of the keys [rad].
-            events: how they began to sound in the step.
+            events: what they did in the step.
             fingertips: (F, 3) positions of the hand's fingertips [m].
             history: the keys before the step.
             keys: the numbers of these keys; all by default.
             near: (K,) keys that the hand is charged with if they sound and should not.
         """
-        goals, keyboard, wanted = self._goals, self._keyboard, self._keys[step, keys]
-        mine, travel = goals.keys[step, keys], keyboard.travel[keys]
-        unwanted = ~wanted & near
+        goals, keyboard, target = self._goals, self._keyboard, self._keys[step, keys]
+        own, travel = goals.keys[step, keys], keyboard.travel[keys]
+        wrong_keys = ~target & near
         sounding = reward.key_activation(key_qpos, keyboard.sounds_from[keys])
-        now, in_time = history.then(sounding), self._in_time[step, keys]
-        begins = now.since == 0
-        missing = np.count_nonzero(mine & ~sounding)
-        wrong = np.count_nonzero(sounding & unwanted)
-        loss = (missing + wrong) / max(2 * self._num_wanted[step] - missing + wrong, 1)
-        late = (in_time >= 0) & (now.since > in_time)
-        extra = begins & ~self._may_begin[step, keys] & near
-        onsets = np.count_nonzero(late) + _EXTRA_ONSET * np.count_nonzero(extra)
-        loss += self._onset * onsets
+        missing = np.count_nonzero(own & ~sounding)
+        wrong = np.count_nonzero(sounding & wrong_keys)
+        frame = (missing + wrong) / max(2 * self._num_target[step] - missing + wrong, 1)
+        notes = self.notes.events(step, sounding, events, history, keys)
+        faults = notes.missed + int(np.count_nonzero(notes.extra & near))
+        loss = float(frame + self.fault * faults)
         depth = reward.key_state(key_qpos, travel)
-        too_high = mine * (1.0 - depth)
-        too_deep = unwanted * np.maximum(depth - HARMLESS_DEPTH, 0.0)
+        too_high = own * (1.0 - depth)
+        too_deep = wrong_keys * np.maximum(depth - HARMLESS_DEPTH, 0.0)
         offset = fingertips - goals.fingertips[step + 1]
         squared = np.minimum((offset * offset).sum(axis=1), MAX_ERROR**2)
         astray = squared @ goals.weight[step + 1]
         nearly = _DEPTH_WEIGHT * (too_high @ too_high + too_deep @ too_deep)
         nearly += _FINGERTIP_WEIGHT * astray
-        strike_loss, more = self._strikes(step, events, keys)
-        return StepLoss(float(loss), strike_loss, float(loss + nearly) + more, now)
+        strike_loss, more = self._strikes(step, events, notes, keys)
+        return StepLoss(loss, faults, strike_loss, float(loss + nearly) + more, notes.history)
 
-    def _strikes(self, step: int, events: KeyEvents, keys: slice) -> tuple[float, float]:
-        """The loss and the cost of the strikes of a step, of these keys."""
-        strikes = self._goals.strikes
-        first, last, _ = keys.indices(self._keyboard.num_keys)
-        rows = np.arange(*np.searchsorted(strikes.step, [step, step + 1]))
-        rows = rows[(strikes.key[rows] >= first) & (strikes.key[rows] < last)]
-        if not len(rows):
+    def _strikes(
+        self, step: int, events: KeyEvents, notes: NoteEvents, keys: slice
+    ) -> tuple[float, float]:
+        """The loss and the cost of the notes that were struck in a step, of these keys."""
+        if not len(notes.struck):
             return 0.0, 0.0
-        key = strikes.key[rows] - first
-        outcome = np.column_stack([events.onset[key], as_heard(events.speed[key])])
-        wanted = np.column_stack([strikes.time[rows], as_heard(strikes.speed[rows])])
-        costs = _STRIKE_WEIGHT * strike_costs(outcome, wanted)
-        good = (np.abs(outcome - wanted) < TOLERANCE).all(axis=1)
+        first, *_ = keys.indices(self._keyboard.num_keys)
+        target = self.notes.strikes(notes.struck + first, notes.note)
+        onset = step * self._goals.dt + events.onset[notes.struck]
+        outcome = np.column_stack([onset, as_heard(events.speed[notes.struck])])
+        planned = np.isfinite(target).all(axis=1)
+        outcome, target = outcome[planned], target[planned]
+        costs = _STRIKE_WEIGHT * strike_costs(outcome, target)
+        good = (np.abs(outcome - target) < TOLERANCE).all(axis=1)
         return float(costs[~good].sum()), float(costs.sum())

@@ -91,7 +91,7 @@ class SplicedTrajectory(NamedTuple):
     def with_better(
         self, other: Variant, trajectory: Trajectory, goals: Sequence[HandGoals]
     ) -> SplicedTrajectory:
-        """Splices in what loses less in a trajectory of another variant.
+        """Splice in what loses less in a trajectory of another variant.
 
         Trajectories are compared passage by passage where variants differ, and second by second
         and hand by hand where fingers are the same. `goals` are those of the hands in the other
@@ -165,7 +165,7 @@ def _near_other_fingers(track: GoalTrack, variant: Variant, other: Variant) -> M
 def _with_other_fingers(
     track: GoalTrack, variant: Variant, other: Variant
 ) -> Iterator[tuple[int, int, int]]:
-    """Yields each note with another finger: its index, first step, and the step after its last."""
+    """Yield each note with another finger: its index, first step, and the step after its last."""
     for i in np.flatnonzero(variant.fingers != other.fingers).tolist():
         note = track.score.notes[i]
         first = track.first_step(note)
@@ -214,10 +214,11 @@ def spliced(
         rows = where[:, hand]
         result.ctrl[rows, own] = other.ctrl[rows, own]
         result.expected[rows, own] = other.expected[rows, own]
-        result.loss[rows, hand] = other.loss[rows, hand]
-        result.strike_loss[rows, hand] = other.strike_loss[rows, hand]
+        for name in ("loss", "faults", "strike_loss"):
+            getattr(result, name)[rows, hand] = getattr(other, name)[rows, hand]
         keys = each.keys & rows[:, None]
-        result.sounding[keys] = other.sounding[keys]
+        for name in ("sounding", "onset", "offset"):
+            getattr(result, name)[keys] = getattr(other, name)[keys]
     return result
 
 
@@ -227,6 +228,6 @@ def better_windows(loss: Array, other: Array, excluded: Mask, window: int) -> Ma
     Windows with steps that are `excluded` (T, H) are not among them.
     """
     begins = np.arange(0, len(loss), window)
-    mine, others = (np.add.reduceat(each, begins) for each in (loss, other))
-    better = (others < mine) & ~np.logical_or.reduceat(excluded, begins)
+    own, others = (np.add.reduceat(each, begins) for each in (loss, other))
+    better = (others < own) & ~np.logical_or.reduceat(excluded, begins)
     return np.repeat(better, window, axis=0)[: len(loss)]

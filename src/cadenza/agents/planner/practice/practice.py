@@ -2,12 +2,13 @@
 
 The initial trajectories come first: the song as the planner plays it, then variants, and the best
 of all spliced together. From the best one on, practice goes over the song again and again. A
-*sweep* works on window after window of two seconds, from the beginning to the end: each hand draws
-a step with a loss and looks for something better to do (`hand_practice`), and what they have found
-is kept if the cost of that window and the next second falls in the whole scene. The smallest
-change is felt for seconds, however feedback leads back to the trajectory; therefore what follows
-is always rolled out anew from where the hands have really come to, with a search where they would
-miss what sounded before, and a sweep that ends with a lower score is undone.
+*sweep* works on window after window of two seconds, from the beginning to the end: each hand
+refines its strikes once, then draws a step with a loss and looks for something better to do
+(`hand_practice`), and what they have found is kept if the cost of that window and the next second
+falls in the whole scene. The smallest change is felt for seconds, however feedback leads back to
+the trajectory; therefore what follows is always rolled out anew from where the hands have really
+come to, with a search where they would miss what sounded before, and a sweep that ends with a lower
+score is undone.
 
 Effort is counted in simulated control steps, so that the same effort comes to the same on every
 machine, by however many threads it is made.
@@ -30,7 +31,7 @@ from cadenza.agents.agent import Array, steps_in
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.song_plan import SongPlan
-from cadenza.agents.planner.practice.hand_practice import Attempt, ChangedControls
+from cadenza.agents.planner.practice.hand_practice import Attempt, ChangedControls, HandPractice
 from cadenza.agents.planner.practice.initial_trajectories import InitialTrajectories, Parts
 from cadenza.agents.planner.practice.practised_planner import PracticeResult
 from cadenza.agents.planner.practice.trajectory import Snapshots, Trajectory, scene_before
@@ -61,6 +62,8 @@ class _Sweep(NamedTuple):
 
     first: int
     """The step at which the current window begins."""
+    refined: int
+    """The step up to which strikes have been refined."""
     until: Array
     """(T,) simulated control steps after which a window is left that ends with each step."""
     before: Trajectory
@@ -80,7 +83,7 @@ class Practice:
     """
 
     def __init__(self, view: View, rng: np.random.Generator, context: PlanningContext) -> None:
-        """Plans the song, from the view before the first step of one environment.
+        """Plan the song, from the view before the first step of one environment.
 
         Raises:
             CadenzaError: there are no hands in the scene.
@@ -99,7 +102,8 @@ class Practice:
             _WINDOW * interval,
             _STRIDE * interval,
         )
-        self._reach = self._window + _CONSEQUENCES * interval
+        self._after = _CONSEQUENCES * interval
+        self._reach = self._window + self._after
         self.num_steps = self.plan.goals.num_steps
         self._num_failed = np.zeros_like(self.trajectory.loss)
         self._num_units = self.simulated = 0
@@ -162,7 +166,7 @@ class Practice:
         return list(map(int, steps[apart]))
 
     def run(self, effort: float, goes_on: Callable[[], bool] = lambda: True) -> bool:
-        """Practises until `effort` has been made, as long as `goes_on` returns true.
+        """Practise until `effort` has been made, as long as `goes_on` returns true.
 
         A sweep or a trajectory that has begun is finished first.
 
@@ -176,7 +180,7 @@ class Practice:
         return True
 
     def _run_unit(self) -> None:
-        """Does a second or so of work for one core."""
+        """Do a second or so of work for one core."""
         self._num_units += 1
         if not self._initial.over:
             self._advance_initial()
@@ -205,15 +209,18 @@ class Practice:
         weight = np.cumsum((self.trajectory.all_loss / (1.0 + self._num_failed)).sum(axis=1))
         share = _SWEEP if self._num_failed.any() else _FIRST_SWEEP
         until = self.simulated + self._steps_of(share) * weight / weight[-1]
-        self._sweep = _Sweep(0, until, self.trajectory.copied())
+        self._sweep = _Sweep(0, 0, until, self.trajectory.copied())
         self._snapshots = {0: self._planned.scene.at_start()}
         self._replay(self._sweep, 0, self._reach)
 
     def _advance_sweep(self, sweep: _Sweep) -> None:
-        """Works on the window, or goes on to the next; after the last, the sweep is over."""
+        """Work on the window, or go on to the next; after the last, the sweep is over."""
         last = min(sweep.first + self._window, self.num_steps)
+        strikes = self.trajectory.strike_loss[sweep.refined : last]
         lossy = self.trajectory.all_loss[sweep.first : last].any()
-        if lossy and self.simulated < sweep.until[last - 1]:
+        if sweep.refined < last and strikes.any():
+            self._refine(sweep, last)
+        elif lossy and self.simulated < sweep.until[last - 1]:
             self._improve(sweep, last)
         elif last < self.num_steps:
             first, known = sweep.first + self._stride, sweep.first + self._reach
@@ -224,10 +231,7 @@ class Practice:
             self._end_sweep(sweep)
 
     def _end_sweep(self, sweep: _Sweep) -> None:
-        """Ends a sweep, and undoes it if the song is played worse than before.
-
-        A higher score with a lower F1 is worse too.
-        """
+        """End a sweep, and undo it if the song is played worse than before: notes, or the score."""
         before, now = map(self._planned.result, (sweep.before, self.trajectory))
         cheaper = self.trajectory.cost.sum() < sweep.before.cost.sum()
         if not now.no_worse_than(before) or (now.score == before.score and not cheaper):
@@ -236,7 +240,7 @@ class Practice:
         self._record()
 
     def _replay(self, sweep: _Sweep, first: int, last: int) -> None:
-        """Rolls the trajectory out anew between two steps, from where the hands have come to.
+        """Roll the trajectory out anew between two steps, from where the hands have come to.
 
         If that is not where they were, they search for what sounded before the sweep.
         """
@@ -250,41 +254,58 @@ class Practice:
         self._overwrite(first, *self._roll_out(self.trajectory, first, last, planned.search.act))
         self.simulated += planned.search.simulated
 
+    def _refine(self, sweep: _Sweep, last: int) -> None:
+        """Let each hand refine its strikes up to `last`, once in a sweep."""
+        first, end = sweep.refined, min(last + self._after, self.num_steps)
+        strikes = self.trajectory.strike_loss[first:last]
+        self._sweep = sweep._replace(refined=last)
+        self._attempt(
+            np.flatnonzero(strikes.any(axis=0)).tolist(),
+            end,
+            lambda hand, _: hand.refine(self.trajectory, first, last, end, self._scene_before),
+        )
+
     def _improve(self, sweep: _Sweep, last: int) -> None:
-        """Lets each hand that loses something in the window up to `last` try to lose less."""
+        """Let each hand that loses something in the window up to `last` try to lose less."""
         first = sweep.first
         weight = self.trajectory.all_loss[first:last] / (1.0 + self._num_failed[first:last])
         end = min(first + self._reach, self.num_steps)
-        losing = np.flatnonzero(weight.any(axis=0)).tolist()
-        attempts: dict[int, Attempt] = {}
-        hands = self._planned.hands
-
-        def attempt(i: int) -> None:
-            attempts[i] = hands[i].attempt(
+        loss = self.trajectory.all_loss[:end].copy()
+        attempts = self._attempt(
+            np.flatnonzero(weight.any(axis=0)).tolist(),
+            end,
+            lambda hand, i: hand.attempt(
                 self.trajectory, first, weight[:, i], end, self._scene_before, self._rng(i)
-            )
-
-        self._threads.for_each(losing, attempt)
-        self.current_steps = [attempts[i].step for i in losing]
-        self.simulated += sum(attempts[i].simulated for i in losing)
-        found = {i: change for i in losing if (change := attempts[i].change)}
-        loss = {i: self.trajectory.all_loss[attempts[i].first : end, i].sum() for i in losing}
-        # Together, or else one of them.
-        for changes in [found, *({i: found[i]} for i in found if len(found) > 1)]:
-            if changes and self._accept(changes, end, sweep.before):
-                break
+            ),
+        )
         for i, (step, begin, *_) in attempts.items():
-            if self.trajectory.all_loss[begin:end, i].sum() >= loss[i]:
+            if self.trajectory.all_loss[begin:end, i].sum() >= loss[begin:, i].sum():
                 around = slice(max(step - self._around, 0), step + self._around + 1)
                 self._num_failed[around, i] += 1
 
-    def _accept(
-        self, changes: Mapping[int, ChangedControls], last: int, before: Trajectory
-    ) -> bool:
-        """Makes changes by hands, if the cost from there to `last` falls in the whole scene.
+    def _attempt(
+        self, hands: list[int], end: int, attempt_of: Callable[[HandPractice, int], Attempt]
+    ) -> dict[int, Attempt]:
+        """Let some hands attempt something, and keep what is better up to `end`."""
+        attempts: dict[int, Attempt] = {}
 
-        For note onsets they may give up what F1 has risen by up to there, compared with `before`;
-        for strikes they may give up neither.
+        def attempt(i: int) -> None:
+            attempts[i] = attempt_of(self._planned.hands[i], i)
+
+        self._threads.for_each(hands, attempt)
+        self.current_steps = [attempts[i].step for i in hands]
+        self.simulated += sum(attempts[i].simulated for i in hands)
+        found = {i: change for i in hands if (change := attempts[i].change)}
+        # Together, or else one of them.
+        for changes in [found, *({i: found[i]} for i in found if len(found) > 1)]:
+            if changes and self._accept(changes, end):
+                break
+        return attempts
+
+    def _accept(self, changes: Mapping[int, ChangedControls], last: int) -> bool:
+        """Make changes by hands, if the cost from there to `last` falls in the whole scene.
+
+        There may be no more faults of notes, and F1 may only fall for fewer of them.
         """
         first = min(change.first for change in changes.values())
         first -= first % self._interval
@@ -295,11 +316,9 @@ class Practice:
         played, snapshots = self._roll_out(candidate, first, last)
         if not played.cost.sum() < self.trajectory.cost[first:last].sum():
             return False
-        if played.loss.sum() > self.trajectory.loss[first:last].sum():  # strikes are not worth it
-            return False
-        gained_before = self._f1(kept[:first], 0) - self._f1(before.sounding[:last], 0)
-        now, then = self._f1(played.sounding, first), self._f1(kept[first:last], first)
-        if now < then and now + gained_before < 0:
+        fewer = int(self.trajectory.faults[first:last].sum() - played.faults.sum())
+        gained = self._f1(played.sounding, first) - self._f1(kept[first:last], first)
+        if fewer < 0 or gained + self._planned.scene.fault * fewer < 0:
             return False
         self._overwrite(first, played, snapshots)
         return True
@@ -311,7 +330,7 @@ class Practice:
         last: int,
         act: Callable[[int, State], Array] | None = None,
     ) -> tuple[Trajectory, Snapshots]:
-        """Rolls out some steps of a trajectory from the scene before the first of them."""
+        """Roll out some steps of a trajectory from the scene before the first of them."""
         played, snapshots = self._planned.scene.roll_out(
             trajectory, self._snapshots, first, last, self._interval, act
         )
@@ -320,8 +339,8 @@ class Practice:
 
     def _f1(self, sounding: NDArray[np.bool_], first: int) -> float:
         """The sum of F1 over the steps from `first` on in which `sounding` (L, K) sounds."""
-        wanted = self.plan.goals.keys[first : first + len(sounding)]
-        return float(step_metrics(sounding, wanted)[2].sum())
+        target = self.plan.goals.keys[first : first + len(sounding)]
+        return float(step_metrics(sounding, target)[2].sum())
 
     def _overwrite(self, first: int, played: Trajectory, snapshots: Snapshots) -> None:
         self.trajectory.overwrite(first, played)
@@ -361,7 +380,7 @@ class Practice:
             "best": self.trajectory._asdict(),
         }
         if sweep := self._sweep:
-            numbers = {"first": sweep.first, "until": sweep.until}
+            numbers = {"first": sweep.first, "refined": sweep.refined, "until": sweep.until}
             parts |= {"sweep": numbers, "before": sweep.before._asdict()}
         return {
             f"{part}/{name}": np.array(value)
@@ -370,11 +389,11 @@ class Practice:
         }
 
     def save(self, path: Path) -> None:
-        """Writes the state, for `restore`."""
+        """Write the state, for `restore`."""
         write_tensors(path, self.state(), {"practice": self._identity})
 
     def restore(self, path: Path) -> None:
-        """Goes on from a state that the same practice has saved.
+        """Go on from a state that the same practice has saved.
 
         Raises:
             CadenzaError: the file is of another practice, or damaged.
@@ -405,7 +424,8 @@ class Practice:
         self._planned, self.trajectory = self._initial.best
         if sweep := parts["sweep"]:
             before = Trajectory(**parts["before"])
-            self._restore_sweep(_Sweep(int(sweep["first"]), sweep["until"], before))
+            first, refined = int(sweep["first"]), int(sweep["refined"])
+            self._restore_sweep(_Sweep(first, refined, sweep["until"], before))
 
     def _restore_sweep(self, sweep: _Sweep) -> None:
         first, scene = sweep.first, self._planned.scene

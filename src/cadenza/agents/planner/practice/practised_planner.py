@@ -1,4 +1,4 @@
-"""Plays a song as it was practised."""
+"""A planner that plays a song as it was practised."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.plan.tracking import Tracking
-from cadenza.agents.planner.practice.losses import ONSET_WEIGHT
+from cadenza.agents.planner.practice.losses import NOTE_WEIGHT
 from cadenza.agents.planner.practice.plan_variants import Variant
 from cadenza.agents.planner.search.hands_in_scene import HandsInScene
 from cadenza.errors import CadenzaError
@@ -39,19 +39,20 @@ class PracticeResult(NamedTuple):
     practised: PractisedPlan
     f1: float
     note_onset_f1: float
+    """At physics steps, as `cadenza play` counts it."""
 
     @property
     def score(self) -> float:
         """F1 and the weighted F1 of note onsets."""
-        return self.f1 + ONSET_WEIGHT * self.note_onset_f1
+        return self.f1 + NOTE_WEIGHT * self.note_onset_f1
 
     def no_worse_than(self, other: PracticeResult) -> bool:
-        """Whether neither the score nor F1 is lower."""
-        return self.score >= other.score and self.f1 >= other.f1
+        """Whether neither the score nor the F1 of note onsets is lower."""
+        return self.score >= other.score and self.note_onset_f1 >= other.note_onset_f1
 
 
 class PractisedPlanner(EpisodePlanner):
-    """Plays one song as it was practised.
+    """A planner of one song that plays it as it was practised.
 
     Feedback leads the hands back to where they were in practice. Once they are pushed too far off
     for that, it searches as the planner does, around what was practised.
@@ -65,7 +66,7 @@ class PractisedPlanner(EpisodePlanner):
         context: PlanningContext,
         plan: SongPlan | None = None,
     ) -> None:
-        """Begins without a search, at the view before the first step of one environment.
+        """Begin without a search, at the view before the first step of one environment.
 
         `plan` is the plan of this variant before practice, if there is one already.
 
@@ -109,12 +110,12 @@ class PractisedPlanner(EpisodePlanner):
 
 
 class PractisedHands(PlannerPerEnv[PractisedPlanner]):
-    """Plays the song that was practised."""
+    """Hands that play the song that was practised."""
 
     def __init__(
         self, practised: PractisedPlan, config: PlannerConfig, plan: SongPlan | None = None
     ) -> None:
-        """Plays what was practised, see `PractisedPlanner`, and searches as `config` says."""
+        """Play what was practised, see `PractisedPlanner`, and searches as `config` says."""
         super().__init__()
         self._practised, self._config, self._plan = practised, config, plan
 
@@ -124,7 +125,7 @@ class PractisedHands(PlannerPerEnv[PractisedPlanner]):
 
 
 def _check(practised: PractisedPlan, view: View) -> None:
-    """Checks that a plan fits the task.
+    """Check that a plan fits the task.
 
     Raises:
         CadenzaError: another song was practised, or with other hands.

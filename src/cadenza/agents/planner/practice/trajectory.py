@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array, Mask
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.tracking import Tracking
-from cadenza.agents.planner.practice.losses import KeyEvents, KeyHistory, Losses
+from cadenza.agents.planner.practice.losses import KeyEvents, KeyHistory, Losses, WrittenNotes
 from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 
-_RECENT = 16  # steps in which a note may begin and be in time, and more: 50 ms have 10 at most
 _UNSTABLE = 1000.0  # cost of a step that leaves the simulation unusable; no other comes near it
 
 
@@ -30,8 +30,14 @@ class Trajectory(NamedTuple):
     """(T, A, 2) position and speed of each servo before the step."""
     sounding: Mask
     """(T, K) whether each key sounds after the step."""
+    onset: NDArray[Any]
+    """(T, K) when each key last began to sound in the step [s], in 32 bits; NaN if it did not."""
+    offset: NDArray[Any]
+    """(T, K) when it last ceased to sound in it [s]."""
     loss: Array
     """(T, H) the loss of each hand after the step, see `Losses`."""
+    faults: NDArray[Any]
+    """(T, H) the notes that each hand missed, or struck though they are not written."""
     strike_loss: Array
     """(T, H) the loss of each hand by its strikes in the step, see `Losses`."""
     cost: Array
@@ -41,12 +47,11 @@ class Trajectory(NamedTuple):
     def unplayed(cls, plan: SongPlan) -> Trajectory:
         """The planned trajectory before any of it has been played: no loss is known yet."""
         ctrl, _, expected = plan.nominal.tracking
-        sounding, loss = (
-            np.zeros_like(plan.goals.keys),
-            np.zeros((len(ctrl), len(plan.scene.sides))),
-        )
-        cost = np.zeros(len(ctrl))
-        return cls(ctrl.copy(), expected[:-1].copy(), sounding, loss, loss.copy(), cost)
+        sounding, cost = np.zeros_like(plan.goals.keys), np.zeros(len(ctrl))
+        onset, offset = (np.full(sounding.shape, np.nan, np.float32) for _ in range(2))
+        loss, strike_loss = (np.zeros((len(ctrl), len(plan.scene.sides))) for _ in range(2))
+        faults, ctrl, expected = loss.astype(np.intp), ctrl.copy(), expected[:-1].copy()
+        return cls(ctrl, expected, sounding, onset, offset, loss, faults, strike_loss, cost)
 
     @property
     def all_loss(self) -> Array:
@@ -62,13 +67,13 @@ class Trajectory(NamedTuple):
         return self.segment(0, len(self.ctrl))
 
     def overwrite(self, first: int, segment: Trajectory) -> None:
-        """Replaces the steps from `first` on."""
+        """Replace the steps from `first` on."""
         for values, new in zip(self, segment, strict=True):
             values[first : first + len(new)] = new
 
-    def key_history(self, step: int) -> KeyHistory:
-        """The keys before a step."""
-        return KeyHistory.of_steps(self.sounding[max(step - _RECENT, 0) : step])
+    def key_history(self, step: int, notes: WrittenNotes) -> KeyHistory:
+        """The keys before a step of a song with these notes."""
+        return notes.history(step, self.sounding, self.onset, self.offset)
 
 
 Snapshots = dict[int, PlanningSimulation]
@@ -85,15 +90,20 @@ def scene_before(step: int, trajectory: Trajectory, snapshots: Snapshots) -> Pla
 
 
 class WholeScene:
-    """The scene with all hands and keys, in which trajectories are rolled out and evaluated."""
+    """The scene with all hands and keys, in which trajectories are rolled out and evaluated.
+
+    Attributes:
+        fault: the loss of a note that is missed or superfluous.
+    """
 
     def __init__(self, plan: SongPlan, start: Array, goals: Sequence[HandGoals]) -> None:
-        """Puts hands with these goals where the song begins, at joint positions (J,) [m, rad]."""
+        """Put hands with these goals where the song begins, at joint positions (J,) [m, rad]."""
         scene, tracking = plan.scene, plan.nominal.tracking
         self._gain, self._after = tracking.gain, tracking.expected[-1:]
         self._servos = servos_of(scene)
         self._fingers = [each.fingers for each in goals]
         self._losses = [Losses(plan, each) for each in goals]
+        self.fault = self._losses[0].fault
         self._keys = scene.keyboard.centre[:, 1]
         self._start = PlanningSimulation(scene, 1, plan.track.config.control_timestep)
         self._start.reset(None, start[None])
@@ -116,7 +126,7 @@ class WholeScene:
         every: int,
         act: Callable[[int, State], Array] | None = None,
     ) -> tuple[Trajectory, Snapshots]:
-        """Plays the steps of a trajectory from `first` up to `last`, and evaluates them.
+        """Play the steps of a trajectory from `first` up to `last`, and evaluate them.
 
         Args:
             trajectory: the trajectory, with what was played before these steps.
@@ -128,7 +138,8 @@ class WholeScene:
         Returns:
             What was played, and the snapshots.
         """
-        simulation, history = scene_before(first, trajectory, known), trajectory.key_history(first)
+        simulation = scene_before(first, trajectory, known)
+        history = trajectory.key_history(first, self._losses[0].notes)
         played, snapshots = trajectory.segment(first, last), Snapshots()
         last = first + len(played.ctrl)
         tracking = Tracking(played.ctrl, self._gain[first:last], played.expected)
@@ -139,27 +150,29 @@ class WholeScene:
             here = self._servos.state(state.hand_qpos[0], state.hand_qvel[0])
             ctrl = act(step, state) if act else tracking.controls(self._servos, k, here)
             simulation.step(ctrl[None])
-            (loss, strikes), cost, history = self._evaluated(simulation.state, step, history)
-            sounding = history.sounding[None]
-            played.overwrite(k, Trajectory(ctrl[None], here[None], sounding, loss, strikes, cost))
+            state = simulation.state
+            evaluation, history = self._evaluated(state, step, history)
+            events = history.sounding[None], state.key_onset, state.key_offset
+            played.overwrite(k, Trajectory(ctrl[None], here[None], *events, *evaluation))
         if last % every == 0:
             snapshots[last] = simulation
         return played, snapshots
 
     def _evaluated(
         self, state: State, step: int, history: KeyHistory
-    ) -> tuple[Array, Array, KeyHistory]:
-        """Both losses (2, 1, H) and the cost (1,) of the state after a step, and the keys then.
+    ) -> tuple[tuple[Array, Array, Array, Array], KeyHistory]:
+        """The evaluation of the state after a step, and the keys then.
 
+        The first are the loss, the faults and the loss by strikes (1, H), and the cost (1,).
         A key that sounds and should not is charged to the hand that is nearer to it.
         """
         tips = [state.fingertip_xpos[0, fingers] for fingers in self._fingers]
         distance = [np.abs(self._keys - hand[:, 1].mean()) for hand in tips]
         nearest, cost = np.argmin(distance, axis=0), _UNSTABLE * bool(state.unstable[0])
-        events, now = KeyEvents(state.key_onset[0], state.key_speed[0]), history
-        lost = np.zeros((2, 1, len(tips)))
+        events, now = KeyEvents(*(values[0] for values in state.key_events)), history
+        lost = np.zeros((3, 1, len(tips)))
         for i, (losses, hand) in enumerate(zip(self._losses, tips, strict=True)):
             near, keys = nearest == i, state.key_qpos[0]
             *lost[:, 0, i], more, now = losses.after(step, keys, events, hand, history, near=near)
             cost += more
-        return lost, np.array([cost]), now
+        return (*lost, np.array([cost])), now
