@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
+from copy import copy
 
 import mujoco
 import numpy as np
@@ -51,6 +52,7 @@ class HandRollouts:
         self._parts = colliding_parts(scene)
         self._state = mujoco.MjData(self._whole.model)
         self._models: dict[range, _HandOnKeys] = {}
+        self._kept: dict[int, mujoco.MjData] = {}  # states that a rollout has reached, by step
 
     def start_from(self, simulation: MujocoSimulation, low: float, high: float) -> None:
         """Let rollouts start in the present state of a simulation, the first if it is a batch.
@@ -69,13 +71,17 @@ class HandRollouts:
         self._models[keys] = self._model
         if len(self._models) > _MAX_MODELS:
             del self._models[next(iter(self._models))]  # the least recently used
+        self._kept.clear()
         simulation.copy_to([self._state], 0)
         self._model.start_from(self._state)
 
-    def run(self, ctrl: Iterable[Array], slot: int = 0) -> Iterator[tuple[Array, Array]]:
+    def run(
+        self, ctrl: Iterable[Array], slot: int = 0, first: int = 0, kept: Collection[int] = ()
+    ) -> Iterator[tuple[Array, Array]]:
         """Simulate a rollout: one control step for each row of `ctrl` (H, A).
 
-        Rows may depend on the state that was reached.
+        Rows may depend on the state that was reached. The rollout begins with the step `first`,
+        before which an earlier one has `kept` its state, and keeps its own before some steps.
 
         Yields:
             (S + 1, K) angles of `keys` before the step and after each of its S physics steps [rad],
@@ -83,8 +89,10 @@ class HandRollouts:
         """
         hand = self._model
         model, data = hand.model, hand.data[slot]
-        mujoco.mj_copyData(data, model, hand.start)
-        for row in ctrl:
+        mujoco.mj_copyData(data, model, self._kept[first] if first else hand.start)
+        for step, row in enumerate(ctrl, first):
+            if step in kept:
+                self._kept[step] = copy(data)
             data.ctrl = row
             mujoco.mj_step(model, data, self._substeps)
             mujoco.mj_kinematics(model, data)

@@ -6,7 +6,7 @@ fingertip errors of this rollout. The cheapest rollout is kept. Nothing is rando
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -104,7 +104,7 @@ class HandRehearsal:
         steps: NDArray[np.intp],
         simulation: PlanningSimulation,
     ) -> int:
-        """Rehearse the next steps (S,) of a plan, and return the number of simulated steps.
+        """Rehearse the next steps (S,) of a plan, and return the number of steps of all rollouts.
 
         There are `lookahead` steps, or less at the end of the plan. The simulation is of the hand
         on all keys, in its present state.
@@ -125,12 +125,29 @@ class HandRehearsal:
         seen = steps[: self._cost_steps + 1]  # strikes of the last that counts may be late
         keys = self._simulator.keys
         strikes = HorizonStrikes(goals, seen, self._keyboard, keys, self._cost_steps)
+        changing = {step - 1 for step in strikes.step.tolist() if step > 1}
+        last: tuple[Array, Rollout] | None = None
+
+        def simulated_from_change(ctrl: Array) -> Rollout:
+            """The rollout of controls, which begin like the last ones."""
+            nonlocal last
+            ctrl, first = ctrl[: len(seen)], 0
+            if last is not None:
+                changed = (ctrl != last[0]).any(axis=1)
+                if not changed.any():
+                    return last[1]
+                first = max(step for step in (0, *changing) if step <= changed.argmax())
+            begun = None if last is None else last[1]
+            rollout = self._roll_out(ctrl, tracking, seen, horizon, begun, first, changing)
+            last = ctrl, rollout
+            return rollout
+
         refined = self._refinement.refine(
             kept,
             best,
             strikes,
             self._simulator.fingertip_jacobian,
-            lambda ctrl: self._roll_out(ctrl[: len(seen)], tracking, seen, horizon),
+            simulated_from_change,
             self._config.refinements,
         )
         simulated += refined.rollouts * len(seen)
@@ -146,16 +163,31 @@ class HandRehearsal:
         self.keys_at_end = np.stack([rollout.key_qpos[last], rollout.key_qvel[last]])
 
     def _roll_out(
-        self, ctrl: Array, tracking: Tracking, steps: NDArray[np.intp], horizon: HorizonCost
+        self,
+        ctrl: Array,
+        tracking: Tracking,
+        steps: NDArray[np.intp],
+        horizon: HorizonCost,
+        begun: Rollout | None = None,
+        first: int = 0,
+        kept: Collection[int] = (),
     ) -> Rollout:
-        """Simulate controls (S, A), with feedback."""
+        """Simulate controls (S, A), with feedback, from the step `first` on."""
 
         def with_feedback() -> Iterator[Array]:
-            for step, planned in zip(steps, ctrl, strict=True):
+            for step, planned in zip(steps[first:], ctrl[first:], strict=True):
                 feedback = tracking.feedback(step, self._simulator.servo_state())
                 yield self._servos.clip(planned - feedback)
 
-        return roll_out(self._simulator, horizon, with_feedback(), cost_steps=self._cost_steps)
+        return roll_out(
+            self._simulator,
+            horizon,
+            with_feedback(),
+            cost_steps=self._cost_steps,
+            begun=begun,
+            first=first,
+            kept=kept,
+        )
 
     def _update(self, rollout: Rollout, feedback: Array, horizon: HorizonCost) -> Array:
         """Update (S, A) of the controls of a rollout of all S steps."""

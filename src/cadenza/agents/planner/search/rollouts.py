@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import partial
 from itertools import islice
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -39,6 +39,8 @@ class Rollout(NamedTuple):
     """(K,) after each step [rad/s]."""
     key_paths: list[Array]
     """(S + 1, K) before each step and after each of its physics steps [rad]."""
+    totals: list[tuple[float, int, Any]]
+    """Cost and mistakes so far, and the keys as far as they matter to the cost, after each step."""
 
     @property
     def key_qpos(self) -> list[Array]:
@@ -93,17 +95,24 @@ def roll_out(
     cost_steps: int | None = None,
     cutoff: float = np.inf,
     cost_to_go: Array | None = None,
+    begun: Rollout | None = None,
+    first: int = 0,
+    kept: Collection[int] = (),
 ) -> Rollout:
     """Simulate controls (H, A), whose rows may depend on the state that was reached.
 
     The first `cost_steps` count in the cost and the mistakes, all by default. With `cost_to_go`
-    (H,), which is expected after each step, a rollout that is to cost `cutoff` is given up.
+    (H,), which is expected after each step, a rollout that is to cost `cutoff` is given up. A
+    rollout that has `begun` as another one takes over its steps before the `first` of its own, to
+    which `ctrl` then belongs; see `HandRollouts.run`.
     """
-    cost, mistakes, costs = 0.0, 0, list[float]()
-    tips, hand_qpos, key_qvel, key_paths = (list[Array]() for _ in range(4))
-    keys, given_up = horizon.start, False
+    before = Rollout(0.0, 0, [], [], [], [], [], []) if begun is None else begun
+    costs, tips, hand_qpos, key_qvel, key_paths, totals = (each[:first] for each in before[2:])
+    cost, mistakes, keys = totals[-1] if totals else (0.0, 0, horizon.start)
+    given_up = False
     cost_steps = horizon.num_steps if cost_steps is None else cost_steps
-    for k, state in enumerate(simulator.run(islice(ctrl, horizon.num_steps), slot)):
+    ctrl = islice(ctrl, horizon.num_steps - first)
+    for k, state in enumerate(simulator.run(ctrl, slot, first, kept), first):
         more, wrong, keys = horizon.step_cost(k, state[0], state[1], keys)
         if k < cost_steps:
             cost, mistakes = cost + more, mistakes + wrong
@@ -112,12 +121,13 @@ def roll_out(
         hand_qpos.append(simulator.hand_joints(slot)[0].copy())
         key_paths.append(state[0])
         key_qvel.append(simulator.key_qvel(slot).copy())
+        totals.append((cost, mistakes, keys))
         if cost_to_go is not None and cost + cost_to_go[k] >= cutoff:
             given_up = True
             break
     useless = given_up or simulator.unstable(slot)
     total = np.inf if useless else cost
-    return Rollout(total, mistakes, costs, tips, hand_qpos, key_qvel, key_paths)
+    return Rollout(total, mistakes, costs, tips, hand_qpos, key_qvel, key_paths, totals)
 
 
 class Rollouts:
