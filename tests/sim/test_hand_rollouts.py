@@ -77,6 +77,21 @@ def test_key_paths_are_the_angles_after_each_physics_step(monkeypatch: pytest.Mo
     assert np.ptp(paths, axis=(0, 1)).max() > 0.01  # a key moves
 
 
+def test_a_rollout_continues_from_a_state_that_another_has_kept() -> None:
+    scene, servos, _ = hand_alone(build_scene(), "right")
+    actions = load_plan(RECORDED).actions[40:47, :-1][:, servos]
+    simulation = PlanningSimulation(scene)
+    rollouts = HandRollouts(scene, simulation.control_timestep)
+    y = scene.keyboard.centre[:, 1]
+    rollouts.start_from(simulation, y[30], y[50])
+    kept = [2, 5]
+    whole = [path for path, _ in rollouts.run(actions, kept=kept)]
+    list(rollouts.run(actions[:1]))  # of something else
+    for first in (2, 5):
+        rest = [path for path, _ in rollouts.run(actions[first:], 0, first, kept)]
+        np.testing.assert_array_equal(rest, whole[first:])
+
+
 def test_fingertips_move_with_servos_as_the_jacobian_says() -> None:
     scene, _, _ = hand_alone(build_scene(), "left")
     simulation, moved = PlanningSimulation(scene), PlanningSimulation(scene)

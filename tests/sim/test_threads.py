@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Iterator
 
 import pytest
 
@@ -33,6 +34,25 @@ def test_calls_together_return_in_order(num_threads: int) -> None:
     threads = Threads(num_threads)
     assert threads.together([]) == []
     assert threads.together([lambda i=i: i for i in range(5)]) == [0, 1, 2, 3, 4]  # type: ignore[misc]
+    threads.close()
+
+
+@pytest.mark.parametrize("num_threads", [1, 2])
+def test_items_made_ahead_come_in_order_and_errors_where_they_belong(num_threads: int) -> None:
+    made_by = list[int]()
+
+    def items() -> Iterator[int]:
+        for i in range(3):
+            made_by.append(threading.get_ident())
+            yield i
+        raise ValueError("no")
+
+    threads, came = Threads(num_threads), list[int]()
+    with pytest.raises(ValueError, match="no"):
+        came.extend(threads.ahead(items()))
+    assert came == [0, 1, 2]
+    assert made_by[0] == threading.get_ident()
+    assert (made_by[2] == threading.get_ident()) == (num_threads == 1)
     threads.close()
 
 

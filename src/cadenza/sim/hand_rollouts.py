@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
-from copy import copy
+from collections.abc import Iterable, Iterator, Sequence
 
 import mujoco
 import numpy as np
@@ -52,7 +51,6 @@ class HandRollouts:
         self._parts = colliding_parts(scene)
         self._state = mujoco.MjData(self._whole.model)
         self._models: dict[range, _HandOnKeys] = {}
-        self._kept: dict[int, mujoco.MjData] = {}  # states that a rollout has reached, by step
 
     def start_from(self, simulation: MujocoSimulation, low: float, high: float) -> None:
         """Let rollouts start in the present state of a simulation, the first if it is a batch.
@@ -71,17 +69,16 @@ class HandRollouts:
         self._models[keys] = self._model
         if len(self._models) > _MAX_MODELS:
             del self._models[next(iter(self._models))]  # the least recently used
-        self._kept.clear()
         simulation.copy_to([self._state], 0)
         self._model.start_from(self._state)
 
     def run(
-        self, ctrl: Iterable[Array], slot: int = 0, first: int = 0, kept: Collection[int] = ()
+        self, ctrl: Iterable[Array], slot: int = 0, first: int = 0, kept: Sequence[int] = ()
     ) -> Iterator[tuple[Array, Array]]:
         """Simulate a rollout: one control step for each row of `ctrl` (H, A).
 
-        Rows may depend on the state that was reached. The rollout begins with the step `first`,
-        before which an earlier one has `kept` its state, and keeps its own before some steps.
+        Rows may depend on the state that was reached. The states before the steps `kept` are kept,
+        and one of these may be the `first` step of a later rollout that keeps the same.
 
         Yields:
             (S + 1, K) angles of `keys` before the step and after each of its S physics steps [rad],
@@ -89,10 +86,11 @@ class HandRollouts:
         """
         hand = self._model
         model, data = hand.model, hand.data[slot]
-        mujoco.mj_copyData(data, model, self._kept[first] if first else hand.start)
+        states = dict(zip(kept, hand.room_for(len(kept)), strict=True))
+        mujoco.mj_copyData(data, model, states[first] if first else hand.start)
         for step, row in enumerate(ctrl, first):
-            if step in kept:
-                self._kept[step] = copy(data)
+            if step in states:
+                mujoco.mj_copyData(states[step], model, data)
             data.ctrl = row
             mujoco.mj_step(model, data, self._substeps)
             mujoco.mj_kinematics(model, data)
@@ -163,7 +161,7 @@ class _HandOnKeys:
         self._substeps = substeps
         self.start = mujoco.MjData(self.model)
         self.data = [mujoco.MjData(self.model) for _ in range(NUM_SLOTS)]
-        self.posed = mujoco.MjData(self.model)
+        self.posed, self._room = mujoco.MjData(self.model), list[mujoco.MjData]()
         joints = [whole.model.joint(self.model.joint(j).name) for j in range(self.model.njnt)]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dofs = np.array([joint.dofadr[0] for joint in joints])
@@ -181,6 +179,11 @@ class _HandOnKeys:
         asleep = whole.tree_asleep[whole.model.dof_treeid[self._dofs]]
         start.tree_asleep[self.model.dof_treeid] = np.where(asleep >= 0, _READY_TO_SLEEP, asleep)
         mujoco.mj_kinematics(self.model, start)  # where fingertips are
+
+    def room_for(self, count: int) -> list[mujoco.MjData]:
+        """Room for so many states, always the same: to make one takes as long as to simulate."""
+        self._room += [mujoco.MjData(self.model) for _ in range(count - len(self._room))]
+        return self._room[:count]
 
     def key_path(self, data: mujoco.MjData) -> Array:
         """(S + 1, K) the angles of the keys before and after each of the last S physics steps.

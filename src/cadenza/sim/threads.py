@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TypeVar
 
@@ -75,6 +75,20 @@ class Threads:
         except BaseException:
             wait([future for _, future in submitted if not future.cancel()])
             raise
+
+    def ahead(self, items: Iterator[_T]) -> Iterator[_T]:
+        """Yield items, each made by an idle thread, if there is one, while that before is used.
+
+        The first is made by the caller. None ends them.
+        """
+        if self._num_threads == 1:
+            yield from items
+            return
+        item = next(items, None)
+        while item is not None:
+            following = self._running_pool().submit(next, items, None)
+            yield item
+            item = following.result()
 
     def _running_pool(self) -> ThreadPoolExecutor:
         if self._pool is None or self._pool_of != os.getpid():

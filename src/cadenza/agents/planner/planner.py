@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from threading import get_ident
 from typing import Protocol
 
 import numpy as np
@@ -50,7 +51,14 @@ class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
             (track,) = view.tracks
             if self.config.fingering == "found":
                 track = track.with_found_fingers()
-            plans = song_plans(track, view.state.hand_qpos[0], progress, strikes=True)
+            caller = get_ident()
+
+            def report(stage: str, done: int, total: int) -> None:
+                if get_ident() == caller:  # plans that another thread makes meanwhile say nothing
+                    progress(stage, done, total)
+
+            plans = song_plans(track, view.state.hand_qpos[0], report, strikes=True)
+            plans = context.threads.ahead(plans)
             return SongPlanner(plans, lambda plan: [HandsInScene(plan, rng, context)])
         practice = Practice(view, rng, context)
 

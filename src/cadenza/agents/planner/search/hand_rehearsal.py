@@ -6,7 +6,7 @@ fingertip errors of this rollout. The cheapest rollout is kept. Nothing is rando
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -125,7 +125,7 @@ class HandRehearsal:
         seen = steps[: self._cost_steps + 1]  # strikes of the last that counts may be late
         keys = self._simulator.keys
         strikes = HorizonStrikes(goals, seen, self._keyboard, keys, self._cost_steps)
-        changing = {step - 1 for step in strikes.step.tolist() if step > 1}
+        changing = sorted({step - 1 for step in strikes.step.tolist() if step > 1})
         last: tuple[Array, Rollout] | None = None
 
         def simulated_from_change(ctrl: Array) -> Rollout:
@@ -170,7 +170,7 @@ class HandRehearsal:
         horizon: HorizonCost,
         begun: Rollout | None = None,
         first: int = 0,
-        kept: Collection[int] = (),
+        kept: Sequence[int] = (),
     ) -> Rollout:
         """Simulate controls (S, A), with feedback, from the step `first` on."""
 

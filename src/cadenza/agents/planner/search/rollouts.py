@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from itertools import islice
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -97,7 +97,7 @@ def roll_out(
     cost_to_go: Array | None = None,
     begun: Rollout | None = None,
     first: int = 0,
-    kept: Collection[int] = (),
+    kept: Sequence[int] = (),
 ) -> Rollout:
     """Simulate controls (H, A), whose rows may depend on the state that was reached.
 
