@@ -47,6 +47,20 @@ class Rollout(NamedTuple):
         """(K,) after each step, of the keys that are simulated [rad]."""
         return [path[-1] for path in self.key_paths]
 
+    def until(self, step: int) -> Rollout:
+        """The steps before `step`, in lists of their own."""
+        cost, mistakes, _ = self.totals[step - 1] if step else (0.0, 0, None)
+        return Rollout(
+            cost,
+            mistakes,
+            self.step_costs[:step],
+            self.fingertips[:step],
+            self.hand_qpos[:step],
+            self.key_qvel[:step],
+            self.key_paths[:step],
+            self.totals[:step],
+        )
+
 
 class Cost(Protocol[Keys]):
     """The cost of rollouts of H steps."""
@@ -106,9 +120,8 @@ def roll_out(
     rollout that has `begun` as another one takes over its steps before the `first` of its own, to
     which `ctrl` then belongs; see `HandRollouts.run`.
     """
-    before = Rollout(0.0, 0, [], [], [], [], [], []) if begun is None else begun
-    costs, tips, hand_qpos, key_qvel, key_paths, totals = (each[:first] for each in before[2:])
-    cost, mistakes, keys = totals[-1] if totals else (0.0, 0, horizon.start)
+    so_far = Rollout(0.0, 0, [], [], [], [], [], []) if begun is None else begun.until(first)
+    cost, mistakes, keys = so_far.totals[-1] if first else (0.0, 0, horizon.start)
     given_up = False
     cost_steps = horizon.num_steps if cost_steps is None else cost_steps
     ctrl = islice(ctrl, horizon.num_steps - first)
@@ -116,18 +129,17 @@ def roll_out(
         more, wrong, keys = horizon.step_cost(k, state[0], state[1], keys)
         if k < cost_steps:
             cost, mistakes = cost + more, mistakes + wrong
-        costs.append(more)
-        tips.append(state[1])
-        hand_qpos.append(simulator.hand_joints(slot)[0].copy())
-        key_paths.append(state[0])
-        key_qvel.append(simulator.key_qvel(slot).copy())
-        totals.append((cost, mistakes, keys))
+        so_far.step_costs.append(more)
+        so_far.fingertips.append(state[1])
+        so_far.hand_qpos.append(simulator.hand_joints(slot)[0].copy())
+        so_far.key_paths.append(state[0])
+        so_far.key_qvel.append(simulator.key_qvel(slot).copy())
+        so_far.totals.append((cost, mistakes, keys))
         if cost_to_go is not None and cost + cost_to_go[k] >= cutoff:
             given_up = True
             break
     useless = given_up or simulator.unstable(slot)
-    total = np.inf if useless else cost
-    return Rollout(total, mistakes, costs, tips, hand_qpos, key_qvel, key_paths, totals)
+    return so_far._replace(cost=np.inf if useless else cost, mistakes=mistakes)
 
 
 class Rollouts:
