@@ -40,9 +40,9 @@ ROWS = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("folders", nargs="+", type=Path, help="of performances, or of such folders")
-    found = (path.parent for folder in parser.parse_args().folders for path in _played(folder))
+    paths = (path for folder in parser.parse_args().folders for path in _played(folder))
     counts, offsets = Counter[str](), [np.zeros(0)]
-    for folder in dict.fromkeys(found):
+    for folder in dict.fromkeys(path.parent for path in paths):
         of_folder, across = _counted(folder)
         counts += of_folder
         offsets.append(across)
@@ -72,13 +72,13 @@ def _played(folder: Path) -> list[Path]:
 
 def _counted(folder: Path) -> tuple[Counter[str], np.ndarray]:
     """The numbers of notes by kind, and how far from the middle keys are struck [m]."""
-    wanted, played = (read_midi(folder / f"{name}.mid").notes for name in ("wanted", "played"))
-    pairs, extra, missed = note_errors(wanted, played)
+    written, played = (read_midi(folder / f"{name}.mid").notes for name in ("wanted", "played"))
+    pairs, extra, missed = note_errors(written, played)
     counts = Counter(
-        written=len(wanted),
+        written=len(written),
         right=len(pairs),
         extra=len(played) - len(pairs),
-        missed=len(wanted) - len(pairs),
+        missed=len(written) - len(pairs),
     )
     for name, kinds in (("extra", extra), ("missed", missed)):
         counts.update({f"{name}.{kind}": len(notes) for kind, notes in kinds._asdict().items()})
