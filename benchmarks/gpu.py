@@ -26,6 +26,8 @@ from cadenza.agents.playback import load_plan
 from cadenza.errors import CadenzaError, errors_in_a_line, extra_packages
 from cadenza.evaluation.tables import write_csv
 from cadenza.music.libraries.library import load_score
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.setups import setup_named
 
 with errors_in_a_line(), extra_packages("gpu", "this benchmark"):
     import jax
@@ -34,6 +36,7 @@ with errors_in_a_line(), extra_packages("gpu", "this benchmark"):
     from cadenza.sim.warp import WarpPhysics
     from cadenza.tasks.functional import FunctionalPianoTask, PianoState
 
+PAPERS = TaskConfig(**setup_named("paper").of(TaskConfig))
 SONG = "CMajorScaleTwoHands"  # of the recorded performance
 EPISODE = Path(__file__).parents[1] / "tests/data/episode_d.npz"
 WORLDS = (256, 1024, 4096, 8192)
@@ -95,7 +98,7 @@ def measured(worlds: Sequence[int], steps: int, minutes: float) -> Iterator[dict
     """The rows of these numbers of worlds, as far as they begin within some minutes."""
     begin, song = time.perf_counter(), [load_score(SONG)]
     for num_envs in worlds:
-        task = FunctionalPianoTask(song, num_envs=num_envs, make_physics=WarpPhysics)
+        task = FunctionalPianoTask(song, PAPERS, None, num_envs, WarpPhysics)
         recorded = task.spec.unscale_action(load_plan(EPISODE).actions).astype(np.float32)
         if len(recorded) != int(task.songs.num_steps[0]):
             raise CadenzaError(f"{EPISODE}: {len(recorded)} steps, not those of {SONG}")

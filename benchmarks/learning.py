@@ -48,8 +48,11 @@ from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import Training
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
+from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.setups import setup_named
 
+PAPERS = TaskConfig(**setup_named("paper").of(TaskConfig))
 SONG = "TwinkleTwinkleLittleStar"
 BATCH = 256  # transitions an update
 UPDATES_PER_CALL = 16  # where there are several
@@ -89,11 +92,11 @@ class Experience(NamedTuple):
 
 def gather(score: Score) -> Experience:
     """Plays `PLAYED` control steps, and keeps them over and over."""
-    task, rng = PianoTask([score]), np.random.default_rng(0)
+    task, rng = PianoTask([score], PAPERS), np.random.default_rng(0)
     scores = GoalTable(task.spec)
     scores.add_all(task)
     spec = ObservationSpec.of(task.spec)
-    inputs, short_inputs = spec.inputs, pruned(spec, scores)
+    inputs, short_inputs = spec.inputs, pruned(spec, *scores.ever_wanted())
     observer = Observer(task.spec, scores, inputs)
     actions = task.spec.action_size
     played = ReplayBuffer(observer, 1, 2 * PLAYED, actions)
@@ -206,7 +209,7 @@ class PlainLoop:
     """Training around our environment as a plain program does it: one thing after the other."""
 
     def __init__(self, score: Score) -> None:
-        self._task, self._rng = PianoTask([score]), np.random.default_rng(0)
+        self._task, self._rng = PianoTask([score], PAPERS), np.random.default_rng(0)
         actions = self._task.spec.action_size
         size = self._task.spec.observation_size + actions + 1
         self._learner = PlainLearner(size, actions)
@@ -329,7 +332,7 @@ def whole_training(
     loop = PlainLoop(score)
     loop.play(LEARNING_STARTS)
     loop.learn(1)  # compiles
-    paper = TrainingConfig(buffer_size=TRANSITIONS, prune_inputs=False)
+    paper = TrainingConfig(task=PAPERS, buffer_size=TRANSITIONS, prune_inputs=False)
     fewer = replace(paper, prune_inputs=True)
     entered: dict[str, Contestant] = {
         "plain": lambda: loop.learn(number),

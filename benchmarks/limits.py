@@ -36,7 +36,8 @@ from cadenza.tasks.goal_track import GoalTrack, players_of
 
 Array = NDArray[np.float64]
 
-DT = TaskConfig().control_timestep
+TASK = TaskConfig(initial_buffer_time=0.0, repeats="published")
+DT = TASK.control_timestep
 WINDOW = 2.0  # [s] in which one fingering is held to
 WAYS = np.linspace(0.0, 0.6, 25)  # [m] of jumps
 FINEST = 5e-4  # [s] steps in which the least times of jumps are calculated
@@ -123,7 +124,7 @@ def costs_to_try(number: int) -> list[Costs]:
 
 def of_song(score: Score, scene: Scene, ways: Sequence[Holding], costs: Sequence[Costs]) -> Array:
     """(W, 2) mean F1 in each way: with the fingers of the first costs, and with the best."""
-    players, track = players_of(scene), GoalTrack(score, None, TaskConfig(), scene)
+    players, track = players_of(scene), GoalTrack(score, None, TASK, scene)
     found = (find_fingering(score, players, costs=each)[0] for each in costs)
     tracks = [replace(track, score=fingered) for fingered in found]
     result = []

@@ -34,7 +34,7 @@ from cadenza.evaluation.tables import write_csv
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
-from cadenza.tasks.config import TaskConfig, with_time_to_begin
+from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.setups import setup_named
 from cadenza.tasks.view import View
 
@@ -58,7 +58,7 @@ class Setting:
 
     agent: Callable[[], Agent]
     scene: SceneConfig = field(default_factory=SceneConfig)
-    task: TaskConfig = field(default_factory=with_time_to_begin)
+    task: TaskConfig = field(default_factory=TaskConfig)
     open_loop: bool = False
     """Whether actions are replayed that the agent chose without a disturbance."""
     disturbances: tuple[Disturbance, ...] = (NOTHING,)
@@ -70,7 +70,7 @@ def _nominal() -> Agent:
 
 _ARM = setup_named("arm-allegro")
 ARMS = replace(SceneConfig(), **_ARM.of(SceneConfig))
-TIME = replace(with_time_to_begin(), **_ARM.of(TaskConfig))
+TIME = replace(TaskConfig(), **_ARM.of(TaskConfig))
 ALL = (NOTHING, SLIGHT, STRONG, MODEL)
 SETTINGS: dict[str, Setting] = {
     "planner": Setting(Planner, disturbances=ALL),

@@ -58,7 +58,13 @@ def environment(
 ) -> Contestant:
     """The vector environment with observations, rewards and resets."""
     envs = PianoVectorEnv(
-        SONG, num_envs, num_threads, autoreset_mode=AutoresetMode.SAME_STEP, physics=physics
+        SONG,
+        num_envs,
+        num_threads,
+        autoreset_mode=AutoresetMode.SAME_STEP,
+        setup="paper",
+        sleeping_keys=True,
+        physics=physics,
     )
     batches = np.repeat(envs.task.spec.unscale_action(actions)[:, None], num_envs, axis=1)
     episodes = max(EPISODES // num_envs, 1)

@@ -35,7 +35,7 @@ from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from cadenza.sim.render import Renderer
-from cadenza.tasks.config import DomainRandomization, TaskConfig, task_identity, with_time_to_begin
+from cadenza.tasks.config import DomainRandomization, TaskConfig, task_identity
 from numbered import numbers
 from report_pages import recording_in
 
@@ -614,7 +614,7 @@ def test_a_plan_made_with_other_options(
     tune: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    path, task = tmp_path / "plan.safetensors", with_time_to_begin()
+    path, task = tmp_path / "plan.safetensors", TaskConfig()
     made = {"action": np.zeros((23, 39)), "fingering": np.zeros((3, 3))}
     facts = {
         "song": "",

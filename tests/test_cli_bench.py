@@ -26,7 +26,7 @@ from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
-from cadenza.tasks.config import TaskConfig, with_time_to_begin
+from cadenza.tasks.config import TaskConfig
 
 AGENTS = Path(__file__).parent / "evaluation"
 CHANGES = ("planning_seconds", "playing_seconds")  # from run to run
@@ -160,7 +160,7 @@ def test_a_policy_plays_as_it_was_trained_unless_told_otherwise(
     residual = preset("fast", residual=True)
     residual = replace(residual, task=replace(residual.task, stretch=2.0))
     assert planned["train:fast-residual"].config == residual
-    assert planned["zero"].task == replace(with_time_to_begin(), stretch=2.0)
+    assert planned["zero"].task == replace(TaskConfig(), stretch=2.0)
 
 
 def test_other_weights_in_the_same_file_are_another_run(

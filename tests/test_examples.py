@@ -101,7 +101,7 @@ def test_what_a_notebook_shows_is_bounded() -> None:
 
 def test_a_random_agent(run) -> None:
     first, last = run("random_agent", "Up.mid")
-    assert first.startswith("Up: observations (1124,), actions (39,)")
+    assert first.startswith("Up: observations (3412,), actions (39,)")
     assert float(last.split()[-1]) < 0.9
 
 

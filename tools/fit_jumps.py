@@ -107,7 +107,7 @@ def play(path: Path, name: str, etudes: int) -> None:
     for etude in range(done // (CHORDS - 1), etudes):
         rng = np.random.default_rng(etude)
         chords, ways = made_up(HAND.reach.rest, rng)
-        config = TaskConfig(initial_buffer_time=0.5)
+        config = TaskConfig()
         task = PianoTask([score_of(chords, rng)], config, scene)
         agent = Planner(PlannerConfig(fingering="score"))
         episode = play_episode(task, agent, etude).episode

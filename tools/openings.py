@@ -21,7 +21,6 @@ from cadenza.files import parsed_json
 from cadenza.music.libraries.library import open_library
 from cadenza.music.libraries.songs import Song
 from cadenza.music.score import Score
-from cadenza.tasks.config import with_time_to_begin
 from cadenza.tasks.piano_task import PianoTask
 
 
@@ -48,7 +47,7 @@ def opening(score: Score, seconds: float) -> Score:
 
 def metrics_of(score: Score, config: PlannerConfig) -> dict[str, Any]:
     """The metrics of an episode in which the planner plays a score."""
-    task = PianoTask([score], with_time_to_begin())
+    task = PianoTask([score])
     try:
         return play_episode(task, Planner(config), 0).metrics
     finally:

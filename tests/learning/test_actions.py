@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import melody
 
 from cadenza.agents.agent import Agent
@@ -41,7 +41,7 @@ class Following(Agent):
         if view.steps[0] == 0:
             self.mapping = ActionMapping(view.task, self.reference)
         correction = np.full((1, view.task.action_size), self.correction, np.float32)
-        return self.mapping.ctrl(correction, view.steps, view.state)
+        return self.mapping.ctrl(correction, view.steps, view.state, view.goal[:, 0, -1])
 
 
 class WithoutStrikes(Planner):
@@ -93,7 +93,10 @@ def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> 
     assert_allclose(reference_of(task).reach[wrist], 0.1)
     plain, moved = (
         mapping.ctrl(
-            np.full((1, task.spec.action_size), c, np.float32), np.zeros(1, int), task.state
+            np.full((1, task.spec.action_size), c, np.float32),
+            np.zeros(1, int),
+            task.state,
+            np.zeros(1, bool),
         )[0]
         for c in (0.0, 1.0)
     )
@@ -106,6 +109,16 @@ def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> 
             assert_allclose(by, 0.03)
     assert performance(Following(1.0)).metrics["sustain_f1"] == 1
     assert performance(Following(1.0)).metrics["f1"] < 0.9
+
+
+@pytest.mark.parametrize("rewarded", [False, True])
+def test_the_pedal_is_as_written_unless_it_is_rewarded(rewarded: bool) -> None:
+    spec = PianoTask([SONG], TaskConfig(sustain_term=rewarded)).spec
+    action = np.array([[0.0] * (spec.action_size - 1) + [down] for down in (-1.0, 1.0)])
+    written, zeros = np.array([True, False]), np.zeros(2, int)
+    ctrl = ActionMapping(spec).ctrl(action, zeros, None, written)  # type: ignore[arg-type]
+    assert_array_equal(ctrl[:, -1], [0.0, 1.0] if rewarded else [1.0, 0.0])
+    assert_allclose(ctrl[:, :-1], spec.scale_action(action)[:, :-1])
 
 
 def test_the_actions_of_the_plan_are_what_is_done_but_for_feedback() -> None:

@@ -21,7 +21,13 @@ from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 # Episodes of different lengths that begin anywhere, and one may end at a wrong key.
-RANDOM = TaskConfig(random_stretch=0.4, random_hand_position=0.1, random_pitch_shift=2)
+RANDOM = TaskConfig(
+    initial_buffer_time=0.1,
+    sustain_term=True,  # so that the policy plays the pedal
+    random_stretch=0.4,
+    random_hand_position=0.1,
+    random_pitch_shift=2,
+)
 RANDOMIZED = replace(
     RANDOM,
     randomization=DomainRandomization(
@@ -29,7 +35,7 @@ RANDOMIZED = replace(
     ),
 )
 ENDING = replace(RANDOM, wrong_press_termination=True)
-FIXED = TaskConfig(initial_buffer_time=0.1)
+FIXED = TaskConfig(initial_buffer_time=0.1, sustain_term=True)
 
 
 class Watched(PianoTask):

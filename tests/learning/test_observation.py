@@ -79,7 +79,7 @@ def test_is_what_the_task_shows_at_every_step_and_past_the_end(task: PianoTask) 
 def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task: PianoTask) -> None:
     scores = GoalTable(task.spec)
     scores.add_all(task)
-    inputs = pruned(ObservationSpec.of(task.spec), scores)
+    inputs = pruned(ObservationSpec.of(task.spec), *scores.ever_wanted())
     observer = Observer(task.spec, scores, inputs)
     whole = Observer(task.spec, scores)
     kept = np.array(inputs.kept)
@@ -99,7 +99,7 @@ def test_every_input_that_is_kept_of_the_goal_is_used() -> None:
     task = PianoTask([SONGS[0]])
     scores = GoalTable(task.spec)
     scores.add_all(task)
-    inputs = pruned(ObservationSpec.of(task.spec), scores)
+    inputs = pruned(ObservationSpec.of(task.spec), *scores.ever_wanted())
     acting = Acting(task, scores)
     seen = np.zeros(task.spec.observation_size, bool)
     seen[task.spec.observation_layout["key_state"].start :] = True
@@ -193,7 +193,9 @@ def test_scores_of_many_rows_are_looked_up_together() -> None:
     task = PianoTask(SONGS)
     scores = GoalTable(task.spec)
     scores.add_all(task)
-    observer = Observer(task.spec, scores, pruned(ObservationSpec.of(task.spec), scores))
+    observer = Observer(
+        task.spec, scores, pruned(ObservationSpec.of(task.spec), *scores.ever_wanted())
+    )
     rng = np.random.default_rng(0)
     rows = rng.integers(8, size=(2, 5))
     rest = rng.random((2, 5, observer.proprioception_size), np.float32)

@@ -50,7 +50,7 @@ def some_policy(
     scores = GoalTable(shown.spec)
     scores.add_all(shown)
     observation = ObservationSpec.of(shown.spec, residual)
-    inputs = pruned(observation, scores) if prune else observation.inputs
+    inputs = pruned(observation, *scores.ever_wanted()) if prune else observation.inputs
     rng = np.random.default_rng(0)
 
     def layer(name: str, *shape: int) -> dict[str, np.ndarray]:

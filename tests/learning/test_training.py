@@ -149,7 +149,7 @@ def test_a_run_evaluates_and_keeps_the_best_and_the_last(
     rows = evaluations(run)
     assert [row["eval_step"] for row in rows] == [64, 120, 184, 208]  # the last at the end
     about = remarks_on(run.path / "best")
-    best = max(rows, key=lambda row: row["eval/f1"])
+    best = max(rows, key=lambda row: (row["eval/note_onset_f1"], row["eval/f1"]))
     assert about["eval/f1"] == best["eval/f1"]
     assert about["eval_step"] == best["eval_step"]
     learnt = load_policy(run.path / "best")
@@ -163,12 +163,16 @@ def test_a_run_evaluates_and_keeps_the_best_and_the_last(
 def test_an_evaluation_that_ends_early_is_not_the_best_for_what_it_played(
     runs: Callable[[], RunFolder], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Everything is right before the first note, and a wrong key may end an episode there."""
-    results = iter([(0.9, 2), (0.7, 13), (0.6, 14), (0.5, 14)])
+    """Everything is right before the first note, and a wrong key may end an episode there.
+
+    Whole notes decide, and F1 only where they are equal.
+    """
+    results = iter([(0.9, 0.9, 2), (0.6, 0.7, 13), (0.7, 0.7, 13), (0.9, 0.6, 14)])
 
     def played(*_: object) -> Any:
-        f1, steps = next(results)
-        return SimpleNamespace(metrics={"f1": f1, "steps": steps})
+        return SimpleNamespace(
+            metrics=dict(zip(("f1", "note_onset_f1", "steps"), next(results), strict=True))
+        )
 
     monkeypatch.setattr("cadenza.learning.training.play_episode", played)
     run = runs()

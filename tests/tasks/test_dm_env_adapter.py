@@ -34,7 +34,7 @@ class ConformanceTest(test_utils.EnvironmentTestMixin, absltest.TestCase):
 
 
 def test_discount_tells_the_score_s_end_from_a_wrong_key() -> None:
-    adapter = DmEnvAdapter(PianoEnv(SHORT))
+    adapter = DmEnvAdapter(PianoEnv(SHORT, initial_buffer_time=0.0))
     adapter.reset()
     steps = [adapter.step(np.zeros(39)) for _ in range(6)]
     assert steps[-1].step_type == StepType.LAST
@@ -98,7 +98,6 @@ def test_a_published_environment_replays_its_recording(name: str) -> None:
         "primitive_fingertip_collisions": True,
         "change_color_on_activation": True,
         "disable_forearm_reward": False,
-        "sleeping_keys": False,
     }
     env = load(f"RoboPianist-debug-{recording['song']}-v0", seed=1, task_kwargs=options)
     spec = env.action_spec()

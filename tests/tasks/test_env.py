@@ -39,7 +39,8 @@ ID = "cadenza/TwinkleTwinkleLittleStar-v0"
 SHORT = Score(
     (Note(0.0, 0.1, 60, finger=finger(0)), Note(0.1, 0.25, 62, finger=finger(1))), title="short"
 )
-SHORT_STEPS = 6
+SILENT_STEPS = 10  # half a second
+SHORT_STEPS = SILENT_STEPS + 6
 FAR_AWAY = 1e12  # [m, rad], where MuJoCo takes the state for that of a simulation that diverged
 
 
@@ -348,7 +349,7 @@ def test_seeds_of_some_leave_the_others_as_they_were() -> None:
 
 
 def test_observation_sees_the_score_and_the_keys() -> None:
-    env = PianoEnv(SHORT)
+    env = PianoEnv(SHORT, initial_buffer_time=0.0)
     observation, _ = env.reset(seed=0)
     layout = env.observation_layout
     goal = observation[layout["goal"]].reshape(11, 89)
@@ -578,7 +579,7 @@ def test_songs_are_assigned_or_drawn() -> None:
         observation, infos = envs.reset(seed=0, options={"song": song})
         assert infos["song"].tolist() == titles
         goal = observation[:, envs.observation_layout["goal"]].reshape(4, -1, 89)
-        assert (goal[:, 0, 39] == [title == "short" for title in titles]).all()
+        assert (goal[:, SILENT_STEPS, 39] == [title == "short" for title in titles]).all()
     some = {"song": ["other", None, 0, None]}
     partly = np.array([envs.reset(seed=seed, options=some)[1]["song"] for seed in range(8)])
     assert [set(titles) for titles in partly.T] == [{"other"}, BOTH, {"short"}, BOTH]
@@ -693,7 +694,7 @@ def test_stretch_and_transpose() -> None:
     slow = PianoEnv(SHORT, stretch=2.0, transpose=-12)
     observation, _ = slow.reset(seed=0)
     goal = observation[slow.observation_layout["goal"]].reshape(11, 89)
-    assert_array_equal(np.flatnonzero(goal[0]), [39 - 12])
-    assert slow.task.goals.num_steps[0] == 11
+    assert_array_equal(np.flatnonzero(goal[SILENT_STEPS]), [39 - 12])
+    assert slow.task.goals.num_steps[0] == SILENT_STEPS + 11
     with pytest.raises(CadenzaError, match="cannot transpose by 90"):
         PianoEnv(SHORT, transpose=90)

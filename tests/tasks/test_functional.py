@@ -37,7 +37,9 @@ CASES = {
         "forearm_term": True,
         "key_press": "graded",
         "initial_buffer_time": 0.2,
+        "n_steps_lookahead": 1,
     },
+    "published": {"onset_goals": False, "repeats": "published", "initial_buffer_time": 0.0},
     "wrong keys end it": {"wrong_press_termination": True, "n_steps_lookahead": 0},
     "without fingers": {"fingering": "off"},
 }
@@ -114,7 +116,8 @@ def test_every_value_of_an_episode(options: dict[str, Any], touch: bool) -> None
 
 def test_episodes_begin_anew() -> None:
     """Against the environments of Gymnasium that are reset in the same step."""
-    envs = PianoVectorEnv(ONE_NOTE, 2, autoreset_mode="SameStep")
+    config = TaskConfig(initial_buffer_time=0.0)
+    envs = PianoVectorEnv(ONE_NOTE, 2, autoreset_mode="SameStep", task=config)
     first, _ = envs.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1, 1, (12, 2, 39)).astype(np.float32)
     states, step = [], envs.task.step
@@ -127,7 +130,7 @@ def test_episodes_begin_anew() -> None:
     envs.task.step = watched
     steps = [envs.step(action) for action in actions]
     RecordedPhysics.states = iter(states)
-    task = FunctionalPianoTask([ONE_NOTE], None, envs.task.scene, 2, RecordedPhysics)
+    task = FunctionalPianoTask([ONE_NOTE], config, envs.task.scene, 2, RecordedPhysics)
     state = task.reset(jax.random.key(0))
     assert_allclose(state.obs, first, atol=1e-6)
     ends = 0
@@ -150,7 +153,11 @@ def test_songs_of_any_length_one_after_the_other() -> None:
     """Against the task of the CPU, whose episodes begin with the songs that were drawn here."""
     lengths = (1, 2, 5, 7, 12)  # control steps
     scores = [Score((Note(0.0, 0.05 * n, 60 + n),), title=str(n)) for n in lengths]
-    config, rng, num_envs = TaskConfig(n_steps_lookahead=3), np.random.default_rng(0), 6
+    config, rng, num_envs = (
+        TaskConfig(n_steps_lookahead=3, initial_buffer_time=0.0),
+        np.random.default_rng(0),
+        6,
+    )
     cpu = PianoTask(scores, config, None, num_envs)
     states: deque[State] = deque()
     RecordedPhysics.states = iter(states.popleft, None)
@@ -191,7 +198,7 @@ def on_device(state: State) -> State:
 
 @pytest.mark.parametrize(
     ("options", "what"),
-    [({"onset_goals": True}, "onset_goals"), ({"random_stretch": 0.1}, "random_stretch")],
+    [({"fingering": "transport"}, "fingering transport"), ({"random_stretch": 0.1}, "random_str")],
 )
 def test_says_what_it_lacks(options: dict[str, Any], what: str) -> None:
     with pytest.raises(CadenzaError, match=f"no {what}"):
@@ -200,7 +207,7 @@ def test_says_what_it_lacks(options: dict[str, Any], what: str) -> None:
 
 def test_gymnasium_makes_environments_on_the_device() -> None:
     """Random actions as another library's array; the observations of the first as of the CPU's."""
-    options: dict[str, Any] = {"song": ONE_NOTE, "num_envs": 2}
+    options: dict[str, Any] = {"song": ONE_NOTE, "num_envs": 2, "initial_buffer_time": 0.0}
     envs = gym.make_vec("cadenza/Piano-v0", engine="warp", make_physics=StillPhysics, **options)
     on_cpu = gym.make_vec("cadenza/Piano-v0", **options)
     observation, _ = envs.reset(seed=1)

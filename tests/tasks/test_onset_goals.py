@@ -71,7 +71,8 @@ class PlayedPiano:
 
 
 def begin(score: Score, *onsets: Onset, num_envs: int = 1, **options: Any) -> PianoTask:
-    config, scene = TaskConfig(trim_silence=False, **options), SceneConfig(hands="none")
+    silence = {"trim_silence": False, "initial_buffer_time": 0.0}
+    config, scene = TaskConfig(**(silence | options)), SceneConfig(hands="none")
     task = PianoTask([score], config, scene, num_envs, make_simulation=PlayedPiano)
     task.simulation.onsets = onsets
     task.reset(np.random.default_rng(0).spawn(num_envs), range(num_envs))
@@ -121,7 +122,8 @@ def test_keys_say_when_they_sounded_in_the_last_step_and_how_loud() -> None:
 
 
 def test_a_piano_that_plays_itself_shows_what_the_simulation_says() -> None:
-    env = gym.make(ID, song=song((0.0, 60, 80)), hands="none", **REWARDED)
+    silence = {"initial_buffer_time": 0.0}
+    env = gym.make(ID, song=song((0.0, 60, 80)), hands="none", **silence, **REWARDED)
     env.reset(seed=0)
     layout, task = env.unwrapped.observation_layout, env.unwrapped.task
     action = -np.ones(NUM_KEYS + 1, np.float32)
@@ -136,7 +138,7 @@ def test_a_piano_that_plays_itself_shows_what_the_simulation_says() -> None:
 
 def test_without_the_option_nothing_is_observed_or_rewarded_and_the_rest_is_the_same() -> None:
     """To the bit."""
-    plain = gym.make(ID, song="TwinkleTwinkleLittleStar")
+    plain = gym.make(ID, song="TwinkleTwinkleLittleStar", onset_goals=False)
     more = gym.make(ID, song="TwinkleTwinkleLittleStar", **REWARDED)
     published = {"goal": 979, "fingering": 10, "key_state": 88, "pedal": 1, "joints": 46}
     layout = plain.unwrapped.observation_layout
@@ -252,7 +254,7 @@ def test_the_notes_of_a_chord_add_up() -> None:
 
 
 def test_a_weight_scales_its_term() -> None:
-    options = {"onset_goals": True, "loudness_coefficient": 0.5}
+    options = {"onset_timing_coefficient": 0.0, "loudness_coefficient": 0.5}
     task = begin(DUE, Onset(1, 0.02), **options)
     steps = [task.step(np.zeros((1, NUM_KEYS + 1))) for _ in range(2)]
     assert "onset_timing" not in steps[1].terms
@@ -279,7 +281,7 @@ def test_terms_of_ones_own_are_given_the_errors() -> None:
     scene = SceneConfig(hands="none")
     task = PianoTask(
         [DUE],
-        TaskConfig(trim_silence=False, onset_goals=True),
+        TaskConfig(trim_silence=False, initial_buffer_time=0.0),
         scene,
         reward_terms={"late": late},
         make_simulation=PlayedPiano,

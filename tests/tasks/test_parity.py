@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -12,13 +13,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.music.libraries.library import load_score
 from cadenza.music.metrics import playing_metrics
-from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.tasks import reward
 from cadenza.tasks.augmentation import prepare_tracks
-from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.setups import configure
 
 DATA = Path(__file__).parents[1] / "data"
 EXACT = {"rtol": 0, "atol": 1e-6}
@@ -27,18 +27,14 @@ EXACT = {"rtol": 0, "atol": 1e-6}
 class Recording:
     """One recorded episode, the scene that it was recorded in, and the score that was asked for."""
 
-    def __init__(self, name: str, sleeping_keys: bool = True) -> None:
+    def __init__(self, name: str, **options: Any) -> None:
         with np.load(DATA / f"episode_{name}.npz") as file:
             self.arrays = dict(file)
-        self.config = TaskConfig(
-            trim_silence=bool(self["trim_silence"]), sustain_term=True, forearm_term=True
-        )
-        self.scene = build_scene(
-            SceneConfig(
-                reduced_action_space=bool(self["reduced_action_space"]),
-                sleeping_keys=sleeping_keys,
-            )
-        )
+        recorded_with = {
+            name: bool(self[name]) for name in ("trim_silence", "reduced_action_space")
+        }
+        self.config, scene = configure({"setup": "published"} | recorded_with | options)
+        self.scene = build_scene(scene)
         self.score = load_score(str(self["song"]))
         (track,) = prepare_tracks([self.score], self.config, self.scene)
         self.goals = track.goals
@@ -54,13 +50,13 @@ class Recording:
 
 @pytest.fixture(scope="module", params="abcd")
 def recording(request: pytest.FixtureRequest) -> Recording:
-    return Recording(request.param)
+    return Recording(request.param, sleeping_keys=True)
 
 
 @pytest.mark.parametrize("name", "ad")
 def test_keys_that_never_sleep_replay_the_whole_recording(name: str) -> None:
     """To the bit on the machine that wrote this; a C library may round sines otherwise."""
-    recording = Recording(name, sleeping_keys=False)
+    recording = Recording(name)
     task = recording.task()
     for step, action in enumerate(recording["action"]):
         task.step(action[None])

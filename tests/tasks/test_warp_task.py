@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import cadenza
 from cadenza.music.libraries.library import load_score
-from cadenza.tasks.config import with_time_to_begin
+from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 pytestmark = pytest.mark.slow  # it compiles for a minute
@@ -27,7 +27,7 @@ def test_what_was_planned_in_c_is_played() -> None:
     from cadenza.tasks.functional import FunctionalPianoTask
 
     score = load_score("OdeToJoy").until(SECONDS)
-    config = with_time_to_begin()
+    config = TaskConfig()
     played = cadenza.play(score, seed=1, task=config)
     actions, keys = (played.episode.arrays[name] for name in ("action", "key_qpos"))
     host = PianoTask([score], config, make_simulation=WarpSimulation)

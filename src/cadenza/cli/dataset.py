@@ -83,10 +83,6 @@ def _check(command: Collect) -> None:
         raise CadenzaError("--hands none: there are no hands to learn from; choose some")
     if command.scene.touch:
         raise CadenzaError("--touch: demonstrations keep no forces; give --no-touch")
-    if command.task.onset_goals:
-        raise CadenzaError(
-            "--onset-goals: demonstrations keep no onsets of keys; give --no-onset-goals"
-        )
     if command.task.wrong_press_termination:
         raise CadenzaError(
             "--wrong-press-termination: demonstrations last as long as their songs; leave it out"

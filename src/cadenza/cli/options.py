@@ -18,7 +18,7 @@ from cadenza.cli.progress import stages
 from cadenza.errors import CadenzaError
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
-from cadenza.tasks.config import TaskConfig, with_time_to_begin
+from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.setups import NamedSetup, setup_named
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class Options:
 
     arrangement: Flat[Arrangement] = field(default_factory=Arrangement)
     setup: Annotated[str | None, tyro.conf.arg(help=SETUP_HELP)] = None
-    task: Flat[TaskConfig] = field(default_factory=with_time_to_begin)
+    task: Flat[TaskConfig] = field(default_factory=TaskConfig)
     scene: Flat[SceneConfig] = field(default_factory=SceneConfig)
     num_threads: int | None = None
     """Threads of a planner, two by default: one for each hand."""

@@ -24,7 +24,7 @@ from cadenza.cli.saving import (
 from cadenza.files import TENSORS
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
-from cadenza.tasks.config import with_time_to_begin
+from cadenza.tasks.config import TaskConfig
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def _to_replay(command: PlanCommand, path: Path) -> list[str]:
 
     flags = ["--agent", PLAYBACK, "--plan", str(path)]
     for options, default in (
-        (command.task, with_time_to_begin()),
+        (command.task, TaskConfig()),
         (command.scene, SceneConfig()),
         (command.arrangement, Arrangement()),
     ):

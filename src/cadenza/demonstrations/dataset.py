@@ -33,10 +33,10 @@ from cadenza.demonstrations.recorded_episode import (
 from cadenza.errors import CadenzaError
 from cadenza.fingers import NO_FINGER
 from cadenza.hub import Kind, fetched
-from cadenza.music.goals import Goals
+from cadenza.music.goals import Goals, Onsets
 from cadenza.scene.scene import Scene
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.view import to_range
+from cadenza.tasks.view import observed_onsets, to_range
 
 Array = NDArray[Any]
 Floats = NDArray[np.float32]
@@ -69,6 +69,10 @@ class StepBatch(NamedTuple):
     """Depth of the pedal (B,), 0 to 1."""
     sounding: NDArray[np.bool_]
     """True for keys that sound (B, K)."""
+    key_onset: Floats
+    """When keys began to sound in the step before (B, K), as environments show it."""
+    key_velocity: Floats
+    """How loud they did (B, K)."""
     previous_action: Floats
     """Action that was played in the step before (B, A + 1), in actuator units, the pedal last; 0
     in the first step."""
@@ -110,6 +114,7 @@ class Dataset:
         scene: the hands and the keys.
         control_timestep: between two steps [s].
         shows_fingers: True if the task's observations say which fingers have a key to press.
+        shows_onsets: True if they say when and how loud notes and keys begin to sound.
     """
 
     def __init__(self, episodes: Sequence[RecordedEpisode]) -> None:
@@ -124,10 +129,13 @@ class Dataset:
         self.control_timestep = _common(episodes, "control_timestep", dt)
         shown = [e.facts.task.fingering != "off" for e in episodes]
         self.shows_fingers = _common(episodes, "fingering", shown)
+        shown = [e.facts.task.onset_goals for e in episodes]
+        self.shows_onsets = _common(episodes, "onset_goals", shown)
         lengths = np.array([episode.facts.num_steps for episode in episodes], np.intp)
         ends = np.cumsum(lengths)
         self._lengths, self.first, self.num_steps = lengths, ends - lengths, int(ends[-1])
         self._first_row = self.first + np.arange(len(lengths))  # each has a row more
+        self._notes: dict[int, Onsets] = {}  # of episodes whose goals are there
         self._steps = [_Rows(e, STEPS, steps_type(self.scene)) for e in episodes]
         self._plans = [_Rows(e, PLAN, plan_type(self.scene)) for e in episodes]
 
@@ -172,6 +180,8 @@ class Dataset:
             key_state=rows["key_state"],
             pedal=rows["pedal"],
             sounding=np.unpackbits(rows["sounding"], axis=-1, count=keys).view(bool),
+            key_onset=rows["key_onset"],
+            key_velocity=rows["key_velocity"],
             previous_action=self._in_units(rows["played"], step),
             previous_reward=rows["previous_reward"].astype(np.float32),
             action=rows["action"],
@@ -190,6 +200,26 @@ class Dataset:
         within = np.minimum(step[:, None] + np.arange(count), self._lengths[episode, None] - 1)
         rows: Floats = _gathered(self._steps, episode, within)["action"]
         return rows
+
+    def onsets(self, steps: Ids, lookahead: int = LOOKAHEAD) -> tuple[Floats, Floats]:
+        """When the notes around `steps` (B,) begin, and how loud they are, (B, L + 2, K) each.
+
+        They are those of the step before, of the next and of the L after it, as environments show
+        them (`cadenza.tasks.view.observed_onsets`).
+        """
+        shape = len(steps), lookahead + 2, self.scene.keyboard.num_keys
+        time, velocity = np.zeros(shape), np.zeros(shape)
+        for row, place in enumerate(zip(*self.place(steps), strict=True)):
+            episode, step = map(int, place)
+            notes = self._onsets(episode).between(step - 1, step + 1 + lookahead)
+            time[row, notes.step, notes.key] = notes.time
+            velocity[row, notes.step, notes.key] = notes.velocity
+        return observed_onsets(time, velocity, self.control_timestep)
+
+    def _onsets(self, episode: int) -> Onsets:
+        if not self._table.made[episode]:
+            self._rebuild(episode)
+        return self._notes[episode]
 
     def goals(self, episode: int) -> Goals:
         """Keys, fingers and pedal per step of an episode, rebuilt from its score."""
@@ -232,6 +262,7 @@ class Dataset:
         self._table.bits[first : first + len(asked)] = np.packbits(asked, axis=1)
         step, key = (goals.fingers >= 0).nonzero()
         self._table.fingers[first + step, goals.fingers[step, key]] = key
+        self._notes[episode] = goals.onsets
         self._table.made[episode] = True
 
 

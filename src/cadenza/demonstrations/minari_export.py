@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +35,13 @@ from cadenza.demonstrations.transitions import Transitions, transitions
 from cadenza.errors import CadenzaError, extra_packages, quoted
 from cadenza.files import new_folder, plain
 from cadenza.tasks.config import NOISE_ON_OBSERVATIONS
+from cadenza.tasks.env import state_space
+from cadenza.tasks.view import TaskSpec, task_spec
 
 _ROOT = "MINARI_DATASETS_PATH"  # where Minari looks for datasets
 _NAME = re.compile(r"([A-Za-z0-9_-]+/)*[A-Za-z0-9_-]+")  # of which Minari makes folders
 _UNNAMED = re.compile("[^A-Za-z0-9_-]+")
+_SHOWN: dict[str, Any] = {"n_steps_lookahead": LOOKAHEAD, "n_seconds_lookahead": None}
 _MAX_BATCH = 20_000  # steps that are written at once, or a longer episode
 
 
@@ -73,17 +76,13 @@ def write_minari(
         import pyarrow  # noqa: F401 - Minari's error would come late
         from minari.data_collector.episode_buffer import EpisodeBuffer
     first = transitions(dataset, 0)
-    low = np.zeros(first.observation.shape[1], np.float32)
-    high = np.ones_like(low)
-    joints = slice(len(low) - first.joints.shape[1], len(low))
-    low[joints], high[joints] = -np.inf, np.inf
     with new_folder(path / id_) as folder, _root(folder), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # that it has no author
         made = minari.create_dataset_from_buffers(
             id_,
             [_buffer(EpisodeBuffer, first, dataset.episodes[0])],
             env=_environment(dataset),
-            observation_space=spaces.Box(low, high, dtype=np.float32),
+            observation_space=state_space(_task_spec(dataset)),
             action_space=spaces.Box(-1.0, 1.0, (first.chosen.shape[1],), np.float32),
             algorithm_name=str(dataset.episodes[0].facts.job["agent"]),
             description="Two simulated robot hands play the piano.",
@@ -102,12 +101,16 @@ def write_minari(
         shutil.rmtree(folder / id_.split("/")[0])
 
 
+def _task_spec(dataset: Dataset) -> TaskSpec:
+    """The constants of the environment."""
+    return task_spec(replace(dataset.episodes[0].facts.task, **_SHOWN), dataset.scene)
+
+
 def _environment(dataset: Dataset) -> EnvSpec:
     """What `recover_environment` of Minari makes: it draws from all songs as was asked."""
     facts = dataset.episodes[0].facts
     spec = deepcopy(gymnasium.spec("cadenza/Piano-v0"))
-    lookahead = {"n_steps_lookahead": LOOKAHEAD, "n_seconds_lookahead": None}
-    task = asdict(facts.task) | facts.job["task"] | lookahead
+    task = asdict(facts.task) | facts.job["task"] | _SHOWN
     randomization = task["randomization"] | dict.fromkeys(NOISE_ON_OBSERVATIONS, 0.0)
     task |= {"randomization": randomization}
     songs = dict.fromkeys(episode.song for episode in dataset.episodes)

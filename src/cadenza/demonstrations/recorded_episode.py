@@ -45,7 +45,7 @@ from cadenza.tasks.view import to_range
 
 Array = NDArray[Any]
 
-FORMAT: Literal[1] = 1
+FORMAT: Literal[2] = 2
 RESULT = "result.json"
 STEPS, PLAN, SCORE, SONG = "steps.npy", "plan.npy", "score.json", "song"
 SONGS = "songs"  # the folder of the songs of all episodes
@@ -69,6 +69,8 @@ def steps_type(scene: Scene) -> np.dtype[np.void]:
     - `pedal` () how far the pedal is down, from 0 to 1, as environments show it
     - `previous_reward` () that it got, 0 before the first
     - `sounding` the keys that sound, as bits
+    - `key_onset`, `key_velocity` (K,) when keys began to sound in the step before, and how loud,
+      from 0 to 1, as environments show it (`cadenza.tasks.view.observed_key_onsets`)
 
     And what follows, 0 in the last row, where nothing does:
 
@@ -88,6 +90,8 @@ def steps_type(scene: Scene) -> np.dtype[np.void]:
             ("action", np.float32, (servos + 1,)),
             ("tracked", np.float32, (servos,)),
             ("key_state", np.float32, (keys,)),
+            ("key_onset", np.float32, (keys,)),
+            ("key_velocity", np.float32, (keys,)),
             ("sounding", np.uint8, (-(-keys // 8),)),
         ],
         align=True,
@@ -111,7 +115,7 @@ def plan_type(scene: Scene) -> np.dtype[np.void]:
 class EpisodeFacts:
     """Content of result.json."""
 
-    format: Literal[1]
+    format: Literal[2]
     job: dict[str, Any]
     """The `EpisodeSpec` of the episode."""
     song: str

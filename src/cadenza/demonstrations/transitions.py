@@ -19,12 +19,21 @@ class Transitions(NamedTuple):
     fingering: Floats
     """1 for each finger that has a key to press next (T + 1, F); F is 0 where the task shows no
     fingers."""
+    goal_onset: Floats
+    """When the notes around begin (T + 1, (L + 2) * K), as a share of their step; as all parts of
+    onsets, (T + 1, 0) where the task does not show them."""
+    goal_velocity: Floats
+    """How loud these notes are (T + 1, (L + 2) * K), 0 to 1."""
     key_state: Floats
     """Depth of the keys (T + 1, K), 0 to 1."""
     pedal: Floats
     """Depth of the pedal (T + 1, 1), 0 to 1."""
     joints: Floats
     """Joint positions (T + 1, J) [m, rad]."""
+    key_onset: Floats
+    """When keys began to sound in the step before (T + 1, K), as a share of it."""
+    key_velocity: Floats
+    """How loud they did (T + 1, K), 0 to 1."""
     velocities: Floats
     """Joint velocities (T + 1, J) [m/s, rad/s], no part of the environments' observation."""
     chosen: Floats
@@ -42,7 +51,7 @@ class Transitions(NamedTuple):
     @property
     def environment(self) -> Floats:
         """The observations (T + 1, D - J) without the hands."""
-        return np.concatenate([*self[: Transitions._fields.index("joints")]], axis=1)
+        return self._replace(joints=self.joints[:, :0]).observation
 
 
 def transitions(dataset: Dataset, number: int) -> Transitions:
@@ -54,17 +63,24 @@ def transitions(dataset: Dataset, number: int) -> Transitions:
     scene, steps = dataset.scene, dataset.episodes[number].steps
     check_values(dataset.episodes[number], scene)
     count = len(steps) - 1
-    batch = dataset.batch(dataset.first[number] + np.arange(count), LOOKAHEAD)
+    numbers = dataset.first[number] + np.arange(count)
+    batch, onsets = dataset.batch(numbers, LOOKAHEAD), dataset.onsets(numbers, LOOKAHEAD)
     limits = scene.action_low, scene.action_high
     # After the last step, environments go on showing its goals.
     here = np.minimum(np.arange(count + 1), count - 1)
+    shown = slice(None if dataset.shows_onsets else 0)
+    when, how_loud = (values[here].reshape(count + 1, -1)[:, shown] for values in onsets)
     fingering = batch.fingering[here, 0].astype(np.float32)
     return Transitions(
         goal=batch.goal[here].reshape(count + 1, -1).astype(np.float32),
         fingering=fingering if dataset.shows_fingers else fingering[:, :0],
+        goal_onset=when,
+        goal_velocity=how_loud,
         key_state=steps["key_state"],
         pedal=steps["pedal"][:, None],
         joints=steps["hand_qpos"],
+        key_onset=steps["key_onset"][:, shown],
+        key_velocity=steps["key_velocity"][:, shown],
         velocities=steps["hand_qvel"],
         chosen=from_range(steps["action"][:-1], *limits).astype(np.float32),
         played=steps["played"],

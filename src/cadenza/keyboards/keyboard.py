@@ -207,12 +207,13 @@ class Keyboard:
 
     # How loud they sound
 
-    def velocity(self, speed: ArrayLike) -> Array:
-        """The MIDI velocities of keys that begin to sound at these angular speeds [rad/s].
+    def velocity(self, speed: Array) -> Array:
+        """The MIDI velocities of keys that begin to sound at these angular speeds (...) [rad/s].
 
-        White and black keys lift the same hammers by the same lever: that of a white key.
+        White and black keys lift the same hammers by the same lever: that of a white key. The
+        arrays are NumPy's or those of a library like it, which can compile this.
         """
-        return self.action.velocity(2 * self.white.half_size[0] * np.asarray(speed))
+        return self.action.velocity(2 * self.white.half_size[0] * speed)
 
     def speed(self, velocity: ArrayLike) -> Array:
         """The angular speeds [rad/s] at which keys sound with these MIDI velocities."""

@@ -29,13 +29,18 @@ class PianoAction:
     per_doubling: float = 25.0
     """MIDI velocity that doubling the speed adds."""
 
-    def velocity(self, key_speed: ArrayLike) -> NDArray[np.float64]:
-        """The MIDI velocities, not rounded, of keys whose ends move at these speeds [m/s]."""
+    def velocity(self, key_speed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The MIDI velocities, not rounded, of keys whose ends move at these speeds (...) [m/s].
+
+        The arrays are NumPy's or those of a library like it, which can compile this.
+        """
+        xp = key_speed.__array_namespace__()
         least = 2.0 ** ((VELOCITIES[0] - self.velocity_at_1) / self.per_doubling)
-        hammer = np.maximum(self.hammer_ratio * np.asarray(key_speed, np.float64), least)
-        return np.minimum(
-            self.velocity_at_1 + self.per_doubling * np.log2(hammer), float(VELOCITIES[1])
+        hammer = xp.maximum(self.hammer_ratio * key_speed, least)
+        velocity: NDArray[np.float64] = xp.minimum(
+            self.velocity_at_1 + self.per_doubling * xp.log2(hammer), float(VELOCITIES[1])
         )
+        return velocity
 
     def key_speed(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """The speeds of the ends of keys [m/s] that sound with these MIDI velocities."""

@@ -67,6 +67,9 @@ def check_one_score(config: TaskConfig) -> None:
 class ActionMapping:
     """Map a policy's actions in [-1, 1] to controls of a task.
 
+    The pedal is played as written, whatever the policy's action, unless the task rewards it
+    (`TaskConfig.sustain_term`) and no plan plays it.
+
     Attributes:
         reference: The actions (T, A + 1) of the reference with the pedal, in [-1, 1]; None without
             a reference.
@@ -77,6 +80,7 @@ class ActionMapping:
     ) -> None:
         """Correct a reference if there is one, else scales to `ranges` or to those of the task."""
         self._reference, self.reference = reference, None
+        self._pedal_as_written = not task.config.sustain_term
         self._scaled = ranges.ctrl if ranges else task.scale_action
         if reference is not None:
             self._servos = servos_of(task.scene)
@@ -85,21 +89,25 @@ class ActionMapping:
             centre, scale = (self._high + self._low) / 2, (self._high - self._low) / 2
             self.reference = ((action - centre) / scale).astype(np.float32)
 
-    def ctrl(self, action: Floats, steps: NDArray[np.intp], state: State) -> Array:
+    def ctrl(
+        self, action: Floats, steps: NDArray[np.intp], state: State, pedal: NDArray[np.bool_]
+    ) -> Array:
         """Controls (N, A + 1) in actuator units, the pedal last.
-
-        The pedal of a reference is that of the score, whatever the action.
 
         Args:
             action: The policy's actions (N, A + 1) in [-1, 1].
             steps: The steps (N,) of the song that are played next.
             state: The state of the N simulations.
+            pedal: Whether the score has the pedal down in these steps (N,).
         """
         reference = self._reference
         if reference is None:
-            return self._scaled(action)
+            ctrl = self._scaled(action)
+            if self._pedal_as_written:
+                ctrl[:, -1] = pedal
+            return ctrl
         measured = self._servos.state(state.hand_qpos, state.hand_qvel)
         feedback = (reference.gain[steps] * (measured - reference.expected[steps])).sum(axis=-1)
         hands = reference.ctrl[steps] - feedback + reference.reach * action[:, :-1]
-        ctrl = np.concatenate([hands, reference.pedal[steps, None]], axis=1)
+        ctrl = np.concatenate([hands, pedal[:, None]], axis=1)
         return np.clip(ctrl, self._low, self._high)

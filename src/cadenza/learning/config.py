@@ -13,6 +13,7 @@ from cadenza.learning.algorithms.cloning.config import CloningConfig
 from cadenza.learning.learner import DROQ, LearnerConfig, Preset, learner_config
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.setups import setup_named
 
 
 @dataclass(frozen=True)
@@ -69,18 +70,17 @@ def preset(
 ) -> TrainingConfig:
     """The options of a preset.
 
-    paper: the table of the paper. published: the same with what the published run script sets
-    differently, and the reward terms for pedal and forearms. fast: for few cores, changed by
-    `otherwise` (`NamedSetup.training`). With `residual` a run learns small corrections of a plan.
+    paper: the table of the paper, in its task. published: the same with what the published run
+    script sets differently, and the reward terms for pedal and forearms. Both tasks are those of
+    the setups of the same names. fast: for few cores, in the default task, changed by `otherwise`
+    (`NamedSetup.training`). With `residual` a run learns small corrections of a plan.
 
     Raises:
         CadenzaError: there is no `learner` of this name.
     """
     match name:
-        case "paper":
-            config = TrainingConfig()
-        case "published":
-            config = TrainingConfig(task=TaskConfig(sustain_term=True, forearm_term=True))
+        case "paper" | "published":
+            config = setup_named(name).applied_to(TrainingConfig())
         case "fast":
             config = _fast_residual() if residual else _fast()
     config = replace(
@@ -106,7 +106,6 @@ def _fast() -> TrainingConfig:
     Tunes are learnt long before its end; pieces for two hands still improve.
     """
     return TrainingConfig(
-        task=TaskConfig(initial_buffer_time=0.5),
         num_steps=1_000_000,
         num_envs=2,
         train_freq=64,

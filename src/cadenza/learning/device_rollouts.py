@@ -101,7 +101,8 @@ class DeviceRollouts(RolloutExperience):
         ) -> tuple[_DeviceProgress, tuple[Any, _Ends]]:
             observation = self._observed(progress.worlds.obs)
             decision = learner.act(state, observation, key)
-            worlds = self._task.step(progress.worlds, self._action(jnp.tanh(decision.action)))
+            action = self._action(jnp.tanh(decision.action), progress.worlds.obs)
+            worlds = self._task.step(progress.worlds, action)
             info, ended = worlds.info, worlds.done
             value = learner.value(state, self._observed(info["final_obs"]))
             value_at_end = jnp.where(info["truncation"], value, 0.0)
@@ -121,11 +122,18 @@ class DeviceRollouts(RolloutExperience):
             observation = observation.at[:, self._joints].set(joints)
         return observation[:, self._kept]
 
-    def _action(self, action: Array) -> Array:
-        """The task's actions from those of the policy, both (N, A) in [-1, 1]."""
-        if self._ranges is None:
+    def _action(self, action: Array, observation: Array) -> Array:
+        """The task's actions from those of the policy, both (N, A) in [-1, 1].
+
+        The pedal is that of the score, as in `ActionMapping`: `observation` (N, D) has it behind
+        the first keys.
+        """
+        if self._ranges is not None:
+            action = self._task.spec.unscale_action(self._ranges.ctrl(action))
+        if self._task.config.sustain_term:
             return action
-        return self._task.spec.unscale_action(self._ranges.ctrl(action))
+        down = observation[:, self._task.scene.keyboard.num_keys] > 0
+        return action.at[:, -1].set(jnp.where(down, 1.0, -1.0))
 
     # To go on later
 

@@ -23,7 +23,7 @@ from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import checked
 from cadenza.learning.checkpointed_run import CheckpointedRun
 from cadenza.learning.config import ImitationConfig
-from cadenza.learning.observation import Floats, Inputs, ObservationSpec
+from cadenza.learning.observation import Floats, Inputs, ObservationSpec, pruned
 from cadenza.learning.policy_folder import LearntPolicy, save_policy
 from cadenza.learning.ranges import Ranges
 from cadenza.music.formats.reading import name_without_ending
@@ -157,8 +157,10 @@ class Imitation(CheckpointedRun):
         return every
 
     def _examples(self, dataset: Dataset, steps: NDArray[np.intp]) -> Examples:
-        batch = dataset.batch(steps, self.config.n_steps_lookahead)
-        observation = observed(batch, self._ranges)[:, list(self._inputs.kept)]
+        lookahead = self.config.n_steps_lookahead
+        batch = dataset.batch(steps, lookahead)
+        onsets = dataset.onsets(steps, lookahead) if dataset.shows_onsets else ()
+        observation = observed(batch, self._ranges, onsets)[:, list(self._inputs.kept)]
         action = from_range(batch.action, *self._ranges.actions)
         return Examples(observation, action.astype(np.float32))
 
@@ -193,12 +195,14 @@ class Imitation(CheckpointedRun):
         self._errors = arrays["errors"]
 
 
-def observed(batch: StepBatch, ranges: Ranges) -> Floats:
+def observed(batch: StepBatch, ranges: Ranges, onsets: Sequence[Floats] = ()) -> Floats:
     """Observations (B, D) of a policy without a reference, see `ObservationSpec`.
 
     Args:
         batch: The steps (B,).
         ranges: The ranges to which joints and the previous action are normalised.
+        onsets: When notes begin and how loud they are (B, L + 2, K), if that is observed, see
+            `Dataset.onsets`.
     """
     count = len(batch.goal)
     first = ~batch.previous_action.any(axis=1, keepdims=True)  # nothing was played before
@@ -206,9 +210,11 @@ def observed(batch: StepBatch, ranges: Ranges) -> Floats:
     parts = (
         batch.goal.reshape(count, -1),
         batch.fingering[:, 0],
+        *(part.reshape(count, -1) for part in onsets),
         batch.key_state,
         batch.pedal[:, None],
         ranges.scaled(batch.hand_qpos),
+        *((batch.key_onset, batch.key_velocity) if onsets else ()),
         played,
         batch.previous_reward[:, None],
     )
@@ -224,9 +230,9 @@ def _inputs(spec: ObservationSpec, dataset: Dataset, previous_action: bool) -> I
     for number in range(len(dataset.episodes)):
         goals = dataset.goals(number)
         mask |= np.append(goals.keys.any(axis=0), goals.sustain.any())
-    goal = np.flatnonzero(np.tile(mask, spec.goal // spec.goals_of_a_step))
+    inputs = pruned(spec, mask, np.ones(spec.fingering, bool))
     end = spec.size if previous_action else spec.layout["previous_action"].start
-    return Inputs((*goal.tolist(), *range(spec.goal, end)), spec.size)
+    return Inputs(tuple(i for i in inputs.kept if i < end), spec.size)
 
 
 def _ranges(dataset: Dataset, limits: NDArray[np.float64]) -> Ranges:

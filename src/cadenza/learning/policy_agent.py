@@ -68,7 +68,7 @@ class PolicyAgent(Agent):
             view.steps == 0,
         )
         self._action = np.asarray(self._policy.mode(observation), np.float32)
-        return self._mapping.ctrl(self._action, step, view.state)
+        return self._mapping.ctrl(self._action, step, view.state, view.goal[:, 0, -1])
 
     def _prepare(self, view: View) -> None:
         """Get ready for another task."""

@@ -72,7 +72,7 @@ def problem_of(config: TrainingConfig, scores: Sequence[Score]) -> Problem:
     goals.add_all(task)
     observation = ObservationSpec.of(task.spec, config.residual)
     prune = config.prune_inputs and not draws_pitch(config.task)  # asks for the same keys
-    inputs = pruned(observation, goals) if prune else observation.inputs
+    inputs = pruned(observation, *goals.ever_wanted()) if prune else observation.inputs
     if on_policy:  # rollouts need not tell what an action led to: the state does
         layout = observation.layout
         previous = range(layout["previous_action"].start, layout["previous_reward"].stop)

@@ -70,7 +70,7 @@ class Training(CheckpointedRun):
     """A run of training; its steps are control steps of all environments together.
 
     Attributes:
-        best: The evaluation with the most right steps so far, empty before the first.
+        best: The evaluation with the most right notes so far, empty before the first.
     """
 
     command: ClassVar[str] = "cadenza train"
@@ -208,7 +208,7 @@ class Training(CheckpointedRun):
         row, learnt = self._evaluation.result()
         self._evaluation = None
         self._add_row(row)
-        if not self.best or _f1_steps(row) > _f1_steps(self.best):
+        if not self.best or _rank(row) > _rank(self.best):
             self.best = row
             self._save_policy("best", learnt, row)
 
@@ -312,9 +312,13 @@ def _experience(
     return DeviceRollouts(config, own, problem.inputs, problem.ranges, rng, sample_rng)
 
 
-def _f1_steps(row: Row) -> float:
-    """F1 times the length of an evaluation, which a wrong key may end early."""
-    return float(row["eval/f1"] * row["eval/steps"])
+def _rank(row: Row) -> tuple[float, ...]:
+    """What ranks an evaluation: note onset F1, then F1, each times its length.
+
+    A wrong key may end it early.
+    """
+    names = "eval/note_onset_f1", "eval/f1"
+    return tuple(float(row[name] * row["eval/steps"]) for name in names)
 
 
 def _or_nan(value: float | None) -> float:

@@ -242,8 +242,7 @@ def play(
             planner with options, `make_agent("planner", config)`. None is the planner.
         seed: of everything random; the same seed plays the same.
         task: what is played, observed and rewarded. None is what the policy was trained with, and
-            for other agents `TaskConfig(initial_buffer_time=0.5, repeats="shortened")`, time for
-            the hands to get into place, and for all notes to begin in time.
+            for other agents `TaskConfig()`.
         scene: hands and keys; None is what the policy was trained with, or `SceneConfig()`.
         setup: the name of a setup, such as "allegro", in place of a scene; its agent plays unless
             one is given, in its task unless one is given.

@@ -27,7 +27,7 @@ from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.arrangement import Arrangement
 from cadenza.performing.loaded_song import LoadedSong
 from cadenza.scene.config import SceneConfig, check_modules
-from cadenza.tasks.config import TaskConfig, with_time_to_begin
+from cadenza.tasks.config import TaskConfig
 
 PRACTICE = f"practice{TENSORS}"
 """How far the song of a folder has been practised."""
@@ -43,7 +43,7 @@ class Player:
 
     name: str
     agent: Agent
-    task: TaskConfig = field(default_factory=with_time_to_begin)
+    task: TaskConfig = field(default_factory=TaskConfig)
     """The task; of a policy or of practice, the one in which it was made."""
     scene: SceneConfig = field(default_factory=SceneConfig)
     """The scene; of a plan, one with the physics that it was made in."""

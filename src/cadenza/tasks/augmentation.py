@@ -102,12 +102,6 @@ def _check_options(config: TaskConfig) -> None:
             raise CadenzaError(f"{name} {value}: choose more than 0")
     given = {name: most for name, most in _MAXIMUM.items() if getattr(config, name) is not None}
     check_ranges(config, {name: (0, most) for name, most in given.items()})
-    for name in ("onset_timing_coefficient", "loudness_coefficient"):
-        if (value := getattr(config, name)) and not config.onset_goals:
-            raise CadenzaError(
-                f"{name} {value}: needs onset_goals, so that what is rewarded is also observed; "
-                "turn that on"
-            )
 
 
 def _check_duration(seconds: float, config: TaskConfig) -> None:

@@ -90,7 +90,11 @@ class DomainRandomization:
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """The task: goals, observations, rewards and termination."""
+    """The task: goals, observations, rewards and termination.
+
+    By default all notes can begin in time, and when and how loud they are is observed and rewarded.
+    The setup "published" (`cadenza.tasks.setups`) is the task of RoboPianist.
+    """
 
     control_timestep: float = 0.05
     """Time between two actions [s]."""
@@ -104,13 +108,13 @@ class TaskConfig:
     """Scale all times by this factor: 2 is half the tempo."""
     transpose: int = 0
     """Transpose by this many semitones."""
-    initial_buffer_time: float = 0.0
+    initial_buffer_time: float = 0.5
     """Silence before the first note [s]. The hands start 10 cm above the keys and need it to reach
     a note at time 0."""
-    repeats: Repeats = "published"
-    """Notes that repeat a key without a gap. published: the repeated note starts one step late,
-    as in RoboPianist; shortened: the note before it ends one step early, and a pedal that is lifted
-    and pressed again within a step comes up."""
+    repeats: Repeats = "shortened"
+    """Notes that repeat a key without a gap. shortened: the note before it ends one step early, so
+    that the repeated note can begin in time, and a pedal that is lifted and pressed again within a
+    step comes up; published: the repeated note starts one step late, as in RoboPianist."""
     wrong_press_termination: bool = False
     """End the episode when a wrong key sounds."""
     fingering: Fingering = "auto"
@@ -124,13 +128,14 @@ class TaskConfig:
     costs nothing [m]."""
     joint_velocities: bool = False
     """Observe the velocities of the hands' joints, too [m/s, rad/s]."""
-    onset_goals: bool = False
+    onset_goals: bool = True
     """Observe when within control steps notes begin and how loud they are, and when and how loud
-    keys began to sound."""
-    onset_timing_coefficient: float = 0.0
-    """Weight of the reward for each note that begins in time, with --onset-goals."""
-    loudness_coefficient: float = 0.0
-    """Weight of the reward for each note that is as loud as written, with --onset-goals."""
+    keys began to sound. What is rewarded is observed: without it, the two coefficients count for
+    nothing."""
+    onset_timing_coefficient: float = 1.0
+    """Weight of the reward for each note that begins in time."""
+    loudness_coefficient: float = 0.5
+    """Weight of the reward for each note that is as loud as written."""
     key_press: KeyPress = "published"
     """Reward for the keys to press. published: hardly any for a key before it is nearly down, and
     as much for no wrong key; graded: for every touch, less for every wrong key."""
@@ -163,15 +168,6 @@ class TaskConfig:
         return math.ceil(round(self.n_seconds_lookahead / self.control_timestep, 9))
 
     __repr__ = in_short
-
-
-def with_time_to_begin() -> TaskConfig:
-    """The default task for playing, in which all notes can begin in time.
-
-    It begins with half a second of silence, because the hands start above the keys and cannot sound
-    a note at time 0, and notes that repeat a key shorten the note before.
-    """
-    return TaskConfig(initial_buffer_time=0.5, repeats="shortened")
 
 
 # Options that do not change how the same actions move keys and hands.

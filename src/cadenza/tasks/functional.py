@@ -21,9 +21,17 @@ from cadenza.sim.protocol import State
 from cadenza.tasks.augmentation import draws_variation, prepare_tracks
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.device_randomization import DeviceRandomization
+from cadenza.tasks.goal_track import UpcomingOnsets, onset_steps
+from cadenza.tasks.onset_matching import matched_onsets, no_notes_played
 from cadenza.tasks.piano_task import PEDAL_DOWN, Transition, offset_joints
 from cadenza.tasks.reward import Outcome, Reward, key_activation, key_state
-from cadenza.tasks.view import observed_touch, task_spec
+from cadenza.tasks.view import (
+    ONSET_PARTS,
+    observed_key_onsets,
+    observed_onsets,
+    observed_touch,
+    task_spec,
+)
 
 with extra_packages("gpu", "the engine warp"):
     import jax
@@ -47,6 +55,11 @@ class SongGoals(NamedTuple):
     """(S, T, F) bool, which fingers have a key to press."""
     num_steps: Array
     """(S,) int32, control steps of each song."""
+    onset_time: Array
+    """(S, T + W, K) when notes begin, from the beginnings of their steps on [s]; row 1 is
+    the first step, and W those of `UpcomingOnsets` around a step. No rows without onset goals."""
+    onset_velocity: Array
+    """(S, T + W, K) uint8, the MIDI velocities of the notes, 0 where none begins."""
 
 
 class Episodes(NamedTuple):
@@ -60,6 +73,10 @@ class Episodes(NamedTuple):
     """(N,) the pedal, 0 to 1."""
     lost: Array
     """(N,) bool, whether the pedal was not a number since its reset."""
+    notes_played: Array
+    """(N, 3, K) bool, which of the notes near have been played, see `matched_onsets`."""
+    sounding: Array
+    """(N, K) bool, the keys that sound."""
     sums: Array
     """(N, 3) sums over its steps of precision, recall and F1."""
     draws: Any
@@ -134,7 +151,7 @@ class FunctionalPianoTask:
         self.num_envs = num_envs
         _check(self.config, self.scene)
         self.tracks = prepare_tracks(scores, self.config, self.scene)
-        self.songs = _padded([t.goals for t in self.tracks], self.config.lookahead_steps)
+        self.songs = _padded([t.goals for t in self.tracks], self.config)
         self.spec = task_spec(self.config, self.scene)
         self._offset_joints = offset_joints(self.config, self.scene)
         self._reward = Reward(self.config, self.scene, None)
@@ -216,7 +233,11 @@ class FunctionalPianoTask:
         sums = jnp.zeros((*shape, len(METRICS)))
         random = self._randomization
         draws = None if random is None else random.begin(of_draws, start)
-        return Episodes(song, zeros, jnp.zeros(shape), jnp.zeros(shape, bool), sums, draws), start
+        keys = self.scene.keyboard.num_keys
+        nothing = jnp.zeros((self.num_envs, keys), bool)
+        notes = jnp.asarray(no_notes_played(self.num_envs, keys))
+        pedal, lost = jnp.zeros(shape), jnp.zeros(shape, bool)
+        return Episodes(song, zeros, pedal, lost, notes, nothing, sums, draws), start
 
     def _resting(self, start: Array) -> State:
         """What is observed of worlds that have been reset; fingertips and forces are not."""
@@ -245,6 +266,10 @@ class FunctionalPianoTask:
         pedal: Any = jnp.fmin(jnp.fmax(pressed, 0.0), 1.0)
         keyboard = self.scene.keyboard
         sounding = key_activation(state.key_qpos, keyboard.sounds_from)
+        errors, notes = None, episodes.notes_played
+        if self.config.onset_goals:
+            due, dt = self._onsets(song, row), self.config.control_timestep
+            errors, notes = matched_onsets(due, notes, state, episodes.sounding, keyboard, dt)
         outcome = Outcome(
             state=state,
             key_state=key_state(state.key_qpos, keyboard.travel),
@@ -254,6 +279,7 @@ class FunctionalPianoTask:
             goal_sustain=goal[:, -1],
             fingers=fingers,
             ctrl=ctrl,
+            onset_errors=errors,
         )
         terms = self._reward.terms(outcome)
         terminated = unstable = state.unstable | lost
@@ -262,20 +288,20 @@ class FunctionalPianoTask:
         done = episodes.steps_done + 1
         over = done >= self.songs.num_steps[song]
         sums = episodes.sums + jnp.stack(step_metrics(sounding, goal[:, :-1]), axis=1)
-        after = Episodes(song, done, pedal, lost, sums, episodes.draws)
+        after = Episodes(song, done, pedal, lost, notes, sounding, sums, episodes.draws)
         total: Any = sum(terms.values(), jnp.zeros(len(ctrl)))
         return after, Transition(total, terms, terminated, over & ~terminated, unstable)
 
     def observation(self, episodes: Episodes, state: State) -> Array:
         """(N, D) observations, see `PianoTask.observation`."""
-        song, row = episodes.song[:, None], self._row(episodes)[:, None]
-        ahead = jnp.arange(self.config.lookahead_steps + 1)
+        song, row = episodes.song, self._row(episodes)
+        ahead = row[:, None] + jnp.arange(self.config.lookahead_steps + 1)
         keys, joints = key_state(state.key_qpos, self.scene.keyboard.travel), state.hand_qpos
         if self._randomization is not None:
             keys = self._randomization.observed_keys(episodes.draws, keys)
             joints = self._randomization.observed_joints(episodes.draws, joints)
         parts = {
-            "goal": self.songs.goal[song, row + ahead],
+            "goal": self.songs.goal[song[:, None], ahead],
             "fingering": self.songs.fingers_wanted[song, row],
             "key_state": keys,
             "pedal": episodes.pedal,
@@ -283,7 +309,19 @@ class FunctionalPianoTask:
             "joint_velocities": state.hand_qvel,
             "touch": observed_touch(state.touch[:, self.scene.present_fingers]),
         }
+        if self.config.onset_goals:
+            dt, shown = self.config.control_timestep, self.config.lookahead_steps + 2
+            due = self._onsets(song, row)
+            notes = observed_onsets(due.time[:, :shown], due.velocity[:, :shown], dt)
+            began = observed_key_onsets(state, self.scene.keyboard, dt)
+            parts |= dict(zip(ONSET_PARTS, notes + began, strict=True))
         return self.spec.observation(parts)
+
+    def _onsets(self, song: Array, row: Array) -> UpcomingOnsets:
+        """The notes that begin around the steps `row` (N,) of songs (N,)."""
+        around = row[:, None] + jnp.arange(onset_steps(self.config))
+        songs, onsets = song[:, None], (self.songs.onset_time, self.songs.onset_velocity)
+        return UpcomingOnsets._make(values[songs, around] for values in onsets)
 
 
 def _about(episodes: Episodes) -> dict[str, Array]:
@@ -292,8 +330,15 @@ def _about(episodes: Episodes) -> dict[str, Array]:
     return {"song": episodes.song, **drawn}
 
 
-def _padded(goals: Sequence[Goals], lookahead: int) -> SongGoals:
-    longest = max(each.num_steps for each in goals)
+def _padded(goals: Sequence[Goals], config: TaskConfig) -> SongGoals:
+    longest, lookahead = max(each.num_steps for each in goals), config.lookahead_steps
+    rows = longest + onset_steps(config) if config.onset_goals else 0
+    shape = len(goals), rows, goals[0].keys.shape[1]
+    time, velocity = np.zeros(shape), np.zeros(shape, np.uint8)
+    for song, each in enumerate(goals if config.onset_goals else ()):
+        onsets = each.onsets.delayed(1)
+        time[song, onsets.step, onsets.key] = onsets.time
+        velocity[song, onsets.step, onsets.key] = onsets.velocity
 
     def stacked(arrays: Sequence[np.ndarray], more: int, filled_with: int) -> Array:
         padded = [
@@ -308,6 +353,8 @@ def _padded(goals: Sequence[Goals], lookahead: int) -> SongGoals:
         stacked([each.fingers for each in goals], 0, -1),
         stacked([each.fingers_wanted for each in goals], 0, 0),
         jnp.asarray([each.num_steps for each in goals], jnp.int32),
+        jnp.asarray(time),
+        jnp.asarray(velocity),
     )
 
 
@@ -316,7 +363,6 @@ def _check(config: TaskConfig, scene: Scene) -> None:
     missing = {
         "hands apart": scene.config.hands == "apart",
         "fingering transport": config.fingering == "transport",
-        "onset_goals": config.onset_goals,
         "random_stretch, random_pitch_shift or random_octave_shift": draws_variation(config),
     }
     for what, asked in missing.items():

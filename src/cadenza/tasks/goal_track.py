@@ -168,16 +168,21 @@ class UpcomingGoals(NamedTuple):
 
 
 class UpcomingOnsets(NamedTuple):
-    """The notes that begin in W control steps of N environments; 0 where a key has no onset.
-
-    The steps are the one before the next, the next one and those after it: at least one, as far as
-    the lookahead.
-    """
+    """The notes that begin in W control steps (`onset_steps`) of N environments; 0 for none."""
 
     time: NDArray[np.float64]
     """(N, W, K) when notes begin, from the beginnings of their steps on [s]."""
     velocity: NDArray[np.intp]
     """(N, W, K) the MIDI velocities of the notes, which are at least 1."""
+
+
+def onset_steps(config: TaskConfig) -> int:
+    """The number W of steps whose onsets count.
+
+    They are the one before the next, the next one and those after it: at least one, as far as the
+    lookahead.
+    """
+    return max(config.lookahead_steps, 1) + 2
 
 
 class EpisodeGoals:
@@ -199,6 +204,7 @@ class EpisodeGoals:
         self.steps_done = np.zeros(num_envs, np.intp)
         self.row = np.zeros(num_envs, np.intp)
         self._steps_seen = config.lookahead_steps + 1
+        self._onset_steps = onset_steps(config)
         self._num_keys, self._num_fingers = scene.keyboard.num_keys, scene.fingers.count
         self._goals = [silence(self._num_keys, self._num_fingers)] * num_envs
         self._cached: UpcomingGoals | None = None
@@ -253,7 +259,7 @@ class EpisodeGoals:
     def upcoming_onsets(self) -> UpcomingOnsets:
         """The notes that begin in the next steps, which are gathered once a step."""
         if self._cached_onsets is None:
-            shape = len(self.row), max(self._steps_seen, 2) + 1, self._num_keys
+            shape = len(self.row), self._onset_steps, self._num_keys
             time, velocity = np.zeros(shape), np.zeros(shape, np.intp)
             for env, (goals, row) in enumerate(zip(self._goals, self.row.tolist(), strict=True)):
                 onsets = goals.onsets.between(row - 1, row - 1 + shape[1])

@@ -1,4 +1,7 @@
-"""Match onsets of keys with the notes that are due, step by step."""
+"""Match onsets of keys with the notes that are due, step by step.
+
+The arrays are NumPy's or those of a library like it, which can compile this.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,8 @@ from cadenza.tasks.goal_track import UpcomingOnsets
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_STEPS = np.array([-1, 0, 1])  # in which a note may be due: the last step, the one taken, the next
+STEPS = (-1, 0, 1)
+"""The steps in which a note may be due: the last step, the one taken, the next."""
 
 
 class OnsetErrors(NamedTuple):
@@ -29,54 +33,52 @@ class OnsetErrors(NamedTuple):
     """(N, K) how much louder than its note the key sounds, in MIDI velocity."""
 
 
-class OnsetMatching:
-    """The search for the note that each onset of a key plays, in N environments.
+def no_notes_played(num_envs: int, num_keys: int) -> Mask:
+    """(N, 3, K) which of the notes near have been played when an episode begins: none."""
+    return np.zeros((num_envs, len(STEPS), num_keys), bool)
+
+
+def matched_onsets(
+    due: UpcomingOnsets,
+    played: Mask,
+    state: State,
+    sounded: Mask,
+    keyboard: Keyboard,
+    control_timestep: float,
+) -> tuple[OnsetErrors, Mask]:
+    """Match the onsets of a step that N environments have taken with the notes that they play.
 
     A note may be played in the step in which it is due, in the one before and in the one after:
     nobody hears where steps end, and a note that is due at the beginning of one may well come a
     millisecond early. An onset plays the nearest note of its key that has not been played. So each
     note is played once, by the first onset near it: to strike a key again earns nothing.
 
-    Attributes:
-        played: (N, 3, K) whether the notes that are due in these steps have been played.
+    Args:
+        due: the notes as they were upcoming before the step.
+        played: (N, 3, K) which of those in `STEPS` were played before it.
+        state: the state after it.
+        sounded: (N, K) the keys that sounded before it.
+        keyboard: the keys, which say how loud they are.
+        control_timestep: time of a control step [s].
+
+    Returns:
+        The errors, and (N, 3, K) which notes have been played before the next step.
     """
+    xp, onset = played.__array_namespace__(), state.key_onset[:, None]
+    steps = xp.asarray(STEPS)[:, None]
+    late = onset - (due.time[:, : len(STEPS)] + steps * control_timestep)
+    velocity = due.velocity[:, : len(STEPS)]
+    unplayed = (velocity > 0) & ~played & ~xp.isnan(onset)
+    nearest = xp.argmin(xp.where(unplayed, abs(late), xp.inf), axis=1)
+    plays = unplayed & (xp.arange(len(STEPS))[:, None] == nearest[:, None])
+    # The next step is the one taken next, and what is due after it has not been played.
+    after = xp.concat([(played | plays)[:, 1:], xp.zeros_like(played[:, :1])], axis=1)
 
-    def __init__(self, num_envs: int, keyboard: Keyboard, control_timestep: float) -> None:
-        """Wait for episodes to begin in N environments, in steps of `control_timestep` [s]."""
-        self._keyboard, self._control_timestep = keyboard, control_timestep
-        self.played = np.zeros((num_envs, len(_STEPS), keyboard.num_keys), bool)
-
-    def begin(self, env: int) -> None:
-        """Begin an episode of environment `env`, in which no note has been played."""
-        self.played[env] = False
-
-    def match(
-        self, due: UpcomingOnsets, state: State, sounded: Mask, moving: NDArray[np.intp] | slice
-    ) -> OnsetErrors:
-        """Match the onsets of the step that the environments `moving` have taken.
-
-        `due` are the notes as they were upcoming before it, when the keys `sounded` (N, K), and
-        `state` is that after it.
-        """
-        took_it = np.zeros((len(sounded), 1), bool)
-        took_it[moving] = True
-        env, key = np.nonzero(took_it & ~np.isnan(state.key_onset))  # M onsets
-        onset = state.key_onset[env, key]
-        near = due.time[env, : len(_STEPS), key] + _STEPS * self._control_timestep
-        late, velocity = onset[:, None] - near, due.velocity[env, : len(_STEPS), key]
-        open_notes = (velocity > 0) & ~self.played[env, :, key]
-        nearest = np.where(open_notes, abs(late), np.inf).argmin(axis=1)
-        plays = open_notes.any(axis=1)
-        self.played[env[plays], nearest[plays], key[plays]] = True
-        self.played[moving, :-1] = self.played[moving, 1:]  # the next step is the one taken next
-        self.played[moving, -1] = False
-
-        # A key that was silent before the step and fell silent in it before its last onset.
-        twice = ~sounded[env, key] & (state.key_offset[env, key] < onset)
-        of = np.flatnonzero(plays & ~twice)
-        here = env[of], key[of]
-        errors = OnsetErrors(*np.full((2, *sounded.shape), np.nan))
-        errors.time[here] = late[of, nearest[of]]
-        loudness = self._keyboard.velocity(state.key_speed[here])
-        errors.velocity[here] = loudness - velocity[of, nearest[of]]
-        return errors
+    # A key that was silent before the step and fell silent in it before its last onset.
+    twice = ~sounded & (state.key_offset < state.key_onset)
+    counts = plays.any(axis=1) & ~twice
+    loudness = keyboard.velocity(xp.where(counts, state.key_speed, 0.0))
+    return OnsetErrors(
+        time=xp.where(counts, xp.where(plays, late, 0.0).sum(axis=1), xp.nan),
+        velocity=xp.where(counts, loudness - xp.where(plays, velocity, 0).sum(axis=1), xp.nan),
+    ), after

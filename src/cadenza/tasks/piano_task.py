@@ -26,7 +26,7 @@ from cadenza.sim.protocol import MakeSimulation
 from cadenza.tasks import augmentation
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import EpisodeGoals, GoalTrack
-from cadenza.tasks.onset_matching import OnsetMatching
+from cadenza.tasks.onset_matching import matched_onsets, no_notes_played
 from cadenza.tasks.randomization import SEED, Randomization
 from cadenza.tasks.reward import (
     Outcome,
@@ -36,7 +36,14 @@ from cadenza.tasks.reward import (
     key_state,
     midi_velocity,
 )
-from cadenza.tasks.view import View, observed_onsets, observed_touch, task_spec
+from cadenza.tasks.view import (
+    ONSET_PARTS,
+    View,
+    observed_key_onsets,
+    observed_onsets,
+    observed_touch,
+    task_spec,
+)
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -138,11 +145,7 @@ class PianoTask:
         self._played = np.zeros((num_envs, 0, num_keys + 1), bool)
         self._key_events: list[list[KeyEvent]] = [[] for _ in range(num_envs)]
         self.wanted = np.zeros((num_envs, num_keys), bool)
-        self._onset_matching = (
-            OnsetMatching(num_envs, self.scene.keyboard, self.config.control_timestep)
-            if self.config.onset_goals
-            else None
-        )
+        self._notes_played = no_notes_played(num_envs, num_keys)
         self._reward = Reward(self.config, self.scene, reward_terms)
         self._pedal, self._lost = np.zeros(num_envs), np.zeros(num_envs, bool)
         self._env_ids = np.arange(num_envs)
@@ -199,8 +202,7 @@ class PianoTask:
             self._played = np.pad(self._played, ((0, 0), (0, missing), (0, 0)))
         self._played[env, :first_step] = False
         self._key_events[env] = []
-        if self._onset_matching is not None:
-            self._onset_matching.begin(env)
+        self._notes_played[env] = False
 
     def save(self, env: int) -> Any:
         """The episode of environment `env` and its physics, for `restore` and for pickles.
@@ -234,9 +236,8 @@ class PianoTask:
     @property
     def _per_env(self) -> list[Any]:
         """Arrays and lists of what each environment has of its own, beside goals and physics."""
-        notes = [] if self._onset_matching is None else [self._onset_matching.played]
         ours = [self._key_events, self.wanted, self._pedal, self._lost, self.reward]
-        return ours + notes + self._randomization.per_env
+        return [*ours, self._notes_played, *self._randomization.per_env]
 
     def _track(self, song: int | GoalTrack | None, rng: np.random.Generator) -> GoalTrack:
         if isinstance(song, GoalTrack):
@@ -268,9 +269,16 @@ class PianoTask:
         sounded = self.sounding
         self._read_state()
         onset_errors = None
-        if self._onset_matching is not None:
-            due = goals.upcoming_onsets
-            onset_errors = self._onset_matching.match(due, self.state, sounded, moving)
+        if self.config.onset_goals:
+            onset_errors, played = matched_onsets(
+                goals.upcoming_onsets,
+                self._notes_played,
+                self.state,
+                sounded,
+                self.scene.keyboard,
+                self.config.control_timestep,
+            )
+            self._notes_played[moving] = played[moving]
         pedal = arrived[moving, -1]
         self._lost[moving] |= ~np.isfinite(pedal)
         self._pedal[moving] = np.fmin(np.fmax(pedal, 0.0), 1.0)  # up where it is not a number
@@ -339,7 +347,7 @@ class PianoTask:
         how loud they are, in the last step, in the next one and in those after it, see
         `observed_onsets`; key_onset and key_velocity (K,): when keys began to sound in the last
         step, and how loud. What was due and what was played then tell which notes may still be
-        played (`OnsetMatching`), and so what the next step can earn.
+        played (`matched_onsets`), and so what the next step can earn.
         """
         upcoming, state = self.goals.upcoming, self.state
         parts = {
@@ -369,13 +377,11 @@ class PianoTask:
 
     def _observed_onsets(self) -> dict[str, NDArray[np.float32]]:
         """The onsets of notes and of keys as parts of an observation."""
-        dt, keyboard = self.config.control_timestep, self.scene.keyboard
         due, shown = self.goals.upcoming_onsets, self.config.lookahead_steps + 2
-        names = "goal_onset", "goal_velocity", "key_onset", "key_velocity"
+        dt = self.config.control_timestep
         notes = observed_onsets(due.time[:, :shown], due.velocity[:, :shown], dt)
-        loudness = np.nan_to_num(keyboard.velocity(self.state.key_speed))
-        keys = observed_onsets(np.nan_to_num(self.state.key_onset), loudness, dt)
-        return dict(zip(names, notes + keys, strict=True))
+        keys = observed_key_onsets(self.state, self.scene.keyboard, dt)
+        return dict(zip(ONSET_PARTS, notes + keys, strict=True))
 
     def view(self, playing: Mask | None = None) -> View:
         """The view of an agent before the next step of the environments `playing` (N,) bool.

@@ -11,16 +11,14 @@ _HAND_OFFSET = 0.05  # [m], up to which the published task moves both hands
 _PAGE = "see docs/published.md"
 
 DEFAULTS: dict[str, Any] = {
+    "setup": "published",
     "n_steps_lookahead": 1,
     "trim_silence": False,
-    "repeats": "published",
-    "sustain_term": True,
-    "forearm_term": True,
     "reduced_action_space": False,
     "gravity_compensation": False,
     "primitive_fingertips": False,
 }
-"""The published defaults, of fields of `TaskConfig` and `SceneConfig`."""
+"""The published defaults: a setup, and fields of `TaskConfig` and `SceneConfig`."""
 
 _RENAMED: dict[str, Callable[[Any], dict[str, Any]]] = {
     "shift": lambda semitones: {"transpose": semitones},

@@ -17,7 +17,7 @@ _ENGINES = {
     "warp": ("cadenza.tasks.device_env", "DevicePianoVectorEnv"),
 }
 _NUM_DRILLS = 20
-_MINI = {"setup": "mini-allegro", "initial_buffer_time": 0.5}
+_MINI = {"setup": "mini-allegro"}
 
 
 def register_envs() -> None:

@@ -23,6 +23,12 @@ SETUPS = Registry(
     "setup",
     "cadenza.setups",
     {
+        "published": Entry(
+            "cadenza.tasks.setups:PUBLISHED", "the task of RoboPianist to the letter, as it is run"
+        ),
+        "paper": Entry(
+            "cadenza.tasks.setups:PAPER", "the same without rewards for the pedal and forearms"
+        ),
         "shadow": Entry("cadenza.tasks.setups:SHADOW", "two Shadow Hands at a piano"),
         "allegro": Entry("cadenza.tasks.setups:ALLEGRO", "two Allegro Hands at a piano"),
         "mini-allegro": Entry(
@@ -76,6 +82,16 @@ class NamedSetup:
         return replace(config, task=task, scene=scene)
 
 
+_AS_PUBLISHED = {
+    "initial_buffer_time": 0.0,
+    "repeats": "published",
+    "onset_goals": False,
+    "onset_timing_coefficient": 0.0,
+    "loudness_coefficient": 0.0,
+    "sleeping_keys": False,
+}
+PAPER = NamedSetup(_AS_PUBLISHED)
+PUBLISHED = NamedSetup(_AS_PUBLISHED | {"sustain_term": True, "forearm_term": True})
 SHADOW = NamedSetup({"hand": "shadow"})
 ALLEGRO = NamedSetup({"hand": "allegro"})
 MINI_ALLEGRO = NamedSetup(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.keyboards.keyboard import Keyboard
 from cadenza.keyboards.loudness import VELOCITIES
 from cadenza.music.score import Score
 from cadenza.scene.scene import Scene
@@ -33,6 +34,8 @@ def from_range(ctrl: NDArray[Any], low: Array, high: Array) -> Array:
     return action.clip(-1.0, 1.0)
 
 
+ONSET_PARTS = "goal_onset", "goal_velocity", "key_onset", "key_velocity"
+"""The parts of an observation that `TaskConfig.onset_goals` adds."""
 TOUCH_RANGE = 5.0
 """Greatest force that is observed [N]; a key is held down with about one."""
 
@@ -52,8 +55,24 @@ def observed_onsets(
         velocity: (...) MIDI velocities, 0 for no onset.
         control_timestep: time of a control step [s].
     """
-    share = np.clip(time / control_timestep, 0.0, 1.0)  # which rounding may leave
-    return share.astype(np.float32), (velocity / VELOCITIES[1]).astype(np.float32)
+    xp = time.__array_namespace__()
+    share = xp.clip(time / control_timestep, 0.0, 1.0)  # which rounding may leave
+    return share.astype(xp.float32), (velocity / VELOCITIES[1]).astype(xp.float32)
+
+
+def observed_key_onsets(
+    state: State, keyboard: Keyboard, control_timestep: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """What is observed of keys that began to sound in the last step, (N, K): when, and how loud.
+
+    See `observed_onsets`; 0 for the others.
+    """
+    xp = state.key_onset.__array_namespace__()
+    began = ~xp.isnan(state.key_onset)
+    velocity = keyboard.velocity(xp.where(began, state.key_speed, 0.0))
+    return observed_onsets(
+        xp.where(began, state.key_onset, 0.0), xp.where(began, velocity, 0.0), control_timestep
+    )
 
 
 @dataclass(frozen=True, eq=False)

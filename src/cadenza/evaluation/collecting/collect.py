@@ -29,7 +29,7 @@ from cadenza.demonstrations.recorded_episode import (
     write,
     write_facts,
 )
-from cadenza.evaluation.collecting.perturbed_agent import PerturbedAgent, observed_pedal
+from cadenza.evaluation.collecting.perturbed_agent import PerturbedAgent, Shown, shown_by
 from cadenza.evaluation.collecting.variation import Variation
 from cadenza.evaluation.jobs import BenchJob, JobSpec, digest_of_files, songs_of
 from cadenza.evaluation.run_status import (
@@ -256,7 +256,9 @@ def _arrays(
     steps["key_state"][1:] = key_state(episode["key_qpos"], travel)
     steps["sounding"][1:] = np.packbits(episode["key_activation"], axis=1)
     steps["played"][1:] = perturbed.played
-    steps["pedal"] = [*perturbed.pedal, observed_pedal(last)]
+    shown = Shown._make(zip(*perturbed.shown, shown_by(last), strict=True))
+    for name, values in shown._asdict().items():
+        steps[name] = values
     steps["previous_reward"][1:] = episode["reward_total"]
     steps["action"][:-1] = perturbed.chosen
     tracking, servos = plan.nominal.tracking, servos_of(scene)

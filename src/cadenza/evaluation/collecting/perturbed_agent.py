@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +12,31 @@ from cadenza.agents.agent import Agent, Array
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
-from cadenza.tasks.view import View
+from cadenza.tasks.view import View, observed_key_onsets
 
 _NOISE_TIME = 0.15  # [s] after which noise has fallen to 1 / e
 _TURN = 1.0  # [s] mean time after which it is drawn anew who plays
 _STUDENT_SHARE = 0.5  # share of the turns in which the student plays
 
 
-def observed_pedal(view: View) -> float:
-    """Return how far the pedal is down, as observed in float32: actions may arrive late."""
-    return float(view.observation[0, view.task.observation_layout["pedal"]][0])
+class Shown(NamedTuple):
+    """What one environment shows that the recorded states do not tell."""
+
+    pedal: float
+    """How far the pedal is down, from 0 to 1: actions may arrive late."""
+    key_onset: NDArray[np.float32]
+    """(K,) when keys began to sound in the last step, see `observed_key_onsets`."""
+    key_velocity: NDArray[np.float32]
+    """(K,) how loud they did."""
+
+
+def shown_by(view: View) -> Shown:
+    """What the only environment of a view shows."""
+    task = view.task
+    pedal = float(view.observation[0, task.observation_layout["pedal"]][0])
+    dt, keyboard = task.config.control_timestep, task.scene.keyboard
+    onset, velocity = observed_key_onsets(view.state, keyboard, dt)
+    return Shown(pedal, onset[0], velocity[0])
 
 
 class PerturbedAgent(Agent):
@@ -34,7 +49,7 @@ class PerturbedAgent(Agent):
     Attributes:
         chosen: (A + 1,) of each step, without noise, in actuator units, as float32.
         played: (A + 1,) of each step, with noise, from -1 to 1, as float32.
-        pedal: () how far it was down before each step, as observed.
+        shown: what the environment showed before each step.
         start: the state before the first step.
     """
 
@@ -46,7 +61,7 @@ class PerturbedAgent(Agent):
         self._sigma = noise * np.append(servos_of(scene).noise, 0.0)
         self.chosen: list[NDArray[np.float32]] = []
         self.played: list[NDArray[np.float32]] = []
-        self.pedal: list[float] = []
+        self.shown: list[Shown] = []
         self.start: State | None = None
         self._students_turn = False
 
@@ -61,14 +76,14 @@ class PerturbedAgent(Agent):
         self._noise = np.zeros_like(self._sigma)
         self.chosen.clear()
         self.played.clear()
-        self.pedal.clear()
+        self.shown.clear()
         self.start = None
 
     def act(self, view: View) -> Array:
         task = view.task
         if self.start is None:
             self.start = view.state.copy()
-        self.pedal.append(observed_pedal(view))
+        self.shown.append(shown_by(view))
         chosen = self._agent.act(view)[0]
         # A first-order autoregressive process, whose standard deviation is sigma.
         kept = np.exp(-task.config.control_timestep / _NOISE_TIME)

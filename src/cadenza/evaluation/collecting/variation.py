@@ -68,7 +68,6 @@ def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
 def collecting_task() -> TaskConfig:
     """Return the task in which demonstrations are collected, unless another one is chosen."""
     return TaskConfig(
-        initial_buffer_time=0.5,  # [s] in which the hands get to their first keys
         random_stretch=0.2,  # times are scaled by 0.8 to 1.2
         random_pitch_shift=3,  # [semitones] up or down
         random_hand_position=0.05,  # [m] either way, about two white keys

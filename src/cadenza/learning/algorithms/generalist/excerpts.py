@@ -150,7 +150,7 @@ class PlannedExcerpt(NamedTuple):
 
 def planned_excerpts(scores: Sequence[Score], progress: Progress = silent) -> list[PlannedExcerpt]:
     """Plan each of the scores for the hands and the keyboard of the default scene."""
-    excerpts, config = [], TaskConfig(repeats="shortened")
+    excerpts, config = [], TaskConfig(initial_buffer_time=0.0)
     for i, score in enumerate(scores):
         progress("plans", i, len(scores))
         with closing(PianoTask([score.without_fingers()], config)) as task:
