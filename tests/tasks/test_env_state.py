@@ -114,7 +114,7 @@ def test_states_that_cannot_be() -> None:
 
 
 def test_an_episode_begins_within_its_song() -> None:
-    whole, part = PianoEnv(UP), PianoEnv(UP)
+    whole, part = (PianoEnv(UP, initial_buffer_time=0.0) for _ in range(2))
     whole.reset(seed=0)
     for _ in range(8):
         later, *_ = whole.step(np.zeros(39))
@@ -132,7 +132,7 @@ def test_an_episode_begins_within_its_song() -> None:
 
 def test_metrics_count_from_the_first_step_on() -> None:
     """A piano that plays itself, from the third of five notes on."""
-    env = PianoEnv(UP, hands="none")
+    env = PianoEnv(UP, hands="none", initial_buffer_time=0.0)
     observation, _ = env.reset(seed=0, options={"step": 8})
     ended = False
     while not ended:
