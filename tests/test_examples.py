@@ -166,6 +166,15 @@ def test_training_with_stable_baselines3(run) -> None:
         assert np.isfinite([float(number) for number in f"{first}, {last}".split(", ")]).all()
 
 
+@pytest.mark.slow
+def test_training_with_brax(run) -> None:
+    """On the CPU, where the simulation alone compiles for minutes."""
+    pytest.importorskip("brax")
+    pytest.importorskip("mujoco_warp")
+    said = run("train_with_brax", "Up.mid", "80", "4")
+    assert all(re.fullmatch(r"\d+ steps: return -?[\d.]+, F1 [\d.]+", line) for line in said)
+
+
 def test_a_dataset(run) -> None:
     said = run("make_dataset", "songs.npz", "Up.mid", "Down.mid")
     data = np.load("songs.npz")

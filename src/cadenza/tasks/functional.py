@@ -6,6 +6,7 @@ It shares the terms of the reward, the layout of observations and the metrics wi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -148,13 +149,23 @@ class FunctionalPianoTask:
         """
         self.config = as_config(config, TaskConfig)
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
-        self.num_envs = num_envs
         _check(self.config, self.scene)
         self.tracks = prepare_tracks(scores, self.config, self.scene)
         self.songs = _padded([t.goals for t in self.tracks], self.config)
         self.spec = task_spec(self.config, self.scene)
         self._offset_joints = offset_joints(self.config, self.scene)
         self._reward = Reward(self.config, self.scene, None)
+        self._make_physics = make_physics
+        self._allocate(num_envs)
+
+    def resized(self, num_envs: int) -> FunctionalPianoTask:
+        """The same task of the same songs for N environments, with a simulation of its own."""
+        other = copy(self)
+        other._allocate(num_envs)
+        return other
+
+    def _allocate(self, num_envs: int) -> None:
+        self.num_envs, make_physics = num_envs, self._make_physics
         timestep, scaled = self.config.control_timestep, {}
         self._randomization = None
         if self.config.randomization.is_on:
