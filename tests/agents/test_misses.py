@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import cadenza
-from cadenza.agents.planner.misses import Miss, misses_of, summary
+from cadenza.agents.planner.misses import Miss, misses_of
 from cadenza.agents.planner.plan.nominal_trajectory import NominalTrajectory
 from cadenza.agents.planner.plan.presses import Press, presses_of
 from cadenza.agents.planner.plan.song_plan import SongPlan
@@ -98,7 +97,6 @@ def concert() -> Concert:
 
 def test_nothing_is_missed_where_nothing_is(concert: Concert) -> None:
     assert concert.misses() == []
-    assert summary([], concert.episode) == ["missed 0 of 2 notes"]
 
 
 @pytest.mark.parametrize("agent", ["planner", "generalist"])
@@ -275,21 +273,6 @@ def test_why_a_note_was_let_go_early(planned: int, by: float, cause: str, concer
     concert.tips[15:, INDEX, 1] += by
     (miss,) = concert.misses()
     assert (miss.what, miss.cause) == ("let go 250 ms early", cause)
-
-
-def test_lost_notes_are_told_in_words(concert: Concert) -> None:
-    neighbour(concert)
-    concert.sounds(C5, 25, 30)
-    missed, early = concert.misses()
-    assert summary([missed, early], concert.episode) == [
-        "missed 1 of 2 notes: neighbouring key struck",
-        "let go of 1 note early: key not held down",
-    ]
-    other = replace(missed, cause="out of reach")
-    assert summary([missed, other, missed, early, early], concert.episode) == [
-        "missed 3 of 2 notes: neighbouring key struck (2), out of reach (1)",
-        "let go of 2 notes early: key not held down",
-    ]
 
 
 def test_with_one_hand_only(concert: Concert) -> None:

@@ -476,6 +476,7 @@ def test_where_a_keyboard_may_not_be_heard_the_page_says_so(
 def test_nothing_of_the_song_before_stands_under_the_next(browser: Browser, address: str) -> None:
     visit(browser, address)
     press(browser, "#kept", "Watch")
+    browser.evaluate("document.querySelector('.figures').open = true")
     wait(browser, "cadenza.time > 1.2 && document.getElementById('f1').textContent !== '–'")
     browser.evaluate("window.WebSocket = class { close() {} }")  # of the next, nothing is told
     press(browser, "#kept", "Watch")

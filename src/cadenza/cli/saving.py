@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cadenza.cli.progress import stages
 from cadenza.errors import CadenzaError, counted
@@ -21,12 +20,6 @@ if TYPE_CHECKING:
     from cadenza.report.tone import Tone
 
 _SHEETS = (SHEET, ".pdf", ".svg", ".mid")  # endings of files of sheet music
-_MS_PER_SECOND = 1000
-_REWARDED = {
-    "score": "; the score's fingers are rewarded",
-    "found": "; fingers that a search found are rewarded",
-    "transport": "; the nearest fingers are rewarded",
-}
 
 
 def check_name(path: Path, suffix: str, what: str) -> None:
@@ -167,58 +160,14 @@ def print_verdict(performance: Performance, verbose: bool) -> None:
 
 
 def _print_figures(performance: Performance) -> None:
-    """Print the metrics, the return, why notes were missed, and how long all took."""
-    metrics = performance.metrics
-    print(
-        f"F1 {metrics['f1']:.3f}  precision {metrics['precision']:.3f}  "
-        f"recall {metrics['recall']:.3f}  note onsets F1 {metrics['note_onset_f1']:.3f}"
-    )
-    if expression := _expression_summary(metrics):
-        print(expression)
-    print(
-        f"{performance.seconds:.1f} s of music in {counted(metrics['steps'], 'step')}; "
-        f"planning took {metrics['planning_seconds']:.1f} s, "
-        f"simulation {metrics['playing_seconds']:.1f} s"
-    )
-    print(_return_summary(metrics))
-    _print_losses(performance)
-
-
-def _expression_summary(metrics: Mapping[str, Any]) -> str:
-    """Return how far onsets and velocities are off as text; nothing if no note was found."""
-    delay, error = metrics["onset_delay"], metrics["onset_error_median"]
-    if delay is None or error is None:
-        return ""
-    late = f"{abs(delay) * _MS_PER_SECOND:.0f} ms {'late' if delay >= 0 else 'early'}"
-    correlation = metrics["velocity_correlation"]
-    similar = "" if correlation is None else f" (correlation {correlation:.2f})"
-    return (
-        f"onsets {late}, apart from that {error * _MS_PER_SECOND:.0f} ms off (medians); "
-        f"velocities {metrics['velocity_error']:.1f} off{similar}"
-    )
-
-
-def _return_summary(metrics: Mapping[str, Any]) -> str:
-    """Return the return and its terms as text, and whose fingers were rewarded."""
-    terms = {
-        name.removeprefix("reward/").replace("_", " "): value
-        for name, value in metrics.items()
-        if name.startswith("reward/")
-    }
-    text = ", ".join(f"{name} {value:.1f}" for name, value in terms.items())
-    fingers = _REWARDED.get(metrics["rewarded_fingers"], "")
-    return f"return {metrics['return']:.1f}: {text}{fingers}"
-
-
-def _print_losses(performance: Performance) -> None:
-    """Print how many notes were missed, and why, if there was a plan."""
+    """Print the metrics by their names in metrics.json, and why notes were missed."""
     from collections import Counter
 
-    from cadenza.agents.planner.misses import summary
-
-    if performance.track is None or performance.misses is None:
-        return
-    print(*summary(performance.misses, performance.episode), sep="\n")
-    reasons = Counter(reason for _, reason in performance.track.dropped or ())
-    for reason, count in reasons.most_common():
+    for name, value in performance.metrics.items():
+        print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
+    causes = Counter((miss.sounded, miss.cause) for miss in performance.misses or ())
+    for (sounded, cause), count in causes.most_common():
+        print(f"{counted(count, 'note')} {'let go of early' if sounded else 'missed'}: {cause}")
+    dropped = None if performance.track is None else performance.track.dropped
+    for reason, count in Counter(reason for _, reason in dropped or ()).most_common():
         print(f"no finger for {counted(count, 'note')}: {reason}")

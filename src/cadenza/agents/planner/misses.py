@@ -26,8 +26,8 @@ list names one.
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -118,25 +118,6 @@ def _notes(keys: Mask) -> list[_GoalNote]:
 def _is_cut(press: Press, note: _GoalNote, dt: float) -> bool:
     """Whether the plan lets a key go so early that its note may not sound."""
     return press.last <= note.last and press.last - press.first <= steps_in(_SHORTEST, dt)
-
-
-def summary(misses: Sequence[Miss], episode: Episode) -> list[str]:
-    """Counts of misses in lines such as "missed 3 of 210 notes: too fast to get there (2), ..."."""
-    num_notes = len(key_runs(episode["goal_keys"])[0])
-    missed = [miss.cause for miss in misses if not miss.sounded]
-    early = [miss.cause for miss in misses if miss.sounded]
-    lines = [f"missed {len(missed)} of {num_notes} note{'s'[: num_notes != 1]}{_counted(missed)}"]
-    if early:
-        lines += [f"let go of {len(early)} note{'s'[: len(early) > 1]} early{_counted(early)}"]
-    return lines
-
-
-def _counted(causes: Sequence[str]) -> str:
-    """Causes after a colon, with their numbers where there are several."""
-    counts = Counter(causes).most_common()
-    if len(counts) <= 1:
-        return "".join(f": {cause}" for cause, _ in counts)
-    return ": " + ", ".join(f"{cause} ({count})" for cause, count in counts)
 
 
 class _Diagnosis:

@@ -31,10 +31,11 @@ function loudness(muted, volume) {
 /** Says how much of the window is needed around picture and score, as the header is as high as its words. */
 function fitToWindow() {
   const card = $("performance"), heightOf = (id) => $(id)?.offsetHeight ?? 0, BELOW = 10; // [px]
-  const observer = new ResizeObserver(() => {
+  const measure = () => {
     const around = card.getBoundingClientRect().top + scrollY + card.offsetHeight - heightOf("stage") - heightOf("score") + BELOW;
     card.style.setProperty("--around", `${Math.ceil(around)}px`);
-  });
+  };
+  const observer = new ResizeObserver(() => requestAnimationFrame(measure));
   for (const part of document.querySelectorAll("header, .looks, .transport, .tools")) observer.observe(part);
 }
 

@@ -179,10 +179,11 @@ function createScore(element, engraving, data, seek) {
     event.preventDefault();
   });
   notes.forEach(rest);
-  new ResizeObserver(() => {
+  const fit = () => {
     measure();
     move(now);
-  }).observe(element);
+  };
+  new ResizeObserver(() => requestAnimationFrame(fit)).observe(element); // it changes its own height
   return { move, engraving };
 }
 

@@ -47,7 +47,7 @@ function practiceItem({ title, request, status }) {
   const { state, f1: values = [], note_onset_f1: onsets = [], share = 0, error } = status;
   const progress = { preparing: "getting ready", practising: `${Math.floor(100 * share)} %`, done: "done" }[state] ?? error ?? state;
   const best = values.indexOf(Math.max(...values)), marked = [...new Set([0, best])].filter((i) => i in values);
-  const gained = marked.map((i) => formatScores(values[i], onsets[i])).join(" → ");
+  const gained = marked.map((i) => `F1 ${values[i].toFixed(3)}${Number.isFinite(onsets[i]) ? ` · note onsets ${onsets[i].toFixed(3)}` : ""}`).join(" → ");
   const actions = [["Play", () => { setOptions(request); return playChosen(); }]];
   if (isActive(status)) actions.push(["Stop", () => fetchJson("api/practice", "DELETE")]);
   return taskItem(`Practising ${title}`, [progress, gained].filter(Boolean).join(" · "), values.map((value, i) => [i, value]), actions);

@@ -27,9 +27,6 @@ for (const name of ["click", "change", "drop"]) {
 }
 window.addEventListener("hashchange", clearError);
 
-/** Formats F1, and F1 of note onsets where it is known. */
-const formatScores = (f1, onsets) => `F1 ${f1.toFixed(3)}${Number.isFinite(onsets) ? ` · note onsets ${onsets.toFixed(3)}` : ""}`;
-
 const NO_ANSWER = "The studio does not answer. Start it again; this page then goes on.";
 
 /** Returns what the server answers; throws a `Refusal` of one line where it refuses. */
