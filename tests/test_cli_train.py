@@ -25,6 +25,7 @@ from cadenza.music.score import Note, Score
 
 TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)))
 SMALL = ["--hidden-sizes", "16", "16", "--batch-size", "8", "--num-envs", "2", "--no-video"]
+SMALL += ["--no-residual"]
 SHORT = ["--num-steps", "200", "--learning-starts", "64", "--eval-interval", "100"]
 SHORT += ["--log-interval", "50", "--train-freq", "8"]
 

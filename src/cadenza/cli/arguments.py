@@ -82,7 +82,8 @@ class Chosen:
     keyboard: str | None = None
     learner: str | None = None
     preset: Preset = "fast"
-    residual: bool = False
+    residual: tyro.conf.FlagCreatePairsOff[bool] = False
+    no_residual: tyro.conf.FlagCreatePairsOff[bool] = False
     resume: Path | None = None
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _MAX_SEEDS = 10_000  # of one range, so that a typo ends at once
 _MAX_RUNS = 20_000  # which take days
-_RESIDUAL = "-residual"
+_SUFFIXES = {"": None, "-residual": True, "-from-nothing": False}
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Bench(Options):
     """A song library, see "cadenza libraries", or a folder. LIBRARY:SPLIT is a split of it."""
     agents: tuple[str, ...] = ("planner",)
     """Agents of "cadenza play" but playback, with commas or spaces between; or train:fast,
-    train:paper, train:published, train:fast-residual: a policy trained on each song."""
+    train:paper, train:published, train:fast-from-nothing: a policy trained on each song."""
     seeds: tuple[str, ...] = ("0",)
     """Random seeds, such as 0-2 or 0,5, for each agent and song."""
     output: Output[Path] = Path("bench")
@@ -172,7 +172,7 @@ def _trained(command: Bench, read: Read[Bench], agent: str) -> Contender:
 
     presets = {
         f"{TRAIN}{name}{suffix}": (name, residual)
-        for suffix, residual in (("", False), (_RESIDUAL, True))
+        for suffix, residual in _SUFFIXES.items()
         for name in get_args(Preset)
     }
     if agent not in presets:

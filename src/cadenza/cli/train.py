@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from cadenza.report.training_page import Curve
 
 PLAYS_WELL = {False: 50_000, True: 30_000}
-"""Steps to an F1 of 0.9 of a policy that corrects a plan or does not, by docs/curves: those of
-Au Clair and Twinkle."""
+"""Steps to an F1 of 0.9 of a policy that corrects a plan or does not: of Au Clair and Twinkle."""
 _PAGE = "report.html"
 _PAGE_INTERVAL = 10.0  # [s] at least between two times that the page of a run is written
 _MAX_WRITING = 0.01  # share of the time that is spent on that
@@ -54,7 +53,8 @@ class Train:
     """Songs by their names (see "cadenza songs") or the paths of MIDI or MusicXML files. Of
     several, each episode plays one."""
     preset: Preset = "fast"
-    """Hyperparameters to start from: fast for few cores, paper for the paper's table, published for
+    """Hyperparameters to start from: fast for few cores, correcting a plan unless there is
+    --no-residual; paper for the paper's table, published for
     the published run script."""
     learner: str = DROQ
     """The algorithm: droq; ppo, for many environments and for --engine warp; one that another
@@ -104,7 +104,8 @@ def default(chosen: Chosen) -> Train:
         training, _ = RunFolder(chosen.resume).description()
     else:
         learner = chosen.learner or DROQ
-        training = preset(chosen.preset, chosen.residual, learner, setup.training)
+        residual = chosen.residual or (False if chosen.no_residual else None)
+        training = preset(chosen.preset, residual, learner, setup.training)
     return Train(training=setup.applied_to(training))
 
 

@@ -47,7 +47,10 @@ def reference_of(task: PianoTask) -> Reference:
     """
     check_one_score(task.config)
     if len(task.tracks) > 1:
-        raise CadenzaError("a residual policy corrects the plan of one song: give one, not several")
+        raise CadenzaError(
+            "a residual policy corrects the plan of one song: give one, or learn several from "
+            "nothing (--no-residual)"
+        )
     (track,) = task.tracks
     plan = plan_song(track, task.scene.hand_start)  # before any reset
     reach = servos_of(task.scene).correction
@@ -60,7 +63,8 @@ def check_one_score(config: TaskConfig) -> None:
     names = ("random_hand_position", "random_stretch", "random_pitch_shift", "random_octave_shift")
     if drawn := [name for name in names if getattr(config, name)]:
         raise CadenzaError(
-            f"a residual policy corrects one plan of one score: leave out {', '.join(drawn)}"
+            f"a residual policy corrects one plan of one score: leave out {', '.join(drawn)}, or "
+            "learn from nothing (--no-residual)"
         )
 
 

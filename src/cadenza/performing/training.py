@@ -58,8 +58,9 @@ def train(
         CadenzaError: the song is not there, an option makes no sense, the folder holds a run
             already, or JAX is not installed.
     """
-    config = replace(config or preset("fast"), **options)
     songs = [song] if isinstance(song, Score | Song | str | Path) else song
+    residual = options.get("residual", None if len(songs) == 1 else False)
+    config = replace(config or preset("fast", residual), **options)
     scores = [load(each).written_for(config.scene.hands).score for each in songs]
     run = RunFolder(Path(folder))
     with run.locked(), closing(begin(config, scores, run)) as training:
