@@ -51,7 +51,8 @@ class Obedient:
 
 @pytest.fixture(scope="module")
 def env() -> PlaygroundPiano:
-    return PlaygroundPiano([UP, ONE], Obedient, hands="none", n_steps_lookahead=0)
+    options = {"hands": "none", "n_steps_lookahead": 0, "initial_buffer_time": 0.0}
+    return PlaygroundPiano([UP, ONE], Obedient, **options)
 
 
 def right_keys(obs: Any) -> Any:
