@@ -44,7 +44,8 @@ def verdict(played: Score, written: Score) -> str:
     """
     errors, notes = note_errors(written.notes, played.notes), counted(len(written.notes), "note")
     off_time, missed, extra = errors.missed.off_time, errors.missed, errors.extra
-    share = f"{len(errors.pairs)} of" if len(errors.pairs) < len(written.notes) else "All"
+    every = len(errors.pairs) == len(written.notes) > 1
+    share = "All" if every else f"{len(errors.pairs)} of"
     parts = [f"{share} {notes} in time (within {_ms(ONSET_TOLERANCE)})"]
     if off_time:
         parts += [f"{len(off_time)} early or late"]
