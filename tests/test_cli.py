@@ -392,7 +392,7 @@ def test_play_leaves_what_it_promises(
     scores |= {"note_onset_f1", "note_onset_offset_f1"}
     other = {"return", "reward/key_press", "steps", "planning_seconds", "playing_seconds"}
     other |= {"rewarded_fingers", "energy"}
-    assert f"\nreward/key_press: {metrics['return']:.4g}\n" in said.out  # there are no fingers
+    assert f"\nreward/key_press: {metrics['reward/key_press']:.4g}\n" in said.out
     expression = expressive_metrics(Score(()), Score(())).keys() - scores
     assert metrics.keys() == scores | other | expression | {"unstable", "timing_error"}
     assert {metrics[name] for name in scores} == {1.0}
