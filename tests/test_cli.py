@@ -390,7 +390,14 @@ def test_play_leaves_what_it_promises(
     scores = {"precision", "recall", "f1"}
     scores |= {f"{kind}_{name}" for name in scores for kind in ("sustain", "pooled")}
     scores |= {"note_onset_f1", "note_onset_offset_f1"}
-    other = {"return", "reward/key_press", "reward/loudness", "steps", "planning_seconds", "playing_seconds"}
+    other = {
+        "return",
+        "reward/key_press",
+        "reward/loudness",
+        "steps",
+        "planning_seconds",
+        "playing_seconds",
+    }
     other |= {"rewarded_fingers", "energy", "reward/onset_timing"}
     assert f"\nreward/key_press: {metrics['reward/key_press']:.4g}\n" in said.out
     expression = expressive_metrics(Score(()), Score(())).keys() - scores

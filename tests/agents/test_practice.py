@@ -239,9 +239,9 @@ def test_hands_that_were_pushed_search_for_what_sounded_before() -> None:
         after, _ = scene.roll_out(played, snapshots, first, last, last, act)
         return float(after.loss.sum())
 
-    pushes = [(first, push) for first in (8, 12) for push in (0.1, 0.2)]
+    pushes = [(first, push) for first in (4, 8) for push in (0.1, 0.2)]
     searched, led_back = ([loss(*p, search=search) for p in pushes] for search in (True, False))
-    assert sum(searched) < 0.7 * sum(led_back)
+    assert sum(searched) < 0.8 * sum(led_back)
     assert loss(*pushes[0], search=True) == searched[0]  # whatever they did before
     assert planned.search.simulated > 0
 
@@ -547,9 +547,8 @@ def test_what_was_practised_is_scored_and_explained_alike_when_it_is_played(
     said = capsys.readouterr().out
     main(["play", "--agent", str(folder), "--no-video", "-o", str(out)])
     again = capsys.readouterr().out
-    for line in "F1 ", "missed ", "no finger ":
-        (told,) = [each for each in said.splitlines() if each.startswith(line)]
-        assert told in again
+    (verdict,) = [line for line in said.splitlines() if "in time (within 50 ms)" in line]
+    assert verdict in again
     before, after = (load_episode(each / "episode.npz").arrays for each in (folder, out))
     assert before.keys() == after.keys()
     for name in before.keys() - {"metrics"}:
@@ -671,7 +670,7 @@ def test_practice_is_resumed_where_it_was_left(straight: Path, tmp_path: Path) -
     after = json.loads((folder / "settings.json").read_text())
     assert after["planner"].pop("effort") > before["planner"].pop("effort")
     for settings in before, after:
-        settings.pop("remarks", None)  # they tell what was missed
+        settings.pop("notices", None)  # they tell what might help
     assert after == before
     assert before["arrangement"]["first_seconds"] == 1.1
 
