@@ -155,7 +155,8 @@ def test_a_policy_plays_as_it_was_trained_unless_told_otherwise(
     assert planned[policy].task == replace(learnt.task, stretch=2.0)
     assert planned[policy].scene == learnt.scene
     assert planned[policy].agent_digest
-    paper = replace(preset("paper"), task=TaskConfig(stretch=2.0))
+    paper = preset("paper")
+    paper = replace(paper, task=replace(paper.task, stretch=2.0))
     assert planned["train:paper"].config == paper
     residual = preset("fast", residual=True)
     residual = replace(residual, task=replace(residual.task, stretch=2.0))
