@@ -34,7 +34,7 @@ def right_hand() -> Scene:
 
 
 def begun(agent: Agent, scene: Scene) -> PianoTask:
-    task = PianoTask([CHORD], TaskConfig(), scene)
+    task = PianoTask([CHORD], TaskConfig(initial_buffer_time=0.0), scene)
     task.reset([np.random.default_rng(0)], [0])
     agent.reset([0], [np.random.default_rng(0)])
     return task

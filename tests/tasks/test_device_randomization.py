@@ -62,7 +62,7 @@ def played(
     randomization: DomainRandomization, *seeds: int, num_envs: int = 3
 ) -> list[list[PianoState]]:
     """More than an episode for each seed, by the same actions in all environments."""
-    config = TaskConfig(randomization=randomization)
+    config = TaskConfig(initial_buffer_time=0.0, randomization=randomization)
     task = FunctionalPianoTask([ONE_NOTE], config, None, num_envs, Following)
     actions = np.random.default_rng(0).uniform(-1, 1, (7, 1, 39)).repeat(num_envs, axis=1)
     runs = [[task.reset(jax.random.key(seed))] for seed in seeds]

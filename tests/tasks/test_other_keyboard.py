@@ -28,7 +28,7 @@ SONG = Score((Note(0.0, 0.1, 48), Note(0.1, 0.3, 72), Note(0.1, 0.3, 60)), title
 
 
 def test_it_plays_itself_from_the_first_key_to_the_last() -> None:
-    env = PianoEnv(SONG, hands="none", keyboard=KEYBOARD, control_timestep=0.1)
+    env = PianoEnv(SONG, setup="paper", hands="none", keyboard=KEYBOARD, control_timestep=0.1)
     observation, _ = env.reset(seed=0)
     layout = env.observation_layout
     assert observation[layout["goal"]].shape == (11 * 26,)
@@ -42,7 +42,7 @@ def test_it_plays_itself_from_the_first_key_to_the_last() -> None:
 
 
 def test_hands_play_it() -> None:
-    envs = PianoVectorEnv(SONG, num_envs=2, keyboard=KEYBOARD)
+    envs = PianoVectorEnv(SONG, num_envs=2, keyboard=KEYBOARD, initial_buffer_time=0.0)
     observation, _ = envs.reset(seed=0)
     assert observation in envs.observation_space
     observation, reward, *_, infos = envs.step(np.zeros((2, 39)))

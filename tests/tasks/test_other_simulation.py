@@ -19,6 +19,7 @@ from cadenza.sim.protocol import State
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.env import PianoVectorEnv
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.setups import setup_named
 
 SONG = Score((Note(0.0, 0.1, 60), Note(0.1, 0.25, 62)), title="two notes")
 STEPS = 6
@@ -49,7 +50,8 @@ class SelfPlayingPiano:
 
 
 def make_task(num_envs: int = 1, **options: Any) -> PianoTask:
-    config, scene = TaskConfig(**options), SceneConfig(hands="none")
+    paper = setup_named("paper").of(TaskConfig)
+    config, scene = TaskConfig(**(paper | options)), SceneConfig(hands="none")
     return PianoTask([SONG], config, scene, num_envs, make_simulation=SelfPlayingPiano)
 
 
