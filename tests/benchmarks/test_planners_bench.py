@@ -46,7 +46,11 @@ class Begun(EpisodePlanner):
 
 def test_every_action_counts_and_a_beginning_by_its_share(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planners, "time", clock := Clock())
-    task = PianoTask([Score((Note(0.0, 0.95, 60),))], TaskConfig(), SceneConfig(hands="right"))
+    task = PianoTask(
+        [Score((Note(0.0, 0.95, 60),))],
+        TaskConfig(initial_buffer_time=0.0),
+        SceneConfig(hands="right"),
+    )
     result = planners.perform(Thinker(clock), task, num_steps=5, seed=0)
     assert task.goals.num_steps[0] == 20
     assert result.ratio == pytest.approx((10 * 5 / 20 + 5 * 1) / (5 * 0.05))
