@@ -30,8 +30,10 @@ Row = dict[str, str]
 HEADINGS = {
     "bass": "bass played",
     "cpu_per_music": "CPU time / music",
+    "extra_notes": "extra notes in 100",
     "f1": "F1",
     "melody": "melody played",
+    "missed_notes": "missed in 100",
     "note_onset_f1": "note onset F1",
     "onset_error": "onset error [ms]",
     "onset_error_ms": "onset error [ms]",
@@ -44,6 +46,7 @@ HEADINGS = {
 }
 DECIMALS = {
     **{"cpu_per_music": 2, "onset_error": 1, "onset_error_ms": 1, "velocity_error": 1},
+    **dict.fromkeys(("extra_notes", "missed_notes"), 1),
     **dict.fromkeys(("robot_hand", "robot_finger", "pianist_finger"), 2),
 }
 NAMES = {
