@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from cadenza.agents.planner.misses import Miss
+from cadenza.music.metrics import expressive_metrics
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import play
 from cadenza.performing.verdict import Advice, advice, verdict
@@ -101,4 +102,4 @@ def heard(*changed: Note, late: float = 0.0, louder: int = 0, first: int = 0) ->
 def test_a_sentence_counts_notes_and_tells_of_time_and_loudness(
     played: Score, sentence: str
 ) -> None:
-    assert verdict(played, WRITTEN) == sentence
+    assert verdict(played, WRITTEN, expressive_metrics(played, WRITTEN)) == sentence

@@ -136,6 +136,7 @@ class Dataset:
         self._lengths, self.first, self.num_steps = lengths, ends - lengths, int(ends[-1])
         self._first_row = self.first + np.arange(len(lengths))  # each has a row more
         self._notes: dict[int, Onsets] = {}  # of episodes whose goals are there
+        self._joined: Onsets | None = None  # the same, one after the other
         self._steps = [_Rows(e, STEPS, steps_type(self.scene)) for e in episodes]
         self._plans = [_Rows(e, PLAN, plan_type(self.scene)) for e in episodes]
 
@@ -207,19 +208,30 @@ class Dataset:
         They are those of the step before, of the next and of the L after it, as environments show
         them (`cadenza.tasks.view.observed_onsets`).
         """
-        shape = len(steps), lookahead + 2, self.scene.keyboard.num_keys
+        episode, step = self.place(steps)
+        self._make_goals(episode)
+        around = step[:, None] + np.arange(-1, lookahead + 1)
+        inside = (around >= 0) & (around < self._lengths[episode, None])
+        rows = np.where(inside, self._first_row[episode, None] + around, -1)
+        notes = self._all_onsets
+        row, note = notes.at(rows.ravel())
+        shape = rows.size, self.scene.keyboard.num_keys
         time, velocity = np.zeros(shape), np.zeros(shape)
-        for row, place in enumerate(zip(*self.place(steps), strict=True)):
-            episode, step = map(int, place)
-            notes = self._onsets(episode).between(step - 1, step + 1 + lookahead)
-            time[row, notes.step, notes.key] = notes.time
-            velocity[row, notes.step, notes.key] = notes.velocity
+        time[row, notes.key[note]] = notes.time[note]
+        velocity[row, notes.key[note]] = notes.velocity[note]
+        time, velocity = (values.reshape(*rows.shape, -1) for values in (time, velocity))
         return observed_onsets(time, velocity, self.control_timestep)
 
-    def _onsets(self, episode: int) -> Onsets:
-        if not self._table.made[episode]:
-            self._rebuild(episode)
-        return self._notes[episode]
+    @property
+    def _all_onsets(self) -> Onsets:
+        """The onsets of all episodes whose goals are there, by their rows in the table."""
+        if self._joined is None:
+            parts = [
+                self._notes[number].delayed(int(self._first_row[number]))
+                for number in sorted(self._notes)
+            ]
+            self._joined = Onsets._make(map(np.concatenate, zip(*parts, strict=True)))
+        return self._joined
 
     def goals(self, episode: int) -> Goals:
         """Keys, fingers and pedal per step of an episode, rebuilt from its score."""
@@ -238,8 +250,7 @@ class Dataset:
         self, episode: Ids, step: Ids, lookahead: int
     ) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
         table = self._table
-        for missing in np.unique(episode[~table.made[episode]]).tolist():
-            self._rebuild(missing)
+        self._make_goals(episode)
         within = self._within(episode, step, range(lookahead + 1))
         rows = self._first_row[episode, None] + within
         count = self.scene.keyboard.num_keys + 1
@@ -256,13 +267,18 @@ class Dataset:
             made=np.zeros(len(self.episodes), bool),
         )
 
+    def _make_goals(self, episodes: Ids) -> None:
+        """Rebuild the goals of these episodes (B,), as far as they are not there."""
+        for missing in np.unique(episodes[~self._table.made[episodes]]).tolist():
+            self._rebuild(missing)
+
     def _rebuild(self, episode: int) -> None:
         goals, first = self.goals(episode), int(self._first_row[episode])
         asked = np.column_stack([goals.keys, goals.sustain])
         self._table.bits[first : first + len(asked)] = np.packbits(asked, axis=1)
         step, key = (goals.fingers >= 0).nonzero()
         self._table.fingers[first + step, goals.fingers[step, key]] = key
-        self._notes[episode] = goals.onsets
+        self._notes[episode], self._joined = goals.onsets, None
         self._table.made[episode] = True
 
 

@@ -33,9 +33,8 @@ def strike_offsets(episode: Episode, notes: Iterable[Note]) -> Array:
     offsets = []
     for note in notes:
         step, key = int(note.start / episode.dt), note.pitch - episode.lowest_pitch
-        for finger in [number for number in fingers[step : step + 2, key] if number != NO_FINGER][
-            :1
-        ]:
+        finger = next((n for n in fingers[step : step + 2, key] if n != NO_FINGER), None)
+        if finger is not None:
             x, y = places(note.start)[finger]
             offsets.append(abs(y - (in_front if x > black_front else between)[key]))
     return np.array(offsets)

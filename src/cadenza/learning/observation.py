@@ -163,11 +163,7 @@ class GoalTable:
         Those are the times, and then the velocities.
         """
         seen, size = self._onsets_seen, len(self._onsets_seen) * self._num_keys
-        steps = (rows[..., None] + seen).ravel()
-        since = np.searchsorted(self._onsets.step, steps)
-        count = np.searchsorted(self._onsets.step, steps, "right") - since
-        at = np.repeat(np.arange(len(steps)), count)
-        places = np.arange(len(at)) + np.repeat(since - (np.cumsum(count) - count), count)
+        at, places = self._onsets.at((rows[..., None] + seen).ravel())
         values = observed_onsets(
             self._onsets.time[places], self._onsets.velocity[places], self._control_timestep
         )

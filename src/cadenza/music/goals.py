@@ -39,6 +39,13 @@ class Onsets(NamedTuple):
         since, until = np.searchsorted(self.step, (first, last))
         return Onsets._make(values[since:until] for values in self).delayed(-first)
 
+    def at(self, steps: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """The onsets in steps (M,), in any order: (P,) indices of the steps, and of the onsets."""
+        since = np.searchsorted(self.step, steps)
+        count = np.searchsorted(self.step, steps, "right") - since
+        which = np.repeat(np.arange(len(steps)), count)
+        return which, np.arange(len(which)) + np.repeat(since - (np.cumsum(count) - count), count)
+
 
 _NONE = np.zeros(0, np.intp)
 NO_ONSETS = Onsets(step=_NONE, key=_NONE, time=np.zeros(0), velocity=_NONE)

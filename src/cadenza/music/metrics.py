@@ -235,12 +235,8 @@ def expressive_metrics(played: Score, written: Score) -> dict[str, float | None]
         played: what sounded, at the resolution of the physics.
         written: what was to be played, on the same clock.
     """
-    close = matched_notes(written.notes, played.notes, ONSET_TOLERANCE)
-    pairs = close + matched_notes(
-        without(written.notes, (pair[0] for pair in close)),
-        without(played.notes, (pair[1] for pair in close)),
-        SAME_NOTE,
-    )
+    close, off_time = paired_notes(written.notes, played.notes)
+    pairs = close + off_time
     return {
         **_timing(sorted(pairs, key=lambda pair: pair[0].start)),
         **_loudness(pairs, written),
@@ -248,10 +244,21 @@ def expressive_metrics(played: Score, written: Score) -> dict[str, float | None]
     }
 
 
-def without(notes: Iterable[Note], others: Iterable[Note]) -> list[Note]:
-    """The notes that are not among the `others`, which are told apart by identity."""
-    left_out = {id(note) for note in others}
-    return [note for note in notes if id(note) not in left_out]
+def paired_notes(written: Sequence[Note], played: Sequence[Note]) -> tuple[list[Pair], list[Pair]]:
+    """Pairs of notes that begin within 0.05 s, and of what is left, pairs within 0.2 s."""
+    close = matched_notes(written, played, ONSET_TOLERANCE)
+    return close, matched_notes(*without_pairs(written, played, close), SAME_NOTE)
+
+
+def without_pairs(
+    written: Iterable[Note], played: Iterable[Note], pairs: Sequence[Pair]
+) -> tuple[list[Note], list[Note]]:
+    """The written and the played notes that are in no pair; notes are told apart by identity."""
+    of_written, of_played = ({id(pair[side]) for pair in pairs} for side in (0, 1))
+    return (
+        [note for note in written if id(note) not in of_written],
+        [note for note in played if id(note) not in of_played],
+    )
 
 
 def _timing(pairs: Sequence[Pair]) -> dict[str, float | None]:

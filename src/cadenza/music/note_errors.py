@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from operator import attrgetter
 from typing import NamedTuple
 
-from cadenza.music.metrics import ONSET_TOLERANCE, Pair, matched_notes, without
+from cadenza.music.metrics import ONSET_TOLERANCE, Pair, paired_notes, without_pairs
 from cadenza.music.performance import SAME_NOTE
 from cadenza.music.score import Note
 
@@ -21,11 +21,11 @@ class ExtraNotes(NamedTuple):
     """Notes that were played for no written note, by kind."""
 
     off_time: list[Note]
-    """More than 50 ms late or early, for a written note that is missed."""
+    """They are more than 50 ms late or early, for a written note that is missed."""
     again: list[Note]
-    """Of a key that should sound then, or just did, and has been struck again."""
+    """Their key should sound then, or just did, and was struck again."""
     neighbour: list[Note]
-    """Of a key beside one that should sound."""
+    """Their key lies beside one that should sound."""
     other: list[Note]
 
 
@@ -33,18 +33,18 @@ class MissedNotes(NamedTuple):
     """Written notes for which none was played within 50 ms, by kind."""
 
     off_time: list[Note]
-    """Played late or early."""
+    """They were played late or early."""
     held: list[Note]
-    """Of a key that is still down from before."""
+    """Their key was still down from before."""
     silent: list[Note]
-    """Of a key that does not begin to sound."""
+    """Their key did not begin to sound."""
 
 
 class NoteErrors(NamedTuple):
     """The notes of a performance that are right, and those that are not."""
 
     pairs: list[Pair]
-    """Those within 50 ms of each other, the written one first."""
+    """Notes that begin within 50 ms of each other, the written one first."""
     extra: ExtraNotes
     missed: MissedNotes
 
@@ -56,13 +56,11 @@ def note_errors(written: Iterable[Note], played: Iterable[Note]) -> NoteErrors:
     late or early.
     """
     written, played = (sorted(notes, key=attrgetter("start")) for notes in (written, played))
-    pairs = matched_notes(written, played, ONSET_TOLERANCE)
+    pairs, off_time = paired_notes(written, played)
     due, sounded = _by_pitch(written), _by_pitch(played)
-    written, played = _left_over(written, played, pairs)
-    off_time = matched_notes(written, played, SAME_NOTE)
     missed = MissedNotes([note for note, _ in off_time], [], [])
     extra = ExtraNotes([note for _, note in off_time], [], [], [])
-    written, played = _left_over(written, played, off_time)
+    written, played = without_pairs(written, played, pairs + off_time)
     for note in written:
         earlier = (n for n in sounded[note.pitch] if n.start < note.start - ONSET_TOLERANCE)
         (missed.held if _any_at(note.start, earlier) else missed.silent).append(note)
@@ -75,15 +73,6 @@ def note_errors(written: Iterable[Note], played: Iterable[Note]) -> NoteErrors:
         else:
             extra.other.append(note)
     return NoteErrors(pairs, extra, missed)
-
-
-def _left_over(
-    written: Sequence[Note], played: Sequence[Note], pairs: Sequence[Pair]
-) -> tuple[list[Note], list[Note]]:
-    """The written and the played notes that are in none of the pairs."""
-    return without(written, (pair[0] for pair in pairs)), without(
-        played, (pair[1] for pair in pairs)
-    )
 
 
 def _by_pitch(notes: Iterable[Note]) -> defaultdict[int, list[Note]]:

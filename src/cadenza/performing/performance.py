@@ -102,7 +102,7 @@ class Performance:
     @property
     def verdict(self) -> str:
         """How well it was played, in a sentence, see `cadenza.performing.verdict.verdict`."""
-        return verdict(self.played, self.goal.until(self.seconds))
+        return verdict(self.played, self.goal.until(self.seconds), self.metrics)
 
     @property
     def remarks(self) -> list[str]:
@@ -192,13 +192,14 @@ def add_page(folder: Path, goal: Score, audio: Sound | None = None, voice: Tone 
     episode = load_episode(folder / "episode.npz")
     seconds = episode.num_steps * episode.dt
     played, written = played_in(episode), goal.until(seconds)
+    metrics = read_json(folder / "metrics.json", dict[str, Any])
     sound = synthesize(written, voice=voice)
     page = performance_page(
         episode,
-        read_json(folder / "metrics.json", dict[str, Any]),
+        metrics,
         read_json(folder / "settings.json", dict[str, Any]),
         synthesize(played, voice=voice) if audio is None else audio,
-        verdict=verdict(played, written),
+        verdict=verdict(played, written, metrics),
         misses=_listed(folder / "misses.json"),
         arrangement=_listed(folder / "arrangement.json"),
         goal_sound=encode_opus(

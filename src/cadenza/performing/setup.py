@@ -172,7 +172,7 @@ def _about_hands(track: GoalTrack, song: Score, own: Score) -> Iterator[str]:
 
     Args:
         track: the song as the task plays it.
-        whole: all notes of the song.
+        song: all notes of the song.
         own: the notes that are written for the hands of the scene.
     """
     if others := len(song.notes) - len(own.notes):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from cadenza.agents.planner.misses import Miss
 from cadenza.errors import counted
 from cadenza.fingers import SIDES
 from cadenza.music.arrangement import HARDEST
-from cadenza.music.metrics import ONSET_TOLERANCE, expressive_metrics
+from cadenza.music.metrics import ONSET_TOLERANCE
 from cadenza.music.note_errors import note_errors
 from cadenza.music.score import Score
 
@@ -32,7 +32,7 @@ class Advice(NamedTuple):
         return f"{self.words} ({self.option})"
 
 
-def verdict(played: Score, written: Score) -> str:
+def verdict(played: Score, written: Score, metrics: Mapping[str, Any]) -> str:
     """How well a song was played, as a sentence with its figures.
 
     Notes of one key that begin within 50 ms of each other are in time; others are early or late
@@ -41,6 +41,7 @@ def verdict(played: Score, written: Score) -> str:
     Args:
         played: what sounded.
         written: what was to be played, on the same clock, as far as it was played.
+        metrics: those of both, see `expressive_metrics`.
     """
     errors, notes = note_errors(written.notes, played.notes), counted(len(written.notes), "note")
     off_time, missed, extra = errors.missed.off_time, errors.missed, errors.extra
@@ -53,12 +54,11 @@ def verdict(played: Score, written: Score) -> str:
         parts += [f"{num_missed} missed"]
     if num_extra := len(extra.again) + len(extra.neighbour) + len(extra.other):
         parts += [f"{counted(num_extra, 'note')} that nobody wrote"]
-    return f"{', '.join([*parts, *_expression(played, written)])}."
+    return f"{', '.join([*parts, *_expression(metrics)])}."
 
 
-def _expression(played: Score, written: Score) -> list[str]:
+def _expression(metrics: Mapping[str, Any]) -> list[str]:
     """Timing and loudness of the notes that were found; nothing if there are none."""
-    metrics = expressive_metrics(played, written)
     delay, unevenness = metrics["onset_delay"], metrics["onset_error_median"]
     loudness = metrics["velocity_error"]
     if delay is None or unevenness is None or loudness is None:

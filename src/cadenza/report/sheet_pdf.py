@@ -175,9 +175,8 @@ def _known(text: str) -> str:
 
 def _width(text: str, style: str) -> float:
     """Return how long a line of text is, in parts of the size of its letters."""
-    return sum(_widths(style).get(ord(letter), _UNITS_PER_EM / 2) for letter in _known(text)) / (
-        _UNITS_PER_EM
-    )
+    widths = (_widths(style).get(ord(letter), _UNITS_PER_EM / 2) for letter in _known(text))
+    return sum(widths) / _UNITS_PER_EM
 
 
 @cache

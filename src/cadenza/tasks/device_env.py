@@ -12,10 +12,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from cadenza.errors import CadenzaError, extra_packages, quoted
-from cadenza.music.libraries.library import load_score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.env import as_score, checked_seed, state_space
+from cadenza.tasks.env import checked_seed, scores_of, state_space
 from cadenza.tasks.functional import FunctionalPianoTask, PianoState
 from cadenza.tasks.setups import configure
 
@@ -66,8 +65,7 @@ class DevicePianoVectorEnv(VectorEnv):
         songs = list(song) if isinstance(song, list | tuple) else [song]
         if songs == [None]:
             raise CadenzaError("no song to play: give song='OdeToJoy', a path, a Score, or several")
-        scores = [as_score(each) or load_score(each) for each in songs]
-        self.task = FunctionalPianoTask(scores, config, scene, num_envs, make_physics)
+        self.task = FunctionalPianoTask(scores_of(songs), config, scene, num_envs, make_physics)
         self.num_envs = num_envs
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.render_mode = None

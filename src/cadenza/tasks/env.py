@@ -38,6 +38,15 @@ _EPISODE_OPTIONS = ("song", "score", "step", "start", "randomization")
 _RESET_OPTIONS = {"reset_mask", *_EPISODE_OPTIONS}
 
 
+def scores_of(songs: Sequence[Any]) -> list[Score]:
+    """The scores of songs that are given as `PianoVectorEnv` takes them.
+
+    Raises:
+        CadenzaError: there is no such song, or it cannot be read.
+    """
+    return [as_score(song) or load_score(song) for song in songs]
+
+
 def as_score(song: Any) -> Score | None:
     """The score, if `song` is one, also as JSON (`WrittenScore`); None if it only names one."""
     if isinstance(song, Mapping):
@@ -79,8 +88,7 @@ def _make_task(
         raise CadenzaError(
             "no song to play: give song='OdeToJoy', the path of a MIDI file, a Score, or several"
         )
-    scores = [as_score(song) or load_score(song) for song in songs]
-    return PianoTask(scores, config, scene, num_envs, num_threads, reward_terms)
+    return PianoTask(scores_of(songs), config, scene, num_envs, num_threads, reward_terms)
 
 
 class PianoVectorEnv(VectorEnv):

@@ -26,13 +26,7 @@ from cadenza.tasks.goal_track import UpcomingOnsets, onset_steps
 from cadenza.tasks.onset_matching import matched_onsets, no_notes_played
 from cadenza.tasks.piano_task import PEDAL_DOWN, Transition, offset_joints
 from cadenza.tasks.reward import Outcome, Reward, key_activation, key_state
-from cadenza.tasks.view import (
-    ONSET_PARTS,
-    observed_key_onsets,
-    observed_onsets,
-    observed_touch,
-    task_spec,
-)
+from cadenza.tasks.view import observed_touch, onset_parts, task_spec
 
 with extra_packages("gpu", "the engine warp"):
     import jax
@@ -321,11 +315,8 @@ class FunctionalPianoTask:
             "touch": observed_touch(state.touch[:, self.scene.present_fingers]),
         }
         if self.config.onset_goals:
-            dt, shown = self.config.control_timestep, self.config.lookahead_steps + 2
             due = self._onsets(song, row)
-            notes = observed_onsets(due.time[:, :shown], due.velocity[:, :shown], dt)
-            began = observed_key_onsets(state, self.scene.keyboard, dt)
-            parts |= dict(zip(ONSET_PARTS, notes + began, strict=True))
+            parts |= onset_parts(due, state, self.scene.keyboard, self.config)
         return self.spec.observation(parts)
 
     def _onsets(self, song: Array, row: Array) -> UpcomingOnsets:

@@ -36,14 +36,7 @@ from cadenza.tasks.reward import (
     key_state,
     midi_velocity,
 )
-from cadenza.tasks.view import (
-    ONSET_PARTS,
-    View,
-    observed_key_onsets,
-    observed_onsets,
-    observed_touch,
-    task_spec,
-)
+from cadenza.tasks.view import View, observed_touch, onset_parts, task_spec
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -360,7 +353,8 @@ class PianoTask:
             "touch": observed_touch(state.touch[:, self.scene.present_fingers]),
         }
         if self.config.onset_goals:
-            parts |= self._observed_onsets()
+            due = self.goals.upcoming_onsets
+            parts |= onset_parts(due, state, self.scene.keyboard, self.config)
         return self.spec.observation(parts)
 
     def privileged(self) -> dict[str, Array]:
@@ -374,14 +368,6 @@ class PianoTask:
         parts |= {"key_state": self.key_state, "fingertips": state.fingertip_xpos}
         parts |= {"actuator_force": state.actuator_force, "touch": state.touch, **drawn}
         return {name: values.reshape(self.num_envs, -1) for name, values in parts.items()}
-
-    def _observed_onsets(self) -> dict[str, NDArray[np.float32]]:
-        """The onsets of notes and of keys as parts of an observation."""
-        due, shown = self.goals.upcoming_onsets, self.config.lookahead_steps + 2
-        dt = self.config.control_timestep
-        notes = observed_onsets(due.time[:, :shown], due.velocity[:, :shown], dt)
-        keys = observed_key_onsets(self.state, self.scene.keyboard, dt)
-        return dict(zip(ONSET_PARTS, notes + keys, strict=True))
 
     def view(self, playing: Mask | None = None) -> View:
         """The view of an agent before the next step of the environments `playing` (N,) bool.

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from cadenza.errors import CadenzaError, extra_packages
-from cadenza.music.libraries.library import load_score
 from cadenza.sim.render import Picture, Renderer
-from cadenza.tasks.env import as_score
+from cadenza.tasks.env import scores_of
 from cadenza.tasks.functional import METRICS, FunctionalPianoTask, PianoState
 from cadenza.tasks.reward import key_activation
 from cadenza.tasks.setups import configure
@@ -73,7 +72,7 @@ class PlaygroundPiano:
             CadenzaError: a song cannot be played, or an option makes no sense or is missing here.
         """
         songs = list(song) if isinstance(song, list | tuple) else [song]
-        scores = [as_score(each) or load_score(each) for each in songs]
+        scores = scores_of(songs)
         self.task = FunctionalPianoTask(scores, *configure(options), make_physics=make_physics)
         self._tasks = {1: self.task}  # number of worlds -> task
         self.action_size = self.task.spec.action_size

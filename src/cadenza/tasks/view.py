@@ -15,7 +15,7 @@ from cadenza.music.score import Score
 from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import Simulation, State
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.goal_track import GoalTrack
+from cadenza.tasks.goal_track import GoalTrack, UpcomingOnsets
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -34,8 +34,6 @@ def from_range(ctrl: NDArray[Any], low: Array, high: Array) -> Array:
     return action.clip(-1.0, 1.0)
 
 
-ONSET_PARTS = "goal_onset", "goal_velocity", "key_onset", "key_velocity"
-"""The parts of an observation that `TaskConfig.onset_goals` adds."""
 TOUCH_RANGE = 5.0
 """Greatest force that is observed [N]; a key is held down with about one."""
 
@@ -58,6 +56,24 @@ def observed_onsets(
     xp = time.__array_namespace__()
     share = xp.clip(time / control_timestep, 0.0, 1.0)  # which rounding may leave
     return share.astype(xp.float32), (velocity / VELOCITIES[1]).astype(xp.float32)
+
+
+def onset_parts(
+    due: UpcomingOnsets, state: State, keyboard: Keyboard, config: TaskConfig
+) -> dict[str, NDArray[np.float32]]:
+    """The parts of an observation that `TaskConfig.onset_goals` adds, by their names.
+
+    Args:
+        due: the notes around.
+        state: the state after the last step.
+        keyboard: the keys, which say how loud they are.
+        config: the task, which says how far ahead notes are observed.
+    """
+    dt, shown = config.control_timestep, config.lookahead_steps + 2
+    notes = observed_onsets(due.time[:, :shown], due.velocity[:, :shown], dt)
+    keys = observed_key_onsets(state, keyboard, dt)
+    names = "goal_onset", "goal_velocity", "key_onset", "key_velocity"
+    return dict(zip(names, notes + keys, strict=True))
 
 
 def observed_key_onsets(
