@@ -22,7 +22,7 @@ from typing import IO
 
 from cadenza.agents.agent import Progress
 from cadenza.agents.planner.config import PlannerConfig
-from cadenza.agents.registry import PLANNER
+from cadenza.agents.registry import PLANNER, PLAYBACK
 from cadenza.agents.registry import PRACTISED as PLAN
 from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json, write_json
@@ -174,7 +174,8 @@ def _practised_setup(order: Order) -> AbstractContextManager[Setup] | None:
     except CadenzaError:  # damaged: practice makes another
         (folder / PLAN).replace(folder / f"{PLAN}.old")
         return None
-    return set_up(None, player, seed=order.request.seed)
+    # Its folder is the studio's own, and no name to be shown.
+    return set_up(None, replace(player, name=PLAYBACK), seed=order.request.seed)
 
 
 def practice_folder_of(order: Order) -> Path:
