@@ -6,7 +6,7 @@ SONG ?= TwinkleTwinkleLittleStar
 # The shell takes it from its environment: make and the shell change nothing, whatever its characters.
 override export SONG := $(value SONG)
 
-.PHONY: play studio install test smoke test-ray check docs tables bench sb3 lock licences release-check clean
+.PHONY: play studio install test smoke check docs tables bench sb3 lock licences release-check clean
 .DEFAULT_GOAL := help
 
 .PHONY: help
@@ -16,7 +16,6 @@ help:
 	@echo "make install  everything that Cadenza can use, such as JAX for training"
 	@echo "make test    run the tests"
 	@echo "make smoke   a minute of them, and the linter, before each commit"
-	@echo "make test-ray  install Ray, and run the tests of clusters"
 	@echo "make check   lint, formatting, types"
 	@echo "make docs    the documentation as a site, with the reference"
 	@echo "make tables  write the tables of the documentation anew from docs/results"
@@ -70,11 +69,6 @@ check: $(ALL)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
-
-# Ray is large and optional, so it is installed only here; its tests start clusters of their own.
-test-ray: $(ALL)
-	$(PIP) --editable '.[ray]'
-	$(BIN)/python -m pytest -m slow tests/evaluation/test_ray.py
 
 # What its front page plays is played again when Cadenza has changed, which takes a minute.
 PLAYED := build/docs/gallery/gallery.json

@@ -123,7 +123,6 @@ def test_one_that_crashes_takes_nothing_else_with_it(folder: Path, agent: str, h
         (("--agents", "train:fast", "--num-steps", "0"), "num_steps 0"),
         (("--songs", "nothing"), "no song library 'nothing'"),
         (("--jobs", "0"), "jobs 0"),
-        (("--address", "auto"), "add --executor ray"),
     ],
 )
 def test_what_cannot_be_is_told_in_a_line(

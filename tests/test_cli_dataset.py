@@ -103,7 +103,6 @@ def test_an_episode_is_played_again_to_a_page(
         (("collect", "--randomization.mass", "2", "1"), "randomization.mass 2.0 1.0: give"),
         (("collect", "--setup", "arm-allegro"), "needs hands that slide along the keyboard"),
         (("collect", "--hands", "none"), "no hands"),
-        (("collect", "--address", "auto"), "add --executor ray"),
         (("info", "songs"), "holds no demonstrations"),
         (("check", "songs"), "holds no demonstrations"),
         (("play", "songs", "0"), "holds no demonstrations"),

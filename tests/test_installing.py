@@ -64,7 +64,7 @@ def test_in_the_environment_of_a_clone_make_installs(
     assert said(monkeypatch, clone, "hub") == f"make -C {tmp_path} install"
     monkeypatch.chdir(tmp_path)
     assert said(monkeypatch, clone, "hub") == "make install"
-    assert said(monkeypatch, clone, "ray").endswith(f" --editable '{tmp_path}[ray]'")
+    assert said(monkeypatch, clone, "gpu").endswith(f" --editable '{tmp_path}[gpu]'")
 
 
 def test_make_installs_all_that_its_line_is_told_for() -> None:
@@ -73,7 +73,7 @@ def test_make_installs_all_that_its_line_is_told_for() -> None:
     for extra, wanted in project["optional-dependencies"].items():
         names = [name.split(">=")[0].replace("-", "_").lower() for name in wanted]
         there = all(f"\n{name}==" in locked for name in names)
-        assert there == (extra not in ("brax", "gpu", "ray", "wandb")), extra
+        assert there == (extra not in ("brax", "gpu", "wandb")), extra
 
 
 def test_without_an_installation_the_sources_are_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -77,7 +77,7 @@ LIBRARIES: dict[str, set[str]] = {
         "verovio",
         "wandb",
     },
-    "evaluation": {"numpy", "scipy", "ray"},
+    "evaluation": {"numpy", "scipy"},
     "studio": {"anyio", "numpy", "starlette", "uvicorn"},
 }
 

@@ -12,7 +12,7 @@ from cadenza.music.score import Note, Score
 PROGRAM = """
 import sys
 for name in (
-    "PIL anyio dm_env flax huggingface_hub jax minari mujoco_warp optax pyarrow ray starlette "
+    "PIL anyio dm_env flax huggingface_hub jax minari mujoco_warp optax pyarrow starlette "
     "symusic tensorboardX uvicorn warp websockets"
 ).split():
     sys.modules[name] = None  # importing it fails

@@ -10,7 +10,7 @@ from pathlib import Path
 from shlex import quote
 from urllib.parse import unquote, urlsplit
 
-_NOT_BY_MAKE = ("gpu", "ray", "wandb")  # extras for which `make install` would be too large
+_NOT_BY_MAKE = ("gpu", "wandb")  # extras for which `make install` would be too large
 _SOURCES = Path(__file__).parents[2]  # where this is a clone
 
 

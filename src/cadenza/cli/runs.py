@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import tyro
 
@@ -22,22 +22,18 @@ from cadenza.errors import CadenzaError
 from cadenza.sim.threads import MAX_THREADS
 
 if TYPE_CHECKING:
-    from cadenza.evaluation.bench import BenchState, CarryOut, Executor
+    from cadenza.evaluation.bench import BenchState, CarryOut
     from cadenza.evaluation.jobs import BenchJob
 
 
 @dataclass(frozen=True)
 class Execution:
-    """Options of where runs are carried out, and how many at once."""
+    """Options of how runs are carried out."""
 
     retry: tyro.conf.FlagCreatePairsOff[bool] = False
     """Repeat the runs that failed before."""
     jobs: int | None = None
     """Number of runs at once. By default as many as the cores allow."""
-    executor: Literal["local", "ray"] = "local"
-    """Carry out the runs on this machine or on a Ray cluster."""
-    address: str | None = None
-    """Address of a Ray cluster, such as auto. By default one is started on this machine."""
 
 
 class _Command(Protocol):
@@ -52,13 +48,10 @@ class _Command(Protocol):
 
 
 def check_execution(command: _Command) -> None:
-    """Raise a CadenzaError if an option of where runs are carried out makes no sense."""
-    execution = command.execution
-    for name, number in ("num_threads", command.num_threads), ("jobs", execution.jobs):
+    """Raise a CadenzaError if an option of how runs are carried out makes no sense."""
+    for name, number in ("num_threads", command.num_threads), ("jobs", command.execution.jobs):
         if number is not None:
             whole_number(number, name, 1, MAX_THREADS)
-    if execution.executor == "local" and execution.address is not None:
-        raise CadenzaError("--address is that of a Ray cluster: add --executor ray")
 
 
 @dataclass(frozen=True)
@@ -85,13 +78,14 @@ def run_all(command: _Command, jobs: Sequence[BenchJob], work: Work) -> None:
         CadenzaError: some have failed.
     """
     from cadenza.evaluation.bench import bench
+    from cadenza.evaluation.processes import ProcessExecutor
     from cadenza.evaluation.results import write_plan
 
     check_writable(command.output)
     write_plan(command.output, shlex.join(["cadenza", *sys.argv[1:]]), jobs)
-    table = _Table(work)
+    table, jobs_at_once = _Table(work), command.execution.jobs
     with (
-        closing(_executor(command, work)) as executor,
+        closing(ProcessExecutor(command.num_threads, jobs_at_once, work.carry_out)) as executor,
         closing(table),
         stop_on_signal(work.until) as stop,
     ):
@@ -106,17 +100,6 @@ def run_all(command: _Command, jobs: Sequence[BenchJob], work: Work) -> None:
             jobs, command.output, executor, table.ended, should_continue, retry, work.is_complete
         )
     _print_summary(state, command.output, work.next_command)
-
-
-def _executor(command: _Command, work: Work) -> Executor:
-    execution = command.execution
-    if execution.executor == "ray":
-        from cadenza.evaluation.executors.ray import RayExecutor
-
-        return RayExecutor(command.num_threads, execution.jobs, execution.address, work.carry_out)
-    from cadenza.evaluation.executors.local import LocalExecutor
-
-    return LocalExecutor(command.num_threads, execution.jobs, work.carry_out)
 
 
 class _Table:

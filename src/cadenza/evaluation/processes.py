@@ -18,7 +18,7 @@ from cadenza.sim.threads import available_cores
 _SPAWN = get_context("spawn")  # MuJoCo and JAX do not survive a fork
 
 
-class LocalExecutor:
+class ProcessExecutor:
     """Runs `capacity` processes at once, each with `num_threads` threads for its planner."""
 
     def __init__(self, num_threads: int, num_jobs: int | None, carry_out: CarryOut) -> None:

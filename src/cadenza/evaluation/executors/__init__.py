@@ -1,1 +1,0 @@
-"""Executors carry out runs: in processes of this machine, or on a Ray cluster."""
