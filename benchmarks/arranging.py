@@ -1,29 +1,32 @@
 """Measures how much of songs is arranged for two hands, and how well the planner plays it.
 
-    python -m benchmarks.arranging [SONG ...] [--bands N] [--seed S] [--begin S] [--seconds S]
+    python -m benchmarks.arranging [SONG ...] [--begin S] [--seconds S]
 
-prints a table as CSV, a row as soon as a song is done. SONG is a file or a name; `--bands` is the
-number of songs for a band, made with the seeds S, S + 1 and so on, whose melody and bass are known;
-in other songs they are found first. The whole song is arranged, and an excerpt played.
+prints a table as CSV, a row as soon as a song is done. SONG is a file or a name, in which melody
+and bass are found first; without any, it measures the songs for a band of the benchmark whose
+melody and bass are known, and by which no weights were chosen. The whole song is arranged, and an
+excerpt played.
 """
 
 from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 
-from benchmarks.arguments import one_or_more, parser_for
+from benchmarks.arguments import parser_for
 from cadenza.arranging.fidelity import pitch_classes
 from cadenza.arranging.moments import beats_of
 from cadenza.arranging.parts import sources_of
 from cadenza.errors import errors_in_a_line
 from cadenza.music.arrangement import Arrangement
-from cadenza.music.etudes.band import band_score, make_band
+from cadenza.music.formats.midi import score_of
+from cadenza.music.formats.midi_messages import parsed
 from cadenza.music.libraries.library import load_score
 from cadenza.music.performance import played_in
 from cadenza.music.score import OCTAVE, Note, Score
@@ -34,10 +37,24 @@ from cadenza.performing.setup import set_up
 from cadenza.scene.scene import build_scene
 
 IN_TIME = 0.08  # [s] within which a note of melody or bass counts as played
+_LINES = Path(__file__).with_name("arranging_lines.zip")  # NAME.mid, with melody and bass as tracks
 COLUMNS = (
     *("f1", "note_onset_f1", "original_f1", "melody", "bass", "pitch_classes"),
     *("grade", "cpu_seconds"),
 )
+
+
+Lines = tuple[tuple[Note, ...], tuple[Note, ...]]
+"""The notes of melody and bass."""
+
+
+def bands() -> Iterator[tuple[str, Lines]]:
+    """Yield songs for a band of which melody and bass are known, by their names."""
+    with ZipFile(_LINES) as files:
+        for name in files.namelist():
+            file = parsed(files.read(name))
+            melody, bass = (score_of(file, (track,), "").notes for track in (1, 2))
+            yield f"benchmark/{Path(name).stem}", (melody, bass)
 
 
 def excerpt(notes: Sequence[Note], begin: float, seconds: float) -> tuple[Note, ...]:
@@ -99,8 +116,6 @@ def main() -> None:
     """Measures the songs and prints the table."""
     parser = parser_for(__doc__)
     parser.add_argument("songs", nargs="*")
-    parser.add_argument("--bands", type=one_or_more)
-    parser.add_argument("--seed", type=one_or_more, default=3000, help="the first, of the bands")
     parser.add_argument("--begin", type=float, default=20.0, help="of the excerpts [s]")
     parser.add_argument("--seconds", type=float, default=15.0, help="of the excerpts [s]")
     options = parser.parse_args()
@@ -116,9 +131,8 @@ def main() -> None:
         notes = sources_of(score)
         melody = [Note(*note[:4]) for note in notes if note.melody]
         add(Path(song).stem, score, melody, [Note(*note[:4]) for note in notes if note.bass])
-    for seed in range(options.seed, options.seed + (options.bands or 0)):
-        band = make_band(seed)
-        add(f"band-{seed}", band_score(band), band.notes("melody"), band.notes("bass"))
+    for name, lines in () if options.songs else bands():
+        add(name, load_score(name), *lines)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cadenza.cli import main
-from cadenza.music.etudes import KINDS, make_band, make_etude
+from cadenza.music.etudes import KINDS, make_etude
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 
@@ -47,29 +47,12 @@ def test_what_is_not_given_is_drawn_and_said(
     assert capsys.readouterr().out.startswith(f"{kind}-3-{seed}.mid: ")
 
 
-def test_a_song_for_a_band_is_written_with_its_tracks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    main(["etude", "--kind", "band", "--seed", "7", "-o", "song.mid"])
-    band = make_band(7)
-    said = capsys.readouterr().out
-    assert f"song.mid: {band.title} (" in said
-    name = said.split("cadenza play ")[1].strip()
-    assert load_score(name) == load_score("song.mid")
-    tracks = load_score("song.mid").tracks
-    assert [track.name for track in tracks] == [p.name for p in band.parts if p.channel != 10]
-    main(["etude", "--kind", "band", "--seed", "7"])
-    assert Path("band-7.mid").read_bytes() == Path("song.mid").read_bytes()
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["--kind", "waltz"], f"no etudes of kind 'waltz': choose from {', '.join(KINDS)}"),
         (["--difficulty", "11"], "difficulty 11: choose 1 to 10"),
         (["--seed", "-1"], "seed -1: choose 0 or more"),
-        (["--kind", "band", "--difficulty", "3"], "a song for a band has no difficulty"),
         (["-o", "etude.mp3"], "etude.mp3: an etude is a .mid file"),
     ],
 )

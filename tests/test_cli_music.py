@@ -125,10 +125,10 @@ def test_info_tells_of_the_tracks_that_are_chosen(
 def test_a_song_for_a_band_is_arranged_for_the_hands(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    play = ["play", "etudes/band-7", *QUICK, "--first-seconds", "6", "-o", str(tmp_path)]
+    play = ["play", "benchmark/band-1007", *QUICK, "--first-seconds", "6", "-o", str(tmp_path)]
     main(play)
     said = capsys.readouterr().err
-    assert "etudes/band-7: arranged for both hands: " in said
+    assert "benchmark/band-1007: arranged for both hands: " in said
     assert "; as written: --arrange off" in said
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert metrics["melody_kept"] > 0.9
@@ -173,7 +173,8 @@ def test_a_song_is_arranged_as_sheet_music(
 ) -> None:
     sheet, midi, pages = (tmp_path / f"song.{ending}" for ending in ("musicxml", "mid", "pdf"))
     for path in (sheet, midi, pages):
-        main(["arrange", "etudes/band-7", "--first-seconds", "8", "--level", "5", "-o", str(path)])
+        how = "--first-seconds", "8", "--level", "5", "-o", str(path)
+        main(["arrange", "benchmark/band-1007", *how])
         said = capsys.readouterr().out
         assert f"{path}: " in said
         assert " for both hands, grade " in said
@@ -195,7 +196,7 @@ def test_a_song_is_arranged_as_sheet_music(
 def test_what_cannot_be_arranged_is_told_in_a_line(
     options: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert said in refused(capsys, "arrange", "etudes/band-7", *options)
+    assert said in refused(capsys, "arrange", "benchmark/band-1007", *options)
 
 
 def test_without_hands_no_level_is_ignored(capsys: pytest.CaptureFixture[str]) -> None:
@@ -216,8 +217,8 @@ def test_what_is_learnt_is_not_arranged(
 def test_expression_is_that_of_the_arrangement() -> None:
     how = Arrangement(expression=1.0, first_seconds=6.0)
     scene = build_scene()
-    written = arrange(load_song("etudes/band-7"), Arrangement(), scene)
-    played = arrange_song(load("etudes/band-7", how), scene)
+    written = arrange(load_song("benchmark/band-1007"), Arrangement(), scene)
+    played = arrange_song(load("benchmark/band-1007", how), scene)
     assert played.arranged.score == performed(written.arranged.score).beginning(6.0)
     assert played.original.total_time <= played.arranged.score.total_time
     assert len(played.original.notes) > len(played.arranged.score.notes)

@@ -8,17 +8,19 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from benchmarks.arranging import bands
 from cadenza.arranging.arranger import Arranger
 from cadenza.arranging.fidelity import Fidelity
 from cadenza.arranging.moments import beats_of
 from cadenza.fingering.search import find_fingering
-from cadenza.music.etudes.band import Band, band_score, make_band
+from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Bar, Note, Score, Track
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.goal_track import players_of
 
-SEEDS = (2, 5, 11)  # others than those by which the weights were chosen
+SONGS = ("benchmark/band-1026", "benchmark/band-1029", "benchmark/band-1031")
+EASY = "benchmark/band-1026"
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +33,9 @@ def arranger(scene: Scene) -> Arranger:
     return Arranger(players_of(scene), scene.hand.jump_times)
 
 
-@pytest.fixture(scope="module", params=SEEDS)
-def band(request: pytest.FixtureRequest) -> Band:
-    return make_band(request.param)
+@pytest.fixture(scope="module", params=SONGS)
+def song(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
 
 
 def share_found(wanted: tuple[Note, ...], score: Score, octaves: bool = False) -> float:
@@ -47,23 +49,24 @@ def share_found(wanted: tuple[Note, ...], score: Score, octaves: bool = False) -
     return float(np.mean(found))
 
 
-def test_melody_and_bass_stay(band: Band, arranger: Arranger) -> None:
-    arranged = arranger.arrange(band_score(band))
-    assert share_found(band.notes("melody"), arranged.score) > 0.97
-    assert share_found(band.notes("bass"), arranged.score, octaves=True) > 0.97
+def test_melody_and_bass_stay(song: str, arranger: Arranger) -> None:
+    arranged = arranger.arrange(load_score(song))
+    melody, bass = dict(bands())[song]
+    assert share_found(melody, arranged.score) > 0.97
+    assert share_found(bass, arranged.score, octaves=True) > 0.97
     assert arranged.fidelity.melody_kept > 0.97
     assert arranged.fidelity.pitch_classes_kept > 0.8
 
 
-def test_the_hands_can_play_all_of_it(band: Band, arranger: Arranger, scene: Scene) -> None:
-    arranged = arranger.arrange(band_score(band)).score
-    assert len(arranged.notes) < len(band_score(band).notes)
+def test_the_hands_can_play_all_of_it(song: str, arranger: Arranger, scene: Scene) -> None:
+    arranged = arranger.arrange(load_score(song)).score
+    assert len(arranged.notes) < len(load_score(song).notes)
     _, dropped = find_fingering(arranged, players_of(scene))
     assert not dropped
 
 
 def test_an_easier_arrangement_has_fewer_notes(arranger: Arranger) -> None:
-    score = band_score(make_band(3))
+    score = load_score(EASY)
     hard, easy = arranger.arrange(score), arranger.arrange(score, grade=4.0)
     assert easy.grade < hard.grade
     assert len(easy.score.notes) < len(hard.score.notes)
@@ -91,23 +94,23 @@ def test_an_empty_score_stays_empty(arranger: Arranger) -> None:
     assert not arranger.arrange(Score(())).score.notes
 
 
-def test_each_note_has_its_fate(band: Band, arranger: Arranger) -> None:
-    arranged = arranger.arrange(band_score(band))
+def test_each_note_has_its_fate(song: str, arranger: Arranger) -> None:
+    arranged = arranger.arrange(load_score(song))
     played = sorted(note.pitch for note in arranged.score.notes)
     assert sorted(fate.played for fate in arranged.fates if fate.played is not None) == played
-    written = {(note.start, note.pitch) for note in band_score(band).notes}
+    written = {(note.start, note.pitch) for note in load_score(song).notes}
     for note, _ in arranged.fates:
         assert note.added or (note.start, note.pitch) in written
 
 
 @pytest.mark.parametrize("level", [5, 6, 8])
 def test_an_arrangement_is_at_most_as_hard_as_its_level(level: int, arranger: Arranger) -> None:
-    score = band_score(make_band(7)).beginning(20.0)
+    score = load_score(EASY).beginning(20.0)
     assert arranger.arrange(score, grade=level).grade <= level
 
 
 def test_below_all_levels_melody_and_bass_are_left(arranger: Arranger) -> None:
-    arranged = arranger.arrange(band_score(make_band(7)).beginning(20.0), grade=1.0)
+    arranged = arranger.arrange(load_score(EASY).beginning(20.0), grade=1.0)
     assert arranged.grade > 1
     assert arranged.fidelity.melody_kept == arranged.fidelity.bass_kept == 1
     assert arranged.fidelity.others_kept < 0.05
@@ -149,7 +152,7 @@ def test_keys_come_up_between_repeated_notes_of_the_melody(arranger: Arranger) -
 
 
 def test_without_bars_beats_are_estimated(arranger: Arranger) -> None:
-    score = band_score(make_band(2)).beginning(20.0)
+    score = load_score(EASY).beginning(20.0)
     kept, estimated = (arranger.arrange(each).fidelity for each in (score, replace(score, bars=())))
     assert estimated.melody_kept == pytest.approx(kept.melody_kept, abs=0.03)
     assert beats_of(replace(score, bars=()))[-1] > score.total_time - 1.2

@@ -31,8 +31,8 @@ def test_nothing_is_louder_than_midi_has_it_or_without_drums() -> None:
 
 
 def test_drums_are_an_option_of_the_arrangement_and_off_by_default() -> None:
-    plain = Arrangement().score("etudes/band-7")
-    louder = Arrangement(drums="accents").score("etudes/band-7")
+    plain = Arrangement().score("benchmark/band-1007")
+    louder = Arrangement(drums="accents").score("benchmark/band-1007")
     assert [n.pitch for n in plain.notes] == [n.pitch for n in louder.notes]
     added = [b - a for a, b in zip(velocities(plain), velocities(louder), strict=True)]
     assert min(added) == 0 < max(added) <= 16

@@ -1,8 +1,8 @@
 """How much notes are like a melody.
 
 A melody is sung or played alone, moves mostly by steps, in rhythms that are not the same in each
-bar, and in a range that a voice has. The weights were chosen on songs for bands (`cadenza etude
---kind band`) of the seeds 1000 to 1024.
+bar, and in a range that a voice has. The weights were chosen on songs for bands, those of
+the benchmark up to band-1024.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class Etude:
         str | None,
         tyro.conf.arg(
             help=f"Kind of piece, by default drawn from {', '.join(KINDS)}. For one hand there are "
-            f"also {', '.join(DRILLS)}; band is a song for several instruments."
+            f"also {', '.join(DRILLS)}."
         ),
     ] = None
     difficulty: int | None = None
@@ -34,14 +34,14 @@ class Etude:
     seed: int | None = None
     """Random seed. By default one is drawn and printed."""
     output: Output[Path | None] = None
-    """The file, KIND-DIFFICULTY-SEED.mid or band-SEED.mid by default."""
+    """The file, KIND-DIFFICULTY-SEED.mid by default."""
 
 
 def etude(command: Etude) -> None:
     import numpy as np
 
     from cadenza.configs import MAX_SEED, whole_number
-    from cadenza.music.etudes.library import BAND, etude_name, make_etude
+    from cadenza.music.etudes.library import etude_name, make_etude
     from cadenza.music.formats.midi import write_midi
 
     if command.output is not None:
@@ -49,9 +49,6 @@ def etude(command: Etude) -> None:
     seed = int(np.random.default_rng().integers(2**31)) if command.seed is None else command.seed
     rng = np.random.default_rng(whole_number(seed, "seed", 0, MAX_SEED))
     kind = KINDS[int(rng.integers(len(KINDS)))] if command.kind is None else command.kind
-    if kind == BAND:
-        _write_song(command, seed)
-        return
     difficulty = _USUAL_DIFFICULTY if command.difficulty is None else command.difficulty
     score = make_etude(kind, difficulty, seed)
     path = command.output or Path(f"{kind}-{difficulty}-{seed}.mid")
@@ -59,18 +56,3 @@ def etude(command: Etude) -> None:
     write_midi(score, path)
     print(f"{path}: {score.title} ({score.total_time:.1f} s, {len(score.notes)} notes)")
     print(f"The same without a file: cadenza play {etude_name(kind, difficulty, seed)}")
-
-
-def _write_song(command: Etude, seed: int) -> None:
-    from cadenza.errors import CadenzaError
-    from cadenza.music.etudes.band import make_band, write_band
-    from cadenza.music.etudes.library import BAND, band_name
-
-    if command.difficulty is not None:
-        raise CadenzaError("a song for a band has no difficulty: leave out --difficulty")
-    band = make_band(seed)
-    path = command.output or Path(f"{BAND}-{seed}.mid")
-    check_writable(path.parent)
-    write_band(band, path)
-    print(f"{path}: {band.title} ({band.sections[-1].end:.1f} s, {len(band.parts)} tracks)")
-    print(f"The same without a file: cadenza play {band_name(seed)}")

@@ -1,7 +1,6 @@
 """Etudes by kind, difficulty and seed, and the library of them.
 
-The names of libraries are `etudes:N`, `etudes:N:SEED`, `etudes:KIND-DIFFICULTY:N`, and
-`etudes:band:N`.
+The names of libraries are `etudes:N`, `etudes:N:SEED`, and `etudes:KIND-DIFFICULTY:N`.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ import numpy as np
 
 from cadenza.configs import MAX_SEED, whole_number
 from cadenza.errors import CadenzaError, quoted
-from cadenza.music.etudes.band import band_score, make_band
 from cadenza.music.etudes.chorale import chorale
 from cadenza.music.etudes.counterpoint import counterpoint
 from cadenza.music.etudes.homophony import (
@@ -70,10 +68,6 @@ _KINDS = {
 }
 KINDS = tuple(_KINDS)
 """Kinds of etudes for two hands; those for one are `DRILLS`."""
-BAND = "band"
-"""The kind of songs for several instruments, which have a seed but no difficulty."""
-_BAND_NAME = re.compile(rf"{LIBRARY}/{BAND}-(\d{{1,39}})", re.ASCII)
-_BANDS = re.compile(rf"{BAND}:([1-9]\d{{0,5}})", re.ASCII)
 _ETUDE_NAME = re.compile(rf"{LIBRARY}/([a-z-]+)-(\d{{1,9}})-(\d{{1,39}})", re.ASCII)
 _COUNT_AND_SEED = re.compile(r"\d{1,9}(:\d{1,9})?", re.ASCII)
 _OF_ONE_KIND = re.compile(r"([a-z-]+-\d{1,9}):([1-9]\d{0,5})", re.ASCII)
@@ -103,7 +97,7 @@ def make_etude(kind: str, difficulty: int, seed: int) -> Score:
 
 def _checked(kind: str, difficulty: int, seed: int) -> tuple[str, int, int]:
     if kind not in (*KINDS, *DRILLS):
-        kinds = ", ".join((*KINDS, *DRILLS, BAND))
+        kinds = ", ".join((*KINDS, *DRILLS))
         raise CadenzaError(f"no etudes of kind {quoted(kind)}: choose from {kinds}")
     difficulty = whole_number(difficulty, "difficulty", 1, HARDEST)
     return kind, difficulty, whole_number(seed, "seed", 0, MAX_SEED)
@@ -129,11 +123,6 @@ def _sheet(kind: _EtudeKind, difficulty: int, rng: np.random.Generator) -> Etude
 def etude_name(kind: str, difficulty: int, seed: int) -> str:
     """A name such as "etudes/scales-3-7", which can be given wherever a song can."""
     return f"{LIBRARY}/{kind}-{difficulty}-{seed}"
-
-
-def band_name(seed: int) -> str:
-    """A name such as "etudes/band-7", which can be given wherever a song can."""
-    return f"{LIBRARY}/{BAND}-{seed}"
 
 
 def etude_names(count: int, seed: int = 0) -> list[str]:
@@ -163,21 +152,19 @@ def etude_library(which: str = str(_DEFAULT_COUNT)) -> Library:
 
     Args:
         which: the number of etudes, such as "300", or with a seed "300:1"; or a kind, a difficulty
-            and the number, with the seeds 0, 1 and so on: "notes-6:20"; or "band:20" for songs.
+            and the number, with the seeds 0, 1 and so on: "notes-6:20".
 
     Raises:
         CadenzaError: `which` has another form.
     """
-    if bands := _BANDS.fullmatch(which.lower()):
-        names = [band_name(seed) for seed in range(int(bands[1]))]
-    elif of_one_kind := _OF_ONE_KIND.fullmatch(which.lower()):
+    if of_one_kind := _OF_ONE_KIND.fullmatch(which.lower()):
         names = [f"{LIBRARY}/{of_one_kind[1]}-{seed}" for seed in range(int(of_one_kind[2]))]
     elif _COUNT_AND_SEED.fullmatch(which):
         names = etude_names(*map(int, which.split(":")))
     else:
         raise CadenzaError(
             f"{LIBRARY}:{which}: give how many, such as {LIBRARY}:300, {LIBRARY}:300:1 with a "
-            f"seed, {LIBRARY}:scales-3:20 of one kind and difficulty, or {LIBRARY}:{BAND}:20"
+            f"seed, or {LIBRARY}:scales-3:20 of one kind and difficulty"
         )
     return Library(f"{LIBRARY}:{which}", tuple(map(etude_song, names)))
 
@@ -188,9 +175,6 @@ def etude_song(name: str) -> Song:
     Raises:
         CadenzaError: no etude is called so.
     """
-    if band := _BAND_NAME.fullmatch(name.lower()):
-        seed = whole_number(int(band[1]), "seed", 0, MAX_SEED)
-        return Song(band_name(seed), partial(_read_band, seed), source="practice piece")
     match = _ETUDE_NAME.fullmatch(name.lower())
     if not match:
         raise CadenzaError(
@@ -200,10 +184,6 @@ def etude_song(name: str) -> Song:
     which = _checked(match[1], int(match[2]), int(match[3]))
     read, difficulty = partial(_read, *which), float(which[1])
     return Song(etude_name(*which), read, source="practice piece", difficulty=difficulty)
-
-
-def _read_band(seed: int, tracks: Collection[int], _plain: bool) -> Score:
-    return band_score(make_band(seed), tracks)
 
 
 def _read(kind: str, difficulty: int, seed: int, tracks: Collection[int], _plain: bool) -> Score:

@@ -1,19 +1,26 @@
-"""The sets of the benchmark that Cadenza makes up: etudes and songs for a band, in three splits."""
+"""The sets of the benchmark that come with Cadenza: etudes and songs for a band, in splits."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import product
+from pathlib import Path
+from zipfile import ZipFile
 
-from cadenza.music.etudes.library import HARDEST, KINDS, band_name, etude_name, etude_song
+from cadenza.music.etudes.library import HARDEST, KINDS, etude_name, etude_song
+from cadenza.music.formats.midi import score_of
+from cadenza.music.formats.midi_messages import parsed
 from cadenza.music.libraries.songs import Library, Song
+from cadenza.music.score import Score
 
 BENCHMARK = "benchmark"
 """The name of the library."""
 _ETUDE_SEED = 1_000_000  # of all etudes, far from seeds that anybody is likely to have used
 _ETUDE_SPLITS = ("test", "valid", "train", "train", "train")
-_BAND_SEEDS = {"train": range(1000, 1036), "valid": range(1036, 1048), "test": range(1048, 1060)}
+_BANDS = {"train": range(1000, 1036), "valid": range(1036, 1048), "test": range(1048, 1060)}
+_BAND_FILES = Path(__file__).with_name("bands.zip")  # made up for Cadenza, and free of rights
 
 
 def benchmark_sets() -> Library:
@@ -35,6 +42,17 @@ def _etudes() -> Iterator[Song]:
 
 
 def _bands() -> Iterator[Song]:
-    for split, seeds in _BAND_SEEDS.items():
-        for seed in seeds:
-            yield replace(etude_song(band_name(seed)), split=f"band-{split}")
+    for split, numbers in _BANDS.items():
+        for number in numbers:
+            file = f"band-{number}.mid"
+            yield Song(
+                f"{BENCHMARK}/band-{number}",
+                partial(_read_band, file),
+                source="made-up song",
+                split=f"band-{split}",
+            )
+
+
+def _read_band(file: str, tracks: Collection[int], _plain: bool) -> Score:
+    with ZipFile(_BAND_FILES) as files:
+        return score_of(parsed(files.read(file)), tracks, "")

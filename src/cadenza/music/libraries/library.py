@@ -70,9 +70,8 @@ def open_library(spec: str | Path) -> Library:
         spec: the name of a library, see `libraries`, or the path of a folder of MIDI or MusicXML
             files, which may have an index (see `cadenza.music.libraries.index`). With `:SPLIT`
             after it, only the songs of that split, as in "repertoire:valid". `etudes:N` are N
-            etudes, drawn from the seed 0 or from that of `etudes:N:SEED`, and `etudes:band:N` songs
-            for a band. A folder that has the same name as a library wants a path with a separator,
-            such as "./bundled".
+            etudes, drawn from the seed 0 or from that of `etudes:N:SEED`. A folder that has the
+            same name as a library wants a path with a separator, such as "./bundled".
 
     Raises:
         CadenzaError: there is no such library or split, it has not been imported yet, or its index
