@@ -103,11 +103,6 @@ def test_notes_are_left_out_by_the_pitch_that_sounds(read):
     assert score.remarks == ("1 note outside the piano's 88 keys left out",)
 
 
-def test_drums_are_not_transposed(read):
-    score = read([sysex(UP_5), *note(36, 9), *note(60)])
-    assert [stroke.pitch for stroke in score.drums] == [36]
-
-
 BENT = "1 note bent by the pitch wheel taken for the nearest key"
 
 

@@ -719,22 +719,6 @@ def test_a_song_is_played_with_expression_and_without_signs(
     assert browser.problems() == []
 
 
-def test_what_is_played_on_the_command_line_can_be_watched(
-    browser: Browser, tmp_path: Path
-) -> None:
-    song(tmp_path / "d.mid")
-    out = tmp_path / "out"
-    command = ["play", str(tmp_path / "d.mid"), "--watch", "--no-video", "-o", str(out)]
-    with page_of(*command, "--planner.method", "none") as address:
-        browser.events.clear()
-        browser.call("Page.navigate", url=address)
-        wait(browser, "!!window.cadenza && cadenza.finished && cadenza.state === 'kept'")
-        shown = browser.evaluate("cadenza.live.scores[0]")
-        assert browser.evaluate("cadenza.error") is None
-        assert browser.problems() == []
-    assert shown == pytest.approx(json.loads((out / "metrics.json").read_text())["f1"], abs=1e-9)
-
-
 def test_the_page_opens_with_a_song_at_a_click(browser: Browser, address: str) -> None:
     browser.call("Page.navigate", url="about:blank")
     browser.call("Page.navigate", url=address)

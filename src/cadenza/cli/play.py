@@ -17,7 +17,6 @@ from cadenza.cli.options import AGENTS_HELP, LEARNER, Options, Read, setting_up
 from cadenza.cli.practice import practised
 from cadenza.cli.progress import stages
 from cadenza.cli.saving import agent_folder, check_writable, save
-from cadenza.cli.studio import need_server
 
 if TYPE_CHECKING:
     from cadenza.performing.setup import Setup
@@ -43,8 +42,6 @@ class PlayCommand(Options):
     video: bool = False
     """Make a film, too, as "cadenza film" does."""
     sound_font: SoundFont = None
-    watch: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Show it on a page while it is planned, until Ctrl-C."""
     learner: Annotated[str | None, LEARNER] = None
     verbose: Verbose = False
     quiet: Quiet = False
@@ -54,31 +51,22 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
     from cadenza.performing.performance import check_replaceable, perform
     from cadenza.performing.player import find_player
     from cadenza.report.sound_font import voice_of
-    from cadenza.studio.live_page import open_page
 
     player = find_player(command.agent, command.song, configs=command.configs, plan=command.plan)
     command = read(task=player.task, scene=player.scene)
     voice = voice_of(command.sound_font)  # says so before anything is played if it cannot be used
-    if command.watch:
-        need_server()
-    with ExitStack() as kept:
-        with stop_on_signal("writing the results") as stop:
-            with setting_up(command, command.song, player, command.seed) as setup:
-                folder = command.output or agent_folder(setup)
-                check_writable(folder)
-                check_replaceable(folder, command.song)
-                setup, cut_short = kept.enter_context(_practised(setup, folder))
-                page = kept.enter_context(open_page(setup)) if command.watch else None
-                with stages("playing") as progress:
-                    reporting = page.reporting(progress) if page else progress
-                    performance = perform(setup, reporting, stop)
-            if page:
-                page.finish(performance)
+    with (
+        stop_on_signal("writing the results") as stop,
+        setting_up(command, command.song, player, command.seed) as setup,
+    ):
+        folder = command.output or agent_folder(setup)
+        check_writable(folder)
+        check_replaceable(folder, command.song)
+        with _practised(setup, folder) as (ready, cut_short):
+            with stages("playing") as progress:
+                performance = perform(ready, progress, stop)
             save(performance, folder, command.video, voice, command.verbose)
             stopped = stop()
-        if page and not stopped:
-            print("Ctrl-C ends the page")
-            page.wait()
     if cut_short:
         print(f"stopped practice; the same command goes on in {folder}", file=sys.stderr)
     if stopped and performance.episode.num_steps < setup.num_steps:

@@ -32,8 +32,6 @@ class Arrangement:
     """Arrange the song to a difficulty from 1 to 10."""
     all_notes: bool = False
     """Have one hand play all notes, also what is written for the other."""
-    drums: Literal["off", "accents"] = "off"
-    """Have drums accent what is played with them."""
     first_seconds: float | None = None
     """Play only what begins within this time from the first note on [s]."""
     expression: float = 0.0
@@ -75,10 +73,7 @@ class Arrangement:
         Raises:
             CadenzaError: it cannot be read, or has no such tracks.
         """
-        from cadenza.music.accents import accented
-
-        score = song.load(self.tracks, self.plain)
-        return accented(score) if self.drums == "accents" else score
+        return song.load(self.tracks, self.plain)
 
     def performed(self, score: Score, song: str) -> Score:
         """The part of a whole score that is played, with expression.

@@ -153,9 +153,7 @@ class Score:
 
     `remarks` say in plain words what was repaired when the score was read. `tracks` are those of
     the file, played or not. `bars` are in the order in which they are played; there are none if the
-    file has no metre. `drums` are the strokes that no key plays, with times as in the file, and
-    pitches that name the drums of General MIDI. Scores that differ only in tracks, bars or drums
-    are equal.
+    file has no metre. Scores that differ only in tracks or bars are equal.
 
     Raises:
         CadenzaError: something in it is later than `MAX_SCORE_LENGTH`.
@@ -167,7 +165,6 @@ class Score:
     remarks: tuple[str, ...] = ()
     tracks: tuple[Track, ...] = field(default=(), compare=False)
     bars: tuple[Bar, ...] = field(default=(), compare=False)
-    drums: tuple[Note, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         notes = tuple(sorted(self.notes, key=lambda note: (note.start, note.pitch)))
@@ -175,8 +172,7 @@ class Score:
         object.__setattr__(self, "notes", notes)
         object.__setattr__(self, "pedal", pedal)
         object.__setattr__(self, "bars", tuple(sorted(self.bars, key=lambda bar: bar.time)))
-        moments = [self.total_time, *(stroke.end for stroke in self.drums)]
-        moments += [event.time for event in pedal[-1:]]
+        moments = [self.total_time, *(event.time for event in pedal[-1:])]
         moments += [abs(time) for bar in self.bars for time in (bar.time, *bar.beats)]
         check_end(max(moments))
 

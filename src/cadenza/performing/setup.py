@@ -128,7 +128,7 @@ def _chosen_song(
         if arrangement is not None and arrangement.chosen:
             raise CadenzaError(
                 f"{player.name}: plays its song as it was trained or practised; leave out "
-                "--tracks, --plain, --arrange, --level, --drums, --first-seconds and --expression"
+                "--tracks, --plain, --arrange, --level, --first-seconds and --expression"
             )
         return player.song, True
     chosen = load(song, arrangement)

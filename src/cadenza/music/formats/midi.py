@@ -30,7 +30,7 @@ from cadenza.music.formats.midi_messages import (
 from cadenza.music.formats.midi_playing import Part, Playing
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
-from cadenza.music.repair import RawNote, merged_pedal, repaired_notes
+from cadenza.music.repair import merged_pedal, repaired_notes
 from cadenza.music.score import BEAT_TYPES, Bar, Note, PedalEvent, Score, Track, check_chosen
 
 # What is written: at 120 quarters a minute 48,000 ticks a second, in which both 1 ms and thirds of
@@ -40,7 +40,6 @@ _TICKS_PER_SECOND = 2 * _TICKS_PER_QUARTER
 
 _DEFAULT_TEMPO = 500_000  # [us] per quarter, until the file says otherwise
 _PUNCTUATION = "‘’“”–—…"
-_STROKE = 0.05  # [s] for which a drum sounds, whatever the file says
 _MAX_BARS, _MAX_BEATS = 20_000, 100_000  # more are taken for damage
 
 
@@ -123,9 +122,8 @@ def score_of(file: MidiFile, tracks: Collection[int], title: str) -> Score:
         remarks.append("the soft pedal is left out")
     played, all_remarks = repaired_notes(notes, counts, remarks, clock.seconds)
     bars = _bars(file.division, messages, clock, until=played[-1].start)
-    strokes = tuple(_stroke(note, clock) for part in drums for note in part.notes)
     name = next((each.data for each in messages[0] if each.kind == NAME), b"")
-    return Score(played, pedal, _text(name) or title, all_remarks, listed, bars, strokes)
+    return Score(played, pedal, _text(name) or title, all_remarks, listed, bars)
 
 
 def write_midi(score: Score, path: str | Path) -> None:
@@ -291,11 +289,6 @@ def _bars(
                 return ()
             bars.append(Bar(times[0], len(bars) + 1, tuple(times), denominator))
     return tuple(bars)
-
-
-def _stroke(note: RawNote, clock: _Clock) -> Note:
-    start = clock.seconds(note.start)
-    return Note(start, start + _STROKE, note.pitch, note.velocity)
 
 
 def _text(written: bytes) -> str:

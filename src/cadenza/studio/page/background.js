@@ -4,7 +4,6 @@ const POLL_INTERVAL = 2000; // [ms]
 
 /** Shows the background work, and again soon where something goes on. */
 async function showBackground() {
-  if (only) return;
   clearTimeout(showBackground.again);
   let found;
   try {

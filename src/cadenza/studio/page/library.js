@@ -8,12 +8,10 @@ const MAX_SENT = 5 << 20; // bytes of a file: more than the server takes, of whi
 const SONG_GONE = "This song is not here any more. Choose another, or drop its file again.";
 let agentTexts = {}, handTitles = {}; // by id: title, and of agents what they do
 let songs = [], first = "", chosen = null; // songs, and the one that the page opens with
-let only = null; // the one performance that can be watched
 
 async function listSongs() {
-  const { songs: found, agents, hands, first: opening = "", only: one = null } = await fetchJson("api/songs");
-  [songs, first, only] = [found, opening, one];
-  document.body.classList.toggle("one", only !== null);
+  const { songs: found, agents, hands, first: opening = "" } = await fetchJson("api/songs");
+  [songs, first] = [found, opening];
   agentTexts = agents;
   fillSelect("agent", Object.fromEntries(Object.entries(agents).map(([id, [name]]) => [id, name])));
   handTitles = hands;

@@ -4,7 +4,6 @@ const FILE_TITLES = { "report.html": "Report", "video.mp4": "Film", "played.mid"
 const FILE_NAMES = { "wanted.mid": ", as wanted" }; // after the title, where two files have the same ending
 
 async function listPerformances() {
-  if (only) return; // the process that plays it says where its files are
   const kept = await fetchJson("api/performances");
   $("kept").replaceChildren(...kept.map(performanceItem));
 }

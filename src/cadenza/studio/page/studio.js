@@ -35,7 +35,6 @@ const mute = loudness((muted) => { instrument.muted = muted; }, (volume) => { in
 for (const name of ["dragenter", "dragover", "dragleave", "drop"]) {
   document.addEventListener(name, (event) => {
     event.preventDefault();
-    if (only) return;
     const over = name === "dragenter" || name === "dragover";
     $("picture").classList.toggle("over", over);
     $("drop").classList.toggle("over", over);
@@ -49,7 +48,7 @@ listenToKeys({ toggle: togglePlay, mute, fill: fullScreen(), seek, now, end: ava
 
 /** Opens what the address asks for: a performance, or a song and how it is to be played. */
 function openFromAddress() {
-  const asked = fromHash(), id = only ?? asked.job;
+  const asked = fromHash(), id = asked.job;
   if (id) {
     const [lastId, time] = remembered();
     watch(id, id === lastId ? time : 0);
