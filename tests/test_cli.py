@@ -657,7 +657,7 @@ def test_a_plan_is_written_as_sheet_music(
     fingered = read_fingering(f"{path}.fingering", read_midi(tune))
     assert numbers(cadenza.load_song(sheet)) == numbers(fingered)
     message = refused_in_a_line(capsys, "plan", tune, "--score", tmp_path / "tune.txt")
-    assert "tune.txt: sheet music is a .musicxml, .svg or .mid file" in message
+    assert "tune.txt: sheet music is a .musicxml, .pdf, .svg or .mid file" in message
 
 
 def test_a_plan_is_drawn_as_sheet_music(tune: Path, tmp_path: Path) -> None:

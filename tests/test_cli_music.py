@@ -171,8 +171,8 @@ def test_what_is_too_wide_for_two_hands_is_moved_by_octaves(
 def test_a_song_is_arranged_as_sheet_music(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    sheet, midi, picture = (tmp_path / f"song.{ending}" for ending in ("musicxml", "mid", "svg"))
-    for path in (sheet, midi, picture):
+    sheet, midi, pages = (tmp_path / f"song.{ending}" for ending in ("musicxml", "mid", "pdf"))
+    for path in (sheet, midi, pages):
         how = "--first-seconds", "8", "--level", "5", "-o", str(path)
         main(["arrange", "benchmark/band-1007", *how])
         said = capsys.readouterr().out
@@ -181,7 +181,7 @@ def test_a_song_is_arranged_as_sheet_music(
     read = load_song(sheet)
     assert {note.finger.hand for note in read.notes if note.finger} == {0, 1}
     assert sorted(n.pitch for n in read.notes) == sorted(n.pitch for n in load_song(midi).notes)
-    assert "<svg" in picture.read_text()
+    assert pages.read_bytes().startswith(b"%PDF-")
 
 
 @pytest.mark.parametrize(
@@ -190,7 +190,7 @@ def test_a_song_is_arranged_as_sheet_music(
         (["--level", "0"], "level 0: choose 1 to 10"),
         (["--level", "11"], "level 11: choose 1 to 10"),
         (["--arrange", "off", "--level", "3"], "as written, a song has no level"),
-        (["-o", "song.txt"], "song.txt: sheet music is a .musicxml, .svg or .mid file"),
+        (["-o", "song.txt"], "song.txt: sheet music is a .musicxml, .pdf, .svg or .mid file"),
     ],
 )
 def test_what_cannot_be_arranged_is_told_in_a_line(

@@ -21,6 +21,7 @@ from cadenza.agents.planner.config import (
 from cadenza.configs import as_config, check_kind
 from cadenza.errors import CadenzaError, by_others, quoted
 from cadenza.files import TENSORS
+from cadenza.hub import is_on_hub
 from cadenza.registry import Entry, Registry
 
 if TYPE_CHECKING:
@@ -74,8 +75,8 @@ AGENTS = Registry(
 
 
 def is_folder(agent: str) -> bool:
-    """Whether an agent is named by the folder of a policy or of practice."""
-    return agent not in AGENTS.own and os.path.isdir(agent)
+    """Whether an agent is named by the folder of a policy or of practice, or lies on the hub."""
+    return agent not in AGENTS.own and (os.path.isdir(agent) or is_on_hub(agent))
 
 
 def make_agent(name: str, config: Any = None) -> Agent:

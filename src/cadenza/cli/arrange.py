@@ -30,8 +30,8 @@ class Arrange:
     song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")]
     """A song by its name, or a MIDI or MusicXML file."""
     output: Output[Path | None] = None
-    """The arrangement: a .musicxml file, an .svg picture, or a .mid file, with its fingers as text
-    beside it; SONG.musicxml by default."""
+    """The arrangement: a .pdf to print, a .musicxml file to edit, an .svg picture, or a .mid file,
+    with its fingers as text beside it; SONG.musicxml by default."""
     arrangement: Flat[Arrangement] = field(default_factory=lambda: Arrangement(arrange="always"))
     fingering: Literal["robot", "human"] = "robot"
     """Fingers that suit the robot's hands, or those that a pianist would use."""
@@ -61,7 +61,7 @@ def run(command: Arrange) -> None:
     arranged = arrange_song(song.written_for(command.scene.hands), scene).arranged
     how = TaskConfig(fingering=command.fingering, hands_as_written=command.hands_as_written)
     score = GoalTrack(arranged.score, None, how, scene).fingered().score
-    write_sheet(score, path)
+    write_sheet(score, path, command.song)
     hands = {note.finger.hand for note in score.notes if note.finger}
     whose = "both hands" if len(hands) > 1 else "".join(f"the {SIDES[i]} hand" for i in hands)
     print(

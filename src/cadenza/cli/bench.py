@@ -129,13 +129,14 @@ def _contenders(
 def _contender(command: Bench, read: Read[Bench], agent: str) -> Contender:
     from cadenza.agents.registry import make_agent
     from cadenza.evaluation.jobs import Contender, digest_of_files
+    from cadenza.hub import pinned
     from cadenza.learning.policy_folder import policy_folder
 
     if agent.startswith(TRAIN):
         return _trained(command, read, agent)
     if is_folder(agent):
         folder = policy_folder(agent)
-        return _with_policy(read, str(folder), folder)
+        return _with_policy(read, pinned(agent, folder), folder)
     config = command.configs.get(agent)
     make_agent(agent, config)  # an unknown agent is an error before any plays
     return Contender(agent, command.task, command.scene, config, digest_of_files(config))

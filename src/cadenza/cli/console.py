@@ -65,6 +65,9 @@ def quietly(quiet: bool) -> Iterator[None]:
         yield
         return
     token = QUIET.set(True)
+    os.environ.setdefault(
+        "HF_HUB_DISABLE_PROGRESS_BARS", "1"
+    )  # of the hub's library, if it is used
     try:
         with open(os.devnull, "w", errors="backslashreplace") as nowhere, redirect_stdout(nowhere):
             yield

@@ -193,15 +193,16 @@ class DatasetPlay(RecordedParts):
 
 def play(command: DatasetPlay) -> None:
     from cadenza.cli.saving import save
-    from cadenza.demonstrations.dataset import kept
+    from cadenza.demonstrations.dataset import dataset_folder, kept
     from cadenza.performing.performance import check_replaceable
     from cadenza.performing.replaying import replay_episode
 
-    episodes = kept(command.folder)
+    demonstrations = dataset_folder(command.folder)
+    episodes = kept(demonstrations)
     number = whole_number(command.number, "episode", 0, max(len(episodes) - 1, 0))
     if not episodes:
         raise CadenzaError(f"{command.folder}: no episode was kept")
-    folder = command.output or Path("played") / command.folder.resolve().name / str(number)
+    folder = command.output or Path("played") / demonstrations.resolve().name / str(number)
     check_writable(folder)
     check_replaceable(folder)
     with stages("playing") as reporter:

@@ -34,7 +34,7 @@ TRAIN = "train:"  # what the name of an agent begins with that is trained first
 
 AGENTS_HELP = (
     'Who plays: a name from "cadenza info", the folder of a policy, a training run or practice, '
-    "or module:Class. What has learnt or practised a song needs no SONG."
+    "hub:OWNER/NAME, or module:Class. What has learnt or practised a song needs no SONG."
 )
 SONG = tyro.conf.arg(
     metavar="SONG", help='A song by its name (see "cadenza songs"), or a MIDI or MusicXML file.'

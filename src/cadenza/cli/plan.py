@@ -39,8 +39,8 @@ class PlanCommand(Options):
     """The plan, a .safetensors file; played/SONG/plan.safetensors by default. The fingering is
     written beside it as text, to a file that ends in .safetensors.fingering."""
     score: Path | None = None
-    """Write the song with the planned fingers as sheet music, too: a .musicxml file, an .svg
-    picture or a .mid file."""
+    """Write the song with the planned fingers as sheet music, too: a .pdf to print, a .musicxml
+    file to edit, an .svg picture or a .mid file."""
     seed: int = 0
     """Random seed."""
     verbose: Verbose = False
@@ -65,7 +65,7 @@ def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
     planned.save(path)
     print_verdict(planned.performance, command.verbose)
     if command.score is not None:
-        write_sheet(planned.score, command.score)
+        write_sheet(planned.score, command.score, command.song)
     print(f"\nFingering in {fingering_of(path)}. To see and hear the plan:")
     print(shlex.join(["cadenza", "play", command.song, *_to_replay(command, path)]))
 

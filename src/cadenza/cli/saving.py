@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cadenza.performing.setup import Setup
     from cadenza.report.tone import Tone
 
-_SHEETS = (SHEET, ".svg", ".mid")  # endings of files of sheet music
+_SHEETS = (SHEET, ".pdf", ".svg", ".mid")  # endings of files of sheet music
 
 
 def check_name(path: Path, suffix: str, what: str) -> None:
@@ -46,20 +46,24 @@ def check_sheet(path: Path, option: str) -> None:
     check_writable(path.parent, option)
 
 
-def write_sheet(score: Score, path: Path) -> None:
+def write_sheet(score: Score, path: Path, song: str) -> None:
     """Write a score with its fingers as its ending says, and print what is not as in the score.
 
-    Fingers of a .mid file are written beside it.
+    Fingers of a .mid file are written beside it; who wrote the `song` stands in a PDF.
     """
     from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
     from cadenza.music.formats.midi import write_midi
     from cadenza.music.formats.musicxml_writing import write_musicxml
+    from cadenza.music.libraries.library import composer_of
     from cadenza.report.engraving import write_svg
+    from cadenza.report.sheet_pdf import write_pdf
 
     remarks: tuple[str, ...] = ()
     if path.suffix == ".mid":
         write_midi(score, path)
         write_fingering(score, path.with_suffix(SUFFIX))
+    elif path.suffix == ".pdf":
+        remarks = write_pdf(score, path, composer_of(song))
     else:
         remarks = (write_svg if path.suffix == ".svg" else write_musicxml)(score, path)
     for remark in remarks:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cadenza.demonstrations.dataset import EPISODES, results_in, wrong_values
+from cadenza.demonstrations.dataset import EPISODES, dataset_folder, results_in, wrong_values
 from cadenza.demonstrations.recorded_episode import (
     MAKE_AGAIN,
     RESULT,
@@ -33,6 +33,7 @@ def problems(
     Raises:
         CadenzaError: it holds no demonstrations.
     """
+    folder = dataset_folder(folder)
     if not (folder / EPISODES).is_dir():
         raise CadenzaError(f"{folder}: holds no demonstrations")
     yield from _unfinished(folder / EPISODES)

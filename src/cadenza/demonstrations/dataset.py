@@ -21,6 +21,8 @@ from cadenza.demonstrations.recorded_episode import (
     MAKE_AGAIN,
     PLAN,
     RESULT,
+    SCORE,
+    SONGS,
     STEPS,
     EpisodeFacts,
     RecordedEpisode,
@@ -30,6 +32,7 @@ from cadenza.demonstrations.recorded_episode import (
 )
 from cadenza.errors import CadenzaError
 from cadenza.fingers import NO_FINGER
+from cadenza.hub import Kind, fetched
 from cadenza.music.goals import Goals, Onsets
 from cadenza.scene.scene import Scene
 from cadenza.tasks.config import TaskConfig
@@ -41,6 +44,13 @@ Ids = NDArray[np.intp]
 
 LOOKAHEAD = TaskConfig.n_steps_lookahead  # control steps, as the environments show them
 EPISODES = "runs"  # the folder of the episodes' folders
+DATASET = Kind(
+    "dataset",
+    "dataset",
+    (*(f"{EPISODES}/*/{name}" for name in (RESULT, STEPS, PLAN, SCORE)), f"{SONGS}/*.json"),
+    most=2**36,  # some 500 hours of music
+)
+"""Demonstrations as the hub keeps them."""
 _ROUNDING = 1e-6  # of actions that are kept as float32, beyond their limits [m, rad]
 
 
@@ -372,13 +382,22 @@ def _common(episodes: Sequence[RecordedEpisode], what: str, values: Sequence[Any
     return values[0]
 
 
+def dataset_folder(place: str | Path) -> Path:
+    """The folder of a dataset, which is fetched if it is one of the hub: see `cadenza.hub`.
+
+    Raises:
+        CadenzaError: there is none on the hub, or it cannot be fetched.
+    """
+    return fetched(place, DATASET)
+
+
 def finished(folder: str | Path) -> list[tuple[Path, EpisodeFacts]]:
     """The episodes of a folder that are finished, kept or not, by name.
 
     Raises:
         CadenzaError: it holds no demonstrations, or a result.json is damaged.
     """
-    runs = Path(folder) / EPISODES
+    runs = dataset_folder(folder) / EPISODES
     if not runs.is_dir():
         raise CadenzaError(
             f"{folder}: holds no demonstrations; make some with: cadenza dataset collect"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cadenza.demonstrations.dataset import EPISODES, finished
+from cadenza.demonstrations.dataset import EPISODES, dataset_folder, finished
 from cadenza.demonstrations.recorded_episode import SONGS, EpisodeFacts
 from cadenza.errors import counted
 from cadenza.files import files_in
@@ -23,6 +23,7 @@ def summarize(folder: Path) -> Iterator[str]:
     Raises:
         CadenzaError: it holds no demonstrations, or a result.json is damaged.
     """
+    folder = dataset_folder(folder)
     episodes = finished(folder)
     kept = [facts for _, facts in episodes if facts.kept]
     names = {at.name for at, _ in episodes}

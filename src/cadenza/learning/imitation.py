@@ -17,7 +17,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.demonstrations.dataset import Dataset, StepBatch, check_values, kept
+from cadenza.demonstrations.dataset import Dataset, StepBatch, check_values, dataset_folder, kept
 from cadenza.demonstrations.recorded_episode import RecordedEpisode
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import checked
@@ -72,6 +72,7 @@ class Imitation(CheckpointedRun):
         interval = config.checkpoint_interval
         super().__init__(self.folder_at(folder), config.num_updates, interval, rng)
         self.config = config
+        demonstrations = dataset_folder(demonstrations)
         recorded = kept(demonstrations)
         learnt_from, held_out = self._split(recorded)
         episodes = {episode.folder.name: episode for episode in recorded}

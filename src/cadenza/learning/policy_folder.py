@@ -21,6 +21,7 @@ from cadenza.files import (
     read_tensors,
     write_tensors,
 )
+from cadenza.hub import Kind, fetched
 from cadenza.learning.actions import Reference
 from cadenza.learning.learner import learner_config
 from cadenza.learning.observation import Inputs, ObservationSpec
@@ -36,6 +37,8 @@ from cadenza.tasks.piano_task import PianoTask
 POLICY_FILE = f"policy{TENSORS}"
 """The file of a policy: arrays, and facts as JSON in its header."""
 _MAX_BYTES = 2**30  # policies take a few million
+POLICY = Kind("policy", "model", (POLICY_FILE,), _MAX_BYTES)
+"""A policy as the hub keeps it."""
 _FORMAT = 3
 _REFERENCE, _RANGES, _POLICY = "reference/", "ranges/", "policy/"  # begin names of arrays
 _CHANGE_THE_REFERENCE = (
@@ -197,13 +200,13 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
 
 
 def policy_folder(folder: str | Path) -> Path:
-    """The folder of a policy; for that of a training run, its best policy's."""
-    folder = Path(folder)
+    """The folder of a policy, here or of the hub; for that of a training run, its best policy's."""
+    folder = fetched(folder, POLICY)
     return best if (best := folder / "best").is_dir() else folder
 
 
 def load_policy(folder: str | Path) -> LearntPolicy:
-    """Read a policy: that in a folder, or the best one of a training run.
+    """Read a policy: that in a folder, the best one of a training run, or one of the hub.
 
     Raises:
         CadenzaError: there is no policy, or not one that this version wrote, unchanged.

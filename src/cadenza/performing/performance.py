@@ -239,7 +239,7 @@ def play(
         song: the name of a piece (see `cadenza.songs`), the path of a MIDI or MusicXML file, a
             `Song` or a `Score`. None is the song that the agent has learnt or practised.
         agent: a name of `cadenza.agents.registry`; the folder of a policy, of a training run or of
-            practice; "module:Class"; a `LearntPolicy`; or an `Agent`, such as a
+            practice; "hub:OWNER/NAME"; "module:Class"; a `LearntPolicy`; or an `Agent`, such as a
             planner with options, `make_agent("planner", config)`. None is the planner.
         seed: of everything random; the same seed plays the same.
         task: what is played, observed and rewarded. None is what the policy was trained with, and

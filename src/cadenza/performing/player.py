@@ -90,7 +90,8 @@ def find_player(
 
     Args:
         agent: a name of `cadenza.agents.registry`; `module:Class`; the folder of a policy, of a
-            training run or of practice; a policy; or an agent. None is the planner.
+            training run or of practice; a policy on the hub, as `hub:OWNER/NAME`; a policy; or an
+            agent. None is the planner.
         song: the song, by whose name "pretrained" finds its policy.
         configs: agent's name -> its options, see `make_agent`. Those of the planner hold for the
             search of what was practised, too.

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from cadenza.errors import CadenzaError, by_others, quoted
+from cadenza.hub import is_on_hub
 from cadenza.music.formats.reading import MUSIC, NOT_READ, read_score
 from cadenza.music.libraries.bundled import bundled, songs
 from cadenza.music.libraries.folder import folder_library
@@ -141,7 +142,7 @@ def find_song(song: str | Path | Song) -> Song:
     if piece and _is_library(library):
         return song_named(name, _named(library))
     is_piece = any(each.name.lower() == name.lower() for each in songs())
-    if not is_piece and os.path.isdir(name):
+    if not is_piece and (os.path.isdir(name) or is_on_hub(name)):
         raise CadenzaError(
             f"{name}: is no song; give a piece or a music file (what has learnt or practised one "
             f"plays it as --agent {name})"

@@ -33,7 +33,7 @@ from cadenza.agents.planner.search.networks.weights import (
     Network,
     Weights,
 )
-from cadenza.demonstrations.dataset import Dataset, kept
+from cadenza.demonstrations.dataset import Dataset, dataset_folder, kept
 from cadenza.demonstrations.recorded_episode import RecordedEpisode, played_actions
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, ArrayOf, Expected, read_arrays, write_atomically
@@ -100,7 +100,7 @@ class GeneralistCloning(CheckpointedRun):
         super().__init__(self.folder_at(folder), updates, config.checkpoint_interval, rng)
         start_jax()
         self.config = config
-        demonstrations = [Path(place) for place in demonstrations]
+        demonstrations = [dataset_folder(place) for place in demonstrations]
         episodes = [episode for place in demonstrations for episode in kept(place)]
         scene = Dataset(episodes).scene  # or says which do not go together
         places = [str(place.resolve()) for place in demonstrations]
