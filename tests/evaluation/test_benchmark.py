@@ -31,6 +31,7 @@ from cadenza.evaluation.benchmark.definition import (
 )
 from cadenza.evaluation.benchmark.entering import enter
 from cadenza.evaluation.benchmark.entry import ACTIONS, ENTRY, actions_path
+from cadenza.evaluation.benchmark.leaderboard import row_of, write_leaderboard
 from cadenza.evaluation.benchmark.verification import PlayedAgain, verify
 from cadenza.evaluation.jobs import Contender, bench_jobs, key_of
 from cadenza.evaluation.results import RESULT, RUNS
@@ -465,6 +466,18 @@ def test_what_is_not_computed_to_the_bit_is_ranked_as_unverified(
     ]
 
 
+def test_whole_notes_rank_entries_and_f1_those_that_are_equal(made: Path, tmp_path: Path) -> None:
+    row = row_of(made)
+    scores = {"frames": (0.9, 0.99), "notes": (0.95, 0.9), "both": (0.95, 0.91)}
+    rows = [
+        row | {"name": name, "note_onset_f1": onsets, "f1": f1}
+        for name, (onsets, f1) in scores.items()
+    ]
+    table, _ = write_leaderboard(tmp_path, rows)
+    names = [row["name"] for row in csv.DictReader(table.read_text().splitlines())]
+    assert names == ["both", "notes", "frames"]
+
+
 @pytest.fixture
 def deep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder in a folder, and so on, deeper than Python calls functions."""
@@ -537,7 +550,8 @@ def test_a_person_enters_and_verifies(
     chosen = ["--songs", MINE, "--track", "planning", "--about", "nothing", "-o", entry]
     main(["enter", str(bench), *chosen])
     main(["verify", entry])
-    assert capsys.readouterr().out.count(": verified, planner in planning on mine, 4 runs: F1") == 2
+    verified = ": verified, planner in planning on mine, 4 runs: note onset F1 "
+    assert capsys.readouterr().out.count(verified) == 2
     metric("f1", 1.0)(Path(entry))
     with pytest.raises(SystemExit, match="1"):
         main(["verify", entry])

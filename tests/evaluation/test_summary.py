@@ -125,6 +125,12 @@ def test_who_played_the_most_pieces_comes_first_and_of_these_who_played_best(
     assert list(summary.groups[0].agents) == summary.agents
 
 
+def test_whole_notes_count_before_frames(tmp_path: Path) -> None:
+    for name, f1, onsets in (("frames", 0.9, 0.5), ("notes", 0.8, 0.7)):
+        write_result(tmp_path, name, result("a", name, 0, {"f1": f1, "note_onset_f1": onsets}))
+    assert summary_of(tmp_path).agents == ["notes", "frames"]
+
+
 def test_agents_are_compared_on_the_pieces_that_all_played(tmp_path: Path) -> None:
     write(tmp_path, TWO_AGENTS | {("b", "third", 0): 0.6})
     summary = summary_of(tmp_path)

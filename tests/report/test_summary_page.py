@@ -76,8 +76,8 @@ def test_the_table_has_the_means_of_each_piece_and_agent(tmp_path: Path) -> None
         name = f"{piece} {agent} {seed}"
         write_result(tmp_path, name, result(piece, agent, seed, {"f1": f1}, title=f"Piece {piece}"))
     shown = words(written(tmp_path).read_text())
-    assert "Piece a made-up 3.0 20 60 one – 0.600 0.000–1.000 – –" in shown
-    assert "Piece b made-up 3.0 20 60 two – 1.000 – –" in shown
+    assert "Piece a made-up 3.0 20 60 one – – 0.600 0.000–1.000 –" in shown
+    assert "Piece b made-up 3.0 20 60 two – – 1.000 –" in shown
 
 
 def test_the_page_stands_alone(index: Path) -> None:
@@ -101,7 +101,7 @@ def test_words_of_others_are_escaped(tmp_path: Path) -> None:
 def test_a_single_run_makes_a_page(tmp_path: Path) -> None:
     write_result(tmp_path, "only", result("a", "planner", 0, {"f1": 0.5}))
     shown = words(written(tmp_path).read_text())
-    assert "planner – 0.500 – –" in shown
+    assert "planner – – 0.500 –" in shown
     assert "nan" not in shown.lower()
 
 

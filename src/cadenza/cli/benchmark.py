@@ -127,7 +127,7 @@ def _in_words(played: PlayedAgain) -> str:
     metrics, entry = means(played), played.entry
     return (
         f"{entry.name} in {entry.track} on {entry.songs}, {counted(len(entry.runs), 'run')}: "
-        f"F1 {metrics['f1']:.3f}, note onset F1 {metrics['note_onset_f1']:.3f}"
+        f"note onset F1 {metrics['note_onset_f1']:.3f}, F1 {metrics['f1']:.3f}"
     )
 
 

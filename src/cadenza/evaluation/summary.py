@@ -63,7 +63,7 @@ def summary_of(
         }
         for agent in dict.fromkeys(run.agent for run in runs)
     }
-    agents = sorted(of_agent, key=lambda agent: _rank(of_agent[agent]["f1"]))
+    agents = sorted(of_agent, key=lambda agent: _rank(of_agent[agent]))
     scores = {agent: of_agent[agent] for agent in agents}
     return BenchSummary(
         title=title,
@@ -147,10 +147,12 @@ def _played(scores: Scores) -> set[int]:
     return set(np.flatnonzero(~np.isnan(scores).all(axis=0)).tolist())
 
 
-def _rank(f1: Scores) -> tuple[int, float]:
-    """Return a sort key: first is who played the most pieces, and of these who played best."""
-    played = sorted(_played(f1))
-    return -len(played), -float(mean(f1[:, played]))
+def _rank(scores: Mapping[str, Scores]) -> tuple[float, ...]:
+    """Return a sort key: the most pieces first, then the best note onset F1, then the best F1."""
+    f1, onsets = scores["f1"], scores["note_onset_f1"]
+    played, known = sorted(_played(f1)), sorted(_played(onsets))
+    heard = float(mean(onsets[:, known])) if known else 0.0
+    return -len(played), -heard, -float(mean(f1[:, played]))
 
 
 def _by_piece(scores: AllScores, metric: str) -> Estimate:

@@ -32,17 +32,17 @@ _COLUMNS = {
     "by": "by",
     "fingering": "fingering",
     "seeds": "seeds",
-    "f1": "F1",
-    "f1_low": "95 % from",
-    "f1_high": "to",
     "note_onset_f1": "note onset F1",
+    "note_onset_f1_low": "95 % from",
+    "note_onset_f1_high": "to",
+    "f1": "F1",
     "onset_error_ms": "onset error [ms]",
     "velocity_error": "velocity error",
     "cpu_per_music": "CPU time / music",
     "about": "about",
     "why": "why not verified",
 }  # of Markdown, with their titles; the CSV file has more
-_SHARES = ("note_onset_f1", "precision", "recall", "pooled_f1")  # beside F1
+_SHARES = ("f1", "precision", "recall", "pooled_f1")  # beside note onset F1
 _TOLD = ("songs", "track", "name", "by", "fingering", "agent", "about")  # by the entry
 Row = dict[str, Any]
 
@@ -65,7 +65,7 @@ def entries_in(folders: Iterable[Path]) -> list[Path]:
 def row_of(folder: Path) -> Row:
     """Play an entry again, and return its row, which also says what is wrong with it."""
     row: Row = {"songs": "", "track": "", **dict.fromkeys(_COLUMNS, ""), "folder": folder.name}
-    row |= {"name": folder.name, "f1": math.nan}
+    row |= {"name": folder.name, "note_onset_f1": math.nan, "f1": math.nan}
     try:
         entry = read_entry(folder)
         row |= {name: getattr(entry, name) for name in _TOLD}
@@ -84,13 +84,14 @@ def write_leaderboard(folder: Path, rows: Sequence[Row]) -> list[Path]:
     """Write leaderboard.csv and leaderboard.md; return their paths.
 
     Rows are ordered by set and track; then verified ones come first, refused ones
-    last, and the best F1 of each kind first.
+    last, and the best note onset F1 of each kind first, of equal ones the best F1.
     """
     rows = sorted(
         rows,
         key=lambda row: (
             *(row["songs"], row["track"], _ORDER.index(row["status"])),
-            *(-np.nan_to_num(row["f1"]), row["name"]),
+            *(-np.nan_to_num([row["note_onset_f1"], row["f1"]])).tolist(),
+            row["name"],
         ),
     )
     table, text = (folder / f"leaderboard.{suffix}" for suffix in ("csv", "md"))
@@ -110,13 +111,13 @@ def means(played: PlayedAgain) -> Row:
         rows = [[played.metrics[song, seed][name] for song in songs] for seed in entry.seeds]
         return np.array(rows, np.float64)
 
-    f1 = scores("f1")
-    low, high = bootstrap_interval(f1)
+    onsets = scores("note_onset_f1")
+    low, high = bootstrap_interval(onsets)
     cpu = [math.nan if run.cpu_seconds is None else run.cpu_seconds for run in entry.runs]
     return {
-        "f1": float(mean(f1)),
-        "f1_low": low,
-        "f1_high": high,
+        "note_onset_f1": float(mean(onsets)),
+        "note_onset_f1_low": low,
+        "note_onset_f1_high": high,
         **{n: float(mean(scores(n))) for n in _SHARES},
         "onset_error_ms": _MS_PER_SECOND * _mean_of_known(scores("onset_error_median")),
         "velocity_error": _mean_of_known(scores("velocity_error")),
