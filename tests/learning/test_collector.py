@@ -77,7 +77,8 @@ class Run:
         self.task = Watched(songs, config, SceneConfig(), num_envs=3)
         self.scores = GoalTable(self.task.spec)
         self.scores.add_all(self.task)
-        mapping = ActionMapping(self.task.spec, reference_of(self.task) if residual else None)
+        reference = reference_of(PianoTask(songs, config)) if residual else None
+        mapping = ActionMapping(self.task.spec, reference)
         self.observer = Observer(self.task.spec, self.scores, reference=mapping.reference)
         self.replay = ReplayBuffer(self.observer, 3, capacity, self.task.spec.action_size)
         rng = np.random.default_rng(0)

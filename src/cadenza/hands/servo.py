@@ -23,7 +23,7 @@ class Servo:
     travel: float = math.inf
     """Largest distance from rest to which a policy without a plan moves it."""
     correction: float = 0.25
-    """Largest correction by a residual policy."""
+    """Largest correction by the generalist's networks."""
     lift: float = 0.0
     """Motion that frees a hand caught between keys, if it is added for a moment."""
     finger: int | None = None

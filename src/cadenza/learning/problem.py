@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 from cadenza.learning.actions import ActionMapping, Reference, reference_of
@@ -13,6 +14,7 @@ from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.threads import available_cores
 from cadenza.tasks.augmentation import draws_pitch
+from cadenza.tasks.config import DomainRandomization
 from cadenza.tasks.piano_task import PianoTask
 
 
@@ -30,7 +32,7 @@ class Problem:
     inputs: Inputs
     """The entries of the observation that the policy is given."""
     reference: Reference | None
-    """The plan that a residual policy corrects."""
+    """The performance that a residual policy corrects."""
     ranges: Ranges | None
     """The scale of joints and actions, if not the task's."""
 
@@ -84,6 +86,13 @@ def problem_of(config: TrainingConfig, scores: Sequence[Score]) -> Problem:
         goals,
         observation,
         inputs,
-        reference=reference_of(task) if config.residual else None,
+        reference=_reference(config, scores, scene) if config.residual else None,
         ranges=ranges_of(task) if config.song_range and task.scene.sides else None,
     )
+
+
+def _reference(config: TrainingConfig, scores: Sequence[Score], scene: SceneConfig) -> Reference:
+    """What the planner plays where nothing is random, for a residual policy to correct."""
+    undisturbed = replace(config.task, randomization=DomainRandomization())
+    with closing(PianoTask(scores, undisturbed, scene)) as task:
+        return reference_of(task, config.seed)

@@ -107,6 +107,8 @@ class Training(CheckpointedRun):
         self._state = self._learner.init(self.config.seed)
         self._policy = self._learner.behavior_policy(self._state)
         self._experience.begin()
+        if self.config.residual:
+            self._evaluate()  # which plays what it corrects: only better policies are kept
 
     # The loop
 

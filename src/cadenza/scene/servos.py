@@ -66,7 +66,7 @@ class Servos:
 
     @cached_property
     def correction(self) -> Array:
-        """(A,) largest corrections by a residual policy [m, rad]."""
+        """(A,) largest corrections by the generalist's networks [m, rad]."""
         return np.array([use.correction for use in self.uses])
 
     @cached_property

@@ -33,6 +33,9 @@ class DroQConfig(LearnerConfig):
     """Minimum log standard deviation of the policy, before tanh."""
     log_std_max: float = 2.0
     """Maximum log standard deviation of the policy, before tanh."""
+    initial_mean: float = 1.0
+    """Scale of the actor's last weights at the beginning. With 0, the mean action is 0, which of a
+    residual policy corrects nothing."""
     initial_temperature: float = 1.0
     """Initial entropy temperature. It is learnt."""
     target_entropy: float | None = None
@@ -87,6 +90,7 @@ class DroQConfig(LearnerConfig):
             fast,
             actor_learning_rate=3e-4,
             critic_learning_rate=3e-4,
+            initial_mean=0.0,
             initial_temperature=0.01,
             final_learning_rate_fraction=0.1,
             batch_size=256,
@@ -95,7 +99,7 @@ class DroQConfig(LearnerConfig):
     def check(self) -> None:
         """Check the hyperparameters; raises a CadenzaError if one makes no sense."""
         super().check()
-        rates = ("discount", "tau", "actor_ema", "final_learning_rate_fraction")
+        rates = ("discount", "tau", "actor_ema", "initial_mean", "final_learning_rate_fraction")
         check_ranges(
             self,
             {

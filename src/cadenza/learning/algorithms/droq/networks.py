@@ -85,7 +85,11 @@ class Actor(nn.Module):
     @nn.compact
     def __call__(self, observation: jax.Array) -> tuple[jax.Array, jax.Array]:
         hidden = HiddenLayers(self.config, self.inputs)(observation)
-        mean = nn.Dense(self.action_size, kernel_init=xavier, name="mean")(hidden)
+
+        def scaled(key: Any, *of: Any) -> jax.Array:
+            return self.config.initial_mean * xavier(key, *of)
+
+        mean = nn.Dense(self.action_size, kernel_init=scaled, name="mean")(hidden)
         log_std = nn.Dense(self.action_size, kernel_init=xavier, name="log_std")(hidden)
         return mean, jnp.clip(log_std, self.config.log_std_min, self.config.log_std_max)
 
