@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from random_controls import assert_same, controls
 
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.randomization import Factors, shapes
+from cadenza.scene.randomization import POSE_FIELDS, Factors, shapes
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.hands_apart import HandsApart
 from cadenza.sim.mujoco_simulation import MujocoSimulation
@@ -26,7 +26,8 @@ def scene() -> Scene:
 
 def drawn(scene: Scene, seed: int) -> Factors:
     rng = np.random.default_rng(seed)
-    return {name: np.asarray(rng.uniform(0.7, 1.4, s)) for name, s in shapes(scene).items()}
+    factors = {name: np.asarray(rng.uniform(0.7, 1.4, s)) for name, s in shapes(scene).items()}
+    return {n: (f - 1) * 0.02 if n in POSE_FIELDS else f for n, f in factors.items()}  # [m, rad]
 
 
 def randomized(scene: Scene, seeds: list[int], num_threads: int = 1) -> MujocoSimulation:

@@ -16,8 +16,9 @@ from cadenza.scene.randomization import SCALED_FIELDS, scale
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.protocol import State
 from cadenza.tasks.config import DomainRandomization, TaskConfig
+from cadenza.tasks.draw_ranges import DrawRanges
 from cadenza.tasks.piano_task import EpisodeStart, PianoTask
-from cadenza.tasks.randomization import DrawRanges, Randomization
+from cadenza.tasks.randomization import Randomization
 from cadenza.tasks.view import task_spec
 
 jax = pytest.importorskip("jax")

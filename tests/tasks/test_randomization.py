@@ -16,6 +16,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 import cadenza
 from cadenza import CadenzaError, DomainRandomization, Note, SceneConfig, Score, TaskConfig
@@ -26,7 +27,7 @@ from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import load_episode
 from cadenza.files import read_json
-from cadenza.scene.randomization import SCALED_FIELDS
+from cadenza.scene.randomization import POSE_FIELDS, SCALED_FIELDS
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.mujoco_simulation import MujocoSimulation
@@ -37,10 +38,33 @@ TUNE = Score((Note(0.0, 0.2, 60), Note(0.2, 0.4, 64), Note(0.2, 0.6, 43)), title
 ID = "cadenza/Piano-v0"
 EACH: dict[str, Any] = {
     **dict.fromkeys(SCALED_FIELDS, (0.7, 1.4)),
+    "key_travel": (0.9, 1.1),
+    "key_sounding": (0.8, 0.95),
     "latency": (0.0, 0.12),
+    "observation_latency": (0.0, 0.12),
+    "sweep_time": (0.1, 0.3),
+    "dead_band": (0.0, 0.1),
+    "backlash": (0.0, 0.1),
     **dict.fromkeys(("joint_noise", "slide_noise", "key_noise", "control_noise"), 0.02),
+    **dict.fromkeys(("keyboard_offset", "keyboard_tilt", "mount_offset", "mount_tilt"), 0.01),
+    **dict.fromkeys(("joint_bias", "slide_bias", "gravity_tilt"), 0.02),
+    **{"push": 30.0, "touch_noise": 0.1, "touch_bias": 0.1, "drift": 0.5},
 }
 ALL = DomainRandomization(**EACH)
+SENSED = {
+    "observation_latency",
+    "joint_noise",
+    "slide_noise",
+    "key_noise",
+    "joint_bias",
+    "slide_bias",
+}
+# These show only where something is touched, sounds or is pushed; they have tests of their own.
+QUIET = {"key_sounding", "touch_noise", "touch_bias", "drift", "push", *POSE_FIELDS}
+DRAWN = {
+    *(*SCALED_FIELDS, *POSE_FIELDS, "key_sounding", "gravity_tilt", "sweep_time", "dead_band"),
+    *("backlash", "latency", "observation_latency", "bias", "seed"),
+}
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +98,10 @@ def happens(envs: PianoVectorEnv, seed: Any = 0) -> list[NDArray[Any]]:
 # Seeds
 
 
-@pytest.mark.parametrize("name", EACH)
+@pytest.mark.parametrize("name", sorted(EACH.keys() - QUIET))
 def test_environments_differ_in_each_field(name: str) -> None:
     seen, _, qpos = happens(make(4, randomization={name: EACH[name]}))
-    parts = (seen, qpos) if "noise" in name and name != "control_noise" else (qpos,)
+    parts = (seen, qpos) if name in SENSED else (qpos,)
     rows = {np.concatenate([part[:, i].ravel() for part in parts]).tobytes() for i in range(4)}
     assert len(rows) == 4
 
@@ -148,7 +172,7 @@ def test_copies_go_on_as_their_originals(duplicate: Callable) -> None:
 def test_infos_tell_what_was_drawn_for_each_episode(mode: AutoresetMode) -> None:
     envs = make(2, autoreset_mode=mode)
     _, infos = envs.reset(seed=0)
-    names = {f"randomization/{name}" for name in (*SCALED_FIELDS, "latency", "seed")}
+    names = {f"randomization/{name}" for name in DRAWN}
     assert {name for name in infos if name.startswith("randomization/")} == names
     assert infos["randomization/mass"].shape == (2, envs.task.scene.model.nbody)
     assert infos["_randomization/mass"].all()
@@ -300,7 +324,7 @@ def test_observations_have_noise_and_the_state_has_none(scene: Scene) -> None:
     for _ in range(25):
         seen = task.observation()
         assert_array_equal(seen, task.view().observation)  # looked at twice, it is the same
-        off.append(seen[:, parts["joints"]] - task.view().state.hand_qpos)
+        off.append(seen[:, parts["joints"]] - task.state.hand_qpos)
         keys = seen[:, parts["key_state"]]
         low, high = min(low, keys.min()), max(high, keys.max())
         assert set(np.unique(seen[:, parts["goal"]])) <= {0, 1}
@@ -318,9 +342,9 @@ def test_controls_have_noise_in_each_step_and_environment(scene: Scene) -> None:
     arrived = []
 
     class Listening(MujocoSimulation):
-        def step(self, ctrl: Any, env_ids: Any = None, held: Any = None) -> None:
+        def step(self, ctrl: Any, *args: Any, **options: Any) -> None:
             arrived.append(ctrl.copy())
-            super().step(ctrl, env_ids, held)
+            super().step(ctrl, *args, **options)
 
     config = TaskConfig(randomization=DomainRandomization(control_noise=0.05))
     task = PianoTask([TUNE], config, scene, 4, make_simulation=Listening)
@@ -332,6 +356,187 @@ def test_controls_have_noise_in_each_step_and_environment(scene: Scene) -> None:
     noise = (np.array(arrived) - middle[:-1]) / half
     assert_allclose(noise.std(), 0.05, rtol=0.05)
     assert len(np.unique(noise)) == noise.size
+
+
+# A world that differs
+
+
+def playing(scene: SceneConfig | Scene, steps: int = 12, **options: Any) -> PianoTask:
+    """A task whose hands have moved a while, as the same random actions have it."""
+    task = PianoTask([TUNE], TaskConfig(randomization=DomainRandomization(**options)), scene)
+    task.reset([np.random.default_rng(0)], [0])
+    rng = np.random.default_rng(1)
+    for _ in range(steps):
+        middle = (task.spec.action_low + task.spec.action_high) / 2
+        spread = 0.3 * (task.spec.action_high - middle)
+        task.step((middle + spread * rng.uniform(-1, 1, len(middle)))[None])
+    return task
+
+
+@pytest.mark.parametrize("hands", ["both", "apart"])
+@pytest.mark.parametrize("steps", [0, 1, 2])
+def test_observations_are_late_by_control_steps(hands: Any, steps: int) -> None:
+    late = playing(SceneConfig(hands=hands), 12, observation_latency=(steps * 0.05,) * 2)
+    then = playing(SceneConfig(hands=hands), 12 - steps)
+    for name in ("hand_qpos", "hand_qvel", "key_qpos"):
+        assert_array_equal(getattr(late.sensed, name), getattr(then.state, name), err_msg=name)
+    parts = late.spec.observation_layout
+    assert_array_equal(
+        late.observation()[:, parts["joints"]], then.observation()[:, parts["joints"]]
+    )
+    assert late.drawn.get("observation_latency", [0.0])[0] == pytest.approx(steps * 0.05)
+
+
+def test_observations_are_late_by_physics_steps(scene: Scene) -> None:
+    """They are what MuJoCo itself has so long before."""
+    task = playing(scene, 1, observation_latency=(0.02, 0.02))
+    model, data = scene.model, mujoco.MjData(scene.model)
+    data.qpos[scene.hand_qpos] = scene.hand_start
+    middle = (scene.action_low + scene.action_high) / 2
+    spread = 0.3 * (scene.action_high - middle)
+    data.ctrl = (middle + spread * np.random.default_rng(1).uniform(-1, 1, len(middle)))[:-1]
+    for _ in range(6):  # of 10
+        mujoco.mj_step(model, data)
+    assert_allclose(task.sensed.hand_qpos[0], data.qpos[scene.hand_qpos], atol=1e-9)
+
+
+def test_onsets_are_heard_when_they_arrive() -> None:
+    """A key of a piano that plays itself sounds, and is heard 0.12 s later, as loud."""
+    heard = []
+    for late in (0.0, 0.12):
+        config = DomainRandomization(observation_latency=(late, late))
+        scene = SceneConfig(hands="none")
+        task = PianoTask([TUNE], TaskConfig(randomization=config), scene)
+        task.reset([np.random.default_rng(0)], [0])
+        for step in range(8):
+            task.step(np.where(np.arange(89) == 40, task.spec.action_high, 0.0)[None])
+            if np.isfinite(task.sensed.key_onset[0, 40]):
+                heard.append(
+                    (step * 0.05 + task.sensed.key_onset[0, 40], task.sensed.key_speed[0, 40])
+                )
+    assert len(heard) == 2
+    assert heard[1][0] - heard[0][0] == pytest.approx(0.12)
+    assert heard[1][1] == heard[0][1]
+
+
+def test_biases_stay_and_drift_wanders(scene: Scene) -> None:
+    def off(steps: int, **more: float) -> NDArray[Any]:
+        task = playing(scene, steps, joint_bias=0.02, slide_bias=0.001, seed=4, **more)
+        return task.sensed.hand_qpos[0] - task.state.hand_qpos[0]
+
+    assert_allclose(off(0), off(12), atol=1e-12)
+    hinges = np.abs(scene.hand_start) >= 0  # all of them, slides set apart below
+    hinges[[0, 1, 23, 24]] = False
+    assert_allclose(off(0)[hinges].std(), 0.02, rtol=0.4)
+    assert abs(off(0)[~hinges]).max() < 0.004
+    wandered = [off(n, drift=1.0) - off(n) for n in (1, 12)]
+    assert 0 < np.linalg.norm(wandered[0]) < np.linalg.norm(wandered[1])
+
+
+def test_agents_see_fingertips_where_joints_seem_to_be(scene: Scene) -> None:
+    task = playing(scene, 5, joint_bias=0.05)
+    data = mujoco.MjData(scene.model)
+    data.qpos[scene.hand_qpos] = task.view().state.hand_qpos[0]
+    mujoco.mj_kinematics(scene.model, data)
+    off = task.view().state.fingertip_xpos[0] - data.site_xpos[scene.fingertip_sites]
+    true = abs(task.view().state.fingertip_xpos - task.state.fingertip_xpos)
+    assert abs(off).max() < 0.3 * true.max()  # two joints of one tendon are seen as it has them
+
+
+@pytest.mark.parametrize("hands", ["both", "apart"])
+def test_the_keyboard_lies_where_infos_tell(hands: Any) -> None:
+    config = SceneConfig(hands=hands)
+    there = playing(config, 0).state.key_xpos[0]
+    task = playing(config, 0, keyboard_offset=0.01, keyboard_tilt=0.02)
+    offset, tilt = (task.drawn[f"keyboard_{name}"][0] for name in ("offset", "tilt"))
+    turned = Rotation.from_rotvec(tilt).apply(there) + offset
+    assert_allclose(task.state.key_xpos[0], turned, atol=1e-12)
+    assert abs(turned - there).max() > 2e-3
+
+
+@pytest.mark.parametrize("hands", ["both", "apart"])
+def test_hands_are_mounted_where_infos_tell(hands: Any) -> None:
+    config = SceneConfig(hands=hands)
+    there = playing(config, 0).state.fingertip_xpos[0]
+    task = playing(config, 0, mount_offset=0.01)
+    off = (task.state.fingertip_xpos[0] - there).reshape(2, 5, 3)
+    assert_allclose(off, np.repeat(task.drawn["mount_offset"][0][:, None], 5, axis=1), atol=1e-12)
+
+
+@pytest.mark.parametrize("hands", ["none", "apart"])
+def test_keys_sound_from_the_depth_and_stop_at_the_end_that_infos_tell(hands: Any) -> None:
+    """Keys that go down by themselves, or do not move; either way states and events agree."""
+    task = PianoTask(
+        [TUNE],
+        TaskConfig(
+            randomization=DomainRandomization(key_sounding=(0.2, 0.9), key_travel=(0.9, 1.1))
+        ),
+        SceneConfig(hands=hands),
+    )
+    task.reset([np.random.default_rng(0)], [0])
+    keyboard, sounded = task.scene.keyboard, task.sounding.copy()
+    sounds_from = keyboard.sounds_from * task.drawn["key_sounding"][0]
+    for _ in range(20):
+        task.step(task.spec.action_high[None] * 0.9)
+        assert_array_equal(task.sounding[0], task.state.key_qpos[0] >= sounds_from)
+        changed = ~np.isnan(task.state.key_onset[0]) | ~np.isnan(task.state.key_offset[0])
+        assert changed[task.sounding[0] != sounded[0]].all()
+        sounded = task.sounding.copy()
+    assert hands == "apart" or sounded.all()
+
+
+def test_setpoints_have_limits_of_speed_dead_bands_and_backlash(scene: Scene) -> None:
+    arrived = []
+
+    class Listening(MujocoSimulation):
+        def step(self, ctrl: Any, *args: Any, **options: Any) -> None:
+            arrived.append(ctrl[0].copy())
+            super().step(ctrl, *args, **options)
+
+    low, high = scene.action_low, scene.action_high
+    half = (high - low)[:-1] / 2
+
+    def sent(ctrls: Any, **options: Any) -> NDArray[Any]:
+        """(steps, A) where servos are sent, from the middle of their ranges, in half ranges."""
+        arrived.clear()
+        config = TaskConfig(randomization=DomainRandomization(**options))
+        task = PianoTask([TUNE], config, scene, make_simulation=Listening)
+        task.reset([np.random.default_rng(0)], [0])
+        for ctrl in [0.0] * 8 + ctrls:
+            task.step(((low + high) / 2 + ctrl * (high - low) / 2)[None])
+        return (np.array(arrived[8:]) - (low + high)[:-1] / 2) / half
+
+    steps = sent([1.0] * 4, sweep_time=(0.25, 0.25))
+    assert_allclose(steps[:, 3], [0.4, 0.8, 1.0, 1.0])
+    steps = sent([0.04, 0.06, 0.1], dead_band=(0.05, 0.05))
+    assert_allclose(steps[:, 3], [0.0, 0.06, 0.06], atol=1e-12)
+    steps = sent([0.5, 0.45, 0.0], backlash=(0.2, 0.2))
+    assert_allclose(np.diff(steps[:, 3]), [0.0, -0.3], atol=1e-12)
+
+
+def test_gravity_off_its_direction_and_pushes_move_hands(scene: Scene) -> None:
+    still = playing(scene, 40).state.hand_qpos
+    for options in ({"gravity_tilt": 0.1}, {"push": 50.0}):
+        moved = np.abs(playing(scene, 40, **options).state.hand_qpos - still)
+        assert 1e-5 < moved.max() < 0.3
+
+
+@pytest.mark.parametrize("name", ["gentle", "realistic", "harsh"])
+def test_profiles_are_setups_that_play(name: str) -> None:
+    env = gym.make(ID, song=TUNE, setup=name)
+    _, info = env.reset(seed=0)
+    assert np.isfinite(env.step(env.action_space.sample())[0]).all()
+    assert info["randomization/latency"] > 0
+
+
+def test_the_device_refuses_what_it_does_not_have() -> None:
+    with pytest.raises(CadenzaError, match=r"engine warp has no randomization\.drift: choose"):
+        PianoTask(
+            [TUNE],
+            TaskConfig(randomization=DomainRandomization(drift=0.1)),
+            SceneConfig(engine="warp"),
+            make_simulation=MujocoSimulation,
+        )
 
 
 # Recordings and options
@@ -346,7 +551,7 @@ def test_a_recorded_episode_plays_again_to_the_bit(tmp_path: Path) -> None:
     read = TaskConfig(**settings["task"])
     again = play_episode(PianoTask([TUNE], read), Playback(recorded["action"]), settings["seed"])
     drawn = {n for n in recorded.arrays if n.startswith("randomization_")}
-    assert drawn == {f"randomization_{n}" for n in (*SCALED_FIELDS, "latency", "seed")}
+    assert drawn == {f"randomization_{name}" for name in DRAWN}
     for name in {"hand_qpos", "key_qpos", "reward_total", *drawn}:
         assert_array_equal(recorded[name], again.episode[name])
     seed = int(recorded["randomization_seed"])

@@ -116,7 +116,7 @@ class Collector:
     def _step_task(self, action: Floats, env_ids: list[int] | None = None) -> Transition:
         task = self._task
         pedal = task.goals.upcoming.goal[:, 0, -1]
-        ctrl = self._mapping.ctrl(action, task.goals.row, task.state, pedal)
+        ctrl = self._mapping.ctrl(action, task.goals.row, task.sensed, pedal)
         result = task.step(ctrl, env_ids)
         moving = self._env_ids if env_ids is None else env_ids
         self._action[moving] = action[moving]

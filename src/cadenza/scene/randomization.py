@@ -1,4 +1,4 @@
-"""Domain randomization of models: one scene, scaled as real instruments and robots differ."""
+"""Domain randomization of models: one scene, made to differ as real pianos and robots do."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cadenza.scene.scene import Scene
 
 Factors = Mapping[str, NDArray[np.float64]]
-"""Name of a scaled quantity, see `shapes` -> its factors."""
+"""Name of a quantity, see `shapes` -> its factors, or offsets [m] or tilts [rad]."""
 
 SCALED_FIELDS = {
     "mass": ("body_mass", "body_inertia"),
@@ -24,14 +24,26 @@ SCALED_FIELDS = {
     # Gain and bias alike, so that a servo comes to rest where it did.
     "servo_gain": ("actuator_gainprm", "actuator_biasprm"),
     "key_spring": ("jnt_stiffness",),
+    "force_limit": ("actuator_forcerange",),
+    "key_travel": ("jnt_range",),
 }
 """Name of a scaled quantity -> the fields of `mujoco.MjModel` that its factors multiply."""
+POSE_FIELDS = {
+    "keyboard_offset": ("body_pos",),
+    "keyboard_tilt": ("body_quat",),
+    "mount_offset": ("body_pos",),
+    "mount_tilt": ("body_quat",),
+}
+"""Name of a pose that may be off -> the field of `mujoco.MjModel` that has it."""
+KEY_SOUNDING = "key_sounding"
+"""The name of factors that no model has: of the depth from which each key sounds."""
+_OF_KEYS = {"key_spring", "key_travel"}  # each key is one hinge
 _INERTIAL = {"mass", "armature"}  # MuJoCo has computed other fields from these
 _COMPUTED = "body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_invweight0"
 
 
 def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
-    """Name of a quantity that can be scaled -> the shape of its factors.
+    """Name of a quantity that can differ -> the shape of its factors, offsets or tilts.
 
     - mass (bodies,): mass and inertia of each body, keys included; the weight of the hands stays
       compensated where it is,
@@ -40,10 +52,14 @@ def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
     - joint_damping, joint_friction, armature (V,): damping, dry friction and motor inertia of each
       joint, keys included,
     - servo_gain (A,): of each servo, for position and speed alike,
-    - key_spring (K,): the stiffness of each key's spring.
+    - key_spring, key_travel, key_sounding (K,): of each key the stiffness of its spring, its way
+      down, and the part of the nominal way after which it sounds,
+    - force_limit (A,): of each servo that has one,
+    - keyboard_offset, keyboard_tilt (3,): place [m] and rotation vector [rad] of the keyboard,
+    - mount_offset, mount_tilt (H, 3): the same of the base of each hand.
 
-    Bodies, joints and servos are in the order of the model. Sizes, places, ranges and the limits of
-    forces are not scaled.
+    Bodies, joints and servos are in the order of the model, axes those of the world. The keyboard
+    turns about its middle. Sizes are not scaled.
     """
     model = scene.model
     return {
@@ -54,22 +70,44 @@ def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
         "armature": (model.nv,),
         "servo_gain": (model.nu,),
         "key_spring": (scene.keyboard.num_keys,),
+        "force_limit": (model.nu,),
+        "key_travel": (scene.keyboard.num_keys,),
+        KEY_SOUNDING: (scene.keyboard.num_keys,),
+        "keyboard_offset": (3,),
+        "keyboard_tilt": (3,),
+        "mount_offset": (len(scene.sides), 3),
+        "mount_tilt": (len(scene.sides), 3),
     }
 
 
 def scale(model: mujoco.MjModel, scene: Scene, factors: Factors, data: mujoco.MjData) -> None:
-    """Set fields of `model`, a copy of that of `scene`, to the nominal ones times `factors`.
+    """Set fields of `model`, a copy of that of `scene`, to the nominal ones changed by `factors`.
 
     Earlier factors of the same names are replaced. MuJoCo computes with `data`, which has to be
     reset afterwards.
     """
     for name, factor in factors.items():
-        rows = scene.key_qpos if name == "key_spring" else slice(None)  # each key is one hinge
-        for field in SCALED_FIELDS[name]:
+        if name in POSE_FIELDS:
+            _displace(model, scene, name, factor)
+        rows = scene.key_qpos if name in _OF_KEYS else slice(None)
+        for field in SCALED_FIELDS.get(name, ()):
             nominal = getattr(scene.model, field)[rows]
             getattr(model, field)[rows] = (nominal.T * factor).T
     if factors.keys() & _INERTIAL:
         mujoco.mj_setConst(model, data)
+
+
+def _displace(model: mujoco.MjModel, scene: Scene, name: str, by: NDArray[np.float64]) -> None:
+    """Move or turn the keyboard, or the bases of the hands."""
+    names = ["piano"] if name.startswith("keyboard") else [f"{side}_hand" for side in scene.sides]
+    for body, own in zip(names, by.reshape(-1, 3), strict=True):
+        i = model.body(body).id
+        if name.endswith("offset"):
+            model.body_pos[i] = scene.model.body_pos[i] + own
+            continue
+        turned, angle = np.zeros(4), float(np.linalg.norm(own))
+        mujoco.mju_axisAngle2Quat(turned, own / (angle or 1.0), angle)
+        mujoco.mju_mulQuat(model.body_quat[i], turned, scene.model.body_quat[i])
 
 
 def affected_fields(names: Collection[str]) -> tuple[str, ...]:
@@ -78,7 +116,8 @@ def affected_fields(names: Collection[str]) -> tuple[str, ...]:
     Those on which no motion depends are left out.
     """
     computed = _COMPUTED if _INERTIAL & set(names) else ()
-    return (*(field for name in names for field in SCALED_FIELDS[name]), *computed)
+    fields = SCALED_FIELDS | POSE_FIELDS
+    return (*dict.fromkeys(f for name in names for f in fields.get(name, ())), *computed)
 
 
 def scaled_fields(scene: Scene, each: Iterable[Factors]) -> dict[str, NDArray[np.float32]]:

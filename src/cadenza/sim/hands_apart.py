@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.fingers import SIDES, Side
-from cadenza.scene.randomization import Factors
+from cadenza.scene.randomization import KEY_SOUNDING, Factors
 from cadenza.scene.scene import HandAlone, Scene, as_ids, hand_alone
 from cadenza.sim.mujoco_simulation import MujocoSimulation
-from cadenza.sim.protocol import HeldControls, State
+from cadenza.sim.protocol import HeldControls, Path, State
 
 Array = NDArray[np.float64]
 
@@ -36,6 +36,9 @@ class HandsApart:
         self._alone = [hand_alone(scene, side) for side in SIDES]
         self._parts = [MujocoSimulation(alone.scene, **options) for alone in self._alone]
         self._rows = [_indices_of(scene, alone) for alone in self._alone]
+        self._sounds_from = np.tile(
+            scene.keyboard.sounds_from, (len(self._parts[0].state.touch), 1)
+        )
         self._sounded = [self._sounding(part) for part in self._parts]  # before the last step
         self._combine()
 
@@ -52,15 +55,35 @@ class HandsApart:
         for rows, part in zip(self._rows, self._parts, strict=True):
             own = {name: factor[rows.get(name, ...)] for name, factor in factors.items()}
             part.randomize(env_id, own)
+        if KEY_SOUNDING in factors:
+            self._sounds_from[env_id] = self.scene.keyboard.sounds_from * factors[KEY_SOUNDING]
+
+    def push(self, env_id: int, force: Array) -> None:
+        for rows, part in zip(self._rows, self._parts, strict=True):
+            part.push(env_id, force[rows["mass"]])
 
     def step(
-        self, ctrl: Array, env_ids: Sequence[int] | None = None, held: HeldControls | None = None
+        self,
+        ctrl: Array,
+        env_ids: Sequence[int] | None = None,
+        held: HeldControls | None = None,
+        path: Path | None = None,
     ) -> None:
         stepped = slice(None) if env_ids is None else list(env_ids)
+        ways = list[Path]()
         for alone, part, sounded in zip(self._alone, self._parts, self._sounded, strict=True):
             sounded[stepped] = self._sounding(part)[stepped]
             before = held and held._replace(ctrl=held.ctrl[:, alone.servos])
-            part.step(ctrl[:, alone.servos], env_ids, before)
+            own = Path.still(part.state, path.key_qpos.shape[1]) if path else None
+            part.step(ctrl[:, alone.servos], env_ids, before, own)
+            if own:
+                ways.append(own)
+        if path:
+            right, left = ways
+            path.hand_qpos[stepped] = np.concatenate([right[0], left[0]], axis=2)[stepped]
+            path.hand_qvel[stepped] = np.concatenate([right[1], left[1]], axis=2)[stepped]
+            path.key_qpos[stepped] = np.maximum(right[2], left[2])[stepped]
+            path.touch[stepped] = (right[3] + left[3])[stepped]
         self._combine()
 
     def save(self, env_id: int) -> Any:
@@ -99,7 +122,7 @@ class HandsApart:
         )
 
     def _sounding(self, part: MujocoSimulation) -> NDArray[np.bool_]:
-        return np.asarray(part.state.key_qpos >= self.scene.keyboard.sounds_from)
+        return np.asarray(part.state.key_qpos >= self._sounds_from)
 
     def close(self) -> None:
         """Stop the threads."""
@@ -133,4 +156,7 @@ def _indices_of(scene: Scene, alone: HandAlone) -> dict[str, Any]:
     bodies = as_ids(both.body(part.body(b).name).id for b in range(part.nbody))
     joints = as_ids(both.joint(part.joint(j).name).dofadr[0] for j in range(part.njnt))
     by_joint = dict.fromkeys(("joint_damping", "joint_friction", "armature"), joints)
-    return {"mass": bodies, "servo_gain": alone.servos, **by_joint}
+    by_servo = dict.fromkeys(("servo_gain", "force_limit"), alone.servos)
+    hand = scene.sides.index(alone.scene.sides[0])
+    by_mount = dict.fromkeys(("mount_offset", "mount_tilt"), slice(hand, hand + 1))
+    return {"mass": bodies, **by_servo, **by_joint, **by_mount}

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
-from cadenza.scene.randomization import Factors, scale
+from cadenza.scene.randomization import KEY_SOUNDING, Factors, scale
 from cadenza.scene.scene import Scene
 from cadenza.sim.key_crossings import last_key_events
-from cadenza.sim.protocol import HeldControls, State
+from cadenza.sim.protocol import HeldControls, Path, State
 from cadenza.sim.threads import Threads
 
 Array = NDArray[np.float64]
@@ -68,10 +68,12 @@ class MujocoSimulation:
         self.num_envs = whole_number(num_envs, "num_envs", 1, MAX_ENVS)
         self.control_timestep = control_timestep
         self.num_substeps = physics_steps(control_timestep, scene.model.opt.timestep)
+        self._substep = control_timestep / self.num_substeps
         self._threads = Threads(num_threads)
         self._data = [mujoco.MjData(scene.model) for _ in range(num_envs)]
         self._models = [scene.model] * num_envs  # the nominal one until it is randomized
         self._factors: dict[int, Factors] = {}
+        self._sounding_depth: dict[int, Array] = {}
         self._watch_forearms = watch_forearms and len(scene.sides) == 2
         self.state = State.at_rest(scene, num_envs)
         self.reset()
@@ -84,8 +86,10 @@ class MujocoSimulation:
             hand_qpos: (len(env_ids), J) joint positions to start from; zero by default.
         """
 
+        ids = self._ids(env_ids)
+
         def change(row: int, data: mujoco.MjData) -> None:
-            mujoco.mj_resetData(self.scene.model, data)
+            mujoco.mj_resetData(self._models[ids[row]], data)  # which places what never moves
             if hand_qpos is not None:
                 data.qpos[self.scene.hand_qpos] = hand_qpos[row]
 
@@ -100,6 +104,12 @@ class MujocoSimulation:
             self._models[env_id] = copy(self.scene.model)
         scale(self._models[env_id], self.scene, factors, self._data[env_id])
         self._factors[env_id] = factors
+        if KEY_SOUNDING in factors:
+            self._sounding_depth[env_id] = factors[KEY_SOUNDING]
+
+    def push(self, env_id: int, force: Array) -> None:
+        """Push bodies of one simulation, as `protocol.Simulation.push`."""
+        self._data[env_id].xfrc_applied[:, :3] = force
 
     def _change(
         self, change: Callable[[int, mujoco.MjData], None], env_ids: Sequence[int] | None = None
@@ -115,7 +125,11 @@ class MujocoSimulation:
         self.state = state
 
     def step(
-        self, ctrl: Array, env_ids: Sequence[int] | None = None, held: HeldControls | None = None
+        self,
+        ctrl: Array,
+        env_ids: Sequence[int] | None = None,
+        held: HeldControls | None = None,
+        path: Path | None = None,
     ) -> None:
         """Apply `ctrl` (N, A) in actuator units for one control step.
 
@@ -123,26 +137,37 @@ class MujocoSimulation:
             ctrl: one row for every simulation, also for those not stepped.
             env_ids: the simulations to step; all by default.
             held: the controls until these arrive, if they are late.
+            path: receives the way through the step.
         """
         out, stepped = self.state.copy(), self._ids(env_ids)
         paths = np.empty((len(stepped), self.num_substeps + 1, self.scene.keyboard.num_keys))
 
         def advance(row: int) -> None:
             i = stepped[row]
-            self._advance(i, ctrl[i], held, paths[row])
+            self._advance(i, ctrl[i], held, paths[row], path)
             self._read(i, out, i)
 
         self._threads.for_each(range(len(stepped)), advance)
+        if path is not None:
+            path.key_qpos[stepped] = paths
         self._read_key_events(out, slice(None) if env_ids is None else env_ids, paths)
         self._set_state(out)
 
     def _ids(self, env_ids: Sequence[int] | None) -> Sequence[int]:
         return range(self.num_envs) if env_ids is None else env_ids
 
-    def _advance(self, i: int, ctrl: Array, held: HeldControls | None, key_path: Array) -> None:
+    def _advance(
+        self,
+        i: int,
+        ctrl: Array,
+        held: HeldControls | None,
+        key_path: Array,
+        path: Path | None = None,
+    ) -> None:
         """Take a step of simulation `i`, and write where its keys are on the way.
 
         `key_path` (S + 1, K) are their angles before the step and after each physics step [rad].
+        The hands' joints and touch are written to `path`.
         """
         # Ends on mj_step1, so that what is read afterwards belongs to the new state. This order
         # also reproduces the published recordings, which were made by the same engine.
@@ -151,14 +176,26 @@ class MujocoSimulation:
         late = 0 if held is None else int(held.substeps[i])
         data.ctrl = held.ctrl[i] if held and late else ctrl
         key_path[0] = key_qpos
+        self._note(i, path, 0)
         mujoco.mj_step2(model, data)
         key_path[1] = key_qpos
+        self._note(i, path, 1)
         for substep in range(1, self.num_substeps):
             if substep == late:
                 data.ctrl = ctrl
             mujoco.mj_step(model, data)
             key_path[substep + 1] = key_qpos
+            self._note(i, path, substep + 1)
         mujoco.mj_step1(model, data)
+
+    def _note(self, i: int, path: Path | None, at: int) -> None:
+        """Write the joints and the touch of the hands of simulation `i` on a path, if there is."""
+        if path is not None:
+            data, scene = self._data[i], self.scene
+            path.hand_qpos[i, at] = data.qpos[scene.hand_qpos]
+            path.hand_qvel[i, at] = data.qvel[scene.hand_qvel]
+            if scene.config.touch:
+                path.touch[i, at, scene.present_fingers] = data.sensordata
 
     def _read(self, i: int, out: State, row: int | tuple[int, int]) -> None:
         """Copy the state of simulation `i` into `out` at `row`."""
@@ -180,10 +217,16 @@ class MujocoSimulation:
 
     def _read_key_events(self, out: State, rows: Any, key_paths: Array) -> None:
         """Write what happened to the keys on their paths (..., S + 1, K) into rows of `out`."""
-        substep = self.control_timestep / self.num_substeps
-        events = last_key_events(key_paths, self.scene.keyboard.sounds_from, substep)
+        substep, sounds_from = self._substep, self.scene.keyboard.sounds_from
+        events = last_key_events(key_paths, sounds_from, substep)
         for values, new in zip(out.key_events, events, strict=True):
             values[rows] = new
+        for i, depth in self._sounding_depth.items():
+            if isinstance(rows, slice) or i in rows:
+                path = key_paths[i if isinstance(rows, slice) else list(rows).index(i)]
+                events = last_key_events(path, sounds_from * depth, substep)
+                for values, new in zip(out.key_events, events, strict=True):
+                    values[i] = new
 
     def _set_state(self, state: State) -> None:
         """Take the state after a step, and log which simulations have become unstable."""
@@ -195,9 +238,13 @@ class MujocoSimulation:
     def copy_to(self, data: Sequence[mujoco.MjData], env_id: int) -> None:
         """Put all of `data`, of the nominal model, into the physical state of `env_id`."""
         for each in data:
-            mujoco.mj_copyData(each, self.scene.model, self._data[env_id])
-            if self._models[env_id] is not self.scene.model:
-                mujoco.mj_step1(self.scene.model, each)  # derived quantities by the nominal model
+            if self._models[env_id] is self.scene.model:
+                mujoco.mj_copyData(each, self.scene.model, self._data[env_id])
+            else:  # derived quantities by the nominal model
+                mujoco.mj_resetData(self.scene.model, each)
+                state = self.physics_state(env_id)
+                mujoco.mj_setState(self.scene.model, each, state, PHYSICS_STATE)
+                mujoco.mj_step1(self.scene.model, each)
 
     def physics_state(self, env_id: int) -> Array:
         """(S,) the full state of simulation `env_id`, except for which keys sleep."""

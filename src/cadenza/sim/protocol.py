@@ -99,10 +99,30 @@ class HeldControls(NamedTuple):
     """(N,) number of physics steps, fewer than a control step has."""
 
 
+class Path(NamedTuple):
+    """The way through a control step: its S + 1 states, before and after each physics step."""
+
+    hand_qpos: Array
+    """(N, S + 1, J) joint positions of the hands [m, rad]."""
+    hand_qvel: Array
+    """(N, S + 1, J) joint velocities of the hands [m/s, rad/s]."""
+    key_qpos: Array
+    """(N, S + 1, K) joint angles of the keys [rad]."""
+    touch: Array
+    """(N, S + 1, F) normal forces on the fingertips, of a physics step earlier [N]."""
+
+    @classmethod
+    def still(cls, state: State, length: int) -> Path:
+        """A way of `length` states that are all the same."""
+        values = state.hand_qpos, state.hand_qvel, state.key_qpos, state.touch
+        return cls(*(np.repeat(v[:, None], length, axis=1) for v in values))
+
+
 class Simulation(Protocol):
     """N simulations of one scene. Nothing in one depends on the others.
 
-    Without domain randomization nobody calls `randomize`, and `held` is left out.
+    Without domain randomization nobody calls `randomize` or `push`, and `held` and `path` are left
+    out.
     """
 
     @property
@@ -125,8 +145,18 @@ class Simulation(Protocol):
             factors: see `cadenza.scene.randomization.shapes`; the same names every time.
         """
 
+    def push(self, env_id: int, force: Array) -> None:
+        """Push the bodies of one simulation with forces (bodies, 3) [N] from now until its reset.
+
+        They replace those before.
+        """
+
     def step(
-        self, ctrl: Array, env_ids: Sequence[int] | None, held: HeldControls | None = None
+        self,
+        ctrl: Array,
+        env_ids: Sequence[int] | None,
+        held: HeldControls | None = None,
+        path: Path | None = None,
     ) -> None:
         """Take one control step.
 
@@ -135,6 +165,7 @@ class Simulation(Protocol):
                 also for those not stepped.
             env_ids: the simulations to step; all if None.
             held: the controls until these arrive, if they are late.
+            path: receives the way through the step, of those that are stepped.
         """
 
     def close(self) -> None:

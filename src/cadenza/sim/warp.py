@@ -24,7 +24,7 @@ from cadenza.scene.randomization import Factors, affected_fields, scaled_fields
 from cadenza.scene.scene import Scene
 from cadenza.sim.key_crossings import dense_key_events
 from cadenza.sim.mujoco_simulation import MujocoSimulation, physics_steps
-from cadenza.sim.protocol import HeldControls, State
+from cadenza.sim.protocol import HeldControls, Path, State
 
 with extra_packages("gpu", "the engine warp"):
     import jax
@@ -362,11 +362,15 @@ class WarpSimulation:
         for name, (values,) in model.items():
             self._models[name][env_id] = values
 
+    def push(self, env_id: int, force: NDArray[np.float64]) -> None:
+        raise NotImplementedError  # tasks refuse what needs it
+
     def step(
         self,
         ctrl: NDArray[np.float64],
         env_ids: Sequence[int] | None = None,
         held: HeldControls | None = None,
+        path: Path | None = None,
     ) -> None:
         physics, state = self._step(self._physics, ctrl, held, self._models)
         mask = np.ones(len(ctrl), bool)

@@ -19,7 +19,8 @@ Range = tuple[float, float]
 """A minimum and a maximum."""
 
 SAME: Range = (1.0, 1.0)
-NOISE_ON_OBSERVATIONS = "joint_noise", "slide_noise", "key_noise"  # of `DomainRandomization`
+NOISE_ON_OBSERVATIONS = "joint_noise", "slide_noise", "key_noise", "touch_noise"
+"""The fields of `DomainRandomization` that are drawn anew for each observation."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,8 @@ class DomainRandomization:
     """Domain randomization, drawn for each environment and episode.
 
     A range is two numbers, minimum and maximum; each reset draws from it uniformly. Factors scale
-    the nominal model, each body, joint, servo or key by a factor of its own.
+    the nominal model, each body, joint, servo or key by a factor of its own. `cadenza.tasks.robots`
+    has profiles of real ones.
     """
 
     mass: Range = SAME
@@ -65,14 +67,52 @@ class DomainRandomization:
     """Range of factors of the gains of each servo, for position and speed alike."""
     key_spring: Range = SAME
     """Range of factors of the stiffness of each key's spring."""
+    key_travel: Range = SAME
+    """Range of factors of each key's way down."""
+    key_sounding: Range = SAME
+    """Range of factors of the depth from which each key sounds."""
+    force_limit: Range = SAME
+    """Range of factors of the force of each servo that has a limit."""
+    keyboard_offset: float = 0.0
+    """The keyboard is off its place by up to this far along each axis [m]."""
+    keyboard_tilt: float = 0.0
+    """The keyboard is turned by up to this angle about each axis [rad]."""
+    mount_offset: float = 0.0
+    """The base of each hand is off its place by up to this far along each axis [m]."""
+    mount_tilt: float = 0.0
+    """The base of each hand is turned by up to this angle about each axis [rad]."""
+    gravity_tilt: float = 0.0
+    """Gravity is off what is compensated by up to this angle about both level axes [rad]."""
+    push: float = 0.0
+    """Greatest force of pushes on a palm [N], one a second on average, each for a control step."""
+    sweep_time: Range = (0.0, 0.0)
+    """Range of the least time in which each servo's setpoint crosses its range [s]."""
+    dead_band: Range = (0.0, 0.0)
+    """Range of the change below which each servo ignores a control, as a fraction of half the
+    control range."""
+    backlash: Range = (0.0, 0.0)
+    """Range of the play between each servo and what it moves, as a fraction of half the control
+    range."""
     latency: Range = (0.0, 0.0)
     """Range of the time that actions take to arrive [s], rounded to physics steps."""
+    observation_latency: Range = (0.0, 0.0)
+    """Range of the time that observations take to arrive [s], rounded to physics steps."""
     joint_noise: float = 0.0
     """Standard deviation of the normal noise on observed joint angles, drawn in each step [rad]."""
     slide_noise: float = 0.0
     """Standard deviation of the normal noise on observed positions of slides [m]."""
     key_noise: float = 0.0
     """Standard deviation of the normal noise on observed key states, which stay in 0 to 1."""
+    touch_noise: float = 0.0
+    """Standard deviation of the normal noise on observed forces of fingertips [N]."""
+    joint_bias: float = 0.0
+    """Standard deviation of what each observed joint angle is off in a whole episode [rad]."""
+    slide_bias: float = 0.0
+    """Standard deviation of what each observed position of a slide is off [m]."""
+    touch_bias: float = 0.0
+    """Standard deviation of what each observed force of a fingertip is off [N]."""
+    drift: float = 0.0
+    """How far biases wander in a minute, as a multiple of their standard deviations."""
     control_noise: float = 0.0
     """Standard deviation of the normal noise on controls, drawn in each step, as a fraction of half
     the control range. Controls stay in their range."""

@@ -9,7 +9,7 @@ from cadenza.scene.randomization import scaled_fields
 from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import HeldControls
 from cadenza.tasks.config import DomainRandomization
-from cadenza.tasks.randomization import DrawRanges
+from cadenza.tasks.draw_ranges import DrawRanges
 
 with extra_packages("gpu", "the engine warp"):
     import jax
@@ -30,7 +30,7 @@ class Draws(NamedTuple):
     sent: Array
     """(N, L, A + 1) the last actions in actuator units, the newest first."""
     offset: Array
-    """(N, J + K) noise on observed joints [m, rad] and key states."""
+    """(N, J + K + F) noise on observed joints [m, rad], key states and, none, touch."""
 
 
 class DeviceRandomization:
@@ -54,9 +54,10 @@ class DeviceRandomization:
             num_envs: N.
 
         Raises:
-            CadenzaError: a range makes no sense.
+            CadenzaError: a range makes no sense, or the engine warp does not have it.
         """
         self._ranges = ranges = DrawRanges(config, scene, control_timestep)
+        ranges.refuse_on_device()
         self._num_envs, self.scaled = num_envs, tuple(ranges.shapes)
         self._first, count = (0, VARIANTS) if config.seed is None else (config.seed, 1)
         self._count = count if self.scaled or ranges.has_latency else 1
@@ -116,4 +117,5 @@ class DeviceRandomization:
 
     def observed_keys(self, draws: Draws, key_state: Array) -> Array:
         """(N, K) key states with noise, 0 to 1."""
-        return (key_state + draws.offset[:, -key_state.shape[1] :]).clip(0.0, 1.0)
+        joints, keys = len(self._ranges.scene.hand_joint_names), key_state.shape[1]
+        return (key_state + draws.offset[:, joints : joints + keys]).clip(0.0, 1.0)

@@ -19,15 +19,17 @@ from cadenza.music.metrics import playing_metrics
 from cadenza.music.performance import KeyEvent, performed_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
+from cadenza.scene.randomization import KEY_SOUNDING
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.hands_apart import HandsApart
 from cadenza.sim.mujoco_simulation import MAX_ENVS, MujocoSimulation
 from cadenza.sim.protocol import MakeSimulation
 from cadenza.tasks import augmentation
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.draw_ranges import SEED
 from cadenza.tasks.goal_track import EpisodeGoals, GoalTrack
 from cadenza.tasks.onset_matching import matched_onsets, no_notes_played
-from cadenza.tasks.randomization import SEED, Randomization
+from cadenza.tasks.randomization import Randomization
 from cadenza.tasks.reward import (
     Outcome,
     Reward,
@@ -81,6 +83,7 @@ class PianoTask:
         simulation: the physics.
         goals: what each environment has to play and how far it has got.
         state: what the simulation was like after the last step, or reset.
+        sensed: the same as the sensors have it, see `DomainRandomization`.
         key_state: (N, K) how far the keys are down, 0..1.
         sounding: (N, K) which keys sound.
         wanted: (N, K) which keys should have sounded in the last step, none after reset.
@@ -184,6 +187,7 @@ class PianoTask:
         reset = list(env_ids)
         self._randomization.begin(env_ids, rngs, hand_qpos, [s.randomization for s in starts])
         self.simulation.reset(env_ids, hand_qpos)
+        self._randomization.start_sensing(reset, self.simulation.state)
         self.wanted[reset], self._lost[reset] = False, False
         self._pedal[reset], self.reward[reset] = 0.0, 0.0
         self._read_state()
@@ -242,7 +246,9 @@ class PianoTask:
         self.state = self.simulation.state
         keyboard, key_qpos = self.scene.keyboard, self.state.key_qpos
         self.key_state = key_state(key_qpos, keyboard.travel)
-        self.sounding = key_activation(key_qpos, keyboard.sounds_from)
+        sounds_from = keyboard.sounds_from * self.drawn.get(KEY_SOUNDING, 1.0)
+        self.sounding = key_activation(key_qpos, sounds_from)
+        self.sensed = self._randomization.sensed(self.state)
 
     def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> Transition:
         """Take one control step with actions `ctrl` (N, A) in actuator units, the pedal last.
@@ -332,9 +338,8 @@ class PianoTask:
         goal: keys and pedal of the next step and of those after it, 0 or 1; fingering: 1 for each
         finger that has a key to press next; key_state: 0 (up) to 1 (down); pedal: 0 to 1; joints:
         positions [m, rad]; joint_velocities [m/s, rad/s], without noise, if they are asked for;
-        touch: normal forces on the fingertips that are there, from 0 to 1
-        where the sensors saturate, see `observed_touch`. Joints and key states have the noise of
-        `DomainRandomization`.
+        touch: normal forces on the fingertips that are there, from 0 to 1 where the sensors
+        saturate, see `observed_touch`. All but goals and pedal are `sensed`.
 
         With `TaskConfig.onset_goals`, goal_onset and goal_velocity (L + 2, K): when notes begin and
         how loud they are, in the last step, in the next one and in those after it, see
@@ -342,13 +347,13 @@ class PianoTask:
         step, and how loud. What was due and what was played then tell which notes may still be
         played (`matched_onsets`), and so what the next step can earn.
         """
-        upcoming, state = self.goals.upcoming, self.state
+        upcoming, state = self.goals.upcoming, self.sensed
         parts = {
             "goal": upcoming.goal,
             "fingering": upcoming.fingers_wanted,
-            "key_state": self._randomization.observed_keys(self.key_state),
+            "key_state": key_state(state.key_qpos, self.scene.keyboard.travel),
             "pedal": self._pedal,
-            "joints": self._randomization.observed_joints(state.hand_qpos),
+            "joints": state.hand_qpos,
             "joint_velocities": state.hand_qvel,
             "touch": observed_touch(state.touch[:, self.scene.present_fingers]),
         }
@@ -382,7 +387,7 @@ class PianoTask:
             num_steps=goals.num_steps.copy(),
             steps=goals.steps_done.copy(),
             playing=np.ones(self.num_envs, bool) if playing is None else playing,
-            state=self.state,
+            state=self.sensed,
             observation=self.observation(),
             fingers=goals.upcoming.fingers,
             reward=self.reward.copy(),

@@ -14,6 +14,7 @@ from cadenza.configs import as_config
 from cadenza.errors import CadenzaError, quoted
 from cadenza.registry import Entry, Registry
 from cadenza.scene.config import SceneConfig
+from cadenza.tasks import robots
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.published import hint
 
@@ -38,6 +39,11 @@ SETUPS = Registry(
             "cadenza.tasks.setups:ARM_ALLEGRO",
             "two arms with Allegro Hands, each at a piano of its own; what they play is combined",
         ),
+        "gentle": Entry("cadenza.tasks.setups:GENTLE_ROBOT", "hands and a piano that differ a bit"),
+        "realistic": Entry(
+            "cadenza.tasks.setups:REALISTIC_ROBOT", "hands and a piano that differ as real ones do"
+        ),
+        "harsh": Entry("cadenza.tasks.setups:HARSH_ROBOT", "cheap or worn hands, far off"),
     },
     otherwise="module:NAME",
 )
@@ -115,6 +121,9 @@ MINI_ALLEGRO = NamedSetup(
         "actor_ema": 0.001,
     },
 )
+GENTLE_ROBOT = NamedSetup({"randomization": robots.GENTLE})
+REALISTIC_ROBOT = NamedSetup({"randomization": robots.REALISTIC})
+HARSH_ROBOT = NamedSetup({"randomization": robots.HARSH})
 ARM_ALLEGRO = NamedSetup(
     {"hand": "arm-allegro", "hands": "apart", "initial_buffer_time": 1.0}, "icp"
 )

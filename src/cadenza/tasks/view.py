@@ -185,7 +185,8 @@ class View:
     playing: Mask
     """(N,) whether each takes the next step; the actions of the others are ignored."""
     state: State
-    """True positions and speeds of hands and keys, fingertips, forces, all (N, ...)."""
+    """Positions and speeds of hands and keys, fingertips, forces, all (N, ...), as sensors have
+    them; the true ones without domain randomization of observations."""
     observation: NDArray[np.float32]
     """(N, D) observations, with noise if there is any, see `TaskSpec.observation_layout`."""
     fingers: NDArray[np.int8]

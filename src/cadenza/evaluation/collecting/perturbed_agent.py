@@ -31,11 +31,11 @@ class Shown(NamedTuple):
 
 
 def shown_by(view: View) -> Shown:
-    """What the only environment of a view shows."""
+    """What the only environment of a view shows, without noise."""
     task = view.task
     pedal = float(view.observation[0, task.observation_layout["pedal"]][0])
     dt, keyboard = task.config.control_timestep, task.scene.keyboard
-    onset, velocity = observed_key_onsets(view.state, keyboard, dt)
+    onset, velocity = observed_key_onsets(view.simulation.state, keyboard, dt)
     return Shown(pedal, onset[0], velocity[0])
 
 
@@ -82,7 +82,7 @@ class PerturbedAgent(Agent):
     def act(self, view: View) -> Array:
         task = view.task
         if self.start is None:
-            self.start = view.state.copy()
+            self.start = view.simulation.state.copy()
         self.shown.append(shown_by(view))
         chosen = self._agent.act(view)[0]
         # A first-order autoregressive process, whose standard deviation is sigma.

@@ -1,0 +1,182 @@
+"""The ranges that domain randomization draws from, and its draws for an episode."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.configs import MAX_COUNT, check_ranges
+from cadenza.errors import CadenzaError
+from cadenza.scene.randomization import KEY_SOUNDING, POSE_FIELDS, SCALED_FIELDS, shapes, sliding
+from cadenza.scene.scene import Scene
+from cadenza.scene.servos import servos_of
+from cadenza.tasks.config import DomainRandomization
+
+Array = NDArray[np.float64]
+
+_MIN_FACTOR = {"mass": 0.01, "key_travel": 0.5, KEY_SOUNDING: 0.1}  # 0 for all others
+_MAX_FACTOR = dict.fromkeys(SCALED_FIELDS, 100.0) | {"key_travel": 2.0, KEY_SOUNDING: 1.0}
+LATENCY, OBSERVATION_LATENCY, SEED = "latency", "observation_latency", "seed"
+SERVO_RANGES = {"sweep_time": 10.0, "dead_band": 1.0, "backlash": 1.0}  # [s] and half ranges
+_MAX_TIME = {LATENCY: 1.0, OBSERVATION_LATENCY: 1.0, **SERVO_RANGES}
+_MAX_NUMBER = {
+    "joint_noise": math.pi,  # [rad], half a turn
+    "joint_bias": math.pi,
+    "slide_noise": 1.0,  # [m], nearly the keyboard
+    "slide_bias": 1.0,
+    "key_noise": 1.0,  # all the way down
+    "touch_noise": 100.0,  # [N]
+    "touch_bias": 100.0,
+    "drift": 100.0,
+    "control_noise": 1.0,  # half the range
+    "keyboard_offset": 0.1,  # [m]
+    "keyboard_tilt": 0.3,  # [rad]
+    "mount_offset": 0.1,
+    "mount_tilt": 0.3,
+    "gravity_tilt": math.pi,
+    "push": 1000.0,  # [N]
+}
+_PREFIX = "randomization."  # the field of `TaskConfig`
+CONTROL, _OBSERVATION = "control", "observation"
+_STREAMS = (
+    *("mass", "friction", "joint_damping", "joint_friction", "armature", "servo_gain"),
+    *("key_spring", LATENCY, CONTROL, _OBSERVATION),
+    *("force_limit", "key_travel", KEY_SOUNDING, *POSE_FIELDS, "gravity_tilt", "push"),
+    *(*SERVO_RANGES, OBSERVATION_LATENCY, "bias"),
+)
+"""What has a generator of its own, in an order on which all draws depend."""
+ON_CPU_ONLY = (
+    *(KEY_SOUNDING, "gravity_tilt", "push", *SERVO_RANGES, OBSERVATION_LATENCY),
+    *("touch_noise", "joint_bias", "slide_bias", "touch_bias", "drift"),
+)
+"""The fields that the engine warp does not have."""
+
+
+class DrawRanges:
+    """The ranges of a task in its scene. All draws of an episode follow from them and from a seed.
+
+    Each field has a generator of its own, so that it does not depend on what else is on.
+
+    Attributes:
+        config: the ranges and standard deviations.
+        shapes: name -> shape of the factors, offsets and tilts of all that differs in the model.
+        control_noise: (A,) standard deviations of noise on controls, in actuator units.
+        observation_noise: (J + K + F,) standard deviations of noise on observed joints [m, rad],
+            then on key states, then on touch [N].
+        bias: (J + K + F,) those of what is off in a whole episode.
+        has_latency: whether actions may be late.
+        num_sent: how many actions are kept, so that even the latest arrives, and one before it.
+    """
+
+    def __init__(self, config: DomainRandomization, scene: Scene, control_timestep: float) -> None:
+        """Take the nominal scene and the time between two actions [s].
+
+        Raises:
+            CadenzaError: a range makes no sense.
+        """
+        _check(config)
+        self.config, self.scene = config, scene
+        self.control_timestep = control_timestep
+        self.physics_timestep = scene.model.opt.timestep
+        self.substeps = round(control_timestep / self.physics_timestep)
+        nominal = DomainRandomization()
+        self.shapes = {
+            name: shape
+            for name, shape in shapes(scene).items()
+            if getattr(config, name) != getattr(nominal, name)
+        }
+        self.low, self.high = scene.action_low[:-1], scene.action_high[:-1]
+        self.servo_ranges = [n for n, most in SERVO_RANGES.items() if getattr(config, n)[1]]
+        self.control_noise = config.control_noise * (self.high - self.low) / 2
+        self.observation_noise = self._of_senses(
+            config.slide_noise, config.joint_noise, config.key_noise, config.touch_noise
+        )
+        self.bias = self._of_senses(config.slide_bias, config.joint_bias, 0.0, config.touch_bias)
+        self.has_latency = bool(config.latency[1])
+        self.num_sent = self.steps_of(config.latency[1]) // self.substeps + 2
+
+    def _of_senses(self, slide: float, joint: float, key: float, touch: float) -> Array:
+        scene = self.scene
+        counts = scene.keyboard.num_keys, scene.fingers.count
+        joints = np.where(sliding(scene), slide, joint)
+        return np.concatenate([joints, np.repeat([key, touch], counts)])
+
+    def refuse_on_device(self) -> None:
+        """Refuse what the engine warp does not have.
+
+        Raises:
+            CadenzaError: something of it is on.
+        """
+        nominal = DomainRandomization()
+        for name in ON_CPU_ONLY:
+            if getattr(self.config, name) != getattr(nominal, name):
+                raise CadenzaError(f"the engine warp has no {_PREFIX}{name}: choose the engine c")
+
+    def generator(self, seed: int, name: str) -> np.random.Generator:
+        """The generator of a field, or of noise, in an episode with this seed."""
+        return np.random.default_rng([seed, _STREAMS.index(name)])
+
+    def factors(self, seed: int) -> dict[str, Array]:
+        """The factors, offsets and tilts of all that differs in the model."""
+        drawn: dict[str, Array] = {}
+        for name, shape in self.shapes.items():
+            field = getattr(self.config, name)
+            low, high = (-field, field) if name in POSE_FIELDS else field
+            drawn[name] = np.asarray(self.generator(seed, name).uniform(low, high, shape))
+        return drawn
+
+    def of_servos(self, seed: int) -> dict[str, Array]:
+        """Name -> (A,) draws of the fields of servos that are on."""
+        drawn: dict[str, Array] = {}
+        for name in self.servo_ranges:
+            low, high = getattr(self.config, name)
+            drawn[name] = self.generator(seed, name).uniform(low, high, len(self.low))
+        return drawn
+
+    def gravity_tilt(self, seed: int) -> Array:
+        """(2,) angles about the axes x and y by which gravity is off [rad]."""
+        most = self.config.gravity_tilt
+        return self.generator(seed, "gravity_tilt").uniform(-most, most, 2)
+
+    def sensor_bias(self, seed: int) -> Array:
+        """(J + K + F,) what each sensor is off at the beginning of an episode."""
+        return self.bias * self.generator(seed, "bias").standard_normal(len(self.bias))
+
+    def noise_generator(self, seed: int) -> np.random.Generator:
+        """The generator of all noise on observations in an episode with this seed."""
+        return self.generator(seed, _OBSERVATION)
+
+    def latency_steps(self, seed: int, name: str = LATENCY) -> int:
+        """After how many physics steps actions or observations arrive."""
+        return self.steps_of(self.generator(seed, name).uniform(*getattr(self.config, name)))
+
+    def steps_of(self, latency: float) -> int:
+        """The physics steps of a latency, rounded half to even."""
+        return round(latency / self.physics_timestep)
+
+    def resting_ctrl(self, start: Any) -> Any:
+        """(N, A) the controls that keep the joints (N, J) at their start, of NumPy or JAX."""
+        if not self.scene.sides:  # keys, which are up
+            start, of_joints = start[:, :0], np.zeros((0, len(self.low)))
+        else:
+            of_joints = servos_of(self.scene).of_joints
+        return (start @ of_joints).clip(self.low, self.high)
+
+
+def _check(config: DomainRandomization) -> None:
+    limits = {n: (_MIN_FACTOR.get(n, 0.0), most) for n, most in _MAX_FACTOR.items()}
+    limits |= {name: (0.0, most) for name, most in _MAX_TIME.items()}
+    for name, (least, most) in limits.items():
+        low, high = getattr(config, name)
+        if not least <= low <= high <= most:
+            raise CadenzaError(
+                f"{_PREFIX}{name} {low} {high}: give the least and the greatest, both from "
+                f"{least:g} to {most:g}"
+            )
+    numbers = {name: (0.0, most) for name, most in _MAX_NUMBER.items()}
+    if config.seed is not None:
+        numbers[SEED] = (0, MAX_COUNT)
+    check_ranges(config, numbers, _PREFIX)

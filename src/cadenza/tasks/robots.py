@@ -1,0 +1,102 @@
+"""Profiles of real robots and pianos for domain randomization; each is a setup, too."""
+
+from __future__ import annotations
+
+from cadenza.tasks.config import DomainRandomization
+
+# Where figures come from:
+# [S] Robotis XH430 data sheet: play 0.25 degrees, 4096 counts a turn (0.0015 rad), 30 turns a
+#     minute without load, so that a finger's range of 1.6 rad takes half a second. Hands of the
+#     kind (LEAP, Allegro) have such servos. Shadow's tendons close a hand in 0.2 to 0.5 s.
+# [O] OpenAI, Learning Dexterous In-Hand Manipulation (2018), table of randomizations for a Shadow
+#     hand: masses 0.5 to 1.5, friction 0.7 to 1.3, damping 0.3 to 3, gains 0.75 to 1.5, and a
+#     standard deviation of gravity of 0.4 m/s^2 along each axis, or 0.04 rad.
+# [K] Key dip: makers ask for 10 mm within 0.2 mm, and among them for 9.5 to 11 mm.
+# [M] Schultz, The Schultz MIDI Benchmarking Toolbox (2019): a few ms from a key to the computer.
+# [J] Judgement, for want of published figures: what is measured with a ruler and a level is off by
+#     a few millimetres and half a degree, buses and drivers take two to eight control steps of a
+#     servo of 100 to 200 Hz, and zeros of joints are set by eye.
+GENTLE = DomainRandomization(
+    mass=(0.9, 1.1),  # [O], a fifth of it
+    friction=(0.9, 1.1),  # [O], a third
+    joint_damping=(0.8, 1.25),  # [O], a fifth
+    servo_gain=(0.95, 1.05),  # [O], a fifth
+    key_spring=(0.95, 1.05),  # [J]
+    key_travel=(0.98, 1.02),  # [K]
+    key_sounding=(0.98, 1.0),  # [J]
+    force_limit=(0.9, 1.0),  # [J]
+    keyboard_offset=0.001,  # [J]
+    keyboard_tilt=0.001,  # [J]
+    mount_offset=0.0005,  # [J]
+    mount_tilt=0.001,  # [J]
+    gravity_tilt=0.01,  # [J]
+    backlash=(0.0, 0.002),  # [S], half
+    latency=(0.005, 0.015),  # [J]
+    observation_latency=(0.0, 0.005),  # [M]
+    joint_noise=0.0008,  # [S], half a count
+    slide_noise=0.0001,  # [J]
+    touch_noise=0.02,  # [J]
+    joint_bias=0.003,  # [J]
+    slide_bias=0.0003,  # [J]
+    touch_bias=0.05,  # [J]
+)
+REALISTIC = DomainRandomization(
+    mass=(0.75, 1.25),  # [O], half of it
+    friction=(0.7, 1.3),  # [O]
+    joint_damping=(0.5, 2.0),  # [O], somewhat less
+    servo_gain=(0.85, 1.2),  # [O], half
+    key_spring=(0.85, 1.15),  # [J]
+    key_travel=(0.95, 1.05),  # [K]
+    key_sounding=(0.95, 1.0),  # [J]
+    force_limit=(0.8, 1.0),  # [J]
+    keyboard_offset=0.002,  # [J]
+    keyboard_tilt=0.004,  # [J]
+    mount_offset=0.001,  # [J]
+    mount_tilt=0.004,  # [J]
+    gravity_tilt=0.04,  # [O]
+    push=2.0,  # [J], a cable that drags
+    sweep_time=(0.1, 0.25),  # [S], of the faster
+    dead_band=(0.0, 0.002),  # [S], a count
+    backlash=(0.002, 0.006),  # [S]
+    latency=(0.015, 0.035),  # [J]
+    observation_latency=(0.005, 0.015),  # [J], [M]
+    joint_noise=0.0015,  # [S], a count
+    slide_noise=0.0002,  # [J]
+    touch_noise=0.05,  # [J]
+    control_noise=0.002,  # [S], a count
+    joint_bias=0.01,  # [J]
+    slide_bias=0.001,  # [J]
+    touch_bias=0.1,  # [J]
+    drift=0.2,  # [J]
+)
+HARSH = DomainRandomization(
+    mass=(0.5, 1.5),  # [O]
+    friction=(0.5, 1.5),  # [O], more
+    joint_damping=(0.3, 3.0),  # [O]
+    joint_friction=(0.5, 2.0),  # [J]
+    servo_gain=(0.75, 1.5),  # [O]
+    key_spring=(0.7, 1.3),  # [J]
+    key_travel=(0.93, 1.1),  # [K]
+    key_sounding=(0.9, 1.0),  # [J]
+    force_limit=(0.6, 1.0),  # [J]
+    keyboard_offset=0.004,  # [J]
+    keyboard_tilt=0.009,  # [J]
+    mount_offset=0.002,  # [J]
+    mount_tilt=0.009,  # [J]
+    gravity_tilt=0.08,  # [O], twice
+    push=5.0,  # [J]
+    sweep_time=(0.25, 0.5),  # [S]
+    dead_band=(0.002, 0.005),  # [S], two counts
+    backlash=(0.005, 0.015),  # [S], worn
+    latency=(0.03, 0.07),  # [J]
+    observation_latency=(0.01, 0.03),  # [J]
+    joint_noise=0.004,  # [J]
+    slide_noise=0.0005,  # [J]
+    key_noise=0.02,  # [J]
+    touch_noise=0.1,  # [J]
+    control_noise=0.005,  # [J]
+    joint_bias=0.02,  # [J]
+    slide_bias=0.002,  # [J]
+    touch_bias=0.2,  # [J]
+    drift=0.5,  # [J]
+)

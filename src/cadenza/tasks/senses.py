@@ -1,0 +1,149 @@
+"""What the sensors of robots have of their state: late, off, drifting and noisy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.scene.kinematics import TIP, Kinematics
+from cadenza.sim.protocol import Path, State
+from cadenza.tasks.draw_ranges import DrawRanges
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.intp]
+
+_MINUTE = 60.0  # [s] in which biases wander as far as `DomainRandomization.drift` says
+
+
+class Senses:
+    """The sensors of N environments.
+
+    Attributes:
+        drawn: name -> (N, ...) draws: "observation_latency" [s] and "bias", if they are on.
+        path: where the simulation is to write its way through each step; None if nothing is late.
+    """
+
+    def __init__(self, ranges: DrawRanges, num_envs: int) -> None:
+        """Take the ranges that episodes draw from."""
+        self._ranges, config = ranges, ranges.config
+        self._is_off = bool(ranges.observation_noise.any() or ranges.bias.any())
+        self._offset = np.zeros((num_envs, len(ranges.bias)))
+        self._wandered = np.zeros_like(self._offset)
+        self._rngs = [np.random.default_rng(0)] * num_envs  # until episodes begin
+        self._late = np.zeros(num_envs, np.intp)  # in physics steps
+        self.drawn: dict[str, Any] = {}
+        if ranges.bias.any():
+            self.drawn["bias"] = np.zeros_like(self._offset)
+        self.path: Path | None = None
+        self._history, self._heard = Path(*[np.zeros((num_envs, 0))] * 4), np.zeros((num_envs, 0))
+        if most := ranges.steps_of(config.observation_latency[1]):
+            self.drawn["observation_latency"] = np.zeros(num_envs)
+            at_rest = State.at_rest(ranges.scene, num_envs)
+            self.path = Path.still(at_rest, ranges.substeps + 1)
+            self._history = Path.still(at_rest, most + 1)
+            slots = most // ranges.substeps + 2
+            self._heard = np.full((num_envs, slots, 3, ranges.scene.keyboard.num_keys), np.nan)
+        self._kinematics: Kinematics | None = None
+
+    @property
+    def per_env(self) -> list[Any]:
+        """Arrays and lists of what each environment has of its own, without `drawn`."""
+        own = [self._offset, self._wandered, self._rngs, self._late, self._heard]
+        return [*own, *self._history]
+
+    def begin(self, env: int, seed: int) -> None:
+        """Draw for an episode."""
+        ranges = self._ranges
+        self._rngs[env], self._wandered[env] = ranges.noise_generator(seed), 0.0
+        if "bias" in self.drawn:
+            self.drawn["bias"][env] = ranges.sensor_bias(seed)
+        if self.path is not None:
+            self._late[env] = ranges.latency_steps(seed, "observation_latency")
+            self.drawn["observation_latency"][env] = self._late[env] * ranges.physics_timestep
+
+    def start(self, env_ids: Ids, state: State) -> None:
+        """Sense environments that have been reset."""
+        if self.path is not None:
+            still = Path.still(state, self._history.key_qpos.shape[1])
+            for past, now in zip(self._history, still, strict=True):
+                past[env_ids] = now[env_ids]
+            self._heard[env_ids] = np.nan
+        self._draw(env_ids)
+
+    def step(self, state: State, moving: slice | Ids) -> None:
+        """Sense environments that have taken a step, to `state`."""
+        if self.path is not None:
+            for past, way in zip(self._history, self.path, strict=True):
+                length = past.shape[1]
+                past[moving] = np.concatenate([past[moving], way[moving, 1:]], axis=1)[:, -length:]
+            self._heard[moving, :-1] = self._heard[moving, 1:]
+            self._heard[moving, -1] = np.nan
+            for env in np.arange(len(self._late))[moving].tolist():
+                self._hear(env, state)
+        self._draw(np.arange(len(self._late))[moving])
+
+    def _hear(self, env: int, state: State) -> None:
+        """Note when what has happened to keys in the last step will be heard of."""
+        onset, offset, speed = (values[env] for values in state.key_events)
+        dt, late = self._ranges.control_timestep, self._late[env] * self._ranges.physics_timestep
+        for row, times in enumerate((onset, offset)):
+            keys = np.flatnonzero(~np.isnan(times))
+            slots, within = np.divmod(times[keys] + late, dt)
+            self._heard[env, slots.astype(int), row, keys] = within
+            if not row:
+                self._heard[env, slots.astype(int), 2, keys] = speed[keys]
+
+    def _draw(self, env_ids: Ids) -> None:
+        """Draw what the next observations are off."""
+        if not self._is_off:
+            return
+        ranges, drift = self._ranges, self._ranges.config.drift
+        for env in env_ids.tolist():
+            rng, noise = self._rngs[env], ranges.observation_noise
+            self._offset[env] = noise * rng.standard_normal(len(noise))
+            if "bias" in self.drawn:
+                wander = drift * ranges.bias * np.sqrt(ranges.control_timestep / _MINUTE)
+                self._wandered[env] += wander * rng.standard_normal(len(noise))
+                self._offset[env] += self.drawn["bias"][env] + self._wandered[env]
+
+    def sensed(self, state: State) -> State:
+        """The true `state` as sensors have it, which is the same if they are perfect.
+
+        Joints and keys are late, and off; so is touch. Speeds of joints are late, and fingertips
+        are where the joints seem to be. What happened to keys is heard of late, at the times when
+        it is. The others are as they are.
+        """
+        if not self._is_off and self.path is None:
+            return state
+        if self.path is not None:
+            now = np.arange(len(self._late)), -1 - self._late
+            qpos, qvel, key_qpos, touch = (past[now] for past in self._history)
+            onset, offset, speed = self._heard[:, 0].swapaxes(0, 1)
+            state = state._replace(hand_qpos=qpos, hand_qvel=qvel, key_qpos=key_qpos, touch=touch)
+            state = state._replace(key_onset=onset, key_offset=offset, key_speed=speed)
+        joints, travel = state.hand_qpos.shape[1], self._ranges.scene.keyboard.travel
+        of_joints, of_keys, of_touch = np.split(
+            self._offset, [joints, joints + len(travel)], axis=1
+        )
+        qpos = state.hand_qpos + of_joints
+        state = state._replace(hand_qpos=qpos, fingertip_xpos=self._fingertips(state, qpos))
+        if self._ranges.config.key_noise:
+            pressed = (state.key_qpos / travel + of_keys).clip(0.0, 1.0)
+            state = state._replace(key_qpos=pressed * travel)
+        if of_touch.any():
+            state = state._replace(touch=(state.touch + of_touch).clip(0.0))
+        return state
+
+    def _fingertips(self, state: State, qpos: Array) -> Array:
+        """(N, F, 3) where fingertips would be on the nominal robot with these joints [m]."""
+        tips, scene = state.fingertip_xpos.copy(), self._ranges.scene
+        if scene.sides:
+            self._kinematics = kinematics = self._kinematics or Kinematics(scene)
+            postures = qpos @ kinematics.servos.of_joints
+            tips[:, scene.present_fingers] = kinematics.points(postures)[:, :, TIP]
+        return tips
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_kinematics": None}
