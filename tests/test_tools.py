@@ -15,7 +15,7 @@ from cadenza.music.score import Note, Score
 
 TOOLS = Path(__file__).parents[1] / "tools"
 ELSEWHERE = {"check_lerobot"}  # needs a package that is none of ours
-SHARED = {"openings"}  # a module of the others
+SHARED = {"openings", "strike_offsets"}  # modules of the others
 NAMES = sorted({path.stem for path in TOOLS.glob("*.py")} - ELSEWHERE - SHARED)
 
 
@@ -43,6 +43,7 @@ def test_notes_are_counted_over_folders(
         (tmp_path / folder).mkdir()
         write_midi(written, tmp_path / folder / "wanted.mid")
         write_midi(Score(notes), tmp_path / folder / "played.mid")
+    monkeypatch.syspath_prepend(str(TOOLS))
     monkeypatch.setattr(sys, "argv", ["count_notes", str(tmp_path)])
     runpy.run_path(str(TOOLS / "count_notes.py"), run_name="__main__")
     printed = " ".join(capsys.readouterr().out.split())

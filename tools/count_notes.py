@@ -14,10 +14,10 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from strike_offsets import strike_offsets
 
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError, errors_in_a_line
-from cadenza.evaluation.strike_offsets import strike_offsets
 from cadenza.music.formats.midi import read_midi
 from cadenza.music.note_errors import BRUSHED, note_errors
 

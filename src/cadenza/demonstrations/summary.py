@@ -12,7 +12,7 @@ from cadenza.demonstrations.dataset import EPISODES, dataset_folder, finished
 from cadenza.demonstrations.recorded_episode import SONGS, EpisodeFacts
 from cadenza.errors import counted
 from cadenza.files import files_in
-from cadenza.music.formats.titles import printable
+from cadenza.music.formats.source import printable
 
 _MIB = 2**20
 

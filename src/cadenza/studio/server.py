@@ -21,7 +21,7 @@ from cadenza.agents.registry import AGENTS as REGISTERED
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import checked, parsed_json
 from cadenza.music.formats.reading import check_format
-from cadenza.music.formats.titles import printable
+from cadenza.music.formats.source import printable
 from cadenza.studio.broadcast import Broadcast
 from cadenza.studio.jobs import JobQueue
 from cadenza.studio.limits import MAX_BYTES

@@ -14,7 +14,7 @@ from typing import Any
 
 from cadenza.errors import CadenzaError
 from cadenza.music.formats.reading import read_score
-from cadenza.music.formats.titles import title_of
+from cadenza.music.formats.source import title_of
 from cadenza.music.score import Score
 from cadenza.studio.limits import MAX_NOTES, MAX_SECONDS, READING, limit
 

@@ -28,8 +28,7 @@ from cadenza.music.formats.midi_messages import (
     parsed,
 )
 from cadenza.music.formats.midi_playing import Part, Playing
-from cadenza.music.formats.source import read_bytes
-from cadenza.music.formats.titles import printable, title_of
+from cadenza.music.formats.source import printable, read_bytes, title_of
 from cadenza.music.repair import merged_pedal, repaired_notes
 from cadenza.music.score import BEAT_TYPES, Bar, Note, PedalEvent, Score, Track, check_chosen
 
@@ -157,7 +156,6 @@ def messages(
     notes: Iterable[Note],
     pedal: Iterable[PedalEvent],
     ticks: Callable[[float], int],
-    channel: int = 0,
 ) -> Iterator[mido.Message]:
     """Yield the messages of notes and of the pedal, each with the ticks since the one before.
 
@@ -168,7 +166,6 @@ def messages(
         notes: the notes, which last a tick or more.
         pedal: the movements of the pedal.
         ticks: converts times [s] to ticks.
-        channel: the MIDI channel, counted from 0.
     """
     timed: list[tuple[int, int, mido.Message]] = []
     free: dict[int, int] = {}  # from which tick on a note of each pitch can begin
@@ -183,7 +180,7 @@ def messages(
         timed.append((ticks(event.time), 1, move))
     now = 0
     for tick, _, message in sorted(timed, key=lambda item: item[:2]):
-        yield message.copy(time=tick - now, channel=channel)
+        yield message.copy(time=tick - now)
         now = tick
 
 

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from cadenza.files import write_atomically
 from cadenza.fingers import RIGHT
 from cadenza.music.formats.musicxml.dynamics import FORTE
-from cadenza.music.formats.titles import printable
+from cadenza.music.formats.source import printable
 from cadenza.music.notation.marks import PedalMark, TempoMark
 from cadenza.music.notation.metre import QUARTER
 from cadenza.music.notation.note_values import TYPES

@@ -1,4 +1,4 @@
-"""The bytes and the text of a file that a user names."""
+"""The bytes and the text of a file that a user names, and titles that can be shown."""
 
 from __future__ import annotations
 
@@ -61,3 +61,18 @@ def _hint(path: Path) -> str:
         return f"there is no folder {path.parent} either"
     close = [str(path.parent / name) for name in get_close_matches(path.name, names, cutoff=0.7)]
     return f"did you mean {' or '.join(close)}?" if close else "check its name"
+
+
+_LONGEST = 500  # letters
+
+
+def printable(text: str) -> str:
+    """`text` on one line, without characters that cannot be printed, and shortened."""
+    if not text.isprintable():
+        text = "".join(c if c.isprintable() else " " for c in text)
+    return " ".join(text.split())[:_LONGEST].rstrip()
+
+
+def title_of(path: Path) -> str:
+    """The file's name without its suffix, with a mark for each byte that is not UTF-8."""
+    return printable(os.fsencode(path.stem).decode("utf-8", "replace"))

@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Any
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.music.formats.midi import score_of
 from cadenza.music.formats.midi_messages import METRE, TEMPO, Message, parsed
-from cadenza.music.formats.source import read_bytes
-from cadenza.music.formats.titles import title_of
+from cadenza.music.formats.source import read_bytes, title_of
 from cadenza.music.repair import counted_remarks
 from cadenza.music.score import BEAT_TYPES, Score
 

@@ -15,7 +15,7 @@ from cadenza.errors import CadenzaError, quoted
 from cadenza.files import files_in
 from cadenza.music.formats.fingering_file import SUFFIX
 from cadenza.music.formats.reading import MUSIC, read_score
-from cadenza.music.formats.titles import printable
+from cadenza.music.formats.source import printable
 from cadenza.music.libraries.imported import Grade, NewLibrary, Progress, new_library, silent
 from cadenza.music.libraries.index import INDEX, Facts, read_index
 from cadenza.music.libraries.songs import Library, Song

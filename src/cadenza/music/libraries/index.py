@@ -19,8 +19,7 @@ from typing import Any
 from cadenza.configs import MAX_COUNT
 from cadenza.errors import CadenzaError, quoted, shortened
 from cadenza.files import number_in, whole_number_in, write_atomically
-from cadenza.music.formats.source import decoded, read_bytes
-from cadenza.music.formats.titles import printable
+from cadenza.music.formats.source import decoded, printable, read_bytes
 
 INDEX = "index.csv"
 _NAMES = ("file", "path", "filename", "id", "name")

@@ -28,8 +28,7 @@ from cadenza.files import files_in, number_in, opened, whole_number_in
 from cadenza.fingers import Finger
 from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
 from cadenza.music.formats.midi import write_midi
-from cadenza.music.formats.source import decoded, read_bytes
-from cadenza.music.formats.titles import printable
+from cadenza.music.formats.source import decoded, printable, read_bytes
 from cadenza.music.libraries.folder import short, unique
 from cadenza.music.libraries.imported import Grade, NewLibrary, Progress, new_library, silent
 from cadenza.music.libraries.index import read_table

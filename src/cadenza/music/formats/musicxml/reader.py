@@ -15,15 +15,15 @@ import numpy as np
 
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.music.formats.musicxml.bars import WrittenBar, bars_of, without_goal
-from cadenza.music.formats.musicxml.jumps import JUMPS, read_jumps
-from cadenza.music.formats.musicxml.notes import SheetNote, notes_of
-from cadenza.music.formats.musicxml.pedal import (
+from cadenza.music.formats.musicxml.dynamics import (
     PEDALS,
     Move,
     has_soft_pedal,
     pedal_moves,
     sostenuto_words,
 )
+from cadenza.music.formats.musicxml.jumps import JUMPS, read_jumps
+from cadenza.music.formats.musicxml.notes import SheetNote, notes_of
 from cadenza.music.formats.musicxml.tempo import TempoMarks
 from cadenza.music.formats.musicxml.timeline import (
     ZERO,
@@ -35,7 +35,7 @@ from cadenza.music.formats.musicxml.timeline import (
 )
 from cadenza.music.formats.musicxml.tree import tree_of
 from cadenza.music.formats.musicxml.unrolling import Passage, Unrolled
-from cadenza.music.formats.titles import printable, title_of
+from cadenza.music.formats.source import printable, title_of
 from cadenza.music.repair import RawNote, counted_remarks, merged_pedal, repaired_notes
 from cadenza.music.score import Bar, PedalEvent, Score, Track, check_chosen
 from cadenza.music.signs.realising import realised

@@ -13,8 +13,8 @@ from typing import TypeVar
 
 from cadenza.errors import CadenzaError
 from cadenza.music.formats.musicxml.bars import WrittenBar, bar_at, played_order
+from cadenza.music.formats.musicxml.dynamics import Move
 from cadenza.music.formats.musicxml.notes import SheetNote
-from cadenza.music.formats.musicxml.pedal import Move
 from cadenza.music.formats.musicxml.timeline import ZERO
 from cadenza.music.score import PITCHES
 from cadenza.music.signs.notes import SignedNote

@@ -1,16 +1,20 @@
 """Lateral accuracy of strikes."""
 
+import runpy
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from cadenza.episode import Episode
-from cadenza.evaluation.strike_offsets import strike_offsets
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import Note
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import drawing
 from cadenza.scene.scene import build_scene
 
+TOOLS = Path(__file__).parents[1] / "tools"
+strike_offsets = runpy.run_path(str(TOOLS / "strike_offsets.py"))["strike_offsets"]
 KEYS = {"keys": drawing(build_scene(SceneConfig(hands="none")))["keys"]}
 C4, STEPS = 60 - 21, 20
 LEFT_OF_C_SHARP = PIANO.centre[C4 + 1, 1] - PIANO.half_size[C4 + 1, 1]
