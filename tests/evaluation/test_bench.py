@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 
 from cadenza.errors import CadenzaWarning
-from cadenza.evaluation.bench import BenchState, Ended, bench
+from cadenza.evaluation.bench import BenchState, bench
 from cadenza.evaluation.jobs import BenchJob, Contender, bench_jobs
+from cadenza.evaluation.processes import Ended
 from cadenza.evaluation.results import RESULT, read_results
 from cadenza.evaluation.run import carry_out
 from cadenza.evaluation.run_status import write_failure

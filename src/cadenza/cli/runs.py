@@ -22,8 +22,9 @@ from cadenza.errors import CadenzaError
 from cadenza.sim.threads import MAX_THREADS
 
 if TYPE_CHECKING:
-    from cadenza.evaluation.bench import BenchState, CarryOut
+    from cadenza.evaluation.bench import BenchState
     from cadenza.evaluation.jobs import BenchJob
+    from cadenza.evaluation.processes import CarryOut
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Carries out many runs, as many at once as an executor has room for."""
+"""Carries out many runs, as many at once as there is room for."""
 
 from __future__ import annotations
 
@@ -7,48 +7,17 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.jobs import BenchJob
+from cadenza.evaluation.processes import ProcessExecutor
 from cadenza.evaluation.results import FAILED, RESULT, RUNS, failure
 from cadenza.evaluation.run import is_complete
 from cadenza.evaluation.run_status import folder_of, write_failure
 
 _POLL_INTERVAL = 0.5  # [s]
 _MAX_ATTEMPTS = 3  # at a run whose process dies
-
-
-CarryOut = Callable[[Any, Path, int, Callable[[], bool]], None]
-"""Carries out a job, see `cadenza.evaluation.run.carry_out`."""
-
-
-class Ended(NamedTuple):
-    """A run whose process has ended."""
-
-    job: BenchJob
-    crash: str = ""
-    """Cause of death of the process, in a line; empty if it ended by itself."""
-
-
-class Executor(Protocol):
-    """Carries out runs, each in a process of its own."""
-
-    @property
-    def capacity(self) -> int:
-        """The number of runs at once."""
-
-    def start(self, job: BenchJob, folder: Path) -> None:
-        """Begin to carry out a job, as with `cadenza.evaluation.run.carry_out`."""
-
-    def ended(self, seconds: float) -> list[Ended]:
-        """Wait for runs to end, at most for `seconds`, and return those."""
-
-    def stop(self) -> None:
-        """End all runs under way so that they can be resumed."""
-
-    def close(self) -> None:
-        """Free all that it uses."""
 
 
 @dataclass
@@ -79,7 +48,7 @@ class BenchState:
 def bench(
     jobs: Sequence[BenchJob],
     folder: Path,
-    executor: Executor,
+    executor: ProcessExecutor,
     ended: Callable[[BenchState, BenchJob], None],
     should_continue: Callable[[BenchState], bool],
     retry: bool = False,

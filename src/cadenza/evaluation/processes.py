@@ -10,12 +10,22 @@ from multiprocessing import connection, get_context, parent_process, resource_tr
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from threading import Thread
+from typing import Any, NamedTuple
 
-from cadenza.evaluation.bench import CarryOut, Ended
 from cadenza.evaluation.jobs import BenchJob
 from cadenza.sim.threads import available_cores
 
+CarryOut = Callable[[Any, Path, int, Callable[[], bool]], None]
+"""Carries out a job, see `cadenza.evaluation.run.carry_out`."""
 _SPAWN = get_context("spawn")  # MuJoCo and JAX do not survive a fork
+
+
+class Ended(NamedTuple):
+    """A run whose process has ended."""
+
+    job: BenchJob
+    crash: str = ""
+    """Cause of death of the process, in a line; empty if it ended by itself."""
 
 
 class ProcessExecutor:
@@ -30,6 +40,7 @@ class ProcessExecutor:
         self._running: list[tuple[BenchJob, BaseProcess]] = []
 
     def start(self, job: BenchJob, folder: Path) -> None:
+        """Begin to carry out a job in a process of its own."""
         process = _SPAWN.Process(
             target=_work, args=(self._carry_out, job, folder, self._num_threads)
         )
@@ -44,6 +55,7 @@ class ProcessExecutor:
         self._running.append((job, process))
 
     def ended(self, seconds: float) -> list[Ended]:
+        """Wait for runs to end, at most for `seconds`, and return those."""
         connection.wait([process.sentinel for _, process in self._running], seconds)
         before, self._running, ended = self._running, [], []
         for job, process in before:
@@ -54,6 +66,7 @@ class ProcessExecutor:
         return ended
 
     def stop(self) -> None:
+        """End all runs under way so that they can be resumed."""
         for _, process in self._running:
             process.terminate()
         for _, process in self._running:
