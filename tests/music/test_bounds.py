@@ -31,7 +31,6 @@ def test_no_song_begins_after_more_than_an_hour():
         {"pedal": (PedalEvent(46e6, 127),)},
         {"bars": (Bar(-46e6, 1),)},
         {"bars": (Bar(0.0, 1, (0.0, 46e6)),)},
-        {"drums": (Note(0.0, 46e6, 38),)},
     ],
 )
 def test_no_score_lasts_longer_than_memory_has_room_for_its_bars(parts):
