@@ -256,7 +256,7 @@ def test_progress_tells_first_how_long_it_takes_to_play_well(
         yield lambda done, total, remark="": shown.append((done, total, remark))
 
     monkeypatch.setattr(train, "progress", recorded)
-    monkeypatch.setattr(train, "PLAYS_WELL", {False: 100, True: 100})
+    monkeypatch.setattr(train, "PLAYS_WELL", 100)
     main(["train", str(tune), "-o", str(tmp_path / "run"), *SMALL, *SHORT])
     assert {total for done, total, _ in shown if done < 100} == {100}
     assert {total for done, total, _ in shown if done >= 100} == {200}

@@ -315,12 +315,13 @@ def _experience(
 
 
 def _rank(row: Row) -> tuple[float, ...]:
-    """What ranks an evaluation: note onset F1, then F1, each times its length.
+    """What ranks an evaluation: note onset F1, then F1, each times its length, then loudness.
 
     A wrong key may end it early.
     """
     names = "eval/note_onset_f1", "eval/f1"
-    return tuple(float(row[name] * row["eval/steps"]) for name in names)
+    loudness = -row.get("eval/velocity_error", math.inf)
+    return *(float(row[name] * row["eval/steps"]) for name in names), loudness
 
 
 def _or_nan(value: float | None) -> float:
