@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, steps_in
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.generalist.receding_plan import RecedingPlanner
+from cadenza.agents.lateness import EarlyPlanner, early
 from cadenza.agents.planner.plan.hand_goals import ABOUT_TO_PRESS, HandGoals
 from cadenza.agents.planner.plan.nominal_trajectory import MotionPlanner
 from cadenza.agents.planner.plan.song_plan import SongPlan, planning_scene, song_plans
@@ -44,7 +46,10 @@ _LEARNT = Path(__file__).parent
 _DEFAULT_REHEARSALS, _MAX_REHEARSALS = 4, 100
 
 
-class Generalist(PlannerPerEnv["SongPlanner | SightReader"]):
+Player: TypeAlias = "SongPlanner | SightReader"
+
+
+class Generalist(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
     """An agent that corrects the plan of a song, or of what is in sight of it, by networks.
 
     It reports the progress of "fingers" and "postures".
@@ -64,7 +69,10 @@ class Generalist(PlannerPerEnv["SongPlanner | SightReader"]):
                     f"generalist: does not rehearse with {other}: leave out one of the two"
                 )
 
-    def begin(self, view: View, rng: np.random.Generator) -> SongPlanner | SightReader:
+    def begin(self, view: View, rng: np.random.Generator) -> Player | EarlyPlanner[Player]:
+        return early(view, self._begin)
+
+    def _begin(self, view: View) -> Player:
         (track,) = view.tracks
         config, scene = self.config, planning_scene(track)
         if config.look_ahead is not None:

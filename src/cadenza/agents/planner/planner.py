@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from threading import get_ident
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
 from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv
+from cadenza.agents.lateness import EarlyPlanner, early
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.song_plan import SongPlan, song_plans
@@ -21,8 +22,10 @@ from cadenza.sim.protocol import State
 from cadenza.sim.threads import Threads
 from cadenza.tasks.view import View
 
+Player: TypeAlias = "SongPlanner | PractisedPlanner"
 
-class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
+
+class Planner(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
     """An agent that plans a song a window ahead of where it plays, and refines the plan as it goes.
 
     With an effort, it plans and practises the whole song before it begins to play. It reports the
@@ -44,7 +47,10 @@ class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
         )
         self.keeps_fingering = self.config.fingering == "score"
 
-    def begin(self, view: View, rng: np.random.Generator) -> SongPlanner | PractisedPlanner:
+    def begin(self, view: View, rng: np.random.Generator) -> Player | EarlyPlanner[Player]:
+        return early(view, lambda seen: self._begin(seen, rng))
+
+    def _begin(self, view: View, rng: np.random.Generator) -> Player:
         effort, progress = self.config.effort, self.progress
         context = PlanningContext(replace(self.config, effort=0.0), Threads(self.threads), progress)
         if not effort:
