@@ -338,7 +338,7 @@ def address_of(folder: Path, known: Path | None = None) -> str:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        serve(Studio(folder), ready=stop, address_file=known)
+        serve(Studio(folder).app, ready=stop, address_file=known)
     (address,) = heard
     return address
 
@@ -376,18 +376,18 @@ def test_an_address_that_others_may_have_written_is_refused(
     for path, mode, usual in (known, 0o644, 0o600), (known.parent, 0o777, 0o700):
         path.chmod(mode)
         with pytest.raises(CadenzaError, match=f"^{path}: other users of this machine may"):
-            serve(Studio(tmp_path / "studio"), address_file=known)
+            serve(Studio(tmp_path / "studio").app, address_file=known)
         path.chmod(usual)
     known.rename(other := tmp_path / "other.json")
     known.symlink_to(other)
     with pytest.raises(CadenzaError, match=f"^{known}: other users"):
-        serve(Studio(tmp_path / "studio"), address_file=known)
+        serve(Studio(tmp_path / "studio").app, address_file=known)
     known.unlink()
     address_of(tmp_path / "studio", known)
     own = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: own + 1)
     with pytest.raises(CadenzaError, match="other users"):
-        serve(Studio(tmp_path / "studio"), address_file=known)
+        serve(Studio(tmp_path / "studio").app, address_file=known)
 
 
 BROWSER = """#!{python}
@@ -426,16 +426,19 @@ def test_the_token_is_in_no_list_of_processes(tmp_path: Path, end: signal.Signal
 
 
 SERVING = """
+import sys
 from contextlib import suppress
+from pathlib import Path
 from cadenza.studio.broadcast import Broadcast
-from cadenza.studio.page_server import PageServer, serve
+from cadenza.studio.page_server import serve
+from cadenza.studio.server import Studio
 
-class Waiting(PageServer):
+class Waiting(Studio):
     async def broadcast(self, id):
         return Broadcast("Waiting", {}) if id == "x" else None
 
 with suppress(KeyboardInterrupt):
-    serve(Waiting(), ready=lambda address: print(address, flush=True))
+    serve(Waiting(Path(sys.argv[1])).app, ready=lambda address: print(address, flush=True))
 """
 
 
@@ -468,8 +471,8 @@ FRAMES = {
 }
 
 
-def test_whatever_a_page_says_the_terminal_stays_empty_and_others_watch() -> None:
-    command = [sys.executable, "-c", SERVING]
+def test_whatever_a_page_says_the_terminal_stays_empty_and_others_watch(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", SERVING, str(tmp_path)]
     with subprocess.Popen(command, stdout=PIPE, stderr=PIPE, text=True) as server:
         assert server.stdout is not None
         assert server.stderr is not None

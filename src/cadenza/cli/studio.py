@@ -57,7 +57,7 @@ def run(command: StudioCommand) -> None:
     with suppress(KeyboardInterrupt):  # how it ends
         folder = studio.storage.folder
         ready = partial(announce, browser=command.browser, folder=folder)
-        serve(studio, command.host, port, ready, folder / "address.json")
+        serve(studio.app, command.host, port, ready, folder / "address.json")
 
 
 def need_server() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from inspect import isawaitable
 from pathlib import Path
 from typing import Any
@@ -14,23 +14,28 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
-from starlette.routing import BaseRoute, Route
-from starlette.types import Message, Receive, Scope, Send
+from starlette.routing import BaseRoute, Route, WebSocketRoute
+from starlette.types import ExceptionHandler, Message, Receive, Scope, Send
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from cadenza.agents.registry import AGENTS as REGISTERED
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import checked, parsed_json
 from cadenza.music.formats.reading import check_format
 from cadenza.music.formats.source import printable
+from cadenza.studio.access import AccessControl
 from cadenza.studio.broadcast import Broadcast
 from cadenza.studio.jobs import JobQueue
 from cadenza.studio.limits import MAX_BYTES
-from cadenza.studio.page_server import PageServer, error_response
+from cadenza.studio.page_server import PARTS, page
 from cadenza.studio.processes import opening_picture, read_upload
 from cadenza.studio.request import AGENTS, hand_titles, read_request
 from cadenza.studio.storage import FILES, Storage, Upload
+from cadenza.studio.synthesizer import Synthesizer
 
 _FIRST_SONG = "FurEliseOpening"  # with which the page opens
+_FIRST_TONE = 60, 2  # middle C, made at the start: the process that makes tones is ready then
+_CACHED = {"cache-control": "private, max-age=31536000, immutable"}
 _MAX_NAME = 255  # letters of the name of a file, as most file systems have it
 _MAX_JSON = 1 << 14  # bytes of a request
 _MAX_READING = 2  # files at once
@@ -58,7 +63,7 @@ class StoredFile(FileResponse):
                 await error_response("there is no such file", 404)(scope, receive, send)
 
 
-class Studio(PageServer):
+class Studio:
     """The studio: songs, jobs, practice, and performances that are kept."""
 
     def __init__(self, folder: Path, at_once: int = 1, video: bool = False) -> None:
@@ -72,7 +77,7 @@ class Studio(PageServer):
         Raises:
             OSError: the folder cannot be made.
         """
-        super().__init__()
+        self._synthesizer = Synthesizer()
         self.storage = Storage(folder)
         self.jobs = JobQueue(self.storage.folder, at_once, video)
         self._hands = hand_titles()
@@ -98,7 +103,10 @@ class Studio(PageServer):
         storage, jobs = self.storage, self.jobs
         remove = storage.remove_performance
         return [
-            *super().routes(),
+            Route("/", self.page),
+            Route("/{name:str}.{ending:str}", self.script),
+            Route("/tones/{pitch}/{band}", self.tone),
+            WebSocketRoute("/watch/{id}", self.watch),
             Route("/api/songs", self.songs),
             Route("/api/songs", self.upload, methods=["POST"]),
             Route("/api/songs/{id}", _in_thread(storage.remove_upload), methods=["DELETE"]),
@@ -112,15 +120,60 @@ class Studio(PageServer):
             Route("/performances/{id}/{name}", self.file),
         ]
 
+    def app(self, token: str, host: str) -> AccessControl:
+        """Return the ASGI application, behind access control."""
+        errors: dict[Any, ExceptionHandler] = dict.fromkeys((CadenzaError, OSError), _report_error)
+        app = Starlette(routes=self.routes(), lifespan=self.lifespan, exception_handlers=errors)
+        return AccessControl(app, token, host)
+
     @asynccontextmanager
-    async def lifespan(self, app: Starlette) -> AsyncIterator[None]:
+    async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
         """Keep a player ready from the start of the server to its end."""
-        async with super().lifespan(app):
-            await self.jobs.start_player()
-            try:
-                yield
-            finally:
-                await self.jobs.close()
+        first = asyncio.create_task(self._synthesizer.tone(*_FIRST_TONE))
+        await self.jobs.start_player()
+        try:
+            yield
+        finally:
+            await self.jobs.close()
+            first.cancel()
+            await asyncio.wait({first})
+
+    async def page(self, _: Request) -> Response:
+        """Answer the page; its address must end in a slash, as its links are relative."""
+        return Response(page(), media_type="text/html")
+
+    async def script(self, request: Request) -> Response:
+        """Answer a style sheet or a script."""
+        name = "{name}.{ending}".format(**request.path_params)
+        if name not in PARTS:
+            return error_response("there is no such file", 404)
+        kind, make = PARTS[name]
+        return Response(make(), media_type=kind)
+
+    async def tone(self, request: Request) -> Response:
+        """Answer the sound of a key, see `cadenza.studio.tone_samples`."""
+        pitch, band = (_number(request.path_params[name]) for name in ("pitch", "band"))
+        made = await self._synthesizer.tone(pitch, band)
+        return Response(made, media_type="application/octet-stream", headers=_CACHED)
+
+    async def watch(self, socket: WebSocket) -> None:
+        """Send a performance from its beginning on, until it is over or the page has gone."""
+        await socket.accept()
+        tasks = [asyncio.create_task(self._send(socket)), asyncio.create_task(_closed(socket))]
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+        with suppress(RuntimeError, WebSocketDisconnect):  # the page has gone
+            await socket.close()
+
+    async def _send(self, socket: WebSocket) -> None:
+        if (broadcast := await self.broadcast(socket.path_params["id"])) is None:
+            await socket.send_json({"state": "gone"})
+        else:
+            await broadcast.send_all(socket.send_text, socket.send_bytes)
 
     def songs(self, _: Request) -> Response:
         """List songs, agents and hands, and say with which song the page opens."""
@@ -180,6 +233,30 @@ class Studio(PageServer):
         path = self.storage.file(request.path_params["id"], name)
         headers = _REPORT if name == "report.html" else None
         return StoredFile(path, media_type=FILES[name], headers=headers)
+
+
+async def _closed(socket: WebSocket) -> None:
+    """Wait until the page has gone."""
+    with suppress(WebSocketDisconnect, RuntimeError):
+        while (await socket.receive())["type"] != "websocket.disconnect":
+            pass
+
+
+async def _report_error(_: Request, error: Exception) -> Response:
+    """Answer in one line what is wrong with a request, or with the disk."""
+    if isinstance(error, OSError):
+        return error_response(error.strerror or "the disk cannot be read or written", 500)
+    return error_response(" ".join(str(error).split()), 400)
+
+
+def error_response(message: str, status: int) -> Response:
+    """Return a response that says in one line what is wrong."""
+    return JSONResponse({"error": message}, status)
+
+
+def _number(text: str) -> int:
+    """Return a number of up to three digits; -1 for anything else, however long it is."""
+    return int(text) if re.fullmatch("[0-9]{1,3}", text) else -1
 
 
 def _action(work: Callable[..., Any]) -> Callable[[Request], Awaitable[Response]]:
