@@ -17,10 +17,10 @@ from cadenza.errors import CadenzaError
 from cadenza.files import ANY, read_tensors, write_tensors
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.learner import LearnerConfig
-from cadenza.learning.policy_folder import POLICY_FILE, load_policy
-from cadenza.learning.pretrained import pretrained_folder
+from cadenza.learning.policy_folder import POLICY_FILE, load_policy, save_policy
 from cadenza.learning.run_folder import RunFolder
 from cadenza.music.formats.midi import write_midi
+from learnt import from_nothing
 
 # Linear regression on the actions, those that were rewarded most first; in numpy alone.
 PACKAGE = """
@@ -240,8 +240,8 @@ def test_no_policy_has_a_module_imported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Nobody has asked for what a module does when it is imported."""
-    whole = pretrained_folder("TwinkleTwinkleLittleStar") / POLICY_FILE
-    arrays, facts = read_tensors(whole, ANY, 2**28)
+    save_policy(tmp_path / "whole", from_nothing(melody(60, 64)), {})
+    arrays, facts = read_tensors(tmp_path / "whole" / POLICY_FILE, ANY, 2**28)
     facts = {n: v for n, v in facts.items() if n not in ("activation", "log_std_range")}
     others = {"learner": "antigravity:Config", "policy": {}}
     ranges = {name: array for name, array in arrays.items() if name.startswith("ranges/")}

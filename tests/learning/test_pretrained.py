@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
-from cadenza.agents.rollout import play_episodes
+from cadenza.agents.rollout import play_episode
 from cadenza.learning import pretrained
 from cadenza.learning.policy_folder import load_policy
 from cadenza.music.libraries.library import songs
@@ -24,13 +25,10 @@ def test_there_are_three_and_they_are_small() -> None:
         assert sum(path.stat().st_size for path in folder.iterdir()) < 3e6
 
 
-def test_one_of_them_was_learnt_from_nothing() -> None:
-    assert load_policy(pretrained.pretrained_folder("TwinkleTwinkleLittleStar")).reference is None
-
-
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_they_play_what_they_have_learnt(folder: Path) -> None:
     learnt = load_policy(folder)
-    task = PianoTask([learnt.score], learnt.task, learnt.scene, num_envs=2)
-    for result in play_episodes(task, learnt.agent, [0, 1]):
-        assert result.metrics["f1"] >= 0.95
+    with closing(PianoTask([learnt.score], learnt.task, learnt.scene)) as task:
+        metrics = play_episode(task, learnt.agent).metrics
+    assert metrics["f1"] >= 0.98
+    assert metrics["note_onset_f1"] >= 0.98

@@ -45,7 +45,7 @@ AGENTS = {
         "Plays, then practises in the background: next time better.",
     ),
     UNREFINED: ("Planner, unrehearsed", "The plan as it is: it takes less time, and misses more."),
-    "pretrained": ("Learnt policy", "Learnt from scratch; it knows a few of the bundled pieces."),
+    "pretrained": ("Learnt policy", "Trained on this song; there is one for a few bundled pieces."),
     "predictive-sampling": ("Predictive sampling", "For contrast: a search without a plan."),
 }
 """Agents that play on any machine: their titles on the page, and what they do."""
