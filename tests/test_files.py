@@ -262,6 +262,16 @@ def lying_directory(size: int) -> bytes:
     return content[:at] + size.to_bytes(4, "little") + content[at + 4 :]
 
 
+@contextmanager
+def with_little_memory() -> Iterator[None]:
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < 2**22
+    finally:
+        tracemalloc.stop()
+
+
 @pytest.mark.parametrize(
     ("content", "saying"),
     [
@@ -279,22 +289,8 @@ def lying_directory(size: int) -> bytes:
 def test_what_a_file_unpacks_to_is_bounded(tmp_path: Path, content: bytes, saying: str) -> None:
     path = tmp_path / "file.npz"
     path.write_bytes(content)
-    tracemalloc.start()
-    with pytest.raises(CadenzaError, match=saying):
+    with with_little_memory(), pytest.raises(CadenzaError, match=saying):
         read_arrays(path, ANY, 2**20)
-    _, most = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert most < 2**22
-
-
-@contextmanager
-def with_little_memory() -> Iterator[None]:
-    tracemalloc.start()
-    try:
-        yield
-        assert tracemalloc.get_traced_memory()[1] < 2**23
-    finally:
-        tracemalloc.stop()
 
 
 @pytest.fixture
@@ -308,7 +304,12 @@ def huge(tmp_path: Path) -> Path:
 
 def test_what_is_too_large_is_not_read(huge: Path) -> None:
     with with_little_memory():
-        for read in (content_of, lambda path: read_json(path, dict), lambda p: read_arrays(p, ANY)):
+        for read in (
+            content_of,
+            lambda path: read_json(path, dict),
+            lambda path: read_arrays(path, ANY),
+            lambda path: read_tensors(path, ANY, 2**30),
+        ):
             with pytest.raises(CadenzaError):
                 read(huge)
         with pytest.raises(
@@ -433,17 +434,6 @@ def test_tensors_that_could_not_be_read_again_are_not_written(tmp_path: Path) ->
     with pytest.raises(CadenzaError, match="would take 8 MiB; such a file holds up to 1 MiB"):
         write_tensors(path, {"a": np.zeros(2**20)}, most=2**20)
     assert path.read_bytes() == before
-
-
-def test_a_far_too_large_file_of_tensors_is_not_read(tmp_path: Path) -> None:
-    path = tmp_path / "file.safetensors"
-    path.touch()
-    os.truncate(path, 3 * 2**30)  # takes no room
-    tracemalloc.start()
-    with pytest.raises(CadenzaError, match="takes 3,221,225,472 bytes"):
-        read_tensors(path, ANY, 2**30)
-    assert tracemalloc.get_traced_memory()[1] < 2**23
-    tracemalloc.stop()
 
 
 @pytest.mark.parametrize("header", ["[1]", "{", "nonsense", '{"a": NaN}'])

@@ -240,12 +240,3 @@ def test_a_line_for_each_file_whatever_it_is_called(
     said = capsys.readouterr().err
     assert "a\\nb\\x1b[31m.mid: not a MIDI file" in said
     assert "\x1b" not in said
-
-
-def test_titles_without_end_are_listed_in_short(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "song.mid").touch()
-    (tmp_path / "index.csv").write_text(f"file,title,composer\nsong,{'t' * 400},{'c' * 400}\n")
-    main(["songs", str(tmp_path)])
-    assert max(map(len, capsys.readouterr().out.splitlines())) < 400

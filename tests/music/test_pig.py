@@ -58,9 +58,6 @@ ONE_READ = (
 )
 
 
-LONG = "É" + "é" * 59  # of a title without end, what the name of a file takes of it
-
-
 def text_of(score: Score) -> str:
     """As the authors would write it."""
     lines = ["//Version: PianoFingering_v170101"]
@@ -341,14 +338,6 @@ def test_a_zip_file_that_would_fill_the_disk_is_not_unpacked(dataset: Path, tmp_
     assert "002-1_fingering.txt: over 2 MiB" in message
 
 
-@pytest.mark.parametrize("letters", [100_000, 200_000])
-def test_a_title_without_end_loses_no_piece(tmp_path: Path, letters: int) -> None:
-    place = make(tmp_path, {1: ("A", "One"), 2: ("B", "é" * letters), 3: ("C", "É" * letters)})
-    assert import_pig(place).left_out == []
-    songs = {song.name for song in open_library("repertoire-150").songs}
-    assert songs == {f"repertoire-150/{name}" for name in ("One", LONG, f"{LONG}-2")}
-
-
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=40, deadline=None)
 def test_a_damaged_zip_file_is_at_most_refused(
@@ -362,33 +351,7 @@ def test_a_damaged_zip_file_is_at_most_refused(
         import_pig(path, replace=True)
 
 
-def test_a_zip_file_with_odd_names_is_at_most_refused(dataset: Path, tmp_path: Path) -> None:
-    path = zipped(dataset, tmp_path / "pig.zip")
-    for odd in (b"\n", b"\x1c"):  # in the directory and not in the header of the member
-        content = path.read_bytes()
-        at = content.rindex(b"List.csv")
-        path.write_bytes(content[:at] + odd + content[at + 1 :])
-        with at_most_refused():
-            import_pig(path, replace=True)
-    with zipfile.ZipFile(path, "a") as archive:
-        archive.writestr(zipfile.ZipInfo(""), "")
-    with at_most_refused():
-        import_pig(path, replace=True)
-
-
-# Again, and interrupted
-
-
-def test_nothing_is_replaced_unasked(dataset: Path) -> None:
-    import_pig(dataset)
-    before = open_library("repertoire-150")
-    fingering(dataset, 1).write_text(ONE.replace("C#4", "A0"))
-    with pytest.raises(CadenzaError, match=r"repertoire-150 already.*--replace"):
-        import_pig(dataset)
-    assert open_library("repertoire-150").songs[0].load().notes == ONE_READ
-    import_pig(dataset, replace=True)
-    assert open_library("repertoire-150").songs[0].load().notes[0].pitch == 21
-    assert len(list(Path(os.environ["CADENZA_DATA"]).rglob("*.mid"))) == len(before.songs)
+# Interrupted
 
 
 def test_an_import_that_fails_leaves_what_was_there(dataset: Path, data: Path) -> None:

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 from asyncio.subprocess import PIPE
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -425,6 +425,7 @@ def test_the_token_is_in_no_list_of_processes(tmp_path: Path, end: signal.Signal
     assert not Path(page).parent.exists()
 
 
+WAITING = "import time; time.sleep(60)"  # a player that does nothing
 SERVING = """
 import sys
 from contextlib import suppress
@@ -561,38 +562,66 @@ def test_only_so_many_songs_wait(client: TestClient) -> None:
     assert client.post("/TOKEN/api/jobs", content=b"{", headers=SAME).status_code == 400
 
 
-def test_jobs_run_one_after_the_other_and_end_when_cancelled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The players do nothing but wait."""
+async def player(script: str) -> Any:
+    """A process that stands in for a player."""
+    command = [sys.executable, "-S", "-c", script]
+    return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
 
-    async def run() -> None:
-        queue = jobs.JobQueue(tmp_path)
-        first, second = (
-            queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False) for _ in range(2)
-        )
+
+def asked(queue: jobs.JobQueue) -> jobs.Job:
+    return queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False)
+
+
+async def until(condition: Callable[[], Any]) -> None:
+    while not condition():
+        await asyncio.sleep(0.01)
+
+
+async def cancelled(queue: jobs.JobQueue) -> Any:
+    """The process of a job that is cancelled as soon as it has one."""
+    job = asked(queue)
+    await until(lambda: job.process is not None)
+    process = job.process
+    queue.cancel(job.id)
+    await until(lambda: not job.is_busy)
+    return process
+
+
+Start = Callable[..., Awaitable[Any]]
+Queue = Callable[[Start, Callable[[jobs.JobQueue], Awaitable[None]]], None]
+
+
+@pytest.fixture
+def queue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Queue:
+    """Does something with a queue whose players are started by a function."""
+
+    def run_queue(start: Start, do: Callable[[jobs.JobQueue], Awaitable[None]]) -> None:
+        async def run() -> None:
+            queue = jobs.JobQueue(tmp_path)
+            await do(queue)
+            await queue.close()
+
+        monkeypatch.setattr(jobs, "start_process", start)
+        asyncio.run(asyncio.wait_for(run(), 60))
+
+    return run_queue
+
+
+def test_jobs_run_one_after_the_other_and_end_when_cancelled(queue: Queue) -> None:
+    async def run(queue: jobs.JobQueue) -> None:
+        first, second = asked(queue), asked(queue)
         assert (first.status["state"], second.status["state"]) == ("preparing", "queued")
         queue.cancel(first.id)  # before its process has even started
-        while second.process is None:
-            await asyncio.sleep(0.01)
+        await until(lambda: second.process is not None)
         assert (first.is_busy, first.status["state"]) == (False, "cancelled")
         second.process.kill()
-        while not second.is_over:
-            await asyncio.sleep(0.01)
+        await until(lambda: second.is_over)
         assert second.status["error"] == "the player ended unexpectedly"
-        await queue.close()
 
-    async def waiting(*_: str) -> Any:
-        command = [sys.executable, "-S", "-c", "import time; time.sleep(60)"]
-        return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
-
-    monkeypatch.setattr(jobs, "start_process", waiting)
-    asyncio.run(asyncio.wait_for(run(), 60))
+    queue(lambda *_: player(WAITING), run)
 
 
-def test_a_song_plays_on_where_no_spare_player_can_start(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_song_plays_on_where_no_spare_player_can_start(queue: Queue) -> None:
     """The spare one is started when the song has been played, and its files are being written."""
     told = io.BytesIO()
     json_message(state="played", verdict="").write(told)
@@ -602,49 +631,28 @@ def test_a_song_plays_on_where_no_spare_player_can_start(
     async def once(*_: str) -> Any:
         if begun:
             raise BlockingIOError(errno.EAGAIN, "no room for another process")
-        script = f"import sys; sys.stdin.readline(); sys.stdout.buffer.write({told.getvalue()!r})"
-        command = [sys.executable, "-S", "-c", script]
-        begun.append(await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE))
-        return begun[-1]
+        begun.append(1)
+        told_now = f"sys.stdout.buffer.write({told.getvalue()!r})"
+        return await player(f"import sys; sys.stdin.readline(); {told_now}")
 
-    async def run() -> None:
-        queue = jobs.JobQueue(tmp_path)
-        job = queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False)
-        while not job.is_over or job.is_busy:
-            await asyncio.sleep(0.01)
+    async def run(queue: jobs.JobQueue) -> None:
+        job = asked(queue)
+        await until(lambda: job.is_over and not job.is_busy)
         assert job.status["state"] == "kept"
-        await queue.close()
 
-    monkeypatch.setattr(jobs, "start_process", once)
-    asyncio.run(asyncio.wait_for(run(), 60))
+    queue(once, run)
 
 
-def test_a_player_whose_song_is_cancelled_plays_the_next(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_player_whose_song_is_cancelled_plays_the_next(queue: Queue) -> None:
     """If it puts it down in time."""
     polite = (
         "import sys\nfor number, _ in enumerate(sys.stdin):\n"
         "    if number % 2:\n        sys.stdout.write('W\\0\\0\\0\\0')\n"
         "        sys.stdout.flush()"
     )
-    programs = [polite, "import time; time.sleep(60)"]
+    programs = [polite, WAITING, WAITING]  # the last gets ready when the rude one has gone
 
-    async def player(*_: str) -> Any:
-        command = [sys.executable, "-S", "-c", programs.pop(0)]
-        return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
-
-    async def cancelled(queue: jobs.JobQueue) -> Any:
-        job = queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False)
-        while (process := job.process) is None:
-            await asyncio.sleep(0.01)
-        queue.cancel(job.id)
-        while job.is_busy:
-            await asyncio.sleep(0.01)
-        return process
-
-    async def run() -> None:
-        queue = jobs.JobQueue(tmp_path)
+    async def run(queue: jobs.JobQueue) -> None:
         first, second = await cancelled(queue), await cancelled(queue)
         assert first is second
         assert first.returncode is None
@@ -652,57 +660,36 @@ def test_a_player_whose_song_is_cancelled_plays_the_next(
         await first.wait()
         rude = await cancelled(queue)
         assert rude.returncode is not None
-        await queue.close()
 
-    monkeypatch.setattr(jobs, "start_process", player)
-    programs.append(programs[-1])  # which gets ready when the rude one has gone
-    asyncio.run(asyncio.wait_for(run(), 60))
+    queue(lambda *_: player(programs.pop(0)), run)
 
 
-def test_what_is_cancelled_at_its_last_moment_is_not_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_cancelled_at_its_last_moment_is_not_kept(queue: Queue, tmp_path: Path) -> None:
     """The player does not notice, and keeps it all the same."""
     keeping = (
         "import json, os\norder = json.loads(input())\ninput()\n"
         "os.mkdir(os.path.join(order['folder'], order['id']))"
     )
 
-    async def player(*_: str) -> Any:
-        command = [sys.executable, "-S", "-c", keeping]
-        return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
+    async def run(queue: jobs.JobQueue) -> None:
+        await cancelled(queue)
+        assert list(tmp_path.iterdir()) == []
 
-    async def run() -> None:
-        queue = jobs.JobQueue(tmp_path / "studio")
-        job = queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False)
-        while job.process is None:
-            await asyncio.sleep(0.01)
-        queue.cancel(job.id)
-        while job.is_busy:
-            await asyncio.sleep(0.01)
-        assert list((tmp_path / "studio").iterdir()) == []
-        await queue.close()
-
-    (tmp_path / "studio").mkdir()
-    monkeypatch.setattr(jobs, "start_process", player)
-    asyncio.run(asyncio.wait_for(run(), 60))
+    queue(lambda *_: player(keeping), run)
 
 
-def test_one_player_waits_at_most(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_player_waits_at_most(queue: Queue) -> None:
     begun = []
 
     async def waiting(*_: str) -> Any:
         await asyncio.sleep(0.01)
-        begun.append(await asyncio.create_subprocess_exec("sleep", "60", stdin=PIPE, stdout=PIPE))
+        begun.append(await player(WAITING))
         return begun[-1]
 
-    async def run() -> None:
-        queue = jobs.JobQueue(tmp_path)
+    async def run(queue: jobs.JobQueue) -> None:
         await asyncio.gather(*(queue.start_player() for _ in range(3)))
-        await queue.close()
 
-    monkeypatch.setattr(jobs, "start_process", waiting)
-    asyncio.run(asyncio.wait_for(run(), 60))
+    queue(waiting, run)
     assert len(begun) == 1
 
 
