@@ -269,77 +269,49 @@ def test_a_tempo_or_time_signature_that_cannot_be_read_is_left_out(tmp_path, sig
 
 TWO = bytes([0, 0x90, 60, 80, 10, 0x80, 60, 0, 0, 0x90, 62, 80, 10, 0x80, 62, 0, 0, 0xFF, 0x2F, 0])
 FIRST, SECOND = (0.0, 0.5, 60), (0.5, 1.0, 62)
+EXCLUSIVE = bytes([0, 0x90, 60, 80, 0, 0xF0, 2, 1, 0xF7, 10, 60, 0, 0, 0xFF, 0x2F, 0])
+CUT_OFF, NO_LENGTH = "1 track cut off: its end is missing", "1 note of no length left out"
 
 
-@pytest.mark.parametrize(
-    ("data", "notes", "remarks"),
-    [
-        (
-            chunk(b"MThd", struct.pack(">HHH", 1, 5, 10)) + chunk(b"MTrk", TWO),
-            [FIRST, SECOND],
-            ["4 tracks of 5 missing: the file may be incomplete"],
-        ),
-        (
-            chunk(b"MThd", struct.pack(">HHH", 1, 1, 10)) + chunk(b"MTrk", SONG) * 2,
-            [FIRST],
-            ["1 note doubled at the same moment merged"],
-        ),
-        (HEAD + b"MTrk" + struct.pack(">L", 9999) + TWO, [FIRST, SECOND], []),
-        (
-            HEAD + chunk(b"MTrk", TWO)[:-6],
-            [FIRST],
-            ["1 track cut off: its end is missing", "1 note of no length left out"],
-        ),
-        (
-            HEAD + chunk(b"MTrk", TWO)[:-8],
-            [FIRST],
-            ["1 track cut off: its end is missing", "1 note of no length left out"],
-        ),
-        (HEAD + chunk(b"MTrk", TWO)[:-12], [FIRST], ["1 track cut off: its end is missing"]),
-        (HEAD + chunk(b"MTrk", TWO[:-4]), [FIRST, SECOND], []),
-        (
-            HEAD + chunk(b"MTrk", SONG.replace(bytes([80]), b"\xff")),
-            [FIRST],
-            ["1 value over 127 taken for 127"],
-        ),
-        (
-            HEAD + chunk(b"MTrk", SONG + b"abc"),
-            [FIRST],
-            ["3 bytes after the end of a track left out"],
-        ),
-        (HEAD + chunk(b"MTrk", SONG + bytes(3)), [FIRST], []),
-        (bytes(128) + HEAD + chunk(b"MTrk", SONG), [FIRST], []),
-        (
-            HEAD
-            + chunk(
-                b"MTrk",
-                bytes([0, 0x90, 60, 80, 0, 0xF0, 2, 1, 0xF7, 10, 60, 0, 0, 0xFF, 0x2F, 0]),
-            ),
-            [FIRST],
-            [],
-        ),
-        (
-            HEAD + chunk(b"MTrk", bytes([10, 0xFF, 0x60, 1, 0]) + SONG),
-            [(0.5, 1.0, 60)],
-            [],
-        ),
-    ],
-    ids=[
-        "tracks missing",
-        "more tracks than said",
-        "too large a size",
-        "cut within a note",
-        "cut before its end",
-        "cut between notes",
-        "no end",
-        "value over 127",
-        "bytes after the end",
-        "padded",
-        "MacBinary",
-        "running status after system exclusive",
-        "time before an unknown event",
-    ],
-)
+def of_tracks(count):
+    """A head that says so."""
+    return chunk(b"MThd", struct.pack(">HHH", 1, count, 10))
+
+
+DAMAGED = {
+    "tracks missing": (
+        of_tracks(5) + chunk(b"MTrk", TWO),
+        [FIRST, SECOND],
+        ["4 tracks of 5 missing: the file may be incomplete"],
+    ),
+    "more tracks than said": (of_tracks(1) + chunk(b"MTrk", SONG) * 2, [FIRST], [MERGED]),
+    "too large a size": (HEAD + b"MTrk" + struct.pack(">L", 9999) + TWO, [FIRST, SECOND], []),
+    "cut within a note": (HEAD + chunk(b"MTrk", TWO)[:-6], [FIRST], [CUT_OFF, NO_LENGTH]),
+    "cut before its end": (HEAD + chunk(b"MTrk", TWO)[:-8], [FIRST], [CUT_OFF, NO_LENGTH]),
+    "cut between notes": (HEAD + chunk(b"MTrk", TWO)[:-12], [FIRST], [CUT_OFF]),
+    "no end": (HEAD + chunk(b"MTrk", TWO[:-4]), [FIRST, SECOND], []),
+    "value over 127": (
+        HEAD + chunk(b"MTrk", SONG.replace(bytes([80]), b"\xff")),
+        [FIRST],
+        ["1 value over 127 taken for 127"],
+    ),
+    "bytes after the end": (
+        HEAD + chunk(b"MTrk", SONG + b"abc"),
+        [FIRST],
+        ["3 bytes after the end of a track left out"],
+    ),
+    "padded": (HEAD + chunk(b"MTrk", SONG + bytes(3)), [FIRST], []),
+    "MacBinary": (bytes(128) + HEAD + chunk(b"MTrk", SONG), [FIRST], []),
+    "running status after system exclusive": (HEAD + chunk(b"MTrk", EXCLUSIVE), [FIRST], []),
+    "time before an unknown event": (
+        HEAD + chunk(b"MTrk", bytes([10, 0xFF, 0x60, 1, 0]) + SONG),
+        [(0.5, 1.0, 60)],
+        [],
+    ),
+}
+
+
+@pytest.mark.parametrize(("data", "notes", "remarks"), DAMAGED.values(), ids=DAMAGED)
 def test_what_is_whole_of_a_damaged_file_is_read(tmp_path, data, notes, remarks):
     (tmp_path / "a.mid").write_bytes(data)
     score = read_midi(tmp_path / "a.mid")

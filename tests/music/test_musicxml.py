@@ -565,62 +565,44 @@ def test_a_section_that_is_silent_when_repeated_without_end_takes_no_time(saved)
     assert pitches(load_score(saved(document([music])))) == [60]
 
 
+PIECE = FOUR_QUARTERS + note("C4", 4)
 LAUGHS = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 10))
+BLANKS = b" " * (MAX_XML_BYTES + 1)
+MANY_NOTES = "<score-partwise>" + "<note/>" * (MAX_NOTES + 1)
+NESTED = "<a>" * 350_000 + "</a>" * 350_000
+
+
+def declaring(text, title="Little piece"):
+    """A piece whose document begins with such a declaration."""
+    return document([PIECE], title=title, head=f"<!DOCTYPE score-partwise [{text}]>")
+
+
+def often(music):
+    """A bar that is repeated a thousand times."""
+    return music + AGAIN.replace("<repeat", '<repeat times="999"')
+
+
+LAUGHING = declaring(f'<!ENTITY l0 "ha">{LAUGHS}', "&l9;")
+CHANGE = direction('<pedal type="change"/>').replace("</direction>", f"{NESTED}</direction>")
+TRILL = "<notations><ornaments><trill-mark/></ornaments></notations>"
+UNUSUAL = "packed in an unusual way"
 ATTACKS = {
-    "billion laughs": (
-        document(
-            [FOUR_QUARTERS + note("C4", 4)],
-            title="&l9;",
-            head=f'<!DOCTYPE score-partwise [<!ENTITY l0 "ha">{LAUGHS}]>',
-        ),
-        "XML entities",
-    ),
-    "billion laughs in UTF-16": (
-        document(
-            [FOUR_QUARTERS + note("C4", 4)],
-            title="&l9;",
-            head=f'<!DOCTYPE score-partwise [<!ENTITY l0 "ha">{LAUGHS}]>',
-        ).encode("utf-16"),
-        "XML entities",
-    ),
+    "billion laughs": (LAUGHING, "XML entities"),
+    "billion laughs in UTF-16": (LAUGHING.encode("utf-16"), "XML entities"),
     "file of this machine": (
-        document(
-            [FOUR_QUARTERS + note("C4", 4)],
-            title="&x;",
-            head='<!DOCTYPE score-partwise [<!ENTITY x SYSTEM "file:///etc/passwd">]>',
-        ),
+        declaring('<!ENTITY x SYSTEM "file:///etc/passwd">', "&x;"),
         "XML entities",
     ),
-    "zip bomb": (compressed(b" " * (MAX_XML_BYTES + 1)), "over 16 MiB unpacked"),
+    "zip bomb": (compressed(BLANKS), "over 16 MiB unpacked"),
     "zip of nothing": (compressed(b"", "x")[:60], "damaged"),
     "zip that names nothing": (compressed(b"<a/>", "a", named="'"), "names one"),
     "zip without a score": (compressed(b"<a/>", "&quot;" * 10_000), "names one"),
-    "packed by bzip2": (
-        compressed(b" " * (MAX_XML_BYTES + 1), packing=zipfile.ZIP_BZIP2),
-        "packed in an unusual way",
-    ),
-    "packed by LZMA": (
-        compressed(b" " * (MAX_XML_BYTES + 1), packing=zipfile.ZIP_LZMA),
-        "packed in an unusual way",
-    ),
+    "packed by bzip2": (compressed(BLANKS, packing=zipfile.ZIP_BZIP2), UNUSUAL),
+    "packed by LZMA": (compressed(BLANKS, packing=zipfile.ZIP_LZMA), UNUSUAL),
     "deep": ("<score-partwise>" + "<a>" * 350_000, "within each other"),
-    "deep beside a change of the pedal": (
-        document(
-            [
-                FOUR_QUARTERS
-                + direction('<pedal type="change"/>').replace(
-                    "</direction>", "<a>" * 350_000 + "</a>" * 350_000 + "</direction>"
-                )
-                + note("C4", 4)
-            ]
-        ),
-        "within each other",
-    ),
+    "deep beside a change of the pedal": (document([CHANGE + PIECE]), "within each other"),
     "attributes for all": (
-        document(
-            [FOUR_QUARTERS + note("C4", 4)],
-            head=f'<!DOCTYPE score-partwise [<!ATTLIST note a CDATA "{"x" * 100_000}">]>',
-        ),
+        declaring(f'<!ATTLIST note a CDATA "{"x" * 100_000}">'),
         "XML entities or the like",
     ),
     "too many tags": ("<score-partwise>" + "<a/>" * MAX_PARTS, "too large for a song"),
@@ -628,50 +610,31 @@ ATTACKS = {
         "<score-partwise>" + '<a b="" c="" d=""/>' * (MAX_PARTS // 4),
         "too large for a song",
     ),
-    "too many notes": ("<score-partwise>" + "<note/>" * (MAX_NOTES + 1), "over 40000 notes"),
+    "too many notes": (MANY_NOTES, "over 40000 notes"),
     "too many notes of a namespace": (
-        f'<m:score-partwise xmlns:m="x">{"<m:note/>" * (MAX_NOTES + 1)}',
-        "over 40000 notes",
-    ),
-    "too many notes in UTF-16": (
-        ("<score-partwise>" + "<note/>" * (MAX_NOTES + 1)).encode("utf-16"),
-        "over 40000 notes",
-    ),
-    "too many repeats": (
-        document(
-            [FOUR_QUARTERS + note("C4", 4)]
-            + [note("C4", 4) + AGAIN.replace("<repeat", '<repeat times="999"')] * 101
+        MANY_NOTES.replace("<score-partwise", '<m:score-partwise xmlns:m="x"').replace(
+            "<note", "<m:note"
         ),
+        "over 40000 notes",
+    ),
+    "too many notes in UTF-16": (MANY_NOTES.encode("utf-16"), "over 40000 notes"),
+    "too many repeats": (
+        document([PIECE, *[often(note("C4", 4))] * 101]),
         "over 100000 bars with all repeats",
     ),
     "too many parts": (document(*[[FOUR_QUARTERS]] * 501), "over 500 parts"),
     "a trill of years": (
-        document(
-            [
-                FOUR_QUARTERS
-                + note(
-                    "C4",
-                    "999999999999",
-                    inside="<notations><ornaments><trill-mark/></ornaments></notations>",
-                )
-            ]
-        ),
+        document([FOUR_QUARTERS + note("C4", "999999999999", inside=TRILL)]),
         "hours; the longest is 4",
     ),
     "too many tempos with all repeats": (
-        document(
-            [
-                FOUR_QUARTERS
-                + (note("C4", 4) + tempo(90)) * 101
-                + AGAIN.replace("<repeat", '<repeat times="999"')
-            ]
-        ),
+        document([FOUR_QUARTERS + often((note("C4", 4) + tempo(90)) * 101)]),
         "over 100000",
     ),
     "timewise": ("<score-timewise/>", "there are no notes"),
     "not a score": ("<opus></opus>", "cannot be read as MusicXML"),
     "a page": ("\n<!DOCTYPE html><br>", "is a page (HTML), no music"),
-    "cut short": (document([FOUR_QUARTERS + note("C4", 4)])[:-30], "cannot be read as MusicXML"),
+    "cut short": (document([PIECE])[:-30], "cannot be read as MusicXML"),
     "not XML": (b"MThd and so on", "does not begin as XML"),
     "no notes": (document([FOUR_QUARTERS]), "there are no notes"),
     "no parts": (document(), "there are no notes"),
