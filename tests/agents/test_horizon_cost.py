@@ -27,7 +27,8 @@ class Chord:
         self.wanted = keys[self.steps]
 
     def by_finger(self, depth: Array) -> Array:
-        return self.horizon.by_finger((depth * PIANO.travel)[:, None], self.tips)
+        paths = np.repeat((depth * PIANO.travel)[:, None], 2, axis=1)  # keys that do not move
+        return self.horizon.by_finger(paths, self.tips)
 
 
 def test_costs_of_fingers_are_those_of_the_steps() -> None:
@@ -36,7 +37,7 @@ def test_costs_of_fingers_are_those_of_the_steps() -> None:
         depth = np.random.default_rng(seed).uniform(0.0, 1.2, chord.wanted.shape)
         keys, costs = chord.horizon.start, []
         for k, (qpos, tips) in enumerate(zip(depth * PIANO.travel, chord.tips, strict=True)):
-            cost, _, keys = chord.horizon.step_cost(k, qpos[None], tips, keys)
+            cost, _, keys = chord.horizon.step_cost(k, np.stack([qpos, qpos]), tips, keys)
             costs.append(cost)
         by_finger = chord.by_finger(depth)
         assert by_finger.shape == chord.tips.shape[:2]
@@ -77,7 +78,7 @@ def test_notes_that_do_not_begin_in_time_and_keys_struck_again_cost_more() -> No
             key_qpos = np.zeros(88)
             key_qpos[key] = PIANO.travel[key] * (down == "x")
             tips = hand.goals.fingertips[steps[k] + 1]
-            more, _, before = horizon.step_cost(k, key_qpos[None], tips, before)
+            more, _, before = horizon.step_cost(k, np.stack([key_qpos, key_qpos]), tips, before)
             total += more
         return total
 

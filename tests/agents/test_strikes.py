@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import cadenza
 from cadenza.agents.planner.plan.strike_model import StrikeModel, planned_strikes
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.search.strikes import strike_costs
@@ -92,6 +93,16 @@ def test_strikes_are_within_their_steps() -> None:
 def test_fingers_that_are_too_slow_do_not_strike() -> None:
     onsets = score_to_goals(scale([0.0], [80]), DT).onsets
     assert not len(planned_strikes(onsets, build_scene(SceneConfig(hand="allegro")), DT).step)
+
+
+def test_repeated_notes_are_each_heard() -> None:
+    """Eighths in octaves and thirds, with less than 0.1 s in which their keys can come up."""
+    notes = tuple(
+        Note(start, start + 0.18, pitch)
+        for start in np.arange(0, 3, 0.25).tolist()
+        for pitch in (36, 48, 60, 64)
+    )
+    assert cadenza.play(Score(notes)).metrics["note_onset_f1"] > 0.97
 
 
 @pytest.fixture(scope="module")

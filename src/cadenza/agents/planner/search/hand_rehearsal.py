@@ -124,7 +124,8 @@ class HandRehearsal:
                 kept, best = ctrl, rollout
         seen = steps[: self._cost_steps + 1]  # strikes of the last that counts may be late
         keys = self._simulator.keys
-        strikes = HorizonStrikes(goals, seen, self._keyboard, keys, self._cost_steps)
+        silent = horizon.start.silent
+        strikes = HorizonStrikes(goals, seen, self._keyboard, keys, self._cost_steps, silent)
         changing = sorted({step - 1 for step in strikes.step.tolist() if step > 1})
         last: tuple[Array, Rollout] | None = None
 

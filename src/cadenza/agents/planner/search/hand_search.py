@@ -216,7 +216,8 @@ class HandSearch:
             return roll_out(self._simulator, horizon, ctrl)
 
         keys = self._simulator.keys
-        strikes = HorizonStrikes(self._goals, inside, self._keyboard, keys, _REFINED)
+        silent = horizon.start.silent
+        strikes = HorizonStrikes(self._goals, inside, self._keyboard, keys, _REFINED, silent)
         refined = self._refinement.refine(
             ctrl[: len(inside)],
             simulate(ctrl[: len(inside)]),

@@ -14,6 +14,7 @@ from cadenza.agents.planner.plan.hand_goals import TIP_WEIGHT, HandGoals
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR, clipped
 from cadenza.agents.planner.search.strikes import HorizonStrikes
 from cadenza.keyboards.keyboard import Keyboard
+from cadenza.music.performance import BOUNCE
 
 _WRONG_KEY = 3.0  # cost of a key that sounds and should not, or the other way round
 _WRONG_ONSET = 3.0  # of a note that has not begun in time, and of an onset where no note begins
@@ -46,6 +47,8 @@ class KeyStates(NamedTuple):
     """Own keys whose notes were lost within the rollout: wrong until they should end."""
     given_up: Mask
     """Own keys whose notes were lost before it: nothing that the rollout does can mend them."""
+    silent: Array
+    """For how long keys have been silent [s], a multiple of the physics step, at least."""
 
 
 class HorizonCost:
@@ -64,10 +67,12 @@ class HorizonCost:
         keyboard: Keyboard,
         keys: slice,
         key_qpos: Array,
+        silent: Array | float = np.inf,
     ) -> None:
         """Takes the goals of steps (H,) of the song for the K keys that are simulated.
 
-        `key_qpos` (K,) are the angles of these before the first step [rad].
+        `key_qpos` (K,) are the angles of these before the first step [rad], and `silent` (K,) is
+        for how long they have been silent [s], infinite if it does not matter.
         """
         wanted, wrong = goals.keys[steps, keys], goals.wrong[steps, keys]
         self._wanted, self._wrong, self._counts = wanted, wrong, wanted | wrong
@@ -81,7 +86,9 @@ class HorizonCost:
         self.num_steps, sounding = len(steps), key_qpos >= self._sounds_from
         self._late = wanted & self._onset_wrong & ~_goes_on(goals, steps, keys)
         given_up = self._late[0] & ~sounding
-        self.start = KeyStates(sounding, np.zeros_like(given_up), given_up)
+        silent = np.where(sounding, 0.0, silent)
+        self.start = KeyStates(sounding, np.zeros_like(given_up), given_up, silent)
+        self._dt = goals.dt
         # A key's distance from its harmless range, in units of its travel: factor * angle + offset.
         sign = wrong.astype(np.float64) - wanted
         self._factor = sign / keyboard.travel[keys]
@@ -93,7 +100,7 @@ class HorizonCost:
             self._fingertips[step, self._finger[step, key], 2] += _LIFTED
         self._cost_weight = self._weight.copy()
         self._cost_weight[-1] *= _TERMINAL
-        self.strikes = HorizonStrikes(goals, steps, keyboard, keys)
+        self.strikes = HorizonStrikes(goals, steps, keyboard, keys, silent=silent)
 
     def step_cost(
         self, k: int, key_path: Array, fingertips: Array, before: KeyStates
@@ -126,15 +133,33 @@ class HorizonCost:
         # An own key may be struck again within the step.
         onsets = np.count_nonzero((on_the_way[1:] > on_the_way[:-1]) & wanted, axis=0)
         again = np.maximum(onsets - begins, 0)
+        unheard, silent = self._silence(on_the_way[1:], before)
+        unheard &= wanted & ~self._onset_wrong[k]
         brushed = on_the_way[1:].any(axis=0) & self._wrong[k] & ~sounding & ~before.sounding
         depth = np.maximum(self._factor[k] * key_qpos + self._offset[k], 0.0)
         depth[lost | given_up] = 0.0
-        costs = _WRONG_KEY * wrong + _WRONG_ONSET * (wrong_onsets + again) + _BRUSHED * brushed
+        costs = (
+            _WRONG_KEY * wrong
+            + _WRONG_ONSET * (wrong_onsets + again + unheard)
+            + _BRUSHED * brushed
+        )
         costs += _DEPTH * (depth * depth)
-        mistakes = (wrong & self._mistakes[k]) + brushed + again + (wrong_onsets & begins & wanted)
+        mistakes = (wrong & self._mistakes[k]) + brushed + again + unheard
+        mistakes += wrong_onsets & begins & wanted
         given_up = given_up & ~sounding
         lost = late & (~sounding | lost) & ~given_up
-        return costs, int(mistakes.sum()), KeyStates(sounding, lost, given_up)
+        return costs, int(mistakes.sum()), KeyStates(sounding, lost, given_up, silent)
+
+    def _silence(self, sounding: Mask, before: KeyStates) -> tuple[Mask, Array]:
+        """Keys (K,) that sound too soon again to be heard, and for how long each is silent now [s].
+
+        `sounding` (S, K) are the keys after each physics step.
+        """
+        substep, any_sound = self._dt / len(sounding), sounding.any(axis=0)
+        until = before.silent + substep * sounding.argmax(axis=0)
+        silent = substep * sounding[::-1].argmax(axis=0)
+        unheard = any_sound & ~before.sounding & (until < BOUNCE)
+        return unheard, np.where(any_sound, silent, before.silent + self._dt)
 
     def by_finger(self, key_paths: Sequence[Array], fingertips: Array) -> Array:
         """The cost (L, F) of each of the first L steps, by finger.

@@ -97,7 +97,9 @@ def start_rollouts(
     y = np.append(goals.fingertips[steps + 1, :, 1], y_now)
     simulator.start_from(simulation, float(y.min()), float(y.max()))
     key_qpos = simulation.state.key_qpos[0, simulator.keys]
-    return HorizonCost(goals, steps, keyboard, simulator.keys, key_qpos)
+    ceased = simulation.state.key_events[1][0, simulator.keys]
+    silent = np.where(np.isnan(ceased), np.inf, goals.dt - ceased)
+    return HorizonCost(goals, steps, keyboard, simulator.keys, key_qpos, silent)
 
 
 def roll_out(

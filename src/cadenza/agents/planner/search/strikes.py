@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.keyboards.keyboard import Keyboard
-from cadenza.sim.key_crossings import key_crossings
+from cadenza.music.performance import BOUNCE
+from cadenza.sim.key_crossings import Crossings, key_crossings
 
 UNIT = np.array([0.008, 0.4])
 """The errors that count as 1: of the time of an onset [s], and of the speed of its key [octaves].
@@ -23,6 +24,7 @@ TOLERANCE = np.array([0.003, 0.15])
 _LARGE = 2.0  # error beyond which the cost grows by 1 for 1: a wrong onset costs anyway
 _NOT_STRUCK = np.array([8.0, 0.0])  # costs, as of an onset that is a control step of 50 ms late
 _AFTER = 3  # steps after that of a strike in which it may be at fault: its finger may bounce off
+_SILENT = BOUNCE + 0.002  # [s] before a key is struck again, to be heard: 2 ms are for rounding
 _MIN_SPEED = 0.05  # [rad/s] with which a key that hardly moves counts, for the logarithm
 
 
@@ -60,11 +62,14 @@ class HorizonStrikes:
         keyboard: Keyboard,
         keys: slice,
         struck: int | None = None,
+        silent: Array | None = None,
     ) -> None:
-        """Take the strikes of `goals` in consecutive steps (H,), of the simulated keys.
+        """Take the strikes of `goals` in consecutive steps (H,), of the K simulated keys.
 
-        If only the first steps count, `struck` is their number.
+        If only the first steps count, `struck` is their number. `silent` (K,) is for how long keys
+        have been silent before the first step, infinite if it does not matter [s].
         """
+        self._silent = silent
         every, self._dt = goals.strikes, goals.dt
         rows = np.arange(*np.searchsorted(every.step, [steps[0], steps[:struck][-1] + 1]))
         rows = rows[goals.planned[every.step[rows], every.key[rows]]]
@@ -92,7 +97,9 @@ class HorizonStrikes:
         rows, substep = self._in_step[k], self._dt / (len(key_path) - 1)
         outcome = np.full((len(rows), 2), np.nan)
         for i, row in enumerate(rows):
-            onsets = _onsets(key_path[:, self._key[row]], self._sounds_from[row], substep)
+            onsets = _onsets(
+                _crossings(key_path[:, self._key[row]], self._sounds_from[row], substep)
+            )
             outcome[i] = onsets[0] if len(onsets) else np.nan
         return float(strike_costs(outcome, self.wanted[rows]).sum())
 
@@ -100,7 +107,8 @@ class HorizonStrikes:
         """Times and log2 of the speeds (N, 2) of all strikes, as `wanted`.
 
         Of the onsets from the step before to the step after, the nearest in time counts. The values
-        are NaN where there is none.
+        are NaN where there is none. A key that has been silent for too short a time to be heard
+        again counts as so much too early.
         """
         outcome = np.full((len(self), 2), np.nan)
         for i, (step, key) in enumerate(zip(self.step, self._key, strict=True)):
@@ -109,11 +117,24 @@ class HorizonStrikes:
                 continue
             substep = self._dt / (len(key_paths[begin]) - 1)
             parts = [key_paths[begin][:1, key], *(path[1:, key] for path in key_paths[begin:end])]
-            onsets = _onsets(np.concatenate(parts), self._sounds_from[i], substep)
+            crossings = _crossings(np.concatenate(parts), self._sounds_from[i], substep)
+            onsets = _onsets(crossings)
             if len(onsets):
-                onsets[:, 0] -= (step - begin) * self._dt
-                outcome[i] = onsets[np.abs(onsets[:, 0] - self.wanted[i, 0]).argmin()]
+                nearest = np.abs(
+                    onsets[:, 0] - (step - begin) * self._dt - self.wanted[i, 0]
+                ).argmin()
+                time, speed = onsets[nearest]
+                offsets = crossings.offsets.time
+                earlier = offsets[offsets < time].max(initial=self._silent_since(key, begin))
+                early = time - earlier - _SILENT
+                time -= (step - begin) * self._dt
+                outcome[i] = min(time, self.wanted[i, 0] + early), speed
         return outcome
+
+    def _silent_since(self, key: int, step: int) -> float:
+        """When a key last ceased to sound before the first step, from a step on [s]."""
+        silent = np.inf if self._silent is None else self._silent[key]
+        return -float(silent) - step * self._dt
 
     def faults(self, key_paths: Sequence[Array]) -> Array:
         """Wrong keys and wrong onsets (N,) while each strike may be at fault.
@@ -131,11 +152,12 @@ class HorizonStrikes:
         return until[last] - until[np.minimum(np.maximum(self.step - 1, 0), last)]
 
 
-def _onsets(key_path: Array, sounds_from: float, substep: float) -> Array:
-    """Times [s] and log2 of the speeds [rad/s] (C, 2) with which a key begins to sound.
+def _crossings(key_path: Array, sounds_from: float, substep: float) -> Crossings:
+    """Crossings of a key that moves along (S + 1,) [rad], sampled every `substep` [s]."""
+    return key_crossings(key_path[:, None], np.array([sounds_from]), substep)
 
-    The key moves along (S + 1,) [rad], sampled every `substep` [s], and linearly in between.
-    """
-    crossings = key_crossings(key_path[:, None], np.array([sounds_from]), substep)
+
+def _onsets(crossings: Crossings) -> Array:
+    """Times [s] and log2 of the speeds [rad/s] (C, 2) with which a key begins to sound."""
     onsets = crossings.onsets
     return np.column_stack([onsets.time, as_heard(onsets.speed)])
