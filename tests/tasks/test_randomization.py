@@ -597,4 +597,4 @@ def test_says_what_makes_no_sense(options: Any, message: str) -> None:
 
 
 def test_every_field_is_tried_here() -> None:
-    assert {each.name for each in fields(DomainRandomization)} == {*EACH, "seed"}
+    assert {each.name for each in fields(DomainRandomization)} == {*EACH, "seed", "robot"}

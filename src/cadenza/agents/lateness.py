@@ -125,7 +125,7 @@ class StateEstimator:
         """Correct the model by what sensors have, unless they agree."""
         model = self._model.state
         off = measured.hand_qpos[0] - model.hand_qpos[0]
-        keys_off = measured.key_qpos[0] - model.key_qpos[0]
+        keys_off = np.nan_to_num(measured.key_qpos[0] - model.key_qpos[0])  # NaN: not measured
         if max(abs(off).max(), abs(keys_off).max()) < _AGREES:
             return
         qvel = self._model.coordinates()[0, self._scene.model.nq :]

@@ -119,13 +119,15 @@ class DomainRandomization:
     seed: int | None = None
     """Seed of all that is drawn, the same in every episode. By default each reset draws a seed with
     the random numbers of its environment."""
+    robot: int | None = None
+    """Seed of what a robot is, the same in every episode: all but noise and pushes."""
 
     __repr__ = in_short
 
     @property
     def is_on(self) -> bool:
         """Whether anything may differ from the nominal model or its sensors."""
-        return replace(self, seed=None) != DomainRandomization()
+        return replace(self, seed=None, robot=None) != DomainRandomization()
 
 
 @dataclass(frozen=True)

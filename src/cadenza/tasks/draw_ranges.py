@@ -50,7 +50,7 @@ _STREAMS = (
 """What has a generator of its own, in an order on which all draws depend."""
 ON_CPU_ONLY = (
     *(KEY_SOUNDING, "gravity_tilt", "push", *SERVO_RANGES, OBSERVATION_LATENCY),
-    *("touch_noise", "joint_bias", "slide_bias", "touch_bias", "drift"),
+    *("touch_noise", "joint_bias", "slide_bias", "touch_bias", "drift", "robot"),
 )
 """The fields that the engine warp does not have."""
 
@@ -177,6 +177,6 @@ def _check(config: DomainRandomization) -> None:
                 f"{least:g} to {most:g}"
             )
     numbers = {name: (0.0, most) for name, most in _MAX_NUMBER.items()}
-    if config.seed is not None:
-        numbers[SEED] = (0, MAX_COUNT)
+    given = (name for name in (SEED, "robot") if getattr(config, name) is not None)
+    numbers |= dict.fromkeys(given, (0, MAX_COUNT))
     check_ranges(config, numbers, _PREFIX)

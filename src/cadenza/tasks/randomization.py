@@ -113,20 +113,22 @@ class Randomization:
             self._sent[list(env_ids), :, -1] = 0.0  # the pedal is up
 
     def _draw(self, env: int, seed: int) -> Factors:
+        noise, robot = seed, self._ranges.config.robot
+        seed = noise if robot is None else robot
         factors = self._ranges.factors(seed)
         for name, values in factors.items():
             self.drawn[name][env] = values
-        self.drawn[SEED][env] = seed
+        self.drawn[SEED][env] = noise
         if LATENCY in self.drawn:
             self._latency_steps[env] = self._ranges.latency_steps(seed)
             self.drawn[LATENCY][env] = self._latency_steps[env] * self._ranges.physics_timestep
-        self._control_rngs[env] = self._ranges.generator(seed, CONTROL)
-        self._push_rngs[env] = self._ranges.generator(seed, "push")
+        self._control_rngs[env] = self._ranges.generator(noise, CONTROL)
+        self._push_rngs[env] = self._ranges.generator(noise, "push")
         for name, values in self._ranges.of_servos(seed).items():
             self.drawn[name][env] = values
         if "gravity_tilt" in self.drawn:
             self.drawn["gravity_tilt"][env] = self._ranges.gravity_tilt(seed)
-        self._senses.begin(env, seed)
+        self._senses.begin(env, seed, noise)
         return factors
 
     def start_sensing(self, env_ids: Sequence[int], state: State) -> None:

@@ -23,12 +23,17 @@ _MINI = {"setup": "mini-allegro"}
 def register_envs() -> None:
     """Register `cadenza/<Song>-v0` for every bundled song and `cadenza/Piano-v0` for any.
 
+    And `cadenza/UnknownRobot-v0`, a robot that has to be learnt in ten plays.
+
     And `cadenza/MiniNote-v0`, `MiniNotes-v0` and `MiniDyads-v0`: drills for one hand with touch at
     25 mini keys; each episode draws one.
     """
     for piece in songs():
         _register(f"cadenza/{piece.name}-v0", {"song": piece.name})
     _register("cadenza/Piano-v0", {})
+    gymnasium.register(
+        "cadenza/UnknownRobot-v0", entry_point="cadenza.tasks.unknown_robot:UnknownRobotEnv"
+    )
     for name, drills in _DRILLS.items():
         songs_of_it = [f"etudes/{drills}-{seed}" for seed in range(_NUM_DRILLS)]
         _register(f"cadenza/{name}-v0", {"song": songs_of_it, **_MINI})

@@ -53,10 +53,10 @@ class Senses:
         own = [self._offset, self._wandered, self._rngs, self._late, self._heard]
         return [*own, *self._history]
 
-    def begin(self, env: int, seed: int) -> None:
-        """Draw for an episode."""
+    def begin(self, env: int, seed: int, noise: int) -> None:
+        """Draw for an episode, all but noise and drift by `seed`."""
         ranges = self._ranges
-        self._rngs[env], self._wandered[env] = ranges.noise_generator(seed), 0.0
+        self._rngs[env], self._wandered[env] = ranges.noise_generator(noise), 0.0
         if "bias" in self.drawn:
             self.drawn["bias"][env] = ranges.sensor_bias(seed)
         if self.path is not None:

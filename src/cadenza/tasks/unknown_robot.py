@@ -1,0 +1,85 @@
+"""The environment of a robot that nobody knows: ten plays to learn it, and one that is scored."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.configs import MAX_COUNT, whole_number
+from cadenza.errors import CadenzaError
+from cadenza.tasks.env import Observation, PianoEnv, Song
+from cadenza.tasks.robots import REALISTIC
+
+PLAYS = 10
+"""How often a song may be played before the play that is scored."""
+_OWN = "randomization", "privileged", "task", "pixels"
+
+
+class UnknownRobotEnv(PianoEnv):
+    """A song, and a robot and a piano that are drawn from the profile `realistic` and hidden.
+
+    Observations have what sensors give: joints, late, off and noisy, and which keys sound, when
+    they began to and how loud, late. `key_state` is 1 for a key that sounds, else 0. Rewards are 0
+    and `info` has "song" and "play" alone, until in the play after the tenth they are those of
+    `PianoEnv`, without what was drawn.
+    """
+
+    def __init__(self, song: Song | None = None, robot: int = 0, **options: Any) -> None:
+        """Draw the robot of this seed.
+
+        Raises:
+            CadenzaError: an option would show or change the robot, or makes no sense.
+        """
+        if known := [name for name in _OWN if name in options]:
+            raise CadenzaError(f"{known[0]}: an unknown robot has no such option; leave it out")
+        seed = whole_number(robot, "robot", 0, MAX_COUNT)
+        super().__init__(song, randomization=replace(REALISTIC, robot=seed), **options)
+        self._play = 0
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin the next play of the song.
+
+        Raises:
+            CadenzaError: the song has been played as often as it may.
+        """
+        if self._play > PLAYS:
+            raise CadenzaError(
+                f"the robot has played {PLAYS} times and once more: make another environment"
+            )
+        if options:
+            raise CadenzaError(f"no option {sorted(options)[0]!r} of reset: all plays are alike")
+        self._play += 1
+        observation, info = super().reset(seed=seed)
+        return self._seen(observation), self._told(info)
+
+    def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Take a control step, as `gymnasium.Env.step`."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        scored = self._play > PLAYS
+        told = (terminated, truncated, self._told(info))
+        return self._seen(observation), reward if scored else 0.0, *told
+
+    def get_state(self) -> Any:
+        """Refuse: a real robot cannot go back to where it was.
+
+        Raises:
+            CadenzaError: always.
+        """
+        raise CadenzaError("an unknown robot cannot go back to where it was: reset() it")
+
+    def _seen(self, observation: Observation) -> NDArray[np.float32]:
+        """The observation with keys that sound or do not, instead of how far they are down."""
+        seen, task = np.array(observation), self.task
+        depth = task.scene.keyboard.sounds_from * task.drawn["key_sounding"][0]
+        seen[task.spec.observation_layout["key_state"]] = task.sensed.key_qpos[0] >= depth
+        return seen
+
+    def _told(self, info: dict[str, Any]) -> dict[str, Any]:
+        scored = self._play > PLAYS
+        shown = {n: v for n, v in info.items() if not n.startswith("randomization/")}
+        return {**(shown if scored else {"song": info["song"]}), "play": self._play}
