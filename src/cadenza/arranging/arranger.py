@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -71,11 +70,9 @@ class Arranger:
             fates, reached = fates_of(song, struck), FITTED.grade(features_of(held))
             return Arranged(held.without_fingers(), fidelity_of(fates, held, beats), reached, fates)
 
-        if grade >= HARDEST:
-            return arranged(0)
         costs = range(len(_COSTS))
-        easy = bisect_left(costs, True, key=lambda which: arranged(which).grade <= grade)
-        return arranged(min(easy, costs[-1]))
+        easy = (which for which in costs if arranged(which).grade <= grade)
+        return arranged(next(easy, costs[-1]))
 
     def _struck(
         self, score: Score, moments: Sequence[SongMoment], cost: float
