@@ -37,6 +37,7 @@ from cadenza.scene.scene import build_scene
 from cadenza.sim.render import Renderer
 from cadenza.tasks.config import DomainRandomization, TaskConfig, task_identity
 from numbered import numbers
+from refusals import refused, refused_in_a_line
 from report_pages import recording_in
 
 DATA = Path(__file__).parent / "data"
@@ -61,23 +62,6 @@ RUN += "from cadenza.cli import main; main(sys.argv[1:])"
 def tune(tmp_path: Path) -> Path:
     write_midi(TUNE, tmp_path / "tune.mid")
     return tmp_path / "tune.mid"
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """What the command says on stderr when it exits with status 1."""
-    with pytest.raises(SystemExit) as stop:
-        main([str(argument) for argument in arguments])
-    assert stop.value.code == 1
-    said = capsys.readouterr()
-    assert "Traceback" not in said.out + said.err
-    return said.err
-
-
-def refused_in_a_line(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    message = refused(capsys, *arguments)
-    assert message.startswith("cadenza: ")
-    assert message.count("\n") == 1
-    return message
 
 
 # Help, and what there is
@@ -417,9 +401,8 @@ def test_what_somebody_else_has_written_stays(
 ) -> None:
     write_json(tmp_path / "mine" / name, {"song": "of the user"})
     before = (tmp_path / "mine" / name).read_bytes()
-    with pytest.raises(SystemExit):
-        main([command, str(tune), "--no-video", "-o", str(tmp_path / "mine")])
-    assert f"holds {name} from something else" in capsys.readouterr().err
+    said = refused(capsys, command, tune, "--no-video", "-o", tmp_path / "mine")
+    assert f"holds {name} from something else" in said
     assert (tmp_path / "mine" / name).read_bytes() == before
     assert [path.name for path in (tmp_path / "mine").iterdir()] == [name]
 
@@ -430,9 +413,7 @@ def test_a_song_is_not_replaced_by_its_performance(
 ) -> None:
     song = tmp_path / "played.mid"
     song.write_bytes(tune.read_bytes())
-    with pytest.raises(SystemExit):
-        main([command, str(song), "--no-video", "-o", str(tmp_path)])
-    assert "would be replaced" in capsys.readouterr().err
+    assert "would be replaced" in refused(capsys, command, song, "--no-video", "-o", tmp_path)
     assert song.read_bytes() == tune.read_bytes()
 
 

@@ -23,6 +23,7 @@ from cadenza.music.score import Note, Score
 from cadenza.performing import performance
 from cadenza.report.sound import encode_opus
 from learnt import from_nothing
+from refusals import refused_in_a_line as refused
 
 TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)))
 OTHER = Score((Note(0.0, 0.3, 62), Note(0.3, 0.6, 65)))
@@ -78,14 +79,6 @@ def policy(folder: Path, **options: dict[str, object]) -> Path:
     learnt = from_nothing(replace(TUNE, title="A tune"), **options)
     save_policy(folder, learnt, {})
     return folder
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    with pytest.raises(SystemExit) as stop:
-        main([str(argument) for argument in arguments])
-    assert stop.value.code == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    return line
 
 
 def settings(folder: Path) -> dict:

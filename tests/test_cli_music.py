@@ -24,6 +24,7 @@ from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.performing.arranging import arrange, arrange_song
 from cadenza.performing.loaded_song import load
 from cadenza.scene.scene import build_scene
+from refusals import refused
 
 QUICK = ("--agent", "zero", "--no-video")
 
@@ -82,17 +83,6 @@ def test_plain_plays_the_notes_of_a_score_as_they_stand(
 )
 def test_results_are_called_as_the_song(song: str, name: str) -> None:
     assert name_without_ending(song) == name
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The line with which the command exits with status 1."""
-    with pytest.raises(SystemExit) as stop:
-        main([str(argument) for argument in arguments])
-    assert stop.value.code == 1
-    *remarks, message = capsys.readouterr().err.splitlines()
-    assert message.startswith("cadenza: ")
-    assert not [line for line in remarks if "Traceback" in line]
-    return message
 
 
 def test_arrange_says_what_it_did(

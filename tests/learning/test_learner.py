@@ -21,6 +21,7 @@ from cadenza.learning.policy_folder import POLICY_FILE, load_policy, save_policy
 from cadenza.learning.run_folder import RunFolder
 from cadenza.music.formats.midi import write_midi
 from learnt import from_nothing
+from refusals import refused
 
 # Linear regression on the actions, those that were rewarded most first; in numpy alone.
 PACKAGE = """
@@ -138,13 +139,6 @@ def tune(tmp_path: Path) -> Path:
 
 def newest(run: Path) -> dict[str, np.ndarray]:
     return read_tensors(run / "checkpoint.safetensors", ANY, 2**28)[0]
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    with pytest.raises(SystemExit) as stop:
-        main([str(argument) for argument in arguments])
-    assert stop.value.code == 1
-    return capsys.readouterr().err.splitlines()[-1]
 
 
 def test_a_learner_of_another_package_trains_resumes_and_plays(

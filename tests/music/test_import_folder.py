@@ -16,6 +16,7 @@ from cadenza.music.libraries.folder import import_folder
 from cadenza.music.libraries.index import write_index
 from cadenza.music.libraries.library import libraries, load_score, open_library
 from cadenza.music.score import Note, Score
+from refusals import refused
 
 ROOT = Path(__file__).parents[2]
 PIECES = ROOT / "src/cadenza/music/libraries/pieces"
@@ -156,13 +157,10 @@ def test_importing_again(folder: Path, data: Path, capsys: pytest.CaptureFixture
     main(again)
     kept = sorted(data.rglob("*.mid*"))
     (folder / "joy.mid").unlink()
-    with pytest.raises(SystemExit):
-        main(again)
-    assert "there is a library mine already; import with --replace" in capsys.readouterr().err
+    assert "there is a library mine already; import with --replace" in refused(capsys, *again)
     assert sorted(data.rglob("*.mid*")) == kept
     (folder / "index.csv").write_text("broken")
-    with pytest.raises(SystemExit):
-        main([*again, "--replace"])
+    refused(capsys, *again, "--replace")
     assert sorted(data.rglob("*.mid*")) == kept
     (folder / "index.csv").unlink()
     main([*again, "--replace"])
@@ -193,10 +191,7 @@ def test_imports_that_make_no_sense(
 ) -> None:
     (folder / "empty").mkdir()
     monkeypatch.chdir(folder.parent)
-    with pytest.raises(SystemExit) as stop:
-        main(["import", *arguments])
-    assert stop.value.code == 1
-    assert message in capsys.readouterr().err
+    assert message in refused(capsys, "import", *arguments)
     assert "mine" not in libraries()
     assert not list(data.rglob("*.mid"))
 
@@ -235,8 +230,6 @@ def test_a_line_for_each_file_whatever_it_is_called(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / "a\nb\x1b[31m.mid").write_bytes(b"nothing")
-    with pytest.raises(SystemExit):
-        main(["import", "midi", str(folder), "--name", "mine"])
-    said = capsys.readouterr().err
+    said = refused(capsys, "import", "midi", folder, "--name", "mine")
     assert "a\\nb\\x1b[31m.mid: not a MIDI file" in said
     assert "\x1b" not in said
