@@ -28,6 +28,7 @@ from cadenza.scene.randomization import SCALED_FIELDS
 from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
+SCALED = SCALED_FIELDS.keys() - {"force_limit", "key_travel"}  # nor sizes and limits
 AGENTS: dict[str, Callable[[], Agent]] = {
     "refined": Planner,
     "nominal": lambda: Planner(PlannerConfig(method="none")),
@@ -64,7 +65,7 @@ def disturbed_task(
 ) -> PianoTask:
     """The task with disturbed hands, controls and model."""
     factors = (1.0 - disturbance.model, 1.0 + disturbance.model)
-    model: Any = dict.fromkeys(SCALED_FIELDS, factors)
+    model: Any = dict.fromkeys(SCALED, factors)
     randomization = DomainRandomization(**model, control_noise=disturbance.noise)
     disturbed = replace(config, random_hand_position=disturbance.start, randomization=randomization)
     return PianoTask([score], disturbed, scene)

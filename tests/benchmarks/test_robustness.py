@@ -7,6 +7,7 @@ from numpy.testing import assert_array_equal
 
 from benchmarks.robustness import (
     DISTURBANCES,
+    SCALED,
     Disturbance,
     disturbed_task,
     played_with,
@@ -15,7 +16,6 @@ from benchmarks.robustness import (
 from cadenza.agents.agent import ZeroAgent
 from cadenza.agents.playback import Playback
 from cadenza.music.score import Note, Score
-from cadenza.scene.randomization import SCALED_FIELDS
 from cadenza.tasks.config import TaskConfig
 from numbered import finger
 
@@ -29,7 +29,7 @@ def test_the_model_is_off_by_as_much_and_differs_by_seed() -> None:
     masses = []
     for seed in (0, 1):
         task.reset([np.random.default_rng(seed)], [0])
-        assert task.drawn.keys() == {*SCALED_FIELDS, "seed"}
+        assert task.drawn.keys() == {*SCALED, "seed"}
         masses.append(task.drawn["mass"].copy())
     assert 0.9 <= masses[0].min() < 0.92 < 1.08 < masses[0].max() <= 1.1
     assert (masses[0] != masses[1]).all()
