@@ -417,6 +417,13 @@ def test_hands_that_do_not_slide_practise(forearm_dofs: tuple[ForearmDof, ...]) 
     assert done.effort > EFFORT  # there was something to mend
 
 
+def test_a_song_with_a_long_rest_is_practised() -> None:
+    later = tuple(replace(n, start=n.start + 3.6, end=n.end + 3.6) for n in HARD.notes[:3])
+    done = practice(score=Score((*EASY.notes[:1], *later)))
+    done.run(0.2)
+    assert done.best().score >= done.history[0][1] + 2 * done.history[0][2]
+
+
 def test_the_only_passage_of_a_short_song_is_told() -> None:
     done = practice(score=Score(HARD.notes[:1]))
     done.run(0.01)

@@ -216,9 +216,9 @@ class Practice:
     def _advance_sweep(self, sweep: _Sweep) -> None:
         """Work on the window, or go on to the next; after the last, the sweep is over."""
         last = min(sweep.first + self._window, self.num_steps)
-        strikes = self.trajectory.strike_loss[sweep.refined : last]
+        strikes = self.trajectory.strike_loss[max(sweep.first, sweep.refined) : last]
         lossy = self.trajectory.all_loss[sweep.first : last].any()
-        if sweep.refined < last and strikes.any():
+        if strikes.any():
             self._refine(sweep, last)
         elif lossy and self.simulated < sweep.until[last - 1]:
             self._improve(sweep, last)
@@ -256,7 +256,7 @@ class Practice:
 
     def _refine(self, sweep: _Sweep, last: int) -> None:
         """Let each hand refine its strikes up to `last`, once in a sweep."""
-        first, end = sweep.refined, min(last + self._after, self.num_steps)
+        first, end = max(sweep.first, sweep.refined), min(last + self._after, self.num_steps)
         strikes = self.trajectory.strike_loss[first:last]
         self._sweep = sweep._replace(refined=last)
         self._attempt(
