@@ -24,7 +24,6 @@ BAD = {
     "tools/fit_difficulty.py": ["play", "Nope", "-o", "rows.jsonl"],
     "tools/fit_fingering.py": ["Nope", "-o", "rows.jsonl"],
     "tools/fit_jumps.py": ["play", "jumps.jsonl", "--hand", "Nope"],
-    "tools/measure_reach.py": ["Nope"],
 }
 
 WRONG = {

@@ -23,6 +23,7 @@ from cadenza.cli import (
     etude,
     film,
     generalist,
+    hand,
     importing,
     info,
     plan,
@@ -64,6 +65,7 @@ COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
     "import": (importing.Import, importing.run),
     "info": (info.Info, info.info),
     "etude": (etude.Etude, etude.etude),
+    "hand measure": (hand.Measure, hand.measure),
     "dataset collect": (dataset.Collect, dataset.collect),
     "dataset info": (dataset.DatasetInfo, dataset.info),
     "dataset check": (dataset.DatasetCheck, dataset.check),
@@ -77,6 +79,7 @@ COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
 GROUPS = {
     "dataset": "Record demonstrations to learn from, and use them.",
     "generalist": "Train networks of the agent generalist.",
+    "hand": "Bring a hand of your own.",
 }
 """First word of the names of several commands -> what these are for."""
 _DEFAULTS: dict[type, Callable[[Chosen], Any]] = {

@@ -255,8 +255,8 @@ def _servos(name: str) -> dict[str, Servo]:
     }
 
 
-# Measured by tools/measure_reach.py; `rest` is where the fingertips are at rest, by the same tool,
-# and not where they are when all press.
+# Measured by `cadenza hand measure`; `rest` is where it says that the fingertips are at rest, and
+# not where they are when all press.
 _REACH = Reach(
     rest=np.array([-0.048, -0.012, 0.026, 0.064]),
     least=0.0115 * np.maximum(np.arange(4) - np.arange(4)[:, None], 0),

@@ -71,6 +71,10 @@ class Joint:
     damping: float = 0.05
     left_axis: Vector | None = None
     slide: bool = False
+    armature: float | None = None
+    """Its rotor inertia, if it is not that of the body's joints."""
+    friction_loss: float | None = None
+    """Its dry friction, if it is not that of the body's joints."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +124,15 @@ class Coupling:
 
 
 @dataclass(frozen=True)
+class Follower:
+    """A joint without a motor, whose angle is always `ratio` times that of its leader."""
+
+    joint: str
+    leader: str
+    ratio: float
+
+
+@dataclass(frozen=True)
 class HandOptions:
     """The options of a `SceneConfig` that concern the hands."""
 
@@ -162,6 +175,7 @@ class Body:
     links: tuple[Link, ...]
     actuators: tuple[Actuator, ...]
     couplings: tuple[Coupling, ...] = ()
+    followers: tuple[Follower, ...] = ()
     excluded: tuple[tuple[str, str], ...] = ()
     """Pairs of links that do not collide, beside parents and children."""
     locked: tuple[str, ...] = ()
@@ -212,9 +226,9 @@ class BodyBuilder:
         reduced = self._body.reduced_ranges if self._options.reduced_action_space else {}
         return reduced.get(joint.name, joint.range)
 
-    @property
-    def _friction_loss(self) -> float:
-        return self._body.friction_loss if self._options.dry_friction else 0.0
+    def _friction_loss(self, of_joint: float | None = None) -> float:
+        loss = self._body.friction_loss if of_joint is None else of_joint
+        return loss if self._options.dry_friction else 0.0
 
     def _add_link(self, link: Link) -> mujoco.MjsBody:
         # Each hand hangs from a body of its own, as in the published scene: sums are taken per
@@ -261,7 +275,7 @@ class BodyBuilder:
                 axis=[-a for a in dof.axis] if mirrored else dof.axis,
                 range=self._forearm_range(name),
                 armature=self._body.armature,
-                frictionloss=self._friction_loss,
+                frictionloss=self._friction_loss(),
             )
 
     def _forearm_range(self, name: str) -> tuple[float, float]:
@@ -277,8 +291,8 @@ class BodyBuilder:
             axis=axis,
             range=self._joint_range(joint),
             damping=joint.damping,
-            armature=self._body.armature,
-            frictionloss=self._friction_loss,
+            armature=self._body.armature if joint.armature is None else joint.armature,
+            frictionloss=self._friction_loss(joint.friction_loss),
         )
 
     def _add_geoms(self, body: mujoco.MjsBody, link: Link) -> None:
@@ -315,6 +329,15 @@ class BodyBuilder:
             tendon = self._spec.add_tendon(name=self._prefix + coupling.name)
             for joint in coupling.joints:
                 tendon.wrap_joint(self._prefix + joint, 1.0)
+        for follower in self._body.followers:
+            equality = self._spec.add_equality(
+                type=mujoco.mjtEq.mjEQ_JOINT,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                name1=self._prefix + follower.joint,
+                name2=self._prefix + follower.leader,
+                solref=self._body.contact_solref,
+            )
+            equality.data[1] = follower.ratio
         coupled = {coupling.name: coupling.control_range for coupling in self._body.couplings}
         for actuator in self._body.actuators:
             if actuator.target not in self._locked:

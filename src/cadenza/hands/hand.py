@@ -217,6 +217,11 @@ def _faults_of_body(body: Body) -> Iterator[str]:
         yield f"joint {repeated[0]} is moved by two actuators; keep one"
     for coupling in body.couplings:
         yield from _unknown(f"coupling {coupling.name}", "joint", coupling.joints, joints)
+    followers = {each.joint: each.leader for each in body.followers}
+    yield from _unknown("followers", "joint", (*followers, *followers.values()), joints)
+    for joint, leader in followers.items():
+        if joint in moved or leader not in moved:
+            yield f"joint {joint} follows {leader}: {leader} needs an actuator, {joint} has none"
     known = {*joints, *(coupling.name for coupling in body.couplings)}
     yield from _unknown("actuators", "joint or coupling", targets, known)
     yield from _unknown("excluded", "link", chain.from_iterable(body.excluded), links)

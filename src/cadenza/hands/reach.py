@@ -15,7 +15,7 @@ class Reach:
     """The reach of the F fingers of a right hand on white keys, the thumb first.
 
     All lengths are along the keyboard [m], to the right. A left hand is its mirror image.
-    `tools/measure_reach.py` measures it.
+    `cadenza hand measure` measures it.
     """
 
     rest: Array

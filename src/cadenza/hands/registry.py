@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cadenza.hands.hand import Hand
+from cadenza.hands.mjcf import TOML, from_mjcf
 from cadenza.registry import Entry, Registry
 
 HANDS = Registry(
@@ -18,13 +19,16 @@ HANDS = Registry(
             "cadenza.hands.arm_allegro:ARM_ALLEGRO", "the Allegro Hand on a seven-joint arm"
         ),
     },
+    otherwise=f"module:Name or NAME{TOML}",
 )
 
 
 def hand_named(name: str) -> Hand:
-    """The hand called `name`.
+    """The hand called `name`, or that of a TOML file.
 
     Raises:
-        CadenzaError: there is no such hand.
+        CadenzaError: there is no such hand, or something is wrong with its files.
     """
+    if name.endswith(TOML):
+        return from_mjcf(name)
     return HANDS.load(name, Hand)

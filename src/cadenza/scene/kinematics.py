@@ -181,7 +181,8 @@ def _jacobian_terms(
     for joint, shares in enumerate(joints.T):
         if not shares.any():
             continue
-        servo, share = int(np.argmax(shares)), float(shares.max())
+        servo = int(np.argmax(np.abs(shares)))
+        share = float(shares[servo])
         own, hinge = servo % servos_of_hand, model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
         for point, chain in enumerate(chains):
             if model.jnt_bodyid[joint] in chain:

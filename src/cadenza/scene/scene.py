@@ -112,14 +112,14 @@ class Scene:
         return (numbers >= self.present_fingers.start) & (numbers < self.present_fingers.stop)
 
 
-def build_scene(config: SceneConfig | None = None) -> Scene:
-    """Build and compile the scene that `config` describes.
+def build_scene(config: SceneConfig | None = None, hand: Hand | None = None) -> Scene:
+    """Build and compile the scene that `config` describes, or one with another `hand`.
 
     Raises:
         CadenzaError: the options contradict each other, or are out of range.
     """
     config = as_config(config, SceneConfig)
-    keyboard, hand = keyboard_named(config.keyboard), hand_named(config.hand)
+    keyboard, hand = keyboard_named(config.keyboard), hand or hand_named(config.hand)
     try:
         spec, sites = scene_spec(config, keyboard, hand)
         model = spec.compile()

@@ -27,7 +27,8 @@ class Servos:
     """The A servos of a scene, in its order, which move the J joints of the hands.
 
     A posture (A,) is given in the servos' coordinates. Joints that share a tendon have one
-    coordinate, the sum of their angles, and each takes an equal share of it.
+    coordinate, the sum of their angles, and each takes an equal share of it. A joint that follows
+    another moves with the coordinate of that one.
     """
 
     names: tuple[str, ...]
@@ -116,6 +117,10 @@ def servos_of(scene: Scene) -> Servos:
         else:
             moved = np.array([target])
         joints[a, model.jnt_dofadr[moved] - dofs.start] = 1.0 / len(moved)
+    for equality in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT):
+        pair = [model.eq_obj1id[equality], model.eq_obj2id[equality]]
+        follower, leader = model.jnt_dofadr[pair] - dofs.start
+        joints[:, follower] = model.eq_data[equality, 1] * joints[:, leader]
     names = tuple(name.split(SERVO, 1)[1] for name in scene.actuator_names)
     # Dissipation at unit speed is a sum over the joints of a coordinate. So is kinetic energy, but
     # for what joints of one tendon carry of each other.

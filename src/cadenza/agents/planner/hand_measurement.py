@@ -1,0 +1,348 @@
+"""What planners need to know of a hand: how it sits over the keys, and how far its fingers reach.
+
+Postures come from `scipy.optimize.least_squares`, in which forearms slide where they like. They may
+pass through each other, so that `least` is never less than between neighbouring keys.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from cadenza.agents.planner.plan.rest_poses import rest_posture
+from cadenza.errors import CadenzaError
+from cadenza.hands.body import Quaternion, prefix
+from cadenza.hands.forearm import ALONG_KEYBOARD, FOREARM, SERVOS
+from cadenza.hands.hand import Hand
+from cadenza.hands.mjcf import HandFile, Measurement, ReachField
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.kinematics import Kinematics
+from cadenza.scene.scene import build_scene
+
+Array = NDArray[np.float64]
+
+_ABOVE = 0.003  # [m] that fingers stay above the keys if they do not press
+_TOLERANCE = 0.003  # [m]
+_STEP = 0.0025  # [m] between the distances that are tried
+_STARTS = 3
+_SIDE_BY_SIDE = 0.0115  # [m] between a white key and the black one beside it
+
+# Of a hand over the keys; lengths in [m], angles in [rad]. Behind each is the error that costs 1.
+_HOVER, _HOVER_OFF = 0.01, 0.0005  # of fingertips above white keys
+_PRESSES_AT, _AT_OFF = 0.047, 0.02  # from the middle of white keys
+_NEAREST, _FARTHEST, _BEYOND_OFF = 0.025, 0.068, 0.001  # at least and at most, likewise
+_KEY, _GAP, _APART_OFF = 0.0235, 0.0015, 0.004  # from a white key to the next; between fingers
+_ROOM, _ROOM_OFF = 0.024, 0.003  # of all else above white keys, so that it is over black ones
+_STEEP, _STEEP_THUMB, _STEEP_OFF = 0.85, 0.3, 0.3  # how far last links point down, of 1
+_ASIDE_OFF = 0.6  # how far they point to a side
+_MARGIN, _MARGIN_OFF = 0.1, 0.03  # of the range of a joint that is kept to either end
+_TILT_OFF, _BENT_OFF = 5.0, 10.0  # of the palm, and of joints from where the search begins
+_LIFT, _MAX_LIFT = 0.02, 0.6  # by the servo that lifts a finger: of its tip, and of its joint
+_PALM_AT = np.array([0.0, 0.0, 0.2])  # in the forearm's frame, where the search begins
+_ROAM = np.array([0.06, 0.12, 0.25, 0.7])  # that place and tilt may go from there
+_TO_WORLD = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]])  # from the forearm's frame
+
+
+def place(path: Path) -> tuple[HandFile, Measurement]:
+    """Find how a hand from a file sits on its forearm, all fingertips just above white keys.
+
+    Least squares over the place and the tilt of the palm and all servos, from several starts.
+
+    Raises:
+        CadenzaError: a file is wrong, or there is no such posture.
+    """
+    file = HandFile(path)
+    hand = file.hand(Measurement(_vector(_PALM_AT), _quat(file.flat)))
+    over = _OverKeys(hand)
+    rng, best = np.random.default_rng(0), None
+    for attempt in range(2 * _STARTS):
+        start = over.middle.copy()
+        if attempt:
+            start[:4] = rng.uniform(-_ROAM, _ROAM) / 2
+            start[4:] = rng.uniform(over.low[4:], over.high[4:])
+        found = least_squares(over.residual, start, bounds=(over.low, over.high), max_nfev=200)
+        best = found if best is None or found.cost < best.cost else best
+    assert best is not None
+    tips = over.points(best.x)[:, -1]
+    if not (np.diff(tips[:, 1]) > 0).all():
+        raise CadenzaError(
+            f"{path}: the fingers do not lie from left to right; give a right hand, thumb first"
+        )
+    for finger, error in zip(hand.fingers, over.errors(tips), strict=True):
+        if error > _TOLERANCE:
+            raise CadenzaError(
+                f"{path}: finger {finger.name} does not come over white keys with the others: it "
+                f"stays {1000 * error:.0f} mm off; see the order of fingers, and along"
+            )
+    palm, tilt, angles = best.x[:3], best.x[3], best.x[4:].round(4).tolist()
+    return file, Measurement(
+        pos=_vector(_PALM_AT + palm),
+        quat=_quat(_tilted(tilt) @ file.flat),
+        rest=dict(zip(over.names, angles, strict=True)),
+        lift=over.lifts(best.x),
+        on_white={
+            finger.name: round(float(tip[0]), 4)
+            for finger, tip in zip(hand.fingers, tips, strict=True)
+        },
+        sha256=file.sha256,
+    )
+
+
+class _OverKeys:
+    """The residual of a right hand that is to be over white keys.
+
+    Its variables are those of the palm, place (3,) and tilt, and the servos of the hand.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        scene = build_scene(SceneConfig(hands="right"), hand)
+        self._kinematics = Kinematics(scene)
+        servos, self._top = self._kinematics.servos, scene.keyboard.white.top
+        self._own = np.array([name in hand.servos for name in servos.names])
+        self.names = [name for name in servos.names if name in hand.servos]
+        low, high = servos.low[self._own], servos.high[self._own]
+        self.low, self.high = np.array([*-_ROAM, *low]), np.array([*_ROAM, *high])
+        third = (high - low) / 3  # of a finger that is neither straight nor a fist
+        self.middle = np.array([0.0, 0.0, 0.0, 0.0, *np.clip(0.0, low + third, high - third)])
+        self._rest = rest_posture(servos)
+        self._finger = servos.finger[self._own]
+        mount = scene.model.body(prefix("right") + FOREARM).pos
+        forwards = SERVOS["forearm_ty"].rest
+        self._palm = mount + _TO_WORLD @ (_PALM_AT + np.array([0.0, 0.0, forwards]))
+        self._radii = np.array([finger.tip_radius for finger in hand.fingers])
+        wide = np.array([max(finger.radii) for finger in hand.fingers])
+        self._apart = np.maximum(_KEY, wide[1:] + wide[:-1] + _GAP)
+
+    def points(self, u: Array) -> Array:
+        """(F, P, 3) the points of the fingers in the world [m]."""
+        self._rest[self._own] = u[4:]
+        flat = self._kinematics.links(self._rest[None]).points[0, 0] - self._palm
+        turn = _TO_WORLD @ _tilted(u[3]) @ _TO_WORLD.T
+        turned: Array = flat @ turn.T + self._palm + _TO_WORLD @ u[:3]
+        return turned
+
+    def errors(self, tips: Array) -> Array:
+        """(F,) how far fingertips (F, 3) are from where they may hover over white keys [m]."""
+        high = tips[:, 2] - self._top - self._radii - _HOVER
+        return np.maximum(np.abs(high), np.abs(_beyond(tips[:, 0], _NEAREST, _FARTHEST)))
+
+    def residual(self, u: Array) -> Array:
+        chains = self.points(u)
+        tips, joints = chains[:, -1], chains[:, :-1]
+        down = tips - joints[:, -1]
+        down /= np.linalg.norm(down, axis=1, keepdims=True)
+        share = (u[4:] - self.low[4:]) / (self.high - self.low)[4:]
+        return np.concatenate([
+            (tips[:, 2] - self._top - self._radii - _HOVER) / _HOVER_OFF,
+            (tips[:, 0] - _PRESSES_AT) / _AT_OFF,
+            _beyond(tips[:, 0], _NEAREST, _FARTHEST) / _BEYOND_OFF,
+            (np.diff(tips[:, 1]) - self._apart) / _APART_OFF,
+            [tips[:, 1].mean() - self._palm[1]],
+            np.maximum(self._top + _ROOM - joints[..., 2], 0).ravel() / _ROOM_OFF,
+            (down[1:, 2] + _STEEP) / _STEEP_OFF,
+            np.maximum(down[:1, 2] + _STEEP_THUMB, 0) / _STEEP_OFF,
+            down[:, 1] / _ASIDE_OFF,
+            _beyond(share, _MARGIN, 1 - _MARGIN) / _MARGIN_OFF,
+            u[3:4] / _TILT_OFF,
+            (u - self.middle)[4:] / _BENT_OFF,
+        ])  # fmt: skip
+
+    def lifts(self, u: Array) -> dict[str, float]:
+        """For each finger, the servo that lifts its tip fastest, and how far it is to turn."""
+        at_rest, lifts = self.points(u)[:, -1, 2], dict[str, float]()
+        for finger in range(len(at_rest)):
+            servos = np.flatnonzero(self._finger == finger)
+            moved = np.tile(u, (len(servos), 1))
+            moved[np.arange(len(servos)), 4 + servos] += _BENT_OFF / 1000
+            rates = [self.points(each)[finger, -1, 2] - at_rest[finger] for each in moved]
+            if not rates:
+                continue
+            best = int(np.argmax(np.abs(rates)))
+            turn = _LIFT / (rates[best] * 1000 / _BENT_OFF)
+            lifts[self.names[servos[best]]] = round(float(np.clip(turn, -_MAX_LIFT, _MAX_LIFT)), 3)
+        return lifts
+
+
+class ReachMeasurement:
+    """The right hand as a function from its servos to its fingertips, and how far they reach.
+
+    A fingertip presses a white key when it is within 3 mm of where the finger presses them, at the
+    height of a pressed key; a finger that does not press stays above the keys.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        scene = build_scene(SceneConfig(hands="right"), hand)
+        self._name, self._kinematics = hand.name, Kinematics(scene)
+        servos, white = self._kinematics.servos, scene.keyboard.white
+        self._slide = servos.names.index(ALONG_KEYBOARD)
+        self._mount = scene.config.hand_spacing / 2
+        self._low, self._high = servos.low, servos.high
+        self._rest = rest_posture(servos)
+        self._ease = np.array([use.ease for use in servos.uses])
+        self._fingers = range(len(hand.fingers))
+        self._names = [finger.name for finger in hand.fingers]
+        self._press_x = np.array([finger.on_white for finger in hand.fingers])
+        radius = np.array([finger.tip_radius for finger in hand.fingers])
+        fall = (white.half_size[0] + self._press_x) * np.tan(white.travel)
+        self._press_z = white.top - fall + radius
+        self._clear_z = white.top + radius + _ABOVE
+
+    def at_rest(self) -> Iterator[str]:
+        """Yield a line for each finger: where its tip is at rest."""
+        tips, y = self._tips(self._rest)[0], self._forearm_y(self._rest)
+        for name, (towards, along, up), aim, clear_z in zip(
+            self._names, tips, self._press_x, self._clear_z, strict=True
+        ):
+            yield (
+                f"{name}: {1000 * (along - y):.0f} mm to the right of the forearm, "
+                f"{1000 * (up - clear_z + _ABOVE):.0f} mm above white keys, "
+                f"{1000 * towards:.0f} mm towards the player (presses at {1000 * aim:.0f})"
+            )
+
+    def measure(self) -> dict[ReachField, Array]:
+        """The fields of `Reach` that are measured.
+
+        Raises:
+            CadenzaError: a finger cannot press with all others, or no two of them reach two keys.
+        """
+        everyone = tuple(self._fingers)
+        q = self._posture(everyone, None, self._rest)
+        if not self._presses(q, everyone, None):
+            raise CadenzaError(self._misses(q))
+        count = len(everyone)
+        rest = self._tips(q)[0][:, 1] - self._forearm_y(q)
+        outward, inward, most = np.zeros(count), np.zeros(count), np.zeros((count, count))
+        least = _SIDE_BY_SIDE * np.maximum(np.arange(count) - np.arange(count)[:, None], 0)
+        for fingers in [*combinations(everyone, 1), *combinations(everyone, 2)]:
+            apart = self._distance(q, fingers)
+            start = self._posture(fingers, apart, q)
+            low, high = (self._extreme(fingers, start, apart, step) for step in (-_STEP, _STEP))
+            if len(fingers) == 1:
+                outward[fingers], inward[fingers] = -low, high
+            else:
+                least[fingers], most[fingers] = max(least[fingers], low), high
+        if count > 1 and most.max() < _KEY:
+            raise CadenzaError(f"hand {self._name}: no two fingers reach two white keys")
+        found: dict[ReachField, Array] = {
+            "rest": rest, "least": least, "most": most, "outward": outward, "inward": inward
+        }  # fmt: skip
+        return {name: values.round(4) + 0.0 for name, values in found.items()}
+
+    def _tips(self, q: Array) -> tuple[Array, Array]:
+        """(F, 3) fingertips in the world [m], and their Jacobian (F, 3, A)."""
+        tips, jacobian = self._kinematics.fingertips(q[None])
+        return tips[0], jacobian[0]
+
+    def _forearm_y(self, q: Array) -> float:
+        """The place of the forearm along the keyboard [m]."""
+        return self._mount + float(q[self._slide])
+
+    def _distance(self, q: Array, fingers: tuple[int, ...]) -> float:
+        """The distance from the first to the last fingertip; of one, from the forearm [m]."""
+        y = self._tips(q)[0][list(fingers), 1]
+        return float(y[-1] - (y[0] if len(fingers) > 1 else self._forearm_y(q)))
+
+    def _posture(self, fingers: tuple[int, ...], apart: float | None, start: Array) -> Array:
+        """Servos with which `fingers` press at a distance if given, in a light posture."""
+        pressing = list(fingers)
+        others = [f for f in self._fingers if f not in fingers]
+        light = (3e-4 if apart is not None else 3e-3) / self._ease
+        light[self._slide] = 0.0
+
+        def residual(q: Array) -> Array:
+            tips, _ = self._tips(q)
+            parts = [
+                tips[pressing, 0] - self._press_x[pressing],
+                tips[pressing, 2] - self._press_z[pressing],
+                np.minimum(tips[others, 2] - self._clear_z[others], 0),
+                light * (q - self._rest),
+            ]
+            if apart is not None:
+                parts.append([self._distance(q, fingers) - apart])
+            return np.concatenate(parts)
+
+        def slope(q: Array) -> Array:
+            tips, jacobian = self._tips(q)
+            below = tips[others, 2] < self._clear_z[others]
+            parts = [
+                jacobian[pressing, 0],
+                jacobian[pressing, 2],
+                jacobian[others, 2] * below[:, None],
+                np.diag(light),
+            ]
+            if apart is not None:
+                row = jacobian[pressing[-1], 1].copy()
+                if len(pressing) > 1:
+                    row -= jacobian[pressing[0], 1]
+                else:
+                    row[self._slide] -= 1.0
+                parts.append(row[None])
+            return np.concatenate(parts)
+
+        bounds = (self._low - 1e-9, self._high + 1e-9)
+        found: Array = least_squares(residual, start, slope, bounds=bounds).x
+        return found
+
+    def _presses(self, q: Array, fingers: tuple[int, ...], apart: float | None) -> bool:
+        tips, pressing = self._tips(q)[0], list(fingers)
+        errors = [
+            tips[pressing, 0] - self._press_x[pressing],
+            tips[pressing, 2] - self._press_z[pressing],
+        ]
+        off = 0.0 if apart is None else abs(self._distance(q, fingers) - apart)
+        others = [f for f in self._fingers if f not in fingers]
+        clear = bool((tips[others, 2] > self._clear_z[others] - _TOLERANCE).all())
+        return bool(np.abs(errors).max() < _TOLERANCE and off < _TOLERANCE and clear)
+
+    def _extreme(self, fingers: tuple[int, ...], q: Array, apart: float, step: float) -> float:
+        """The last distance from `apart` on, in steps, at which `fingers` press."""
+        rng = np.random.default_rng(0)
+        while True:
+            for attempt in range(_STARTS):
+                start = q if not attempt else rng.uniform(self._low, self._high)
+                found = self._posture(fingers, apart + step, start)
+                if self._presses(found, fingers, apart + step):
+                    q, apart = found, apart + step
+                    break
+            else:
+                return apart
+
+    def _misses(self, q: Array) -> str:
+        """Which fingers do not press while all are to."""
+        tips = self._tips(q)[0]
+        off = [
+            f"{name} stays {1000 * up:.0f} mm above a pressed key, "
+            f"{1000 * towards:.0f} mm too far towards the player"
+            for name, towards, up in zip(
+                self._names, tips[:, 0] - self._press_x, tips[:, 2] - self._press_z, strict=True
+            )
+            if max(abs(towards), abs(up)) >= _TOLERANCE
+        ]
+        return f"hand {self._name}: the fingers cannot all press at once: {'; '.join(off)}"
+
+
+def _beyond(values: Array, low: float, high: float) -> Array:
+    """How far values are beyond a range, below 0 under its lower end."""
+    return values - np.clip(values, low, high)
+
+
+def _tilted(angle: float) -> Array:
+    """(3, 3) the rotation that bends a palm down, about x of the forearm."""
+    rotation: Array = Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix()
+    return rotation
+
+
+def _quat(rotation: Array) -> Quaternion:
+    w, x, y, z = Rotation.from_matrix(rotation).as_quat(scalar_first=True).round(6).tolist()
+    return w, x, y, z
+
+
+def _vector(values: Array) -> tuple[float, float, float]:
+    x, y, z = values.round(4).tolist()
+    return x, y, z

@@ -1,0 +1,580 @@
+"""Hands from files that MuJoCo reads, MJCF or URDF, and a TOML that says what is what in them.
+
+Beside `NAME.toml` lies `NAME.measured.json`, which `cadenza hand measure` writes.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError, quoted
+from cadenza.files import checked, content_of, read_json, sha256_of
+from cadenza.hands import forearm
+from cadenza.hands.body import (
+    GEOM_TYPES,
+    Actuator,
+    Body,
+    Coupling,
+    Follower,
+    Geom,
+    Joint,
+    Link,
+    Quaternion,
+    Vector,
+)
+from cadenza.hands.hand import FingerChain, Hand
+from cadenza.hands.reach import Reach
+from cadenza.hands.servo import Servo
+
+Array = NDArray[np.float64]
+ReachField = Literal["rest", "least", "most", "outward", "inward"]
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+
+TOML = ".toml"
+_MAX_LINKS = 3  # of a finger, as capsules that can meet others
+_THIN = 0.008  # [m] radius of a link without shapes
+_NAMES: dict[int, tuple[Any, int]] = {
+    kind: (name, count) for name, (kind, count) in GEOM_TYPES.items()
+}
+_APART = 0.001  # [m] between the origins of links, for a capsule between them
+_STIFF = 1.5  # [N m/rad] from which motions have to be gentle
+_SLACK = 0.3  # [rad] below which a tendon between two joints couples them
+# The forearm, which no file need have: as wide as that of the other hands.
+_FOREARM = Link(
+    forearm.FOREARM, "", (0, 0, 0), 3.0, (0, 0, 0.09), (0.0138, 0.0138, 0.00744),
+    geoms=(Geom("cylinder", (0.07434, 0.0914), (0, 0, 0.0914)),),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Tip:
+    """The end of a finger that presses."""
+
+    tip: str
+    """A site at the centre of the round end, or the last body, whose shapes tell it."""
+    at: Vector | None = None
+    """The centre in the body's frame [m], if its shapes tell it badly."""
+    radius: float | None = None
+    """Its radius [m], if its shapes tell it badly."""
+
+
+@dataclass(frozen=True)
+class Description:
+    """The content of the TOML of a hand."""
+
+    file: str
+    """The MJCF or URDF of a right hand, beside the TOML."""
+    palm: str
+    """The body that the forearm carries, with all that hangs from it."""
+    fingers: dict[str, str | Tip]
+    """Finger -> tip, the thumb first, then its neighbours in their order."""
+    along: Axis | None = None
+    """The axis of the palm's frame along which fingers point, if they do not while at 0."""
+    follows: dict[str, dict[str, float]] = field(default_factory=dict)
+    """Joint -> the joint that it follows, and its ratio to that; beside those of the file."""
+    fixed: dict[str, float] = field(default_factory=dict)
+    """Joint -> where it stays [rad, m]."""
+    kp: float | None = None
+    """Gain of all servos [N m/rad], in place of those of the file."""
+    force: float | None = None
+    """Their largest torque [N m]."""
+    damping: float | None = None
+    """Damping of all joints [N m s/rad]."""
+    armature: float | None = None
+    """Rotor inertia of all joints [kg m^2]."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What planners know of a hand from a file, as `cadenza hand measure` finds it."""
+
+    pos: Vector
+    """Where the palm sits on the forearm [m]."""
+    quat: Quaternion
+    rest: dict[str, float] = field(default_factory=dict)
+    """Servo -> where the fingertips are just above white keys [rad, m]."""
+    lift: dict[str, float] = field(default_factory=dict)
+    """Servo -> motion that lifts its finger."""
+    on_white: dict[str, float] = field(default_factory=dict)
+    """Finger -> where it presses white keys [m]."""
+    reach: dict[Literal["rest", "least", "most", "outward", "inward"], list[Any]] = field(
+        default_factory=dict
+    )
+    """The arrays of `Reach`."""
+    sha256: str = ""
+    """The digest of the files that were measured."""
+
+
+def from_mjcf(path: str | Path) -> Hand:
+    """Read a hand from its TOML, beside which its MJCF or URDF lies.
+
+    Raises:
+        CadenzaError: a file is missing or wrong, or the hand is not measured as it is.
+    """
+    path = Path(path)
+    measured = measurement_of(path)
+    if not measured.exists():
+        raise CadenzaError(f"{path}: not measured yet; run cadenza hand measure {path}")
+    return _read(path, measured, path.stat().st_mtime_ns, measured.stat().st_mtime_ns)
+
+
+def measurement_of(path: Path) -> Path:
+    """The file of the measurement beside the TOML of a hand."""
+    return path.with_suffix(".measured.json")
+
+
+@lru_cache(maxsize=8)  # scenes are built again and again, and compare hands by identity
+def _read(path: Path, measured: Path, *_times: int) -> Hand:
+    measurement, file = read_json(measured, Measurement), HandFile(path)
+    if measurement.sha256 != file.sha256:
+        raise CadenzaError(f"{path}: changed since; run cadenza hand measure {path}")
+    return file.hand(measurement)
+
+
+class HandFile:
+    """The files of a hand, before it is measured.
+
+    Attributes:
+        description: the content of the TOML.
+        sha256: the digest of both files.
+        flat: (3, 3) rotation from the palm's frame into the forearm's while the hand is flat.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read and compile the files.
+
+        Raises:
+            CadenzaError: they are missing, or contradict each other.
+        """
+        self._path = path
+        try:
+            content = tomllib.loads(content_of(path).decode())
+        except ValueError as error:
+            raise CadenzaError(f"{path}: {error}") from None
+        self.description = checked(content, Description, path)
+        file = path.parent / self.description.file
+        self.sha256 = sha256_of(path, file)
+        self._model = _compiled(file)
+        self._root = self._id("palm", mujoco.mjtObj.mjOBJ_BODY, self.description.palm)
+        self._fixed = {
+            self._id("fixed", mujoco.mjtObj.mjOBJ_JOINT, name): angle
+            for name, angle in self.description.fixed.items()
+        }
+        self._data = mujoco.MjData(self._model)
+        for joint, angle in self._fixed.items():
+            self._data.qpos[self._model.jnt_qposadr[joint]] = angle
+        mujoco.mj_kinematics(self._model, self._data)
+        self._bodies = [b for b in range(self._model.nbody) if self._root in self._line(b)]
+        self._joints = dict(self._moving_joints())
+        self._tips = {name: self._tip(name) for name in self.description.fingers}
+        self._own = self._own_links()
+        self.flat = self._rotation()
+        self._followers = {each.joint: each for each in self._find_followers()}
+        self._couplings = dict[str, Coupling]()
+        self._actuators = list(self._find_actuators())
+
+    def hand(self, measurement: Measurement) -> Hand:
+        """The hand with what was measured of it.
+
+        Raises:
+            CadenzaError: its parts do not go together.
+        """
+        links = [self._link(body, measurement) for body in self._bodies]
+        rest = {each.name: float(np.clip(0.0, *each.range)) for each in _joints(links)}
+        rest |= measurement.rest
+        start = dict(rest)
+        for name, coupling in self._couplings.items():
+            share = start.pop(name, 0.0) / len(coupling.joints)
+            start |= dict.fromkeys(coupling.joints, share)
+        for each in self._followers.values():
+            start[each.joint] = each.ratio * start.get(each.leader, 0.0)
+        count = len(self._tips)
+        reach: dict[str, Any] = {
+            **{name: np.zeros(count) for name in ("rest", "outward", "inward")},
+            **{name: np.zeros((count, count)) for name in ("least", "most")},
+            **{name: np.array(values) for name, values in measurement.reach.items()},
+        }
+        return Hand(
+            name=self._path.stem,
+            body=Body(
+                links=(_FOREARM, *links),
+                actuators=tuple(self._actuators),
+                couplings=tuple(self._couplings.values()),
+                followers=tuple(self._followers.values()),
+                excluded=tuple(self._excluded(start)),
+                mirrored_masses=True,
+            ),
+            fingers=tuple(self._chains(measurement)),
+            servos={each.target: self._servo(each, rest, measurement) for each in self._actuators},
+            reach=Reach(**reach, forearm_width=forearm.WIDTH),
+            start={joint: start[joint] for joint in self._joints.values()},
+        )
+
+    # What is in the file
+
+    def _error(self, text: str) -> CadenzaError:
+        return CadenzaError(f"{self._path}: {text}")
+
+    def _id(self, of: str, kind: mujoco.mjtObj, name: str) -> int:
+        """The id of what a name of the TOML stands for."""
+        found = int(mujoco.mj_name2id(self._model, kind, name))
+        if found < 0:
+            what = kind.name.removeprefix("mjOBJ_").lower()
+            raise self._error(f"{of}: no {what} of {self.description.file} is named {quoted(name)}")
+        return found
+
+    def _line(self, body: int) -> list[int]:
+        """A body and all that it hangs from."""
+        line = [body]
+        while line[-1]:
+            line.append(int(self._model.body_parentid[line[-1]]))
+        return line
+
+    def _name(self, body: int) -> str:
+        name = self._model.body(body).name or f"body{body}"
+        return f"{name}_of_file" if name == forearm.FOREARM else name
+
+    def _moving_joints(self) -> Iterator[tuple[int, str]]:
+        """Yield ids and names of the joints of the hand, without those that are fixed."""
+        model, before = self._model, -1
+        for joint in range(model.njnt):
+            body, kind = int(model.jnt_bodyid[joint]), mujoco.mjtJoint(model.jnt_type[joint])
+            free = kind == mujoco.mjtJoint.mjJNT_FREE and body == self._root
+            if body not in self._bodies or joint in self._fixed or free:
+                continue
+            name = model.joint(joint).name or f"{self._name(body)}_joint"
+            if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+                raise self._error(f"joint {name} is neither a hinge nor a slide")
+            if body == before:
+                raise self._error(f"body {self._name(body)} has two joints; make it two bodies")
+            before = body
+            yield joint, name
+
+    def _rotation(self) -> Array:
+        """The rotation of a flat palm: the first of its neighbouring fingers is to the left."""
+        fingers = list(self._own.values())[-max(len(self._own) - 1, 1) :]  # without the thumb
+        bases = np.array([self._in_frame(self._root, self._origin(own[-1])) for own in fingers])
+        tips = np.array(
+            [self._in_frame(self._root, centre) for _, centre, _ in self._tips.values()]
+        )[-len(fingers) :]
+        along = _axis((tips - bases).sum(axis=0))
+        if self.description.along is not None:
+            sign, axis = self.description.along[:-1], self.description.along[-1]
+            along = np.eye(3)["xyz".index(axis)] * (-1.0 if sign else 1.0)
+        # A hand of one finger has no sides: any will do.
+        left = bases[0] - bases[-1] if len(bases) > 1 else np.roll(along, 1)
+        left = _axis(left * (along == 0))
+        return np.stack([left, np.cross(along, left), along])
+
+    def _shapes(self, body: int) -> list[int]:
+        """The geoms of a body that collide."""
+        model, first = self._model, int(self._model.body_geomadr[body])
+        geoms = range(first, first + int(model.body_geomnum[body]))
+        return [g for g in geoms if model.geom_contype[g] | model.geom_conaffinity[g]]
+
+    def _in_frame(self, body: int, point: Array) -> Vector:
+        """A point of the world in the frame of a body's link."""
+        x, y, z = self._data.xmat[body].reshape(3, 3).T @ (point - self._origin(body))
+        return float(x), float(y), float(z)
+
+    def _origin(self, body: int) -> Array:
+        """The origin of a body's link, on the axis of its joint."""
+        joint = int(self._model.body_jntadr[body])
+        origin: Array = (
+            self._data.xanchor[joint] if joint in self._joints else self._data.xpos[body]
+        )
+        return origin
+
+    def _tip(self, finger: str) -> tuple[int, Array, float]:
+        """The last body of a finger, and the centre of its tip [m] and its radius [m]."""
+        given = self.description.fingers[finger]
+        tip = Tip(given) if isinstance(given, str) else given
+        site = int(mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, tip.tip))
+        if site >= 0 and tip.at is None:
+            body, centre = int(self._model.site_bodyid[site]), self._data.site_xpos[site]
+        else:
+            body, centre = self._id(f"finger {finger}", mujoco.mjtObj.mjOBJ_BODY, tip.tip), None
+        if body not in self._bodies:
+            raise self._error(f"finger {finger}: {tip.tip} does not hang from the palm")
+        ends = [end for geom in self._shapes(body) for end in self._ends(geom)]
+        if tip.at is not None:
+            centre = self._data.xpos[body] + self._data.xmat[body].reshape(3, 3) @ np.array(tip.at)
+        elif centre is None:
+            if not ends:
+                raise self._error(
+                    f"finger {finger} has no tip: {tip.tip} has no shape; give a site"
+                )
+            centre = max(ends, key=lambda end: float(np.linalg.norm(end[0] - self._origin(body))))[
+                0
+            ]
+        radius = tip.radius
+        if radius is None:
+            near = [(float(np.linalg.norm(end - centre)), radius) for end, radius in ends]
+            radius = min(near)[1] if near else _THIN
+        return body, centre, radius
+
+    def _ends(self, geom: int) -> list[tuple[Array, float]]:
+        """The centres of both ends of a shape [m], and their radius [m]."""
+        size, pos = self._model.geom_size[geom], self._data.geom_xpos[geom]
+        name, count = _NAMES[mujoco.mjtGeom(self._model.geom_type[geom])]
+        if name == "sphere":
+            return [(pos, float(size[0]))]
+        longest = 2 if count == 2 else int(np.argmax(size))
+        radius = _radius(name, size)
+        half = size[1] if name == "capsule" else max(size[1 if count == 2 else longest] - radius, 0)
+        along = half * self._data.geom_xmat[geom].reshape(3, 3)[:, longest]
+        return [(pos - along, radius), (pos + along, radius)]
+
+    def _find_followers(self) -> Iterator[Follower]:
+        """Yield the joints that the TOML, equalities or taut tendons couple to others."""
+        model, names = self._model, self._joints
+        for follower, leaders in self.description.follows.items():
+            yield from (Follower(follower, leader, ratio) for leader, ratio in leaders.items())
+        given = set(self.description.follows)
+        driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nu) if not self._pulls(a)}
+        for equality in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT):
+            joint, leader = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+            offset, ratio, *bent = model.eq_data[equality, :5]
+            if names.get(joint, joint) in given or not {joint, leader} <= names.keys():
+                continue
+            if abs(offset) > 0 or np.any(bent):
+                raise self._error(f"joint {names[joint]} follows by more than a ratio; use follows")
+            given.add(names[joint])
+            yield Follower(names[joint], names[leader], float(ratio))
+        for tendon in range(model.ntendon):
+            joints, shares = self._wrapped(tendon)
+            slack = np.ptp(model.tendon_range[tendon])
+            if len(joints) != 2 or not model.tendon_limited[tendon] or not set(joints) <= {*names}:
+                continue
+            for (joint, share), (leader, other) in (
+                ((joints[0], shares[0]), (joints[1], shares[1])),
+                ((joints[1], shares[1]), (joints[0], shares[0])),
+            ):
+                free = joint not in driven and leader in driven and names[joint] not in given
+                if free and slack < _SLACK * abs(share):
+                    given.add(names[joint])
+                    yield Follower(names[joint], names[leader], float(-other / share))
+
+    def _wrapped(self, tendon: int) -> tuple[list[int], list[float]]:
+        """The joints of a fixed tendon and their coefficients, none of any other."""
+        model, first = self._model, int(self._model.tendon_adr[tendon])
+        wraps = slice(first, first + int(model.tendon_num[tendon]))
+        if (model.wrap_type[wraps] != mujoco.mjtWrap.mjWRAP_JOINT).any():
+            return [], []
+        return model.wrap_objid[wraps].tolist(), model.wrap_prm[wraps].tolist()
+
+    def _pulls(self, actuator: int) -> bool:
+        return bool(self._model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_TENDON)
+
+    def _find_actuators(self) -> Iterator[Actuator]:
+        """Yield a servo for each joint or tendon that has one; without any, for each joint."""
+        model, moved = self._model, set[int]()
+        following = {j for j, name in self._joints.items() if name in self._followers}
+        for a in range(model.nu):
+            target, gear = int(model.actuator_trnid[a, 0]), float(model.actuator_gear[a, 0])
+            joints, shares = self._wrapped(target) if self._pulls(a) else ([target], [1.0])
+            if not joints or not set(joints) <= self._joints.keys() - following:
+                continue
+            name, moved = self._joints[joints[0]], moved.union(joints)
+            if self._pulls(a):
+                name, (low, high) = model.tendon(target).name, model.actuator_ctrlrange[a]
+                if set(shares) != {1.0}:
+                    raise self._error(f"tendon {name}: its actuator needs coefficients of 1")
+                pulled = tuple(self._joints[j] for j in joints)
+                self._couplings[name] = Coupling(name, pulled, (float(low), float(high)))
+            kp, kv = -model.actuator_biasprm[a, 1:3] * gear**2
+            force = gear * model.actuator_forcerange[a, 1] if model.actuator_forcelimited[a] else 0
+            yield self._actuator(name, float(kp), float(kv), float(force))
+        for joint, name in self._joints.items():
+            if joint in moved | following:
+                continue
+            if model.nu:
+                raise self._error(
+                    f"joint {name} has no actuator; give it one, or name it in follows or fixed"
+                )
+            yield self._actuator(name, 0.0, 0.0, float(model.jnt_actfrcrange[joint, 1]))
+
+    def _actuator(self, name: str, kp: float, kv: float, force: float) -> Actuator:
+        kp = self.description.kp or kp
+        if kp <= 0:
+            raise self._error(f"{name} has no position servo; give kp [N m/rad]")
+        return Actuator(name, kp, self.description.force or force or math.pi * kp, max(kv, 0.0))
+
+    # The parts of the hand
+
+    def _link(self, body: int, measurement: Measurement) -> Link:
+        model, data = self._model, self._data
+        parent = int(model.body_parentid[body])
+        if body == self._root:
+            pos, quat, above = measurement.pos, measurement.quat, forearm.FOREARM
+        else:
+            pos, above = self._in_frame(parent, self._origin(body)), self._name(parent)
+            quat = _product(data.xquat[parent] * (1, -1, -1, -1), data.xquat[body])
+        joint = int(model.body_jntadr[body])
+        return Link(
+            self._name(body),
+            above,
+            pos,
+            mass=float(model.body_mass[body]),
+            com=self._in_frame(body, data.xipos[body]),
+            inertia=tuple(model.body_inertia[body].tolist()),
+            inertia_quat=tuple(model.body_iquat[body].tolist()),
+            quat=quat,
+            joint=self._joint(joint) if joint in self._joints else None,
+            geoms=tuple(self._geom(body, geom) for geom in self._shapes(body)),
+            hides_keys=body == self._root,
+        )
+
+    def _joint(self, joint: int) -> Joint:
+        model, dof = self._model, int(self._model.jnt_dofadr[joint])
+        low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-math.pi, math.pi)
+        given, zero = self.description, float(model.qpos0[model.jnt_qposadr[joint]])
+        return Joint(
+            self._joints[joint],
+            axis=tuple(model.jnt_axis[joint].tolist()),
+            range=(float(low) - zero, float(high) - zero),
+            damping=float(model.dof_damping[dof]) if given.damping is None else given.damping,
+            slide=bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE),
+            armature=float(model.dof_armature[dof]) if given.armature is None else given.armature,
+            friction_loss=float(model.dof_frictionloss[dof]),
+        )
+
+    def _geom(self, body: int, geom: int) -> Geom:
+        name, count = _NAMES[mujoco.mjtGeom(self._model.geom_type[geom])]
+        return Geom(
+            name,
+            size=tuple(self._model.geom_size[geom, :count].tolist()),
+            pos=self._in_frame(body, self._data.geom_xpos[geom]),
+            quat=tuple(self._model.geom_quat[geom].tolist()),
+        )
+
+    def _own_links(self) -> dict[str, list[int]]:
+        """Finger -> the bodies that hang from no other finger's, from its tip on."""
+        lines = {name: self._line(body) for name, (body, _, _) in self._tips.items()}
+        own, moving = {}, {int(self._model.jnt_bodyid[joint]) for joint in self._joints}
+        for name, line in lines.items():
+            shared = {b for other in lines.values() if other is not line for b in other}
+            own[name] = [b for b in line if b not in shared and b != self._root]
+            while own[name] and own[name][-1] not in moving:
+                own[name].pop()
+            if not own[name]:
+                raise self._error(f"finger {name} has no joint of its own; give another tip")
+        return own
+
+    def _chains(self, measurement: Measurement) -> Iterator[FingerChain]:
+        """Yield the fingers, with as many of their last links as the shortest has."""
+        long = {name: list(self._with_length(own)) for name, own in self._own.items()}
+        count = min(_MAX_LINKS, *map(len, long.values()))
+        for name, links in long.items():
+            chain, (_, centre, radius) = links[:count][::-1], self._tips[name]
+            yield FingerChain(
+                name,
+                links=tuple(map(self._name, chain)),
+                radii=(*map(self._thickness, chain[:-1]), radius),
+                tip=self._in_frame(chain[-1], centre),
+                on_white=measurement.on_white.get(name, 0.0),
+            )
+
+    def _with_length(self, links: list[int]) -> Iterator[int]:
+        """Yield the last link, and each that begins elsewhere than the one after it."""
+        yield links[0]
+        for after, link in pairwise(links):
+            if np.linalg.norm(self._origin(link) - self._origin(after)) > _APART:
+                yield link
+
+    def _thickness(self, body: int) -> float:
+        radii = [radius for geom in self._shapes(body) for _, radius in self._ends(geom)]
+        return max(radii, default=_THIN)
+
+    def _servo(
+        self, actuator: Actuator, rests: dict[str, float], measurement: Measurement
+    ) -> Servo:
+        joint = actuator.target
+        if joint in self._couplings:
+            joint = self._couplings[joint].joints[0]
+        body = next(self._model.jnt_bodyid[j] for j, name in self._joints.items() if name == joint)
+        moved = [i for i, (tip, _, _) in enumerate(self._tips.values()) if body in self._line(tip)]
+        rest = rests.get(actuator.target, 0.0)
+        if len(moved) != 1:
+            return Servo(rest, ease=0.3, acceleration=40.0, noise=0.03, correction=0.1)
+        stiff = actuator.kp > _STIFF
+        return Servo(
+            rest,
+            acceleration=40.0 if stiff else 160.0,
+            noise=0.04 if stiff else 0.08,
+            correction=0.1 if stiff else 0.25,
+            lift=measurement.lift.get(actuator.target, 0.0),
+            finger=moved[0],
+        )
+
+    def _excluded(self, start: dict[str, float]) -> Iterator[tuple[str, str]]:
+        """Yield pairs of links that do not collide: by the file, or as they touch at rest."""
+        model, data = self._model, mujoco.MjData(self._model)
+        pairs = {tuple(divmod(int(each), 1 << 16)) for each in model.exclude_signature}
+        for share in (0.0, 1.0):  # with straight fingers, and at rest
+            data.qpos[:] = self._data.qpos
+            for joint, name in self._joints.items():
+                data.qpos[model.jnt_qposadr[joint]] += share * start.get(name, 0.0)
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
+            touching = model.geom_bodyid[data.contact.geom].reshape(-1, 2)
+            pairs |= {(min(pair), max(pair)) for pair in touching.tolist()}
+        fingers = {body: name for name, own in self._own.items() for body in own}
+        for pair in sorted(pairs):
+            first, second = (fingers.get(body) for body in pair)
+            if {*pair} <= {*self._bodies} and (first == second or None in (first, second)):
+                yield self._name(pair[0]), self._name(pair[1])
+        yield forearm.FOREARM, self._name(self._root)
+
+
+def _joints(links: list[Link]) -> list[Joint]:
+    return [link.joint for link in links if link.joint]
+
+
+def _compiled(file: Path) -> mujoco.MjModel:
+    """The model of a file, with a simple shape for each mesh, all of which collide."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(file))
+        spec.compiler.fusestatic = False  # keeps the names of tips
+        spec.compiler.balanceinertia = True  # of many a URDF
+        for geom in spec.geoms:
+            if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+                root = not geom.parent.joints
+                geom.type = mujoco.mjtGeom.mjGEOM_BOX if root else mujoco.mjtGeom.mjGEOM_CAPSULE
+            if geom.contype | geom.conaffinity:
+                geom.contype = geom.conaffinity = 1
+        return spec.compile()
+    except ValueError as error:
+        raise CadenzaError(
+            f"{file}: MuJoCo cannot read it: {' '.join(str(error).split())}"
+        ) from error
+
+
+def _axis(direction: Array) -> Array:
+    """The unit vector of the axis that is nearest to a direction."""
+    nearest = int(np.argmax(np.abs(direction)))
+    unit: Array = np.sign(direction[nearest]) * np.eye(3)[nearest]
+    return unit
+
+
+def _product(a: Array, b: Array) -> Quaternion:
+    quat = np.zeros(4)
+    mujoco.mju_mulQuat(quat, a, b)
+    w, x, y, z = quat.tolist()
+    return w, x, y, z
+
+
+def _radius(name: str, size: Array) -> float:
+    """How thick a shape is: half of its width [m]."""
+    return float(np.sort(size)[1] if name in ("box", "ellipsoid") else size[0])

@@ -1,0 +1,122 @@
+"""A hand from an MJCF: its parts are those of the file, and faults are said in a line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from cadenza import CadenzaError, SceneConfig
+from cadenza.hands.mjcf import HandFile, Measurement, from_mjcf, measurement_of
+from cadenza.hands.registry import hand_named
+from cadenza.scene.kinematics import Kinematics
+from cadenza.scene.scene import build_scene
+from hands.leap_like import TOML, mjcf, write_to
+
+UPRIGHT = Measurement((0.0, 0.0, 0.2), (1.0, 0.0, 0.0, 0.0))
+PALM, TURN = "rh_palm", np.array([[-1.0, 0, 0], [0, 1, 0], [0, 0, 1]])
+
+
+def in_palm(scene_data: mujoco.MjData, palm: str, point: np.ndarray) -> np.ndarray:
+    body = scene_data.body(palm)
+    return body.xmat.reshape(3, 3).T @ (point - body.xpos)
+
+
+def test_fingertips_are_where_mujoco_has_those_of_the_file(tmp_path: Path) -> None:
+    hand = HandFile(write_to(tmp_path)).hand(UPRIGHT)
+    scene = build_scene(SceneConfig(), hand)
+    file, rng = mujoco.MjModel.from_xml_string(mjcf()), np.random.default_rng(0)
+    theirs, ours = mujoco.MjData(file), mujoco.MjData(scene.model)
+    for joint in range(file.njnt):
+        angle = rng.uniform(*file.jnt_range[joint])
+        theirs.joint(joint).qpos = angle
+        for side in "rh_", "lh_":
+            ours.joint(side + file.joint(joint).name).qpos = angle
+    mujoco.mj_kinematics(file, theirs)
+    mujoco.mj_kinematics(scene.model, ours)
+    for finger in "thumb", "index", "middle", "ring":
+        expected = in_palm(theirs, "palm", theirs.site(f"{finger}_tip").xpos)
+        for side, mirror in ("rh_", np.eye(3)), ("lh_", TURN):
+            tip = in_palm(ours, f"{side}palm", ours.site(f"{side}{finger}tip").xpos)
+            np.testing.assert_allclose(mirror @ tip, expected, atol=1e-9)
+    np.testing.assert_allclose(
+        sum(scene.model.body(f"rh_{file.body(b).name}").mass for b in range(1, file.nbody)),
+        file.body_mass.sum(),
+    )
+
+
+def test_a_joint_that_follows_moves_with_its_leader(tmp_path: Path) -> None:
+    path = write_to(tmp_path)
+    path.write_text(TOML.replace("[fingers]", "follows = {index_3={index_2=-0.5}}\n[fingers]"))
+    scene = build_scene(SceneConfig(hands="right"), HandFile(path).hand(UPRIGHT))
+    kinematics = Kinematics(scene)
+    servos = kinematics.servos
+    assert "index_3" not in servos.names
+    posture = np.zeros((2, len(servos.names)))
+    posture[1, servos.names.index("index_2")] = step = 1e-5
+    tips, jacobian = kinematics.fingertips(posture)
+    moved = (tips[1] - tips[0]) / step
+    np.testing.assert_allclose(jacobian[0][..., servos.names.index("index_2")], moved, atol=1e-5)
+    data = mujoco.MjData(scene.model)
+    leader, follower = data.joint("rh_index_2"), data.joint("rh_index_3")
+    data.actuator("rh_A_index_2").ctrl = 0.4
+    mujoco.mj_step(scene.model, data, 200)
+    assert leader.qpos[0] == pytest.approx(0.4, abs=0.1)
+    assert follower.qpos[0] == pytest.approx(-0.5 * leader.qpos[0], abs=0.02)
+
+
+def described(old: str, new: str) -> Callable[[Path], None]:
+    return lambda path: path.write_text(TOML.replace(old, new)) and None
+
+
+def drawn(old: str, new: str) -> Callable[[Path], None]:
+    return lambda path: path.with_name("leap.xml").write_text(mjcf().replace(old, new, 1)) and None
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (described('"ring_tip"', '"ring"'), "finger ring: no body of leap.xml is named 'ring'"),
+        (described('palm = "palm"', 'palm = "hand"'), "palm: no body of leap.xml is named 'hand'"),
+        (described("kp = 2.0", "kpp = 2.0"), "Unknown field 'kpp'"),
+        (described('"ring_tip"', '"palm"'), "finger ring has no joint of its own"),
+        (described('"leap.xml"', '"other.xml"'), "other.xml"),
+        (
+            drawn('<position joint="ring_3" kp="1" forcerange="-1.5 1.5"/>', ""),
+            "joint ring_3 has no actuator; give it one, or name it in follows or fixed",
+        ),
+        (
+            drawn('axis="1 0 0" range="-0.2 1.9"', 'type="ball"'),
+            "joint index_2 is neither a hinge nor a slide",
+        ),
+        (drawn("<mujoco", "<mujoko"), "MuJoCo cannot read it"),
+        (
+            described("[fingers]", "follows = {ring_3={ring_9=1.0}}\n[fingers]"),
+            "followers: there is no joint 'ring_9'",
+        ),
+    ],
+)
+def test_faults_are_said_in_a_line(
+    tmp_path: Path, change: Callable[[Path], None], message: str
+) -> None:
+    path = write_to(tmp_path)
+    change(path)
+    with pytest.raises(CadenzaError, match=message) as error:
+        HandFile(path).hand(UPRIGHT)
+    assert "\n" not in str(error.value)
+
+
+def test_a_hand_is_measured_before_it_plays(tmp_path: Path) -> None:
+    path = write_to(tmp_path)
+    with pytest.raises(CadenzaError, match="not measured yet; run cadenza hand measure"):
+        hand_named(str(path))
+    measured = {"pos": UPRIGHT.pos, "quat": UPRIGHT.quat, "sha256": HandFile(path).sha256}
+    measurement_of(path).write_text(json.dumps(measured))
+    assert hand_named(str(path)) is from_mjcf(path)
+    path.write_text(TOML + "# changed\n")
+    with pytest.raises(CadenzaError, match="changed since; run cadenza hand measure"):
+        from_mjcf(path)
