@@ -204,10 +204,12 @@ def _randomness(spec: EpisodeSpec) -> tuple[int, np.random.Generator]:
 def _plan(setup: Setup, result: EpisodeResult, perturbed: PerturbedAgent) -> SongPlan:
     """Return the plan of the agent, or one for the same song and start.
 
-    What learns from episodes corrects plans without strikes, and the planner plans strikes.
+    What learns from episodes corrects plans without strikes, and the planner plans strikes. Where
+    it plays early, as actions arrive late, its plan is of fewer steps than the episode.
     """
     (track,) = setup.task.goals.tracks
-    if result.plan is not None and result.plan.complete:
+    steps = track.goals.num_steps
+    if result.plan is not None and result.plan.complete and result.plan.goals.num_steps == steps:
         if not len(result.plan.strikes.step):
             return result.plan
         track = result.plan.track
