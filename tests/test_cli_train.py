@@ -219,50 +219,6 @@ def at_once(_: str) -> Iterator[Callable[[], bool]]:
     yield lambda: True
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ([], "plays well (F1 0.9) after about 50,000 of 1,000,000 steps; harder pieces take ten"),
-        (["--num-steps", "200"], ""),
-        (["--preset", "paper"], ""),
-        (["--quiet"], ""),
-    ],
-)
-def test_it_says_when_it_will_play_well(
-    options: list[str],
-    said: str,
-    tune: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(train, "_train_until_stopped", interrupted)
-    with pytest.raises(SystemExit):
-        main(["train", str(tune), "-o", str(tmp_path / "run"), *SMALL, *options])
-    err = capsys.readouterr().err
-    assert (said in err) if said else ("plays well" not in err)
-
-
-def test_progress_tells_first_how_long_it_takes_to_play_well(
-    tune: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shown: list[tuple[int, int, str]] = []
-
-    @contextmanager
-    def recorded(*_: object) -> Iterator[Callable[..., None]]:
-        yield lambda done, total, remark="": shown.append((done, total, remark))
-
-    monkeypatch.setattr(train, "progress", recorded)
-    monkeypatch.setattr(train, "PLAYS_WELL", 100)
-    main(["train", str(tune), "-o", str(tmp_path / "run"), *SMALL, *SHORT])
-    assert {total for done, total, _ in shown if done < 100} == {100}
-    assert {total for done, total, _ in shown if done >= 100} == {200}
-    assert all(remark.startswith("to play well") for done, _, remark in shown if done < 100)
-
-
 @pytest.mark.parametrize("when", ["while it is made", "before the first figures"])
 def test_a_run_that_is_stopped_at_once_can_go_on(
     when: str,

@@ -16,7 +16,7 @@ import tyro
 from cadenza.cli.arguments import Chosen, Flat, Output, Quiet
 from cadenza.cli.console import stop_on_signal
 from cadenza.cli.options import SETUP_HELP
-from cadenza.cli.progress import QUIET, SECONDS_BETWEEN_LINES_OF_TRAINING, progress, stages
+from cadenza.cli.progress import SECONDS_BETWEEN_LINES_OF_TRAINING, progress, stages
 from cadenza.cli.saving import check_name, check_writable, save
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name, plain
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from cadenza.music.score import Score
     from cadenza.report.training_page import Curve
 
-PLAYS_WELL = 50_000
-"""Steps to an F1 of 0.9 of a policy that learns Twinkle from nothing."""
 _PAGE = "report.html"
 _PAGE_INTERVAL = 10.0  # [s] at least between two times that the page of a run is written
 _MAX_WRITING = 0.01  # share of the time that is spent on that
@@ -172,7 +170,6 @@ def _train(command: Train, folder: Path) -> None:
         if command.songs:
             config = command.training
             training = begin(config, scores, run)
-            _print_when_it_plays_well(command)
         else:
             run.set_end(command.training)
             config, scores = run.settings()
@@ -190,28 +187,6 @@ def _train(command: Train, folder: Path) -> None:
             print(f"Learning curves in {folder / _PAGE}")
         if not finished:
             raise KeyboardInterrupt
-
-
-def _print_when_it_plays_well(command: Train) -> None:
-    """Print after how many steps a short tune plays well, by docs/learning.md."""
-    num_steps, enough = command.training.num_steps, _steps_to_play_well(command)
-    if QUIET.get() or enough is None:
-        return
-    print(
-        f"a short tune plays well (F1 0.9) after about {enough:,} of {num_steps:,} steps; harder "
-        "pieces take ten times as many. Ctrl-C keeps the best so far",
-        file=sys.stderr,
-    )
-
-
-def _steps_to_play_well(command: Train) -> int | None:
-    """Return the steps after which a short tune plays well; None where that was not measured.
-
-    A policy that corrects the planner does so from the beginning.
-    """
-    usual = (command.preset, command.setup, command.learner) == ("fast", None, Train.learner)
-    from_nothing = usual and not command.training.residual
-    return PLAYS_WELL if from_nothing and command.training.num_steps > PLAYS_WELL else None
 
 
 @contextmanager
@@ -244,7 +219,7 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
     )
     if (run.path / _PAGE).exists():
         write_page(at_once=True)  # says that the run goes on
-    scores, enough = "", _steps_to_play_well(command) or 0
+    scores = ""
     num_shown = len(training.rows)
     shown_steps = progress("learning", "steps", SECONDS_BETWEEN_LINES_OF_TRAINING)
     with shown_steps as advance, stop_on_signal("a checkpoint") as stop:
@@ -261,10 +236,7 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
                     scores = f"F1 {row['eval/f1']:.3f}, note onsets F1 {onsets:.3f}, "
                     scores += f"best {best:.3f}"
             num_shown = len(training.rows)
-            if training.step < enough:  # how long that takes is shown first
-                advance(training.step, enough, ", ".join(filter(None, ("to play well", scores))))
-            else:
-                advance(training.step, training.config.num_steps, scores)
+            advance(training.step, training.config.num_steps, scores)
             return not stop()
 
         training.run(should_continue)
