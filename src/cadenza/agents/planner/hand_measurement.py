@@ -31,6 +31,7 @@ _ABOVE = 0.003  # [m] that fingers stay above the keys if they do not press
 _TOLERANCE = 0.003  # [m]
 _STEP = 0.0025  # [m] between the distances that are tried
 _STARTS = 3
+_LIGHT, _LIGHTEST = 3e-3, 3e-4  # [m] off for a servo that is at its ease from rest
 _SIDE_BY_SIDE = 0.0115  # [m] between a white key and the black one beside it
 
 # Of a hand over the keys; lengths in [m], angles in [rad]. Behind each is the error that costs 1.
@@ -212,8 +213,12 @@ class ReachMeasurement:
             CadenzaError: a finger cannot press with all others, or no two of them reach two keys.
         """
         everyone = tuple(self._fingers)
-        q = self._posture(everyone, None, self._rest)
-        if not self._presses(q, everyone, None):
+        q = self._rest
+        for weight in (_LIGHT, _LIGHTEST):
+            q = self._posture(everyone, None, q, weight)
+            if self._presses(q, everyone, None):
+                break
+        else:
             raise CadenzaError(self._misses(q))
         count = len(everyone)
         rest = self._tips(q)[0][:, 1] - self._forearm_y(q)
@@ -221,7 +226,7 @@ class ReachMeasurement:
         least = _SIDE_BY_SIDE * np.maximum(np.arange(count) - np.arange(count)[:, None], 0)
         for fingers in [*combinations(everyone, 1), *combinations(everyone, 2)]:
             apart = self._distance(q, fingers)
-            start = self._posture(fingers, apart, q)
+            start = self._posture(fingers, apart, q, _LIGHTEST)
             low, high = (self._extreme(fingers, start, apart, step) for step in (-_STEP, _STEP))
             if len(fingers) == 1:
                 outward[fingers], inward[fingers] = -low, high
@@ -248,11 +253,17 @@ class ReachMeasurement:
         y = self._tips(q)[0][list(fingers), 1]
         return float(y[-1] - (y[0] if len(fingers) > 1 else self._forearm_y(q)))
 
-    def _posture(self, fingers: tuple[int, ...], apart: float | None, start: Array) -> Array:
-        """Servos with which `fingers` press at a distance if given, in a light posture."""
+    def _posture(
+        self,
+        fingers: tuple[int, ...],
+        apart: float | None,
+        start: Array,
+        weight: float,
+    ) -> Array:
+        """Servos with which `fingers` press at a distance if given, by `weight` near rest."""
         pressing = list(fingers)
         others = [f for f in self._fingers if f not in fingers]
-        light = (3e-4 if apart is not None else 3e-3) / self._ease
+        light = weight / self._ease
         light[self._slide] = 0.0
 
         def residual(q: Array) -> Array:
@@ -306,7 +317,7 @@ class ReachMeasurement:
         while True:
             for attempt in range(_STARTS):
                 start = q if not attempt else rng.uniform(self._low, self._high)
-                found = self._posture(fingers, apart + step, start)
+                found = self._posture(fingers, apart + step, start, _LIGHTEST)
                 if self._presses(found, fingers, apart + step):
                     q, apart = found, apart + step
                     break
