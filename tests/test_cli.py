@@ -667,14 +667,16 @@ def test_comparing(tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     options = ["--agents", "planner", "zero", "--seeds", "0", "1", "--planner.method", "none"]
     main(["compare", str(tune), *options, "-o", str(tmp_path)])
     heading, planner, zero, *_ = capsys.readouterr().out.splitlines()
-    assert heading.split()[:3] == ["pieces", "runs", "F1"]
+    assert heading.split()[:5] == ["pieces", "runs", "Note", "onset", "F1"]
     assert (planner.split()[0], zero.split()[0]) == ("planner", "zero")
     found = json.loads((tmp_path / "compare.json").read_text())
     runs = [(run["agent"], run["seed"]) for run in found["runs"]]
     assert runs == [("planner", 0), ("planner", 1), ("zero", 0), ("zero", 1)]
     f1 = [run["f1"] for run in found["runs"]]
     assert found["means"]["planner"]["f1"] == pytest.approx((f1[0] + f1[1]) / 2)
-    assert planner.split()[1:4] == ["1", "2", f"{found['means']['planner']['f1']:.3f}"]
+    onsets, frames = (found["means"]["planner"][name] for name in ("note_onset_f1", "f1"))
+    assert planner.split()[1:3] == ["1", "2"]
+    assert {f"{onsets:.3f}", f"{frames:.3f}"} < set(planner.split())
     assert found["means"]["planner"]["power"] > found["means"]["zero"]["power"]
     assert found["means"]["zero"]["onset_error"] is None
     assert 'href="planner--s1/report.html"' in (tmp_path / "compare.html").read_text()
