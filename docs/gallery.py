@@ -14,19 +14,19 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from PIL import Image
+
 import cadenza
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.errors import CadenzaError
 from cadenza.files import write_json
 from cadenza.music.libraries.library import load_score
-from cadenza.performing.film_renderer import Look
-from cadenza.performing.filming import renderer_of
 from cadenza.performing.performance import Performance
-from cadenza.report.video import write_animation
+from cadenza.sim.render import Picture, Renderer
 from cadenza.sim.threads import available_cores
 
 LISTED = "gallery.json"
-_PICTURE = Look(480, 270)
+_PICTURE = Picture(480, 270)
 _PICTURED = 5.0  # [s] of music at which it is taken
 
 
@@ -75,17 +75,19 @@ def add(played: Played, folder: Path) -> dict[str, Any]:
         What the front page says of it.
     """
     performance = played.play()
-    size = _PICTURE.width, _PICTURE.height
+    episode = performance.episode
     with TemporaryDirectory() as results:
         performance.save(results)
         (folder / f"{played.name}.html").write_bytes((Path(results) / "report.html").read_bytes())
-        try:
-            with closing(renderer_of(Path(results), _PICTURE)) as renderer:
-                frame = renderer.frame(_PICTURED)
-        except CadenzaError as error:
-            print(f"{played.name} without a picture: {error}", file=sys.stderr)
-        else:
-            write_animation(folder / f"{played.name}.webp", [frame], 1, size)
+    try:
+        with closing(Renderer(performance.scene, _PICTURE)) as renderer:
+            shown = ("hand_qpos", "key_qpos", "key_activation", "goal_keys")
+            row = min(round(_PICTURED / episode.dt), episode.num_steps - 1)
+            frame = renderer.frame(*(episode[name][row] for name in shown))
+    except CadenzaError as error:
+        print(f"{played.name} without a picture: {error}", file=sys.stderr)
+    else:
+        Image.fromarray(frame).save(folder / f"{played.name}.webp")
     (song,) = (song for song in cadenza.songs() if song.name == played.song)
     return {
         "name": played.name,

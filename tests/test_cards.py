@@ -15,12 +15,7 @@ from cadenza.report.bench_summary import METRICS
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = Path(cadenza.__file__).parent
-WEIGHTS = sorted(
-    path
-    for ending in ("npz", "safetensors")
-    for path in PACKAGE.rglob(f"*.{ending}")
-    if path.name != "lettering.npz"  # letters of films
-)
+WEIGHTS = sorted(path for ending in ("npz", "safetensors") for path in PACKAGE.rglob(f"*.{ending}"))
 PAGES = "".join(page.read_text() for page in (ROOT / "docs").glob("*.md"))
 LINKS = re.compile(r"\]\((?:https://github\.com/cadenza-piano/cadenza/blob/main/)?([^):]+)\)")
 

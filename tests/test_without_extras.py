@@ -20,7 +20,7 @@ from cadenza.cli import main
 for words in (
     "info songs/tune.mid",
     "play songs/tune.mid -o played",
-    "film played -o tune.gif",
+    "film played -o tune.mp3",
     "arrange songs/tune.mid -o tune.musicxml",
     "practice songs/tune.mid --effort 0.01 -o practised",
     "compare songs/tune.mid --agents planner zero -o compared",

@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[1]
 PYTHONS = ("3.11", "3.12", "3.13")
 MAX_OF_A_FILE = 2 * 2**20  # bytes of one file in the wheel: networks take up to 1.4 million
 MAX_OF_THE_WHEEL = 10 * 2**20  # bytes
-LICENCES = ("LICENSE", "NOTICE", "three.LICENSE.txt", "uplot.LICENSE.txt")
+LICENCES = ("LICENSE", "NOTICE", "three.LICENSE.txt", "uplot.LICENSE.txt", "mediabunny.LICENSE.txt")
 SMOKE = """
 import importlib, pkgutil
 import gymnasium, cadenza, cadenza.studio

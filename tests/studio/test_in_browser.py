@@ -44,7 +44,7 @@ def page_of(*command: str) -> Iterator[str]:
 
 
 def studio(folder: Path) -> AbstractContextManager[str]:
-    return page_of("studio", "--folder", str(folder), "--no-video", "--no-browser", "--jobs", "1")
+    return page_of("studio", "--folder", str(folder), "--no-browser", "--jobs", "1")
 
 
 @pytest.fixture(scope="module")

@@ -134,6 +134,7 @@ def _installation_facts() -> dict[str, Any]:
 
     from cadenza.hands.registry import HANDS
     from cadenza.keyboards.registry import KEYBOARDS
+    from cadenza.performing.filming import find_browser
     from cadenza.scene.scene import build_scene
     from cadenza.sim.render import Renderer
     from cadenza.sim.threads import available_cores
@@ -144,12 +145,17 @@ def _installation_facts() -> dict[str, Any]:
         drawing = "yes"
     except CadenzaError as error:
         drawing = f"no; {error}"
+    try:
+        browser = find_browser()
+    except CadenzaError as error:
+        browser = f"nothing; {error}"
     return {
         "cadenza": version("cadenza"),
         "python": platform.python_version(),
         "mujoco": mujoco.__version__,
         "cores": available_cores(),
-        "can render video": drawing,
+        "can draw pictures": drawing,
+        "makes films with": browser,
         **{
             f"{registry.kind} {name}": entry.about
             for registry in (SETUPS, AGENTS, HANDS, KEYBOARDS, LEARNERS)

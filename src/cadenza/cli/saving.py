@@ -13,8 +13,7 @@ from cadenza.music.formats.reading import SHEET, name_without_ending
 
 if TYPE_CHECKING:
     from cadenza.music.score import Score
-    from cadenza.performing.film_renderer import Look
-    from cadenza.performing.filming import FilmExcerpt
+    from cadenza.performing.filming import Look
     from cadenza.performing.performance import Performance
     from cadenza.performing.setup import Setup
     from cadenza.report.tone import Tone
@@ -133,17 +132,18 @@ def film(
     voice: Tone,
     path: Path | None = None,
     look: Look | None = None,
-    excerpt: FilmExcerpt | None = None,
+    start: float = 0.0,
+    seconds: float | None = None,
 ) -> None:
     """Make the film of the performance in a folder as `write_film` does, with progress.
 
     Raises:
         CadenzaError: as `write_film` raises it.
     """
-    from cadenza.performing.filming import WHOLE, write_film
+    from cadenza.performing.filming import write_film
 
     with stages("drawing") as progress:
-        written = write_film(folder, path, look, excerpt or WHOLE, voice, progress)
+        written = write_film(folder, path, look, start, seconds, voice, progress)
     print(f"Written to {written}")
 
 

@@ -35,8 +35,6 @@ class StudioCommand:
     jobs: int | None = None
     """Performances that are planned at the same time; by default as many as there are cores, up to
     four."""
-    video: bool = False
-    """Make a film of each performance, too, as "cadenza film" does."""
     browser: bool = True
     """Open the page in a browser, where there is a screen."""
 
@@ -53,7 +51,7 @@ def run(command: StudioCommand) -> None:
     from cadenza.studio.page_server import serve
     from cadenza.studio.server import Studio
 
-    studio = Studio(command.folder, jobs, command.video)
+    studio = Studio(command.folder, jobs)
     with suppress(KeyboardInterrupt):  # how it ends
         folder = studio.storage.folder
         ready = partial(announce, browser=command.browser, folder=folder)

@@ -1,86 +1,110 @@
-"""Makes films, animations and sound of a performance from its folder, on all cores."""
+"""Films of a performance, drawn by its page in a browser, and its sound alone."""
 
 from __future__ import annotations
 
-import multiprocessing
+import json
 import os
-from collections import deque
-from collections.abc import Iterator, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from itertools import islice
+import queue
+import secrets
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import IO, Any
+from urllib.parse import quote
 
-import numpy as np
-from numpy.typing import NDArray
+import av
 
 from cadenza.agents.agent import Progress, silent
-from cadenza.episode import Episode, load_episode
-from cadenza.errors import CadenzaError
-from cadenza.files import checked, read_json
-from cadenza.music.formats.midi import read_midi
-from cadenza.music.libraries.library import composer_of
+from cadenza.episode import load_episode
+from cadenza.errors import CadenzaError, quoted
+from cadenza.files import write_atomically
 from cadenza.music.performance import played_in
-from cadenza.performing.film_renderer import FilmRenderer, Look
-from cadenza.report.sound import CODECS, SAMPLE_RATE, Samples, synthesize, write_sound
+from cadenza.report.cameras import VIEWS
+from cadenza.report.sound import (
+    CODECS,
+    SAMPLE_RATE,
+    Samples,
+    synthesize,
+    write_audio,
+    write_sound,
+)
 from cadenza.report.tone import Tone, tone
-from cadenza.report.video import ANIMATIONS, write_animation, write_video
-from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import build_scene
-from cadenza.sim.threads import available_cores
 
 FILM = "video.mp4"
 """The name of the film in the folder of a performance."""
-FILMS = (".mp4", *ANIMATIONS)
-"""Endings of the names of films; of animations, which have no sound, all but the first."""
-_ANIMATED = 6.0  # [s] that an animation lasts
-_LEAST = 64  # [px]
-_AT_ONCE = 24  # pictures that a process draws before it hands them over
-_WAITING = 2  # such pieces for each process, which bounds the memory
+_ENDING = ".mp4"
+_MIN_SIDE, _MAX_SIDE = 64, 2160  # [px]
+_TALL = 1.2  # height over width from which the camera follows the hands by default
+_RINGING = 1.0  # [s] that the last notes of the whole may ring on
+_PATIENCE = 60.0  # [s] with a browser that sends nothing
+_NAMES = (
+    *("google-chrome", "google-chrome-stable", "chromium", "chromium-browser", "chrome"),
+    *("microsoft-edge", "msedge"),
+)
+_PLACES = (
+    "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
+    "/Applications/Chromium.app/Contents/MacOS/Chromium",
+    "/Applications/Microsoft Edge.app/Contents/MacOS/Microsoft Edge",
+    r"C:\Program Files\Google\Chrome\Application\chrome.exe",
+    r"C:\Program Files (x86)\Microsoft\Edge\Application\msedge.exe",
+)
+_FLAGS = (
+    *("--headless", "--no-first-run", "--mute-audio", "--disable-dev-shm-usage"),
+    *("--enable-unsafe-swiftshader", "--force-color-profile=srgb"),  # draws where there is no card
+)
+_POLICY = "default-src 'none';"
+_REENCODED = {"crf": "19", "preset": "veryfast"}  # where the browser cannot encode H.264
 
 
 @dataclass(frozen=True)
-class FilmExcerpt:
-    """A part of a performance: from `start` [s] on, for so many seconds or to its end."""
+class Look:
+    """What a film shows: its size [px], a camera of `VIEWS`, and the score below if `score`."""
 
-    start: float = 0.0
-    seconds: float | None = None
+    width: int = 1920
+    height: int = 1080
+    camera: str | None = None
+    """The player's by default, and in a tall film the one that is close to the hands."""
+    score: bool = False
 
-    def of(self, length: float) -> tuple[float, float]:
-        """Return from when to when it is, of a performance of a length, all in [s].
+    def __post_init__(self) -> None:
+        """Check size and camera.
 
         Raises:
-            CadenzaError: there is nothing of it.
+            CadenzaError: the film is too small, too large or of an odd size, or there is no such
+                camera.
         """
-        end = length if self.seconds is None else min(self.start + self.seconds, length)
-        if not 0 <= self.start < end:
+        sides = self.width, self.height
+        if not (min(sides) >= _MIN_SIDE and max(sides) <= _MAX_SIDE) or any(s % 2 for s in sides):
             raise CadenzaError(
-                f"nothing to show from {self.start:g} s to {end:g} s: what was played lasts "
-                f"{length:.1f} s"
+                f"a film of {self.width} x {self.height} pixels: choose even numbers from "
+                f"{_MIN_SIDE} to {_MAX_SIDE} for each side"
             )
-        return self.start, end
+        if self.camera is not None and self.camera not in VIEWS:
+            raise CadenzaError(f"no camera {quoted(self.camera)}: choose from {', '.join(VIEWS)}")
 
-
-WHOLE = FilmExcerpt()
-"""All of a performance."""
-
-
-def look_of(path: Path) -> Look:
-    """Return the usual look of a film: that of an animation is smaller and has fewer pictures."""
-    return Look(640, 360, 20) if path.suffix.lower() in ANIMATIONS else Look()
+    @property
+    def view(self) -> str:
+        """The camera of `VIEWS`."""
+        return self.camera or ("close" if self.height > _TALL * self.width else "player")
 
 
 def check_film(path: Path) -> None:
-    """Check the name of a film, an animation or a sound before it is made.
+    """Check the name of a film or a sound before it is made.
 
     Raises:
         CadenzaError: it has another ending, or is a folder.
     """
-    if path.suffix.lower() not in (*FILMS, *CODECS):
+    if path.suffix.lower() not in (_ENDING, *CODECS):
         raise CadenzaError(
-            f"{path}: a film is an {FILMS[0]}, a moving picture a {' or '.join(ANIMATIONS)}, and "
-            f"the sound alone a {', '.join(CODECS)} file; choose a name with one of these endings"
+            f"{path}: a film is an {_ENDING}, and the sound alone a {', '.join(CODECS)} file; "
+            "choose a name with one of these endings"
         )
     if path.is_dir():
         raise CadenzaError(f"{path}: is a folder; choose another name")
@@ -90,18 +114,19 @@ def write_film(
     folder: Path,
     path: Path | None = None,
     look: Look | None = None,
-    excerpt: FilmExcerpt = WHOLE,
+    start: float = 0.0,
+    seconds: float | None = None,
     voice: Tone = tone,
     progress: Progress = silent,
 ) -> Path:
-    """Write the film of a performance, or what else the ending of a name asks for.
+    """Write the film of a performance, or its sound alone if the ending of the name says so.
 
     Args:
         folder: what `Performance.save` wrote.
         path: the file; `FILM` in the folder if there is none. See `check_film`.
-        look: the size of the pictures and how many a second; `look_of` the file if there is none.
-        excerpt: the part of the performance; an animation of it ends after six seconds unless
-            the excerpt says when.
+        look: what the film shows; `Look()` if there is none.
+        start: the film begins so many seconds into the performance.
+        seconds: its length, to the end of the performance if there is none.
         voice: what makes the notes, see `synthesize`.
         progress: is told how many pictures are drawn.
 
@@ -110,95 +135,167 @@ def write_film(
 
     Raises:
         CadenzaError: the folder holds no performance, the file has another ending, there is
-            nothing of the excerpt, or this machine cannot draw.
+            nothing to show, or no browser that can draw it.
     """
-    path = folder / FILM if path is None else path
+    path, page = path or folder / FILM, folder / "report.html"
     check_film(path)
-    if not (folder / "episode.npz").is_file():
+    if not (page.is_file() and (folder / "episode.npz").is_file()):
         raise CadenzaError(
             f'{folder}: holds no performance (episode.npz); make one with "cadenza play SONG", and '
             "give the folder of its results, such as played/SONG/planner"
         )
-    kind, episode = path.suffix.lower(), load_episode(folder / "episode.npz")
-    if kind in ANIMATIONS and excerpt.seconds is None:
-        excerpt = replace(excerpt, seconds=_ANIMATED)
-    start, end = excerpt.of(episode.num_steps * episode.dt)
-    if kind in CODECS:
-        audio = _heard(episode, excerpt, voice)
+    episode = load_episode(folder / "episode.npz")
+    length = episode.num_steps * episode.dt
+    end = length if seconds is None else min(start + seconds, length)
+    if not 0 <= start < end:
+        raise CadenzaError(
+            f"nothing to show from {start:g} s to {end:g} s: what was played lasts {length:.1f} s"
+        )
+    browser = None if path.suffix.lower() in CODECS else find_browser()
+    whole = synthesize(played_in(episode), voice=voice)
+    if seconds is None:
+        end = min(max(len(whole) / SAMPLE_RATE, length), length + _RINGING)
+    audio = whole[round(start * SAMPLE_RATE) : round(end * SAMPLE_RATE)]
+    if browser is None:
         write_sound(path, audio, seconds=end - start)
         return path
-    look = look or look_of(path)
-    size, count = (look.width, look.height), max(int((end - start) * look.fps), 1)
-    renderer_of(folder, Look(_LEAST, _LEAST)).close()  # says so here if this machine cannot draw
-    pictures = _drawn(folder, look, start + np.arange(count) / look.fps, progress)
-    if kind in ANIMATIONS:
-        write_animation(path, pictures, look.fps, size)
-    else:
-        audio = _heard(episode, excerpt, voice)
-        write_video(path, pictures, look.fps, audio, size)
+    asked = asdict(look := look or Look()) | {"view": look.view, "start": start, "end": end}
+    with TemporaryDirectory() as temporary:
+        silent_film = Path(temporary) / FILM
+        with silent_film.open("wb") as file:
+            _draw(page.read_text("utf-8"), browser, asked, file, progress)
+        _add_sound(silent_film, audio, path)
     return path
 
 
-def _heard(episode: Episode, excerpt: FilmExcerpt, voice: Tone) -> Samples:
-    """The sound of a part of an episode; the last notes of the whole ring on after its end."""
-    audio = synthesize(played_in(episode), voice=voice)
-    if excerpt == WHOLE:
-        return audio
-    start, end = excerpt.of(episode.num_steps * episode.dt)
-    last = len(audio) if excerpt.seconds is None else round(end * SAMPLE_RATE)
-    return audio[round(start * SAMPLE_RATE) : last]
+def find_browser() -> str:
+    """Find the Chrome, Chromium or Edge of this machine.
 
-
-def _drawn(
-    folder: Path, look: Look, times: NDArray[np.float64], progress: Progress
-) -> Iterator[NDArray[np.uint8]]:
-    """Draw pictures in several processes, and yield them in their order."""
-    cores = available_cores()
-    pieces = (times[i : i + _AT_ONCE] for i in range(0, len(times), _AT_ONCE))
-    done = 0
-    with ProcessPoolExecutor(
-        cores, multiprocessing.get_context("spawn"), _begin, (folder, look)
-    ) as pool:
-        waiting: deque[Future[list[NDArray[np.uint8]]]] = deque(
-            pool.submit(_draw, piece) for piece in islice(pieces, _WAITING * cores)
-        )
-        while waiting:
-            for picture in waiting.popleft().result():
-                yield picture
-                done += 1
-                progress("drawing", done, len(times))
-            waiting.extend(pool.submit(_draw, piece) for piece in islice(pieces, 1))
-
-
-_renderer: FilmRenderer | None = None  # of a process that draws
-
-
-def _begin(folder: Path, look: Look) -> None:
-    global _renderer
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # Mesa's own threads would compete
-    _renderer = renderer_of(folder, look)
-
-
-def renderer_of(folder: Path, look: Look) -> FilmRenderer:
-    """Return what draws the performance in a folder.
+    Returns:
+        Its path.
 
     Raises:
-        CadenzaError: it is not such a folder, or this machine cannot draw.
+        CadenzaError: there is none.
     """
-    path = folder / "settings.json"
-    settings = read_json(path, dict[str, Any])
-    scene = build_scene(checked(settings.get("scene"), SceneConfig, f"{path}, scene"))
-    episode, goal = load_episode(folder / "episode.npz"), read_midi(folder / "wanted.mid")
-    return FilmRenderer(scene, episode, goal, look, _titles(episode, settings))
+    found = next(filter(None, map(shutil.which, (*_NAMES, *_PLACES))), None)
+    if found is None:
+        raise CadenzaError(
+            "a film is drawn by Chrome, Chromium or Edge, and none is here: install one (on Debian "
+            'and Ubuntu, "apt install chromium"), or press Film on the page report.html elsewhere'
+        )
+    return found
 
 
-def _titles(episode: Episode, settings: Mapping[str, Any]) -> list[str]:
-    """Name the song, who wrote it if a library says so, and who plays."""
-    by = composer_of(str(settings.get("song")))
-    player = f"played by the {settings['agent']}" if settings.get("agent") else ""
-    return [episode.song, *filter(None, (by, player))]
+def _draw(
+    page: str, browser: str, asked: dict[str, Any], file: IO[bytes], progress: Progress
+) -> None:
+    """Have a browser draw the film that is asked for, and send it into a file, without sound.
+
+    Raises:
+        CadenzaError: the browser ends, sends nothing for a minute, or cannot draw.
+    """
+    token, events = secrets.token_urlsafe(16), queue.Queue[tuple[str, ...]]()
+    allowed = page.replace(_POLICY, f"{_POLICY} connect-src 'self';", 1)  # to send its film here
+
+    class Handler(BaseHTTPRequestHandler):
+        """Answers the page, and takes what it sends."""
+
+        def do_GET(self) -> None:
+            known = self.path.startswith(f"/{token}/?")
+            self._answer(allowed.encode("utf-8", "replace") if known else None)
+
+        def do_POST(self) -> None:
+            body = self.rfile.read(int(self.headers.get("content-length", "0")))
+            _, given, *words = self.path.split("/")
+            if given == token and words[0] == "film":
+                file.seek(int(words[1]))
+                file.write(body)
+            if given == token:
+                events.put((*words, body.decode()) if words[0] == "error" else tuple(words))
+            self._answer(b"" if given == token else None)
+
+        def _answer(self, content: bytes | None) -> None:
+            self.send_response(404 if content is None else 200)
+            self.send_header("content-type", "text/html; charset=utf-8")
+            self.end_headers()
+            self.wfile.write(content or b"")
+
+        def log_message(self, *_: object) -> None:
+            """Print nothing."""
+
+    with (
+        ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server,
+        TemporaryDirectory(ignore_cleanup_errors=True) as profile,
+    ):
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_port}/{token}/"
+        asked |= {"falling": True, "silent": True}
+        with _opened(browser, profile, f"{address}?film={quote(json.dumps(asked))}") as process:
+            try:
+                _wait(events, process, progress)
+            finally:
+                server.shutdown()
 
 
-def _draw(times: NDArray[np.float64]) -> list[NDArray[np.uint8]]:
-    assert _renderer is not None
-    return [_renderer.frame(float(time)) for time in times]
+def _wait(
+    events: queue.Queue[tuple[str, ...]], process: subprocess.Popen[bytes], progress: Progress
+) -> None:
+    """Wait for the end of a film."""
+    while True:
+        try:
+            kind, *words = events.get(timeout=_PATIENCE)
+        except queue.Empty:
+            how = "has ended" if process.poll() is not None else "sends nothing"
+            raise CadenzaError(f"the browser that draws the film {how}") from None
+        if kind == "progress":
+            progress("drawing", int(words[0]), int(words[1]))
+        elif kind == "error":
+            raise CadenzaError(f"the browser cannot draw the film: {words[0]}")
+        elif kind == "end":
+            return
+
+
+@contextmanager
+def _opened(browser: str, profile: str, address: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Open an address in a browser without a window, with a profile of its own."""
+    flags = [*_FLAGS, f"--user-data-dir={profile}"]
+    if sys.platform == "linux" and os.geteuid() == 0:
+        flags.append("--no-sandbox")  # it refuses to run as root otherwise; the page is our own
+    process = subprocess.Popen(
+        [browser, *flags, address], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _add_sound(film: Path, audio: Samples, path: Path) -> None:
+    """Write a film with AAC sound and H.264 pictures, which any player plays."""
+    with (
+        write_atomically(path) as file,
+        av.open(film) as drawn,
+        av.open(file, "w", format="mp4", options={"movflags": "faststart"}) as container,
+    ):
+        pictures = drawn.streams.video[0]
+        is_known = pictures.codec_context.name == "h264"
+        if is_known:
+            copy = container.add_stream_from_template(pictures)
+        else:
+            encoded = container.add_stream("libx264", rate=60, options=_REENCODED)
+            encoded.width, encoded.height, encoded.pix_fmt = (
+                *(pictures.width, pictures.height),
+                "yuv420p",
+            )
+        sound = container.add_stream("aac", rate=SAMPLE_RATE, layout="stereo")
+        if is_known:
+            for packet in drawn.demux(pictures):
+                if packet.dts is not None:
+                    packet.stream = copy
+                    container.mux(packet)
+        else:
+            for picture in drawn.decode(pictures):
+                container.mux(encoded.encode(picture))
+            container.mux(encoded.encode(None))
+        write_audio(container, sound, audio, len(audio))

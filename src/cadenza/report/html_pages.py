@@ -1,10 +1,10 @@
 """Pages as HTML files that need neither a network nor a server, made from the files in `templates`.
 
 A page holds its style sheets, its scripts, the libraries that these use, and the data. The
-libraries are three.js for 3D (cut down to 570 kB) and uPlot for charts (50 kB), and lie as copies
-in `assets` because no Python package carries ones that serve: trimesh has three.js of 2022,
-meshcat, viser, pythreejs and k3d bring a web server or Jupyter, plotly, bokeh and altair bring
-megabytes.
+libraries are three.js for 3D (cut down to 570 kB), Mediabunny for films (230 kB) and uPlot for
+charts (50 kB), and lie as copies in `assets` because no Python package carries ones that serve:
+trimesh has three.js of 2022, meshcat, viser, pythreejs and k3d bring a web server or Jupyter,
+plotly, bokeh and altair bring megabytes.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cadenza.files import write_atomically
+from cadenza.report.cameras import VIEWS
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -84,7 +85,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.policies["json.dumps_kwargs"] = COMPACT
-    environment.globals |= {"asset": asset, "packed_asset": packed_asset}
+    environment.globals |= {"asset": asset, "packed_asset": packed_asset, "cameras": VIEWS}
     environment.filters |= {
         "base64": in_base64,
         "packed": packed_text,

@@ -22,7 +22,7 @@ STYLES = ("uplot.min.css", "page.css", "chart.css", "score.css")
 SCRIPTS = (
     *("elements.js", "recording.js", "rows.js", "flat.js", "falling.js", "stage.js"),
     *("chart.js", "arrangement.js", "explanations.js", "roll.js", "rewards.js"),
-    *("expression.js", "controls.js", "score.js", "page.js"),
+    *("expression.js", "controls.js", "score.js", "film.js", "page.js"),
 )
 _HEADLINES = {
     "f1": ("F1", "The balance of precision and recall, 0 to 1. At 1 every key is right, always."),

@@ -6,8 +6,6 @@
 from __future__ import annotations
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 # name: position [m], orientation (w, x, y, z), vertical field of view [degree]
 CAMERAS = {
@@ -21,38 +19,6 @@ CAMERAS = {
 MAX_WIDTH, MAX_HEIGHT = 1920, 1080  # [px] of a picture
 
 _LIGHT = (0.62, 0.4, 1.6)  # [m]; it points at the keys
-_FOVY = np.deg2rad(45.0)  # MuJoCo's for cameras that are not fixed
-
-
-def camera_on(points: NDArray[np.float64], elevation: float, aspect: float) -> mujoco.MjvCamera:
-    """The camera on the player's side that is as near as keeps all points in the picture.
-
-    It looks at the middle of the box around them.
-
-    Args:
-        points: (N, 3) [m].
-        elevation: of the camera over that middle [rad].
-        aspect: width of the picture over its height.
-    """
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    towards = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
-    up = np.array([-np.sin(elevation), 0.0, np.cos(elevation)])
-    across, upwards, nearer = np.stack([[0, 1, 0], up, towards]) @ (points - centre).T
-    camera = mujoco.MjvCamera()
-    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.azimuth, camera.elevation = 180.0, -np.rad2deg(elevation)
-    camera.lookat[:] = centre
-    slope = np.tan(_FOVY / 2)
-    distance = np.maximum(np.abs(across) / aspect, np.abs(upwards)) / slope
-    camera.distance = float(np.max(nearer + distance))
-    return camera
-
-
-def eye_of(camera: mujoco.MjvCamera) -> NDArray[np.float64]:
-    """Where a camera that `camera_on` returned stands, (3,) [m]."""
-    elevation = -np.deg2rad(camera.elevation)
-    towards = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
-    return np.asarray(camera.lookat + camera.distance * towards)
 
 
 def add_cameras(spec: mujoco.MjSpec) -> None:

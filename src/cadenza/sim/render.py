@@ -6,7 +6,6 @@ import importlib
 import os
 import sys
 import weakref
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -23,57 +22,6 @@ from cadenza.scene.scene import Scene
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 _RENDERED_IN: set[int] = set()  # this process, or the one that it was forked from
 _MAX_GEOMS = 2000
-
-
-class Canvas:
-    """A canvas for states of a scene. It holds a graphics context of this thread until `close`."""
-
-    def __init__(self, scene: Scene, model: mujoco.MjModel, width: int, height: int) -> None:
-        """Open a graphics context for pictures of this size [px] of a scene's drawn model.
-
-        Raises:
-            CadenzaError: this machine cannot draw.
-        """
-        self._scene, self._model, self._size = scene, model, (width, height)
-        self._gl, self._context = _opened(model, width, height)
-        self.close = weakref.finalize(self, _free, self._context, self._gl)
-        """Free the graphics context, at the latest when the program ends."""
-        self._drawn = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
-        self._options, self._data = mujoco.MjvOption(), mujoco.MjData(model)
-        self._key_of_geom = key_geoms(model, scene)
-
-    def _show(
-        self, hand_qpos: NDArray[Any], key_qpos: NDArray[Any], camera: mujoco.MjvCamera
-    ) -> Iterator[tuple[mujoco.MjvGeom, int | None]]:
-        """Put the scene in the picture; yield its geoms, to be coloured, with the keys they are.
-
-        Args:
-            hand_qpos: (J,) [m, rad].
-            key_qpos: (K,) [rad].
-            camera: what sees them.
-        """
-        data = self._data
-        data.qpos[self._scene.hand_qpos] = hand_qpos
-        data.qpos[self._scene.key_qpos] = key_qpos
-        mujoco.mj_kinematics(self._model, data)
-        mujoco.mj_camlight(self._model, data)
-        mujoco.mjv_updateScene(
-            self._model, data, self._options, None, camera,
-            mujoco.mjtCatBit.mjCAT_ALL.value, self._drawn,
-        )  # fmt: skip
-        for geom in self._drawn.geoms[: self._drawn.ngeom]:
-            if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
-                yield geom, self._key_of_geom.get(geom.objid)
-
-    def _picture(self) -> NDArray[np.uint8]:
-        """Draw what is in the picture (height, width, 3)."""
-        self._gl.make_current()
-        width, height = self._size
-        pixels = np.empty((height, width, 3), np.uint8)
-        viewport = mujoco.MjrRect(0, 0, width, height)
-        mujoco.mjr_render(viewport, self._drawn, self._context)
-        mujoco.mjr_readPixels(pixels, None, viewport, self._context)
-        return pixels[::-1]
 
 
 def _opened(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.MjrContext]:
@@ -154,7 +102,7 @@ class Picture:
             )
 
 
-class Renderer(Canvas):
+class Renderer:
     """A renderer of one scene. It holds a graphics context of this thread until `close`."""
 
     def __init__(self, scene: Scene, picture: Picture | None = None) -> None:
@@ -167,7 +115,13 @@ class Renderer(Canvas):
         model = drawn_model(scene)
         self._camera = _fixed_camera(model, picture.camera)
         model.vis.quality.offsamples = _SAMPLES
-        super().__init__(scene, model, picture.width, picture.height)
+        self._scene, self._model, self._size = scene, model, (picture.width, picture.height)
+        self._gl, self._context = _opened(model, *self._size)
+        self.close = weakref.finalize(self, _free, self._context, self._gl)
+        """Free the graphics context, at the latest when the program ends."""
+        self._drawn = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
+        self._options, self._data = mujoco.MjvOption(), mujoco.MjData(model)
+        self._key_of_geom = key_geoms(model, scene)
 
     def frame(
         self,
@@ -184,11 +138,28 @@ class Renderer(Canvas):
             sounding: (K,) keys that sound; lit green where they should, red where not.
             goal: (K,) keys that should sound.
         """
-        for geom, key in self._show(hand_qpos, key_qpos, self._camera):
+        data = self._data
+        data.qpos[self._scene.hand_qpos] = hand_qpos
+        data.qpos[self._scene.key_qpos] = key_qpos
+        mujoco.mj_kinematics(self._model, data)
+        mujoco.mj_camlight(self._model, data)
+        mujoco.mjv_updateScene(
+            self._model, data, self._options, None, self._camera,
+            mujoco.mjtCatBit.mjCAT_ALL.value, self._drawn,
+        )  # fmt: skip
+        for geom in self._drawn.geoms[: self._drawn.ngeom]:
+            is_geom = geom.objtype == mujoco.mjtObj.mjOBJ_GEOM
+            key = self._key_of_geom.get(geom.objid) if is_geom else None
             if key is not None and sounding[key]:
                 geom.rgba[:] = HIT_RGBA if goal[key] else WRONG_RGBA
                 geom.emission = _GLOW
-        return self._picture()
+        self._gl.make_current()
+        width, height = self._size
+        pixels = np.empty((height, width, 3), np.uint8)
+        viewport = mujoco.MjrRect(0, 0, width, height)
+        mujoco.mjr_render(viewport, self._drawn, self._context)
+        mujoco.mjr_readPixels(pixels, None, viewport, self._context)
+        return pixels[::-1]
 
 
 def _fixed_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:

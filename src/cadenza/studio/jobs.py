@@ -60,8 +60,8 @@ class JobQueue:
         practice: practises songs in the background.
     """
 
-    def __init__(self, folder: Path, at_once: int = 1, video: bool = False) -> None:
-        self._folder, self._at_once, self._video = folder, at_once, video
+    def __init__(self, folder: Path, at_once: int = 1) -> None:
+        self._folder, self._at_once = folder, at_once
         self.jobs: dict[str, Job] = {}
         self.practice = BackgroundPractice()
         self._waiting: deque[Job] = deque()
@@ -85,7 +85,7 @@ class JobQueue:
         if len(self._waiting) >= MAX_QUEUED:
             raise CadenzaError(f"{MAX_QUEUED} songs wait already; cancel one, or wait")
         id, folder = secrets.token_hex(8), str(self._folder)
-        order = Order(request, title, source, uploaded, id, folder, self._video)
+        order = Order(request, title, source, uploaded, id, folder)
         job = self.jobs[id] = Job(title, asdict(request), order=order)
         self._waiting.append(job)
         self._schedule()

@@ -27,7 +27,6 @@ from cadenza.agents.registry import PRACTISED as PLAN
 from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json, write_json
 from cadenza.music.score import Note, Score
-from cadenza.performing.filming import write_film
 from cadenza.performing.loaded_song import LoadedSong, load
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.player import find_player
@@ -214,8 +213,6 @@ def save(performance: Performance, states: StateStream, order: Order, send: Send
     )
     try:
         performance.save(folder, reporter.report)
-        if order.video:
-            write_film(folder, progress=reporter.report)
         (folder / HEADER_FILE).write_bytes(json_message(**states.header).content)
         (folder / ROWS_FILE).write_bytes(states.rows)
         write_json(folder / ABOUT, asdict(about))

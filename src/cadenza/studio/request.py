@@ -113,7 +113,6 @@ class Order:
     """The name of the performance."""
     folder: str
     """The folder of the studio, where the performance is kept."""
-    video: bool = False
 
 
 def hand_titles() -> dict[str, str]:

@@ -66,20 +66,19 @@ class StoredFile(FileResponse):
 class Studio:
     """The studio: songs, jobs, practice, and performances that are kept."""
 
-    def __init__(self, folder: Path, at_once: int = 1, video: bool = False) -> None:
+    def __init__(self, folder: Path, at_once: int = 1) -> None:
         """Open the folder of the studio.
 
         Args:
             folder: where songs and performances are kept.
             at_once: how many songs are played at the same time.
-            video: whether to make a film of each performance.
 
         Raises:
             OSError: the folder cannot be made.
         """
         self._synthesizer = Synthesizer()
         self.storage = Storage(folder)
-        self.jobs = JobQueue(self.storage.folder, at_once, video)
+        self.jobs = JobQueue(self.storage.folder, at_once)
         self._hands = hand_titles()
         self._agents = AGENTS | {
             name: (name, f"{entry.about[:1].upper()}{entry.about[1:]}.")

@@ -47,7 +47,6 @@ FILES = {
     "report.html": "text/html; charset=utf-8",
     "played.mid": "audio/midi",
     "wanted.mid": "audio/midi",
-    "video.mp4": "video/mp4",
 }
 """Files of a performance that the page can fetch, and their types."""
 

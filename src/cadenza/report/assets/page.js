@@ -36,7 +36,8 @@ const looks = createLooks(), isLooping = looping();
 if (stage) looks.show(stage);
 else $("picture").hidden = true;
 const roll = createRoll($("roll"), data, seek), rewards = createRewards($("rewards"), data, seek);
-const score = $("score") && createScore($("score"), await readEngraving($("engraving").textContent), data, seek);
+const engraving = $("engraving") && await readEngraving($("engraving").textContent);
+const score = engraving && createScore($("score"), engraving, data, seek);
 if (score) {
   offerScore($("downloads"), score);
   $("show-score").addEventListener("click", toggleScore);
@@ -137,3 +138,9 @@ Object.assign(cadenza, { seek, play, pause, stage, ready: true });
 fitToWindow();
 redraw();
 frame();
+
+const about = [document.querySelector("h1").textContent, $("player")?.textContent ?? ""].filter(Boolean);
+const asked = new URLSearchParams(location.search).get("film");
+if (!stage) $("film").hidden = true;
+else if (asked) sendFilm(data, engraving, about, JSON.parse(asked));
+else offerFilm(data, engraving, about);

@@ -1,9 +1,8 @@
 // The performance in three dimensions. The world is the simulation's: x towards the player,
 // y to the player's right, z up, in metres.
 
-const VIEWS = { // from where the camera looks
-  player: [0.5, 0, 0.87], close: [0.45, 0, 0.9], top: [0.005, 0, 1], audience: [-0.8, 0, 0.62], side: [-0.5, -0.8, 0.5],
-};
+/** From where cameras look, by their names: as the buttons have it from `cadenza.report.cameras`. */
+const VIEWS = Object.fromEntries([...document.querySelectorAll("[data-view]")].map(({ dataset: { view, from } }) => [view, from.split(" ").map(Number)]));
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 const FADED = 0.28; // opacity of a palm while it hides a key that sounds
 const ALONG_KEY = [-0.4, 0, 0.4, 0.8]; // halves of a key's length from its middle; half of these are to be seen
@@ -132,17 +131,16 @@ function createStage(canvas, data, colours) {
     stale = true;
   }
 
-  function fit() {
-    const { clientWidth: width, clientHeight: height } = canvas;
+  function fit(width = canvas.clientWidth, height = canvas.clientHeight, ratio = Math.min(devicePixelRatio, 2)) {
     if (!width || !height) return;
-    renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    renderer.setPixelRatio(ratio);
     renderer.setSize(width, height, false);
     camera.aspect = width / height;
     camera.updateProjectionMatrix();
     if (view) place();
     stale = true;
   }
-  const resized = new ResizeObserver(fit);
+  const resized = new ResizeObserver(() => fit());
   resized.observe(canvas);
 
   function move(time) {
@@ -205,12 +203,15 @@ function createStage(canvas, data, colours) {
       if (view) place();
       stale = true;
     },
-    /** Draws if anything changed. */
-    draw() {
+    /** Has a picture that is in no page this size [px]. */
+    fit: (width, height) => fit(width, height, 1),
+    /** What is drawn on. */
+    get picture() { return renderer === flatRenderer ? overlay : canvas; },
+    /** Draws if anything changed; `seconds` have passed since the last time, by default on the wall clock. */
+    draw(seconds = (performance.now() - drawnAt) / 1000) {
       controls.update();
-      const now = performance.now();
-      fade((now - drawnAt) / 1000);
-      drawnAt = now;
+      fade(seconds);
+      drawnAt = performance.now();
       if (!stale) return;
       stale = false;
       renderer.render(scene, camera);

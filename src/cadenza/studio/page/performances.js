@@ -1,6 +1,6 @@
 // Kept performances, to watch again and download.
 
-const FILE_TITLES = { "report.html": "Report", "video.mp4": "Film", "played.mid": "MIDI", "wanted.mid": "Wanted MIDI" };
+const FILE_TITLES = { "report.html": "Report", "report.html#film": "Film", "played.mid": "MIDI", "wanted.mid": "Wanted MIDI" };
 const FILE_NAMES = { "wanted.mid": ", as wanted" }; // after the title, where two files have the same ending
 
 async function listPerformances() {
@@ -13,9 +13,9 @@ function performanceItem(each) {
   const about = `${minutes(each.seconds).split(".")[0]} · ${when}`;
   if (canWatch) links.append(labelledButton("Watch", `Watch ${title}`, () => { instrument.wake(); watch(id); }));
   for (const [file, name] of Object.entries(FILE_TITLES)) {
-    if (!each.files.includes(file)) continue;
+    if (!each.files.includes(file.split("#")[0])) continue;
     const link = make("a", name, { href: `performances/${id}/${file}`, target: "_blank", rel: "noopener", "aria-label": `${name} of ${title}` });
-    if (file !== "report.html") link.download = `${title}${FILE_NAMES[file] ?? ""}${file.slice(file.lastIndexOf("."))}`;
+    if (!file.startsWith("report.html")) link.download = `${title}${FILE_NAMES[file] ?? ""}${file.slice(file.lastIndexOf("."))}`;
     links.append(link);
   }
   links.append(labelledButton("Delete", `Delete ${title}`, () => deletePerformance(each)));

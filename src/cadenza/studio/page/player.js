@@ -128,6 +128,8 @@ function showStatus() {
   }
   if (current.request) showFacts();
   $("cancel").disabled = current.over || current.complete;
+  $("film").hidden = state !== "kept" || only;
+  $("film").href = `performances/${current.id}/report.html#film`;
   cadenza.state = state;
   if (state === "cancelled") {
     if (isReady()) pause();
