@@ -350,11 +350,12 @@ def test_a_film_shows_what_was_played(size: tuple[int, int], tune: Path, tmp_pat
     with av.open(str(folder / "video.mp4")) as file:
         video, sound = file.streams.video[0], file.streams.audio[0]
         assert (video.codec.name, sound.codec.name) == ("h264", "aac")
-        assert (video.width, video.height, video.average_rate) == (*size, 60)
+        assert (video.width, video.height) == size
+        assert video.average_rate in (30, 60)  # without a graphics card, with one
         pictures = [frame.to_ndarray(format="rgb24") for frame in file.decode(video)]
         file.seek(0)
         heard = np.concatenate([frame.to_ndarray() for frame in file.decode(sound)], axis=1)
-    assert len(pictures) == 15
+    assert len(pictures) == round(0.25 * video.average_rate)
     greys = np.array([picture.mean(axis=2) for picture in pictures])
     assert greys[0].std() > 20  # there is something to see
     assert np.abs(np.diff(greys, axis=0)).max() > 15  # which moves

@@ -16,8 +16,8 @@ class Film:
 
     Example: cadenza film played/OdeToJoy/planner --size 1080 1920 --seconds 20
 
-    The film is the page of the performance, drawn by Chrome, Chromium or Edge, 60 pictures a
-    second: a minute of it takes about a minute with a graphics card, much longer without.
+    The film is the page of the performance, drawn by Chrome, Chromium or Edge: 60 pictures a
+    second with a graphics card, 30 without, which takes about a second for each at full size.
     """
 
     folder: tyro.conf.Positional[Path]

@@ -1,10 +1,11 @@
 // The performance as a film: pictures of the stage at even times, encoded with the page's sound.
 
-const FILM_RATE = 60; // pictures a second
+const FILM_RATE = 60, SLOW_RATE = 30; // pictures a second; without a graphics card, which takes a second for each
 const BITS_PER_PIXEL = 0.1; // of a picture; 12 Mbit/s at 1080p
 const SOUND_BITS = 160_000, SOUND_RATE = 48_000; // a second; [Hz]
 const RINGING = 1; // [s] that the last notes of the whole may ring on
 const TITLE = { seconds: 4, fade: 0.6, large: 0.05, small: 0.028, margin: 0.045 }; // [s]; of the shorter side
+const HALO = 0.2; // of the size of letters, around them: behind them it may be dark
 const MARGIN_OF_SCORE = 0.02; // of its width, on either side
 const GROUP = 2; // [s] between two pictures that stand alone, to which players can jump
 
@@ -26,10 +27,12 @@ function drawTitle(context, lines, time, width, height) {
   const opacity = Math.min(1, time / TITLE.fade, (TITLE.seconds - time) / TITLE.fade);
   if (opacity <= 0) return;
   const side = Math.min(width, height), margin = TITLE.margin * side;
-  Object.assign(context, { globalAlpha: opacity, fillStyle: css("--ink"), textBaseline: "top" });
+  Object.assign(context, { globalAlpha: opacity, fillStyle: css("--ink"), strokeStyle: css("--sky-light"), lineJoin: "round", textBaseline: "top" });
   lines.reduce((top, line, i) => {
     const size = side * (i ? TITLE.small : TITLE.large);
+    context.lineWidth = HALO * size;
     context.font = `${i ? 400 : 700} ${size}px ${getComputedStyle(document.body).fontFamily}`;
+    context.strokeText(line, margin, top, width - 2 * margin);
     context.fillText(line, margin, top, width - 2 * margin);
     return top + 1.3 * size;
   }, margin);
@@ -113,7 +116,9 @@ async function decodedSound() {
 async function makeFilm(data, engraving, lines, look, target, progress) {
   if (!globalThis.VideoEncoder) throw Error("this browser cannot encode films (WebCodecs): open the page in a newer Chrome, Edge, Firefox or Safari");
   const { AudioBufferSource, CanvasSource, Mp4OutputFormat, Output, getFirstEncodableAudioCodec, getFirstEncodableVideoCodec } = Mediabunny;
-  const { width, height, view, falling, start = 0 } = look, bitrate = Math.round(BITS_PER_PIXEL * width * height * FILM_RATE);
+  const stage = createStage(make("canvas", [], { className: "view" }), data, VERDICTS.map((name) => css("--" + name)));
+  const rate = stage.byCard ? FILM_RATE : SLOW_RATE;
+  const { width, height, view, falling, start = 0 } = look, bitrate = Math.round(BITS_PER_PIXEL * width * height * rate);
   // What plays everywhere, or else what plays in browsers
   const codec = await getFirstEncodableVideoCodec(["avc", "vp9", "av1"], { width, height, bitrate });
   if (!codec) throw Error(`this browser cannot encode films of ${width} x ${height} pixels: choose a smaller size`);
@@ -122,14 +127,13 @@ async function makeFilm(data, engraving, lines, look, target, progress) {
   const canvas = make("canvas", [], { width, height }), context = canvas.getContext("2d", { alpha: false });
   const output = new Output({ format: new Mp4OutputFormat(), target });
   const pictures = new CanvasSource(canvas, { codec, bitrate, keyFrameInterval: GROUP });
-  output.addVideoTrack(pictures, { frameRate: FILM_RATE });
+  output.addVideoTrack(pictures, { frameRate: rate });
   const heard = sound && new AudioBufferSource({ codec: await getFirstEncodableAudioCodec(["aac", "opus"], { numberOfChannels: 2, sampleRate: SOUND_RATE, bitrate: SOUND_BITS }), bitrate: SOUND_BITS });
   if (heard) output.addAudioTrack(heard);
   await output.start();
 
   const band = look.score && engraving ? createScoreBand(engraving, data, width) : null, tall = height - (band?.height ?? 0);
-  const stage = createStage(make("canvas", [], { className: "view" }), data, VERDICTS.map((name) => css("--" + name)));
-  const count = Math.max(Math.round((end - start) * FILM_RATE), 1);
+  const count = Math.max(Math.round((end - start) * rate), 1);
   try {
     stage.setFlat(false);
     stage.fit(width, tall);
@@ -141,15 +145,15 @@ async function makeFilm(data, engraving, lines, look, target, progress) {
         await output.cancel();
         return false;
       }
-      const time = start + i / FILM_RATE;
-      if (heard && i % FILM_RATE === 0) await heard.add(sound.part(time, Math.min(time + 1, start + count / FILM_RATE)));
+      const time = start + i / rate;
+      if (heard && i % rate === 0) await heard.add(sound.part(time, Math.min(time + 1, start + count / rate)));
       stage.move(time);
-      stage.draw(1 / FILM_RATE);
+      stage.draw(1 / rate);
       drawSky(context, width, tall);
       context.drawImage(stage.picture, 0, 0, width, tall);
       await band?.draw(context, Math.min(time, length), tall);
       drawTitle(context, lines, time - start, width, tall);
-      await pictures.add(i / FILM_RATE, 1 / FILM_RATE);
+      await pictures.add(i / rate, 1 / rate);
       await breathe();
     }
     await output.finalize();

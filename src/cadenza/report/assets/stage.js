@@ -193,6 +193,8 @@ function createStage(canvas, data, colours) {
     get flat() { return renderer === flatRenderer; },
     /** Whether there is anything but the flat view. */
     solid: drawnBy !== null,
+    /** Whether a graphics card draws. */
+    byCard: drawnBy !== null && !SOFTWARE.test(drawnBy),
     look(name) {
       view = name;
       place();
