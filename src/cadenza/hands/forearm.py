@@ -15,6 +15,8 @@ FOREARM = "forearm"
 """The link that carries a hand."""
 ALONG_KEYBOARD = "forearm_tx"
 """The servo that slides a hand along the keyboard."""
+FORWARDS = "forearm_ty"
+"""The servo that slides it towards the keys and back."""
 WIDTH = 0.149
 """Two forearms touch when they are nearer than this [m]: twice the radius of their shells."""
 
@@ -47,8 +49,8 @@ JOINTS: dict[str, ForearmJoint] = {
 
 _STIFF = Servo(ease=0.05, acceleration=20.0, stride=0.05)  # planners leave them where they are
 SERVOS: dict[str, Servo] = {
-    "forearm_tx": Servo(0.0, 1000.0, 2.0, 0.05, noise=0.01, correction=0.03),
-    "forearm_ty": Servo(0.01, 0.05, 8.0, 0.05, noise=0.005, correction=0.015),
+    ALONG_KEYBOARD: Servo(0.0, 1000.0, 2.0, 0.05, noise=0.01, correction=0.03),
+    FORWARDS: Servo(0.01, 0.05, 8.0, 0.05, noise=0.005, correction=0.015),
 } | {f"forearm_{name}": _STIFF for name in ("tz", "roll", "pitch", "yaw")}
 
 

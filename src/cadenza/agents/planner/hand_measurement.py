@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from cadenza.agents.planner.plan.rest_poses import rest_posture
 from cadenza.errors import CadenzaError
 from cadenza.hands.body import Quaternion, prefix
-from cadenza.hands.forearm import ALONG_KEYBOARD, FOREARM, SERVOS
+from cadenza.hands.forearm import ALONG_KEYBOARD, FOREARM, FORWARDS, SERVOS
 from cadenza.hands.hand import Hand
 from cadenza.hands.mjcf import HandFile, Measurement, ReachField
 from cadenza.scene.config import SceneConfig
@@ -114,7 +114,7 @@ class _OverKeys:
         self._rest = rest_posture(servos)
         self._finger = servos.finger[self._own]
         mount = scene.model.body(prefix("right") + FOREARM).pos
-        forwards = SERVOS["forearm_ty"].rest
+        forwards = SERVOS[FORWARDS].rest
         self._palm = mount + _TO_WORLD @ (_PALM_AT + np.array([0.0, 0.0, forwards]))
         self._radii = np.array([finger.tip_radius for finger in hand.fingers])
         wide = np.array([max(finger.radii) for finger in hand.fingers])

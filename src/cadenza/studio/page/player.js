@@ -128,7 +128,7 @@ function showStatus() {
   }
   if (current.request) showFacts();
   $("cancel").disabled = current.over || current.complete;
-  $("film").hidden = state !== "kept" || only;
+  $("film").hidden = state !== "kept";
   $("film").href = `performances/${current.id}/report.html#film`;
   cadenza.state = state;
   if (state === "cancelled") {
