@@ -65,7 +65,7 @@ COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
     "import": (importing.Import, importing.run),
     "info": (info.Info, info.info),
     "etude": (etude.Etude, etude.etude),
-    "hand measure": (hand.Measure, hand.measure),
+    "hand measure": (hand.MeasureHand, hand.measure),
     "dataset collect": (dataset.Collect, dataset.collect),
     "dataset info": (dataset.DatasetInfo, dataset.info),
     "dataset check": (dataset.DatasetCheck, dataset.check),

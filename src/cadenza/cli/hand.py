@@ -8,7 +8,7 @@ import tyro
 
 
 @dataclass(frozen=True)
-class Measure:
+class MeasureHand:
     """Measure a hand, which takes some minutes: how it sits over the keys, how far it reaches.
 
     What is found of a TOML file is written beside it; the `Reach` of another hand is printed.
@@ -19,7 +19,7 @@ class Measure:
     """A TOML file that describes an MJCF or URDF, or the name of a hand, or module:NAME."""
 
 
-def measure(command: Measure) -> None:
+def measure(command: MeasureHand) -> None:
     from dataclasses import asdict, replace
     from pathlib import Path
 

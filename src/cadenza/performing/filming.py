@@ -283,7 +283,9 @@ def _add_sound(film: Path, audio: Samples, path: Path) -> None:
         if is_known:
             copy = container.add_stream_from_template(pictures)
         else:
-            encoded = container.add_stream("libx264", rate=60, options=_REENCODED)
+            encoded = container.add_stream(
+                "libx264", rate=pictures.average_rate, options=_REENCODED
+            )
             encoded.width, encoded.height, encoded.pix_fmt = (
                 *(pictures.width, pictures.height),
                 "yuv420p",

@@ -7,5 +7,5 @@ VIEWS = {
     "audience": (-0.8, 0.0, 0.62),
     "side": (-0.5, -0.8, 0.5),
 }
-"""From where each looks, as a direction of any length (x towards the player, y to the player's
-right, z up). Each comes as near as keeps what it looks at in the picture."""
+"""Name of each -> the direction that it looks from, of any length (x towards the player, y to the
+player's right, z up). It comes as near as keeps what it looks at in the picture."""

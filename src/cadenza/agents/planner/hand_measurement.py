@@ -325,7 +325,7 @@ class ReachMeasurement:
                 return apart
 
     def _misses(self, q: Array) -> str:
-        """Which fingers do not press while all are to."""
+        """Say which fingers do not press where all should."""
         tips = self._tips(q)[0]
         off = [
             f"{name} stays {1000 * up:.0f} mm above a pressed key, "

@@ -115,20 +115,17 @@ class HorizonStrikes:
             begin, end = max(step - 1, 0), min(step + 2, len(key_paths))
             if begin >= end:
                 continue
-            substep = self._dt / (len(key_paths[begin]) - 1)
+            substep, origin = self._dt / (len(key_paths[begin]) - 1), (step - begin) * self._dt
             parts = [key_paths[begin][:1, key], *(path[1:, key] for path in key_paths[begin:end])]
             crossings = _crossings(np.concatenate(parts), self._sounds_from[i], substep)
             onsets = _onsets(crossings)
             if len(onsets):
-                nearest = np.abs(
-                    onsets[:, 0] - (step - begin) * self._dt - self.wanted[i, 0]
-                ).argmin()
-                time, speed = onsets[nearest]
+                late = onsets[:, 0] - origin - self.wanted[i, 0]
+                time, speed = onsets[np.abs(late).argmin()]
                 offsets = crossings.offsets.time
                 earlier = offsets[offsets < time].max(initial=self._silent_since(key, begin))
                 early = time - earlier - _SILENT
-                time -= (step - begin) * self._dt
-                outcome[i] = min(time, self.wanted[i, 0] + early), speed
+                outcome[i] = min(time - origin, self.wanted[i, 0] + early), speed
         return outcome
 
     def _silent_since(self, key: int, step: int) -> float:
