@@ -29,13 +29,10 @@ _CARD = "README.md"
 class Kind:
     """What a folder may be that the hub keeps."""
 
-    name: str
-    """The kind in words."""
+    name: str  # the kind in words
     repo_type: Literal["model", "dataset"]
-    files: tuple[str, ...]
-    """Patterns of the names of its files; `*` stands for any part of a name."""
-    most: int
-    """Bytes that they may take together."""
+    files: tuple[str, ...]  # patterns of the names of its files; `*` stands for any part of a name
+    most: int  # bytes that they may take together
 
 
 def is_on_hub(place: object) -> bool:

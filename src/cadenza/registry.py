@@ -29,12 +29,10 @@ def module_of(name: str) -> str | None:
 class Entry:
     """The object that a name stands for."""
 
-    place: str
-    """The object's place, as `module:Name`."""
-    about: str = ""
-    """A description in one line."""
+    place: str  # the object's place, as `module:Name`
+    about: str = ""  # a description in one line
+    # The dataclass of its options, if it has any; help shows them without importing the object
     config: type | None = None
-    """The dataclass of its options, if it has any; help shows them without importing the object."""
 
 
 @dataclass(frozen=True)
@@ -50,14 +48,11 @@ class Registry:
         claw = "my_package:CLAW"
     """
 
-    kind: str
-    """The kind, in words for errors, such as "agent"."""
-    group: str
-    """The group of entry points by which other packages add names."""
+    kind: str  # the kind, in words for errors, such as "agent"
+    group: str  # the group of entry points by which other packages add names
+    # Name -> built-in object. Built-in names precede those of other packages.
     own: Mapping[str, Entry] = field(default_factory=dict)
-    """Name -> built-in object. Built-in names precede those of other packages."""
-    otherwise: str = "module:Name"
-    """The alternative to a name, in words for errors."""
+    otherwise: str = "module:Name"  # the alternative to a name, in words for errors
 
     def entries(self) -> dict[str, Entry]:
         """Name -> object: built-in names, then those of other packages in alphabetical order."""

@@ -29,12 +29,10 @@ _MODEL_ERROR = np.array([0.01, 0.001, 0.1])
 class Lateness:
     """What an agent knows of the delays and the noise of a robot."""
 
-    actions: float
-    """The time that actions take to arrive [s]."""
-    observations: float
-    """The time that observations take to arrive [s]."""
+    actions: float  # the time that actions take to arrive [s]
+    observations: float  # the time that observations take to arrive [s]
+    # Standard deviations of sensors of hinges [rad], of slides [m], and of keys
     noise: tuple[float, float, float]
-    """Standard deviations of sensors of hinges [rad], of slides [m], and of keys."""
 
     @classmethod
     def known(cls, config: DomainRandomization) -> Lateness | None:

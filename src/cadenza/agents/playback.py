@@ -79,13 +79,11 @@ class _PlanHeader:
     """The header of a plan's file."""
 
     song: str
-    dt: float
-    """Control step [s]."""
+    dt: float  # control step [s]
     metrics: dict[str, Any]
+    # Options that have to be the same for the plan to play the same, and `PHYSICS`
     options: dict[str, Any]
-    """Options that have to be the same for the plan to play the same, and `PHYSICS`."""
-    score: WrittenScore | None = None
-    """The song of a practised plan."""
+    score: WrittenScore | None = None  # the song of a practised plan
 
 
 @dataclass(frozen=True)
@@ -93,13 +91,11 @@ class SavedPlan:
     """A file that can be played: a plan, or the actions of a recorded episode."""
 
     path: Path
-    actions: Array
-    """(T, A) the actions in actuator units, the pedal last."""
+    actions: Array  # (T, A) the actions in actuator units, the pedal last
+    # Options that it was made with, as far as it says; see `task_identity`
     options: dict[str, Any] = field(default_factory=dict)
-    """Options that it was made with, as far as it says; see `task_identity`."""
     practised: PractisedPlan | None = None
-    score: Score | None = None
-    """The song, if it was practised."""
+    score: Score | None = None  # the song, if it was practised
 
     @property
     def physics(self) -> dict[str, Any]:

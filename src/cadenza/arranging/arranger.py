@@ -30,14 +30,10 @@ _COSTS = 0.0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 3.0
 class Arranged:
     """A song as it was arranged."""
 
-    score: Score
-    """The notes that the hands play."""
-    fidelity: Fidelity
-    """How much of the song is left."""
-    grade: float
-    """The difficulty, from 1 to 10."""
-    fates: tuple[Fate, ...] = ()
-    """What became of each note of the song; those in unison are one."""
+    score: Score  # the notes that the hands play
+    fidelity: Fidelity  # how much of the song is left
+    grade: float  # the difficulty, from 1 to 10
+    fates: tuple[Fate, ...] = ()  # what became of each note of the song; those in unison are one
 
 
 class Arranger:

@@ -18,10 +18,9 @@ from cadenza.music.score import OCTAVE, Note, Score
 class Fate(NamedTuple):
     """What became of a note of a song in an arrangement of it."""
 
+    # The note as written; of one that is struck again while it sounds, from then on
     note: SourceNote
-    """The note as written; of one that is struck again while it sounds, from then on."""
-    played: int | None
-    """The pitch at which it is played; None if it is left out."""
+    played: int | None  # the pitch at which it is played; None if it is left out
 
     @property
     def as_json(self) -> dict[str, Any]:
@@ -38,19 +37,14 @@ class Fate(NamedTuple):
 class Fidelity:
     """How much of a song is left in an arrangement."""
 
-    melody_kept: float
-    """Share of the notes of the melody that are played."""
-    bass_kept: float
-    """Share of the notes of the bass that are played, in any octave."""
+    melody_kept: float  # share of the notes of the melody that are played
+    bass_kept: float  # share of the notes of the bass that are played, in any octave
+    # Share of all other notes that are played, in any octave, as written or later in the beat;
+    # notes in unison count once
     others_kept: float
-    """Share of all other notes that are played, in any octave, as written or later in the beat;
-    notes in unison count once."""
-    pitch_classes_kept: float
-    """Share of the pitch classes of each beat that sound in it."""
-    notes_moved: int
-    """Number of notes that are played in another octave."""
-    notes_added: int
-    """Number of notes that are struck again while they sound."""
+    pitch_classes_kept: float  # share of the pitch classes of each beat that sound in it
+    notes_moved: int  # number of notes that are played in another octave
+    notes_added: int  # number of notes that are struck again while they sound
 
     def __str__(self) -> str:
         """What was done, in words."""

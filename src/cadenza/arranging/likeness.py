@@ -58,13 +58,10 @@ class Line(NamedTuple):
 
     start: Array
     pitch: Array
-    single: Array
-    """1 for those that begin alone."""
-    overlapped: Array
-    """1 for those that sound on when the next begins."""
+    single: Array  # 1 for those that begin alone
+    overlapped: Array  # 1 for those that sound on when the next begins
     velocity: Array
-    again: Array
-    """1 for those that begin where, in the bar before, a note begins too."""
+    again: Array  # 1 for those that begin where, in the bar before, a note begins too
 
     @classmethod
     def of(cls, notes: Sequence[Note], bars: Array) -> Line:

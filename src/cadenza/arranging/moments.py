@@ -27,18 +27,13 @@ class SongMoment(NamedTuple):
 
     time: float
     begins_beat: bool
-    melody: tuple[SourceNote, ...]
-    """The notes of the melody, the highest first."""
-    bass: tuple[SourceNote, ...]
-    """The notes of the bass, the lowest first."""
-    harmony: tuple[SourceNote, ...]
-    """The other notes that begin, by pitch."""
+    melody: tuple[SourceNote, ...]  # the notes of the melody, the highest first
+    bass: tuple[SourceNote, ...]  # the notes of the bass, the lowest first
+    harmony: tuple[SourceNote, ...]  # the other notes that begin, by pitch
+    # Notes of the harmony that began before, in this beat or such that they sound on, by pitch
     sounding: tuple[SourceNote, ...]
-    """Notes of the harmony that began before, in this beat or such that they sound on, by pitch."""
-    ceiling: int
-    """The highest pitch to which notes may be moved: that of the melody."""
-    floor: int
-    """The lowest pitch to which notes may be moved: that of the bass."""
+    ceiling: int  # the highest pitch to which notes may be moved: that of the melody
+    floor: int  # the lowest pitch to which notes may be moved: that of the bass
 
 
 def beats_of(score: Score) -> list[float]:

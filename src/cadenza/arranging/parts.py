@@ -40,10 +40,8 @@ class SourceNote(NamedTuple):
     velocity: int
     melody: bool
     bass: bool
-    added: bool = False
-    """Whether it sounded already, and is struck again."""
-    hands: tuple[int, ...] = ()
-    """The hands that it is written for."""
+    added: bool = False  # whether it sounded already, and is struck again
+    hands: tuple[int, ...] = ()  # the hands that it is written for
 
 
 @dataclass(frozen=True)

@@ -105,12 +105,9 @@ class Held(NamedTuple):
 class Grip(NamedTuple):
     """A hand between two moments."""
 
-    held: tuple[Held, ...] = ()
-    """The keys that it holds, from the lowest on."""
-    struck: tuple[int, ...] = ()
-    """The pitches that it struck last."""
-    time: float = _LONG_AGO
-    """When it did [s]."""
+    held: tuple[Held, ...] = ()  # the keys that it holds, from the lowest on
+    struck: tuple[int, ...] = ()  # the pitches that it struck last
+    time: float = _LONG_AGO  # when it did [s]
 
     def still_held(self, time: float) -> list[Held]:
         """The keys that it holds at a time."""
@@ -143,11 +140,9 @@ class Struck(NamedTuple):
 class Action(NamedTuple):
     """What one hand does at a moment."""
 
-    hand: Grip
-    """The hand afterwards."""
+    hand: Grip  # the hand afterwards
     struck: tuple[Struck, ...]
-    early_ends: tuple[Held, ...]
-    """The keys that it leaves early, and when."""
+    early_ends: tuple[Held, ...]  # the keys that it leaves early, and when
     cost: float
 
 
@@ -156,8 +151,7 @@ class ReductionState(NamedTuple):
 
     cost: float
     hands: tuple[Grip, Grip]
-    classes: frozenset[int]
-    """The pitch classes that have sounded in this beat."""
+    classes: frozenset[int]  # the pitch classes that have sounded in this beat
     actions: tuple[Action, ...]
     before: ReductionState | None
 

@@ -57,35 +57,24 @@ _ROUNDING = 1e-6  # of actions that are kept as float32, beyond their limits [m,
 class StepBatch(NamedTuple):
     """B steps of episodes of a scene with J joints, A servos, K keys and F fingers."""
 
-    hand_qpos: Floats
-    """Joint positions before the step (B, J) [m, rad]."""
-    hand_qvel: Floats
-    """Joint velocities (B, J) [m/s, rad/s]."""
-    fingertip_xpos: Floats
-    """Fingertips (B, F, 3) [m]."""
-    key_state: Floats
-    """Depth of the keys (B, K), 0 to 1."""
-    pedal: Floats
-    """Depth of the pedal (B,), 0 to 1."""
-    sounding: NDArray[np.bool_]
-    """True for keys that sound (B, K)."""
-    key_onset: Floats
-    """When keys began to sound in the step before (B, K), as environments show it."""
-    key_velocity: Floats
-    """How loud they did (B, K)."""
+    hand_qpos: Floats  # joint positions before the step (B, J) [m, rad]
+    hand_qvel: Floats  # joint velocities (B, J) [m/s, rad/s]
+    fingertip_xpos: Floats  # fingertips (B, F, 3) [m]
+    key_state: Floats  # depth of the keys (B, K), 0 to 1
+    pedal: Floats  # depth of the pedal (B,), 0 to 1
+    sounding: NDArray[np.bool_]  # true for keys that sound (B, K)
+    key_onset: Floats  # when keys began to sound in the step before (B, K), as environments show it
+    key_velocity: Floats  # how loud they did (B, K)
+    # Action that was played in the step before (B, A + 1), in actuator units, the pedal last; 0 in
+    # the first step
     previous_action: Floats
-    """Action that was played in the step before (B, A + 1), in actuator units, the pedal last; 0
-    in the first step."""
-    previous_reward: Floats
-    """Reward of the previous action (B,)."""
-    action: Floats
-    """Action that the demonstrator chose (B, A + 1)."""
+    previous_reward: Floats  # reward of the previous action (B,)
+    action: Floats  # action that the demonstrator chose (B, A + 1)
+    # Keys and pedal that should sound after the step and after the L next (B, L + 1, K + 1)
     goal: NDArray[np.bool_]
-    """Keys and pedal that should sound after the step and after the L next (B, L + 1, K + 1)."""
+    # Key that each finger should press in these steps (B, L + 1, F), -1 for none
     fingers: NDArray[np.int8]
-    """Key that each finger should press in these steps (B, L + 1, F), -1 for none."""
-    reference: Floats
-    """Position and speed of each servo in the plan, S steps ahead (B, S, A, 2)."""
+    reference: Floats  # position and speed of each servo in the plan, S steps ahead (B, S, A, 2)
 
     @property
     def fingering(self) -> NDArray[np.bool_]:
@@ -96,12 +85,9 @@ class StepBatch(NamedTuple):
 class _GoalTable(NamedTuple):
     """Goals of R rows: each episode's steps, and one after the last that asks for nothing."""
 
-    bits: NDArray[np.uint8]
-    """Keys and pedal (R, bytes)."""
-    fingers: NDArray[np.int8]
-    """Key of each finger (R, F)."""
-    made: NDArray[np.bool_]
-    """Episodes whose goals are there (E,)."""
+    bits: NDArray[np.uint8]  # keys and pedal (R, bytes)
+    fingers: NDArray[np.int8]  # key of each finger (R, F)
+    made: NDArray[np.bool_]  # episodes whose goals are there (E,)
 
 
 class Dataset:

@@ -116,25 +116,19 @@ class EpisodeFacts:
     """Content of result.json."""
 
     format: Literal[2]
-    job: dict[str, Any]
-    """The `EpisodeSpec` of the episode."""
+    job: dict[str, Any]  # the `EpisodeSpec` of the episode
     song: str
-    kept: bool
-    """True if it was good enough; otherwise there is no other file."""
+    kept: bool  # true if it was good enough; otherwise there is no other file
+    # Metrics as in `cadenza.agents.rollout.EpisodeResult`
     metrics: dict[str, int | float | bool | str | None]
-    """Metrics as in `cadenza.agents.rollout.EpisodeResult`."""
-    drawn: dict[str, int | float | bool]
-    """Values that were drawn for it, see `Variation.draw`."""
+    drawn: dict[str, int | float | bool]  # values that were drawn for it, see `Variation.draw`
+    # The task of a replay: nothing is drawn any more, and nothing done to the score
     task: TaskConfig
-    """The task of a replay: nothing is drawn any more, and nothing done to the score."""
     scene: SceneConfig
-    start: tuple[float, ...]
-    """Joint positions (J,) of the hands at its beginning [m, rad]."""
-    cpu_seconds: float
-    """CPU time of making it."""
+    start: tuple[float, ...]  # joint positions (J,) of the hands at its beginning [m, rad]
+    cpu_seconds: float  # CPU time of making it
     versions: dict[str, str]
-    files: dict[str, str]
-    """Name -> SHA-256 of the other files."""
+    files: dict[str, str]  # name -> SHA-256 of the other files
 
     @property
     def num_steps(self) -> int:

@@ -14,34 +14,25 @@ from cadenza.tasks.view import from_range
 class Transitions(NamedTuple):
     """The T steps of an episode."""
 
+    # Keys and pedal of the next step and of the L after it (T + 1, (L + 1) * (K + 1)), 0 or 1
     goal: Floats
-    """Keys and pedal of the next step and of the L after it (T + 1, (L + 1) * (K + 1)), 0 or 1."""
+    # 1 for each finger that has a key to press next (T + 1, F); F is 0 where the task shows no
+    # fingers
     fingering: Floats
-    """1 for each finger that has a key to press next (T + 1, F); F is 0 where the task shows no
-    fingers."""
+    # When the notes around begin (T + 1, (L + 2) * K), as a share of their step; as all parts of
+    # onsets, (T + 1, 0) where the task does not show them
     goal_onset: Floats
-    """When the notes around begin (T + 1, (L + 2) * K), as a share of their step; as all parts of
-    onsets, (T + 1, 0) where the task does not show them."""
-    goal_velocity: Floats
-    """How loud these notes are (T + 1, (L + 2) * K), 0 to 1."""
-    key_state: Floats
-    """Depth of the keys (T + 1, K), 0 to 1."""
-    pedal: Floats
-    """Depth of the pedal (T + 1, 1), 0 to 1."""
-    joints: Floats
-    """Joint positions (T + 1, J) [m, rad]."""
-    key_onset: Floats
-    """When keys began to sound in the step before (T + 1, K), as a share of it."""
-    key_velocity: Floats
-    """How loud they did (T + 1, K), 0 to 1."""
+    goal_velocity: Floats  # how loud these notes are (T + 1, (L + 2) * K), 0 to 1
+    key_state: Floats  # depth of the keys (T + 1, K), 0 to 1
+    pedal: Floats  # depth of the pedal (T + 1, 1), 0 to 1
+    joints: Floats  # joint positions (T + 1, J) [m, rad]
+    key_onset: Floats  # when keys began to sound in the step before (T + 1, K), as a share of it
+    key_velocity: Floats  # how loud they did (T + 1, K), 0 to 1
+    # Joint velocities (T + 1, J) [m/s, rad/s], no part of the environments' observation
     velocities: Floats
-    """Joint velocities (T + 1, J) [m/s, rad/s], no part of the environments' observation."""
-    chosen: Floats
-    """Actions that the demonstrator chose (T, A + 1), in [-1, 1], without noise."""
-    played: Floats
-    """Actions that were played before each state (T + 1, A + 1); 0 before the first."""
-    reward: NDArray[np.float64]
-    """Reward of each step (T,)."""
+    chosen: Floats  # actions that the demonstrator chose (T, A + 1), in [-1, 1], without noise
+    played: Floats  # actions that were played before each state (T + 1, A + 1); 0 before the first
+    reward: NDArray[np.float64]  # reward of each step (T,)
 
     @property
     def observation(self) -> Floats:

@@ -24,20 +24,17 @@ _MAX_ATTEMPTS = 3  # at a run whose process dies
 class BenchState:
     """State of a bench; runs have the names of their folders."""
 
-    folder: Path
-    """The folder of all runs."""
+    folder: Path  # the folder of all runs
     total: int
+    # Tells whether nothing is left to do for a run in its folder
     is_complete: Callable[[Any, Path], bool] = is_complete
-    """Tells whether nothing is left to do for a run in its folder."""
     todo: deque[BenchJob] = field(default_factory=deque)
     running: dict[str, BenchJob] = field(default_factory=dict)
-    elsewhere: list[BenchJob] = field(default_factory=list)
-    """Runs that another process works on."""
+    elsewhere: list[BenchJob] = field(default_factory=list)  # runs that another process works on
     finished: int = 0
-    failed: dict[str, str] = field(default_factory=dict)
-    """Reasons of the runs that failed."""
+    failed: dict[str, str] = field(default_factory=dict)  # reasons of the runs that failed
+    # Causes of death of the processes of each run
     died: dict[str, list[str]] = field(default_factory=dict)
-    """Causes of death of the processes of each run."""
 
     @property
     def left(self) -> int:

@@ -36,20 +36,17 @@ Pages = Literal["first-seed", "all", "none"]
 class JobSpec:
     """Everything that the result of a run depends on, but for the versions of programs."""
 
-    song: str
-    """The song as `cadenza play` takes it."""
-    song_digest: str
-    """A hash of what is played, see `song_digest`."""
+    song: str  # the song as `cadenza play` takes it
+    song_digest: str  # a hash of what is played, see `song_digest`
+    # A name that `cadenza play` takes, or train:PRESET(-residual): a policy is trained first
     agent: str
-    """A name that `cadenza play` takes, or train:PRESET(-residual): a policy is trained first."""
     seed: int
     task: TaskConfig
     scene: SceneConfig
     arrangement: Arrangement = field(default_factory=Arrangement)
+    # The agent's options, a dataclass; a `TrainingConfig` for one that is trained first
     config: Any = None
-    """The agent's options, a dataclass; a `TrainingConfig` for one that is trained first."""
-    agent_digest: str = ""
-    """A hash of the files of a policy, or of files that options name."""
+    agent_digest: str = ""  # a hash of the files of a policy, or of files that options name
 
     @property
     def training(self) -> TrainingConfig | None:
@@ -83,24 +80,19 @@ class SongFacts:
     composer: str = ""
     library: str = ""
     split: str = ""
-    difficulty: float | None = None
-    """1 to 10."""
-    seconds: float | None = None
-    """Length of the whole song."""
-    notes: int | None = None
-    """Number of notes to be played."""
+    difficulty: float | None = None  # 1 to 10
+    seconds: float | None = None  # length of the whole song
+    notes: int | None = None  # number of notes to be played
 
 
 @dataclass(frozen=True)
 class BenchJob:
     """A run to be carried out."""
 
-    command: ClassVar[str] = "cadenza bench"
-    """The command that begins and resumes it."""
+    command: ClassVar[str] = "cadenza bench"  # the command that begins and resumes it
     spec: JobSpec
     song: SongFacts
-    page: bool = True
-    """True if it leaves a page to watch and hear."""
+    page: bool = True  # true if it leaves a page to watch and hear
 
 
 @dataclass(frozen=True)
@@ -110,8 +102,7 @@ class Contender:
     agent: str
     task: TaskConfig
     scene: SceneConfig
-    config: Any = None
-    """See `JobSpec.config`; the seed of training is that of the run."""
+    config: Any = None  # see `JobSpec.config`; the seed of training is that of the run
     agent_digest: str = ""
 
     def with_seed(self, seed: int) -> Contender:

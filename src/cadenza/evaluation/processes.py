@@ -24,8 +24,7 @@ class Ended(NamedTuple):
     """A run whose process has ended."""
 
     job: BenchJob
-    crash: str = ""
-    """Cause of death of the process, in a line; empty if it ended by itself."""
+    crash: str = ""  # cause of death of the process, in a line; empty if it ended by itself
 
 
 class ProcessExecutor:

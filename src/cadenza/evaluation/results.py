@@ -24,21 +24,18 @@ PLANS, RUNS = "plans", "runs"
 class Timing:
     """Duration of a run."""
 
-    wall_seconds: float
-    """Wall time of the whole run with its training, but for the page."""
-    music_seconds: float
-    """Length of the music that was played."""
+    wall_seconds: float  # wall time of the whole run with its training, but for the page
+    music_seconds: float  # length of the music that was played
     threads: int
+    # CPU time of all threads in the same period; not known of training
     cpu_seconds: float | None = None
-    """CPU time of all threads in the same period; not known of training."""
 
 
 @dataclass(frozen=True)
 class Trained:
     """The training before a policy played."""
 
-    steps: int
-    """Number of control steps of all environments together."""
+    steps: int  # number of control steps of all environments together
     seconds: float
 
 
@@ -47,11 +44,9 @@ class ResultFile:
     """Content of result.json."""
 
     format: Literal[1]
-    job: dict[str, Any]
-    """A `cadenza.evaluation.jobs.JobSpec`."""
+    job: dict[str, Any]  # a `cadenza.evaluation.jobs.JobSpec`
     song: SongFacts
-    metrics: dict[str, int | float | bool | str | None]
-    """Metrics of `cadenza play`."""
+    metrics: dict[str, int | float | bool | str | None]  # metrics of `cadenza play`
     timing: Timing
     versions: dict[str, str]
     training: Trained | None = None
@@ -84,10 +79,8 @@ class _Who:
 class MissingRun:
     """A run that has no result."""
 
-    name: str
-    """Name of its folder."""
-    reason: str
-    """Reason why there is no result, in a line."""
+    name: str  # name of its folder
+    reason: str  # reason why there is no result, in a line
 
 
 @dataclass(frozen=True)
@@ -95,10 +88,9 @@ class BenchResults:
     """The runs of a folder, in the order of their names."""
 
     results: tuple[Result, ...]
-    broken: tuple[MissingRun, ...]
-    """Runs whose results cannot be read."""
+    broken: tuple[MissingRun, ...]  # runs whose results cannot be read
+    # Runs that have failed, are under way, or have only been planned
     unfinished: tuple[MissingRun, ...]
-    """Runs that have failed, are under way, or have only been planned."""
 
 
 @dataclass(frozen=True)

@@ -37,22 +37,14 @@ class Features:
     Notes without fingers count for no hand.
     """
 
-    notes: float
-    """Notes a second."""
-    chords: float
-    """Notes that begin together, beyond the first."""
-    polyphony: float
-    """Keys down at once while any is, beyond the first."""
-    spread: float
-    """Span of the keys that a hand strikes at once, for each note [semitones]."""
-    travel: float
-    """Speed of both hands together along the keyboard [semitones / s]."""
-    hurry: float
-    """Share of notes whose finger comes from another key without time to move."""
-    crossings: float
-    """Fingers that pass over or under one another [1 / s]."""
-    black: float
-    """Share of notes on black keys."""
+    notes: float  # notes a second
+    chords: float  # notes that begin together, beyond the first
+    polyphony: float  # keys down at once while any is, beyond the first
+    spread: float  # span of the keys that a hand strikes at once, for each note [semitones]
+    travel: float  # speed of both hands together along the keyboard [semitones / s]
+    hurry: float  # share of notes whose finger comes from another key without time to move
+    crossings: float  # fingers that pass over or under one another [1 / s]
+    black: float  # share of notes on black keys
 
 
 @dataclass(frozen=True)

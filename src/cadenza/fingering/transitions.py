@@ -20,16 +20,11 @@ _TIME_TO_CROSS = 0.3  # [s] in which a finger passes over another
 class Costs:
     """Weights of what a hand does between moments, 1 for something worth avoiding once."""
 
-    distance: float = 8.0
-    """Weight of moving along the keyboard [1 / m]."""
-    speed: float = 3.0
-    """Weight of moving fast [s / m^2]."""
-    same_finger: float = 2.0
-    """Cost of a finger that has no time to get from its key to another."""
-    crossing: float = 0.5
-    """Cost of a finger that passes over or under another without time for it."""
-    other_finger: float = 1.0
-    """Cost of another finger on a key that is struck again."""
+    distance: float = 8.0  # weight of moving along the keyboard [1 / m]
+    speed: float = 3.0  # weight of moving fast [s / m^2]
+    same_finger: float = 2.0  # cost of a finger that has no time to get from its key to another
+    crossing: float = 0.5  # cost of a finger that passes over or under another without time for it
+    other_finger: float = 1.0  # cost of another finger on a key that is struck again
 
 
 def transition_costs(

@@ -146,8 +146,7 @@ class HandOptions:
     apart: bool
     dry_friction: bool
     touch: bool
-    keyboard_half_length: float
-    """Half the length of the keyboard [m]."""
+    keyboard_half_length: float  # half the length of the keyboard [m]
 
 
 @dataclass(frozen=True)

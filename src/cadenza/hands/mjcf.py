@@ -61,59 +61,46 @@ _FOREARM = Link(
 class Tip:
     """The end of a finger that presses."""
 
-    tip: str
-    """A site at the centre of the round end, or the last body, whose shapes tell it."""
-    at: Vector | None = None
-    """The centre in the body's frame [m], if its shapes tell it badly."""
-    radius: float | None = None
-    """Its radius [m], if its shapes tell it badly."""
+    tip: str  # a site at the centre of the round end, or the last body, whose shapes tell it
+    at: Vector | None = None  # the centre in the body's frame [m], if its shapes tell it badly
+    radius: float | None = None  # its radius [m], if its shapes tell it badly
 
 
 @dataclass(frozen=True)
 class Description:
     """The content of the TOML of a hand."""
 
-    file: str
-    """The MJCF or URDF of a right hand, beside the TOML."""
-    palm: str
-    """The body that the forearm carries, with all that hangs from it."""
+    file: str  # the MJCF or URDF of a right hand, beside the TOML
+    palm: str  # the body that the forearm carries, with all that hangs from it
+    # Finger -> tip, the thumb first, then its neighbours in their order
     fingers: dict[str, str | Tip]
-    """Finger -> tip, the thumb first, then its neighbours in their order."""
+    # The axis of the palm's frame along which fingers point, if they do not while at 0
     along: Axis | None = None
-    """The axis of the palm's frame along which fingers point, if they do not while at 0."""
+    # Joint -> the joint that it follows, and its ratio to that; beside those of the file
     follows: dict[str, dict[str, float]] = field(default_factory=dict)
-    """Joint -> the joint that it follows, and its ratio to that; beside those of the file."""
-    fixed: dict[str, float] = field(default_factory=dict)
-    """Joint -> where it stays [rad, m]."""
-    kp: float | None = None
-    """Gain of all servos [N m/rad], in place of those of the file."""
-    force: float | None = None
-    """Their largest torque [N m]."""
-    damping: float | None = None
-    """Damping of all joints [N m s/rad]."""
-    armature: float | None = None
-    """Rotor inertia of all joints [kg m^2]."""
+    fixed: dict[str, float] = field(default_factory=dict)  # joint -> where it stays [rad, m]
+    kp: float | None = None  # gain of all servos [N m/rad], in place of those of the file
+    force: float | None = None  # their largest torque [N m]
+    damping: float | None = None  # damping of all joints [N m s/rad]
+    armature: float | None = None  # rotor inertia of all joints [kg m^2]
 
 
 @dataclass(frozen=True)
 class Measurement:
     """What planners know of a hand from a file, as `cadenza hand measure` finds it."""
 
-    pos: Vector
-    """Where the palm sits on the forearm [m]."""
+    pos: Vector  # where the palm sits on the forearm [m]
     quat: Quaternion
+    # Servo -> where the fingertips are just above white keys [rad, m]
     rest: dict[str, float] = field(default_factory=dict)
-    """Servo -> where the fingertips are just above white keys [rad, m]."""
-    lift: dict[str, float] = field(default_factory=dict)
-    """Servo -> motion that lifts its finger."""
+    lift: dict[str, float] = field(default_factory=dict)  # servo -> motion that lifts its finger
+    # Finger -> where it presses white keys [m]
     on_white: dict[str, float] = field(default_factory=dict)
-    """Finger -> where it presses white keys [m]."""
+    # The arrays of `Reach`
     reach: dict[Literal["rest", "least", "most", "outward", "inward"], list[Any]] = field(
         default_factory=dict
     )
-    """The arrays of `Reach`."""
-    sha256: str = ""
-    """The digest of the files that were measured."""
+    sha256: str = ""  # the digest of the files that were measured
 
 
 def from_mjcf(path: str | Path) -> Hand:

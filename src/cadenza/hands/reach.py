@@ -64,18 +64,14 @@ class JumpTimes:
     way it accelerates, then it decelerates. To strike a chord it then descends.
     """
 
+    # Distance that fingers cover without the hand, from keys that are released [m]
     within_reach: float = 0.05
-    """Distance that fingers cover without the hand, from keys that are released [m]."""
+    # Distance that fingers cover without the hand, from keys that stay held [m]
     while_holding: float = 0.06
-    """Distance that fingers cover without the hand, from keys that stay held [m]."""
-    glide: float = 80.0
-    """Acceleration from a single key to a single key [m/s^2]."""
-    glide_of_chord: float = 50.0
-    """Acceleration from or to a chord [m/s^2]."""
-    descent: float = 0.05
-    """Time to come down on a chord [s]."""
-    climb: float = 0.1
-    """Time in which a finger gets from a white key onto a black one [s]."""
+    glide: float = 80.0  # acceleration from a single key to a single key [m/s^2]
+    glide_of_chord: float = 50.0  # acceleration from or to a chord [m/s^2]
+    descent: float = 0.05  # time to come down on a chord [s]
+    climb: float = 0.1  # time in which a finger gets from a white key onto a black one [s]
 
     def accelerated(self, factor: float) -> JumpTimes:
         """The times of the hand with `factor` times the acceleration."""

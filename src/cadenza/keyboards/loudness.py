@@ -20,14 +20,12 @@ class PianoAction:
     (JASA 110(1), 2001), who measured a computer-controlled grand piano.
     """
 
+    # Speed of a hammer over that of the player's end of its key: a hammer travels about 48 mm while
+    # the key goes down by about 10 mm (Fletcher and Rossing, The Physics of Musical Instruments,
+    # chapter 12)
     hammer_ratio: float = 5.0
-    """Speed of a hammer over that of the player's end of its key: a hammer travels about 48 mm
-    while the key goes down by about 10 mm (Fletcher and Rossing, The Physics of Musical
-    Instruments, chapter 12)."""
-    velocity_at_1: float = 52.0
-    """MIDI velocity of a hammer of 1 m/s."""
-    per_doubling: float = 25.0
-    """MIDI velocity that doubling the speed adds."""
+    velocity_at_1: float = 52.0  # MIDI velocity of a hammer of 1 m/s
+    per_doubling: float = 25.0  # MIDI velocity that doubling the speed adds
 
     def velocity(self, key_speed: NDArray[np.float64]) -> NDArray[np.float64]:
         """The MIDI velocities, not rounded, of keys whose ends move at these speeds (...) [m/s].

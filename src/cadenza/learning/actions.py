@@ -38,16 +38,11 @@ class Reference(NamedTuple):
     In double precision, as the same controls are to play the same notes.
     """
 
-    ctrl: Array
-    """(T, A) [m, rad]"""
-    gain: Array
-    """(T, A, 2) feedback gains of the deviations of position and speed."""
-    expected: Array
-    """(T + 1, A, 2) position and speed of each servo."""
-    pedal: Array
-    """(T,)"""
-    reach: Array
-    """(A,) largest corrections [m, rad]."""
+    ctrl: Array  # (T, A) [m, rad]
+    gain: Array  # (T, A, 2) feedback gains of the deviations of position and speed
+    expected: Array  # (T + 1, A, 2) position and speed of each servo
+    pedal: Array  # (T,)
+    reach: Array  # (A,) largest corrections [m, rad]
 
 
 def reference_of(task: PianoTask, seed: int = 0) -> Reference:

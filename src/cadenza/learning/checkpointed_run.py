@@ -34,8 +34,7 @@ class _Facts:
     seconds: float
     rng: dict[str, Any]
     metrics_size: Count
-    own: dict[str, Any]
-    """The values that this kind of run keeps beside those of every run."""
+    own: dict[str, Any]  # the values that this kind of run keeps beside those of every run
 
 
 class CheckpointedRun(ABC):
@@ -48,8 +47,7 @@ class CheckpointedRun(ABC):
         rows: Metrics so far, oldest first.
     """
 
-    command: ClassVar[str]
-    """The command that begins and resumes such runs."""
+    command: ClassVar[str]  # the command that begins and resumes such runs
 
     @classmethod
     def folder_at(cls, path: Path) -> ResumableFolder:

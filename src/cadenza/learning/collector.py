@@ -27,10 +27,9 @@ class Step(NamedTuple):
     """The result of a control step of N environments."""
 
     transition: Transition
+    # (N, D) after the step, before the next episode began where one has ended
     final_observation: Floats
-    """(N, D) after the step, before the next episode began where one has ended."""
-    finished: list[Finished]
-    """The episodes that ended."""
+    finished: list[Finished]  # the episodes that ended
 
 
 class Collector:

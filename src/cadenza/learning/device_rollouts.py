@@ -28,8 +28,7 @@ class _DeviceProgress(NamedTuple):
     """N environments, and what their episodes have earned so far."""
 
     worlds: PianoState
-    returns: Array
-    """(N,)"""
+    returns: Array  # (N,)
 
 
 class _Ends(NamedTuple):

@@ -37,8 +37,7 @@ class Chunk:
     """A file of experience for the replay buffer."""
 
     file: Annotated[str, Meta(pattern=f"^{_CHUNK}$")]
-    to: tuple[Count, ...]
-    """The number of frames of each environment up to the end of the chunk."""
+    to: tuple[Count, ...]  # the number of frames of each environment up to the end of the chunk
 
 
 class Experience(Protocol):

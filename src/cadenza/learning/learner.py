@@ -53,8 +53,7 @@ class AnyLearner(Protocol[State]):
     All that learning changes is in a state, so that a run can be stopped and resumed.
     """
 
-    num_threads: int | None
-    """The number of threads, if the last digits of the results depend on it."""
+    num_threads: int | None  # the number of threads, if the last digits of the results depend on it
 
     def init(self, seed: int) -> State:
         """Draw the state before the first update."""

@@ -33,26 +33,19 @@ Floats = NDArray[np.float32]
 class ObservationSpec:
     """The parts of an observation in their order, each with its size, whatever the song is."""
 
-    goal: int
-    """Keys and pedal of the next step and of those ahead of it."""
+    goal: int  # keys and pedal of the next step and of those ahead of it
     fingering: int
-    goal_onset: int = 0
-    """When notes begin, in the last step, in the next one and in those after it."""
-    goal_velocity: int = 0
-    """How loud these notes are."""
+    goal_onset: int = 0  # when notes begin, in the last step, in the next one and in those after it
+    goal_velocity: int = 0  # how loud these notes are
     key_state: int
     pedal: int
     joints: int
-    touch: int = 0
-    """Forces on the fingertips, where there are sensors."""
-    key_onset: int = 0
-    """When keys began to sound in the last step."""
-    key_velocity: int = 0
-    """How loud they did."""
+    touch: int = 0  # forces on the fingertips, where there are sensors
+    key_onset: int = 0  # when keys began to sound in the last step
+    key_velocity: int = 0  # how loud they did
     previous_action: int
     previous_reward: int
-    reference: int
-    """The next action of what a residual policy corrects."""
+    reference: int  # the next action of what a residual policy corrects
 
     @classmethod
     def of(cls, task: TaskSpec, residual: bool = False) -> ObservationSpec:
@@ -91,10 +84,8 @@ class ObservationSpec:
 class Inputs:
     """The entries of an observation that a network is given."""
 
-    kept: tuple[int, ...]
-    """Their indices, ascending."""
-    total: int
-    """The number of entries of the observation."""
+    kept: tuple[int, ...]  # their indices, ascending
+    total: int  # the number of entries of the observation
 
     def __post_init__(self) -> None:
         """Raise a CadenzaError if the indices are not ascending, or not below the total."""

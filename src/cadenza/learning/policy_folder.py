@@ -113,10 +113,8 @@ class _PerceptronFacts(_PolicyFacts):
 
 @dataclass(frozen=True)
 class _OtherFacts(_PolicyFacts):
-    learner: str
-    """The name of the learner that reads the policy."""
-    policy: dict[str, Any]
-    """The facts of `Policy.state`."""
+    learner: str  # the name of the learner that reads the policy
+    policy: dict[str, Any]  # the facts of `Policy.state`
 
 
 @dataclass(frozen=True)

@@ -23,18 +23,13 @@ class Problem:
     """The songs of a run and the environments that play them."""
 
     config: TrainingConfig
-    scores: tuple[Score, ...]
-    """The songs, of which each episode draws one."""
-    task: PianoTask
-    """The environments in C, or one of them where policies learn on a device."""
+    scores: tuple[Score, ...]  # the songs, of which each episode draws one
+    task: PianoTask  # the environments in C, or one of them where policies learn on a device
     goals: GoalTable
     observation: ObservationSpec
-    inputs: Inputs
-    """The entries of the observation that the policy is given."""
-    reference: Reference | None
-    """The performance that a residual policy corrects."""
-    ranges: Ranges | None
-    """The scale of joints and actions, if not the task's."""
+    inputs: Inputs  # the entries of the observation that the policy is given
+    reference: Reference | None  # the performance that a residual policy corrects
+    ranges: Ranges | None  # the scale of joints and actions, if not the task's
 
     @property
     def scene(self) -> SceneConfig:

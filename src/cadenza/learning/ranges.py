@@ -29,10 +29,8 @@ _ALONG_KEYBOARD = 1  # axis y
 class Ranges(NamedTuple):
     """Least and largest joint positions and actions, which become -1 and 1."""
 
-    joints: Array
-    """(2, J) [m, rad]"""
-    actions: Array
-    """(2, A) [m, rad], the pedal last."""
+    joints: Array  # (2, J) [m, rad]
+    actions: Array  # (2, A) [m, rad], the pedal last
 
     def ctrl(self, action: Floats) -> Array:
         """Actions (N, A) in actuator units from those in [-1, 1], which are clipped."""

@@ -36,10 +36,8 @@ class _Manifest:
     config: TrainingConfig
     songs: tuple[WrittenScore, ...]
     versions: dict[str, str]
-    id: str
-    """A random name, which no other run has."""
-    learner: str
-    """The name of the learner."""
+    id: str  # a random name, which no other run has
+    learner: str  # the name of the learner
 
 
 class RunFolder(ResumableFolder):

@@ -39,17 +39,14 @@ _EPISODES_AVERAGED = 100  # in a row of metrics
 class _Progress:
     """What a checkpoint has besides arrays."""
 
-    best: dict[str, float | None]
-    """The row of the best evaluation."""
+    best: dict[str, float | None]  # the row of the best evaluation
     collector: dict[str, Any]
     finished: tuple[tuple[float | None, float | None], ...]
     replay: tuple[Chunk, ...]
+    # Pairs of a step and the last step at which the run was to end since then
     ends: tuple[tuple[Count, Count], ...]
-    """Pairs of a step and the last step at which the run was to end since then."""
-    threads: int | None
-    """Threads of the learner, if their number is known."""
-    updates: Count
-    """Updates of the learner so far."""
+    threads: int | None  # threads of the learner, if their number is known
+    updates: Count  # updates of the learner so far
 
 
 def begin(config: TrainingConfig, scores: Sequence[Score], folder: RunFolder) -> Training:

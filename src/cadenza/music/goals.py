@@ -22,13 +22,10 @@ NO_HANDS = Fingers(per_hand=0)
 class Onsets(NamedTuple):
     """The beginnings of N notes, by control step and then by key, (N,) each."""
 
-    step: NDArray[np.intp]
-    """The first step after which the key should be down."""
+    step: NDArray[np.intp]  # the first step after which the key should be down
     key: NDArray[np.intp]
-    time: NDArray[np.float64]
-    """When the note begins, from the beginning of the step on [s]."""
-    velocity: NDArray[np.intp]
-    """The MIDI velocity of the note."""
+    time: NDArray[np.float64]  # when the note begins, from the beginning of the step on [s]
+    velocity: NDArray[np.intp]  # the MIDI velocity of the note
 
     def delayed(self, steps: int) -> Onsets:
         """These onsets, moved later by a number of steps."""

@@ -20,31 +20,25 @@ _BEFORE, _AFTER = 0.15, 0.1
 class ExtraNotes(NamedTuple):
     """Notes that were played for no written note, by kind."""
 
+    # They are more than 50 ms late or early, for a written note that is missed
     off_time: list[Note]
-    """They are more than 50 ms late or early, for a written note that is missed."""
-    again: list[Note]
-    """Their key should sound then, or just did, and was struck again."""
-    neighbour: list[Note]
-    """Their key lies beside one that should sound."""
+    again: list[Note]  # their key should sound then, or just did, and was struck again
+    neighbour: list[Note]  # their key lies beside one that should sound
     other: list[Note]
 
 
 class MissedNotes(NamedTuple):
     """Written notes for which none was played within 50 ms, by kind."""
 
-    off_time: list[Note]
-    """They were played late or early."""
-    held: list[Note]
-    """Their key was still down from before."""
-    silent: list[Note]
-    """Their key did not begin to sound."""
+    off_time: list[Note]  # they were played late or early
+    held: list[Note]  # their key was still down from before
+    silent: list[Note]  # their key did not begin to sound
 
 
 class NoteErrors(NamedTuple):
     """The notes of a performance that are right, and those that are not."""
 
-    pairs: list[Pair]
-    """Notes that begin within 50 ms of each other, the written one first."""
+    pairs: list[Pair]  # notes that begin within 50 ms of each other, the written one first
     extra: ExtraNotes
     missed: MissedNotes
 

@@ -25,12 +25,9 @@ class KeyEvent(NamedTuple):
 
     step: int
     key: int
-    onset: float
-    """The time in the step at which the key began to sound [s]."""
-    offset: float
-    """The time in the step at which the key ceased to sound [s]."""
-    velocity: float
-    """The MIDI velocity at the onset."""
+    onset: float  # the time in the step at which the key began to sound [s]
+    offset: float  # the time in the step at which the key ceased to sound [s]
+    velocity: float  # the MIDI velocity at the onset
 
 
 def key_events(
@@ -49,8 +46,7 @@ class _Sounded:
     start: float
     key: int
     velocity: float
-    end: float | None = None
-    """None as long as the key sounds."""
+    end: float | None = None  # none as long as the key sounds
 
 
 class SoundedNotes:

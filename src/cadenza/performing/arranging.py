@@ -41,12 +41,9 @@ _TWO_HANDS = 2  # tracks of one player
 class HandArrangement:
     """A song as it was arranged for hands, and the song itself."""
 
-    original: Score
-    """The song with all of its notes."""
-    arranged: Arranged
-    """What the hands play."""
-    hands: str
-    """The hands that play, in words."""
+    original: Score  # the song with all of its notes
+    arranged: Arranged  # what the hands play
+    hands: str  # the hands that play, in words
 
     def __str__(self) -> str:
         """What was done, in words."""

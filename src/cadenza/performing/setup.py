@@ -32,17 +32,15 @@ from cadenza.tasks.piano_task import PianoTask
 class Setup:
     """A task and an agent that play once, and the options that were chosen."""
 
-    score: Score
-    """The song in its own time and pitch; the task may stretch and transpose it."""
+    score: Score  # the song in its own time and pitch; the task may stretch and transpose it
     agent: Agent
     task: PianoTask
     seed: int
+    # The options by name, as JSON has them; and `remarks` on what of the song is not played
     settings: dict[str, Any]
-    """The options by name, as JSON has them; and `remarks` on what of the song is not played."""
-    options: dict[str, Any]
-    """The options that have to be the same for a plan to play the same."""
+    options: dict[str, Any]  # the options that have to be the same for a plan to play the same
+    # The song as it was arranged for the hands, if it was
     arrangement: HandArrangement | None = None
-    """The song as it was arranged for the hands, if it was."""
 
     @property
     def num_steps(self) -> int:

@@ -89,26 +89,20 @@ class PieceSummary:
     title: str
     composer: str
     library: str
-    difficulty: float
-    """The grade from 1 to 10; NaN where it is not known."""
-    seconds: float
-    """Length of the music that was played."""
-    notes: int
-    """Number of notes to be played."""
+    difficulty: float  # the grade from 1 to 10; NaN where it is not known
+    seconds: float  # length of the music that was played
+    notes: int  # number of notes to be played
 
 
 @dataclass(frozen=True)
 class RunSummary:
     """The run of an agent with a seed at a piece."""
 
-    piece: int
-    """Index of the piece."""
+    piece: int  # index of the piece
     agent: str
     seed: int
-    metrics: Mapping[str, float]
-    """Value of each of `METRICS`."""
-    page: Path | None
-    """The page on which it can be seen and heard."""
+    metrics: Mapping[str, float]  # value of each of `METRICS`
+    page: Path | None  # the page on which it can be seen and heard
 
 
 @dataclass(frozen=True)
@@ -117,8 +111,7 @@ class AgentSummary:
 
     pieces: int
     runs: int
-    mean: Mapping[str, Estimate]
-    """The mean of each of `METRICS`: numbers."""
+    mean: Mapping[str, Estimate]  # the mean of each of `METRICS`: numbers
 
 
 @dataclass(frozen=True)
@@ -126,10 +119,8 @@ class Group:
     """Pieces that are summed up together."""
 
     name: str
-    pieces: Sequence[int]
-    """Indices of the pieces."""
-    agents: Mapping[str, AgentSummary]
-    """Every agent that played any of them."""
+    pieces: Sequence[int]  # indices of the pieces
+    agents: Mapping[str, AgentSummary]  # every agent that played any of them
 
 
 @dataclass(frozen=True)
@@ -138,15 +129,13 @@ class BenchSummary:
 
     title: str
     pieces: Sequence[PieceSummary]
-    agents: Sequence[str]
-    """Ordered by how many pieces they played, and then by how well."""
+    agents: Sequence[str]  # ordered by how many pieces they played, and then by how well
     runs: Sequence[RunSummary]
+    # The mean over seeds of each of `METRICS`: arrays (agents, pieces), NaN without a run
     by_piece: Mapping[str, Estimate]
-    """The mean over seeds of each of `METRICS`: arrays (agents, pieces), NaN without a run."""
-    groups: Sequence[Group]
-    """The first is that of all pieces."""
+    groups: Sequence[Group]  # the first is that of all pieces
+    # Reasons to be careful with comparisons: a line, and its cases
     caveats: Sequence[tuple[str, Sequence[str]]]
-    """Reasons to be careful with comparisons: a line, and its cases."""
 
 
 def metric_text(name: str, value: float) -> str:

@@ -56,10 +56,8 @@ class LineChart(NamedTuple):
     """A chart of lines as the template takes it."""
 
     title: str
-    description: str
-    """A sentence that stands for the picture."""
-    data: dict[str, Any]
-    """The input of `curves.js`."""
+    description: str  # a sentence that stands for the picture
+    data: dict[str, Any]  # the input of `curves.js`
 
 
 @dataclass(frozen=True)
@@ -67,14 +65,11 @@ class Curve:
     """A training run."""
 
     name: str
+    # Oldest first, each with `step` in control steps. The row of an evaluation has `eval_step`, the
+    # step of the policy that was evaluated, and columns `eval/...`; others have `train/...` and
+    # `episodes/...`. Any but `step` may be missing.
     rows: Sequence[Mapping[str, float | None]]
-    """Oldest first, each with `step` in control steps.
-
-    The row of an evaluation has `eval_step`, the step of the policy that was evaluated, and columns
-    `eval/...`; others have `train/...` and `episodes/...`. Any but `step` may be missing.
-    """
-    task: str = ""
-    """Song and settings; runs that differ in it are not drawn as one."""
+    task: str = ""  # song and settings; runs that differ in it are not drawn as one
 
 
 def training_page(

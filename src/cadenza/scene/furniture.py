@@ -52,8 +52,7 @@ class CasePiece:
     half_size: tuple[float, float, float]
     pos: tuple[float, float, float]
     material: Material = LACQUER
-    slope: float = 0.0
-    """How far it rises towards the back [rad]."""
+    slope: float = 0.0  # how far it rises towards the back [rad]
 
     @property
     def quat(self) -> tuple[float, float, float, float]:

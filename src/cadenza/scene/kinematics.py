@@ -21,18 +21,12 @@ TIP = -1  # index of the tip among a finger's points
 class _JacobianTerms(NamedTuple):
     """N pairs of a joint and a point that it moves; no two have both the servo and the point."""
 
-    joint: Ids
-    """(N,) the joints."""
-    share: Array
-    """(N,) derivatives of the joints by the servo's coordinate."""
-    point: Ids
-    """(N,) the points."""
-    where: Ids
-    """(3, N) places of x, y and z in the Jacobian of a posture, flattened."""
-    hinge: bool
-    """Whether the joints are hinges, not slides."""
-    repeated: bool
-    """Whether earlier terms have the same servos and points."""
+    joint: Ids  # (N,) the joints
+    share: Array  # (N,) derivatives of the joints by the servo's coordinate
+    point: Ids  # (N,) the points
+    where: Ids  # (3, N) places of x, y and z in the Jacobian of a posture, flattened
+    hinge: bool  # whether the joints are hinges, not slides
+    repeated: bool  # whether earlier terms have the same servos and points
 
 
 class Links(NamedTuple):
@@ -41,16 +35,12 @@ class Links(NamedTuple):
     A is the number of servos of one hand, which move its fingers; J that of its joints.
     """
 
-    points: Array
-    """(S, H, F, P, 3) the points of `Kinematics` [m]."""
-    tips: Array
-    """(S, H, F, 3, A) Jacobians of the tips."""
+    points: Array  # (S, H, F, P, 3) the points of `Kinematics` [m]
+    tips: Array  # (S, H, F, 3, A) Jacobians of the tips
+    # (S, H, J, 6) screws of the joints: axis, and velocity that they give to the origin
     screws: Array
-    """(S, H, J, 6) screws of the joints: axis, and velocity that they give to the origin."""
-    carried: NDArray[np.bool_]
-    """(F, P, J) whether a joint moves the link that begins at a point."""
-    shares: Array
-    """(J, A) derivatives of the joints by the servos' coordinates."""
+    carried: NDArray[np.bool_]  # (F, P, J) whether a joint moves the link that begins at a point
+    shares: Array  # (J, A) derivatives of the joints by the servos' coordinates
 
     def along(self, posture: Ids, finger: Ids, link: Ids, at: Array, direction: Array) -> Array:
         """(..., A) derivatives of points on links along a direction, by the servos' coordinates.

@@ -45,36 +45,26 @@ class Scene:
 
     config: SceneConfig
     keyboard: Keyboard
-    hand: Hand
-    """The kind of both hands."""
+    hand: Hand  # the kind of both hands
     model: mujoco.MjModel
     sides: tuple[Side, ...]
-    key_qpos: slice
-    """Places of the keys' joints in qpos."""
-    key_geoms: slice
-    """Places of the keys' boxes among the geoms."""
-    hand_qpos: slice
-    """Places of the J hand joints in qpos."""
-    hand_qvel: slice
-    """Places of the J hand joints in qvel."""
+    key_qpos: slice  # places of the keys' joints in qpos
+    key_geoms: slice  # places of the keys' boxes among the geoms
+    hand_qpos: slice  # places of the J hand joints in qpos
+    hand_qvel: slice  # places of the J hand joints in qvel
     hand_joint_names: tuple[str, ...]
+    # (J,) positions of the hand joints when an episode begins [m, rad]
     hand_start: NDArray[np.float64]
-    """(J,) positions of the hand joints when an episode begins [m, rad]."""
     actuator_names: tuple[str, ...]
+    # Sites of the fingers that are there, each hand's from the thumb on, right hand first
     fingertip_sites: Ids
-    """Sites of the fingers that are there, each hand's from the thumb on, right hand first."""
-    fingers: Fingers
-    """The numbers of fingers in arrays over the F places of both hands."""
-    present_fingers: slice
-    """The numbers of the fingers of the hands in the scene."""
+    fingers: Fingers  # the numbers of fingers in arrays over the F places of both hands
+    present_fingers: slice  # the numbers of the fingers of the hands in the scene
+    # (H, G) which geoms of each hand are of links that the reward for forearms keeps apart
     forearm_geoms: NDArray[np.bool_]
-    """(H, G) which geoms of each hand are of links that the reward for forearms keeps apart."""
-    hand_bodies: Ids
-    """(B,) the bodies that move with the hands."""
-    palm_bodies: Ids
-    """The bodies that hide keys from above."""
-    slide_joints: Ids
-    """Indices of the J joints that slide the hands along the keyboard."""
+    hand_bodies: Ids  # (B,) the bodies that move with the hands
+    palm_bodies: Ids  # the bodies that hide keys from above
+    slide_joints: Ids  # indices of the J joints that slide the hands along the keyboard
 
     def __repr__(self) -> str:
         hands, hand, keyboard = self.config.hands, self.config.hand, self.config.keyboard
@@ -152,10 +142,8 @@ class HandAlone(NamedTuple):
     """A scene with one hand of another scene only."""
 
     scene: Scene
-    servos: slice
-    """The actuators of the hand among those of both."""
-    joints: slice
-    """The joints of the hand among those of both."""
+    servos: slice  # the actuators of the hand among those of both
+    joints: slice  # the joints of the hand among those of both
 
 
 @lru_cache(maxsize=8)  # shared by all that play a plan, as it takes long to build

@@ -31,23 +31,17 @@ class Servos:
     another moves with the coordinate of that one.
     """
 
+    # Names of their joints or tendons, without the side, such as "FFJ3" and "forearm_tx"
     names: tuple[str, ...]
-    """Names of their joints or tendons, without the side, such as "FFJ3" and "forearm_tx"."""
-    joints: Array
-    """(A, J) derivative of the joints by each coordinate [rad/rad, m/m]."""
-    stiffness: Array
-    """(A,) stiffness [N/m, N m/rad]."""
-    damping: Array
-    """(A,) damping [N s/m, N m s/rad]."""
+    joints: Array  # (A, J) derivative of the joints by each coordinate [rad/rad, m/m]
+    stiffness: Array  # (A,) stiffness [N/m, N m/rad]
+    damping: Array  # (A,) damping [N s/m, N m s/rad]
+    # (A,) inertia with all other joints at rest [kg, kg m^2], in the posture of the compiled model
+    # or that in which an arm begins
     inertia: Array
-    """(A,) inertia with all other joints at rest [kg, kg m^2], in the posture of the compiled model
-    or that in which an arm begins."""
-    low: Array
-    """(A,) lower bounds of the coordinates, and of their controls [m, rad]."""
-    high: Array
-    """(A,) upper bounds [m, rad]."""
-    uses: tuple[Servo, ...]
-    """The servos as planners and policies use them."""
+    low: Array  # (A,) lower bounds of the coordinates, and of their controls [m, rad]
+    high: Array  # (A,) upper bounds [m, rad]
+    uses: tuple[Servo, ...]  # the servos as planners and policies use them
 
     @property
     def along_keyboard(self) -> list[int]:

@@ -27,19 +27,15 @@ class Linearisation(NamedTuple):
     There are K keys, V joints of keys and hands, A actuators, and F fingers of two hands.
     """
 
+    # (T, P, 2 V, 2 V + A) derivatives of positions and velocities by those at the beginning of the
+    # control step, and by the control that is held through it
     jacobian: Array
-    """(T, P, 2 V, 2 V + A) derivatives of positions and velocities by those at the beginning of
-    the control step, and by the control that is held through it."""
-    key_qpos: Array
-    """(T, P, K) joint angles of the keys [rad]."""
-    key_xpos: Array
-    """(T, P, K, 3) centres of the keys' boxes in the world [m]."""
-    key_jacobian: Array
-    """(T, P, K, 3) their derivatives by the key's own joint [m/rad]."""
+    key_qpos: Array  # (T, P, K) joint angles of the keys [rad]
+    key_xpos: Array  # (T, P, K, 3) centres of the keys' boxes in the world [m]
+    key_jacobian: Array  # (T, P, K, 3) their derivatives by the key's own joint [m/rad]
+    # (T, P, F, 3) fingertips in the world [m]; zero for a hand that is not there
     fingertip_xpos: Array
-    """(T, P, F, 3) fingertips in the world [m]; zero for a hand that is not there."""
-    fingertip_jacobian: Array
-    """(T, P, F, 3, V) their derivatives by the joints."""
+    fingertip_jacobian: Array  # (T, P, F, 3, V) their derivatives by the joints
 
 
 class Lineariser:

@@ -93,23 +93,17 @@ class State(NamedTuple):
 class HeldControls(NamedTuple):
     """Controls that are held at the beginning of a control step, until its own ones arrive."""
 
-    ctrl: Array
-    """(N, A) controls in actuator units."""
-    substeps: NDArray[np.intp]
-    """(N,) number of physics steps, fewer than a control step has."""
+    ctrl: Array  # (N, A) controls in actuator units
+    substeps: NDArray[np.intp]  # (N,) number of physics steps, fewer than a control step has
 
 
 class Path(NamedTuple):
     """The way through a control step: its S + 1 states, before and after each physics step."""
 
-    hand_qpos: Array
-    """(N, S + 1, J) joint positions of the hands [m, rad]."""
-    hand_qvel: Array
-    """(N, S + 1, J) joint velocities of the hands [m/s, rad/s]."""
-    key_qpos: Array
-    """(N, S + 1, K) joint angles of the keys [rad]."""
-    touch: Array
-    """(N, S + 1, F) normal forces on the fingertips, of a physics step earlier [N]."""
+    hand_qpos: Array  # (N, S + 1, J) joint positions of the hands [m, rad]
+    hand_qvel: Array  # (N, S + 1, J) joint velocities of the hands [m/s, rad/s]
+    key_qpos: Array  # (N, S + 1, K) joint angles of the keys [rad]
+    touch: Array  # (N, S + 1, F) normal forces on the fingertips, of a physics step earlier [N]
 
     @classmethod
     def still(cls, state: State, length: int) -> Path:

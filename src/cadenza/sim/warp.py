@@ -64,17 +64,13 @@ class Buffers:
 class Physics(NamedTuple):
     """The physical state of N worlds: all from which the next steps follow."""
 
-    qpos: Any
-    """(N, nq) positions of all joints [m, rad]."""
-    qvel: Any
-    """(N, nv) their velocities [m/s, rad/s]."""
-    warmstart: Any
-    """(N, nv) accelerations from which the solver starts [m/s^2, rad/s^2]."""
-    unstable: Any
-    """(N,) bool, whether a world has diverged, or lost contacts, since it was reset."""
+    qpos: Any  # (N, nq) positions of all joints [m, rad]
+    qvel: Any  # (N, nv) their velocities [m/s, rad/s]
+    warmstart: Any  # (N, nv) accelerations from which the solver starts [m/s^2, rad/s^2]
+    unstable: Any  # (N,) bool, whether a world has diverged, or lost contacts, since it was reset
+    # (N,) int32, which buffers had no room for contacts since it was reset, bits of
+    # `mujoco_warp.OverflowType`
     overflow: Any
-    """(N,) int32, which buffers had no room for contacts since it was reset, bits of
-    `mujoco_warp.OverflowType`."""
 
 
 class WarpPhysics:

@@ -55,29 +55,23 @@ AGENTS = {
 class PlayRequest:
     """A song, and how it is to be played."""
 
-    song: str
-    """The name of a bundled piece, or the id of an upload."""
+    song: str  # the name of a bundled piece, or the id of an upload
+    # The name of an agent that the studio offers; on the command line, of any
     agent: str = "planner"
-    """The name of an agent that the studio offers; on the command line, of any."""
-    tempo: float = 1.0
-    """The speed, as a multiple of the written one."""
-    transpose: int = 0
-    """The number of semitones."""
-    tracks: tuple[int, ...] = ()
-    """Numbers of the tracks to be played; all where none is given."""
-    hand: str = "shadow"
-    """The name of a hand that the studio offers; on the command line, of any."""
+    tempo: float = 1.0  # the speed, as a multiple of the written one
+    transpose: int = 0  # the number of semitones
+    tracks: tuple[int, ...] = ()  # numbers of the tracks to be played; all where none is given
+    hand: str = "shadow"  # the name of a hand that the studio offers; on the command line, of any
+    # The hands that play: both as it suits them or as written, or one what is written for it
     hands: Literal["both", "written", "right", "left"] = "both"
-    """The hands that play: both as it suits them or as written, or one what is written for it."""
     seed: int = 0
+    # Whether the notes of a score are played as they stand, without what its signs mean
     plain: bool = False
-    """Whether the notes of a score are played as they stand, without what its signs mean."""
-    expression: bool = False
-    """Whether the rules of expression perform the song, with a dose of 1."""
+    expression: bool = False  # whether the rules of expression perform the song, with a dose of 1
+    # Whether a song that the hands cannot play as written is arranged for them
     arrange: Literal["auto", "off"] = "auto"
-    """Whether a song that the hands cannot play as written is arranged for them."""
+    # The difficulty to which the song is arranged, from 1 to 10; None is as hard as it can be
     level: int | None = None
-    """The difficulty to which the song is arranged, from 1 to 10; None is as hard as it can be."""
 
     @property
     def arrangement(self) -> Arrangement:
@@ -106,13 +100,10 @@ class Order:
 
     request: PlayRequest
     title: str
-    source: str
-    """The name of a bundled piece, or the path of an upload."""
+    source: str  # the name of a bundled piece, or the path of an upload
     uploaded: bool
-    id: str
-    """The name of the performance."""
-    folder: str
-    """The folder of the studio, where the performance is kept."""
+    id: str  # the name of the performance
+    folder: str  # the folder of the studio, where the performance is kept
 
 
 def hand_titles() -> dict[str, str]:

@@ -72,10 +72,8 @@ class KeptPerformance:
     request: PlayRequest
     verdict: str
     seconds: float
-    finished: float
-    """The time [s] since 1970."""
-    remarks: list[str] = field(default_factory=list)
-    """Parts of the song that are not played."""
+    finished: float  # the time [s] since 1970
+    remarks: list[str] = field(default_factory=list)  # parts of the song that are not played
 
 
 class Storage:

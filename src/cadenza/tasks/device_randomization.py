@@ -25,12 +25,9 @@ host, in 0.6 ms, so that they are there before the first step."""
 class Draws(NamedTuple):
     """What is random in the episodes of N environments."""
 
-    seed: Array
-    """(N,) int32, the seed from which models and latencies follow, as in `DrawRanges`."""
-    sent: Array
-    """(N, L, A + 1) the last actions in actuator units, the newest first."""
-    offset: Array
-    """(N, J + K + F) noise on observed joints [m, rad], key states and, none, touch."""
+    seed: Array  # (N,) int32, the seed from which models and latencies follow, as in `DrawRanges`
+    sent: Array  # (N, L, A + 1) the last actions in actuator units, the newest first
+    offset: Array  # (N, J + K + F) noise on observed joints [m, rad], key states and, none, touch
 
 
 class DeviceRandomization:

@@ -42,40 +42,29 @@ METRICS = "precision", "recall", "f1"
 class SongGoals(NamedTuple):
     """The goals of S songs, padded to the T control steps of the longest."""
 
-    goal: Array
-    """(S, T + L, K + 1) bool, keys and pedal; nothing past the end of a song."""
-    fingers: Array
-    """(S, T, K) int8, fingers for the keys, -1 for none."""
-    fingers_wanted: Array
-    """(S, T, F) bool, which fingers have a key to press."""
-    num_steps: Array
-    """(S,) int32, control steps of each song."""
+    goal: Array  # (S, T + L, K + 1) bool, keys and pedal; nothing past the end of a song
+    fingers: Array  # (S, T, K) int8, fingers for the keys, -1 for none
+    fingers_wanted: Array  # (S, T, F) bool, which fingers have a key to press
+    num_steps: Array  # (S,) int32, control steps of each song
+    # (S, T + W, K) when notes begin, from the beginnings of their steps on [s]; row 1 is the first
+    # step, and W those of `UpcomingOnsets` around a step. No rows without onset goals.
     onset_time: Array
-    """(S, T + W, K) when notes begin, from the beginnings of their steps on [s]; row 1 is
-    the first step, and W those of `UpcomingOnsets` around a step. No rows without onset goals."""
+    # (S, T + W, K) uint8, the MIDI velocities of the notes, 0 where none begins
     onset_velocity: Array
-    """(S, T + W, K) uint8, the MIDI velocities of the notes, 0 where none begins."""
 
 
 class Episodes(NamedTuple):
     """How far N environments have got."""
 
-    song: Array
-    """(N,) int32, which song each plays."""
-    steps_done: Array
-    """(N,) int32, control steps since its reset."""
-    pedal: Array
-    """(N,) the pedal, 0 to 1."""
-    lost: Array
-    """(N,) bool, whether the pedal was not a number since its reset."""
+    song: Array  # (N,) int32, which song each plays
+    steps_done: Array  # (N,) int32, control steps since its reset
+    pedal: Array  # (N,) the pedal, 0 to 1
+    lost: Array  # (N,) bool, whether the pedal was not a number since its reset
+    # (N, 3, K) bool, which of the notes near have been played, see `matched_onsets`
     notes_played: Array
-    """(N, 3, K) bool, which of the notes near have been played, see `matched_onsets`."""
-    sounding: Array
-    """(N, K) bool, the keys that sound."""
-    sums: Array
-    """(N, 3) sums over its steps of precision, recall and F1."""
-    draws: Any
-    """What domain randomization has drawn, `Draws`; None if it is off."""
+    sounding: Array  # (N, K) bool, the keys that sound
+    sums: Array  # (N, 3) sums over its steps of precision, recall and F1
+    draws: Any  # what domain randomization has drawn, `Draws`; None if it is off
 
 
 class PianoState(NamedTuple):
@@ -84,28 +73,22 @@ class PianoState(NamedTuple):
     Where an episode has ended, the next one has begun: `obs` is its first observation.
     """
 
-    data: Any
-    """The physical state of all worlds, see `cadenza.sim.warp.Physics`."""
-    episodes: Episodes
-    """How far the environments have got."""
-    key: Array
-    """The key from which what is random follows."""
-    obs: Array
-    """(N, D) float32, observations."""
-    reward: Array
-    """(N,) rewards of the step."""
-    done: Array
-    """(N,) bool, whether the episode ended with the step."""
+    data: Any  # the physical state of all worlds, see `cadenza.sim.warp.Physics`
+    episodes: Episodes  # how far the environments have got
+    key: Array  # the key from which what is random follows
+    obs: Array  # (N, D) float32, observations
+    reward: Array  # (N,) rewards of the step
+    done: Array  # (N,) bool, whether the episode ended with the step
+    # Name -> (N,): "reward/<term>"; and precision, recall and f1 of the episode so far, or of the
+    # one that has just ended, as the mean over its steps
     metrics: dict[str, Array]
-    """Name -> (N,): "reward/<term>"; and precision, recall and f1 of the episode so far, or of the
-    one that has just ended, as the mean over its steps."""
+    # Name -> array: `state`, the simulations after the step, see `State`; `final_obs` (N, D), the
+    # observations after the step, before any episode began; (N,) `truncation`, whether the song was
+    # over; `unstable`, whether the simulation diverged or lost contacts; `overflow`, see `Physics`;
+    # `song`, the song that `obs` is of; and `randomization/seed`, from which its models and
+    # latencies follow. And () `unstable_count` and `overflow_count`, how many episodes have become
+    # unstable since `reset`, and how many of them by lost contacts.
     info: dict[str, Array]
-    """Name -> array: `state`, the simulations after the step, see `State`; `final_obs` (N, D), the
-    observations after the step, before any episode began; (N,) `truncation`, whether the song was
-    over; `unstable`, whether the simulation diverged or lost contacts; `overflow`, see `Physics`;
-    `song`, the song that `obs` is of; and `randomization/seed`, from which its models and latencies
-    follow. And () `unstable_count` and `overflow_count`, how many episodes have become unstable
-    since `reset`, and how many of them by lost contacts."""
 
 
 class FunctionalPianoTask:

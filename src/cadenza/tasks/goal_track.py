@@ -25,16 +25,12 @@ from cadenza.tasks.config import TaskConfig
 class GoalTrack:
     """A score as a task plays it: its fingers, its initial silence, its goals per control step."""
 
-    score: Score
-    """The score, trimmed, stretched and transposed, without the initial silence."""
+    score: Score  # the score, trimmed, stretched and transposed, without the initial silence
+    # The notes that no finger can play, and why; None before a search for fingers
     dropped: tuple[Dropped, ...] | None
-    """The notes that no finger can play, and why; None before a search for fingers."""
-    config: TaskConfig
-    """The task's options."""
-    scene: Scene
-    """The hands and the keys."""
-    found: bool = False
-    """Whether a search found all fingers, because the song gives none."""
+    config: TaskConfig  # the task's options
+    scene: Scene  # the hands and the keys
+    found: bool = False  # whether a search found all fingers, because the song gives none
     _cached: list[weakref.ref[Goals]] = field(default_factory=list, init=False, repr=False)
 
     def __repr__(self) -> str:
@@ -159,21 +155,18 @@ def players_of(scene: Scene) -> Players:
 class UpcomingGoals(NamedTuple):
     """The goals of the next control steps of N environments."""
 
+    # (N, L + 1, K + 1) keys and pedal; past the end of an episode nothing is to be played
     goal: NDArray[np.bool_]
-    """(N, L + 1, K + 1) keys and pedal; past the end of an episode nothing is to be played."""
-    fingers: NDArray[np.int8]
-    """(N, K) fingers for the keys of the next step, -1 for none."""
-    fingers_wanted: NDArray[np.bool_]
-    """(N, F) which fingers have a key to press in the next step."""
+    fingers: NDArray[np.int8]  # (N, K) fingers for the keys of the next step, -1 for none
+    fingers_wanted: NDArray[np.bool_]  # (N, F) which fingers have a key to press in the next step
 
 
 class UpcomingOnsets(NamedTuple):
     """The notes that begin in W control steps (`onset_steps`) of N environments; 0 for none."""
 
+    # (N, W, K) when notes begin, from the beginnings of their steps on [s]
     time: NDArray[np.float64]
-    """(N, W, K) when notes begin, from the beginnings of their steps on [s]."""
-    velocity: NDArray[np.intp]
-    """(N, W, K) the MIDI velocities of the notes, which are at least 1."""
+    velocity: NDArray[np.intp]  # (N, W, K) the MIDI velocities of the notes, which are at least 1
 
 
 def onset_steps(config: TaskConfig) -> int:

@@ -50,27 +50,21 @@ class Transition(NamedTuple):
     """The result of a control step; arrays over the batch (N,)."""
 
     reward: Array
-    terms: dict[str, Array]
-    """Each term of the reward by name; they add up to it."""
+    terms: dict[str, Array]  # each term of the reward by name; they add up to it
+    # Whether a wrong key sounded and that ends the episode, or the simulation is unstable
     terminated: Mask
-    """Whether a wrong key sounded and that ends the episode, or the simulation is unstable."""
-    truncated: Mask
-    """Whether the score is over."""
-    unstable: Mask
-    """Whether the simulation diverged, or an action was not a number."""
+    truncated: Mask  # whether the score is over
+    unstable: Mask  # whether the simulation diverged, or an action was not a number
 
 
 class EpisodeStart(NamedTuple):
     """The start of an episode of one environment; fields that are None are drawn."""
 
+    # The index of a song among the task's, or a track that is played as it is
     song: int | GoalTrack | None = None
-    """The index of a song among the task's, or a track that is played as it is."""
-    hand_qpos: Array | None = None
-    """(J,) joint positions of the hands [m, rad]."""
-    step: int = 0
-    """The control step of the song that the episode begins with."""
-    randomization: int | None = None
-    """The seed of everything that `DomainRandomization` draws."""
+    hand_qpos: Array | None = None  # (J,) joint positions of the hands [m, rad]
+    step: int = 0  # the control step of the song that the episode begins with
+    randomization: int | None = None  # the seed of everything that `DomainRandomization` draws
 
 
 class PianoTask:

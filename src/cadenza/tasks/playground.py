@@ -29,19 +29,15 @@ Array = Any  # of JAX
 class WorldState:
     """A world after a step, or under `jax.vmap` a batch of them, with the fields of Playground."""
 
-    data: Any
-    """The physics and the episode: what an automatic reset puts back."""
-    obs: Array
-    """(D,) float32."""
-    reward: Array
-    """() of the step."""
-    done: Array
-    """() float32, 1 if the episode ended with the step."""
+    data: Any  # the physics and the episode: what an automatic reset puts back
+    obs: Array  # (D,) float32
+    reward: Array  # () of the step
+    done: Array  # () float32, 1 if the episode ended with the step
+    # Name -> (): the terms of the reward; and at the end of an episode its precision, recall and
+    # f1, 0 before, so that the sum over the steps is that of the episode
     metrics: dict[str, Array]
-    """Name -> (): the terms of the reward; and at the end of an episode its precision, recall and
-    f1, 0 before, so that the sum over the steps is that of the episode."""
+    # Name -> (): "key", the random key; "song", the index of the song; and what wrappers add
     info: dict[str, Array]
-    """Name -> (): "key", the random key; "song", the index of the song; and what wrappers add."""
 
     @property
     def pipeline_state(self) -> Any:

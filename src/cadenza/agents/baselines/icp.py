@@ -135,10 +135,9 @@ class _Hand:
     """A hand that moves along the keyboard as one rigid body, from chord to chord."""
 
     reach: Reach
-    position: float
-    """[m]"""
+    position: float  # [m]
+    # Finger -> the place of its last press [m], and the end of this [s]
     last: dict[int, tuple[float, float]] = field(default_factory=dict)
-    """Finger -> the place of its last press [m], and the end of this [s]."""
 
     def play(
         self, chord: Sequence[Note], keys: Array, ahead: Array, reached: NDArray[np.bool_]

@@ -258,21 +258,16 @@ _MIN_STEP_SIZE = 1e-12  # below which rounding errors decide
 class Model(NamedTuple):
     """Quadratic model of K steps, with n states x and m controls u that make up z = (x, u)."""
 
-    transition: Array
-    """(K, n, n + m) derivatives of the next state by z."""
-    gradient: Array
-    """(K, n + m) the gradient of a step's cost by z."""
-    hessian: Array
-    """(K, n + m, n + m) the Hessian of a step's cost by z."""
+    transition: Array  # (K, n, n + m) derivatives of the next state by z
+    gradient: Array  # (K, n + m) the gradient of a step's cost by z
+    hessian: Array  # (K, n + m, n + m) the Hessian of a step's cost by z
 
 
 class FeedbackLaw(NamedTuple):
     """Changes of the controls, k + K dx, where dx is the deviation from the nominal states."""
 
-    offset: Array
-    """(K, m) k of each step."""
-    gain: Array
-    """(K, m, n) K of each step; its rows are zero for controls at a limit."""
+    offset: Array  # (K, m) k of each step
+    gain: Array  # (K, m, n) K of each step; its rows are zero for controls at a limit
 
 
 def box_qp(

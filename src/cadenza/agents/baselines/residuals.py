@@ -17,18 +17,13 @@ from cadenza.tasks.view import TaskSpec
 class Residuals(NamedTuple):
     """Residuals of K keys and of Q fingers with a key to press, in R states."""
 
-    keys: Array
-    """(R, K) the states of the keys, 1 if down, less their goals."""
-    row: Ids
-    """(Q,) the state to which each finger's residual belongs."""
-    finger: Ids
-    """(Q,) the finger."""
-    key: Ids
-    """(Q,) the key that the finger should press."""
-    offset: Array
-    """(Q, 3) the fingertip's position less that where it should press the key [m]."""
+    keys: Array  # (R, K) the states of the keys, 1 if down, less their goals
+    row: Ids  # (Q,) the state to which each finger's residual belongs
+    finger: Ids  # (Q,) the finger
+    key: Ids  # (Q,) the key that the finger should press
+    offset: Array  # (Q, 3) the fingertip's position less that where it should press the key [m]
+    # (Q,) 1 over the number of fingers in the row, which makes a sum the mean over the fingers
     share: Array
-    """(Q,) 1 over the number of fingers in the row, which makes a sum the mean over the fingers."""
 
     def cost(self, keys: Array, fingers: Array) -> Array:
         """Costs (R,), given norms of the residuals of keys (R,) and of fingers (Q,)."""

@@ -101,14 +101,10 @@ _OCTAVE = 12
 class KeyChange(NamedTuple):
     """A change of held keys: some are released, and others struck at once or soon after."""
 
-    held_before: Held
-    """All keys that are held before."""
-    kept: Held
-    """The keys that were held before and are not released."""
-    held_after: Held
-    """All keys that are held at the end."""
-    gap: int
-    """The number of states from releasing to striking."""
+    held_before: Held  # all keys that are held before
+    kept: Held  # the keys that were held before and are not released
+    held_after: Held  # all keys that are held at the end
+    gap: int  # the number of states from releasing to striking
 
     def lowered(self, keys: int) -> KeyChange:
         """This change, `keys` further down the keyboard."""

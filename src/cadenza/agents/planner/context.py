@@ -13,7 +13,5 @@ class PlanningContext(NamedTuple):
     """The options of planning, and the resources that it uses."""
 
     config: PlannerConfig
-    threads: Threads
-    """The threads that share rollouts."""
-    progress: Progress = silent
-    """The receiver of progress: the stages "fingers" and "postures"."""
+    threads: Threads  # the threads that share rollouts
+    progress: Progress = silent  # the receiver of progress: the stages "fingers" and "postures"

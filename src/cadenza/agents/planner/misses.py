@@ -61,20 +61,13 @@ _STRIDE = 0.1  # [s] over which its speed is taken
 class Miss:
     """A note that was lost, in whole or in part."""
 
-    time: float
-    """The time at which it should have begun [s]."""
-    note: str
-    """The name of the note, such as C4."""
-    finger: Finger | None
-    """The finger that should have played it."""
-    what: str
-    """The symptom, such as "never sounded"."""
-    cause: str
-    """The cause in a few words, by which misses are counted."""
-    reason: str
-    """The cause in more words."""
-    sounded: bool
-    """Whether it sounded in time, and was only let go early."""
+    time: float  # the time at which it should have begun [s]
+    note: str  # the name of the note, such as C4
+    finger: Finger | None  # the finger that should have played it
+    what: str  # the symptom, such as "never sounded"
+    cause: str  # the cause in a few words, by which misses are counted
+    reason: str  # the cause in more words
+    sounded: bool  # whether it sounded in time, and was only let go early
 
 
 class _GoalNote(NamedTuple):

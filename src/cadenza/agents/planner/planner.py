@@ -80,8 +80,7 @@ class Planner(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
 class PlanPlayer(Protocol):
     """A hand that plays a plan, or all hands."""
 
-    servos: slice
-    """The servos of the hand among all of the scene."""
+    servos: slice  # the servos of the hand among all of the scene
 
     @property
     def lookahead(self) -> int:

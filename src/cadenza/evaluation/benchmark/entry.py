@@ -30,37 +30,26 @@ class EnteredRun:
 
     song: str
     seed: int
-    song_digest: str
-    """See `song_digest` of the benchmark's definition."""
-    metrics: Metrics
-    """All of `METRICS`."""
+    song_digest: str  # see `song_digest` of the benchmark's definition
+    metrics: Metrics  # all of `METRICS`
+    # CPU time of planning, playing and simulating; not known of training
     cpu_seconds: float | None = None
-    """CPU time of planning, playing and simulating; not known of training."""
 
 
 @dataclass(frozen=True)
 class BenchmarkEntry:
     """Content of entry.json. Nobody can check what it says of the agent."""
 
-    benchmark: Literal[1]
-    """The version of the benchmark."""
-    name: str
-    """The name of the row."""
-    by: str
-    """Who entered it."""
-    about: str
-    """What the agent has learnt from, for how long, and where its code is."""
-    agent: str
-    """The agent as `cadenza bench` names it."""
-    options: dict[str, Any]
-    """Its options."""
+    benchmark: Literal[1]  # the version of the benchmark
+    name: str  # the name of the row
+    by: str  # who entered it
+    about: str  # what the agent has learnt from, for how long, and where its code is
+    agent: str  # the agent as `cadenza bench` names it
+    options: dict[str, Any]  # its options
     track: str
-    songs: str
-    """The set."""
-    fingering: Literal["given", "none"]
-    """Whether it could see the fingers that scores give."""
-    versions: dict[str, str]
-    """The versions of the packages with which it was recorded."""
+    songs: str  # the set
+    fingering: Literal["given", "none"]  # whether it could see the fingers that scores give
+    versions: dict[str, str]  # the versions of the packages with which it was recorded
     runs: tuple[EnteredRun, ...]
 
     @property

@@ -37,12 +37,10 @@ class PlayedAgain:
     """An entry that was played again."""
 
     entry: BenchmarkEntry
-    metrics: dict[tuple[str, int], Metrics]
-    """The metrics of every run (song, seed), computed here."""
-    seconds: float
-    """Length of all music that was played [s]."""
+    metrics: dict[tuple[str, int], Metrics]  # the metrics of every run (song, seed), computed here
+    seconds: float  # length of all music that was played [s]
+    # Where a metric that the entry claims is not computed here to the bit, in a line each
     differences: list[str]
-    """Where a metric that the entry claims is not computed here to the bit, in a line each."""
 
 
 def verify(folder: Path, progress: Progress = silent) -> PlayedAgain:

@@ -45,12 +45,9 @@ class EtudeSheet:
     difficulty: int
     rng: np.random.Generator
     key: Key
-    tempo: int
-    """Beats a minute."""
-    beats: int
-    """Beats in a bar."""
-    division: int
-    """Steps in a beat. A step is the shortest note in most kinds."""
+    tempo: int  # beats a minute
+    beats: int  # beats in a bar
+    division: int  # steps in a beat. A step is the shortest note in most kinds.
 
     @property
     def bar(self) -> int:

@@ -88,8 +88,7 @@ def import_pig(
 
 
 class _ListedPiece(NamedTuple):
-    where: str
-    """The file of the list, and the line in it."""
+    where: str  # the file of the list, and the line in it
     number: int
     title: str
     composer: str

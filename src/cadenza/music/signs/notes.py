@@ -19,31 +19,24 @@ class Mark(Enum):
     """A sign at a note that says all by its kind."""
 
     STACCATO = auto()
-    STACCATISSIMO = auto()
-    """A wedge, or MusicXML's spiccato."""
+    STACCATISSIMO = auto()  # a wedge, or MusicXML's spiccato
     TENUTO = auto()
+    # MusicXML's detached-legato; staccato under a slur, or with tenuto, means the same
     PORTATO = auto()
-    """MusicXML's detached-legato; staccato under a slur, or with tenuto, means the same."""
     ACCENT = auto()
-    STRONG_ACCENT = auto()
-    """Marcato, the upright wedge."""
-    BREATH = auto()
-    """A breath mark after the note."""
+    STRONG_ACCENT = auto()  # marcato, the upright wedge
+    BREATH = auto()  # a breath mark after the note
 
 
 class OrnamentKind(Enum):
     """A sign for several notes; the names are those of MusicXML."""
 
-    TRILL = auto()
-    """A trill mark, a shake, or a wavy line, for the whole note."""
-    MORDENT = auto()
-    """The sign with a stroke through it: the lower neighbour."""
-    INVERTED_MORDENT = auto()
-    """The sign without a stroke, a short trill: the upper neighbour."""
+    TRILL = auto()  # a trill mark, a shake, or a wavy line, for the whole note
+    MORDENT = auto()  # the sign with a stroke through it: the lower neighbour
+    INVERTED_MORDENT = auto()  # the sign without a stroke, a short trill: the upper neighbour
     TURN = auto()
     INVERTED_TURN = auto()
-    SLIDE = auto()
-    """A schleifer: two notes from below."""
+    SLIDE = auto()  # a schleifer: two notes from below
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,12 +70,9 @@ class Ornament:
 class Role(Enum):
     """What a note or chord is in a tremolo."""
 
-    ALONE = auto()
-    """It is repeated."""
-    FIRST = auto()
-    """It alternates with the one that follows in its voice."""
-    SECOND = auto()
-    """It alternates with the one before it in its voice."""
+    ALONE = auto()  # it is repeated
+    FIRST = auto()  # it alternates with the one that follows in its voice
+    SECOND = auto()  # it alternates with the one before it in its voice
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,18 +43,12 @@ class Tempo:
 class TempoChange(Enum):
     """A change of tempo in words."""
 
-    RITARDANDO = auto()
-    """Slower little by little: rit., rall., allargando, and the like."""
-    ACCELERANDO = auto()
-    """Faster little by little: accel., stringendo."""
-    MENO_MOSSO = auto()
-    """Slower at once: meno mosso, ritenuto."""
-    PIU_MOSSO = auto()
-    """Faster at once."""
-    A_TEMPO = auto()
-    """The tempo before the last change."""
-    TEMPO_PRIMO = auto()
-    """The tempo at the beginning."""
+    RITARDANDO = auto()  # slower little by little: rit., rall., allargando, and the like
+    ACCELERANDO = auto()  # faster little by little: accel., stringendo
+    MENO_MOSSO = auto()  # slower at once: meno mosso, ritenuto
+    PIU_MOSSO = auto()  # faster at once
+    A_TEMPO = auto()  # the tempo before the last change
+    TEMPO_PRIMO = auto()  # the tempo at the beginning
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,12 +55,9 @@ class Targets(NamedTuple):
 
     low: Array
     high: Array
-    sigma: Array
-    """Distances from the box that count as one standard deviation [m]."""
-    wall: Array
-    """(S, F) the least x of a tip that presses a white key, where black keys begin [m]."""
-    force: Array
-    """(S, F) the forces of fingertips, downwards [N]."""
+    sigma: Array  # distances from the box that count as one standard deviation [m]
+    wall: Array  # (S, F) the least x of a tip that presses a white key, where black keys begin [m]
+    force: Array  # (S, F) the forces of fingertips, downwards [N]
 
     def part(self, first: int, last: int) -> Targets:
         """The states from `first` up to, not including, `last`, as views."""
@@ -225,14 +222,11 @@ class _TargetWriter:
 class _FingerGeometry(NamedTuple):
     """Lengths of F fingers, (F,) each [m]."""
 
-    radius: Array
-    """The radius of the tip."""
+    radius: Array  # the radius of the tip
+    # The place on white keys that the finger presses, from their middle towards the player
     on_white: Array
-    """The place on white keys that the finger presses, from their middle towards the player."""
-    walls: Array
-    """The place on white keys up to which black keys leave room, likewise."""
-    above_all: Array
-    """The height of the tip above all keys."""
+    walls: Array  # the place on white keys up to which black keys leave room, likewise
+    above_all: Array  # the height of the tip above all keys
 
 
 @lru_cache(maxsize=8)  # short plans ask again and again
@@ -256,19 +250,14 @@ class _PressArrays(NamedTuple):
     key: Ids
     first: Ids
     last: Ids
-    before: Ids
-    """The state up to which the finger holds the key before."""
-    until: Ids
-    """The state from which on it holds the next one."""
-    again: NDArray[np.bool_]
-    """Whether the key before was the same."""
+    before: Ids  # the state up to which the finger holds the key before
+    until: Ids  # the state from which on it holds the next one
+    again: NDArray[np.bool_]  # whether the key before was the same
     jumps_off: NDArray[np.bool_]
     jumps_to: NDArray[np.bool_]
     from_above: NDArray[np.bool_]
-    time: Array
-    """The time of the strike within its step [s], NaN if it does not matter."""
-    speed: Array
-    """The speed of the key then [rad/s]."""
+    time: Array  # the time of the strike within its step [s], NaN if it does not matter
+    speed: Array  # the speed of the key then [rad/s]
 
     @classmethod
     def of(cls, presses: Sequence[Press], num_states: int) -> _PressArrays:

@@ -53,18 +53,15 @@ _MIN_ITERATIONS = 6  # one of the first may gain little because it is damped a l
 class SolverOptions(NamedTuple):
     """Parameters of the solver."""
 
-    max_iterations: int
-    """The maximum number of steps."""
+    max_iterations: int  # the maximum number of steps
+    # The maximum number of dampings that are tried in a step until the cost falls (Levenberg-
+    # Marquardt). With 0, each step is taken, whatever it costs (Gauss-Newton without a line
+    # search).
     max_trials: int
-    """The maximum number of dampings that are tried in a step until the cost falls
-    (Levenberg-Marquardt). With 0, each step is taken, whatever it costs (Gauss-Newton without a
-    line search)."""
-    tolerance: float
-    """Relative decrease of the cost with which the solver ends."""
-    damping: float
-    """Damping of the first step; without a line search, of all."""
+    tolerance: float  # relative decrease of the cost with which the solver ends
+    damping: float  # damping of the first step; without a line search, of all
+    # Whether all steps without a line search have the derivatives of the first
     keep_derivatives: bool = False
-    """Whether all steps without a line search have the derivatives of the first."""
 
 
 THOROUGH = SolverOptions(max_iterations=25, max_trials=8, tolerance=1e-3, damping=1.0)
@@ -155,20 +152,14 @@ def _levenberg_marquardt(
 class PostureLinearisation(NamedTuple):
     """The terms of single postures near N postures of H hands with A servos each."""
 
-    at: Array
-    """(N, H, A) the postures."""
-    squares: Array
-    """(N,) the sums of the squares of all residuals."""
-    gradient: Array
-    """(N, H, A) half the gradient of these."""
-    blocks: Array
-    """(N, H, A, A) the products of the Jacobian of each hand with itself."""
-    pressing: Array
-    """(N, H, A) the changes of controls that press keys."""
-    close: Ids
-    """(M,) the postures in which hands are close to each other."""
+    at: Array  # (N, H, A) the postures
+    squares: Array  # (N,) the sums of the squares of all residuals
+    gradient: Array  # (N, H, A) half the gradient of these
+    blocks: Array  # (N, H, A, A) the products of the Jacobian of each hand with itself
+    pressing: Array  # (N, H, A) the changes of controls that press keys
+    close: Ids  # (M,) the postures in which hands are close to each other
+    # (M, A, A) the products of the Jacobians of the right hand and the left in these
     between: Array
-    """(M, A, A) the products of the Jacobians of the right hand and the left in these."""
 
     def with_new(self, rows: Ids, new: PostureLinearisation) -> PostureLinearisation:
         """This linearisation with those of `new` postures in the rows (R,)."""
@@ -195,14 +186,12 @@ class PostureLinearisation(NamedTuple):
 class PostureEvaluation(NamedTuple):
     """The cost of N postures of H hands with A servos each, and its gradient."""
 
+    # (N,) half the squares of all residuals; those of motion count at their last posture
     cost: Array
-    """(N,) half the squares of all residuals; those of motion count at their last posture."""
-    gradient: Array
-    """(N, H, A) the gradient of the terms of single postures."""
-    motion_residuals: tuple[Array, ...]
-    """(N, H, A) each: the residuals of the terms of motion."""
+    gradient: Array  # (N, H, A) the gradient of the terms of single postures
+    motion_residuals: tuple[Array, ...]  # (N, H, A) each: the residuals of the terms of motion
+    # The linearisation at these postures or, where they have hardly moved, at earlier ones
     linearisation: PostureLinearisation
-    """The linearisation at these postures or, where they have hardly moved, at earlier ones."""
 
 
 class PostureProblem:

@@ -40,10 +40,8 @@ _FOREARMS_APART = WIDTH + 0.011  # [m] from middle to middle: room for what is n
 class PosedHands(NamedTuple):
     """H hands with A servos each in N postures of a trajectory."""
 
-    rows: Ids
-    """(N,) the numbers of these postures in the trajectory."""
-    postures: Array
-    """(N, H, A)"""
+    rows: Ids  # (N,) the numbers of these postures in the trajectory
+    postures: Array  # (N, H, A)
     links: Links
 
     def part(self, which: Ids) -> PosedHands:
@@ -213,27 +211,20 @@ class MotionTerm(NamedTuple):
     """Weighted squares of residuals whose derivatives are the coefficients of a stencil."""
 
     stencil: Stencil
-    weight: Array
-    """(H, A)"""
+    weight: Array  # (H, A)
 
 
 class MotionTerms(NamedTuple):
     """The terms of the motion of H hands with A servos each, and figures of these servos."""
 
-    rest: MotionTerm
-    """The distances of servos from their rest."""
-    smoothness: MotionTerm
-    """The second differences of postures."""
+    rest: MotionTerm  # the distances of servos from their rest
+    smoothness: MotionTerm  # the second differences of postures
+    # The violations of their ranges by the controls that lead along the motion (`Servos.lead`)
     control_range: MotionTerm
-    """The violations of their ranges by the controls that lead along the motion (`Servos.lead`)."""
-    stride: Array
-    """(H, A) the maximum change of a servo in an iteration."""
-    low: Array
-    """(H, A) the range of the servos, and of their controls."""
-    high: Array
-    """(H, A)"""
-    per_force: Array
-    """(H, A) the change of a control for a unit force against the servo."""
+    stride: Array  # (H, A) the maximum change of a servo in an iteration
+    low: Array  # (H, A) the range of the servos, and of their controls
+    high: Array  # (H, A)
+    per_force: Array  # (H, A) the change of a control for a unit force against the servo
 
     @property
     def terms(self) -> tuple[MotionTerm, MotionTerm, MotionTerm]:

@@ -21,20 +21,13 @@ _TOUCHING = 1e-9  # [m] least distance, likewise
 class Overlaps(NamedTuple):
     """M overlaps of two links, the first and the second, which are nearer than allowed."""
 
-    row: Ids
-    """(M,) the posture, of N."""
-    pair: Ids
-    """(M,) the pair of links."""
-    depth: Array
-    """(M,) their distances less those allowed, which are negative [m]."""
-    finger: Ids
-    """(2, M) the fingers of the links."""
-    link: Ids
-    """(2, M) the number of each link on its finger."""
-    at: Array
-    """(2, M, 3) the points of both that are nearest to each other [m]."""
-    away: Array
-    """(2, M, 3) the directions away from each other."""
+    row: Ids  # (M,) the posture, of N
+    pair: Ids  # (M,) the pair of links
+    depth: Array  # (M,) their distances less those allowed, which are negative [m]
+    finger: Ids  # (2, M) the fingers of the links
+    link: Ids  # (2, M) the number of each link on its finger
+    at: Array  # (2, M, 3) the points of both that are nearest to each other [m]
+    away: Array  # (2, M, 3) the directions away from each other
 
     @property
     def columns(self) -> tuple[int, Ids]:

@@ -63,16 +63,13 @@ class NominalTrajectory(NamedTuple):
     Its arrays are views of those of the whole song, which go on being written.
     """
 
-    presses: list[Press]
-    """Presses that begin in these steps, by time."""
-    postures: Array
-    """(T + 1, A) the coordinates of the servos [m, rad]."""
-    fingertips: Array
-    """(T + 1, F, 3) [m]"""
+    presses: list[Press]  # presses that begin in these steps, by time
+    postures: Array  # (T + 1, A) the coordinates of the servos [m, rad]
+    fingertips: Array  # (T + 1, F, 3) [m]
     tracking: Tracking
+    # (T, A) the changes of servos that lower fingertips by 1 m after each step [rad/m]. Those of a
+    # finger lower its own fingertip, and those of the whole hand are 0.
     lowering: Array
-    """(T, A) the changes of servos that lower fingertips by 1 m after each step [rad/m]. Those of a
-    finger lower its own fingertip, and those of the whole hand are 0."""
 
     @property
     def num_steps(self) -> int:
@@ -98,10 +95,8 @@ class PostureTrajectory(NamedTuple):
     """Postures (S, A) of hands that press keys; the first one is where they are."""
 
     postures: Array
-    guess: Array
-    """(S, A) the first guess, which they are near if they can."""
-    targets: Targets
-    """The boxes that their fingertips reach, as far as they can."""
+    guess: Array  # (S, A) the first guess, which they are near if they can
+    targets: Targets  # the boxes that their fingertips reach, as far as they can
 
     @property
     def correction(self) -> Array:

@@ -22,10 +22,8 @@ RISE = 0.05
 class Strike(NamedTuple):
     """How a key is to begin to sound."""
 
-    time: float
-    """When, from the beginning of the control step on [s]."""
-    speed: float
-    """The angular speed of the key then [rad/s]."""
+    time: float  # when, from the beginning of the control step on [s]
+    speed: float  # the angular speed of the key then [rad/s]
 
 
 class Press(NamedTuple):
@@ -39,16 +37,12 @@ class Press(NamedTuple):
     key: int
     first: int
     last: int
-    jumps_off: bool = False
-    """Whether the hand leaves the key in a jump."""
-    jumps_to: bool = False
-    """Whether the hand comes to the key in a jump, and to no other key."""
-    from_above: bool = False
-    """Whether the finger comes to the key from above all keys."""
+    jumps_off: bool = False  # whether the hand leaves the key in a jump
+    jumps_to: bool = False  # whether the hand comes to the key in a jump, and to no other key
+    from_above: bool = False  # whether the finger comes to the key from above all keys
+    # States by which the hand delays its releases before this press, compared with the usual
     release_delay: int = 0
-    """States by which the hand delays its releases before this press, compared with the usual."""
-    strike: Strike | None = None
-    """How the key is to begin to sound, if it matters."""
+    strike: Strike | None = None  # how the key is to begin to sound, if it matters
 
     def delayed(self, states: int) -> Press:
         """This press, a number of states later."""

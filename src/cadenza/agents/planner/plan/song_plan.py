@@ -18,16 +18,11 @@ from cadenza.tasks.goal_track import GoalTrack
 class SongPlan(NamedTuple):
     """The plan of a song for the hands of a scene, as far as it goes."""
 
-    scene: Scene
-    """The hands and the keys."""
-    track: GoalTrack
-    """The song, with the fingers that play it."""
-    goals: Goals
-    """Goals of the whole track."""
-    nominal: NominalTrajectory
-    """The trajectory of the first steps."""
-    strikes: PlannedStrikes = NO_STRIKES
-    """How keys are to begin to sound, as far as it matters."""
+    scene: Scene  # the hands and the keys
+    track: GoalTrack  # the song, with the fingers that play it
+    goals: Goals  # goals of the whole track
+    nominal: NominalTrajectory  # the trajectory of the first steps
+    strikes: PlannedStrikes = NO_STRIKES  # how keys are to begin to sound, as far as it matters
 
     @property
     def complete(self) -> bool:

@@ -29,10 +29,8 @@ class StrikeModel(NamedTuple):
     count from the fingertip on a key at rest, upwards [m].
     """
 
-    time_constant: float
-    """tau [s]."""
-    dt: float
-    """Control step [s]."""
+    time_constant: float  # tau [s]
+    dt: float  # control step [s]
 
     def heights(self, time: Array, speed: Array, depth: Array) -> tuple[Array, Array]:
         """Heights before and after the step with which a fingertip passes a depth in time.
@@ -68,10 +66,8 @@ class PlannedStrikes(NamedTuple):
 
     step: NDArray[np.intp]
     key: NDArray[np.intp]
-    time: Array
-    """When, from the beginning of the step on [s]."""
-    speed: Array
-    """The angular speed of the key then [rad/s]."""
+    time: Array  # when, from the beginning of the step on [s]
+    speed: Array  # the angular speed of the key then [rad/s]
 
     def by_place(self, first: int, last: int) -> dict[tuple[int, int], Strike]:
         """Strikes in the steps from `first` to before `last`, by step and key."""

@@ -24,12 +24,9 @@ _CONTROL_WEIGHT = 0.02
 class Tracking(NamedTuple):
     """Controls over T steps that make the servos follow a reference; see `track`."""
 
-    ctrl: Array
-    """(T, A)"""
-    gain: Array
-    """(T, A, 2) gains of the feedback of position and speed."""
-    expected: Array
-    """(T + 1, A, 2) position and speed of each servo."""
+    ctrl: Array  # (T, A)
+    gain: Array  # (T, A, 2) gains of the feedback of position and speed
+    expected: Array  # (T + 1, A, 2) position and speed of each servo
 
     def of(self, servos: slice) -> Tracking:
         """Tracking of some of the servos, as views."""

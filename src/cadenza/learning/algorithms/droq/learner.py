@@ -35,12 +35,10 @@ class DroQState(NamedTuple):
     key: jax.Array
     updates: jax.Array
     actor: Params
-    actor_ema: Params
-    """Exponential moving average of the actor, which is evaluated and saved."""
+    actor_ema: Params  # exponential moving average of the actor, which is evaluated and saved
     critics: tuple[Params, ...]
     target_critics: tuple[Params, ...]
-    log_alpha: jax.Array
-    """Logarithm of the entropy temperature alpha."""
+    log_alpha: jax.Array  # logarithm of the entropy temperature alpha
     actor_opt_state: Any
     critic_opt_state: Any
     alpha_opt_state: Any

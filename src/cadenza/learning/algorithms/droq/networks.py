@@ -98,8 +98,7 @@ class Critic(nn.Module):
     """Observations (..., D) and actions (..., A) to values (...)."""
 
     config: DroQConfig
-    inputs: Inputs
-    """Entries of observation and action, concatenated."""
+    inputs: Inputs  # entries of observation and action, concatenated
 
     @nn.compact
     def __call__(self, observation: jax.Array, action: jax.Array) -> jax.Array:

@@ -65,10 +65,8 @@ _EXAMPLES: Expected = {
 class HandExamples(NamedTuple):
     """Step of recorded episodes, for either hand."""
 
-    inputs: Array
-    """(N, D) what networks see of a hand."""
-    corrections: Array
-    """(N, A) of the plan, by the planner."""
+    inputs: Array  # (N, D) what networks see of a hand
+    corrections: Array  # (N, A) of the plan, by the planner
 
 
 class GeneralistCloning(CheckpointedRun):

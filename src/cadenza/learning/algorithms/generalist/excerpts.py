@@ -107,14 +107,11 @@ class FingerCosts:
 class StrikesOfPlan(NamedTuple):
     """The N strikes of a plan, by step."""
 
-    step: Array
-    """(N,)"""
-    key: Array
-    """(N,)"""
-    finger: Array
-    """(N,) the fingers of both hands that strike."""
+    step: Array  # (N,)
+    key: Array  # (N,)
+    finger: Array  # (N,) the fingers of both hands that strike
+    # (N, 2) times in the steps [s], and log2 of the angular speeds of the keys [rad/s]
     wanted: Array
-    """(N, 2) times in the steps [s], and log2 of the angular speeds of the keys [rad/s]."""
 
     @classmethod
     def of(cls, plan: SongPlan, held: Array) -> StrikesOfPlan:
@@ -144,8 +141,7 @@ class PlannedExcerpt(NamedTuple):
 
     costs: FingerCosts
     hands: CorrectedHands
-    start: Array
-    """(J,) initial joint positions [m, rad]."""
+    start: Array  # (J,) initial joint positions [m, rad]
 
 
 def planned_excerpts(scores: Sequence[Score], progress: Progress = silent) -> list[PlannedExcerpt]:
@@ -223,14 +219,10 @@ class ExcerptEpisode:
 class ExcerptRollout(NamedTuple):
     """T steps of N hands."""
 
-    inputs: Array
-    """(T + 1, N, D)"""
-    corrections: Array
-    """(T, N, A) with noise."""
-    rewards: Array
-    """(T, N, F) of each finger."""
-    ends: Array
-    """(T, N) true if the excerpt ended with the step."""
+    inputs: Array  # (T + 1, N, D)
+    corrections: Array  # (T, N, A) with noise
+    rewards: Array  # (T, N, F) of each finger
+    ends: Array  # (T, N) true if the excerpt ended with the step
 
 
 class ExcerptEnvs:

@@ -67,19 +67,15 @@ _FIRST_LESS = 0.3  # share with which learning begins: at 0 it would have no gra
 class Strikes(NamedTuple):
     """N strikes that have been played."""
 
-    inputs: Array
-    """(N, D) what the networks saw of the hand before the step."""
-    finger: Array
-    """(N,) which of the hand's fingers."""
-    touch: Array
-    """(N, 2) its touch."""
+    inputs: Array  # (N, D) what the networks saw of the hand before the step
+    finger: Array  # (N,) which of the hand's fingers
+    touch: Array  # (N, 2) its touch
+    # (N, 2) the time in the step [s] and log2 of the speed [rad/s]; NaN without an onset
     outcome: Array
-    """(N, 2) the time in the step [s] and log2 of the speed [rad/s]; NaN without an onset."""
-    wanted: Array
-    """(N, 2) the same, as planned."""
+    wanted: Array  # (N, 2) the same, as planned
+    # (N, 3) whether the key sounded after the step before, this one, and the next one; NaN where
+    # the plan does not hold it then
     sounding: Array
-    """(N, 3) whether the key sounded after the step before, this one, and the next one; NaN where
-    the plan does not hold it then."""
 
 
 class _Step(NamedTuple):
@@ -154,8 +150,7 @@ def _strikes(before: _Step, now: _Step, after: _Step) -> list[Any]:
 class _StrikeData(NamedTuple):
     """What is learnt from: R strikes of fingers that share a network."""
 
-    seen: Array
-    """(R, I) normalised inputs."""
+    seen: Array  # (R, I) normalised inputs
     touch: Array
     outcome: Array
     wanted: Array
