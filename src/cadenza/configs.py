@@ -33,14 +33,12 @@ _WORDS = {
 def as_config(value: Any, kind: type[T]) -> T:
     """Check that `value` is a `kind`, a dataclass, with fields of the right types.
 
-    Only numbers of NumPy, lists as tuples and whole numbers as floats are converted.
+    Only numbers of NumPy, lists as tuples and whole numbers as floats are converted. Raises
+    CadenzaError if the value or one of its fields is of another type.
 
     Args:
         value: the configuration; None is `kind` with its defaults.
         kind: the dataclass.
-
-    Raises:
-        CadenzaError: the value or one of its fields is of another type.
     """
     if value is None:
         return kind()
@@ -107,8 +105,7 @@ def files_named(config: Any) -> list[str]:
 def check_kind(kind: type) -> None:
     """Check that a user's dataclass of options is one that `as_config` takes.
 
-    Raises:
-        CadenzaError: a field has no default, or its type is not allowed.
+    Raises CadenzaError if a field has no default, or its type is not allowed.
     """
     hints = get_type_hints(kind)
     for each in fields(kind):
@@ -130,8 +127,7 @@ def _is_plain(hint: Any) -> bool:
 def whole_number(value: Any, name: str, least: int, most: int) -> int:
     """`value` as an int from `least` to `most`.
 
-    Raises:
-        CadenzaError: it is not; the message begins with `name`.
+    Raises CadenzaError if it is not; the message begins with `name`.
     """
     number: int = _as(value, int, name)
     _check_range(number, name, least, most)
@@ -143,13 +139,12 @@ def check_ranges(
 ) -> None:
     """Check that fields are in their ranges.
 
+    Raises CadenzaError if a field is out of its range.
+
     Args:
         config: the configuration.
         ranges: name -> (minimum, maximum) of fields.
         prefix: stands before names in messages.
-
-    Raises:
-        CadenzaError: a field is out of its range.
     """
     for name, (least, most) in ranges.items():
         _check_range(getattr(config, name), prefix + name, least, most)

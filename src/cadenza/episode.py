@@ -151,8 +151,7 @@ class Episode:
     def __getitem__(self, name: str) -> NDArray[Any]:
         """The array of this name.
 
-        Raises:
-            CadenzaError: there is no such array.
+        Raises CadenzaError if there is no such array.
         """
         if name not in self.arrays:
             raise CadenzaError(f"the episode of {quoted(self.song)} holds no array named {name}")
@@ -190,8 +189,7 @@ class Episode:
 def load_episode(path: Path) -> Episode:
     """Read what `Episode.save` wrote.
 
-    Raises:
-        CadenzaError: the file is not there or is not an episode.
+    Raises CadenzaError if the file is not there or is not an episode.
     """
     arrays = read_arrays(path, _ARRAYS, _MAX_BYTES)
     song, dt = str(arrays.pop("song")), float(arrays.pop("dt"))

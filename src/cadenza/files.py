@@ -90,8 +90,7 @@ def _permissions(path: Path) -> int | None:
 def new_folder(path: Path) -> Iterator[Path]:
     """Yield a folder that becomes `path` when the block ends without an error.
 
-    Raises:
-        CadenzaError: there is something at `path`, other than an empty folder.
+    Raises CadenzaError if there is something at `path`, other than an empty folder.
     """
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise CadenzaError(f"{path}: exists already; choose another folder with --output")
@@ -142,8 +141,7 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
 def locked_file(path: Path, patience: float = 0.0) -> Iterator[bool]:
     """Yield whether this process holds the lock file, after `patience` [s] at most.
 
-    Raises:
-        OSError: it cannot be written.
+    Raises OSError if it cannot be written.
     """
     from filelock import FileLock, Timeout  # which takes a while to import
 
@@ -166,8 +164,7 @@ def locked_file(path: Path, patience: float = 0.0) -> Iterator[bool]:
 def opened(path: Path) -> Iterator[IO[bytes]]:
     """Yield a file to be read, which is one that ends: no pipe that nobody writes to, no device.
 
-    Raises:
-        OSError: it cannot be opened, or is none.
+    Raises OSError if it cannot be opened, or is none.
     """
     at_once = getattr(os, "O_NONBLOCK", 0)
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | at_once)) as file:
@@ -197,8 +194,7 @@ def _readable(path: Path, most: int | None) -> Iterator[IO[bytes]]:
 def content_of(path: Path, most: int = MAX_JSON) -> bytes:
     """Read all of a file, and nothing of one of over `most` bytes.
 
-    Raises:
-        CadenzaError: it is not there, cannot be read, or is larger.
+    Raises CadenzaError if it is not there, cannot be read, or is larger.
     """
     with _readable(path, most) as file:
         return file.read(os.fstat(file.fileno()).st_size)  # and not what is added meanwhile
@@ -207,8 +203,7 @@ def content_of(path: Path, most: int = MAX_JSON) -> bytes:
 def sha256_of(*paths: Path, most: int | None = None) -> str:
     """The SHA-256 of what files hold, one after the other.
 
-    Raises:
-        CadenzaError: one is not there, cannot be read, or takes over `most` bytes.
+    Raises CadenzaError if one is not there, cannot be read, or takes over `most` bytes.
     """
     digest = hashlib.sha256()
     for path in paths:
@@ -262,10 +257,8 @@ def whole_number_in(text: str, what: str, least: int, most: int) -> int:
 
     All text from outside becomes a number here or in `number_in`, never by int() or float() alone:
     they take "1_000", other digits than 0 to 9, nan and infinity, and int() fails in its own way
-    from 4,301 digits on.
-
-    Raises:
-        CadenzaError: it is something else; the message begins with `what` it was to be.
+    from 4,301 digits on. Raises CadenzaError if it is something else; the message begins with
+    `what` it was to be.
     """
     if not _WHOLE.fullmatch(text) or not least <= (number := int(text)) <= most:
         raise CadenzaError(f"{what} {quoted(text)}; expected a whole number, {least:,} to {most:,}")
@@ -289,8 +282,7 @@ def number_in(text: str, what: str, least: float, most: float) -> float:
 def read_json(path: Path, kind: type[T]) -> T:
     """Read a JSON file as a value of a type; see `checked`.
 
-    Raises:
-        CadenzaError: it cannot be read, is too large, is no JSON, or holds something else.
+    Raises CadenzaError if it cannot be read, is too large, is no JSON, or holds something else.
     """
     return parsed_json(content_of(path), kind, path)
 
@@ -298,8 +290,7 @@ def read_json(path: Path, kind: type[T]) -> T:
 def parsed_json(content: bytes | str, kind: type[T], where: object) -> T:
     """Parse JSON as a value of a type; see `checked`.
 
-    Raises:
-        CadenzaError: it is no JSON, or holds something else.
+    Raises CadenzaError if it is no JSON, or holds something else.
     """
     try:
         value = json.loads(content, object_pairs_hook=_named_once)
@@ -322,11 +313,8 @@ def checked(value: Any, kind: type[T], where: object) -> T:
     """Convert what JSON has to a dataclass, a named tuple, or lists and dictionaries of some.
 
     Nothing is converted but lists to tuples and whole numbers to floats. Fields that are missing
-    get their defaults.
-
-    Raises:
-        CadenzaError: it is of another type, has fields that `kind` has not, or numbers that are not
-            finite; `where` and which value it is are named.
+    get their defaults. Raises CadenzaError if it is of another type, has fields that `kind` has
+    not, or numbers that are not finite; `where` and which value it is are named.
     """
     try:
         _check_values(value, "$")
@@ -416,14 +404,13 @@ ANY: Expected = {"*": ArrayOf(NUMBERS + TEXT, None)}
 def read_arrays(path: Path, expected: Expected, most: int | None = None) -> dict[str, NDArray[Any]]:
     """Read the arrays of a .npz file by name; nothing in it is executed.
 
+    Raises CadenzaError if the file is not there, is no such file, holds more, or something else.
+
     Args:
         path: the file.
         expected: others are not read.
         most: bytes that all of them may take together; by default as many as the file, which is
             what a file that is not compressed can hold.
-
-    Raises:
-        CadenzaError: the file is not there, is no such file, holds more, or something else.
     """
     try:
         with opened(path) as stream, np.load(stream, allow_pickle=False) as file:
@@ -472,8 +459,7 @@ def write_tensors(
 ) -> None:
     """Write a .safetensors file as a whole or not at all; see `tensor_bytes`.
 
-    Raises:
-        CadenzaError: The file would take over `most` bytes, and could not be read again.
+    Raises CadenzaError if the file would take over `most` bytes, and could not be read again.
     """
     content = tensor_bytes(arrays, facts)
     if most is not None and len(content) > most:
@@ -490,14 +476,13 @@ def read_tensors(
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Read the arrays of a .safetensors file by name, and the facts in its header.
 
+    Raises CadenzaError if the file is not there, is no such file, was damaged or changed, or holds
+    more or something else.
+
     Args:
         path: The file.
         expected: All arrays that it may hold.
         most: The bytes that it may take.
-
-    Raises:
-        CadenzaError: The file is not there, is no such file, was damaged or changed, or holds more
-            or something else.
     """
     content = content_of(path, most)
     try:

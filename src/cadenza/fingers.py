@@ -26,8 +26,7 @@ _NAMES = ("thumb", "index", "middle", "ring", "little")
 class Finger:
     """The finger `index`, 0 for the thumb, of the right `hand`, 0, or the left, 1.
 
-    Raises:
-        CadenzaError: there is no such hand, or `index` is negative.
+    Raises CadenzaError if there is no such hand, or `index` is negative.
     """
 
     hand: int

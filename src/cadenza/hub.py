@@ -43,15 +43,13 @@ def is_on_hub(place: object) -> bool:
 def fetched(place: str | Path, kind: Kind) -> Path:
     """The folder that `place` names, which is fetched if it is one of the hub.
 
-    Without the hub, or where it fails, what was fetched before is used.
+    Without the hub, or where it fails, what was fetched before is used. Raises CadenzaError if
+    there is no such thing on the hub, it is not of this kind or takes too much, or it cannot be
+    fetched.
 
     Args:
         place: a folder, or `hub:OWNER/NAME`, maybe with `@REVISION`.
         kind: what the folder is.
-
-    Raises:
-        CadenzaError: there is no such thing on the hub, it is not of this kind or takes too much,
-            or it cannot be fetched.
     """
     if not is_on_hub(place):
         return Path(place)
@@ -90,16 +88,14 @@ def pinned(place: str, folder: Path) -> str:
 def upload(folder: Path, repo: str, kind: Kind, card: str) -> str:
     """Upload the files of a folder to the hub, as one commit; return where they are.
 
-    The repository is made if there is none, as visible as its owner's are by default.
+    The repository is made if there is none, as visible as its owner's are by default. Raises
+    CadenzaError if the hub is not reached, or does not take them.
 
     Args:
         folder: a folder of this kind. The card in it is uploaded, too.
         repo: OWNER/NAME.
         kind: what the folder is.
         card: a card for the repository, if the folder has none.
-
-    Raises:
-        CadenzaError: the hub is not reached, or does not take them.
     """
     place = f"{_PREFIX}{repo}"
     if _parsed(place)[1] is not None:

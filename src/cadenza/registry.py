@@ -62,9 +62,8 @@ class Registry:
     def load(self, name: str, kind: type[T]) -> T:
         """Import the object of `name`.
 
-        Raises:
-            CadenzaError: there is no such name, two packages have it, the object cannot be
-                imported, or it is not a `kind`.
+        Raises CadenzaError if there is no such name, two packages have it, the object cannot be
+        imported, or it is not a `kind`.
         """
         entry = self._find(name)
         module, _, attribute = entry.place.partition(":")

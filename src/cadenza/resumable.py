@@ -78,13 +78,11 @@ class ResumableFolder:
     def claimed(self, patience: float = 0.0) -> Iterator[bool]:
         """Yield whether this process holds the lock of the folder, which is made if need be.
 
-        Files that a killed process has left half-written are removed.
+        Files that a killed process has left half-written are removed. Raises CadenzaError if
+        nothing can be written in the folder.
 
         Args:
             patience: The time to wait for another process to release the lock [s].
-
-        Raises:
-            CadenzaError: Nothing can be written in the folder.
         """
         with locked(self.path, patience) as ours:
             if ours:
@@ -95,8 +93,7 @@ class ResumableFolder:
     def locked(self) -> Iterator[None]:
         """Hold the lock of the folder for the block; see `claimed`.
 
-        Raises:
-            CadenzaError: Another process holds it, or nothing can be written in the folder.
+        Raises CadenzaError if another process holds it, or nothing can be written in the folder.
         """
         with self.claimed() as ours:
             if not ours:
@@ -109,8 +106,7 @@ class ResumableFolder:
     def begun(self) -> bool:
         """Whether there is a manifest.
 
-        Raises:
-            CadenzaError: There is none, but a checkpoint, from which new work would go on.
+        Raises CadenzaError if there is none, but a checkpoint, from which new work would go on.
         """
         if not self.manifest.exists() and self.checkpoint.exists():
             raise CadenzaError(
@@ -143,12 +139,11 @@ class ResumableFolder:
     ) -> None:
         """Write the manifest of new work, or of the same work.
 
+        Raises CadenzaError if the folder holds other work, or a damaged manifest.
+
         Args:
             fields: What the work is, as JSON has it.
             changeable: The names of fields that may differ from those of the manifest so far.
-
-        Raises:
-            CadenzaError: The folder holds other work, or a damaged manifest.
         """
         expected = plain(fields)
         if self.begun:
@@ -165,8 +160,7 @@ class ResumableFolder:
     def save(self, facts: Mapping[str, Any], arrays: Arrays) -> None:
         """Write a checkpoint in place of the one before.
 
-        Raises:
-            CadenzaError: It is too large to be read again.
+        Raises CadenzaError if it is too large to be read again.
         """
         about = {_COMMAND: self.command, **facts}
         write_tensors(self.checkpoint, arrays, about, _MAX_CHECKPOINT)
@@ -174,8 +168,7 @@ class ResumableFolder:
     def load(self, kind: type[T]) -> tuple[T, Arrays] | None:
         """The facts of the checkpoint, as this type, and its arrays; None if there is none.
 
-        Raises:
-            CadenzaError: It is damaged, or that of another command.
+        Raises CadenzaError if it is damaged, or that of another command.
         """
         if not self.checkpoint.exists():
             return None
@@ -188,8 +181,7 @@ class ResumableFolder:
     def errors_of_writing(self) -> Iterator[None]:
         """Say what to do where the block cannot write in the folder.
 
-        Raises:
-            CadenzaError: It could not.
+        Raises CadenzaError if it could not.
         """
         try:
             yield
@@ -203,8 +195,7 @@ class ResumableFolder:
     def errors_of_resuming(self) -> Iterator[None]:
         """Name the folder in errors of a block that restores its checkpoint.
 
-        Raises:
-            CadenzaError: The checkpoint does not fit the work, which shows in many ways.
+        Raises CadenzaError if the checkpoint does not fit the work, which shows in many ways.
         """
         try:
             yield

@@ -83,8 +83,7 @@ class Agent(ABC):
 def check_planned_for(view: View, steps: int, width: int) -> None:
     """Check that a plan of `steps` actions of `width` each fits the episodes of `view`.
 
-    Raises:
-        CadenzaError: the actions have another width than the task's, or another number.
+    Raises CadenzaError if the actions have another width than the task's, or another number.
     """
     if width != view.task.action_size:
         flag = "no-reduced" if view.task.scene.config.reduced_action_space else "reduced"
@@ -131,8 +130,7 @@ class PlannerPerEnv(Agent, Generic[P]):
     def begin(self, view: View, rng: np.random.Generator) -> P:
         """Planner of the episode that begins in the only environment of `view`.
 
-        Raises:
-            CadenzaError: the agent cannot play this task.
+        Raises CadenzaError if the agent cannot play this task.
         """
 
     def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:

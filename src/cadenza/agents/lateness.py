@@ -48,8 +48,7 @@ class Lateness:
 def earlier(track: GoalTrack, seconds: float) -> GoalTrack:
     """The track of a song that begins earlier, with the same fingers.
 
-    Raises:
-        CadenzaError: it begins before that.
+    Raises CadenzaError if it begins before that.
     """
     config, dt = track.config, track.config.control_timestep
     steps = math.ceil(round(seconds / dt, 9))
@@ -155,8 +154,7 @@ class EarlyPlanner(EpisodePlanner, Generic[P]):
     def __init__(self, view: View, late: Lateness, begin: Callable[[View], P]) -> None:
         """Begin at the view before the first step of one environment.
 
-        Raises:
-            CadenzaError: the song begins before an action can arrive.
+        Raises CadenzaError if the song begins before an action can arrive.
         """
         (track,) = view.tracks
         dt = track.config.control_timestep
@@ -186,10 +184,8 @@ class EarlyPlanner(EpisodePlanner, Generic[P]):
 def early(view: View, begin: Callable[[View], P]) -> P | EarlyPlanner[P]:
     """Begin a planner at a view, early if the task says that robots are late or noisy.
 
-    Hands at pianos of their own play as they are.
-
-    Raises:
-        CadenzaError: the song begins before an action can arrive.
+    Hands at pianos of their own play as they are. Raises CadenzaError if the song begins before an
+    action can arrive.
     """
     late = Lateness.known(view.task.config.randomization)
     if late is None or view.task.scene.config.hands in ("apart", "none"):

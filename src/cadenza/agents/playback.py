@@ -66,8 +66,7 @@ class Playback(Agent):
     def act(self, view: View) -> Array:
         """Actions (N, A) of the plan for the steps of all environments.
 
-        Raises:
-            CadenzaError: the plan is not as wide as the actions or not as long as an episode.
+        Raises CadenzaError if the plan is not as wide as the actions or not as long as an episode.
         """
         steps, width = self._plan.shape
         check_planned_for(view, steps, width)
@@ -108,8 +107,7 @@ class SavedPlan:
     def config(self, kind: type[T]) -> T:
         """Options of one kind, such as `TaskConfig`, that the plan was made with.
 
-        Raises:
-            CadenzaError: they are damaged.
+        Raises CadenzaError if they are damaged.
         """
         names = {each.name for each in fields(cast(Any, kind))}
         given = {name: value for name, value in self.options.items() if name in names}
@@ -118,8 +116,7 @@ class SavedPlan:
     def check(self, options: Mapping[str, Any]) -> None:
         """Compare `options` with those of the plan; other physics is a warning.
 
-        Raises:
-            CadenzaError: they differ.
+        Raises CadenzaError if they differ.
         """
         for name in self.options.keys() - set(PHYSICS):
             value = self.options[name]
@@ -171,8 +168,7 @@ def save_plan(
 def load_plan(path: Path) -> SavedPlan:
     """Read a plan, or the array `action` (T, A) of a recorded episode, an .npz file.
 
-    Raises:
-        CadenzaError: the file is not there, or holds something else.
+    Raises CadenzaError if the file is not there, or holds something else.
     """
     if path.suffix != TENSORS:
         return _recorded(path)

@@ -82,15 +82,14 @@ def is_folder(agent: str) -> bool:
 def make_agent(name: str, config: Any = None) -> Agent:
     """An agent that plays any task.
 
+    Raises CadenzaError if there is no such agent, its class is not derived from `cadenza.Agent`, or
+    an option makes no sense.
+
     Args:
         name: a name of `AGENTS`, or `module:Class`, a class of your own derived from
             `cadenza.Agent`.
         config: the agent's options, of the type that `agent_options` returns; by default, their
             defaults.
-
-    Raises:
-        CadenzaError: there is no such agent, its class is not derived from `cadenza.Agent`, or an
-            option makes no sense.
     """
     if not isinstance(name, str):
         raise CadenzaError(f"agent {quoted(name)}: give its name, such as {PLANNER!r}")
@@ -112,10 +111,8 @@ def make_agent(name: str, config: Any = None) -> Agent:
 def agent_options(name: str) -> type | None:
     """The dataclass of an agent's options, None if it has none.
 
-    It is the type of the parameter `config` of the agent's class.
-
-    Raises:
-        CadenzaError: there is no such agent, or a field of its options is of no allowed type.
+    It is the type of the parameter `config` of the agent's class. Raises CadenzaError if there is
+    no such agent, or a field of its options is of no allowed type.
     """
     if (own := AGENTS.own.get(name)) is not None:
         return own.config
@@ -142,8 +139,7 @@ def options_name(name: str) -> str:
 def checked_agent(agent: Any, place: str) -> Agent:
     """Return `agent` if it is one; errors name it `place`.
 
-    Raises:
-        CadenzaError: it is a class, or its class is not derived from `cadenza.Agent`.
+    Raises CadenzaError if it is a class, or its class is not derived from `cadenza.Agent`.
     """
     from cadenza.agents.agent import Agent  # slow to import
 

@@ -44,13 +44,11 @@ class EpisodeResult:
 def begin_episodes(task: PianoTask, seeds: Sequence[int]) -> list[np.random.Generator]:
     """Begin an episode in every environment of `task`.
 
-    Everything random in the task and in the agent follows from the seed of each environment.
+    Everything random in the task and in the agent follows from the seed of each environment. Raises
+    CadenzaError if there are more or fewer seeds than environments, or one is negative.
 
     Returns:
         A generator for each environment, which the agent draws from.
-
-    Raises:
-        CadenzaError: there are more or fewer seeds than environments, or one is negative.
     """
     if len(seeds) != task.num_envs:
         raise CadenzaError(
@@ -83,6 +81,8 @@ def play_episodes(
 ) -> list[EpisodeResult]:
     """Play an episode in every environment of `task`, all at once, from the beginning.
 
+    Raises CadenzaError if the agent cannot play this task, or a seed is negative.
+
     Args:
         task: the task to play.
         agent: the agent that plays.
@@ -90,9 +90,6 @@ def play_episodes(
         progress: receives the stage "playing" after every step, with the number of steps done and
             in all, and the stages of long work of the agent.
         stop: called after every step; true ends the episodes there.
-
-    Raises:
-        CadenzaError: the agent cannot play this task, or a seed is negative.
     """
     rngs, env_ids = begin_episodes(task, seeds), list(range(task.num_envs))
     name = type(agent).__name__

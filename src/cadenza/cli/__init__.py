@@ -147,8 +147,7 @@ def _run(words: list[str]) -> None:
 def _import_parts(chosen: Chosen) -> None:
     """Import the hand, the keyboard and the learner of a command line; no file does.
 
-    Raises:
-        CadenzaError: there is no such thing.
+    Raises CadenzaError if there is no such thing.
     """
     if chosen.hand is not None:
         from cadenza.hands.registry import hand_named

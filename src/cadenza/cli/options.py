@@ -76,11 +76,9 @@ class RecordedParts:
 def reader(kind: type[Command], prog: str, words: Sequence[str], chosen: Chosen) -> Read[Command]:
     """Return a function that reads the command line over defaults and the chosen setup.
 
-    The command has the options of those agents that play; those of others are unknown.
-
-    Raises:
-        CadenzaError: there is no such setup or agent, or the options of an agent are called like
-            something else.
+    The command has the options of those agents that play; those of others are unknown. Raises
+    CadenzaError if there is no such setup or agent, or the options of an agent are called like
+    something else.
     """
     setup = NamedSetup() if chosen.setup is None else setup_named(chosen.setup)
     usual: dict[str, Any] = {each.name: each.default for each in fields(kind)}
@@ -109,8 +107,7 @@ def reader(kind: type[Command], prog: str, words: Sequence[str], chosen: Chosen)
 def with_options_of(kind: type[Command], agents: Sequence[str]) -> type[Command]:
     """Return `kind` with a field for the options of each of the agents.
 
-    Raises:
-        CadenzaError: there is no such agent, or its options are called like something else.
+    Raises CadenzaError if there is no such agent, or its options are called like something else.
     """
     names: dict[str, str] = {}
     taken = {*dir(kind), *(each.name for each in fields(kind))}

@@ -93,8 +93,7 @@ def _resumed(
 ) -> PracticeCommand:
     """The command with the song and the options of what was practised in `folder`.
 
-    Raises:
-        CadenzaError: the folder does not say how it was practised, or that cannot be read.
+    Raises CadenzaError if the folder does not say how it was practised, or that cannot be read.
     """
     from cadenza.agents.planner.config import PlannerConfig
     from cadenza.performing.player import PRACTISED_HOW

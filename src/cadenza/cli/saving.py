@@ -24,8 +24,7 @@ _SHEETS = (SHEET, ".pdf", ".svg", ".mid")  # endings of files of sheet music
 def check_name(path: Path, suffix: str, what: str) -> None:
     """Check the name of an output file before anything is made for it.
 
-    Raises:
-        CadenzaError: it has another ending than `suffix`, or is a folder; `what` says why.
+    Raises CadenzaError if it has another ending than `suffix`, or is a folder; `what` says why.
     """
     if path.suffix != suffix:
         raise CadenzaError(f"{path}: {what}; choose a name with that ending")
@@ -72,12 +71,11 @@ def write_sheet(score: Score, path: Path, song: str) -> None:
 def check_writable(folder: Path, option: str = "--output", mode: int = 0o777) -> None:
     """Check that results can be written to a folder before anything is played for it.
 
+    Raises CadenzaError if they cannot.
+
     Args:
         folder: it is made, with this `mode`, if it is not there.
         option: chooses another folder, as the error says.
-
-    Raises:
-        CadenzaError: they cannot.
     """
     import tempfile
 

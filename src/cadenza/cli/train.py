@@ -91,8 +91,7 @@ class Curves:
 def default(chosen: Chosen) -> Train:
     """Return the command with what its options change: a run's training, or that of a preset.
 
-    Raises:
-        CadenzaError: there is no such run, learner or setup.
+    Raises CadenzaError if there is no such run, learner or setup.
     """
     setup = NamedSetup() if chosen.setup is None else setup_named(chosen.setup)
     if chosen.resume is not None:

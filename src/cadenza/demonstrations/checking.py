@@ -27,11 +27,9 @@ def problems(
 ) -> Iterator[str]:
     """Yield every problem of the episodes in a folder, as a line of text.
 
-    So many episodes as `replays`, spread evenly over all, are played again and compared.
-    `progress` is told how many of how many episodes have been looked at.
-
-    Raises:
-        CadenzaError: it holds no demonstrations.
+    So many episodes as `replays`, spread evenly over all, are played again and compared. `progress`
+    is told how many of how many episodes have been looked at. Raises CadenzaError if it holds no
+    demonstrations.
     """
     folder = dataset_folder(folder)
     if not (folder / EPISODES).is_dir():

@@ -133,8 +133,7 @@ class Dataset:
     def place(self, steps: Ids) -> tuple[Ids, Ids]:
         """The episodes of these steps (B,), and which steps of those they are (B,).
 
-        Raises:
-            CadenzaError: there is no such step.
+        Raises CadenzaError if there is no such step.
         """
         if steps.size and not 0 <= steps.min() <= steps.max() < self.num_steps:
             raise CadenzaError(
@@ -146,14 +145,13 @@ class Dataset:
     def batch(self, steps: Ids, lookahead: int = LOOKAHEAD, ahead: Sequence[int] = ()) -> StepBatch:
         """What there is to learn from `steps` (B,).
 
+        Raises CadenzaError if there is no such step, or a file is not there, or is damaged.
+
         Args:
             steps: their numbers, from 0 up to `num_steps`.
             lookahead: L, for how many steps after the next there are goals.
             ahead: The states that have references: 0 for the one before the step, 1 for the
                 one after it, and so on; past the end of the song, its last.
-
-        Raises:
-            CadenzaError: there is no such step, or a file is not there, or is damaged.
         """
         episode, step = self.place(steps)
         rows = _gathered(self._steps, episode, step[:, None])[:, 0]
@@ -278,8 +276,7 @@ class _Rows:
     def bytes(self) -> NDArray[np.uint8]:
         """The rows (T + 1, bytes).
 
-        Raises:
-            CadenzaError: the array is not as it should be.
+        Raises CadenzaError if the array is not as it should be.
         """
         episode = self._episode
         try:
@@ -305,8 +302,7 @@ def check_rows(episode: RecordedEpisode, name: str, array: Array, kind: np.dtype
 def wrong_values(episode: RecordedEpisode, scene: Scene) -> Iterator[str]:
     """Yield a line for each array of an episode with impossible values.
 
-    Raises:
-        CadenzaError: an array has other rows than it should have.
+    Raises CadenzaError if an array has other rows than it should have.
     """
     for name, array, kind in (
         (STEPS, episode.steps, steps_type(scene)),
@@ -329,8 +325,7 @@ def wrong_values(episode: RecordedEpisode, scene: Scene) -> Iterator[str]:
 def check_values(episode: RecordedEpisode, scene: Scene) -> None:
     """Read all of an episode's arrays.
 
-    Raises:
-        CadenzaError: one is not as it was written, or what is in it cannot be.
+    Raises CadenzaError if one is not as it was written, or what is in it cannot be.
     """
     episode.check_files((STEPS, PLAN))
     for what in wrong_values(episode, scene):
@@ -371,8 +366,7 @@ def _common(episodes: Sequence[RecordedEpisode], what: str, values: Sequence[Any
 def dataset_folder(place: str | Path) -> Path:
     """The folder of a dataset, which is fetched if it is one of the hub: see `cadenza.hub`.
 
-    Raises:
-        CadenzaError: there is none on the hub, or it cannot be fetched.
+    Raises CadenzaError if there is none on the hub, or it cannot be fetched.
     """
     return fetched(place, DATASET)
 
@@ -380,8 +374,7 @@ def dataset_folder(place: str | Path) -> Path:
 def finished(folder: str | Path) -> list[tuple[Path, EpisodeFacts]]:
     """The episodes of a folder that are finished, kept or not, by name.
 
-    Raises:
-        CadenzaError: it holds no demonstrations, or a result.json is damaged.
+    Raises CadenzaError if it holds no demonstrations, or a result.json is damaged.
     """
     runs = dataset_folder(folder) / EPISODES
     if not runs.is_dir():
@@ -394,8 +387,7 @@ def finished(folder: str | Path) -> list[tuple[Path, EpisodeFacts]]:
 def results_in(runs: Path) -> list[Path]:
     """The result.json of each episode that is finished, by name.
 
-    Raises:
-        OSError: a folder cannot be read, which `Path.glob` would not say.
+    Raises OSError if a folder cannot be read, which `Path.glob` would not say.
     """
     return [path for at in sorted(runs.iterdir()) if (path := at / RESULT).exists()]
 
@@ -405,8 +397,7 @@ def open_dataset(
 ) -> Dataset:
     """Open the episodes of a folder that were kept and are `wanted`.
 
-    Raises:
-        CadenzaError: there is none, they do not go together, or a result.json is damaged.
+    Raises CadenzaError if there is none, they do not go together, or a result.json is damaged.
     """
     return Dataset([episode for episode in kept(folder) if wanted(episode.facts)])
 
@@ -414,7 +405,6 @@ def open_dataset(
 def kept(folder: str | Path) -> list[RecordedEpisode]:
     """The episodes of a folder that were kept, by name; none of their arrays is read.
 
-    Raises:
-        CadenzaError: it holds no demonstrations, or a result.json is damaged.
+    Raises CadenzaError if it holds no demonstrations, or a result.json is damaged.
     """
     return [RecordedEpisode(path, facts) for path, facts in finished(folder) if facts.kept]

@@ -47,9 +47,8 @@ def write_lerobot(
 ) -> None:
     """Write a dataset into a new folder, with these `pictures` of every step.
 
-    Raises:
-        CadenzaError: pyarrow is not installed, the folder exists, an episode is damaged, the
-            control steps are no whole number a second, or this machine cannot draw.
+    Raises CadenzaError if pyarrow is not installed, the folder exists, an episode is damaged, the
+    control steps are no whole number a second, or this machine cannot draw.
     """
     with extra_packages("export", "exporting"):
         import pyarrow as pa
@@ -330,8 +329,7 @@ class Video:
     def __init__(self, dataset: Dataset, picture: Picture, fps: int, folder: Path) -> None:
         """Open the renderer; the first file begins with the first episode.
 
-        Raises:
-            CadenzaError: this machine cannot draw, or a video cannot have this size.
+        Raises CadenzaError if this machine cannot draw, or a video cannot have this size.
         """
         if (
             picture.width % 2

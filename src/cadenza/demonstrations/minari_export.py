@@ -48,8 +48,7 @@ _MAX_BATCH = 20_000  # steps that are written at once, or a longer episode
 def minari_id(folder: Path, name: str | None = None, version: int = 0) -> str:
     """The id of a dataset in Minari, by default `cadenza/` and the name of its `folder`.
 
-    Raises:
-        CadenzaError: Minari takes no such name or version.
+    Raises CadenzaError if Minari takes no such name or version.
     """
     named = f"cadenza/{_UNNAMED.sub('-', folder.resolve().name)}" if name is None else name
     if not _NAME.fullmatch(named):
@@ -65,11 +64,8 @@ def write_minari(
 ) -> None:
     """Write the dataset of that id to a folder, which MINARI_DATASETS_PATH has to name then.
 
-    Others may lie there.
-
-    Raises:
-        CadenzaError: Minari is not installed, there is a dataset of that id in the folder, or an
-            episode is damaged.
+    Others may lie there. Raises CadenzaError if Minari is not installed, there is a dataset of that
+    id in the folder, or an episode is damaged.
     """
     with extra_packages("export", "exporting"):
         import minari

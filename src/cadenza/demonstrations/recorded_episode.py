@@ -154,8 +154,7 @@ class RecordedEpisode:
     def build_scene(self) -> Scene:
         """Build the scene in which it was played.
 
-        Raises:
-            CadenzaError: the hands are of a module that nobody has imported.
+        Raises CadenzaError if the hands are of a module that nobody has imported.
         """
         check_modules(self.facts.scene, self.folder / RESULT)
         return build_scene(self.facts.scene)
@@ -180,8 +179,7 @@ class RecordedEpisode:
     def score(self) -> Score:
         """The score of the episode, without the silence before it.
 
-        Raises:
-            CadenzaError: the file is not there, or is not as it was written.
+        Raises CadenzaError if the file is not there, or is not as it was written.
         """
         return self._score_in(SCORE)
 
@@ -189,8 +187,7 @@ class RecordedEpisode:
     def song(self) -> Score:
         """The song of which that is a part or a variation, as it was chosen to be played.
 
-        Raises:
-            CadenzaError: the file is not there, or is not as it was written.
+        Raises CadenzaError if the file is not there, or is not as it was written.
         """
         return self._score_in(SONG)
 
@@ -206,8 +203,7 @@ class RecordedEpisode:
     def check_files(self, names: Collection[str]) -> None:
         """Compare files with their checksums; `score` does so by itself.
 
-        Raises:
-            CadenzaError: one is not there, or is not as it was written.
+        Raises CadenzaError if one is not there, or is not as it was written.
         """
         for what in self.wrong_files(names):
             raise CadenzaError(what)
@@ -226,8 +222,7 @@ class RecordedEpisode:
     def goals(self, scene: Scene) -> Goals:
         """Keys, fingers and pedal per control step, rebuilt from the score.
 
-        Raises:
-            CadenzaError: the file of the score is not there, is damaged, or has other steps.
+        Raises CadenzaError if the file of the score is not there, is damaged, or has other steps.
         """
         goals = GoalTrack(self.score, (), self.facts.task, scene).goals
         if goals.num_steps != self.facts.num_steps:
@@ -269,8 +264,7 @@ MAKE_AGAIN = "delete its folder and collect again"
 def read_facts(folder: Path) -> EpisodeFacts:
     """Read the result.json of an episode.
 
-    Raises:
-        CadenzaError: it is not finished, or the file is damaged.
+    Raises CadenzaError if it is not finished, or the file is damaged.
     """
     facts = read_json(folder / RESULT, dict[str, Any])
     sealed = facts.pop(_SEAL, None)

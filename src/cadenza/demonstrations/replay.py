@@ -37,8 +37,7 @@ def wrong_start(recorded: RecordedEpisode, scene: Scene) -> str | None:
 def task_of(recorded: RecordedEpisode, scene: Scene) -> Iterator[PianoTask]:
     """Yield the task of an episode in its `scene`, with the hands where they began.
 
-    Raises:
-        CadenzaError: they cannot begin there, or a file is not as it was written.
+    Raises CadenzaError if they cannot begin there, or a file is not as it was written.
     """
     recorded.check_files((STEPS,))
     if wrong := wrong_start(recorded, scene):

@@ -20,8 +20,7 @@ _MIB = 2**20
 def summarize(folder: Path) -> Iterator[str]:
     """Yield songs, episodes, steps, F1, size on disk, and which versions made it.
 
-    Raises:
-        CadenzaError: it holds no demonstrations, or a result.json is damaged.
+    Raises CadenzaError if it holds no demonstrations, or a result.json is damaged.
     """
     folder = dataset_folder(folder)
     episodes = finished(folder)

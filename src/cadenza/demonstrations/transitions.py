@@ -48,8 +48,7 @@ class Transitions(NamedTuple):
 def transitions(dataset: Dataset, number: int) -> Transitions:
     """The transitions of the episode of that number.
 
-    Raises:
-        CadenzaError: a file is not there, or is damaged.
+    Raises CadenzaError if a file is not there, or is damaged.
     """
     scene, steps = dataset.scene, dataset.episodes[number].steps
     check_values(dataset.episodes[number], scene)

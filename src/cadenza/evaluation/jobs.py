@@ -153,8 +153,7 @@ def key_of(content: Any) -> str:
 def digest_of_files(*configs: Any) -> str:
     """Return a hash of the files that these options name; nothing if they name none.
 
-    Raises:
-        CadenzaError: a file is not there, or cannot be read.
+    Raises CadenzaError if a file is not there, or cannot be read.
     """
     paths = [Path(path) for config in configs for path in files_named(config)]
     return sha256_of(*paths)[:_HASH] if paths else ""
@@ -187,8 +186,7 @@ def _facts(song: Song, library: Library) -> SongFacts:
 def song_digest(song: Song) -> str:
     """Return a hash of the song's files, so that many are planned in a moment, or of its notes.
 
-    Raises:
-        CadenzaError: a file cannot be read, or a song without one cannot be made.
+    Raises CadenzaError if a file cannot be read, or a song without one cannot be made.
     """
     files = [part for part in getattr(song.read, "args", ()) if isinstance(part, Path)]
     if files:

@@ -116,8 +116,7 @@ def write_plan(folder: Path, command: str, jobs: Iterable[BenchJob]) -> None:
 def read_results(folder: str | Path) -> BenchResults:
     """Read all runs in the folder of a bench. What is corrupt is reported and left out.
 
-    Raises:
-        CadenzaError: it is not the folder of a bench.
+    Raises CadenzaError if it is not the folder of a bench.
     """
     folder = Path(folder)
     if not (folder / RUNS).is_dir():

@@ -123,8 +123,7 @@ def progress_writer(folder: Path) -> Progress:
 def check_song(spec: JobSpec) -> None:
     """Compare the song with the one that was planned.
 
-    Raises:
-        CadenzaError: it has changed since.
+    Raises CadenzaError if it has changed since.
     """
     if song_digest(find_song(spec.song)) != spec.song_digest:
         raise CadenzaError(

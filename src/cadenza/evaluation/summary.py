@@ -36,8 +36,7 @@ Caveat = tuple[str, Sequence[str]]
 def summarize(bench: BenchResults, title: str) -> BenchSummary:
     """Return the summary of the runs of a bench.
 
-    Raises:
-        CadenzaError: there is none that can be summed up.
+    Raises CadenzaError if there is none that can be summed up.
     """
     results = usable(bench)  # in the order of `BenchSummary.runs`
     if not results:

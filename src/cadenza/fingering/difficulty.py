@@ -79,13 +79,12 @@ FITTED = DifficultyModel(
 def grade(score: Score, players: Players | None = None) -> float:
     """The difficulty of `score`, from 1 to 10.
 
+    Raises CadenzaError if there are no notes, or no fingers and no players.
+
     Args:
         score: a score of one note or more.
         players: the hands for which fingers are found, as by the planner, whatever the score says.
             None takes the fingers of the score.
-
-    Raises:
-        CadenzaError: there are no notes, or no fingers and no players.
     """
     if players is not None:
         score, _ = find_fingering(score.without_fingers(), players)
@@ -97,8 +96,7 @@ def grade(score: Score, players: Players | None = None) -> float:
 def features_of(score: Score) -> Features:
     """The features of a score with fingers, in time linear in its notes.
 
-    Raises:
-        CadenzaError: there are no notes.
+    Raises CadenzaError if there are no notes.
     """
     if not score.notes:
         raise CadenzaError(f"{score.title or 'score'}: without notes, nothing is hard or easy")

@@ -76,8 +76,7 @@ class Hand:
     def __post_init__(self) -> None:
         """Check that the parts go together.
 
-        Raises:
-            CadenzaError: they do not.
+        Raises CadenzaError if they do not.
         """
         for fault in _faults(self):
             raise CadenzaError(f"hand {self.name}: {fault}")

@@ -106,8 +106,7 @@ class Measurement:
 def from_mjcf(path: str | Path) -> Hand:
     """Read a hand from its TOML, beside which its MJCF or URDF lies.
 
-    Raises:
-        CadenzaError: a file is missing or wrong, or the hand is not measured as it is.
+    Raises CadenzaError if a file is missing or wrong, or the hand is not measured as it is.
     """
     path = Path(path)
     measured = measurement_of(path)
@@ -141,8 +140,7 @@ class HandFile:
     def __init__(self, path: Path) -> None:
         """Read and compile the files.
 
-        Raises:
-            CadenzaError: they are missing, or contradict each other.
+        Raises CadenzaError if they are missing, or contradict each other.
         """
         self._path = path
         try:
@@ -174,8 +172,7 @@ class HandFile:
     def hand(self, measurement: Measurement) -> Hand:
         """The hand with what was measured of it.
 
-        Raises:
-            CadenzaError: its parts do not go together.
+        Raises CadenzaError if its parts do not go together.
         """
         links = [self._link(body, measurement) for body in self._bodies]
         rest = {each.name: float(np.clip(0.0, *each.range)) for each in _joints(links)}

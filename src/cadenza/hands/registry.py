@@ -26,8 +26,7 @@ HANDS = Registry(
 def hand_named(name: str) -> Hand:
     """The hand called `name`, or that of a TOML file.
 
-    Raises:
-        CadenzaError: there is no such hand, or something is wrong with its files.
+    Raises CadenzaError if there is no such hand, or something is wrong with its files.
     """
     if name.endswith(TOML):
         return from_mjcf(name)

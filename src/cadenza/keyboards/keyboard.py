@@ -111,8 +111,7 @@ class Keyboard:
     def __post_init__(self) -> None:
         """Check the figures.
 
-        Raises:
-            CadenzaError: there can be no such keyboard.
+        Raises CadenzaError if there can be no such keyboard.
         """
         for fault in _faults(self):
             raise CadenzaError(f"keyboard {self.name}: {fault}")

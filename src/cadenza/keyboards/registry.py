@@ -18,7 +18,6 @@ KEYBOARDS = Registry(
 def keyboard_named(name: str) -> Keyboard:
     """The keyboard called `name`.
 
-    Raises:
-        CadenzaError: there is no such keyboard.
+    Raises CadenzaError if there is no such keyboard.
     """
     return KEYBOARDS.load(name, Keyboard)

@@ -48,9 +48,8 @@ class Reference(NamedTuple):
 def reference_of(task: PianoTask, seed: int = 0) -> Reference:
     """Have the planner play the only score of a task, which has one environment.
 
-    Raises:
-        CadenzaError: the task has several scores, changes one or the start at random, or has no
-            hands.
+    Raises CadenzaError if the task has several scores, changes one or the start at random, or has
+    no hands.
     """
     check_one_score(task.config)
     if len(task.tracks) > 1:

@@ -94,8 +94,7 @@ class CheckpointedRun(ABC):
     def _restore(self, facts: dict[str, Any], arrays: Arrays) -> None:
         """Go on from `_facts` and `_arrays`; `step` is restored already.
 
-        Raises:
-            CadenzaError: They are of another learner.
+        Raises CadenzaError if they are of another learner.
         """
 
     @abstractmethod
@@ -113,8 +112,7 @@ class CheckpointedRun(ABC):
     def run(self, goes_on: Callable[[], bool]) -> None:
         """Train until all steps are done, or `goes_on` is false, asked after every few of them.
 
-        Raises:
-            CadenzaError: There is no room for a checkpoint.
+        Raises CadenzaError if there is no room for a checkpoint.
         """
         self._began = time.perf_counter() - self._seconds
         saved_step, saved = self.step, time.perf_counter()
@@ -148,8 +146,7 @@ class CheckpointedRun(ABC):
     def resume(self) -> None:
         """Go on from the checkpoint, or begins where there is none.
 
-        Raises:
-            CadenzaError: It is damaged, or that of another run.
+        Raises CadenzaError if it is damaged, or that of another run.
         """
         if (latest := self.folder.load(_Facts)) is None:
             self._metrics_log.delete()

@@ -73,11 +73,9 @@ def preset(
     paper: the table of the paper, in its task. published: the same with what the published run
     script sets differently, and the reward terms for pedal and forearms. Both tasks are those of
     the setups of the same names. fast: for few cores, in the default task, changed by `otherwise`
-    (`NamedSetup.training`). With `residual` a run learns small corrections of a plan; None is
-    what was measured to be best: to do so with the preset fast of DroQ, without such changes.
-
-    Raises:
-        CadenzaError: there is no `learner` of this name.
+    (`NamedSetup.training`). With `residual` a run learns small corrections of a plan; None is what
+    was measured to be best: to do so with the preset fast of DroQ, without such changes. Raises
+    CadenzaError if there is no `learner` of this name.
     """
     if residual is None:
         residual = name == "fast" and learner == DROQ and not otherwise

@@ -68,8 +68,7 @@ class Experience(Protocol):
     def restore(self, plain: dict[str, Any], arrays: Arrays, chunks: Sequence[Chunk]) -> None:
         """Go on from `state` and from the files of `save`.
 
-        Raises:
-            CadenzaError: They are of another run, or a file is missing or damaged.
+        Raises CadenzaError if they are of another run, or a file is missing or damaged.
         """
 
 

@@ -70,8 +70,7 @@ class AnyLearner(Protocol[State]):
     def from_arrays(self, arrays: dict[str, NDArray[Any]]) -> State:
         """The state of `to_arrays`.
 
-        Raises:
-            CadenzaError: the arrays are those of another learner.
+        Raises CadenzaError if the arrays are those of another learner.
         """
 
 
@@ -139,13 +138,12 @@ class LearnerConfig:
     def make(self, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)) -> Any:
         """The `Learner` that these options describe, or the `OnPolicyLearner`.
 
+        Raises CadenzaError if a library that it needs is missing.
+
         Args:
             inputs: The entries that its policy observes.
             action_size: A, of actions in [-1, 1].
             ends: The ends of the run, for schedules.
-
-        Raises:
-            CadenzaError: A library that it needs is missing.
         """
         if not self.learner:
             raise NotImplementedError(f"{type(self).__name__} makes no learner")
@@ -158,8 +156,7 @@ class LearnerConfig:
     def policy_of(cls, facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Policy:
         """The policy of such a learner from its `state`, if it is no `Perceptron`.
 
-        Raises:
-            CadenzaError: there is none.
+        Raises CadenzaError if there is none.
         """
         raise NotImplementedError(f"{cls.__name__} reads no policy")
 
@@ -173,9 +170,8 @@ def check_hidden_sizes(sizes: tuple[int, ...]) -> None:
 def learner_config(name: str) -> type[LearnerConfig]:
     """The configuration of the learner of this name.
 
-    Raises:
-        CadenzaError: there is none. A name may come from a file, and of `module:Name` the module is
-            to be imported before: that may run anything.
+    Raises CadenzaError if there is none. A name may come from a file, and of `module:Name` the
+    module is to be imported before: that may run anything.
     """
     if (module := module_of(name)) is not None and module not in sys.modules:
         raise CadenzaError(
@@ -191,8 +187,7 @@ def learner_config(name: str) -> type[LearnerConfig]:
 def name_of(config: LearnerConfig) -> str:
     """The name by which `learner_config` finds the class of `config`.
 
-    Raises:
-        CadenzaError: another process could not find it.
+    Raises CadenzaError if another process could not find it.
     """
     kind = type(config)
     place = f"{kind.__module__}:{kind.__qualname__}"

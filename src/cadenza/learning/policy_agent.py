@@ -50,9 +50,8 @@ class PolicyAgent(Agent):
     def act(self, view: View) -> Array:
         """The policy's actions (N, A) in actuator units.
 
-        Raises:
-            CadenzaError: The task shows other things than the policy was trained to observe, or is
-                of another length than its reference.
+        Raises CadenzaError if the task shows other things than the policy was trained to observe,
+        or is of another length than its reference.
         """
         if view.task is not self._task:
             self._prepare(view)

@@ -149,9 +149,8 @@ class LearntPolicy:
     def check(self, name: str, task: PianoTask) -> None:
         """Check that the policy can play a task.
 
-        Raises:
-            CadenzaError: The policy, which is called `name`, corrects another reference than that
-                of `task`, or observes something else.
+        Raises CadenzaError if the policy, which is called `name`, corrects another reference than
+        that of `task`, or observes something else.
         """
         options: tuple[str, ...] = _CHANGE_THE_REFERENCE if self.residual else ()
         if self.observation != ObservationSpec.of(task.spec, self.residual):
@@ -171,8 +170,7 @@ class LearntPolicy:
 def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> None:
     """Write a policy to a folder, with remarks `about` it.
 
-    Raises:
-        CadenzaError: there is no room; what the folder held is still there.
+    Raises CadenzaError if there is no room; what the folder held is still there.
     """
     own, arrays = learnt.policy.state()
     if learnt.learner is not None:
@@ -206,8 +204,7 @@ def policy_folder(folder: str | Path) -> Path:
 def load_policy(folder: str | Path) -> LearntPolicy:
     """Read a policy: that in a folder, the best one of a training run, or one of the hub.
 
-    Raises:
-        CadenzaError: there is no policy, or not one that this version wrote, unchanged.
+    Raises CadenzaError if there is no policy, or not one that this version wrote, unchanged.
     """
     folder = policy_folder(folder)
     where = folder / POLICY_FILE
@@ -244,8 +241,7 @@ def load_policy(folder: str | Path) -> LearntPolicy:
 def remarks_on(folder: Path) -> dict[str, Any]:
     """The remarks about a policy, such as the metrics of its evaluation.
 
-    Raises:
-        CadenzaError: There is no policy, or it is damaged.
+    Raises CadenzaError if there is no policy, or it is damaged.
     """
     facts = read_tensors(folder / POLICY_FILE, ANY, _MAX_BYTES)[1]
     return checked(facts.get("about"), dict[str, Any], folder / POLICY_FILE)

@@ -55,8 +55,7 @@ class Problem:
 def problem_of(config: TrainingConfig, scores: Sequence[Score]) -> Problem:
     """What a run with these options has to learn; whoever asks for it closes its task.
 
-    Raises:
-        CadenzaError: A song cannot be played, or an option makes no sense.
+    Raises CadenzaError if a song cannot be played, or an option makes no sense.
     """
     check(config)
     scores = tuple(score.without_fingers() if config.residual else score for score in scores)

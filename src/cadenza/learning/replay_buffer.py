@@ -41,8 +41,7 @@ class ReplayBuffer:
     def __init__(self, observer: Observer, num_envs: int, capacity: int, action_size: int) -> None:
         """Make room for `capacity` frames of all environments together.
 
-        Raises:
-            CadenzaError: there is no room for them.
+        Raises CadenzaError if there is no room for them.
         """
         self._observer = observer
         # At least four: a frame with an action outlives the end of its episode and the next start.
@@ -104,8 +103,7 @@ class ReplayBuffer:
     def sample(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Batch:
         """Draw transitions uniformly with replacement, arrays (*shape, ...).
 
-        Raises:
-            ValueError: there is none.
+        Raises ValueError if there is none.
         """
         if not self._size:
             raise ValueError("the replay buffer has no transitions yet")
@@ -178,8 +176,7 @@ class ReplayBuffer:
     def restore(self, chunk: dict[str, NDArray[Any]]) -> None:
         """Add the frames of `since`, in its order. The newest frame is to be observed again.
 
-        Raises:
-            CadenzaError: the frames are of other environments.
+        Raises CadenzaError if the frames are of other environments.
         """
         check_arrays(chunk, self._expected(), "experience")
         start, to, there = chunk["from"], chunk["to"], len(chunk["row"])

@@ -55,8 +55,7 @@ class RunFolder(ResumableFolder):
     def begin(self, config: TrainingConfig, scores: Sequence[Score]) -> None:
         """Write down what is asked for.
 
-        Raises:
-            CadenzaError: The folder holds a run already, or what is left of one.
+        Raises CadenzaError if the folder holds a run already, or what is left of one.
         """
         if self.begun:
             raise CadenzaError(
@@ -72,8 +71,7 @@ class RunFolder(ResumableFolder):
     def set_end(self, config: TrainingConfig) -> None:
         """Change the number of steps to that of `config`.
 
-        Raises:
-            CadenzaError: It differs in something else too, or makes no sense.
+        Raises CadenzaError if it differs in something else too, or makes no sense.
         """
         manifest = self._read()
         check(config)
@@ -97,9 +95,8 @@ class RunFolder(ResumableFolder):
     def settings(self) -> tuple[TrainingConfig, tuple[Score, ...]]:
         """The config and the scores, to go on with them.
 
-        Raises:
-            CadenzaError: The folder holds no run, or one whose hand or keyboard is of a module that
-                nobody has imported.
+        Raises CadenzaError if the folder holds no run, or one whose hand or keyboard is of a module
+        that nobody has imported.
         """
         config, scores = self.description()
         check_modules(config.scene, self.manifest)
@@ -108,8 +105,7 @@ class RunFolder(ResumableFolder):
     def description(self) -> tuple[TrainingConfig, tuple[Score, ...]]:
         """The config and the scores, to be shown.
 
-        Raises:
-            CadenzaError: The folder holds no run.
+        Raises CadenzaError if the folder holds no run.
         """
         manifest = self._read()
         with errors_in(self.manifest):

@@ -52,8 +52,7 @@ class _Progress:
 def begin(config: TrainingConfig, scores: Sequence[Score], folder: RunFolder) -> Training:
     """Begin a run in a folder, which holds none if it cannot be made.
 
-    Raises:
-        CadenzaError: See `problem_of`, or the folder holds a run already.
+    Raises CadenzaError as `problem_of` does, and if the folder holds a run already.
     """
     folder.begin(config, scores)
     try:
@@ -75,9 +74,8 @@ class Training(CheckpointedRun):
     def __init__(self, problem: Problem, folder: RunFolder) -> None:
         """Resume from the checkpoint in `folder`, if there is one.
 
-        Raises:
-            CadenzaError: The checkpoint is damaged, a library that the learner needs is missing, or
-                there is no room for its experience.
+        Raises CadenzaError if the checkpoint is damaged, a library that the learner needs is
+        missing, or there is no room for its experience.
         """
         config = problem.config
         rng, sample_rng = np.random.default_rng(config.seed).spawn(2)
@@ -112,8 +110,7 @@ class Training(CheckpointedRun):
     def run(self, goes_on: Callable[[], bool]) -> None:
         """Train until all steps are done or `goes_on` is false, which is asked once a round.
 
-        Raises:
-            CadenzaError: There is no room for a checkpoint, or the policy is no longer finite.
+        Raises CadenzaError if there is no room for a checkpoint, or the policy is no longer finite.
         """
         with threadpool_limits(1):  # the other cores learn
             super().run(goes_on)
@@ -131,8 +128,7 @@ class Training(CheckpointedRun):
     def _round(self) -> None:
         """Collect experience, and learn from it.
 
-        Raises:
-            CadenzaError: The policy is no longer finite.
+        Raises CadenzaError if the policy is no longer finite.
         """
         config = self.config
         self._state, metrics, finished = self._experience.round(

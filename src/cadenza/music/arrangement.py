@@ -42,10 +42,8 @@ class Arrangement:
     def __post_init__(self) -> None:
         """Check the options.
 
-        Raises:
-            CadenzaError: `first_seconds` is not a positive number, `level`, `expression` or a rule
-                is out of range, there are rules but no expression, or a level but nothing is
-                arranged.
+        Raises CadenzaError if `first_seconds` is not a positive number, `level`, `expression` or a
+        rule is out of range, there are rules but no expression, or a level but nothing is arranged.
         """
         if self.level is not None:
             whole_number(self.level, "level", EASIEST, HARDEST)
@@ -60,8 +58,7 @@ class Arrangement:
     def score(self, song: str) -> Score:
         """The score of `song`, a bundled song or a file, before it is arranged for any hands.
 
-        Raises:
-            CadenzaError: it cannot be read, has no such tracks, or lasts over an hour.
+        Raises CadenzaError if it cannot be read, has no such tracks, or lasts over an hour.
         """
         from cadenza.music.libraries.library import find_song
 
@@ -70,16 +67,14 @@ class Arrangement:
     def whole(self, song: Song) -> Score:
         """The whole score of `song`, as it is written.
 
-        Raises:
-            CadenzaError: it cannot be read, or has no such tracks.
+        Raises CadenzaError if it cannot be read, or has no such tracks.
         """
         return song.load(self.tracks, self.plain)
 
     def performed(self, score: Score, song: str) -> Score:
         """The part of a whole score that is played, with expression.
 
-        Raises:
-            CadenzaError: it lasts over an hour; the message begins with `song`.
+        Raises CadenzaError if it lasts over an hour; the message begins with `song`.
         """
         if self.expression:  # before it is cut, as its beginning has no final ritard
             from cadenza.music.expression import performed
@@ -94,14 +89,12 @@ class Arrangement:
     def written_for(self, hands: str, score: Score) -> Score:
         """The notes of a song that are written for the hands that play.
 
-        All are left with `all_notes`, for both hands, and where the song does not say.
+        All are left with `all_notes`, for both hands, and where the song does not say. Raises
+        CadenzaError if nothing is written for the one hand that plays.
 
         Args:
             hands: "right" or "left", or anything else for both.
             score: the song.
-
-        Raises:
-            CadenzaError: nothing is written for the one hand that plays.
         """
         if hands not in SIDES or self.all_notes or not score.has_written_hands:
             return score

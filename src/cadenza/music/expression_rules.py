@@ -44,8 +44,7 @@ class ExpressionRules:
 def check_quantities(dose: float, rules: ExpressionRules) -> None:
     """Check the dose of all rules and the quantity of each.
 
-    Raises:
-        CadenzaError: one is out of range.
+    Raises CadenzaError if one is out of range.
     """
     if not 0 <= dose <= MAX_QUANTITY:
         raise CadenzaError(f"expression {dose}: choose 0 to {MAX_QUANTITY}")

@@ -104,20 +104,17 @@ def score_to_goals(
     The keys have these `pitches`, as MIDI numbers; those of a piano by default. Fingers get the
     numbers that they have on `hands`, and none without hands.
 
-    A song of T seconds has `int(T * (1 / dt) + 1)` steps. A note sounds from step
-    `int(start / dt)` up to, not including, `ceil(end / dt)`, and for one step at least. Where a
-    key is struck again on a step before which it already was to sound, it is left out of that one
-    step, so that it has to come up, and the note begins a step late. Where such notes are to
-    `shorten` the one before, it is left out of the step before instead, and the note begins in
-    time, unless nothing would be left of the one before. Of notes that share a key and a step the
-    later one's finger counts. A pedal event (down from value 64) acts from step `int(time / dt)`
-    until the next; of several on one step the last counts. Where the pedal is lifted and pressed
-    again on one step, it would so stay down. If such notes are to `shorten` the one before, it is
-    up for that step.
-
-    Raises:
-        CadenzaError: the score has no notes or one without a key, `dt` is not a positive number, or
-            there would be more than `MAX_STEPS`.
+    A song of T seconds has `int(T * (1 / dt) + 1)` steps. A note sounds from step `int(start / dt)`
+    up to, not including, `ceil(end / dt)`, and for one step at least. Where a key is struck again
+    on a step before which it already was to sound, it is left out of that one step, so that it has
+    to come up, and the note begins a step late. Where such notes are to `shorten` the one before,
+    it is left out of the step before instead, and the note begins in time, unless nothing would be
+    left of the one before. Of notes that share a key and a step the later one's finger counts. A
+    pedal event (down from value 64) acts from step `int(time / dt)` until the next; of several on
+    one step the last counts. Where the pedal is lifted and pressed again on one step, it would so
+    stay down. If such notes are to `shorten` the one before, it is up for that step. Raises
+    CadenzaError if the score has no notes or one without a key, `dt` is not a positive number, or
+    there would be more than `MAX_STEPS`.
     """
     if not score.notes:
         raise CadenzaError("the score has no notes, so there is nothing to play; choose another")
@@ -197,8 +194,7 @@ def merged_notes(score: Score, goals: Goals) -> int:
 def check_pitches(score: Score, pitches: range) -> None:
     """Check that all notes are on a keyboard of these pitches.
 
-    Raises:
-        CadenzaError: the score has notes of other pitches.
+    Raises CadenzaError if the score has notes of other pitches.
     """
     if outside := sum(note.pitch not in pitches for note in score.notes):
         raise CadenzaError(
@@ -210,8 +206,7 @@ def check_pitches(score: Score, pitches: range) -> None:
 def check_steps(steps: float) -> None:
     """Check a number of control steps.
 
-    Raises:
-        CadenzaError: they are more than memory has room for.
+    Raises CadenzaError if they are more than memory has room for.
     """
     if steps > MAX_STEPS:
         raise CadenzaError(

@@ -149,10 +149,8 @@ def played_in(episode: Episode) -> Score:
     """The notes and the pedal that sounded in an episode.
 
     Recordings that do not hold `key_onset`, `key_offset` and `key_velocity`, such as those of the
-    published system, have notes that begin on steps, see `performed_score`.
-
-    Raises:
-        CadenzaError: an onset has no velocity, or a time or a velocity is out of range.
+    published system, have notes that begin on steps, see `performed_score`. Raises CadenzaError if
+    an onset has no velocity, or a time or a velocity is out of range.
     """
     events = None
     if all(name in episode.arrays for name in KEY_EVENTS):

@@ -43,14 +43,13 @@ def repaired_notes(
 ) -> tuple[tuple[Note, ...], tuple[str, ...]]:
     """The notes of a file that one piano can play, and remarks on what was repaired.
 
+    Raises CadenzaError if there are no notes.
+
     Args:
         found: all notes of the file, in its unit of time.
         counts: the numbers of notes that were repaired before, by the names in `_remarks`.
         remarks: remarks that were made before.
         seconds: converts times of the file to seconds [s].
-
-    Raises:
-        CadenzaError: there are no notes.
     """
     notes = tuple(
         Note(

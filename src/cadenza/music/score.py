@@ -45,11 +45,9 @@ class Note:
     """A note: `start` and `end` in [s], MIDI `pitch` 0..127, `velocity` 1..127, and its finger.
 
     `tracks` are the numbers of the tracks of the file that have it. `hands`, `RIGHT` and `LEFT`,
-    play it as written: none where the file does not say, both where it is written
-    for both. Notes that differ only in tracks or hands are equal.
-
-    Raises:
-        CadenzaError: a value is outside its range, or the note does not end after it starts.
+    play it as written: none where the file does not say, both where it is written for both. Notes
+    that differ only in tracks or hands are equal. Raises CadenzaError if a value is outside its
+    range, or the note does not end after it starts.
     """
 
     start: float
@@ -82,8 +80,7 @@ class Note:
 class PedalEvent:
     """The sustain pedal (MIDI controller 64) moves to `value` 0..127 at `time` [s].
 
-    Raises:
-        CadenzaError: a value is outside its range.
+    Raises CadenzaError if a value is outside its range.
     """
 
     time: float
@@ -101,10 +98,8 @@ class Bar:
     """The bar of this `number` begins at `time` [s], which may lie before the song.
 
     Its beats begin at `beats` [s], the first of them with the bar; they are empty where the metre
-    is unknown. Each is written as the part `1 / beat_type` of a whole note.
-
-    Raises:
-        CadenzaError: a time is not finite, or there is no such part of a whole note.
+    is unknown. Each is written as the part `1 / beat_type` of a whole note. Raises CadenzaError if
+    a time is not finite, or there is no such part of a whole note.
     """
 
     time: float
@@ -153,10 +148,8 @@ class Score:
 
     `remarks` say in plain words what was repaired when the score was read. `tracks` are those of
     the file, played or not. `bars` are in the order in which they are played; there are none if the
-    file has no metre. Scores that differ only in tracks or bars are equal.
-
-    Raises:
-        CadenzaError: something in it is later than `MAX_SCORE_LENGTH`.
+    file has no metre. Scores that differ only in tracks or bars are equal. Raises CadenzaError if
+    something in it is later than `MAX_SCORE_LENGTH`.
     """
 
     notes: tuple[Note, ...]
@@ -217,8 +210,7 @@ class Score:
     def transposed(self, semitones: int) -> Score:
         """The score with all pitches moved by `semitones`.
 
-        Raises:
-            CadenzaError: a note would have a pitch that MIDI does not have.
+        Raises CadenzaError if a note would have a pitch that MIDI does not have.
         """
         pitches = [note.pitch + semitones for note in self.notes]
         if outside := [pitch for pitch in pitches if pitch not in MIDI_PITCHES]:
@@ -233,8 +225,7 @@ class Score:
     def mirrored(self) -> Score:
         """The mirror image about D4, with left and right hand exchanged; black keys stay black.
 
-        Raises:
-            CadenzaError: a note would have a pitch that MIDI does not have.
+        Raises CadenzaError if a note would have a pitch that MIDI does not have.
         """
         if (highest := max((note.pitch for note in self.notes), default=0)) > MIRROR:
             raise CadenzaError(f"cannot mirror pitch {highest}: choose pitches up to {MIRROR}")
@@ -292,8 +283,7 @@ class Score:
     def beginning(self, seconds: float) -> Score:
         """The first `seconds` of the score from the first note on, after which held notes end.
 
-        Raises:
-            CadenzaError: `seconds` is not a positive number.
+        Raises CadenzaError if `seconds` is not a positive number.
         """
         check_beginning(seconds)
         first = min((note.start for note in self.notes), default=0.0)
@@ -342,8 +332,7 @@ def chords(
 def check_beginning(seconds: float) -> None:
     """Check how much of a song is to be its beginning [s].
 
-    Raises:
-        CadenzaError: it is not positive or not finite.
+    Raises CadenzaError if it is not positive or not finite.
     """
     if not 0 < seconds < float("inf"):
         raise CadenzaError(f"--first-seconds {seconds:g}: give a positive number")
@@ -352,8 +341,7 @@ def check_beginning(seconds: float) -> None:
 def check_length(seconds: float, what: str, advice: str = "") -> None:
     """Check the length of `what` [s].
 
-    Raises:
-        CadenzaError: it would last longer than is sensible; the message ends with `advice`.
+    Raises CadenzaError if it would last longer than is sensible; the message ends with `advice`.
     """
     if seconds > MAX_SECONDS:
         raise CadenzaError(
@@ -365,8 +353,7 @@ def check_length(seconds: float, what: str, advice: str = "") -> None:
 def check_end(seconds: float) -> None:
     """Check that a score ends within `MAX_SCORE_LENGTH`.
 
-    Raises:
-        CadenzaError: it ends later.
+    Raises CadenzaError if it ends later.
     """
     if not seconds <= MAX_SCORE_LENGTH:  # also where it is not a number
         raise CadenzaError(
@@ -378,8 +365,7 @@ def check_end(seconds: float) -> None:
 def check_chosen(chosen: Collection[int], tracks: Sequence[Track]) -> None:
     """Check that a file with these tracks has those with the `chosen` numbers.
 
-    Raises:
-        CadenzaError: it does not.
+    Raises CadenzaError if it does not.
     """
     if missing := sorted(set(chosen) - {track.number for track in tracks}):
         there = f"tracks 1 to {len(tracks)}" if len(tracks) > 1 else "one track"

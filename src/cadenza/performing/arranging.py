@@ -124,12 +124,9 @@ def arranged_for(
     """The arrangement of a song for the hands of a scene; None if it is to be played as written.
 
     That is so with `arrange="off"`, and with "auto" and no level where the plan of what the `task`
-    plays foresees few losses: 10 % of the notes are out of reach in music for one instrument, or
-    4 % missed in other music, of whose melody and bass 1 % may be left out. `progress` is told of
-    "fingers".
-
-    Raises:
-        CadenzaError: the song is to be arranged, and the scene has no hands.
+    plays foresees few losses: 10 % of the notes are out of reach in music for one instrument, or 4
+    % missed in other music, of whose melody and bass 1 % may be left out. `progress` is told of
+    "fingers". Raises CadenzaError if the song is to be arranged, and the scene has no hands.
     """
     score, arrangement = song.score, song.arrangement
     if arrangement.arrange == "off" or not score.notes:
@@ -144,8 +141,7 @@ def arranged_for(
 def arrange_song(song: LoadedSong, scene: Scene) -> HandArrangement:
     """The arrangement of a song for the hands of a scene, which is then played with expression.
 
-    Raises:
-        CadenzaError: the scene has no hands.
+    Raises CadenzaError if the scene has no hands.
     """
     if song.written is None:
         return arrange(song.score, song.arrangement, scene)
@@ -155,8 +151,7 @@ def arrange_song(song: LoadedSong, scene: Scene) -> HandArrangement:
 def arrange(score: Score, arrangement: Arrangement, scene: Scene) -> HandArrangement:
     """The arrangement of a song for the hands of a scene, as hard as its level.
 
-    Raises:
-        CadenzaError: the scene has no hands.
+    Raises CadenzaError if the scene has no hands.
     """
     if not scene.sides:
         raise CadenzaError("without hands, nothing can be arranged: choose --hands both")

@@ -36,8 +36,7 @@ class LoadedSong:
     def written_for(self, hands: str) -> LoadedSong:
         """The song with the notes that are written for these hands, see `Arrangement.written_for`.
 
-        Raises:
-            CadenzaError: nothing is written for the one hand that plays.
+        Raises CadenzaError if nothing is written for the one hand that plays.
         """
         score = self.arrangement.written_for(hands, self.score)
         written = self.written and self.arrangement.written_for(hands, self.written)
@@ -47,12 +46,11 @@ class LoadedSong:
 def load(song: SomeSong | LoadedSong, arrangement: Arrangement | None = None) -> LoadedSong:
     """Load a song; what was repaired in it is a warning.
 
+    Raises CadenzaError if there is no such song, or it cannot be read.
+
     Args:
         song: see `load_song`, or a score.
         arrangement: which notes of it; all by default. A score is then played as written.
-
-    Raises:
-        CadenzaError: there is no such song, or it cannot be read.
     """
     if isinstance(song, LoadedSong):
         return song
@@ -69,12 +67,11 @@ def load(song: SomeSong | LoadedSong, arrangement: Arrangement | None = None) ->
 def load_song(song: str | Path | Song, arrangement: Arrangement | None = None) -> Score:
     """Load the score of a song; what was repaired in it is a warning.
 
+    Raises CadenzaError if there is no such song, or it cannot be read.
+
     Args:
         song: the name of a piece, see `cadenza.songs`; the path of a MIDI or MusicXML file; or a
             `Song` of a library.
         arrangement: which notes of it; all by default.
-
-    Raises:
-        CadenzaError: there is no such song, or it cannot be read.
     """
     return load(song, as_config(arrangement, Arrangement)).score

@@ -152,8 +152,7 @@ class Performance:
 def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
     """Check the folder to which results will be written before a song is played.
 
-    Raises:
-        CadenzaError: they would replace the song, or files that no performance has left there.
+    Raises CadenzaError if they would replace the song, or files that no performance has left there.
     """
     there = [name for name in RESULTS if (folder / name).exists()]
     for name in there:
@@ -180,14 +179,13 @@ def _are_results(folder: Path) -> bool:
 def add_page(folder: Path, goal: Score, audio: Sound | None = None, voice: Tone = tone) -> None:
     """Make the page of a performance from its files.
 
+    Raises CadenzaError if a file is not there, or cannot be read.
+
     Args:
         folder: of the performance.
         goal: see `Performance`; what the page compares the sound with.
         audio: the sound of the performance; None synthesizes it.
         voice: what makes the notes of what is synthesized.
-
-    Raises:
-        CadenzaError: a file is not there, or cannot be read.
     """
     episode = load_episode(folder / "episode.npz")
     seconds = episode.num_steps * episode.dt
@@ -235,6 +233,9 @@ def play(
         print(performance.metrics["f1"])
         performance.save("played/joy")
 
+    Raises CadenzaError if the song or the agent is not there, an option makes no sense, or they do
+    not go together.
+
     Args:
         song: the name of a piece (see `cadenza.songs`), the path of a MIDI or MusicXML file, a
             `Song` or a `Score`. None is the song that the agent has learnt or practised.
@@ -251,10 +252,6 @@ def play(
         progress: is told how far each stage is, `progress(stage, done, total)`.
         num_threads: how many threads a planner uses, by default two, one for each hand; it plays
             the same.
-
-    Raises:
-        CadenzaError: the song or the agent is not there, an option makes no sense, or they do not
-            go together.
     """
     named = NamedSetup() if setup is None else setup_named(setup)
     if setup is not None and scene is not None:
@@ -270,8 +267,7 @@ def perform(
 ) -> Performance:
     """Play one episode, up to the step after which `stop` is true.
 
-    Raises:
-        CadenzaError: the agent cannot play this task, or the seed is negative.
+    Raises CadenzaError if the agent cannot play this task, or the seed is negative.
     """
     result = play_episode(setup.task, setup.agent, setup.seed, progress, stop)
     plan, settings, played = result.plan, setup.settings, result.episode.num_steps

@@ -67,10 +67,7 @@ class Plan:
 
         `cadenza.play(song, "playback", plan=path)` plays the actions. The fingers go to a file
         whose name ends in .safetensors.fingering; call it `song.fingering`, and they go with
-        `song.mid`.
-
-        Raises:
-            CadenzaError: the name of `path` has another ending.
+        `song.mid`. Raises CadenzaError if the name of `path` has another ending.
         """
         path = Path(path)
         if path.suffix != TENSORS:
@@ -106,13 +103,12 @@ def plan(
 ) -> Plan:
     """Plan how to play a song, as `cadenza plan` does.
 
+    Raises CadenzaError if the song is not there, an option makes no sense, or the hands could not
+    play to the end.
+
     Args:
         song, seed, task, scene, progress, num_threads: as for `cadenza.play`.
         config: options of the planner.
-
-    Raises:
-        CadenzaError: the song is not there, an option makes no sense, or the hands could not play
-            to the end.
     """
     player = find_player(PLANNER, configs={PLANNER: config}).playing_in(task, scene)
     with set_up(song, player, seed=seed, num_threads=num_threads, progress=progress) as setup:
@@ -122,8 +118,7 @@ def plan(
 def plan_of(setup: Setup, performance: Performance) -> Plan:
     """The plan that a planner has performed.
 
-    Raises:
-        CadenzaError: the hands could not play to the end.
+    Raises CadenzaError if the hands could not play to the end.
     """
     steps, length = performance.episode.num_steps, setup.num_steps
     if steps < length:

@@ -55,8 +55,7 @@ class Player:
     def playing_in(self, task: TaskConfig | None, scene: SceneConfig | None) -> Player:
         """The player in another task and another scene; None leaves those it has.
 
-        Raises:
-            CadenzaError: an option is of the wrong type.
+        Raises CadenzaError if an option is of the wrong type.
         """
         task = as_config(self.task if task is None else task, TaskConfig)
         scene = as_config(self.scene if scene is None else scene, SceneConfig)
@@ -65,10 +64,8 @@ class Player:
     def known(self, song: LoadedSong) -> LoadedSong | None:
         """The song, or what is written for the hands, if just that was learnt or practised.
 
-        Fingers may differ. None if neither was.
-
-        Raises:
-            CadenzaError: nothing is written for the one hand that plays.
+        Fingers may differ. None if neither was. Raises CadenzaError if nothing is written for the
+        one hand that plays.
         """
         if self.song is None:
             return None
@@ -88,6 +85,8 @@ def find_player(
 ) -> Player:
     """Find who plays.
 
+    Raises CadenzaError if the agent is not there, or cannot be used.
+
     Args:
         agent: a name of `cadenza.agents.registry`; `module:Class`; the folder of a policy, of a
             training run or of practice; a policy on the hub, as `hub:OWNER/NAME`; a policy; or an
@@ -96,9 +95,6 @@ def find_player(
         configs: agent's name -> its options, see `make_agent`. Those of the planner hold for the
             search of what was practised, too.
         plan: the file whose actions "playback" plays.
-
-    Raises:
-        CadenzaError: the agent is not there, or cannot be used.
     """
     configs = configs or {}
     if isinstance(agent, LearntPolicy):

@@ -38,8 +38,7 @@ def practice_folder(path: Path) -> ResumableFolder:
 def check_is_practice(folder: Path) -> None:
     """Check that practice may go on in a folder.
 
-    Raises:
-        CadenzaError: it holds a plan that was made in another way.
+    Raises CadenzaError if it holds a plan that was made in another way.
     """
     if (folder / PRACTISED).exists() and not (folder / PRACTICE).exists():
         raise CadenzaError(
@@ -60,13 +59,12 @@ class Practising:
     def __init__(self, setup: Setup, folder: ResumableFolder, progress: Progress = silent) -> None:
         """Restore what was practised in the folder, and write what it is practice of.
 
+        Raises CadenzaError if the folder holds practice of something else, or it cannot be read.
+
         Args:
             setup: the song, with the planner as its agent.
             folder: the folder in which practice is kept, locked by whoever practises.
             progress: is told of "fingers" and "postures".
-
-        Raises:
-            CadenzaError: the folder holds practice of something else, or it cannot be read.
         """
         assert isinstance(setup.agent, Planner)
         self._setup, self._agent, self._path = setup, setup.agent, folder.path / PRACTICE

@@ -60,6 +60,9 @@ def set_up(
 ) -> Iterator[Setup]:
     """Load a song, and yield who plays it in what task.
 
+    Raises CadenzaError if the song is not there, an option makes no sense, or song and player do
+    not go together.
+
     Args:
         song: see `cadenza.load_song`, or a score; None for the one that the agent has learnt.
         player: who plays, in its task and its scene.
@@ -67,10 +70,6 @@ def set_up(
         seed: of everything random.
         num_threads: of an agent that can use several; by default its own, or one for each hand.
         progress: is told of "fingers", which are looked for before anyone plays.
-
-    Raises:
-        CadenzaError: the song is not there, an option makes no sense, or song and player do not go
-            together.
     """
     seed = whole_number(seed, "seed", 0, MAX_SEED)
     if num_threads is not None:
@@ -117,8 +116,7 @@ def _chosen_song(
 ) -> tuple[LoadedSong, bool]:
     """The song that is given, or the one that the player knows, and whether it knows it.
 
-    Raises:
-        CadenzaError: there is none, or the player cannot play it.
+    Raises CadenzaError if there is none, or the player cannot play it.
     """
     if song is None:
         if player.song is None:
@@ -151,8 +149,7 @@ def _chosen_song(
 def _check_other_song(song: LoadedSong, player: Player, known: LoadedSong) -> None:
     """Warn that a player plays a song that it does not know.
 
-    Raises:
-        CadenzaError: it cannot play any other.
+    Raises CadenzaError if it cannot play any other.
     """
     learnt = "was trained on" if player.policy is not None else "has practised"
     what = f"{player.name}: {learnt} {quoted(known.score.title)}"

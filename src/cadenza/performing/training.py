@@ -46,6 +46,9 @@ def train(
         trained = cadenza.train("TwinkleTwinkleLittleStar", "run", num_steps=200_000)
         print(cadenza.play(agent=trained.policy).metrics["f1"])
 
+    Raises CadenzaError if the song is not there, an option makes no sense, the folder holds a run
+    already, or JAX is not installed.
+
     Args:
         song: see `cadenza.play`; of several, each episode plays one.
         folder: of the run; nothing else may be in it. If the run is killed,
@@ -53,10 +56,6 @@ def train(
         config: how to train; by default the command's preset "fast".
         progress: is told how far it is, `progress("learning", done, total)`.
         options: fields of `TrainingConfig`, which change `config`.
-
-    Raises:
-        CadenzaError: the song is not there, an option makes no sense, the folder holds a run
-            already, or JAX is not installed.
     """
     songs = [song] if isinstance(song, Score | Song | str | Path) else song
     residual = options.get("residual", None if len(songs) == 1 else False)

@@ -53,8 +53,7 @@ class Engraver:
 def engraving_within(patience: float, score: Score) -> str:
     """Engraving of a score, see `Engraver`; the last ones are kept, as songs are played again.
 
-    Raises:
-        TimeoutError: it takes longer than `patience` [s].
+    Raises TimeoutError if it takes longer than `patience` [s].
     """
     engraving = Engraver(score).engraving(patience)
     if engraving is None:

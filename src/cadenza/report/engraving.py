@@ -113,8 +113,7 @@ class Engraving:
 def engraved(sheet: Sheet, width: int = _WIDTH) -> Engraving:
     """Engrave sheet music in systems of a `width` in Verovio's pixels: a staff is 72 high.
 
-    Raises:
-        CadenzaError: Verovio cannot engrave it.
+    Raises CadenzaError if Verovio cannot engrave it.
     """
     import verovio  # only where it is needed, as it takes a tenth of a second
 
@@ -226,11 +225,10 @@ def _shape(kind: str, element: Element) -> str:
 def write_svg(score: Score, path: str | Path) -> tuple[str, ...]:
     """Write a score as an SVG file of all its systems, engraved as `write_musicxml` writes it.
 
+    Raises CadenzaError if the score has no notes.
+
     Returns:
         Remarks in plain words on what is not as in the score.
-
-    Raises:
-        CadenzaError: the score has no notes.
     """
     sheet = sheet_of(score)
     with write_atomically(Path(path)) as file:

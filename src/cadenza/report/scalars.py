@@ -26,8 +26,7 @@ class TensorBoard:
     def __init__(self, folder: Path, step: int) -> None:
         """Resume at `step`; what the files hold of later steps is hidden.
 
-        Raises:
-            CadenzaError: tensorboardX is not installed.
+        Raises CadenzaError if tensorboardX is not installed.
         """
         with extra_packages("train", "training"):
             from tensorboardX import SummaryWriter
@@ -46,8 +45,7 @@ class TensorBoard:
 def need_wandb() -> Any:
     """Import the package wandb.
 
-    Raises:
-        CadenzaError: it is not installed.
+    Raises CadenzaError if it is not installed.
     """
     with extra_packages("wandb", "--wandb"):
         import wandb
@@ -60,14 +58,13 @@ class WeightsAndBiases:
     def __init__(self, project: str, folder: Path, run: str, settings: Mapping[str, Any]) -> None:
         """Resume the run of that id in the project, if there is one.
 
+        Raises CadenzaError if wandb is not installed.
+
         Args:
             project: there.
             folder: for files of wandb's own.
             run: its id.
             settings: of the run.
-
-        Raises:
-            CadenzaError: wandb is not installed.
         """
         self._run = need_wandb().init(
             project=project, dir=str(folder), id=run, resume="allow", config=dict(settings)

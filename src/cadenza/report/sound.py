@@ -162,10 +162,8 @@ def write_audio(
 def write_sound(path: Path, audio: Samples, seconds: float = 0.0) -> None:
     """Write samples (n, 2) to a file of the kind that its name says, one of `CODECS`.
 
-    WAV and FLAC keep every bit. The file lasts at least `seconds`, with silence at its end.
-
-    Raises:
-        OSError: the file cannot be written.
+    WAV and FLAC keep every bit. The file lasts at least `seconds`, with silence at its end. Raises
+    OSError if the file cannot be written.
     """
     with (
         write_atomically(path) as file,

@@ -29,11 +29,8 @@ def font_tone(path: Path) -> Tone:
     """Return the tones of a sound font's piano, its first program, as `synthesize` takes them.
 
     A font chooses the wave by pitch and velocity; `synthesize` does all else, so that loudness,
-    dampers and pedal are those of the built-in piano.
-
-    Raises:
-        CadenzaError: the file cannot be read as a sound font with a piano, or symusic is not
-            installed.
+    dampers and pedal are those of the built-in piano. Raises CadenzaError if the file cannot be
+    read as a sound font with a piano, or symusic is not installed.
     """
     with extra_packages("soundfont", "--sound-font"):
         import symusic

@@ -68,8 +68,7 @@ def named_by_module(config: SceneConfig) -> dict[str, str]:
 def check_modules(config: SceneConfig, where: Path) -> None:
     """Check that a configuration read from a file imports no module, which may run anything.
 
-    Raises:
-        CadenzaError: `where` names a `module:NAME` that nobody has imported.
+    Raises CadenzaError if `where` names a `module:NAME` that nobody has imported.
     """
     for option, name in named_by_module(config).items():
         if (module := module_of(name)) not in sys.modules:

@@ -105,8 +105,7 @@ class Scene:
 def build_scene(config: SceneConfig | None = None, hand: Hand | None = None) -> Scene:
     """Build and compile the scene that `config` describes, or one with another `hand`.
 
-    Raises:
-        CadenzaError: the options contradict each other, or are out of range.
+    Raises CadenzaError if the options contradict each other, or are out of range.
     """
     config = as_config(config, SceneConfig)
     keyboard, hand = keyboard_named(config.keyboard), hand or hand_named(config.hand)
@@ -126,8 +125,7 @@ def scene_spec(
 ) -> tuple[mujoco.MjSpec, list[str]]:
     """The scene that `config` describes, not compiled, and the names of its fingertips' sites.
 
-    Raises:
-        CadenzaError: the options contradict each other, or are out of range.
+    Raises CadenzaError if the options contradict each other, or are out of range.
     """
     _check(config, keyboard, hand)
     spec = mujoco.MjSpec()

@@ -57,15 +57,14 @@ class Lineariser:
     ) -> None:
         """Allocate the derivatives of one trajectory, and data for each thread.
 
+        Raises CadenzaError if the keys of the scene can sleep.
+
         Args:
             scene: the scene to linearise, whose keys must not sleep.
             num_steps: T, control steps.
             num_substeps: P, physics steps in each.
             num_threads: number of threads that share the work.
             centred: whether differences are centred, which takes twice the time of forward ones.
-
-        Raises:
-            CadenzaError: the keys of the scene can sleep.
         """
         if scene.config.sleeping_keys:
             raise CadenzaError(

@@ -54,15 +54,14 @@ class MujocoSimulation:
     ) -> None:
         """Allocate N simulations of a scene, and reset them.
 
+        Raises CadenzaError if a number is not positive or the timesteps do not divide.
+
         Args:
             scene: the scene to simulate.
             num_envs: N.
             control_timestep: time of a control step [s], a multiple of the physics step.
             num_threads: number of threads that share the work.
             watch_forearms: whether `State.forearm_contact` is wanted.
-
-        Raises:
-            CadenzaError: a number is not positive or the timesteps do not divide.
         """
         self.scene = scene
         self.num_envs = whole_number(num_envs, "num_envs", 1, MAX_ENVS)
@@ -294,8 +293,7 @@ def physics_steps(control_timestep: float, physics_timestep: float) -> int:
 def steps_of(whole: float, part: float, name: str, part_name: str) -> int:
     """The number of steps of length `part` in a time that is called `name`, both [s].
 
-    Raises:
-        CadenzaError: it is not a whole number.
+    Raises CadenzaError if it is not a whole number.
     """
     steps = round(whole / part)
     if steps < 1 or abs(steps * part - whole) > 1e-9:

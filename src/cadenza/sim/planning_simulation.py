@@ -17,8 +17,7 @@ Array = NDArray[np.float64]
 def as_mujoco(simulation: Simulation) -> MujocoSimulation:
     """`simulation` itself, whose physical state a planner can take over.
 
-    Raises:
-        CadenzaError: the simulation is one of another engine, or of hands that play apart.
+    Raises CadenzaError if the simulation is one of another engine, or of hands that play apart.
     """
     if isinstance(simulation, HandsApart):
         raise CadenzaError(

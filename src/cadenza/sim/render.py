@@ -27,8 +27,7 @@ _MAX_GEOMS = 2000
 def _opened(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.MjrContext]:
     """A graphics context of the first backend that works, or of that which MUJOCO_GL names.
 
-    Raises:
-        CadenzaError: none works here, or none can in this process.
+    Raises CadenzaError if none works here, or none can in this process.
     """
     library = os.environ.get("MUJOCO_GL", "").strip().lower()
     if library in ("on", "enable", "enabled", "1", "true"):
@@ -91,8 +90,7 @@ class Picture:
     def __post_init__(self) -> None:
         """Check camera and size.
 
-        Raises:
-            CadenzaError: there is no such camera, or the picture is empty or too large.
+        Raises CadenzaError if there is no such camera, or the picture is empty or too large.
         """
         if self.camera not in CAMERAS:
             raise CadenzaError(f"no camera {quoted(self.camera)}: choose from {', '.join(CAMERAS)}")
@@ -108,8 +106,7 @@ class Renderer:
     def __init__(self, scene: Scene, picture: Picture | None = None) -> None:
         """Open a graphics context to draw a scene in a picture of some size, by a camera.
 
-        Raises:
-            CadenzaError: this machine cannot draw.
+        Raises CadenzaError if this machine cannot draw.
         """
         picture = picture or Picture()
         model = drawn_model(scene)

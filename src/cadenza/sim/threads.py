@@ -30,8 +30,7 @@ class Threads:
     def __init__(self, num_threads: int) -> None:
         """Prepare a pool of `num_threads` threads.
 
-        Raises:
-            CadenzaError: the number is not positive.
+        Raises CadenzaError if the number is not positive.
         """
         self._num_threads = whole_number(num_threads, "num_threads", 1, MAX_THREADS)
         self._pool: ThreadPoolExecutor | None = None

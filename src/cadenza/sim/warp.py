@@ -94,6 +94,8 @@ class WarpPhysics:
     ) -> None:
         """Allocate N worlds on JAX's device. The first step compiles for up to a minute or two.
 
+        Raises CadenzaError if a number makes no sense.
+
         Args:
             scene: the scene to simulate.
             num_envs: N.
@@ -102,9 +104,6 @@ class WarpPhysics:
             buffers: the room for contacts.
             scaled: names of the quantities that each world has scaled by factors of its own, see
                 `cadenza.scene.randomization.shapes`.
-
-        Raises:
-            CadenzaError: a number makes no sense.
         """
         self.scene = scene
         self.num_envs = whole_number(num_envs, "num_envs", 1, MAX_WORLDS)
@@ -321,8 +320,7 @@ class WarpSimulation:
     ) -> None:
         """Take the arguments of `MujocoSimulation`; `num_threads` has no meaning here.
 
-        Raises:
-            CadenzaError: a number makes no sense.
+        Raises CadenzaError if a number makes no sense.
         """
         self.scene = scene
         self._make = partial(WarpPhysics, scene, num_envs, control_timestep, watch_forearms)

@@ -37,8 +37,7 @@ class Address:
     def __post_init__(self) -> None:
         """Check the port and the form of the token.
 
-        Raises:
-            ValueError: there is no such port, or the token is none that we make.
+        Raises ValueError if there is no such port, or the token is none that we make.
         """
         if self.port not in range(_NUM_PORTS) or not _TOKEN.fullmatch(self.token):
             raise ValueError("no address of a page")
@@ -47,8 +46,7 @@ class Address:
 def read_address(path: Path) -> Address | None:
     """Return the address of the last time, or None without a readable file.
 
-    Raises:
-        CadenzaError: somebody else may have written the file.
+    Raises CadenzaError if somebody else may have written the file.
     """
     if _is_open_to_others(path.parent, _OTHERS_WRITE):
         raise CadenzaError(

@@ -79,8 +79,7 @@ class JobQueue:
     def submit(self, request: PlayRequest, title: str, source: str, uploaded: bool) -> Job:
         """Add a job to the queue.
 
-        Raises:
-            CadenzaError: too many wait already.
+        Raises CadenzaError if too many wait already.
         """
         if len(self._waiting) >= MAX_QUEUED:
             raise CadenzaError(f"{MAX_QUEUED} songs wait already; cancel one, or wait")

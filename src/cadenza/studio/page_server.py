@@ -71,8 +71,7 @@ PARTS: dict[str, tuple[str, Callable[[], str]]] = {
 def _bound_socket(host: str, ports: Sequence[int]) -> socket.socket:
     """Listen at the first of the ports that is free.
 
-    Raises:
-        CadenzaError: none is, or there is no such address.
+    Raises CadenzaError if none is, or there is no such address.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for port in ports:
@@ -102,15 +101,14 @@ def serve(
 ) -> None:
     """Serve until the process is told to end.
 
+    Raises CadenzaError if somebody else listens there, there is no such address, or others may have
+    written the file.
+
     Args:
         app: makes what is served of its token and host.
         host, port: where to listen; port 0 is the one of the last time, or any.
         ready: is called with the address to open, which holds a random token.
         address_file: keeps token and port for the next time, so that links stay valid.
-
-    Raises:
-        CadenzaError: somebody else listens there, there is no such address, or others may have
-            written the file.
     """
     os.environ["PYTHONSAFEPATH"] = "1"  # no process of ours imports from the working folder
     known = None if address_file is None else read_address(address_file)

@@ -80,8 +80,7 @@ class Cancelled(BaseException):
 def play_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
     """Play what is asked for, and keep it.
 
-    Raises:
-        Cancelled: there is a line in `orders`, or their end, before the song is at its own.
+    Raises Cancelled if there is a line in `orders`, or their end, before the song is at its own.
     """
 
     def send(message: WireMessage) -> None:
@@ -185,8 +184,7 @@ def practice_folder_of(order: Order) -> Path:
 def _song(order: Order) -> LoadedSong:
     """Load the song of an order.
 
-    Raises:
-        CadenzaError: there is nothing to play, or more than the studio takes.
+    Raises CadenzaError if there is nothing to play, or more than the studio takes.
     """
     with warnings.catch_warnings():
         if order.uploaded:

@@ -91,8 +91,7 @@ async def _output_of(module: str, *arguments: str, **how: Any) -> bytes | None:
 async def read_upload(path: Path) -> dict[str, Any]:
     """Return what a file holds, see `cadenza.studio.upload_reader`, read by a limited process.
 
-    Raises:
-        CadenzaError: it is no music, or more than the studio takes.
+    Raises CadenzaError if it is no music, or more than the studio takes.
     """
     reading = _output_of("cadenza.studio.upload_reader", os.fspath(path))
     try:

@@ -77,8 +77,7 @@ class PlayRequest:
     def arrangement(self) -> Arrangement:
         """The part of the song that is played, and how it is arranged and performed.
 
-        Raises:
-            CadenzaError: an option makes no sense.
+        Raises CadenzaError if an option makes no sense.
         """
         return Arrangement(
             tracks=self.tracks,
@@ -115,8 +114,7 @@ def hand_titles() -> dict[str, str]:
 def read_request(content: Any, agents: Collection[str], hands: Collection[str]) -> PlayRequest:
     """Return the request that JSON holds, for one of these agents and hands.
 
-    Raises:
-        CadenzaError: it holds something else, or asks for what cannot be.
+    Raises CadenzaError if it holds something else, or asks for what cannot be.
     """
     try:
         request = checked(content, PlayRequest, "request")

@@ -69,12 +69,11 @@ class Studio:
     def __init__(self, folder: Path, at_once: int = 1) -> None:
         """Open the folder of the studio.
 
+        Raises OSError if the folder cannot be made.
+
         Args:
             folder: where songs and performances are kept.
             at_once: how many songs are played at the same time.
-
-        Raises:
-            OSError: the folder cannot be made.
         """
         self._synthesizer = Synthesizer()
         self.storage = Storage(folder)
@@ -278,8 +277,7 @@ def _in_thread(work: Callable[..., Any]) -> Callable[[Request], Awaitable[Respon
 async def _body(request: Request, most: int, what: str) -> bytes:
     """Receive the body of a request, of up to `most` bytes; `what` names it in errors.
 
-    Raises:
-        CadenzaError: the body is larger, or does not arrive.
+    Raises CadenzaError if the body is larger, or does not arrive.
     """
     too_large = CadenzaError(f"{what} is larger than {most / 2**20:.3g} MiB")
     length = request.headers.get("content-length", "0")

@@ -82,8 +82,7 @@ class Storage:
     def __init__(self, folder: Path) -> None:
         """Make the folder, where it is not there.
 
-        Raises:
-            OSError: it cannot be made.
+        Raises OSError if it cannot be made.
         """
         self.folder = folder.absolute()
         self.uploads = self.folder / "uploads"
@@ -114,8 +113,7 @@ class Storage:
     def source(self, song: str) -> tuple[str, str, bool]:
         """Return the title of a song, its name or path, and whether it is an upload.
 
-        Raises:
-            CadenzaError: there is no such song.
+        Raises CadenzaError if there is no such song.
         """
         for known in _library_songs():
             if known.name == song:
@@ -135,8 +133,7 @@ class Storage:
     def _upload(self, path: Path) -> Upload:
         """Read what an upload holds.
 
-        Raises:
-            CadenzaError: no upload of ours lies there.
+        Raises CadenzaError if no upload of ours lies there.
         """
         upload = read_json(path, Upload) if _ID.fullmatch(path.stem) else None
         if upload is None or upload.id != path.stem or upload.ending not in MUSIC:
@@ -146,11 +143,10 @@ class Storage:
     def write_upload(self, content: bytes, name: str) -> tuple[Path, str, str, str]:
         """Write an upload; it is listed once `list_upload` says what it holds.
 
+        Raises CadenzaError if there are too many already.
+
         Returns:
             Where it lies, its id, its title and its ending.
-
-        Raises:
-            CadenzaError: there are too many already.
         """
         ending, id = ending_of(content), hashlib.sha256(content).hexdigest()[:_ID_DIGITS]
         path = self.uploads / f"{id}{ending}"
@@ -173,8 +169,7 @@ class Storage:
     def remove_upload(self, id: str) -> None:
         """Delete an upload.
 
-        Raises:
-            CadenzaError: there is none.
+        Raises CadenzaError if there is none.
         """
         if not _ID.fullmatch(id) or not self.is_listed(id):
             raise CadenzaError("there is no such upload")
@@ -199,8 +194,7 @@ class Storage:
     def file(self, id: str, name: str) -> Path:
         """Return the path of one of `FILES` of a performance.
 
-        Raises:
-            CadenzaError: there is none.
+        Raises CadenzaError if there is none.
         """
         path = self._performance(id) / name
         if name not in FILES or not _is_own(path):
@@ -210,8 +204,7 @@ class Storage:
     def broadcast(self, id: str) -> Broadcast:
         """Return what was broadcast of a performance while it was played.
 
-        Raises:
-            CadenzaError: there is no such performance, or it cannot be watched again.
+        Raises CadenzaError if there is no such performance, or it cannot be watched again.
         """
         folder = self._performance(id)
         kept = read_json(folder / ABOUT, KeptPerformance)
@@ -225,8 +218,7 @@ class Storage:
     def remove_performance(self, id: str) -> None:
         """Delete a performance.
 
-        Raises:
-            CadenzaError: there is no such performance.
+        Raises CadenzaError if there is no such performance.
         """
         with suppress(FileNotFoundError):  # another page deletes it as well
             shutil.rmtree(self._performance(id))

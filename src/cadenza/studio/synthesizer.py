@@ -21,8 +21,7 @@ class Synthesizer:
     async def tone(self, pitch: int, band: int) -> bytes:
         """Return the samples of a tone, see `samples`.
 
-        Raises:
-            CadenzaError: there is no such tone, or the process has ended.
+        Raises CadenzaError if there is no such tone, or the process has ended.
         """
         if pitch not in range(NUM_PITCHES) or band not in range(NUM_BANDS):
             raise CadenzaError("there is no such tone")

@@ -24,8 +24,7 @@ _MAX_TRACKS, _MAX_REMARKS = 256, 20  # that are shown of a file
 def describe(path: Path) -> dict[str, Any]:
     """Return what the page shows of a file.
 
-    Raises:
-        CadenzaError: it is no music, or too much of it.
+    Raises CadenzaError if it is no music, or too much of it.
     """
     score = read_score(path)
     check_size(score)
@@ -47,8 +46,7 @@ def _title(score: Score, path: Path) -> str:
 def check_size(score: Score) -> None:
     """Check that there is something to play, and no more than the studio takes.
 
-    Raises:
-        CadenzaError: there is nothing to play, or too much.
+    Raises CadenzaError if there is nothing to play, or too much.
     """
     if not score.notes:
         raise CadenzaError("there is nothing to play: the file has no notes")

@@ -42,10 +42,8 @@ def prepare_tracks(
 ) -> tuple[GoalTrack, ...]:
     """Trim, stretch and transpose the scores, and finger them for the hands of a `scene`.
 
-    `progress` is called as by `find_fingering`.
-
-    Raises:
-        CadenzaError: there is no score, or one without notes, or an option makes no sense.
+    `progress` is called as by `find_fingering`. Raises CadenzaError if there is no score, or one
+    without notes, or an option makes no sense.
     """
     if not scores:
         raise CadenzaError("no song to play: give at least one score")
@@ -65,10 +63,8 @@ def prepare_tracks(
 def unchanged_track(score: Score, config: TaskConfig, scene: Scene) -> GoalTrack:
     """The track of a score in its own tempo, key and fingering.
 
-    Fingers are looked for if it has none at all and the task observes them.
-
-    Raises:
-        CadenzaError: it has no notes, or some that the keyboard has not, or lasts too long.
+    Fingers are looked for if it has none at all and the task observes them. Raises CadenzaError if
+    it has no notes, or some that the keyboard has not, or lasts too long.
     """
     _check_notes(score)
     _check_duration(score.total_time, replace(config, random_stretch=0.0))
@@ -115,8 +111,7 @@ def _check_duration(seconds: float, config: TaskConfig) -> None:
 def find_song(scores: Sequence[Score], song: Any) -> int:
     """The index of a score that is given by index or title.
 
-    Raises:
-        CadenzaError: there is no such score, or several have the title.
+    Raises CadenzaError if there is no such score, or several have the title.
     """
     if isinstance(song, str):
         indices = [i for i, score in enumerate(scores) if score.title == song]

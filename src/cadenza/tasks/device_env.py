@@ -86,12 +86,11 @@ class DevicePianoVectorEnv(VectorEnv):
     ) -> tuple[Any, dict[str, Any]]:
         """Start new episodes in all environments.
 
+        Raises CadenzaError if there is an option.
+
         Args:
             seed: what is random follows from it; by default the random numbers go on.
             options: there are none.
-
-        Raises:
-            CadenzaError: there is an option.
         """
         if options:
             raise CadenzaError(
@@ -117,8 +116,7 @@ class DevicePianoVectorEnv(VectorEnv):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Take a control step with actions (N, A) in every environment.
 
-        Raises:
-            CadenzaError: no episode has started, or there are not as many actions.
+        Raises CadenzaError if no episode has started, or there are not as many actions.
         """
         if self._state is None:
             raise CadenzaError("no episode has started: call reset() before step()")

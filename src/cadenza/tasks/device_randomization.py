@@ -44,14 +44,13 @@ class DeviceRandomization:
     ) -> None:
         """Compute the models that episodes draw from.
 
+        Raises CadenzaError if a range makes no sense, or the engine warp does not have it.
+
         Args:
             config: the ranges and standard deviations.
             scene: the nominal scene.
             control_timestep: time between two actions [s].
             num_envs: N.
-
-        Raises:
-            CadenzaError: a range makes no sense, or the engine warp does not have it.
         """
         self._ranges = ranges = DrawRanges(config, scene, control_timestep)
         ranges.refuse_on_device()

@@ -37,7 +37,8 @@ def load(
     """Make an environment with the arguments and defaults of RoboPianist's `suite.load`.
 
     Actions are in actuator units, as there. Pieces of RoboPianist-repertoire-150 and -etude-12 are
-    there once the PIG dataset has been imported (`cadenza import pig`).
+    there once the PIG dataset has been imported (`cadenza import pig`). Raises CadenzaError if
+    there is no such environment, song or option.
 
     Args:
         environment_name: a published name, such as "RoboPianist-debug-CMajorScaleOneHand-v0".
@@ -48,9 +49,6 @@ def load(
         recompile_physics, legacy_step: have no effect; the model is always as after compiling.
         task_kwargs: published options of the task, or fields of `TaskConfig` and `SceneConfig`.
         deque_size: over how many episodes metrics and statistics are means.
-
-    Raises:
-        CadenzaError: there is no such environment, song or option.
     """
     named = _NAME.fullmatch(environment_name)
     if midi_file is None and named is None:
@@ -88,14 +86,13 @@ class DmEnvAdapter(dm_env.Environment):
     ) -> None:
         """Adapt an environment of Gymnasium, which must observe no pixels.
 
+        Raises CadenzaError if observations are not those of a `PianoEnv`.
+
         Args:
             env: the environment, without pixels and without wrappers that change observations.
             seed: the seed of the first episode; the following ones continue its random numbers.
             deque_size: over how many episodes metrics and statistics are means.
             actuator_units: take actions in the units of the actuators instead of [-1, 1].
-
-        Raises:
-            CadenzaError: observations are not those of a `PianoEnv`.
         """
         piano = env.unwrapped
         if not isinstance(piano, PianoEnv):
@@ -170,8 +167,7 @@ class DmEnvAdapter(dm_env.Environment):
     def get_statistics(self) -> dict[str, float]:
         """The mean return and length [steps] of the last `deque_size` episodes.
 
-        Raises:
-            CadenzaError: no episode has ended.
+        Raises CadenzaError if no episode has ended.
         """
         means = self._means()
         return {name: means[name] for name in _STATISTICS}
@@ -180,10 +176,7 @@ class DmEnvAdapter(dm_env.Environment):
         """The means of the metrics of the last `deque_size` episodes, where they have a value.
 
         They are those of RoboPianist's `MidiEvaluationWrapper`, and of whole notes, see
-        `cadenza.music.metrics.playing_metrics`.
-
-        Raises:
-            CadenzaError: no episode has ended.
+        `cadenza.music.metrics.playing_metrics`. Raises CadenzaError if no episode has ended.
         """
         return {name: mean for name, mean in self._means().items() if name not in _STATISTICS}
 

@@ -74,8 +74,7 @@ class DrawRanges:
     def __init__(self, config: DomainRandomization, scene: Scene, control_timestep: float) -> None:
         """Take the nominal scene and the time between two actions [s].
 
-        Raises:
-            CadenzaError: a range makes no sense.
+        Raises CadenzaError if a range makes no sense.
         """
         _check(config)
         self.config, self.scene = config, scene
@@ -107,8 +106,7 @@ class DrawRanges:
     def refuse_on_device(self) -> None:
         """Refuse what the engine warp does not have.
 
-        Raises:
-            CadenzaError: something of it is on.
+        Raises CadenzaError if something of it is on.
         """
         nominal = DomainRandomization()
         for name in ON_CPU_ONLY:

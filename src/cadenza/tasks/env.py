@@ -41,8 +41,7 @@ _RESET_OPTIONS = {"reset_mask", *_EPISODE_OPTIONS}
 def scores_of(songs: Sequence[Any]) -> list[Score]:
     """The scores of songs that are given as `PianoVectorEnv` takes them.
 
-    Raises:
-        CadenzaError: there is no such song, or it cannot be read.
+    Raises CadenzaError if there is no such song, or it cannot be read.
     """
     return [as_score(song) or load_score(song) for song in songs]
 
@@ -123,6 +122,8 @@ class PianoVectorEnv(VectorEnv):
     ) -> None:
         """Make N environments of a song, or of songs that episodes are drawn from.
 
+        Raises CadenzaError if a song cannot be played or an option makes no sense.
+
         Args:
             song: a bundled song's name, the path of a MIDI or MusicXML file, a `Score`, what JSON
                 makes of a `WrittenScore`, or several; each episode draws one.
@@ -140,9 +141,6 @@ class PianoVectorEnv(VectorEnv):
                 the reward, or in place of the term that has this name.
             options: fields of `TaskConfig` and `SceneConfig`, which change `task` and `scene`; or
                 setup="allegro", the name of several of them, see `cadenza.tasks.setups`.
-
-        Raises:
-            CadenzaError: a song cannot be played or an option makes no sense.
         """
         self.closed = True  # Gymnasium before 1.3 closes even what could not be made
         if render_mode not in (None, "rgb_array"):
@@ -196,6 +194,8 @@ class PianoVectorEnv(VectorEnv):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start new episodes.
 
+        Raises CadenzaError if a seed or an option makes no sense, or the environment is closed.
+
         Args:
             seed: the seed of the first environment, from which those of the others are counted
                 up; or one for each, None where the random generator stays.
@@ -206,9 +206,6 @@ class PianoVectorEnv(VectorEnv):
                 control step of the song to begin with. "start": (J,) joint positions of the hands
                 [m, rad]. "randomization": the number from which all that `DomainRandomization`
                 draws follows, as infos have it.
-
-        Raises:
-            CadenzaError: a seed or an option makes no sense, or the environment is closed.
         """
         self._check_open()
         options = _known(options)
@@ -226,8 +223,7 @@ class PianoVectorEnv(VectorEnv):
     def get_state(self) -> list[Any]:
         """(N,) all from which each environment goes on: physics, song, step, generators.
 
-        Raises:
-            CadenzaError: no episode has started, or the simulation cannot be saved.
+        Raises CadenzaError if no episode has started, or the simulation cannot be saved.
         """
         if not self._rngs:
             raise CadenzaError("no episode has started: call reset() before get_state()")
@@ -237,11 +233,10 @@ class PianoVectorEnv(VectorEnv):
     def set_state(self, states: Sequence[Any]) -> Observation:
         """Put environments where `get_state` found them or others, and observe all.
 
+        Raises CadenzaError if a state is of other options, or missing before the first reset.
+
         Args:
             states: (N,) a state for each environment, None where it stays.
-
-        Raises:
-            CadenzaError: a state is of other options, or missing before the first reset.
         """
         self._check_open()
         states = self._each("state", list(states))
@@ -457,13 +452,12 @@ class PianoEnv(gymnasium.Env):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start a new episode.
 
+        Raises CadenzaError if a seed or an option makes no sense, or the environment is closed.
+
         Args:
             seed: what is random follows from it.
             options: "song", "score", "step", "start" and "randomization", see
                 `PianoVectorEnv.reset`.
-
-        Raises:
-            CadenzaError: a seed or an option makes no sense, or the environment is closed.
         """
         super().reset(seed=checked_seed(seed))
         self._batch._rngs = [self.np_random]
@@ -515,8 +509,7 @@ def _known(options: dict[str, Any] | None) -> dict[str, Any]:
 def checked_seed(seed: Any) -> int | None:
     """The seed as Python's int, or None.
 
-    Raises:
-        CadenzaError: it is none.
+    Raises CadenzaError if it is none.
     """
     return None if seed is None else whole_number(seed, "seed", 0, MAX_SEED)
 

@@ -107,11 +107,9 @@ class GoalTrack:
     def fingered(self, progress: Callable[[int, int], None] | None = None) -> GoalTrack:
         """Find a finger for every note that the hands can play, unless that was done before.
 
-        `progress` is called as by `find_fingering`.
-
-        Raises:
-            CadenzaError: hands are to play what is written for them, but the score does not say
-                what that is; or a pianist's fingers are asked for, and the hands have more.
+        `progress` is called as by `find_fingering`. Raises CadenzaError if hands are to play what
+        is written for them, but the score does not say what that is; or a pianist's fingers are
+        asked for, and the hands have more.
         """
         if self.dropped is not None:
             return self
@@ -134,8 +132,7 @@ class GoalTrack:
 def check_written_hands(config: TaskConfig, score: Score, name: str) -> None:
     """Check that a score says which hand plays what, if that is asked for.
 
-    Raises:
-        CadenzaError: it does not; the message begins with the `name` of the song.
+    Raises CadenzaError if it does not; the message begins with the `name` of the song.
     """
     if config.hands_as_written and not score.has_written_hands:
         raise CadenzaError(
@@ -206,8 +203,7 @@ class EpisodeGoals:
     def begin(self, env: int, track: GoalTrack, first_step: int = 0) -> None:
         """Begin an episode of environment `env`, in which it plays `track` from a step on.
 
-        Raises:
-            CadenzaError: the song has no such step.
+        Raises CadenzaError if the song has no such step.
         """
         goals = track.goals
         if first_step >= goals.num_steps:

@@ -98,6 +98,8 @@ class PianoTask:
     ) -> None:
         """Make a task of songs, with N simulations to play them in.
 
+        Raises CadenzaError if a score has no notes, or an option makes no sense.
+
         Args:
             scores: the songs to draw from, one per episode.
             num_threads: threads that share the simulation.
@@ -106,9 +108,6 @@ class PianoTask:
             progress: is told for how many notes fingers have been looked for, and their number.
             make_simulation: makes the physics; by default the scene's engine, with one simulation
                 for each hand if they play apart.
-
-        Raises:
-            CadenzaError: a score has no notes, or an option makes no sense.
         """
         self.config = as_config(config, TaskConfig)
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
@@ -198,8 +197,7 @@ class PianoTask:
     def save(self, env: int) -> Any:
         """The episode of environment `env` and its physics, for `restore` and for pickles.
 
-        Raises:
-            CadenzaError: the simulation cannot be saved.
+        Raises CadenzaError if the simulation cannot be saved.
         """
         if not hasattr(self.simulation, "save"):
             raise CadenzaError("only simulations of the engine c have a state to get and to set")
@@ -210,8 +208,7 @@ class PianoTask:
     def restore(self, env: int, saved: Any) -> None:
         """Let environment `env` go on, to the bit, where another or itself was at `save`.
 
-        Raises:
-            CadenzaError: it had another task or another scene.
+        Raises CadenzaError if it had another task or another scene.
         """
         track, (first, done), played, own, physics = saved
         if (track.config, track.scene.config) != (self.config, self.scene.config):
@@ -442,8 +439,7 @@ def _engine(config: SceneConfig) -> MakeSimulation:
 def offset_joints(config: TaskConfig, scene: Scene) -> NDArray[np.intp]:
     """The joints that `TaskConfig.random_hand_position` moves.
 
-    Raises:
-        CadenzaError: the hands have none, or not as far.
+    Raises CadenzaError if the hands have none, or not as far.
     """
     names, most = scene.hand_joint_names, config.random_hand_position
     slides = scene.slide_joints

@@ -62,10 +62,8 @@ class PlaygroundPiano:
     def __init__(self, song: Any, make_physics: Any = None, **options: Any) -> None:
         """Make the environment of a song, or of several, which worlds draw from.
 
-        The arguments are those of `PianoVectorEnv` and `FunctionalPianoTask`.
-
-        Raises:
-            CadenzaError: a song cannot be played, or an option makes no sense or is missing here.
+        The arguments are those of `PianoVectorEnv` and `FunctionalPianoTask`. Raises CadenzaError
+        if a song cannot be played, or an option makes no sense or is missing here.
         """
         songs = list(song) if isinstance(song, list | tuple) else [song]
         scores = scores_of(songs)

@@ -72,8 +72,7 @@ def hint(name: str, value: Any) -> str | None:
 def translated(options: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of `TaskConfig` and `SceneConfig` of published options; others stay as they are.
 
-    Raises:
-        CadenzaError: an option is said otherwise here.
+    Raises CadenzaError if an option is said otherwise here.
     """
     here: dict[str, Any] = {}
     for name, value in options.items():

@@ -47,15 +47,14 @@ class Randomization:
     ) -> None:
         """Prepare draws for N environments, which resets make.
 
+        Raises CadenzaError if a range makes no sense.
+
         Args:
             config: the ranges and standard deviations.
             scene: the nominal scene.
             control_timestep: time between two actions [s].
             num_envs: N.
             simulation: the physics of all environments.
-
-        Raises:
-            CadenzaError: a range makes no sense.
         """
         self._ranges = ranges = DrawRanges(config, scene, control_timestep)
         if scene.config.engine != "c":

@@ -42,10 +42,8 @@ def register_envs() -> None:
 def make_vector_env(engine: str = "c", **options: Any) -> VectorEnv:
     """N environments, by an `engine`: "c", or "warp" for GPUs, whose arrays stay on the device.
 
-    The options are those of `PianoVectorEnv`, or of `DevicePianoVectorEnv`.
-
-    Raises:
-        CadenzaError: there is no such engine or option, or a song cannot be played.
+    The options are those of `PianoVectorEnv`, or of `DevicePianoVectorEnv`. Raises CadenzaError if
+    there is no such engine or option, or a song cannot be played.
     """
     if engine not in _ENGINES:
         raise CadenzaError(f"engine {quoted(engine)}: choose from {', '.join(_ENGINES)}")

@@ -273,10 +273,8 @@ class Reward:
     ) -> None:
         """Choose the terms by the options of a task.
 
-        `more_terms` are added, or take the place of the task's of the same name.
-
-        Raises:
-            CadenzaError: `more_terms` are not functions by name.
+        `more_terms` are added, or take the place of the task's of the same name. Raises
+        CadenzaError if `more_terms` are not functions by name.
         """
         self._config, self._scene = config, scene
         self._press = press_offset(scene.keyboard.half_size)
@@ -285,8 +283,7 @@ class Reward:
     def terms(self, outcome: Outcome) -> dict[str, Array]:
         """Name -> (N,) each term of the reward.
 
-        Raises:
-            CadenzaError: a term of the user's is not a finite number for each environment.
+        Raises CadenzaError if a term of the user's is not a finite number for each environment.
         """
         config, state, keys = self._config, outcome.state, outcome.goal_keys
         press_term = graded_key_press if config.key_press == "graded" else key_press
@@ -340,9 +337,8 @@ def _checked(terms: Mapping[str, RewardTerm]) -> dict[str, RewardTerm]:
 def finite_array(what: str, given: Any, shape: tuple[int, ...], demand: str) -> Array:
     """The numbers that a user has given, as an array of this shape.
 
-    Raises:
-        CadenzaError: they are not finite numbers of this shape; the message begins with `what` and
-            ends with the `demand`.
+    Raises CadenzaError if they are not finite numbers of this shape; the message begins with `what`
+    and ends with the `demand`.
     """
     try:
         values = np.asarray(given, float)

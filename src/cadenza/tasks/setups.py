@@ -68,8 +68,7 @@ class NamedSetup:
     def __post_init__(self) -> None:
         """Check the names of the options.
 
-        Raises:
-            CadenzaError: no configuration has such an option.
+        Raises CadenzaError if no configuration has such an option.
         """
         known = {*self.of(SceneConfig), *self.of(TaskConfig)}
         if unknown := sorted(self.options.keys() - known):
@@ -132,8 +131,7 @@ ARM_ALLEGRO = NamedSetup(
 def setup_named(name: str) -> NamedSetup:
     """The setup of a name or of `module:NAME`.
 
-    Raises:
-        CadenzaError: there is no such setup.
+    Raises CadenzaError if there is no such setup.
     """
     return SETUPS.load(name, NamedSetup)
 
@@ -143,14 +141,13 @@ def configure(
 ) -> tuple[TaskConfig, SceneConfig]:
     """Sort keyword options into the configurations that have them as fields.
 
+    Raises CadenzaError if no configuration has such an option, or there is no such setup.
+
     Args:
         options: fields of `task` and `scene` to change; "setup" names a setup, whose options hold
             unless they are given, too.
         task: the task's configuration, by default `TaskConfig()`.
         scene: the scene's configuration, by default `SceneConfig()`.
-
-    Raises:
-        CadenzaError: no configuration has such an option, or there is no such setup.
     """
     if (setup := options.get("setup")) is not None:
         options = {**setup_named(setup).options, **options}

@@ -30,8 +30,7 @@ class UnknownRobotEnv(PianoEnv):
     def __init__(self, song: Song | None = None, robot: int = 0, **options: Any) -> None:
         """Draw the robot of this seed.
 
-        Raises:
-            CadenzaError: an option would show or change the robot, or makes no sense.
+        Raises CadenzaError if an option would show or change the robot, or makes no sense.
         """
         if known := [name for name in _OWN if name in options]:
             raise CadenzaError(f"{known[0]}: an unknown robot has no such option; leave it out")
@@ -44,8 +43,7 @@ class UnknownRobotEnv(PianoEnv):
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin the next play of the song.
 
-        Raises:
-            CadenzaError: the song has been played as often as it may.
+        Raises CadenzaError if the song has been played as often as it may.
         """
         if self._play > PLAYS:
             raise CadenzaError(

@@ -78,8 +78,7 @@ class ILQGPlanner(EpisodePlanner):
     def __init__(self, view: View, config: ILQGConfig, num_threads: int) -> None:
         """Begin with a plan at rest, from the view of the first step of one environment.
 
-        Raises:
-            CadenzaError: the timesteps of task and plan do not divide.
+        Raises CadenzaError if the timesteps of task and plan do not divide.
         """
         task = self._task = view.task
         self.config, hold, planning = config, task.config.control_timestep, config.planning_timestep

@@ -52,8 +52,7 @@ class Stitched(PlannerPerEnv[PlanFollower]):
 def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
     """Plan a song for hands whose joints begin at `start` (J,) [m, rad].
 
-    Raises:
-        CadenzaError: there are no hands in the scene, or they do not slide along the keyboard.
+    Raises CadenzaError if there are no hands in the scene, or they do not slide along the keyboard.
     """
     if not track.scene.sides:
         raise CadenzaError("cannot plan: this scene has no hands")

@@ -105,8 +105,7 @@ class Generalist(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
     def _weights(self, scene: Scene) -> Weights:
         """Networks for the hands of a scene.
 
-        Raises:
-            CadenzaError: there are none for them, or the file is damaged.
+        Raises CadenzaError if there are none for them, or the file is damaged.
         """
         own = self.config.weights
         weights = shipped_for(scene) if own is None else Weights.load(Path(own))

@@ -54,9 +54,7 @@ def place(path: Path) -> tuple[HandFile, Measurement]:
     """Find how a hand from a file sits on its forearm, all fingertips just above white keys.
 
     Least squares over the place and the tilt of the palm and all servos, from several starts.
-
-    Raises:
-        CadenzaError: a file is wrong, or there is no such posture.
+    Raises CadenzaError if a file is wrong, or there is no such posture.
     """
     file = HandFile(path)
     hand = file.hand(Measurement(_vector(_PALM_AT), _quat(file.flat)))

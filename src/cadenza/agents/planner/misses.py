@@ -90,9 +90,7 @@ def foreseen_misses(track: GoalTrack) -> float:
 
     They are those of the rules 1 and 3, which need no more than fingers and presses: a tenth of a
     second for a thousand notes. Motion loses some more, and saves some that are let go early.
-
-    Raises:
-        CadenzaError: there are no hands in the scene.
+    Raises CadenzaError if there are no hands in the scene.
     """
     scene, track, dt = planning_scene(track), track.fingered(), track.config.control_timestep
     goals = track.goals

@@ -108,8 +108,7 @@ class SongPlanner(EpisodePlanner):
     ) -> None:
         """Plan the first window; each of the `plans` goes further than the one before.
 
-        Raises:
-            CadenzaError: there are no hands in the scene.
+        Raises CadenzaError if there are no hands in the scene.
         """
         self._plans, self.plan = plans, next(plans)
         self.hands = hands_for(self.plan)

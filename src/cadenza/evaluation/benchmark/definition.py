@@ -115,10 +115,8 @@ PAPER_SETS = {"repertoire-150": 150, "etude-12": 12}
 def open_set(name: str) -> Library:
     """The songs of a set: a public one, one of the paper, or a library that has been imported.
 
-    Folders of music are none: what is in one may come with the entry that names it.
-
-    Raises:
-        CadenzaError: there is no such set, or it has not been imported.
+    Folders of music are none: what is in one may come with the entry that names it. Raises
+    CadenzaError if there is no such set, or it has not been imported.
     """
     library = name.partition(":")[0]
     named = name in (*PUBLIC_SETS, *PAPER_SETS) or (
@@ -147,8 +145,7 @@ def open_set(name: str) -> Library:
 def set_up_song(song: Song) -> Iterator[Setup]:
     """Yield a song in the task of the benchmark, without a search for fingers.
 
-    Raises:
-        CadenzaError: it cannot be read, or is not the one that version 1 has frozen.
+    Raises CadenzaError if it cannot be read, or is not the one that version 1 has frozen.
     """
     task = replace(TASK, fingering="off")  # keys and metrics do not depend on it
     with warnings.catch_warnings():
@@ -160,8 +157,7 @@ def set_up_song(song: Song) -> Iterator[Setup]:
 def check_frozen(song: Song, setup: Setup) -> str:
     """Return the hash of a song as the task plays it.
 
-    Raises:
-        CadenzaError: the song or the scene is not as version 1 has frozen it.
+    Raises CadenzaError if the song or the scene is not as version 1 has frozen it.
     """
     if (scene := scene_digest(setup.task.scene)) != frozen().scene:
         raise CadenzaError(

@@ -49,6 +49,9 @@ def enter(
 ) -> PlayedAgain:
     """Write an entry of the runs of a bench, and play it again to see that it holds.
 
+    Raises CadenzaError if a run is missing, failed, or was played in another task; or what is said
+    of the entry cannot be; or it does not play as it was recorded.
+
     Args:
         bench: the folder of the bench.
         folder: the folder of the entry, which is not there yet.
@@ -56,10 +59,6 @@ def enter(
         agent: agent of the bench; by default the only one that played these songs.
         name: name of the row; by default that of the agent.
         progress: see `verify`.
-
-    Raises:
-        CadenzaError: a run is missing, failed, or was played in another task; or what is said of
-            the entry cannot be; or it does not play as it was recorded.
     """
     library = open_set(songs)
     results = _results(bench, {song.name for song in library.songs}, agent)

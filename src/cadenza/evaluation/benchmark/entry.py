@@ -60,8 +60,7 @@ class BenchmarkEntry:
 def read_entry(folder: Path) -> BenchmarkEntry:
     """Read what an entry says, which makes sense by itself.
 
-    Raises:
-        CadenzaError: its file is not there, is too large, or says something else.
+    Raises CadenzaError if its file is not there, is too large, or says something else.
     """
     path = folder / ENTRY
     entry = parsed_json(content_of(path, _MAX_BYTES), BenchmarkEntry, path)
@@ -73,8 +72,7 @@ def read_entry(folder: Path) -> BenchmarkEntry:
 def check_claims(entry: BenchmarkEntry) -> None:
     """Check what an entry says, as far as that can be told before it is played.
 
-    Raises:
-        CadenzaError: it claims what cannot be.
+    Raises CadenzaError if it claims what cannot be.
     """
     texts = {name: getattr(entry, name) for name in ("name", "by", "about", "agent", "songs")}
     for what, text in (texts | entry.versions).items():
@@ -126,8 +124,7 @@ def actions_path(folder: Path, song: str, seed: int) -> Path:
 def check_files(folder: Path, entry: BenchmarkEntry) -> None:
     """Check that the folder of an entry holds all that it needs, and nothing else.
 
-    Raises:
-        CadenzaError: it does not, or something in it is a link.
+    Raises CadenzaError if it does not, or something in it is a link.
     """
     expected = {actions_path(folder, run.song, run.seed) for run in entry.runs}
     expected |= {folder / ENTRY, folder / ACTIONS}

@@ -50,8 +50,7 @@ Row = dict[str, Any]
 def entries_in(folders: Iterable[Path]) -> list[Path]:
     """The folders that may be entries: the given ones, or the entries in them.
 
-    Raises:
-        CadenzaError: one is no folder.
+    Raises CadenzaError if one is no folder.
     """
     entries: list[Path] = []
     for folder in folders:

@@ -46,12 +46,11 @@ class PlayedAgain:
 def verify(folder: Path, progress: Progress = silent) -> PlayedAgain:
     """Play every run of an entry again, and compare.
 
+    Raises CadenzaError if it is no whole entry, or cannot be played; the error says why in a line.
+
     Args:
         folder: that of the entry.
         progress: is told how many runs have been played again, and their number.
-
-    Raises:
-        CadenzaError: it is no whole entry, or cannot be played; the error says why in a line.
     """
     entry = read_entry(folder)
     by_song = runs_by_song(entry)

@@ -142,8 +142,7 @@ def to_arrays(state: Any) -> dict[str, NDArray[Any]]:
 def from_arrays(arrays: dict[str, NDArray[Any]], like: State) -> State:
     """The state of `to_arrays`; `like` is one of the same shapes.
 
-    Raises:
-        CadenzaError: the arrays have other names, shapes or types.
+    Raises CadenzaError if the arrays have other names, shapes or types.
     """
     leaves, structure = jax.tree_util.tree_flatten_with_path(like)
     kinds = {jax.tree_util.keystr(path): (leaf.shape, leaf.dtype) for path, leaf in leaves}

@@ -76,14 +76,13 @@ _OF_ONE_KIND = re.compile(r"([a-z-]+-\d{1,9}):([1-9]\d{0,5})", re.ASCII)
 def make_etude(kind: str, difficulty: int, seed: int) -> Score:
     """An etude of 15 to 40 s for two hands, or a drill for one, both without fingers.
 
+    Raises CadenzaError if there is no such kind, difficulty or seed.
+
     Args:
         kind: one of `KINDS` or `DRILLS`.
         difficulty: 1 to 10: tempo, range, accidentals, how much the hands do at once; of a drill,
             how many notes or chords there are.
         seed: the seed of key, tempo, chords and voices; the same seed gives the same etude.
-
-    Raises:
-        CadenzaError: there is no such kind, difficulty or seed.
     """
     kind, difficulty, seed = _checked(kind, difficulty, seed)
     rng = np.random.default_rng([zlib.crc32(kind.encode()), difficulty, seed])
@@ -128,10 +127,8 @@ def etude_name(kind: str, difficulty: int, seed: int) -> str:
 def etude_names(count: int, seed: int = 0) -> list[str]:
     """Names of `count` etudes, spread evenly over kinds and difficulties in a random order.
 
-    The first of a longer list are those of a shorter one with the same seed.
-
-    Raises:
-        CadenzaError: `seed` or `count` is no such number.
+    The first of a longer list are those of a shorter one with the same seed. Raises CadenzaError if
+    `seed` or `count` is no such number.
     """
     count = whole_number(count, "count", 1, 1_000_000)
     rng = np.random.default_rng(whole_number(seed, "seed", 0, MAX_SEED))
@@ -150,12 +147,11 @@ def etude_names(count: int, seed: int = 0) -> list[str]:
 def etude_library(which: str = str(_DEFAULT_COUNT)) -> Library:
     """A library of etudes of all kinds and difficulties, or of one.
 
+    Raises CadenzaError if `which` has another form.
+
     Args:
         which: the number of etudes, such as "300", or with a seed "300:1"; or a kind, a difficulty
             and the number, with the seeds 0, 1 and so on: "notes-6:20".
-
-    Raises:
-        CadenzaError: `which` has another form.
     """
     if of_one_kind := _OF_ONE_KIND.fullmatch(which.lower()):
         names = [f"{LIBRARY}/{of_one_kind[1]}-{seed}" for seed in range(int(of_one_kind[2]))]
@@ -172,8 +168,7 @@ def etude_library(which: str = str(_DEFAULT_COUNT)) -> Library:
 def etude_song(name: str) -> Song:
     """The song of a name such as "etudes/scales-3-7"; its grade is the difficulty asked for.
 
-    Raises:
-        CadenzaError: no etude is called so.
+    Raises CadenzaError if no etude is called so.
     """
     match = _ETUDE_NAME.fullmatch(name.lower())
     if not match:

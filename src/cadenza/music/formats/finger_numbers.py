@@ -29,8 +29,7 @@ def finger_number(finger: Finger | None) -> int | str:
 def finger_from(text: int | str) -> Finger | None:
     """The finger with this number in files, None for an unknown one.
 
-    Raises:
-        CadenzaError: there is no such finger.
+    Raises CadenzaError if there is no such finger.
     """
     text = str(text)
     if text == str(_UNKNOWN):

@@ -39,11 +39,9 @@ _HEADER = (
 def read_fingering(path: str | Path, score: Score, all_there: bool = True) -> Score:
     """`score` with the fingers of the file at `path`.
 
-    Unless `all_there`, lines may belong to notes that the score has been left without.
-
-    Raises:
-        CadenzaError: the file cannot be read, a line is malformed, belongs to no note, or gives a
-            note a second, different finger; the line number is named.
+    Unless `all_there`, lines may belong to notes that the score has been left without. Raises
+    CadenzaError if the file cannot be read, a line is malformed, belongs to no note, or gives a
+    note a second, different finger; the line number is named.
     """
     path = Path(path)
     text = decoded(content_of(path, _MAX_BYTES), path)

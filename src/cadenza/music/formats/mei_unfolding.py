@@ -56,10 +56,8 @@ class MeiBar:
 def unfolded(content: str) -> tuple[str, dict[str, MeiBar], Counter[str]]:
     """A document in which every bar stands as often as it is played, one after the other.
 
-    Comes with its measures by the ids that they have there, and counts of what is left out.
-
-    Raises:
-        ParseError: it is not XML.
+    Comes with its measures by the ids that they have there, and counts of what is left out. Raises
+    ParseError if it is not XML.
     """
     root, counts = fromstring(content), Counter[str]()
     for number, element in enumerate(root.iter()):

@@ -75,9 +75,8 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
     - velocities, pedals and volumes over 127 are taken for 127, and other settings over 127 are
       left out.
 
-    Raises:
-        CadenzaError: no such file, not a MIDI file, damaged, without notes, or without one
-            of `tracks`.
+    Raises CadenzaError if the file is not there, no MIDI file or damaged, or has no notes, or not
+    one of `tracks`.
     """
     path = Path(path)
     content = read_bytes(path)
@@ -129,12 +128,10 @@ def write_midi(score: Score, path: str | Path) -> None:
     """Write notes, pedal and title as a MIDI file of format 0 with 48,000 ticks a second.
 
     Read back, times are the same to half a tick (10.4 us), pitches, velocities and pedal values
-    exactly; a note shorter than a tick lasts one, and of notes of one pitch that are closer than
-    a tick each begins a tick after the one before. Fingers are not part of MIDI, see
-    `cadenza.music.formats.fingering_file`.
-
-    Raises:
-        CadenzaError: the score is longer than an hour and a half.
+    exactly; a note shorter than a tick lasts one, and of notes of one pitch that are closer than a
+    tick each begins a tick after the one before. Fingers are not part of MIDI, see
+    `cadenza.music.formats.fingering_file`. Raises CadenzaError if the score is longer than an hour
+    and a half.
     """
     last = max((event.time for event in score.pedal), default=0.0)
     if _ticks(max(score.total_time, last)) > LONGEST:
@@ -200,8 +197,7 @@ class _Clock:
     def of(cls, division: int, tracks: Iterable[Iterable[Message]]) -> _Clock:
         """The clock of a file whose ticks are in this division.
 
-        Raises:
-            CadenzaError: the division is not valid.
+        Raises CadenzaError if the division is not valid.
         """
         if division < 0:  # SMPTE: minus the frames a second, and the ticks a frame
             frames, ticks_per_frame = 256 - ((division >> 8) & 0xFF), division & 0xFF

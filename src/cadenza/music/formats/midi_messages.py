@@ -49,11 +49,9 @@ class MidiFile(NamedTuple):
 def parsed(data: bytes) -> MidiFile:
     """Parse a Standard MIDI file, bare or wrapped.
 
-    Where the length of a track is wrong, or something stands between tracks, the next one begins
-    at the next `MTrk`.
-
-    Raises:
-        CadenzaError: it is no MIDI file, or damaged otherwise than by an early end.
+    Where the length of a track is wrong, or something stands between tracks, the next one begins at
+    the next `MTrk`. Raises CadenzaError if it is no MIDI file, or damaged otherwise than by an
+    early end.
     """
     data = _unwrapped(data)
     if not data.startswith(b"MThd"):
@@ -130,8 +128,7 @@ def _next_track(data: bytes, at: int) -> int:
 def _track(data: bytes, begin: int, end: int) -> _Track:
     """The track from one byte to another, or beyond where this is not its end.
 
-    Raises:
-        CadenzaError: the track is damaged.
+    Raises CadenzaError if the track is damaged.
     """
     track = _Track(data, begin, end)
     if track.has_ended or _begins_chunk(data, end):
@@ -149,10 +146,7 @@ class _Track:
     """The messages from a byte on: up to the end of the track, the next track, or a last byte.
 
     `end` is where they end, and `damage` counts what is cut off, clipped to 127, dropped for values
-    over 127, or unread.
-
-    Raises:
-        CadenzaError: the track is damaged.
+    over 127, or unread. Raises CadenzaError if the track is damaged.
     """
 
     def __init__(self, data: bytes, begin: int, last: int) -> None:
@@ -226,8 +220,7 @@ class _Track:
     def _bytes(self, size: int) -> bytes:
         """The next bytes.
 
-        Raises:
-            EOFError: fewer are left.
+        Raises EOFError if fewer are left.
         """
         begin, self.end = self.end, self.end + size
         if self.end > self._last:

@@ -46,8 +46,7 @@ def name_without_ending(song: str) -> str:
 def check_format(path: Path) -> None:
     """Check the ending of a file.
 
-    Raises:
-        CadenzaError: it is that of a format that is not read.
+    Raises CadenzaError if it is that of a format that is not read.
     """
     suffix = path.suffix.lower()
     if suffix in NOT_READ:
@@ -58,17 +57,14 @@ def read_score(path: Path, tracks: Collection[int] = (), plain: bool = False) ->
     """The score in a MIDI, MusicXML, Humdrum or MEI file.
 
     Notes have the fingers of a file beside it with the ending .fingering, see
-    `cadenza.music.formats.fingering_file`.
+    `cadenza.music.formats.fingering_file`. Raises CadenzaError if its format is not read, or one
+    of `read_midi`, `read_musicxml`, `read_by_verovio` and `read_fingering` refuses it.
 
     Args:
         path: the file, whose first bytes tell its format, or else its ending; with an unknown
             ending it is read as MIDI.
         tracks: the numbers of the tracks to be played, as in `Score.tracks`; all by default.
         plain: plays the notes of a MusicXML file as they stand, whatever signs they have.
-
-    Raises:
-        CadenzaError: a format that is not read, or a file that `read_midi`, `read_musicxml`,
-            `read_by_verovio` or `read_fingering` refuses.
     """
     from cadenza.music.formats.fingering_file import SUFFIX, read_fingering
     from cadenza.music.formats.midi import read_midi

@@ -15,9 +15,8 @@ MAX_BYTES = 2 * 2**20  # an hour of dense piano music in MIDI needs about half o
 def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
     """The bytes of a file.
 
-    Raises:
-        CadenzaError: there is no such file, or it cannot be read, is empty or holds over `most`
-            bytes.
+    Raises CadenzaError if there is no such file, or it cannot be read, is empty or holds over
+    `most` bytes.
     """
     if os.path.isdir(path):
         raise CadenzaError(f"{path}: is a folder; give a file")
@@ -43,8 +42,7 @@ def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
 def decoded(data: bytes, where: object) -> str:
     """The text in the bytes of a file.
 
-    Raises:
-        CadenzaError: it is not in UTF-8; the message begins with `where`, and names the line.
+    Raises CadenzaError if it is not in UTF-8; the message begins with `where`, and names the line.
     """
     try:
         return data.decode("utf-8-sig")

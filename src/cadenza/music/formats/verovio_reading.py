@@ -45,12 +45,9 @@ _MINUTE = 60_000_000  # microseconds
 def read_by_verovio(path: Path, form: str, tracks: Collection[int] = ()) -> Score:
     """The piano score in a Humdrum or MEI file: its notes, bars and tempos, with all repeats.
 
-    `form` is "Humdrum" or "MEI". All parts are played together, or only `tracks`. The file has
-    no velocities for us, nor fingers.
-
-    Raises:
-        CadenzaError: no such file, or one that Verovio makes no music of; or what `read_midi`
-            refuses.
+    `form` is "Humdrum" or "MEI". All parts are played together, or only `tracks`. The file has no
+    velocities for us, nor fingers. Raises CadenzaError if it is not there, or Verovio makes no
+    music of it, or what `read_midi` refuses.
     """
     played = _played(read_bytes(path), form)
     if not played:

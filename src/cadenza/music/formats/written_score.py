@@ -44,8 +44,7 @@ class WrittenScore:
     def score(self) -> Score:
         """The score.
 
-        Raises:
-            CadenzaError: a note, or its finger, is not possible.
+        Raises CadenzaError if a note, or its finger, is not possible.
         """
         notes = (
             Note(n.start, n.end, n.pitch, n.velocity, finger_from(n.finger), hands=n.hands)

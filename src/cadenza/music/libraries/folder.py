@@ -27,13 +27,12 @@ _LONGEST = 120  # bytes of the name of a piece
 def folder_library(folder: Path, name: str = "") -> Library:
     """The library of the music files in a folder and the folders in it; none of them is opened.
 
+    Raises CadenzaError if there are no music files, or the index cannot be read.
+
     Args:
         folder: the folder, which may have an index (see `cadenza.music.libraries.index`).
         name: the name of the library, whose songs are then called `name/piece`. Without it they
             are called by their paths.
-
-    Raises:
-        CadenzaError: there are no music files, or the index cannot be read.
     """
     files = music_files(folder)
     if not files:
@@ -63,10 +62,8 @@ def import_folder(
     Files that cannot be read are left out.
 
     `progress` is called with the number of files read, and of all; the rest is as in
-    `folder_library` and `new_library`.
-
-    Raises:
-        CadenzaError: nothing can be read, the index is damaged, or there is such a library.
+    `folder_library` and `new_library`. Raises CadenzaError if nothing can be read, the index is
+    damaged, or there is such a library.
     """
     if not os.path.isdir(folder):
         raise CadenzaError(f"{folder}: there is no such folder")
@@ -123,8 +120,7 @@ def music_files(folder: Path) -> list[Path]:
 def index_of(folder: Path) -> dict[str, Facts]:
     """The facts in the index of a folder; none if it has no index.
 
-    Raises:
-        CadenzaError: the index cannot be read.
+    Raises CadenzaError if the index cannot be read.
     """
     return read_index(folder / INDEX) if os.path.isfile(folder / INDEX) else {}
 

@@ -58,8 +58,7 @@ def is_imported(name: str) -> bool:
 def imported(name: str) -> Library:
     """The library that was imported under this name; only its index is read.
 
-    Raises:
-        CadenzaError: there is no such library, or its index is damaged.
+    Raises CadenzaError if there is no such library, or its index is damaged.
     """
     folder = _libraries_folder() / name
     songs = (
@@ -103,8 +102,7 @@ class NewLibrary:
     def leaving_out_what_is_wrong(self, file: object) -> Iterator[None]:
         """Catch whatever a file causes in the block, and keep a line on it in `left_out`.
 
-        Raises:
-            OSError: the disk is full, as it would be for the next piece.
+        Raises OSError if the disk is full, as it would be for the next piece.
         """
         try:
             yield
@@ -121,10 +119,8 @@ def new_library(
     """Yield a library to add pieces to, and save it when the block ends without an error.
 
     It may `replace` a library of this name. Without a `grade` the difficulty of pieces is unknown.
-
-    Raises:
-        CadenzaError: the name is not allowed, there is such a library, nothing has been added, or
-            another import is running.
+    Raises CadenzaError if the name is not allowed, there is such a library, nothing has been added,
+    or another import is running.
     """
     if not _NAME.fullmatch(name):
         raise CadenzaError(

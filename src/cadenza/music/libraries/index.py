@@ -40,8 +40,7 @@ Facts = dict[str, Any]
 def read_index(path: Path) -> dict[str, Facts]:
     """Name of a piece, as the index has it -> facts about it, in the order of the index.
 
-    Raises:
-        CadenzaError: it cannot be read, is no table, or names a piece twice.
+    Raises CadenzaError if it cannot be read, is no table, or names a piece twice.
     """
     header, rows = read_table(decoded(read_bytes(path, _MAX_BYTES), path), path)
     column = next((name for name in _NAMES if name in header), None)
@@ -66,10 +65,8 @@ def read_table(
     """The names of the columns of a CSV file in lower case, and its lines with their numbers.
 
     Empty lines are left out, and so are cells that no column has a name for. If `strict`, quotation
-    marks in the middle of a cell are an error. Errors name `where` and the line.
-
-    Raises:
-        CadenzaError: it is no CSV.
+    marks in the middle of a cell are an error. Errors name `where` and the line. Raises
+    CadenzaError if it is no CSV.
     """
     csv.field_size_limit(max(len(text), csv.field_size_limit()))  # that of the text is enough
     reader = csv.reader(io.StringIO(text, newline=""), strict=strict)

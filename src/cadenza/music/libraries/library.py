@@ -66,16 +66,15 @@ def distinct_libraries() -> list[str]:
 def open_library(spec: str | Path) -> Library:
     """The library of a name or a folder; only an index is read.
 
+    Raises CadenzaError if there is no such library or split, it has not been imported yet, or its
+    index is damaged.
+
     Args:
         spec: the name of a library, see `libraries`, or the path of a folder of MIDI or MusicXML
             files, which may have an index (see `cadenza.music.libraries.index`). With `:SPLIT`
             after it, only the songs of that split, as in "repertoire:valid". `etudes:N` are N
             etudes, drawn from the seed 0 or from that of `etudes:N:SEED`. A folder that has the
             same name as a library wants a path with a separator, such as "./bundled".
-
-    Raises:
-        CadenzaError: there is no such library or split, it has not been imported yet, or its index
-            is damaged.
     """
     text = str(spec)
     name, colon, split = text.partition(":")
@@ -116,11 +115,9 @@ def find_song(song: str | Path | Song) -> Song:
     A `Song` is returned as it is.
 
     Bundled pieces are called by their names, those of other libraries `library/piece`. A word is a
-    path if there is such a file, or if it has the ending of a music file. Notes have the fingers
-    of a file beside it with the ending .fingering, see `cadenza.music.formats.fingering_file`.
-
-    Raises:
-        CadenzaError: there is no such song.
+    path if there is such a file, or if it has the ending of a music file. Notes have the fingers of
+    a file beside it with the ending .fingering, see `cadenza.music.formats.fingering_file`. Raises
+    CadenzaError if there is no such song.
     """
     if isinstance(song, Song):
         return song
@@ -153,9 +150,7 @@ def find_song(song: str | Path | Song) -> Song:
 def load_score(song: str | Path | Song, tracks: Collection[int] = (), plain: bool = False) -> Score:
     """The score of a song or file, see `find_song` and `Song.load`.
 
-    Raises:
-        CadenzaError: no such song or track, a format that is not read, or a file that
-            `read_midi`, `read_musicxml` or `read_fingering` refuses.
+    Raises CadenzaError if there is no such song or track, or `read_score` refuses its file.
     """
     return find_song(song).load(tracks, plain)
 
@@ -163,8 +158,7 @@ def load_score(song: str | Path | Song, tracks: Collection[int] = (), plain: boo
 def check_is_free(name: str) -> None:
     """Check that an imported library may have this name.
 
-    Raises:
-        CadenzaError: a library that needs no import has it.
+    Raises CadenzaError if a library that needs no import has it.
     """
     if name in (entries := LIBRARIES.entries()):
         raise CadenzaError(
@@ -179,8 +173,7 @@ def _is_library(name: str) -> bool:
 def _named(name: str) -> Library:
     """The library of this name.
 
-    Raises:
-        CadenzaError: it has not been imported yet, is none, or cannot be read.
+    Raises CadenzaError if it has not been imported yet, is none, or cannot be read.
     """
     if is_imported(name):
         return imported(name)

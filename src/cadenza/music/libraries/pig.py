@@ -37,8 +37,7 @@ _UNSAID = re.compile(r"\bin [a-h]\b([ -]?(flat|sharp))?( (major|minor))?|\b(no|m
 def repertoire_150() -> Library:
     """The pieces of the dataset.
 
-    Raises:
-        CadenzaError: the dataset has not been imported.
+    Raises CadenzaError if the dataset has not been imported.
     """
     if not is_imported(ALL):
         raise CadenzaError(
@@ -51,8 +50,7 @@ def repertoire_150() -> Library:
 def etude_12() -> Library:
     """Twelve pieces of the dataset, in the order of the published benchmark.
 
-    Raises:
-        CadenzaError: the dataset has not been imported, or has none of them.
+    Raises CadenzaError if the dataset has not been imported, or has none of them.
     """
     songs = etudes_among(repertoire_150().songs)
     if not songs:

@@ -61,10 +61,8 @@ def import_pig(
     """Import the dataset as the library `repertoire-150`; damaged pieces are left out.
 
     The source is its folder, or the ZIP file, as downloaded. `progress` is called with the number
-    of pieces read, and of all; for the rest see `new_library`.
-
-    Raises:
-        CadenzaError: it is not the dataset, nothing in it can be read, or it was imported before.
+    of pieces read, and of all; for the rest see `new_library`. Raises CadenzaError if it is not the
+    dataset, nothing in it can be read, or it was imported before.
     """
     with _folder_of(source) as folder, new_library(ALL, replace, grade) as library:
         files = list(files_in(folder))
@@ -159,8 +157,7 @@ def _first_fingerings(files: Sequence[Path], folder: Path) -> dict[int, Path]:
 def _pieces(content: bytes, where: str, left_out: list[str]) -> list[_ListedPiece]:
     """The pieces in `List.csv`; lines that name none are added to `left_out`.
 
-    Raises:
-        CadenzaError: it is no table, or there is no column of titles.
+    Raises CadenzaError if it is no table, or there is no column of titles.
     """
     try:
         text = content.decode("utf-8-sig")
@@ -196,10 +193,8 @@ def read_fingered(content: bytes, where: str) -> Score:
     """The notes in a file, with their fingers; `Score.remarks` says what looks wrong.
 
     What cannot be played on one piano is repaired as by `read_midi`, and a remark, too. Errors call
-    the file `where`, with the number of a line.
-
-    Raises:
-        CadenzaError: it is no text or has no notes, it lasts over an hour, or a line is wrong.
+    the file `where`, with the number of a line. Raises CadenzaError if it is no text or has no
+    notes, it lasts over an hour, or a line is wrong.
     """
     notes: list[RawNote] = []
     doubts: list[str] = []
@@ -223,8 +218,7 @@ def read_fingered(content: bytes, where: str) -> Score:
 def _note(line: str) -> tuple[RawNote, int]:
     """The note of a line, and its channel.
 
-    Raises:
-        CadenzaError: it is wrong.
+    Raises CadenzaError if it is wrong.
     """
     cells = line.split()
     if len(cells) != 8:

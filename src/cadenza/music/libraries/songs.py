@@ -41,12 +41,11 @@ class Song:
     def load(self, tracks: Collection[int] = (), plain: bool = False) -> Score:
         """Load the score, under the title of the song, with the hands that it is written for.
 
+        Raises CadenzaError if it cannot be read, or has no such track.
+
         Args:
             tracks: the numbers of the tracks to be played, as in `Score.tracks`; all by default.
             plain: plays notes as they stand, whatever signs they have.
-
-        Raises:
-            CadenzaError: it cannot be read, or has no such track.
         """
         score = with_written_hands(self.read(tracks, plain))
         return replace(score, title=self.title or score.title)
@@ -70,8 +69,7 @@ class Library:
     def of_split(self, split: str) -> Library:
         """The songs of one split.
 
-        Raises:
-            CadenzaError: there is no such split.
+        Raises CadenzaError if there is no such split.
         """
         songs = tuple(song for song in self.songs if song.split == split)
         if not split or not songs:
@@ -83,8 +81,7 @@ class Library:
 def song_named(name: str, library: Library) -> Song:
     """The song of a library with this name, in upper or lower case.
 
-    Raises:
-        CadenzaError: there is none.
+    Raises CadenzaError if there is none.
     """
     known = {song.name.lower(): song for song in library.songs}
     # Bundled songs are called by their names alone, and found with the name of the library, too.

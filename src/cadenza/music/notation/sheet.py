@@ -104,8 +104,7 @@ class Sheet:
 def sheet_of(score: Score) -> Sheet:
     """Write a score, whose times may be those of a performance, for piano.
 
-    Raises:
-        CadenzaError: it has no notes.
+    Raises CadenzaError if it has no notes.
     """
     if not score.notes:
         raise CadenzaError("there are no notes to be written")

@@ -48,15 +48,13 @@ def realised(
     """The notes as they sound, by their beginnings.
 
     Notes that no sign concerns begin and end where the tempo map says, to the bit. Grace notes
-    before the first beat begin before 0 s.
+    before the first beat begin before 0 s. Raises CadenzaError if there would be more notes than
+    `MAX_NOTES`, or one ends too late for a score.
 
     Args:
         notes: the notes as written, of all parts.
         tempo: the time of each place in the music.
         swings: where notes swing.
-
-    Raises:
-        CadenzaError: there would be more notes than `MAX_NOTES`, or one ends too late for a score.
     """
     notes = with_signs_of_chords(list(notes))
     timed = _timed(notes, tempo, swings)

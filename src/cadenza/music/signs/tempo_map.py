@@ -191,11 +191,10 @@ class TempoMap:
     def played(self, sections: Iterable[tuple[Fraction, Fraction]]) -> TempoMap:
         """The map of music that is played section by section, such as one with repeats.
 
+        Raises CadenzaError if there would be more than `MAX_SEGMENTS`.
+
         Args:
             sections: the beginning and the end of each section in the written music [quarters].
-
-        Raises:
-            CadenzaError: there would be more than `MAX_SEGMENTS`.
         """
         at, time, silence = Fraction(0), 0.0, 0.0
         segments: list[TempoSegment] = []

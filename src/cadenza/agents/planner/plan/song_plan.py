@@ -57,6 +57,8 @@ def song_plans(
 ) -> Iterator[SongPlan]:
     """Plan what the hands of a task are to play.
 
+    Raises CadenzaError if there are no hands in the scene.
+
     Args:
         track: the song.
         start: (J,) joint positions of the hands where the song begins [m, rad].
@@ -69,9 +71,6 @@ def song_plans(
     Yields:
         The plan as far as it goes, every time a few more seconds of music; the last one is of the
         whole song.
-
-    Raises:
-        CadenzaError: there are no hands in the scene.
     """
     scene = planning_scene(track)
     track = track.fingered(partial(progress, "fingers"))
@@ -86,10 +85,8 @@ def song_plans(
 def planning_scene(track: GoalTrack) -> Scene:
     """Scene that a task's options describe, whatever was randomised in the task's own scene.
 
-    It is the same object for the same task, and must not be changed.
-
-    Raises:
-        CadenzaError: there are no hands in it.
+    It is the same object for the same task, and must not be changed. Raises CadenzaError if there
+    are no hands in it.
     """
     if not track.scene.sides:
         raise CadenzaError(

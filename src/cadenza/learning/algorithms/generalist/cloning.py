@@ -83,15 +83,14 @@ class GeneralistCloning(CheckpointedRun):
     ) -> None:
         """Resume the run in `folder`, if there is one.
 
+        Raises CadenzaError if an option makes no sense, the demonstrations do not go together or
+        are too few, or the folder holds a run with other options.
+
         Args:
             config: its options.
             demonstrations: folders of `cadenza dataset collect`.
             folder: The folder of the run.
             progress: The function that is told how many episodes have been read.
-
-        Raises:
-            CadenzaError: an option makes no sense, the demonstrations do not go together or are too
-                few, or the folder holds a run with other options.
         """
         config.check()
         updates, rng = len(NETWORKS) * _ENSEMBLE, np.random.default_rng(config.seed)
@@ -199,10 +198,8 @@ def fit(
     AdamW (Loshchilov & Hutter, Decoupled Weight Decay Regularization, 2019) with dropout and early
     stopping. Inputs that are the `previous` correction (I,) are often hidden: what the planner did
     tells what it does next, but not why, and when the network plays, it is its own (de Haan,
-    Jayaraman & Levine, Causal Confusion in Imitation Learning, 2019).
-
-    Raises:
-        CadenzaError: there are fewer examples than in a batch.
+    Jayaraman & Levine, Causal Confusion in Imitation Learning, 2019). Raises CadenzaError if there
+    are fewer examples than in a batch.
     """
     scale, rng = train.corrections.std(), np.random.default_rng(seed)
     x, y, batch = train.inputs, train.corrections / scale, config.batch_size
@@ -270,8 +267,7 @@ def _predicted(layers: Layers, x: Array) -> Array:
 def examples_of(recorded: RecordedEpisode) -> HandExamples:
     """The examples of an episode.
 
-    Raises:
-        CadenzaError: its plan was made by another version.
+    Raises CadenzaError if its plan was made by another version.
     """
     scene, rows = recorded.build_scene(), recorded.steps
     track = GoalTrack(recorded.score, (), recorded.facts.task, scene)

@@ -43,6 +43,9 @@ class ExcerptRun(CheckpointedRun):
     ) -> None:
         """Resume the run in `folder`, if there is one.
 
+        Raises CadenzaError if an option makes no sense, there is no score, the networks are of
+        other hands, or the folder holds a run with other options.
+
         Args:
             config: its options.
             library: the name of the library.
@@ -50,10 +53,6 @@ class ExcerptRun(CheckpointedRun):
             folder: The folder of the run.
             weights: file of the networks to begin with; by default those of Cadenza.
             progress: The function that is told how many excerpts have been planned.
-
-        Raises:
-            CadenzaError: an option makes no sense, there is no score, the networks are of other
-                hands, or the folder holds a run with other options.
         """
         config.check()
         if not scores:
@@ -82,8 +81,7 @@ class ExcerptRun(CheckpointedRun):
 def _initial_weights(scene: Scene, path: Path | None) -> Weights:
     """The networks of a file, by default those of Cadenza for the hands of a scene.
 
-    Raises:
-        CadenzaError: they are of other hands, or the file is damaged.
+    Raises CadenzaError if they are of other hands, or the file is damaged.
     """
     weights = shipped_for(scene) if path is None else Weights.load(path)
     if weights is None or weights.sizes != sizes_of(scene):

@@ -91,8 +91,7 @@ class _Step(NamedTuple):
 def play(envs: ExcerptEnvs, weights: Weights, steps: int, rng: np.random.Generator) -> Strikes:
     """Play steps with touches drawn around those of the networks; returns their strikes.
 
-    Raises:
-        CadenzaError: there were none.
+    Raises CadenzaError if there were none.
     """
     played, strikes = deque[_Step](maxlen=3), []
     for _ in range(steps):

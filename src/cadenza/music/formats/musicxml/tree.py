@@ -37,11 +37,8 @@ def tree_of(path: Path) -> Element:
     """The root of the document, from its archive where it is compressed: parts that hold measures.
 
     Names lose their prefixes of namespaces, and attributes with a prefix, which MusicXML does not
-    use, are left out.
-
-    Raises:
-        CadenzaError: it cannot be read, is no MusicXML, declares anything of its own, or is too
-            large or too deeply nested for a song.
+    use, are left out. Raises CadenzaError if it cannot be read, is no MusicXML, declares anything
+    of its own, or is too large or too deeply nested for a song.
     """
     data = read_bytes(path, MAX_XML_BYTES)
     with errors_in(path):

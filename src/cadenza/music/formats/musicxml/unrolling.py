@@ -51,11 +51,10 @@ class Passage:
 class Unrolled:
     """A sheet whose bars are played in the order of their signs: `passages`.
 
+    Raises CadenzaError if it or a method would play too many bars, notes or marks.
+
     Args:
         bars: the bars of the sheet.
-
-    Raises:
-        CadenzaError: it or a method would play too many bars, notes or marks.
     """
 
     def __init__(self, bars: Sequence[WrittenBar]) -> None:
