@@ -4,8 +4,6 @@ The imports take a second. Ctrl-C meanwhile would print where they are, or what 
 it.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Chromium without a window, spoken to through its DevTools protocol over a pair of pipes."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

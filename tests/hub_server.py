@@ -1,7 +1,5 @@
 """A hub of our own on this machine: the few requests that Cadenza makes of the Hugging Face hub."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

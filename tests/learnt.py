@@ -1,7 +1,5 @@
 """A policy that acts alone, as one that was learnt from nothing."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Short songs, and plans of them for one hand."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song

@@ -1,7 +1,5 @@
 """Files with something wrong in them, drawn at random."""
 
-from __future__ import annotations
-
 import copy
 import io
 import json

@@ -1,7 +1,5 @@
 """Fingers of five-fingered hands by the numbers that they have in arrays and files."""
 
-from __future__ import annotations
-
 from cadenza.fingers import Finger, Fingers
 from cadenza.music.score import Note, Score
 

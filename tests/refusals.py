@@ -1,7 +1,5 @@
 """What commands that are refused say to a person."""
 
-from __future__ import annotations
-
 import pytest
 
 from cadenza.cli import main

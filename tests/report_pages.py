@@ -1,7 +1,5 @@
 """What report pages hold."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

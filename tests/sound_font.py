@@ -1,7 +1,5 @@
 """A sound font of one wave, written by hand."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What `import cadenza` offers."""
 
-from __future__ import annotations
-
 import gc
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Whatever is wrong with a checkpoint, the run goes on from it, or it is refused in one line."""
 
-from __future__ import annotations
-
 import functools
 import shutil
 from collections.abc import Iterator

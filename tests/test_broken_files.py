@@ -1,7 +1,5 @@
 """Whatever is wrong with a file, it is played, or refused in one line."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from contextlib import closing

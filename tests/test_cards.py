@@ -1,7 +1,5 @@
 """The cards of the networks that come with the package."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Who plays what in which task, on the command line."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

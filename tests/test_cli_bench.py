@@ -1,7 +1,5 @@
 """`cadenza bench` as a person meets it: with processes, Ctrl-C, kills, and others beside it."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

@@ -1,7 +1,5 @@
 """`cadenza dataset` as a person meets it: killed, resumed, two at once, and wrong input."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """`cadenza etude`, as a person types it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Which music the commands play, as a person asks for it."""
 
-from __future__ import annotations
-
 import json
 import os
 import shlex

@@ -3,8 +3,6 @@
 To renew that file after a change: python -m tests.test_cli_options
 """
 
-from __future__ import annotations
-
 import io
 import os
 import re

@@ -1,7 +1,5 @@
 """`cadenza results`."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

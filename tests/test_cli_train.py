@@ -1,7 +1,5 @@
 """`cadenza train` as a person meets it, and what it leaves to play with."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

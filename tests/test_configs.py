@@ -1,7 +1,5 @@
 """Whatever is given in place of an option, a song or an agent is refused in one line."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The documentation: what it lists, and that the site is built and its links lead somewhere."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import runpy

@@ -1,7 +1,5 @@
 """Where there is too little memory, one line says so, whatever a library makes of it."""
 
-from __future__ import annotations
-
 import re
 
 import mujoco

@@ -1,7 +1,5 @@
 """The programs in examples/ run, and do what they say."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re

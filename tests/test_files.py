@@ -1,7 +1,5 @@
 """Nobody ever sees half a file, and what a broken one holds is said in one line."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

@@ -3,8 +3,6 @@
 The package is read, not run. Docstrings and comments may name what they like.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """What is written for each hand, from a file to what is played."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

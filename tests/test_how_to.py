@@ -1,7 +1,5 @@
 """What the how-to pages tell people to write works, in a package of its own."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

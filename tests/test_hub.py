@@ -1,7 +1,5 @@
 """Folders by the conventions of the Hugging Face hub, with a hub of our own."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The line that installs an extra fits the way in which Cadenza was installed."""
 
-from __future__ import annotations
-
 import json
 import sys
 import tomllib

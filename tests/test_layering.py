@@ -1,7 +1,5 @@
 """Data flows one way: which folder of the package may import which."""
 
-from __future__ import annotations
-
 import ast
 import sys
 from collections.abc import Collection, Iterator

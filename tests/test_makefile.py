@@ -1,7 +1,5 @@
 """What people type first: make."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

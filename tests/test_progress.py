@@ -1,7 +1,5 @@
 """What is shown of work that takes a while, on a terminal and elsewhere."""
 
-from __future__ import annotations
-
 import io
 import sys
 import time

@@ -1,7 +1,5 @@
 """What the README and the page of the command line tell people to run runs."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import tomllib

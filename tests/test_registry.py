@@ -1,7 +1,5 @@
 """Names that other installed packages add by entry points, some of which are broken."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """What of a release can be checked at any time; `make release-check` has the rest."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import tomllib

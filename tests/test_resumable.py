@@ -1,7 +1,5 @@
 """Folders of work that is stopped and resumed: the lock, the manifest and what a kill leaves."""
 
-from __future__ import annotations
-
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager

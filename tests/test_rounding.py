@@ -1,7 +1,5 @@
 """What is played does not depend on the processor."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Setups: several options by one name, over which those win that are given beside it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import gymnasium

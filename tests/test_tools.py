@@ -1,7 +1,5 @@
 """The programs in tools/: that all say what they do, and what no other test looks at."""
 
-from __future__ import annotations
-
 import runpy
 import sys
 from dataclasses import astuple

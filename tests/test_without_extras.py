@@ -1,7 +1,5 @@
 """What needs no extra works where none is installed, as from the wheel alone."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What Unix alone has is not needed to play, nor to look at what was trained."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Checks of configurations: every field has the type that its annotation says."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass

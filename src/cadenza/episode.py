@@ -5,8 +5,6 @@ published system. There are T control steps, A actuators (right hand's, left han
 joints, B moving hand bodies, K keys, and F fingers of two hands, the right one's first.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass

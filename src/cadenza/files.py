@@ -4,8 +4,6 @@ Who reads a file says what it is to hold, as a type for JSON and as a table for 
 else it holds is refused here, in one line.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json

@@ -5,8 +5,6 @@ fetched, into the hub's own cache, and whoever reads them checks them as any oth
 them is executed.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import sys

@@ -1,7 +1,5 @@
 """The line that installs what an extra of Cadenza needs, wherever Cadenza was installed from."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

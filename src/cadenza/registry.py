@@ -5,8 +5,6 @@ A name is built in; or another installed package has added it by an entry point;
 does not use it.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field

@@ -16,8 +16,6 @@ often as JAX's (practice and playing work without JAX); and facts, the manifest,
 refusing what was damaged or is of another command would be ours all the same.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress

@@ -5,8 +5,6 @@ functions. The last bits differ, and after some seconds of music so does what is
 from the environment what to choose, once, when they are imported.
 """
 
-from __future__ import annotations
-
 import os
 import warnings
 from functools import cache

@@ -1,7 +1,5 @@
 """One hand alone at the keyboard, with a plan of a song, for tests of its search and rehearsal."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cadenza.agents.planner.plan.hand_goals import HandGoals

@@ -1,7 +1,5 @@
 """Agents play the same with the same seed, and planning pays."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

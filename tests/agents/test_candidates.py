@@ -1,7 +1,5 @@
 """Escape motions, and the crossover of candidates finger by finger."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What every registered agent keeps to."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The agent that corrects plans by what it has learnt from the planner."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A hand rehearses a second of its plan before it plays it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The receding-horizon search of one hand."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What rollouts over the look-ahead horizon cost, and where fingertips should have been."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from one_hand import OneHand

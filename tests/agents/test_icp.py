@@ -1,7 +1,5 @@
 """Fingers by iterative closest points."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

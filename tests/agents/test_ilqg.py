@@ -1,7 +1,5 @@
 """iLQG: its parts against other solvers and the simulation itself, and that planning pays."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Postures by least squares."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any, cast
 

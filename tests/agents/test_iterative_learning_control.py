@@ -1,7 +1,5 @@
 """Updates of controls by the fingertip errors of a rollout."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Agents that know that they are late: they play early, for the state that they will act in."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

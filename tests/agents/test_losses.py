@@ -1,7 +1,5 @@
 """Note onsets as practice and the search judge them, against the published metric."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Why notes were missed: performances that go wrong in one known way."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The candidate that networks compute for the planner's search."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

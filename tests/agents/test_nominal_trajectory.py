@@ -1,7 +1,5 @@
 """Plans of whole songs in windows, and controls that follow them."""
 
-from __future__ import annotations
-
 import tracemalloc
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Variants and trajectories spliced from them: of each passage, what loses less is kept."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

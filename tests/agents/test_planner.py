@@ -1,7 +1,5 @@
 """Playing by plans that are corrected as they are played."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import groupby
 

@@ -1,7 +1,5 @@
 """Predictive sampling as the paper has it: what a plan costs, in which steps, and for how long."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

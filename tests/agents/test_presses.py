@@ -1,7 +1,5 @@
 """Which finger holds which key when, and where the fingertips are for it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Stitched motions: that they are the same in every octave, repeat, and play simple music."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

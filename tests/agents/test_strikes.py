@@ -1,7 +1,5 @@
 """Strikes in time and as loud as written, against the physics of the keys."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

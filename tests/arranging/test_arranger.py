@@ -1,7 +1,5 @@
 """Arrangements of songs for a band, whose melody and bass are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

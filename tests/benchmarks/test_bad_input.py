@@ -1,7 +1,5 @@
 """Benchmarks and tools say in a line what is wrong with what they are given."""
 
-from __future__ import annotations
-
 import runpy
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """When an episode of a drill counts as a success."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

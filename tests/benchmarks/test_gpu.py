@@ -1,7 +1,5 @@
 """The benchmark for GPUs, on the CPU."""
 
-from __future__ import annotations
-
 import csv
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The paper's headline figure, of benches whose pieces a table describes."""
 
-from __future__ import annotations
-
 import csv
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The benchmark of learning: that the plain learner and ours do the same."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """How much of a song hands could hold at most."""
 
-from __future__ import annotations
-
 import sys
 
 import mujoco

@@ -1,7 +1,5 @@
 """The songs of the experiment on multitask cloning, and its picture."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 
 import pytest

@@ -1,7 +1,5 @@
 """The comparison with the robots before: that rows are measured once."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The robustness benchmark: that disturbances are what they say."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.testing import assert_array_equal
 

@@ -1,7 +1,5 @@
 """Demonstrations of a few notes, made once."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

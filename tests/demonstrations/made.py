@@ -1,7 +1,5 @@
 """Makes demonstrations in this process, without search."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

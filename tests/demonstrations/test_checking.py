@@ -1,7 +1,5 @@
 """Damage of every kind is told in a line that names the file and says what to do."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Batches of steps against a plain loop, and what a reader refuses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Exports: what Minari loads, and what the files of LeRobot hold."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tests of runs of a bench that finish, fail, crash, end early, or belong to others."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace

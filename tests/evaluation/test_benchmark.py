@@ -1,7 +1,5 @@
 """The benchmark: what is frozen, and that forged entries are found out."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """Results are read as they were written; what is corrupt is told and left out."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

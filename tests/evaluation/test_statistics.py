@@ -1,7 +1,5 @@
 """Statistics over runs and pieces, against plain loops, SciPy and figures worked out by hand."""
 
-from __future__ import annotations
-
 import math
 import random
 

@@ -1,7 +1,5 @@
 """The summary of a bench, against figures worked out by hand and plain loops."""
 
-from __future__ import annotations
-
 import csv
 import math
 import statistics

@@ -1,7 +1,5 @@
 """Grades of difficulty, against plain loops and against what pianists call easy or hard."""
 
-from __future__ import annotations
-
 import itertools
 import tomllib
 from dataclasses import astuple, replace

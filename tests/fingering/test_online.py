@@ -1,7 +1,5 @@
 """Fingers that are found as notes come in sight."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Which notes can be played, against every way to play them written out."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

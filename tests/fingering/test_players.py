@@ -1,7 +1,5 @@
 """Hands of other kinds, in other places and at other keyboards."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

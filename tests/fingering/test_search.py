@@ -1,7 +1,5 @@
 """The fingers found for a score, against what hands can do and what pianists write."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable
 from dataclasses import replace

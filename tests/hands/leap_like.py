@@ -1,7 +1,5 @@
 """An MJCF of a hand like the LEAP Hand, by figures: three fingers and a thumb, 16 motors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 TOML = """\

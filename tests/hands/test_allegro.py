@@ -1,7 +1,5 @@
 """The Allegro hand: its figures, its two sides, and that it plays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,7 +1,5 @@
 """The arm: its figures, and that nothing it does is beyond them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Hands whose parts do not go together are refused with a clear line."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

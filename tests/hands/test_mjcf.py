@@ -1,7 +1,5 @@
 """A hand from an MJCF: its parts are those of the file, and faults are said in a line."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

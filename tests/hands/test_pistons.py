@@ -1,7 +1,5 @@
 """A hand without a single hinge: six pistons side by side, over six white keys."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is drawn of hands."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull

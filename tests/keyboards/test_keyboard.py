@@ -1,7 +1,5 @@
 """Keyboards of one's own: where their keys lie, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

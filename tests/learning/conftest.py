@@ -1,7 +1,5 @@
 """JAX compiles many small programs here, each of which runs for moments."""
 
-from __future__ import annotations
-
 import jax
 
 jax.config.update("jax_disable_most_optimizations", True)

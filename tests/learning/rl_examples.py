@@ -1,7 +1,5 @@
 """Small songs, tasks and learners."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import flax.linen as nn

@@ -1,7 +1,5 @@
 """The performance that a residual policy corrects, against the planner, whose it is."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tests of what the collector hands to learning, against what happened in the task."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from typing import Any

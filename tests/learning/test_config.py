@@ -1,7 +1,5 @@
 """Tests of the presets, against what the paper and the published run script say."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import asdict, replace

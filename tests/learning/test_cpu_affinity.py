@@ -1,7 +1,5 @@
 """Runs side by side keep to cores of their own."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """One update after the other against a plain reference, and what learning must come to."""
 
-from __future__ import annotations
-
 import io
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """A generalist is cloned from demonstrations, reinforced over a library, and plays."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A learner of somebody else's: found by its name, trained, stopped, resumed and played."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The networks against plain numpy, and what their random parts must be like."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

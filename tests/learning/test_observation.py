@@ -1,7 +1,5 @@
 """Tests of what a policy observes, against what the task itself shows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

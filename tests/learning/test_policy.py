@@ -1,7 +1,5 @@
 """The policy that plays, in numpy, against the actor that learns, in flax."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

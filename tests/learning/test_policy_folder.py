@@ -1,7 +1,5 @@
 """Policies on disk: the same on another machine, without anything that learning needs."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

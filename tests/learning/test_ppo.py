@@ -1,7 +1,5 @@
 """PPO: it learns, its runs go on to the bit, and both engines give it the same rollouts."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path

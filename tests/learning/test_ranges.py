@@ -1,7 +1,5 @@
 """Tests of where the forearms go for a song, against MuJoCo's kinematics."""
 
-from __future__ import annotations
-
 from contextlib import closing
 
 import mujoco

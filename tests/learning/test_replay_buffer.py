@@ -1,7 +1,5 @@
 """The replay against a twin that keeps whole transitions in plain Python."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Runs on disk: what is found again after damage, kills, and a full disk."""
 
-from __future__ import annotations
-
 import errno
 import json
 import math

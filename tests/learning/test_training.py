@@ -1,7 +1,5 @@
 """Training runs: the same bits however often they are stopped, killed and resumed."""
 
-from __future__ import annotations
-
 import errno
 import functools
 import os

@@ -1,7 +1,5 @@
 """Drills for one hand: that they are what they are called, and that a hand can play them."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest

@@ -1,7 +1,5 @@
 """Etudes: that they are playable, that difficulty means something, and that they keep the rules."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 from collections import Counter

@@ -1,7 +1,5 @@
 """Folders of music that become libraries of the user's."""
 
-from __future__ import annotations
-
 import errno
 import shutil
 import time

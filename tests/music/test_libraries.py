@@ -1,7 +1,5 @@
 """Song libraries: bundled, of a folder, imported."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The PIG dataset, of which all files here are made up."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

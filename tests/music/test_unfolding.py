@@ -3,8 +3,6 @@
 Each bar is a whole note, at 60 quarters a minute, which lasts four seconds.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from cadenza.music.formats.reading import read_score

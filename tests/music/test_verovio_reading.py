@@ -1,7 +1,5 @@
 """Humdrum and MEI, against what they say."""
 
-from __future__ import annotations
-
 import random
 from contextlib import suppress
 

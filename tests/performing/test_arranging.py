@@ -1,7 +1,5 @@
 """Songs are arranged for the hands where much would be missed as written."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Who plays, and what it knows, without playing anything."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

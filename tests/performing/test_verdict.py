@@ -1,7 +1,5 @@
 """A sentence tells how a song was played, and what to try follows from what went wrong most."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

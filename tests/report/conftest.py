@@ -1,7 +1,5 @@
 """A made-up performance, and a browser."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

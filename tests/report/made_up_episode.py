@@ -1,7 +1,5 @@
 """A made-up performance: two simple hands that walk along a full keyboard."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cadenza.episode import Episode

@@ -1,7 +1,5 @@
 """Engraved scores: drawings in which notes are known."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

@@ -1,7 +1,5 @@
 """What a page holds of a performance, read by the page's own script."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

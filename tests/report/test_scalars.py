@@ -1,7 +1,5 @@
 """Figures for TensorBoard and Weights & Biases."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

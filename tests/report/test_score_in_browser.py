@@ -1,7 +1,5 @@
 """The engraved score of a page, which follows the music."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sheet music as PDF: its pages, read by what every PDF says of itself."""
 
-from __future__ import annotations
-
 import re
 import zlib
 

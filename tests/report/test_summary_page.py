@@ -1,7 +1,5 @@
 """The page that sums up many runs."""
 
-from __future__ import annotations
-
 import re
 import time
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """The page of learning curves."""
 
-from __future__ import annotations
-
 import html
 import json
 import math

@@ -1,7 +1,5 @@
 """What the page draws agrees with the simulation."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

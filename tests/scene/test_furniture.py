@@ -1,7 +1,5 @@
 """The case of a piano, which is only drawn."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

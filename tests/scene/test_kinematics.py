@@ -1,7 +1,5 @@
 """Fingers and servos of a scene against MuJoCo's own figures of the whole scene."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Every option of the scene against what the published system computes with it."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

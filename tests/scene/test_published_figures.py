@@ -1,7 +1,5 @@
 """The scene has the masses, joints, servos and colliding shapes of the published system."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

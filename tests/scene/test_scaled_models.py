@@ -1,7 +1,5 @@
 """Scaled models: what is off, by how much, and what stays."""
 
-from __future__ import annotations
-
 from copy import copy
 
 import mujoco

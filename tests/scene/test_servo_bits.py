@@ -1,7 +1,5 @@
 """What servos do to joints, to the last bit."""
 
-from __future__ import annotations
-
 from numpy.testing import assert_array_equal
 from threadpoolctl import threadpool_limits
 

@@ -1,7 +1,5 @@
 """What simulations are driven by, and what it takes for them to end alike."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rollouts are what happens in the whole scene, whatever is left out of their models."""
 
-from __future__ import annotations
-
 import weakref
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Hands at pianos of their own, whose keys are combined."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.testing import assert_array_equal
 

@@ -1,7 +1,5 @@
 """Onsets between physics steps, as an array library compiles them and as NumPy finds them."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.testing import assert_array_equal
 

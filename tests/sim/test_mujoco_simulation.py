@@ -1,7 +1,5 @@
 """A batch of simulations: independent, repeatable, and robust against one that diverges."""
 
-from __future__ import annotations
-
 import logging
 
 import numpy as np

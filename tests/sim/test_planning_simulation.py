@@ -1,7 +1,5 @@
 """What planners do to simulations: copies, states that are set, and rollouts."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mujoco

@@ -1,7 +1,5 @@
 """Simulations with models of their own and controls that come late."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 
 import mujoco

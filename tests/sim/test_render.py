@@ -1,7 +1,5 @@
 """Pictures of the scene, where this machine can draw."""
 
-from __future__ import annotations
-
 import pytest
 
 from cadenza.errors import CadenzaError

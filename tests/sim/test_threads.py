@@ -1,7 +1,5 @@
 """Threads that share the work on a batch."""
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Touch sensors on the fingertips, against the contact forces that MuJoCo computes."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

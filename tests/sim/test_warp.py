@@ -1,7 +1,5 @@
 """The engine for GPUs on the CPU: a recorded performance, resets, and what goes wrong."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Practice in the background, while nothing is played."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """The studio in a browser, with a server and players of its own."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

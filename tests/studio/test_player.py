@@ -1,7 +1,5 @@
 """The process that plays."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Requests of a visitor, and files that a visitor drops."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The server without a browser: who may talk to it, and what it answers."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import io

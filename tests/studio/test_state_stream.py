@@ -1,7 +1,5 @@
 """The states that are sent while it is played, against the episode that is kept."""
 
-from __future__ import annotations
-
 import base64
 import json
 import zlib

@@ -1,7 +1,5 @@
 """The reward over lists of the keys and fingers that count: the oracle of the dense terms."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

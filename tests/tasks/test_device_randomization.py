@@ -1,7 +1,5 @@
 """Domain randomization on the device: the draws of the CPU, others in each world and episode."""
 
-from __future__ import annotations
-
 from copy import copy
 from typing import Any
 

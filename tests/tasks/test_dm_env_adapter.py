@@ -1,7 +1,5 @@
 """The adapter to dm_env, with dm_env's own test of conformance."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

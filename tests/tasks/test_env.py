@@ -1,7 +1,5 @@
 """The Gymnasium classes: what Gymnasium's own checkers demand, and what users rely on."""
 
-from __future__ import annotations
-
 import copy
 import json
 import pickle

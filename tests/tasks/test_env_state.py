@@ -1,7 +1,5 @@
 """States of environments that are got and set, starts within a song, and what critics see."""
 
-from __future__ import annotations
-
 import pickle
 from typing import Any
 

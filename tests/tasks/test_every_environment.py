@@ -1,7 +1,5 @@
 """What every environment keeps to, with each registered setup, hand and keyboard."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

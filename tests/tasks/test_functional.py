@@ -1,7 +1,5 @@
 """The task as pure functions, value for value against the task that steps, on the same states."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path

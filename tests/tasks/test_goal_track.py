@@ -1,7 +1,5 @@
 """Tracks and their goals: computed once for all who need them."""
 
-from __future__ import annotations
-
 import pickle
 import weakref
 from contextlib import closing

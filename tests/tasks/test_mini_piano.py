@@ -1,7 +1,5 @@
 """An Allegro Hand with touch at the keyboard of mini keys."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest

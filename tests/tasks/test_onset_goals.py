@@ -1,7 +1,5 @@
 """Notes that say when and how loud: what is observed of their onsets, and how it is rewarded."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple

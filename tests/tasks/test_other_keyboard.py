@@ -1,7 +1,5 @@
 """A task at a keyboard with fewer keys than a piano."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A task on a simulation that is not MuJoCo's."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

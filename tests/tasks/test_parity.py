@@ -1,7 +1,5 @@
 """The task against recorded episodes of the published system (see tests/data)."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

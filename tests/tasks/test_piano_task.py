@@ -1,7 +1,5 @@
 """Goals, observations and rewards under every option of the task."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

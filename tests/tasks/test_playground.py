@@ -1,7 +1,5 @@
 """The task as MuJoCo Playground and brax know environments, on a piano that plays itself."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, NamedTuple
 

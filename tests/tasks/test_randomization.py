@@ -1,7 +1,5 @@
 """Domain randomization: each episode of each environment differs, and can be had again."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from collections.abc import Callable

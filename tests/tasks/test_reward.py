@@ -1,7 +1,5 @@
 """The reward terms against their published formulas, written out as plain loops, and compiled."""
 
-from __future__ import annotations
-
 import math
 from itertools import permutations
 from typing import Any

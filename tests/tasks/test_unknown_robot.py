@@ -1,7 +1,5 @@
 """A robot that nobody knows: what is hidden, and how often it may be tried."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The task on MuJoCo Warp: what the planner plays in C has the same F1 there."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal

@@ -1,7 +1,5 @@
 """The interface of agents, and the two simplest agents."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, Generic, TypeVar

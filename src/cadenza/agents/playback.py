@@ -1,7 +1,5 @@
 """Playback of actions that were recorded or planned before, and the files that keep them."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields

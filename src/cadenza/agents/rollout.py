@@ -1,7 +1,5 @@
 """Rollouts of agents: episodes that are played and recorded."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

@@ -1,7 +1,5 @@
 """Arrangement of a song for the hands that are to play it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """How much of a song is left in an arrangement of it."""
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

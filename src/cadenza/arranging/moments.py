@@ -1,7 +1,5 @@
 """The moments of a song at which notes begin, or at which some may be struck again."""
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import chain, pairwise

@@ -5,8 +5,6 @@ and to a bass, in each stretch of the song. The best sequence of parts over the 
 by a dynamic programme (Viterbi) that pays for every change.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass

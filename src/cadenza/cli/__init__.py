@@ -3,8 +3,6 @@
 What is heavy to import is imported by the function that needs it, so that --help is quick.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable, Sequence

@@ -4,8 +4,6 @@ tyro is called twice. The first call finds the options that decide which others 
 these begin with (`choose`); the second reads the whole command (`parse`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, make_dataclass, replace
 from inspect import getdoc

@@ -1,7 +1,5 @@
 """`cadenza arrange`: a song as two hands can play it, as sheet music or MIDI."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """Tables, warnings, closed streams and Ctrl-C, as all commands handle them."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

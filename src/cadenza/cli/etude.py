@@ -1,7 +1,5 @@
 """`cadenza etude`: a practice piece as a file."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

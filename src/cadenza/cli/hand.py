@@ -1,7 +1,5 @@
 """`cadenza hand measure`: how a hand sits over the keys, and how far its fingers reach."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import tyro

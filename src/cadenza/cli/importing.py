@@ -1,7 +1,5 @@
 """`cadenza import`: makes a song library of files."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 from functools import partial

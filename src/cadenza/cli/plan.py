@@ -1,7 +1,5 @@
 """`cadenza plan`: how to play a song, kept as actions and fingers."""
 
-from __future__ import annotations
-
 import shlex
 from dataclasses import asdict, dataclass, field
 from pathlib import Path

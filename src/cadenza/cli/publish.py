@@ -1,7 +1,5 @@
 """`cadenza publish`: a policy or demonstrations, for others."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`cadenza studio`: a page on which songs are dropped, and played while you watch."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial

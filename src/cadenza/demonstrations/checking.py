@@ -1,7 +1,5 @@
 """Looks for damage in a folder of demonstrations, and says what to do about it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

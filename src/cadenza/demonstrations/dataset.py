@@ -6,8 +6,6 @@ dataset = open_dataset("demonstrations")
 batch = dataset.batch(dataset.sample(np.random.default_rng(0), 256), lookahead=10)
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property

@@ -10,8 +10,6 @@ answers the episode's actions with its observations and rewards, to the bit on t
 Observations are of the true state, and so the environment has no noise on them.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

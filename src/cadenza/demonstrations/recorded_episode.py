@@ -10,8 +10,6 @@ Both arrays have a row for each of T control steps and one for the state after t
 episode that was not good enough to be kept, there is only result.json.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

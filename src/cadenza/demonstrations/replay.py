@@ -1,7 +1,5 @@
 """Plays a recorded episode again, from its start and with the actions that were played."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace

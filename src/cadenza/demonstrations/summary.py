@@ -1,7 +1,5 @@
 """A summary of a folder of demonstrations in lines of text."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Recorded episodes as transitions of the Gymnasium environments, for other libraries."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Carries out many runs, as many at once as there is room for."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Sequence

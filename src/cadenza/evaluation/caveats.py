@@ -1,7 +1,5 @@
 """Finds runs that cannot be summed up, and differences that make runs hard to compare."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any

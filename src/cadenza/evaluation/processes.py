@@ -1,7 +1,5 @@
 """Carries out runs in processes of this machine: one that crashes takes no other with it."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

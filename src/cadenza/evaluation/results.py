@@ -4,8 +4,6 @@ FOLDER/plans/HASH.json    the runs that a command has asked for
 FOLDER/runs/NAME/         a run, see `cadenza.evaluation.run`
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path

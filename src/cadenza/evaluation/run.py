@@ -12,8 +12,6 @@ goes on from its last checkpoint. If a page is wanted of a run that was finished
 made from these files.
 """
 
-from __future__ import annotations
-
 import shutil
 import time
 import traceback

@@ -6,8 +6,6 @@ FOLDER/failed.json      why there is no result
 FOLDER/lock             held by the process
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import sys

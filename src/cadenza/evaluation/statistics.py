@@ -7,8 +7,6 @@ stack with it and takes no piece with fewer runs than the others.
 Scores are arrays `(runs, pieces)`, NaN where a piece has fewer runs than others.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats

@@ -1,7 +1,5 @@
 """Sums up runs by agents and pieces."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest

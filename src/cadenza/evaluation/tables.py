@@ -1,7 +1,5 @@
 """The results of a bench as CSV: the same numbers as on the page, and all else of each run."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

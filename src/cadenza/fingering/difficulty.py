@@ -7,8 +7,6 @@ fitted the weights to what the planner reaches; docs/difficulty.md says on what,
 do.
 """
 
-from __future__ import annotations
-
 from dataclasses import astuple, dataclass
 
 import numpy as np

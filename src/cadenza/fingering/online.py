@@ -5,8 +5,6 @@ note may change as others come in sight, until it is settled. The search goes on
 settled, so that its work does not grow with the song.
 """
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import replace
 from math import inf

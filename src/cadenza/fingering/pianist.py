@@ -18,8 +18,6 @@ Each hand is searched by itself, by a dynamic programme (Viterbi) whose states a
 are down at two moments, one after the other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache, lru_cache
 from itertools import combinations, pairwise

@@ -27,8 +27,6 @@ lift finger f lowers s by 2^f, so that it shifts the bits of all s at once by as
 A note takes 10 to 20 us, and time and memory grow in proportion to the number of notes.
 """
 
-from __future__ import annotations
-
 from bisect import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

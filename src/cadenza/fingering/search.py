@@ -21,8 +21,6 @@ Costs, about 1 for something worth avoiding once:
 - forearms close to each other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Strokes: the keys that a score presses, and when."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

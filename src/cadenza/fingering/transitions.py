@@ -1,7 +1,5 @@
 """Costs of what a hand does between one moment at which notes begin and the next."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache

@@ -7,8 +7,6 @@ description: z along the fingers, x out of the palm, y towards the index finger.
 the mirror image of the right one. The forearm and how the palm sits on it are Cadenza's own.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

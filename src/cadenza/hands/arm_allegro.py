@@ -6,8 +6,6 @@ speeds, torques, and how the hand sits on the flange. Shapes, servos and where t
 Cadenza's own.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple

@@ -5,8 +5,6 @@ but for the few figures that are given for it. Lengths in [m], masses in [kg], a
 quaternions w, x, y, z.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal

@@ -4,8 +4,6 @@ Figures from the hands of RoboPianist (Zakka et al., CoRL 2023; PyPI robopianist
 forearm's frame z runs along it towards the keys, y out of the back of the hand.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from cadenza.fingers import Side

@@ -1,7 +1,5 @@
 """A hand as a value, its checks, and its part of the scene."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 Beside `NAME.toml` lies `NAME.measured.json`, which `cadenza hand measure` writes.
 """
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Iterator

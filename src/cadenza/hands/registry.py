@@ -1,7 +1,5 @@
 """Hands by name."""
 
-from __future__ import annotations
-
 from cadenza.hands.hand import Hand
 from cadenza.hands.mjcf import TOML, from_mjcf
 from cadenza.registry import Entry, Registry

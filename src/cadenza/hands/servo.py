@@ -1,7 +1,5 @@
 """The parameters of servos for planners and residual policies."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ goes back to DeepMind's model in MuJoCo Menagerie after Shadow Robot's descripti
 series. Frames of the links: z along the link, y out of the back of the hand.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

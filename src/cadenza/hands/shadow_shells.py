@@ -4,8 +4,6 @@ The shapes are Cadenza's own, made to the lengths and widths of the links. Frame
 along the link, y out of the back of the hand, x towards the thumb of the right hand.
 """
 
-from __future__ import annotations
-
 from cadenza.hands.shell import METAL, RUBBER, SLEEVE, TRIM, Shell, across, ring
 
 

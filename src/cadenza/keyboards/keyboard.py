@@ -4,8 +4,6 @@ World frame: x towards the player, y to the player's right, z up; the keyboard's
 Sizes in [m], masses in [kg], angles in [rad].
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The action of a piano: how the speed of a key becomes that of its hammer, and a MIDI velocity."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -10,8 +10,6 @@ The springs are our own figures: 0.16 N at the end of a white key begin to move 
 down, where this model of a piano takes 0.23 N and 1.1 N. Inertia and damping are in proportion.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

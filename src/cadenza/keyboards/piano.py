@@ -3,8 +3,6 @@
 Figures from the model of RoboPianist (Zakka et al., CoRL 2023; PyPI robopianist 1.0.10).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from cadenza.keyboards.keyboard import Base, Keyboard, KeyServo, KeyShape, KeySpring

@@ -1,7 +1,5 @@
 """Keyboards by name."""
 
-from __future__ import annotations
-
 from cadenza.keyboards.keyboard import Keyboard
 from cadenza.registry import Entry, Registry
 

@@ -3,8 +3,6 @@
 A residual policy corrects a reference: what the planner plays, tracked with feedback.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

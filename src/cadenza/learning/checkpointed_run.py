@@ -4,8 +4,6 @@ RUN/run.json and RUN/checkpoint.safetensors are those of `cadenza.resumable`, RU
 the metrics, a row a line.
 """
 
-from __future__ import annotations
-
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable

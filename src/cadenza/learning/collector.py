@@ -1,7 +1,5 @@
 """Steps N environments, and collects experience in them for the replay buffer."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

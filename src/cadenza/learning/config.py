@@ -1,7 +1,5 @@
 """The options of training. Imports nothing heavy: the command line shows it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace

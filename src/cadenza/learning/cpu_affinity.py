@@ -1,7 +1,5 @@
 """Keeps runs of training to CPU cores of their own, so that several run side by side."""
 
-from __future__ import annotations
-
 import errno
 import os
 import stat

@@ -1,7 +1,5 @@
 """Collects rollouts of the task on JAX's device; no array crosses to the host within one."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Sources of experience: what a run asks of one, and the one that keeps all in a replay buffer."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Metrics of a run in `metrics.jsonl`: a JSON object a line, appended as learning goes on."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Experience of the latest policy only: each round learns from a rollout of its own."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Learnt policies: from observations to actions, without anything that learning needs."""
 
-from __future__ import annotations
-
 from typing import Any, Literal, Protocol
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A learnt policy as an agent that plays."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict
 

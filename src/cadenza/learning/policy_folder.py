@@ -1,7 +1,5 @@
 """Policies as folders that can be copied to another machine and played there."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any

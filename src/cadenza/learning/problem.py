@@ -1,7 +1,5 @@
 """What a run of training has to learn: songs as a task, what is observed, and how actions act."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Publishes policies and datasets on the Hugging Face hub, with a card that says what they are."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

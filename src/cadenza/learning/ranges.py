@@ -5,8 +5,6 @@ more than a third of the keyboard. Normalised to the whole keyboard, random acti
 land where the song is, and neighbouring keys are hard to tell from each other.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ An observation is the next one of the step before, and what follows from the sco
 rebuilt (`observation`).
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rollouts, which on-policy learners learn from."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 Array = Any  # of NumPy or of JAX

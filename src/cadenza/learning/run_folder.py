@@ -8,8 +8,6 @@ RUN/lock                      held by the process that trains it
 RUN/best/, RUN/last/          the policy that played best, and that of the last checkpoint
 """
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

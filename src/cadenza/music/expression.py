@@ -5,8 +5,6 @@ musical performance" (Advances in Cognitive Psychology 2, 2006, 145-161). Formul
 are those of Director Musices, the program of its authors (github.com/docfry/Director-Musices).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, replace
 from heapq import heappop, heappush

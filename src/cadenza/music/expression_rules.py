@@ -1,7 +1,5 @@
 """The quantities of the rules of expression. Imports nothing heavy: the command line shows them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 
 from cadenza.configs import check_ranges, in_short

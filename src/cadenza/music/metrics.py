@@ -1,7 +1,5 @@
 """Metrics of a performance: of the keys in each step, and of notes, their timing and loudness."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left, bisect_right
 from collections import defaultdict, deque

@@ -1,7 +1,5 @@
 """Extra and missed notes of a performance by kind, as a listener counts them."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable
 from operator import attrgetter

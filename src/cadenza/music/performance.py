@@ -1,7 +1,5 @@
 """The performed score: notes and pedal from the keys that sounded."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Repairs of the notes of a file, so that one piano can play them, and remarks on the repairs."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace

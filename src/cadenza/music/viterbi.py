@@ -1,7 +1,5 @@
 """The cheapest sequence of candidates, by dynamic programming."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

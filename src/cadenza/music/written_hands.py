@@ -1,7 +1,5 @@
 """The hand that a note is written for, by the fingers of a score, its staves or its tracks."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace

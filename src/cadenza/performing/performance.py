@@ -1,7 +1,5 @@
 """A performance of a song by an agent, and the files that it leaves."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass

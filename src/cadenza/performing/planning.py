@@ -1,7 +1,5 @@
 """Plans of songs: actions and fingers that can be saved and played again."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Practice of a song that is kept in a folder, in one go or in several."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Replays an episode that was recorded in a folder of demonstrations."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 from cadenza.agents.agent import Progress, silent

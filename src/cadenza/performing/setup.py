@@ -1,7 +1,5 @@
 """The task and the agent that play a song, made once from names and options."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator
 from contextlib import closing, contextmanager

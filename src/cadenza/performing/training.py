@@ -1,7 +1,5 @@
 """Trains a policy on a song or on several."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace

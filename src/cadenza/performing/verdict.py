@@ -1,7 +1,5 @@
 """How well a song was played, in words that a pianist would use, and what to try if it was not."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 

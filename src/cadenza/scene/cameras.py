@@ -3,8 +3,6 @@
 `CAMERAS` are the published scene's (robopianist 1.0.10), fixed where they are.
 """
 
-from __future__ import annotations
-
 import mujoco
 
 # name: position [m], orientation (w, x, y, z), vertical field of view [degree]

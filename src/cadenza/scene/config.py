@@ -1,7 +1,5 @@
 """The options of the scene. Imports nothing heavy: the command line shows them."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Shapes and poses, with which pages draw a performance without MuJoCo."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

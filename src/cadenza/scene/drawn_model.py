@@ -1,7 +1,5 @@
 """The scene as MuJoCo draws it: shells of hands in place of the shapes that collide, and a case."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

@@ -3,8 +3,6 @@
 World frame: x towards the player, y to the player's right, z up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

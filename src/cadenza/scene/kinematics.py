@@ -1,7 +1,5 @@
 """Forward kinematics and Jacobians of fingers, for many postures at once."""
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Domain randomization of models: one scene, made to differ as real pianos and robots do."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping
 from copy import copy

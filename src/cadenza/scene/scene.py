@@ -1,7 +1,5 @@
 """The scene: a compiled MuJoCo model and the indices of its keys, joints, servos and fingers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Container, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 All figures come from the compiled model.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any

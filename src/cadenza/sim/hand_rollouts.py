@@ -1,7 +1,5 @@
 """Fast rollouts of one hand, with only the keys near it and the links that touch them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 
 import mujoco

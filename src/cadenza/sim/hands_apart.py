@@ -1,7 +1,5 @@
 """Simulations of hands apart: each at a piano of its own, whose keys are combined."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

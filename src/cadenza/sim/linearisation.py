@@ -1,7 +1,5 @@
 """Derivatives of the simulation by finite differences."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """A batch of N independent MuJoCo simulations of one scene, stepped by a pool of threads."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Sequence
 from copy import copy

@@ -1,7 +1,5 @@
 """Simulations that a planner puts into any state, and rolls out."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Pictures of the scene, drawn off screen by MuJoCo with EGL or OSMesa, whichever works."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys

@@ -1,7 +1,5 @@
 """Choose between the rows of arrays on JAX's device; each environment has a row."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -1,7 +1,5 @@
 """Access control: only a page of the studio itself, opened with its token, reaches the server."""
 
-from __future__ import annotations
-
 import ipaddress
 import secrets
 from urllib.parse import urlsplit

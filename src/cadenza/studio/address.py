@@ -1,7 +1,5 @@
 """The address of the page, with a token that nobody else on this machine may read."""
 
-from __future__ import annotations
-
 import atexit
 import os
 import re

@@ -1,7 +1,5 @@
 """Broadcast of a performance to pages, to each from its beginning on, until it is over."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Awaitable, Callable

@@ -1,7 +1,5 @@
 """Job queue: performances that are made one after the other, each by a process of its own."""
 
-from __future__ import annotations
-
 import asyncio
 import secrets
 import shutil

@@ -6,8 +6,6 @@ on may the server suspend it: a suspended process could not see to its end, and 
 with its memory and its locks.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import runpy

@@ -13,8 +13,6 @@ The process reads an order (see `cadenza.studio.request.Order`) as a line of JSO
 while it plays has it drop the song.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Callable

@@ -4,8 +4,6 @@ It prints what `cadenza.studio.state_stream` sends of a song before its first st
 and the notes that are to come.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 

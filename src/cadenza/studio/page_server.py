@@ -1,7 +1,5 @@
 """The page of the studio: its parts, and the server that listens for those who open it."""
 
-from __future__ import annotations
-
 import os
 import secrets
 import signal

@@ -6,8 +6,6 @@ It loads all that is needed and warms up, then waits for an order (see
 the song and wait for the next order. It ends when it has played a song to its end.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Practice in the background: one song is practised while nothing is played."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from asyncio.subprocess import Process

@@ -6,8 +6,6 @@ every attempt at all of the song, and what `share` of all practice has been made
 is played better, its folder has the plan for it.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

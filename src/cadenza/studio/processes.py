@@ -1,7 +1,5 @@
 """Processes that work for the server: starts them, sends orders, and reads their messages."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

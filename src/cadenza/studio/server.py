@@ -1,7 +1,5 @@
 """The studio's server: songs, requests to play and practise them, and what is kept."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable

@@ -1,7 +1,5 @@
 """Stream of states: sends what is to be played and then each step, while it is played."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -6,8 +6,6 @@
 Ids are made here. The names that a visitor gives are shown and never part of a path.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Samples of tones, made in a process."""
 
-from __future__ import annotations
-
 from anyio import BrokenWorkerProcess, CapacityLimiter, to_process
 
 from cadenza.errors import CadenzaError

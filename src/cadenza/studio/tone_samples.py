@@ -3,8 +3,6 @@
 Imports no library of the studio's server: `cadenza play` sends the settings to its live page, too.
 """
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

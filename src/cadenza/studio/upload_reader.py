@@ -3,8 +3,6 @@
 It prints what the file holds as JSON, or `{"error": ...}` in one line, whatever the file is.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import warnings

@@ -1,7 +1,5 @@
 """The tracks of a task's songs, and their augmentation: random tempo and pitch of each episode."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The options of a task. Imports nothing heavy: the command line shows them."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import asdict, dataclass, field, replace

@@ -1,7 +1,5 @@
 """The task as Gymnasium's `VectorEnv`, whose arrays stay on the device."""
 
-from __future__ import annotations
-
 import logging
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Domain randomization as pure functions of JAX's arrays, for `FunctionalPianoTask`."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 from cadenza.errors import extra_packages

@@ -1,7 +1,5 @@
 """The ranges that domain randomization draws from, and its draws for an episode."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The task as Gymnasium's `Env` and `VectorEnv`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path

@@ -3,8 +3,6 @@
 The arrays are NumPy's or those of a library like it, which can compile this.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

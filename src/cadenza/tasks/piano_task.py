@@ -4,8 +4,6 @@ The Gymnasium classes, the adapters and the planners use this class. Its actions
 units, and its arrays are (num_envs, ...).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from typing import Any, NamedTuple

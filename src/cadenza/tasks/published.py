@@ -1,7 +1,5 @@
 """The options of the published RoboPianist, and what they are here."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

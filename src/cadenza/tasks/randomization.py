@@ -1,7 +1,5 @@
 """Domain randomization: its effect on simulations, actions and observations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

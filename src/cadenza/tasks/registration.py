@@ -1,7 +1,5 @@
 """Register the environments with Gymnasium."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

@@ -8,8 +8,6 @@ The formulas are those of the paper (Zakka et al., RoboPianist, CoRL 2023, table
 published code computes them. The weights are in `cadenza.tasks.config.RewardWeights`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """What the sensors of robots have of their state: late, off, drifting and noisy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

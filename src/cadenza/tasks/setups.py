@@ -3,8 +3,6 @@
 Options that are given beside a setup take precedence.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches

@@ -1,7 +1,5 @@
 """The environment of a robot that nobody knows: ten plays to learn it, and one that is scored."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

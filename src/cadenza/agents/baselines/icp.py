@@ -5,8 +5,6 @@ inverse kinematics over arm and hand finds the motion. It is rehearsed in simula
 played with feedback of the joints' positions and speeds alone.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections.abc import Sequence
 from contextlib import closing

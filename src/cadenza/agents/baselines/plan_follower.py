@@ -1,7 +1,5 @@
 """A follower of a plan that was finished before."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cadenza.agents.agent import Array, EpisodePlanner

@@ -1,7 +1,5 @@
 """Residuals of the paper's cost: of keys from their goals, and of fingers from their keys."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

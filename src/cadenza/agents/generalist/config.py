@@ -1,7 +1,5 @@
 """Options of the generalist. Imports nothing heavy: the command line shows them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from cadenza.configs import names_file

@@ -1,7 +1,5 @@
 """The hands that play a plan, with corrections."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

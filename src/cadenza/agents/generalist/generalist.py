@@ -6,8 +6,6 @@ both hands, which have learnt from the planner's search over many songs, and by 
 hands that they do not know, plans are rehearsed in simulation instead.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

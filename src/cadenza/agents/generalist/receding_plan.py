@@ -6,8 +6,6 @@ Gauss-Newton improve: what is still lacking, the plans that follow make up for
 (real-time iterations: Diehl, Bock & Schlöder, SIAM Journal on Control and Optimization 43, 2005).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

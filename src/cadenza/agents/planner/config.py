@@ -1,7 +1,5 @@
 """Options of the planners. Imports nothing heavy: the command line shows them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Options and resources that are passed down to all that plan and practise a song."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from cadenza.agents.agent import Progress, silent

@@ -4,8 +4,6 @@ Postures come from `scipy.optimize.least_squares`, in which forearms slide where
 pass through each other, so that `least` is never less than between neighbouring keys.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path

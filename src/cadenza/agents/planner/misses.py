@@ -24,8 +24,6 @@ These are rules about where things were, not proofs of what caused what: of seve
 list names one.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The planner of any score: fingering, inverse kinematics, and search while it plays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from threading import get_ident

@@ -4,8 +4,6 @@ All of it is frozen. `frozen.json` beside this file has hashes of the scene and 
 asks for in each control step, so that a change to a generator, a reader or a hand is found out.
 """
 
-from __future__ import annotations
-
 import hashlib
 import warnings
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Makes an entry of the runs of a bench."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal

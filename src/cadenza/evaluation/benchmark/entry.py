@@ -4,8 +4,6 @@ ENTRY/entry.json                        what this module reads and writes
 ENTRY/actions/SONG--sSEED.safetensors   the actions of a run, an array `action` (T, A)
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 Its metrics are those that were computed here, from the actions; what entries claim is never shown.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from itertools import groupby

@@ -4,8 +4,6 @@ Nothing is taken from an entry but its actions and what they are compared with: 
 scene and the task are those of the benchmark's definition.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

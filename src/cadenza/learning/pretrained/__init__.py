@@ -1,7 +1,5 @@
 """The policies that come with the package, a folder for each song (docs/learning.md)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from cadenza.errors import CadenzaError, quoted

@@ -1,7 +1,5 @@
 """Chorales: chords in two to four voices, led by the rules of strict writing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import combinations, pairwise, product
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Counterpoint of two voices: first species, then two or four notes against one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

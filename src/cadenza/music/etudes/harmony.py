@@ -3,8 +3,6 @@
 Costs are whole numbers, so that the same sequence is chosen on every machine.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 

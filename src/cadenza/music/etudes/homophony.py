@@ -3,8 +3,6 @@
 They are Alberti basses, leaps, trills, arpeggios, broken chords and repeated notes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 

@@ -3,8 +3,6 @@
 The names of libraries are `etudes:N`, `etudes:N:SEED`, and `etudes:KIND-DIFFICULTY:N`.
 """
 
-from __future__ import annotations
-
 import re
 import zlib
 from collections.abc import Callable, Collection, Iterator

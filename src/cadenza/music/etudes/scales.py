@@ -1,7 +1,5 @@
 """Etudes along the scale: scales, finger exercises in the manner of Hanon, drills for one hand."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The sheet of an etude: its key, tempo, metre and notes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar

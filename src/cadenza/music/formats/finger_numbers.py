@@ -4,8 +4,6 @@
 one. Of hands with more fingers, R6 is the sixth of the right hand, L7 the seventh of the left.
 """
 
-from __future__ import annotations
-
 import re
 
 from cadenza.errors import CadenzaError, quoted

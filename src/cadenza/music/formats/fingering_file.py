@@ -12,8 +12,6 @@ A line belongs to the note of its pitch that starts nearest to its time, at most
 without a line stay as they are.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections import defaultdict
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Programs of General MIDI by their names, and controllers by their numbers."""
 
-from __future__ import annotations
-
 LARGEST = 127
 """The largest value of a controller."""
 BANK, VOLUME, EXPRESSION = 0, 7, 11

@@ -3,8 +3,6 @@
 Verovio plays these in part only. What is made here it plays from beginning to end.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence

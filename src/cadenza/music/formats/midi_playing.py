@@ -1,7 +1,5 @@
 """What the channels and pedals of a MIDI file play, in order of time."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field

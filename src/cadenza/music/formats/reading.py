@@ -1,7 +1,5 @@
 """The reader of music files of every known format."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Collection

@@ -1,7 +1,5 @@
 """The bytes and the text of a file that a user names, and titles that can be shown."""
 
-from __future__ import annotations
-
 import os
 from difflib import get_close_matches
 from pathlib import Path

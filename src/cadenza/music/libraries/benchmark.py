@@ -1,7 +1,5 @@
 """The sets of the benchmark that come with Cadenza: etudes and songs for a band, in splits."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """The pieces that come with Cadenza. To list them, only a small index is read."""
 
-from __future__ import annotations
-
 import tomllib
 from functools import cache, partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Song libraries from folders of music files."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -5,8 +5,6 @@ They are in the user's data folder, or in that which the environment variable CA
 An import fills a folder of another name, which takes the place of the library at last.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import secrets

@@ -7,8 +7,6 @@ The piece is named by `file` (also `path`, `filename`, `id` or `name`): the path
 the folder, or its name, with or without ending. All else is optional.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Callable, Iterable, Mapping

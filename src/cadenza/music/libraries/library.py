@@ -4,8 +4,6 @@ A listing reads only an index. Readers of music files are imported when a score 
 the names are needed whenever Cadenza starts.
 """
 
-from __future__ import annotations
-
 import os.path
 from collections.abc import Collection
 from dataclasses import replace

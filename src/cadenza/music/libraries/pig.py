@@ -3,8 +3,6 @@
 The published benchmark plays it: all of it as `repertoire-150`, and twelve pieces as `etude-12`.
 """
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from collections.abc import Sequence

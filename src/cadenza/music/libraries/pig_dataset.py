@@ -8,8 +8,6 @@ left), finger (1 to 5 right, -1 to -5 left; 4_1 changes from the fourth to the f
 is taken). From // on, a line is a comment.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import re

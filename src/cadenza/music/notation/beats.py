@@ -1,7 +1,5 @@
 """Beats and bars of music without a metre, estimated from its onsets."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

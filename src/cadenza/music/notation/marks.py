@@ -1,7 +1,5 @@
 """Marks on a sheet: clefs, tempos, dynamics and the pedal."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple

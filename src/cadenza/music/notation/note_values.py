@@ -1,7 +1,5 @@
 """Note values: how a stretch of a measure is written as notes, dots, ties and tuplets."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 

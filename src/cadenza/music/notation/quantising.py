@@ -1,7 +1,5 @@
 """Quantisation: onsets and ends on a grid of note values."""
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """A score as it is written: measures, voices on two staves, note values and marks."""
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence

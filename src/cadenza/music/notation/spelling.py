@@ -1,7 +1,5 @@
 """Keys and the spelling of pitches: C♯ or D♭."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ A staff is that of the hand of the finger, or for which a note is written, or by
 and the lower one are numbered as hands are, `RIGHT` and `LEFT`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

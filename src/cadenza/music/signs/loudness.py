@@ -1,7 +1,5 @@
 """How loud notes are by the dynamics and hairpins of their staff."""
 
-from __future__ import annotations
-
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Trills, mordents, turns and slides, the notes that they stand for, and grace notes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise

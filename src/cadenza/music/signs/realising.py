@@ -1,7 +1,5 @@
 """The signs of notes and chords realised: from a score as written to notes as they sound."""
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterable, Sequence

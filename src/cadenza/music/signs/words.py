@@ -1,7 +1,5 @@
 """Words in a score that change its tempo, its loudness or its rhythm."""
 
-from __future__ import annotations
-
 import re
 
 from cadenza.music.signs.tempo_map import TempoChange

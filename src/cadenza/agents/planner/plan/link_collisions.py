@@ -1,7 +1,5 @@
 """Collisions of fingers: where and how far their links, which are capsules, overlap."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple

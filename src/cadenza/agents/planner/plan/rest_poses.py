@@ -1,7 +1,5 @@
 """Hands at rest, all fingers over neighbouring white keys, anywhere along the keyboard."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cadenza.agents.agent import Array

@@ -1,7 +1,5 @@
 """The plan of a song: its fingers, its goals, and the nominal trajectory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import lru_cache, partial
 from typing import NamedTuple

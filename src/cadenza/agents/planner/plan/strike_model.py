@@ -1,7 +1,5 @@
 """Inverse model of a strike: what makes a key sound at a time within a step, and at a speed."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The bars of a sheet, and the order in which they are played: repeats, jumps, codas and fines."""
 
-from __future__ import annotations
-
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence

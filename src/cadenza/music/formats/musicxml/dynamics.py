@@ -1,7 +1,5 @@
 """How loud notes are, and where the pedals are, by signs and by what is said for playback."""
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence

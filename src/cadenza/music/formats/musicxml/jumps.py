@@ -1,7 +1,5 @@
 """Jumps, by sounds for playback, words and signs: da capo, dal segno, coda and fine."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from fractions import Fraction

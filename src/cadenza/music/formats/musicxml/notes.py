@@ -1,7 +1,5 @@
 """The notes of a part as they are written: their pitches, hands, fingers and signs."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence

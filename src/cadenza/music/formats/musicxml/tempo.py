@@ -1,7 +1,5 @@
 """Tempos: those for playback, metronome marks, words, fermatas, caesuras and swing."""
 
-from __future__ import annotations
-
 import re
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """When the elements of measures begin, in quarters of the sheet."""
 
-from __future__ import annotations
-
 import re
 from bisect import bisect_right
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """The tree of a MusicXML document, refused as soon as it is too large for a song."""
 
-from __future__ import annotations
-
 import io
 import posixpath
 import re

@@ -1,7 +1,5 @@
 """A sheet as it is played, bar after bar, with its repeats and jumps."""
 
-from __future__ import annotations
-
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
