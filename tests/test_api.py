@@ -43,7 +43,7 @@ class OneFinger(Still):
         return super().act(view)[:, :1]
 
 
-def test_importing_is_quick_and_all_names_are_there() -> None:
+def test_importing_is_quick_and_all_names_are_there():
     heavy = ("mujoco", "scipy", "mir_eval", "av", "mido", "jax", "cadenza.performing")
     code = f"""import sys, cadenza
 print([m for m in {heavy} if m in sys.modules], set(cadenza.__all__) - set(dir(cadenza)))
@@ -56,7 +56,7 @@ print(callable(cadenza.play) and callable(cadenza.plan) and "jax" not in sys.mod
         cadenza.dance  # noqa: B018
 
 
-def test_playing_leaves_what_the_command_line_leaves(tmp_path: Path) -> None:
+def test_playing_leaves_what_the_command_line_leaves(tmp_path):
     write_midi(TUNE, tmp_path / "tune.mid")
     song, ours, theirs = tmp_path / "tune.mid", tmp_path / "ours", tmp_path / "theirs"
     performance = cadenza.play(song, "random", seed=3)
@@ -72,9 +72,7 @@ def test_playing_leaves_what_the_command_line_leaves(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_half_an_hour_needs_less_than_a_gigabyte(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_half_an_hour_needs_less_than_a_gigabyte(tmp_path, monkeypatch):
     """A started Python takes 250 MB with all that is imported; this is what grows with the song."""
     monkeypatch.setattr("cadenza.report.sound.IN_MEMORY", 1 << 20)
     monkeypatch.setattr(MujocoSimulation, "step", lambda *_: None)  # only for speed
@@ -92,7 +90,7 @@ def test_half_an_hour_needs_less_than_a_gigabyte(
     assert 30 * (two - one) < 500e6
 
 
-def test_notes_are_kept_as_they_were_struck(tmp_path: Path) -> None:
+def test_notes_are_kept_as_they_were_struck(tmp_path):
     notes = (Note(0.0, 0.25, 60, 33), Note(0.25, 0.5, 64, 77), Note(0.25, 0.6, 67, 111))
     performance = cadenza.play(Score(notes))
     performance.save(tmp_path)
@@ -103,7 +101,7 @@ def test_notes_are_kept_as_they_were_struck(tmp_path: Path) -> None:
     assert played_in(again) == performance.played
 
 
-def test_configurations_are_taken_as_they_are() -> None:
+def test_configurations_are_taken_as_they_are():
     scene = SceneConfig(hands="left")
     performance = cadenza.play(TUNE, "zero", task=TaskConfig(stretch=2), scene=scene)
     assert performance.seconds == pytest.approx(0.65 + 0.6 + 0.5)  # half as fast
@@ -112,7 +110,7 @@ def test_configurations_are_taken_as_they_are() -> None:
     assert cadenza.play(TUNE, "zero").seconds == pytest.approx(0.65 + 0.5)
 
 
-def test_an_agent_of_ones_own_plays() -> None:
+def test_an_agent_of_ones_own_plays():
     performance = cadenza.play(TUNE, Still())
     assert performance.settings["agent"] == "Still"
     assert performance.misses is None
@@ -123,7 +121,7 @@ def test_an_agent_of_ones_own_plays() -> None:
         cadenza.play(TUNE, OneFinger())
 
 
-def test_no_agent_takes_more_than_two_cores_unasked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_agent_takes_more_than_two_cores_unasked(monkeypatch):
     monkeypatch.setattr("cadenza.sim.threads.available_cores", lambda: 16)
     for wanted, used in ((None, 2), (3, 3)):
         with set_up(TUNE, find_player(), num_threads=wanted) as setup:
@@ -131,7 +129,7 @@ def test_no_agent_takes_more_than_two_cores_unasked(monkeypatch: pytest.MonkeyPa
             assert max(pool["num_threads"] for pool in threadpool_info()) <= used
 
 
-def test_the_part_that_was_played_is_a_performance(tmp_path: Path) -> None:
+def test_the_part_that_was_played_is_a_performance(tmp_path):
     steps_left = iter(range(12))
     with set_up(TUNE, find_player()) as setup:
         performance = perform(setup, stop=lambda: next(steps_left, None) is None)
@@ -142,7 +140,7 @@ def test_the_part_that_was_played_is_a_performance(tmp_path: Path) -> None:
     assert (tmp_path / "report.html").exists()
 
 
-def test_a_planner_uses_as_many_threads_as_it_is_told_and_plays_the_same() -> None:
+def test_a_planner_uses_as_many_threads_as_it_is_told_and_plays_the_same():
     quick = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, p) for i, p in enumerate((60, 72, 61, 70))))
     actions, threads = [], []
     for number in (1, 2):
@@ -160,7 +158,7 @@ def test_a_planner_uses_as_many_threads_as_it_is_told_and_plays_the_same() -> No
         cadenza.play(TUNE, num_threads=0)
 
 
-def test_a_plan_plays_as_it_was_planned(tmp_path: Path) -> None:
+def test_a_plan_plays_as_it_was_planned(tmp_path):
     plan = cadenza.plan(TUNE)
     assert plan.actions.shape == (23, 39)
     assert plan.performance.settings["agent"] == "planner"
@@ -173,7 +171,7 @@ def test_a_plan_plays_as_it_was_planned(tmp_path: Path) -> None:
     assert again.metrics["return"] == plan.metrics["return"]
 
 
-def test_a_performance_does_not_keep_the_postures_that_were_planned() -> None:
+def test_a_performance_does_not_keep_the_postures_that_were_planned():
     def postures() -> int:
         gc.collect()
         return sum(isinstance(each, NominalTrajectory) for each in gc.get_objects())
@@ -184,7 +182,7 @@ def test_a_performance_does_not_keep_the_postures_that_were_planned() -> None:
     assert postures() == before
 
 
-def test_loading_songs(tmp_path: Path) -> None:
+def test_loading_songs(tmp_path):
     (joy,) = (song for song in cadenza.songs() if song.name == "OdeToJoy")
     assert cadenza.load_song("odetojoy") == cadenza.load_song(joy)
     assert cadenza.play(joy, "zero").score == cadenza.load_song(joy)
@@ -194,19 +192,19 @@ def test_loading_songs(tmp_path: Path) -> None:
         cadenza.load_song(tmp_path / "broken.mid")
 
 
-def test_what_is_repaired_in_a_song_is_a_warning(tmp_path: Path) -> None:
+def test_what_is_repaired_in_a_song_is_a_warning(tmp_path):
     write_midi(Score((Note(0, 1, 60), Note(0, 1, 60))), tmp_path / "twice.mid")
     with pytest.warns(cadenza.CadenzaWarning, match=r"twice\.mid: "):
         assert cadenza.load_song(tmp_path / "twice.mid").remarks
 
 
-def test_agents_that_belong_to_a_song() -> None:
+def test_agents_that_belong_to_a_song():
     for name in ("pretrained", "playback"):
         with pytest.raises(cadenza.CadenzaError, match=r"depends on the song: .* cadenza\.play"):
             cadenza.make_agent(name)
 
 
-def test_the_environments_of_the_documentation_run(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_environments_of_the_documentation_run(capsys):
     blocks = (ROOT / "docs" / "python.md").read_text("utf-8").split("```python")
     (code,) = (block.split("```")[0] for block in blocks if "make_vec" in block)
     exec(compile(code, "python.md", "exec"), names := {})
@@ -217,9 +215,7 @@ def test_the_environments_of_the_documentation_run(capsys: pytest.CaptureFixture
 
 
 @pytest.mark.slow
-def test_what_the_documentation_shows_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_the_documentation_shows_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     code = (ROOT / "docs" / "python.md").read_text().split("```")[1].removeprefix("python")
     exec(compile(code, "python.md", "exec"), {})
@@ -231,9 +227,7 @@ def test_what_the_documentation_shows_runs(
     }
 
 
-def test_a_score_that_is_called_like_a_folder_is_played_as_it_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_score_that_is_called_like_a_folder_is_played_as_it_is(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / TUNE.title).mkdir()
     (tmp_path / TUNE.title / "plan.safetensors").write_bytes(b"of another song")
@@ -241,7 +235,7 @@ def test_a_score_that_is_called_like_a_folder_is_played_as_it_is(
         assert (setup.settings["agent"], setup.score) == ("planner", TUNE)
 
 
-def test_what_a_prompt_shows_is_a_short_line() -> None:
+def test_what_a_prompt_shows_is_a_short_line():
     plan = cadenza.plan(TUNE)
     performance = plan.performance
     env = cadenza.PianoEnv(TUNE)
@@ -256,7 +250,7 @@ def test_what_a_prompt_shows_is_a_short_line() -> None:
     assert plan._repr_html_() == performance._repr_html_()
 
 
-def test_options_show_what_is_not_the_default() -> None:
+def test_options_show_what_is_not_the_default():
     for kind in (TaskConfig, SceneConfig, TrainingConfig, DomainRandomization):
         assert repr(kind()) == f"{kind.__name__}()"
     task = TaskConfig(stretch=2.0, randomization=DomainRandomization(mass=(0.9, 1.1)))
@@ -264,10 +258,10 @@ def test_options_show_what_is_not_the_default() -> None:
     assert repr(task) == f"TaskConfig(stretch=2.0, {changed})"
 
 
-def test_songs_show_as_short_lines() -> None:
+def test_songs_show_as_short_lines():
     for song in (*cadenza.songs(), *cadenza.open_library("bundled").songs):
         assert len(repr(song)) < 250
 
 
-def test_only_what_is_offered_is_listed() -> None:
+def test_only_what_is_offered_is_listed():
     assert sorted(name for name in dir(cadenza) if not name.startswith("_")) == cadenza.__all__

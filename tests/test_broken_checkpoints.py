@@ -84,7 +84,7 @@ def change(rng: np.random.Generator, run: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [6, pytest.param(200, marks=pytest.mark.slow)])
-def test_goes_on_or_says_what_is_wrong(number: int, begun: Path, tmp_path: Path) -> None:
+def test_goes_on_or_says_what_is_wrong(number, begun, tmp_path):
     for seed in range(number):
         run = tmp_path / str(seed)
         shutil.copytree(begun, run)
@@ -95,9 +95,7 @@ def test_goes_on_or_says_what_is_wrong(number: int, begun: Path, tmp_path: Path)
 
 @pytest.mark.parametrize("lost", ["checkpoint.safetensors", "replay/000000000024.0.npz"])
 @pytest.mark.parametrize("keep", [0, 0.5, None])
-def test_what_is_cut_off_or_missing_is_refused_in_a_line(
-    copy: Path, lost: str, keep: float | None
-) -> None:
+def test_what_is_cut_off_or_missing_is_refused_in_a_line(copy, lost, keep):
     """Without its checkpoint, a run begins anew."""
     path = copy / lost
     if keep is None:
@@ -112,9 +110,7 @@ def test_what_is_cut_off_or_missing_is_refused_in_a_line(
     assert "\n" not in str(error.value)
 
 
-def test_another_end_and_since_when_it_holds_is_kept(
-    copy: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_end_and_since_when_it_holds_is_kept(copy, monkeypatch):
     """Learning rates that fall know where they are: the learner is told all ends of the run."""
     longer = replace(CONFIG, num_steps=128)
     with closing(Training(problem_of(longer, [SONG]), RunFolder(copy))) as run:
@@ -126,9 +122,7 @@ def test_another_end_and_since_when_it_holds_is_kept(
     assert told == [tuple(tuple(map(longer.updates_by, end)) for end in ((0, 64), (40, 128)))]
 
 
-def test_a_run_whose_learner_has_other_threads_says_so(
-    copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_whose_learner_has_other_threads_says_so(copy, monkeypatch, capsys):
     """Its bits are not those of other runs with the same seed."""
     make = DroQConfig.make.__wrapped__  # type: ignore[attr-defined]
     for threads, said in ((2, 0), (None, 0), (7, 1)):

@@ -69,7 +69,7 @@ def many(fast: int, slow: int) -> Any:
 
 
 @many(150, 3000)
-def test_plans(number: int, performance: Any, tmp_path: Path) -> None:
+def test_plans(number, performance, tmp_path):
     whole, path = tmp_path / "whole.safetensors", tmp_path / "plan.safetensors"
     options = task_identity(TASK, SCENE, 0)
     hands = Fingers(per_hand=5)
@@ -89,7 +89,7 @@ def test_plans(number: int, performance: Any, tmp_path: Path) -> None:
 
 
 @many(50, 1000)
-def test_recordings_that_are_played_back(number: int, performance: Any, tmp_path: Path) -> None:
+def test_recordings_that_are_played_back(number, performance, tmp_path):
     whole, path = tmp_path / "whole.npz", tmp_path / "episode.npz"
     performance.episode.save(whole)
     for _, rng in draws(number):
@@ -99,7 +99,7 @@ def test_recordings_that_are_played_back(number: int, performance: Any, tmp_path
 
 
 @many(30, 2000)
-def test_episodes(number: int, performance: Any, tmp_path: Path) -> None:
+def test_episodes(number, performance, tmp_path):
     whole, path = tmp_path / "whole.npz", tmp_path / "episode.npz"
     performance.episode.save(whole)
     for _, rng in draws(number):
@@ -112,7 +112,7 @@ def test_episodes(number: int, performance: Any, tmp_path: Path) -> None:
 
 @many(6, 400)
 @pytest.mark.parametrize("song", ["TwinkleTwinkleLittleStar", "OdeToJoy"])
-def test_policies(number: int, song: str, tmp_path: Path) -> None:
+def test_policies(number, song, tmp_path):
     """With the ranges of a song, and with a plan."""
     for _, rng in draws(number):
         changed = mutations.other_tensors(rng, pretrained_folder(song) / POLICY_FILE)
@@ -128,7 +128,7 @@ def test_policies(number: int, song: str, tmp_path: Path) -> None:
 
 
 @many(100, 3000)
-def test_runs(number: int, tmp_path: Path) -> None:
+def test_runs(number, tmp_path):
     run = RunFolder(tmp_path)
     run.begin(TrainingConfig(), [SONG])
     whole = (tmp_path / "run.json").read_bytes()
@@ -148,7 +148,7 @@ ROW = {"step": 100, "seconds": 2.5, "eval_step": 90, "eval/f1": 0.5, "train/valu
 
 
 @many(100, 3000)
-def test_figures(number: int, tmp_path: Path) -> None:
+def test_figures(number, tmp_path):
     lines = [json.dumps(ROW | {"step": step}).encode() for step in range(100, 600, 100)]
     for seed, rng in draws(number):
         content = list(lines)
@@ -165,7 +165,7 @@ def test_figures(number: int, tmp_path: Path) -> None:
 
 
 @many(200, 5000)
-def test_fingerings(number: int, tmp_path: Path) -> None:
+def test_fingerings(number, tmp_path):
     path = tmp_path / "song.fingering"
     write_fingering(SONG, path)
     whole = path.read_bytes()

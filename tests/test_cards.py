@@ -18,12 +18,12 @@ PAGES = "".join(page.read_text() for page in (ROOT / "docs").glob("*.md"))
 LINKS = re.compile(r"\]\((?:https://github\.com/cadenza-piano/cadenza/blob/main/)?([^):]+)\)")
 
 
-def test_there_are_networks() -> None:
+def test_there_are_networks():
     assert len(WEIGHTS) >= 5
 
 
 @pytest.mark.parametrize("weights", WEIGHTS, ids=lambda path: path.parent.name)
-def test_shipped_networks_have_a_card_with_figures_that_were_measured(weights: Path) -> None:
+def test_shipped_networks_have_a_card_with_figures_that_were_measured(weights):
     path = weights.with_name("README.md")
     card = ModelCard.load(path)
     parts = re.findall(r"^## (.+)$", card.text, re.MULTILINE)

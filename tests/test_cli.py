@@ -64,23 +64,19 @@ def tune(tmp_path: Path) -> Path:
 # Help, and what there is
 
 
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+def test_version(capsys):
     main(["--version"])
     assert capsys.readouterr().out == f"cadenza {cadenza.__version__}\n"
 
 
-def test_quiet_prints_nothing(
-    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_quiet_prints_nothing(tune, tmp_path, capsys):
     main(["play", str(tune), *QUICK, "-q", "-o", str(tmp_path / "played")])
     assert capsys.readouterr() == ("", "")
     assert (tmp_path / "played/report.html").exists()
     assert "no song named" in refused_in_a_line(capsys, "play", "nothing", "--quiet")
 
 
-def test_bash_completes_commands_and_options(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bash_completes_commands_and_options(tmp_path, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["--tyro-write-completion", "bash", "-"])
     assert not stop.value.code
@@ -103,13 +99,13 @@ def test_bash_completes_commands_and_options(
     assert completions("cadenza", "dataset", "coll") == ["collect"]
 
 
-def test_starts_without_the_heavy_libraries() -> None:
+def test_starts_without_the_heavy_libraries():
     heavy = ("mujoco", "scipy", "mir_eval", "av", "mido", "jax", "tqdm")
     code = f"import sys, cadenza.cli; print([m for m in {heavy} if m in sys.modules])"
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
 
 
-def test_songs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_songs(capsys):
     main(["songs"])
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == [piece.name for piece in songs()]
@@ -117,7 +113,7 @@ def test_songs(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("command", ["", *GROUPS, *COMMANDS])
-def test_help_says_what_it_does(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_says_what_it_does(command, capsys):
     with pytest.raises(SystemExit) as stop:
         main([*command.split(), "--help"])
     assert stop.value.code == 0
@@ -142,9 +138,7 @@ def test_help_says_what_it_does(command: str, capsys: pytest.CaptureFixture[str]
         (["play", "OdeToJoy", "--ilqg.horizon", "9"], "Unrecognized options: --ilqg.horizon"),
     ],
 )
-def test_a_command_line_that_cannot_be_read(
-    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_line_that_cannot_be_read(arguments, message, capsys):
     with pytest.raises(SystemExit) as stop:
         main(arguments)
     assert stop.value.code == 2
@@ -158,7 +152,7 @@ def facts(out: str) -> dict[str, str]:
     return {name: value.strip() for name, value in rows}
 
 
-def test_info_on_a_song(capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_on_a_song(capsys):
     main(["info", "TwinkleTwinkleLittleStar"])
     told = facts(capsys.readouterr().out)
     assert told["length"] == "8.0 s, 161 steps"
@@ -168,7 +162,7 @@ def test_info_on_a_song(capsys: pytest.CaptureFixture[str]) -> None:
     assert told["hands"] == "as written, 14 notes for the right and 0 for the left"
 
 
-def test_info_on_the_installation(capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_on_the_installation(capsys):
     main(["info"])
     told = facts(capsys.readouterr().out)
     assert told["cadenza"] == cadenza.__version__
@@ -180,7 +174,7 @@ def test_info_on_the_installation(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("arguments", [["songs"], ["play", "--help"]])
-def test_a_reader_that_leaves_early_gets_no_traceback(arguments: list[str]) -> None:
+def test_a_reader_that_leaves_early_gets_no_traceback(arguments):
     process = subprocess.Popen(
         [sys.executable, "-u", "-c", RUN, *arguments],
         stdout=subprocess.PIPE,
@@ -205,7 +199,7 @@ def test_a_reader_that_leaves_early_gets_no_traceback(arguments: list[str]) -> N
         ("play --help >/dev/full", 1),
     ],
 )
-def test_streams_that_cannot_be_written(arguments: str, status: int) -> None:
+def test_streams_that_cannot_be_written(arguments, status):
     command = f"{shlex.quote(sys.executable)} -m cadenza {arguments}"
     result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert result.returncode == status
@@ -214,7 +208,7 @@ def test_streams_that_cannot_be_written(arguments: str, status: int) -> None:
     assert result.stderr.count("\n") <= 1
 
 
-def test_playing_with_everything_closed(tune: Path, tmp_path: Path) -> None:
+def test_playing_with_everything_closed(tune, tmp_path):
     """No file of the results is taken for stdout or stderr."""
     command = [sys.executable, "-m", "cadenza", "play", str(tune), *QUICK, "-o", str(tmp_path)]
     closing = f"{shlex.join(command)} <&- >&- 2>&-"
@@ -225,7 +219,7 @@ def test_playing_with_everything_closed(tune: Path, tmp_path: Path) -> None:
     assert goal.any(axis=1).argmax() == 10  # after half a second to get into place
 
 
-def test_one_step_and_one_note(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_step_and_one_note(tmp_path, capsys):
     write_midi(Score((Note(0.0, 0.04, 60),)), tmp_path / "note.mid")
     main(["info", str(tmp_path / "note.mid")])
     assert "0.0 s, 1 step\n" in capsys.readouterr().out
@@ -246,13 +240,7 @@ def test_one_step_and_one_note(tmp_path: Path, capsys: pytest.CaptureFixture[str
     ],
     ids=lambda words: words[0],
 )
-def test_a_full_disk_is_told_in_a_line(
-    words: list[str],
-    tune: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_full_disk_is_told_in_a_line(words, tune, tmp_path, monkeypatch, capsys):
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -262,7 +250,7 @@ def test_a_full_disk_is_told_in_a_line(
     assert said.endswith(": the disk is full; free some space, then give the same command again\n")
 
 
-def test_a_run_for_which_the_disk_is_full_says_so(tmp_path: Path) -> None:
+def test_a_run_for_which_the_disk_is_full_says_so(tmp_path):
     with failure_recorded(tmp_path):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "episode.npz")
     assert "episode.npz: the disk is full; free some" in (tmp_path / "failed.json").read_text()
@@ -274,7 +262,7 @@ def test_a_run_for_which_the_disk_is_full_says_so(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "module", ["numpy", "cadenza.tasks.registration", "cadenza.cli.train", "cadenza.music.goals"]
 )
-def test_ctrl_c_while_a_module_is_imported(module: str) -> None:
+def test_ctrl_c_while_a_module_is_imported(module):
     code = (
         "import os, signal, sys\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
@@ -292,7 +280,7 @@ def test_ctrl_c_while_a_module_is_imported(module: str) -> None:
     assert result.stderr in ("", "cadenza: interrupted\n")
 
 
-def test_the_command_is_what_ctrl_c_ends_while_it_is_imported() -> None:
+def test_the_command_is_what_ctrl_c_ends_while_it_is_imported():
     with open(Path(__file__).parents[1] / "pyproject.toml", "rb") as file:
         assert tomllib.load(file)["project"]["scripts"] == {"cadenza": "cadenza_command:main"}
 
@@ -307,9 +295,7 @@ def perfect_plan(score: Score, path: Path) -> Path:
     return path
 
 
-def test_a_film_that_cannot_be_is_refused_in_a_line(
-    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_film_that_cannot_be_is_refused_in_a_line(tune, tmp_path, capsys, monkeypatch):
     main(["play", str(tune), "--agent", "zero", "-o", str(tmp_path / "played")])
     film = ["film", str(tmp_path / "played")]
     for size in ((0, 90), (161, 90), (160, 4000)):
@@ -334,7 +320,7 @@ def test_a_film_that_cannot_be_is_refused_in_a_line(
 @needs_chromium
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(160, 90), (90, 160)])
-def test_a_film_shows_what_was_played(size: tuple[int, int], tune: Path, tmp_path: Path) -> None:
+def test_a_film_shows_what_was_played(size, tune, tmp_path):
     """By another reader of films: H.264 and AAC, which any player plays."""
     agent = [
         "--agent",
@@ -361,9 +347,7 @@ def test_a_film_shows_what_was_played(size: tuple[int, int], tune: Path, tmp_pat
     assert heard.shape[1] / sound.rate == pytest.approx(0.25, abs=0.05)
 
 
-def test_play_leaves_what_it_promises(
-    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_play_leaves_what_it_promises(tune, tmp_path, capsys):
     plan, folder = perfect_plan(TUNE, tmp_path / "plan.npz"), tmp_path / "new" / "folder"
     playing = ("play", tune, "--hands", "none", "--agent", "playback", "--plan", plan)
     arguments = [*playing, "-o", folder, *AT_ONCE]
@@ -400,7 +384,7 @@ def test_play_leaves_what_it_promises(
     assert "<html" in (folder / "report.html").read_text()
 
 
-def test_nothing_of_another_performance_stays(tune: Path, tmp_path: Path) -> None:
+def test_nothing_of_another_performance_stays(tune, tmp_path):
     folder = tmp_path / "played"
     main(["play", str(tune), "--agent", "zero", "--no-video", "-o", str(folder)])
     for name in ("misses.json", "video.mp4", "episode-left.npz", "of-the-user.txt"):
@@ -411,9 +395,7 @@ def test_nothing_of_another_performance_stays(tune: Path, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("command", ["play", "practice"])
 @pytest.mark.parametrize("name", ["report.html", "settings.json", "episode.npz"])
-def test_what_somebody_else_has_written_stays(
-    command: str, name: str, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_somebody_else_has_written_stays(command, name, tune, tmp_path, capsys):
     write_json(tmp_path / "mine" / name, {"song": "of the user"})
     before = (tmp_path / "mine" / name).read_bytes()
     said = refused(capsys, command, tune, "--no-video", "-o", tmp_path / "mine")
@@ -423,16 +405,14 @@ def test_what_somebody_else_has_written_stays(
 
 
 @pytest.mark.parametrize("command", ["play", "practice"])
-def test_a_song_is_not_replaced_by_its_performance(
-    command: str, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_song_is_not_replaced_by_its_performance(command, tune, tmp_path, capsys):
     song = tmp_path / "played.mid"
     song.write_bytes(tune.read_bytes())
     assert "would be replaced" in refused(capsys, command, song, "--no-video", "-o", tmp_path)
     assert song.read_bytes() == tune.read_bytes()
 
 
-def test_the_episode_has_the_arrays_of_the_published_recordings(tune: Path, tmp_path: Path) -> None:
+def test_the_episode_has_the_arrays_of_the_published_recordings(tune, tmp_path):
     terms = ["--sustain-term", "--forearm-term"]
     main(["play", str(tune), *QUICK, *AT_ONCE, *terms, "-o", str(tmp_path)])
     episode = load_episode(tmp_path / "episode.npz")
@@ -447,7 +427,7 @@ def test_the_episode_has_the_arrays_of_the_published_recordings(tune: Path, tmp_
     assert episode.scene["shells"]
 
 
-def test_a_recorded_episode_is_a_plan(tune: Path, tmp_path: Path) -> None:
+def test_a_recorded_episode_is_a_plan(tune, tmp_path):
     first, again = tmp_path / "first", tmp_path / "again"
     main(["play", str(tune), "--agent", "random", "--no-video", "-o", str(first)])
     plan = str(first / "episode.npz")
@@ -461,7 +441,7 @@ def figures(folder: Path) -> dict[str, float]:
     return {name: value for name, value in metrics.items() if not name.endswith("_seconds")}
 
 
-def test_the_same_seed_plays_the_same(tune: Path, tmp_path: Path) -> None:
+def test_the_same_seed_plays_the_same(tune, tmp_path):
     folders = [tmp_path / name for name in ("a", "b", "c")]
     for folder, seed in zip(folders, ("7", "7", "8"), strict=True):
         options = ["--seed", seed, "--random-hand-position", "0.05", "--no-video"]
@@ -475,16 +455,14 @@ def test_the_same_seed_plays_the_same(tune: Path, tmp_path: Path) -> None:
     assert (a["action"] != c["action"]).any()
 
 
-def test_results_go_below_the_working_folder_by_default(
-    tune: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_results_go_below_the_working_folder_by_default(tune, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     main(["play", str(tune), *QUICK])
     folder = tmp_path / "played" / "tune" / "zero"
     assert {path.name for path in folder.iterdir()} == PERFORMANCE
 
 
-def test_task_and_scene_options_arrive(tune: Path, tmp_path: Path) -> None:
+def test_task_and_scene_options_arrive(tune, tmp_path):
     options = ["--initial-buffer-time", "0.25", "--hands", "left", "--no-reduced-action-space"]
     options += ["--forearm-dofs", "tx", "tz"]
     main(["play", str(tune), *QUICK, *options, "-o", str(tmp_path)])
@@ -494,9 +472,7 @@ def test_task_and_scene_options_arrive(tune: Path, tmp_path: Path) -> None:
     assert episode.num_steps == 18
 
 
-def test_the_planner_plays_by_default(
-    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_planner_plays_by_default(tune, tmp_path, capsys):
     main(["play", str(tune), "--no-video", "-o", str(tmp_path)])
     said = capsys.readouterr().out
     assert figures(tmp_path)["f1"] > 0.9
@@ -504,9 +480,7 @@ def test_the_planner_plays_by_default(
     assert "3 notes in time (within 50 ms)" in said
 
 
-def test_notes_without_a_finger_are_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_notes_without_a_finger_are_told(tmp_path, capsys):
     low_and_high = Score((Note(0.0, 0.4, 30), Note(0.0, 0.4, 90)))
     write_midi(low_and_high, tmp_path / "far.mid")
     options = ["--arrange", "off", "--hands", "right", "--verbose", "-o", str(tmp_path)]
@@ -519,7 +493,7 @@ def test_notes_without_a_finger_are_told(
     assert lost["reason"] in str(recording_in((tmp_path / "report.html").read_text()))
 
 
-def test_the_planners_have_options_of_their_own(tune: Path, tmp_path: Path) -> None:
+def test_the_planners_have_options_of_their_own(tune, tmp_path):
     options = ["--agent", "predictive-sampling", "--predictive-sampling.num-candidates", "3"]
     main(["play", str(tune), *options, "--no-video", "-o", str(tmp_path)])
     settings = json.loads((tmp_path / "settings.json").read_text())
@@ -546,9 +520,7 @@ def told_to_run(out: str) -> list[str]:
         ["--random-pitch-shift", "5", "--seed", "3", "--physics", "fast"],
     ],
 )
-def test_a_plan_replays_bit_for_bit(
-    options: list[str], tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_replays_bit_for_bit(options, tune, tmp_path, capsys):
     path = tmp_path / "a plan.safetensors"
     main(["plan", str(tune), "-o", str(path), *options])
     said = capsys.readouterr().out
@@ -561,7 +533,7 @@ def test_a_plan_replays_bit_for_bit(
     assert figures(tmp_path) == planned
 
 
-def test_the_fingers_of_a_plan_go_with_the_file(tune: Path, tmp_path: Path) -> None:
+def test_the_fingers_of_a_plan_go_with_the_file(tune, tmp_path):
     path = tmp_path / "plan.safetensors"
     main(["plan", str(tune), "-o", str(path), "--stretch", "2"])
     fingered = read_fingering(f"{path}.fingering", read_midi(tune))
@@ -580,13 +552,7 @@ def test_the_fingers_of_a_plan_go_with_the_file(tune: Path, tmp_path: Path) -> N
         (["--hand-spacing", "0.31"], "hand_spacing 0.3, but here it is 0.31"),
     ],
 )
-def test_a_plan_made_with_other_options(
-    options: list[str],
-    message: str,
-    tmp_path: Path,
-    tune: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_plan_made_with_other_options(options, message, tmp_path, tune, capsys):
     path, task = tmp_path / "plan.safetensors", TaskConfig()
     made = {"action": np.zeros((23, 39)), "fingering": np.zeros((3, 3))}
     facts = {
@@ -601,27 +567,23 @@ def test_a_plan_made_with_other_options(
     assert f"{path}: was planned with {message}; use the same value" in said
 
 
-def test_fingers_that_feel_play_the_same_plan_in_any_physics() -> None:
+def test_fingers_that_feel_play_the_same_plan_in_any_physics():
     plan = SavedPlan(Path(), np.zeros((23, 39)), task_identity(TaskConfig(), SceneConfig(), 0))
     plan.check(task_identity(TaskConfig(), SceneConfig(touch=True, physics="fast"), 0))
 
 
-def test_a_plan_is_tried_against_noise_and_another_model() -> None:
+def test_a_plan_is_tried_against_noise_and_another_model():
     disturbed = TaskConfig(randomization=DomainRandomization(control_noise=0.1, mass=(0.9, 1.1)))
     nominal = task_identity(TaskConfig(), SceneConfig(), 0)
     assert task_identity(disturbed, SceneConfig(), 0) == nominal
 
 
-def test_a_plan_is_a_safetensors_file(
-    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_is_a_safetensors_file(tune, tmp_path, capsys):
     message = refused_in_a_line(capsys, "plan", tune, "-o", tmp_path / "tune.fingering")
     assert "tune.fingering: a plan is a .safetensors file" in message
 
 
-def test_a_plan_is_written_as_sheet_music(
-    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_is_written_as_sheet_music(tune, tmp_path, capsys):
     path, sheet = tmp_path / "plan.safetensors", tmp_path / "sheets" / "tune.musicxml"
     main(["plan", str(tune), "-o", str(path), "--score", str(sheet)])
     assert f"{sheet}: the song has no bars" in capsys.readouterr().out
@@ -631,7 +593,7 @@ def test_a_plan_is_written_as_sheet_music(
     assert "tune.txt: sheet music is a .musicxml, .pdf, .svg or .mid file" in message
 
 
-def test_a_plan_is_drawn_as_sheet_music(tune: Path, tmp_path: Path) -> None:
+def test_a_plan_is_drawn_as_sheet_music(tune, tmp_path):
     picture = tmp_path / "tune.svg"
     main(["plan", str(tune), "-o", str(tmp_path / "a.safetensors"), "--score", str(picture)])
     numbers = [
@@ -641,7 +603,7 @@ def test_a_plan_is_drawn_as_sheet_music(tune: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("mine", [None, "0.0 60 R3\n"])
-def test_a_plan_may_be_called_like_its_song(mine: str | None, tune: Path) -> None:
+def test_a_plan_may_be_called_like_its_song(mine, tune):
     own = tune.with_suffix(".fingering")
     if mine is not None:
         own.write_text(mine)
@@ -652,9 +614,7 @@ def test_a_plan_may_be_called_like_its_song(mine: str | None, tune: Path) -> Non
     assert read_fingering(f"{tune.with_suffix('.safetensors')}.fingering", TUNE).has_fingering
 
 
-def test_half_a_plan_is_not_kept(
-    tune: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_half_a_plan_is_not_kept(tune, tmp_path, monkeypatch, capsys):
     clenched = build_scene().action_high
     monkeypatch.setattr(SongPlanner, "act", lambda *_: clenched)
     path = tmp_path / "plan.safetensors"
@@ -663,9 +623,7 @@ def test_half_a_plan_is_not_kept(
     assert not path.exists()
 
 
-def test_a_baseline_plays_and_says_what_it_misses(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_baseline_plays_and_says_what_it_misses(tmp_path, capsys):
     write_midi(Score((Note(0, 0.5, 72), Note(0.5, 1, 21))), tmp_path / "leap.mid")
     options = ["--hands", "right", "--agent", "icp", "--no-video", *AT_ONCE]
     options += ["--icp.no-rehearse", "-o", str(tmp_path)]
@@ -678,7 +636,7 @@ def test_a_baseline_plays_and_says_what_it_misses(
 # Comparing
 
 
-def test_comparing(tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_comparing(tune, tmp_path, capsys):
     options = ["--agents", "planner", "zero", "--seeds", "0", "1", "--planner.method", "none"]
     main(["compare", str(tune), *options, "-o", str(tmp_path)])
     heading, planner, zero, *_ = capsys.readouterr().out.splitlines()
@@ -702,9 +660,7 @@ def test_comparing(tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
 # MIDI files as they come
 
 
-def test_what_was_compared_is_kept_where_an_agent_fails(
-    tune: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_was_compared_is_kept_where_an_agent_fails(tune, tmp_path, monkeypatch):
     (tmp_path / "fails.py").write_text(
         "from cadenza import Agent\n\nclass Fails(Agent):\n"
         "    def act(self, view):\n        raise KeyboardInterrupt\n"
@@ -719,16 +675,12 @@ def test_what_was_compared_is_kept_where_an_agent_fails(
 
 
 @pytest.mark.parametrize("options", [["--agents"], ["--seeds"]])
-def test_comparing_nothing(
-    options: list[str], tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_comparing_nothing(options, tune, tmp_path, capsys):
     message = refused_in_a_line(capsys, "compare", tune, *options, "-o", tmp_path)
     assert "nothing to compare" in message
 
 
-def test_tracks_tempo_changes_and_notes_off_the_keyboard(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tracks_tempo_changes_and_notes_off_the_keyboard(tmp_path, capsys):
     file = mido.MidiFile(ticks_per_beat=100)
     tempo = mido.MidiTrack([mido.MetaMessage("set_tempo", tempo=1_000_000, time=0)])
     tempo.append(mido.MetaMessage("set_tempo", tempo=250_000, time=100))  # after a second
@@ -764,9 +716,7 @@ def test_tracks_tempo_changes_and_notes_off_the_keyboard(
 
 @pytest.mark.parametrize("notes", [[], [5, 120]])
 @pytest.mark.parametrize("command", ["info", "play", "plan", "compare"])
-def test_a_file_without_a_note_to_play(
-    command: str, notes: list[int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_without_a_note_to_play(command, notes, tmp_path, capsys):
     track = mido.MidiTrack()
     for note in notes:
         track.append(mido.Message("note_on", note=note, time=0))
@@ -779,9 +729,7 @@ def test_a_file_without_a_note_to_play(
 
 
 @pytest.mark.parametrize("command", ["info", "play", "plan", "compare"])
-def test_songs_that_there_are_not(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_songs_that_there_are_not(command, tmp_path, capsys):
     message = refused_in_a_line(capsys, command, "OdeToJoi")
     assert "did you mean OdeToJoy" in message
     missing, text = tmp_path / "missing.mid", tmp_path / "text.mid"
@@ -809,33 +757,25 @@ def test_songs_that_there_are_not(
         ),
     ],
 )
-def test_options_that_make_no_sense(
-    arguments: list[str],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_options_that_make_no_sense(arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert message in refused_in_a_line(capsys, "play", "OdeToJoy", *arguments)
 
 
 @pytest.mark.parametrize("command", ["info", "play", "arrange", "train"])
-def test_an_address_is_no_song(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_address_is_no_song(command, capsys):
     url = "https://example.org/song.mid"
     said = refused(capsys, command, url).splitlines()[-1]
     assert said == f"cadenza: {url}: is an address; download the file, and give its path"
 
 
-def test_a_film_wants_the_folder_of_a_performance(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_film_wants_the_folder_of_a_performance(capsys):
     said = refused_in_a_line(capsys, "film", "OdeToJoy")
     assert said.startswith("cadenza: OdeToJoy: holds no performance (episode.npz); make one with")
 
 
 @pytest.mark.parametrize("place", ["", "below", "further/below"])
-def test_a_file_where_results_should_go(
-    place: str, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_where_results_should_go(place, tune, tmp_path, capsys):
     (tmp_path / "a file").touch()
     folder = tmp_path / "a file" / place
     message = refused_in_a_line(capsys, "play", tune, *QUICK, "-o", folder)
@@ -845,9 +785,7 @@ def test_a_file_where_results_should_go(
     assert message.rstrip().endswith("--folder")
 
 
-def test_a_plan_for_something_else(
-    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_for_something_else(tune, tmp_path, capsys):
     plan = perfect_plan(TUNE, tmp_path / "plan.npz")
     arguments = ("play", tune, "--agent", "playback", "--plan", plan, "-o", tmp_path)
     assert f"{PIANO.num_keys + 1} actions per step, but this task has 39" in refused_in_a_line(
@@ -889,17 +827,17 @@ def without_graphics(backend: str, folder: Path, code: str, *arguments: object) 
         ("off", "disabled by MUJOCO_GL=off"),
     ],
 )
-def test_info_says_why_a_machine_cannot_draw(backend: str, message: str, tmp_path: Path) -> None:
+def test_info_says_why_a_machine_cannot_draw(backend, message, tmp_path):
     assert message in without_graphics(backend, tmp_path, f"{RUN}", "info")
 
 
-def test_a_machine_that_cannot_draw_does_all_else(tune: Path, tmp_path: Path) -> None:
+def test_a_machine_that_cannot_draw_does_all_else(tune, tmp_path):
     make = "import gymnasium as gym; gym.make('cadenza/OdeToJoy-v0').reset(seed=0)"
     play = "play", tune, "--agent", "zero", "-o", tmp_path / "played"
     assert "Open" in without_graphics("bogus", tmp_path, f"{RUN}; {make}", *play)
 
 
-def test_without_assertions_and_docstrings(tune: Path, tmp_path: Path) -> None:
+def test_without_assertions_and_docstrings(tune, tmp_path):
     plan, played = tmp_path / "plan.safetensors", tmp_path / "played"
     lines = (["play", tune, *QUICK, "-o", played], ["plan", tune, "-o", plan], ["play", "--help"])
     words = [[str(word) for word in line] for line in lines]

@@ -86,9 +86,7 @@ def settings(folder: Path) -> dict:
 # Policies
 
 
-def test_a_policy_plays_the_song_that_it_has_learnt(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_policy_plays_the_song_that_it_has_learnt(here, capsys):
     policy(here / "run" / "best")
     main(["play", "--agent", "run/best", "--no-video"])
     assert settings(here / "played" / "A tune" / "run-best")["agent"] == "run/best"
@@ -98,30 +96,28 @@ def test_a_policy_plays_the_song_that_it_has_learnt(
 
 
 @pytest.mark.usefixtures("here")
-def test_who_has_learnt_no_song_wants_one(capsys: pytest.CaptureFixture[str]) -> None:
+def test_who_has_learnt_no_song_wants_one(capsys):
     assert refused(capsys, "play") == "cadenza: no song to play: give one; planner has learnt none"
     line = refused(capsys, "play", "--agent", "pretrained")
     assert "choose from MinuetInG, OdeToJoy" in line
 
 
 @pytest.mark.parametrize("command", ["play", "practice", "info", "plan", "compare", "train"])
-def test_a_folder_is_no_song(command: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_is_no_song(command, here, capsys):
     policy(here / "run")
     line = refused(capsys, command, "run")
     assert "run: is no song; give a piece or a music file" in line
     assert line.endswith("plays it as --agent run)")
 
 
-def test_the_folder_of_a_policy_may_have_an_equals_sign(here: Path) -> None:
+def test_the_folder_of_a_policy_may_have_an_equals_sign(here):
     folder = policy(here / "lr=0.1" / "best")
     main(["play", "tune.mid", "--agent", str(folder), "--no-video", "-o", "one"])
     main(["play", "tune.mid", f"--agent={folder}", "--no-video", "-o", "other"])
     assert {settings(here / name)["agent"] for name in ("one", "other")} == {str(folder)}
 
 
-def test_a_policy_on_another_song_is_a_line_on_stderr(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_policy_on_another_song_is_a_line_on_stderr(here, capsys):
     policy(here / "run")
     write_midi(OTHER, here / "other.mid")
     main(["play", "other.mid", "--agent", "run", "--no-video"])
@@ -135,9 +131,7 @@ def test_a_policy_on_another_song_is_a_line_on_stderr(
 
 
 @pytest.mark.parametrize("option", [("--level", "3"), ("--arrange", "always")])
-def test_a_song_that_a_policy_has_learnt_is_not_arranged_for_it(
-    option: tuple[str, str], here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_song_that_a_policy_has_learnt_is_not_arranged_for_it(option, here, capsys):
     policy(here / "run")
     write_midi(replace(TUNE, title="A tune"), here / "again.mid")
     said = refused(capsys, "play", "again.mid", "--agent", "run", "--no-video", *option)
@@ -152,9 +146,7 @@ def test_a_song_that_a_policy_has_learnt_is_not_arranged_for_it(
         ("--random-pitch-shift", "2", "with random_pitch_shift 0, but here it is 2"),
     ],
 )
-def test_what_changes_the_plan_that_a_policy_corrects(
-    option: str, value: str, said: str, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_changes_the_plan_that_a_policy_corrects(option, value, said, here, capsys):
     line = refused(capsys, "play", "OdeToJoy", "--agent", "pretrained", option, value)
     assert line.startswith("cadenza: pretrained: was trained with ")
     assert line.endswith(f"{said}; leave out that option, or train a new policy")
@@ -162,15 +154,13 @@ def test_what_changes_the_plan_that_a_policy_corrects(
 
 
 @pytest.mark.usefixtures("here")
-def test_a_policy_that_corrects_a_plan_plays_no_other_song(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_policy_that_corrects_a_plan_plays_no_other_song(capsys):
     folder = pretrained_folder("OdeToJoy")
     line = refused(capsys, "play", "tune.mid", "--agent", folder)
     assert "'Ode to Joy', with residual learning, so it can play nothing else" in line
 
 
-def test_what_the_user_gives_wins_over_what_the_policy_was_trained_with(here: Path) -> None:
+def test_what_the_user_gives_wins_over_what_the_policy_was_trained_with(here):
     policy(here / "run", task={"initial_buffer_time": 0.1}, scene={"physics": "fast"})
     main(["play", "--agent", "run", "--no-video", "-o", "own"])
     own = settings(here / "own")
@@ -182,9 +172,7 @@ def test_what_the_user_gives_wins_over_what_the_policy_was_trained_with(here: Pa
     assert load_episode(here / "given" / "episode.npz").num_steps == 23
 
 
-def test_a_plan_is_played_in_its_physics_unless_told_otherwise(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_is_played_in_its_physics_unless_told_otherwise(here, capsys):
     main(["play", "tune.mid", "--agent", "random", "--physics", "fast", "--no-video", "-o", "a"])
     replay = ["play", "tune.mid", "--agent", "playback", "--plan", "a/episode.npz", "--no-video"]
     main([*replay, "-o", "b"])
@@ -196,9 +184,7 @@ def test_a_plan_is_played_in_its_physics_unless_told_otherwise(
     assert said == "a/episode.npz: made in the fast physics, played in the published physics\n"
 
 
-def test_each_agent_is_compared_in_its_own_task(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_agent_is_compared_in_its_own_task(here, capsys):
     policy(here / "run", task={"stretch": 2.0, "repeats": "shortened"}, scene={"physics": "fast"})
     agents = ["--agents", "zero", "run"]
     main(["compare", "tune.mid", *agents, "-o", "own"])
@@ -220,22 +206,18 @@ def test_each_agent_is_compared_in_its_own_task(
         ("--n-steps-lookahead", "3", "with n_steps_lookahead 10, but here it is 3"),
     ],
 )
-def test_what_a_policy_cannot_observe(
-    option: str, value: str, said: str, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_policy_cannot_observe(option, value, said, here, capsys):
     policy(here / "run")
     assert said in refused(capsys, "play", "--agent", "run", option, value)
     main(["play", "--agent", "run", "--n-seconds-lookahead", "0.5", "--no-video"])  # as many steps
 
 
-def test_plans_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plans_are_not_compared(tmp_path, capsys):
     line = refused(capsys, "compare", "OdeToJoy", "--agents", "playback", "-o", tmp_path)
     assert line == "cadenza: playback plays a single file: name other agents"
 
 
-def test_who_cannot_play_is_told_before_anyone_has_played(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_who_cannot_play_is_told_before_anyone_has_played(here, capsys):
     policy(here / "run")
     line = refused(capsys, "compare", "tune.mid", "--agents", "zero", "run", "--hands", "right")
     assert line.startswith("cadenza: run: was trained with hands both")
@@ -245,7 +227,7 @@ def test_who_cannot_play_is_told_before_anyone_has_played(
 # Songs and folders
 
 
-def test_a_folder_named_like_a_song_does_not_hide_it(here: Path) -> None:
+def test_a_folder_named_like_a_song_does_not_hide_it(here):
     policy(here / "OdeToJoy")
     main(["play", "OdeToJoy", "--agent", "zero", "--no-video", "-o", "bundled"])
     assert load_episode(here / "bundled" / "episode.npz").song == "Ode to Joy"
@@ -253,7 +235,7 @@ def test_a_folder_named_like_a_song_does_not_hide_it(here: Path) -> None:
     assert load_episode(here / "folder" / "episode.npz").song == "A tune"
 
 
-def test_two_agents_do_not_overwrite_each_other(here: Path) -> None:
+def test_two_agents_do_not_overwrite_each_other(here):
     for agent in ("zero", "own:Still", str(policy(here / "run" / "best"))):
         main(["play", "tune.mid", "--agent", agent, "--no-video"])
     assert {path.name for path in (here / "played" / "tune").iterdir()} == {
@@ -264,7 +246,7 @@ def test_two_agents_do_not_overwrite_each_other(here: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["...mid", ".mid", "....mid", "a" * 251 + ".mid", "a\nb.mid"])
-def test_results_stay_below_their_folder_whatever_a_file_is_called(name: str, here: Path) -> None:
+def test_results_stay_below_their_folder_whatever_a_file_is_called(name, here):
     shutil.move("tune.mid", name)
     main(["play", f"./{name}", "--agent", "zero", "--no-video"])
     assert {path.name for path in here.iterdir()} == {name, "own.py", "played"}
@@ -275,7 +257,7 @@ def test_results_stay_below_their_folder_whatever_a_file_is_called(name: str, he
 # Agents of one's own
 
 
-def test_an_agent_of_ones_own(here: Path) -> None:
+def test_an_agent_of_ones_own(here):
     main(["play", "tune.mid", "--agent", "own:Still", "--no-video", "-o", "played"])
     assert settings(here / "played")["agent"] == "own:Still"
 
@@ -299,14 +281,12 @@ def test_an_agent_of_ones_own(here: Path) -> None:
         ("xyz", "no agent 'xyz': choose from planner, "),
     ],
 )
-def test_agents_that_there_are_not(
-    name: str, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_agents_that_there_are_not(name, said, capsys):
     assert said in refused(capsys, "play", "tune.mid", "--agent", name)
 
 
 @pytest.mark.usefixtures("here")
-def test_a_planner_needs_a_thread(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_planner_needs_a_thread(capsys):
     line = refused(capsys, "plan", "tune.mid", "--num-threads", "0")
     assert line == "cadenza: num_threads 0: choose 1 to 1024"
 
@@ -323,9 +303,7 @@ def test_a_planner_needs_a_thread(capsys: pytest.CaptureFixture[str]) -> None:
         (["dataset", "collect", "--generalist.rehearsals", "2"], "generalist.rehearsals"),
     ],
 )
-def test_options_of_agents_that_do_not_play_are_refused(
-    words: list[str], option: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_of_agents_that_do_not_play_are_refused(words, option, capsys):
     with pytest.raises(SystemExit) as stop:
         main(words)
     assert stop.value.code == 2
@@ -344,7 +322,7 @@ def interrupted(capsys: pytest.CaptureFixture[str], agent: str) -> str:
     return capsys.readouterr().err
 
 
-def test_ctrl_c_keeps_what_was_played(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_ctrl_c_keeps_what_was_played(here, capsys):
     said = interrupted(capsys, "own:Impatient")
     assert "stopped after 0.2 of 1.2 s: the results cover only that part\n" in said
     assert load_episode(here / "part" / "episode.npz").num_steps == 3
@@ -357,9 +335,7 @@ def test_ctrl_c_keeps_what_was_played(here: Path, capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_being_stopped_while_results_are_written_writes_them_all(
-    number: int, here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_being_stopped_while_results_are_written_writes_them_all(number, here, capsys, monkeypatch):
     def encode_and_stop(*arguments: Any, **options: Any) -> bytes:
         if not stopped:
             stopped.append(number)
@@ -374,9 +350,7 @@ def test_being_stopped_while_results_are_written_writes_them_all(
     assert "</html>" in (here / "part" / "report.html").read_text()
 
 
-def test_ctrl_c_twice_while_results_are_written_writes_no_more(
-    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_twice_while_results_are_written_writes_no_more(here, capsys, monkeypatch):
     def stop_twice(*_: Any, **__: Any) -> None:
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
@@ -387,9 +361,7 @@ def test_ctrl_c_twice_while_results_are_written_writes_no_more(
 
 
 @pytest.mark.parametrize("agent", ["own:MoreImpatient", "own:NeverBegins"])
-def test_ctrl_c_twice_or_before_the_first_step_keeps_nothing(
-    agent: str, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ctrl_c_twice_or_before_the_first_step_keeps_nothing(agent, here, capsys):
     assert interrupted(capsys, agent).endswith("cadenza: interrupted\n")
     assert os.listdir(here / "part") == []
 
@@ -398,7 +370,7 @@ def test_ctrl_c_twice_or_before_the_first_step_keeps_nothing(
 
 
 @pytest.mark.parametrize("command", ["play", "plan"])
-def test_a_hand_in_the_working_folder(command: str, here: Path) -> None:
+def test_a_hand_in_the_working_folder(command, here):
     (here / "own.py").write_text("from cadenza.hands.shadow import SHADOW as MINE")
     write_midi(Score((Note(0.0, 0.2, 60),)), here / "note.mid")
     out = ["-o", "out", "--no-video"] if command == "play" else ["-o", "out.safetensors"]
@@ -406,7 +378,7 @@ def test_a_hand_in_the_working_folder(command: str, here: Path) -> None:
     assert any(path.name.startswith("out") for path in here.iterdir())
 
 
-def test_a_keyboard_of_another_size(here: Path) -> None:
+def test_a_keyboard_of_another_size(here):
     (here / "own.py").write_text(
         "from dataclasses import replace\n"
         "from cadenza.keyboards.piano import PIANO\n"

@@ -96,7 +96,7 @@ def in_short(results: BenchResults) -> dict[str, object]:
 @pytest.mark.parametrize(
     ("agent", "how"), [("Aborts", "SIGABRT"), ("IsToldToEnd", "SIGTERM")], ids=str
 )
-def test_one_that_crashes_takes_nothing_else_with_it(folder: Path, agent: str, how: str) -> None:
+def test_one_that_crashes_takes_nothing_else_with_it(folder, agent, how):
     (folder / "songs" / "64.mid").unlink()
     said = of(started(f"bench_agents:{agent},zero"), status=1)
     assert "1 of 2 runs finished, 1 failed" in said
@@ -124,18 +124,14 @@ def test_one_that_crashes_takes_nothing_else_with_it(folder: Path, agent: str, h
         (("--jobs", "0"), "jobs 0"),
     ],
 )
-def test_what_cannot_be_is_told_in_a_line(
-    folder: Path, others: tuple[str, ...], what: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_is_told_in_a_line(folder, others, what, capsys):
     *warned, last = refused(capsys, *options("zero", *others)).splitlines()
     assert what in last
     assert all("no policy comes with it" in line for line in warned)
     assert not (folder / "out").exists()
 
 
-def test_a_policy_plays_as_it_was_trained_unless_told_otherwise(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_policy_plays_as_it_was_trained_unless_told_otherwise(folder, monkeypatch):
     planned: dict[str, JobSpec] = {}
 
     def plan(jobs: list[BenchJob], *_: object) -> BenchState:
@@ -158,9 +154,7 @@ def test_a_policy_plays_as_it_was_trained_unless_told_otherwise(
     assert planned["zero"].task == replace(TaskConfig(), stretch=2.0)
 
 
-def test_other_weights_in_the_same_file_are_another_run(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_other_weights_in_the_same_file_are_another_run(folder, monkeypatch, tmp_path):
     weights, planned = tmp_path / "weights.npz", list[JobSpec]()
 
     def plan(jobs: list[BenchJob], *_: object) -> BenchState:
@@ -179,7 +173,7 @@ def test_other_weights_in_the_same_file_are_another_run(
 
 
 @pytest.mark.slow
-def test_control_c_says_what_is_left_and_the_same_command_goes_on(folder: Path) -> None:
+def test_control_c_says_what_is_left_and_the_same_command_goes_on(folder):
     command = started("bench_agents:Slow")
     until(lambda: under_way(folder))
     os.killpg(command.pid, signal.SIGINT)  # as a terminal does
@@ -191,7 +185,7 @@ def test_control_c_says_what_is_left_and_the_same_command_goes_on(folder: Path) 
 
 
 @pytest.mark.slow
-def test_a_run_that_is_killed_loses_only_itself_and_is_taken_up_again(folder: Path) -> None:
+def test_a_run_that_is_killed_loses_only_itself_and_is_taken_up_again(folder):
     command = started("bench_agents:Counted")
     until(lambda: under_way(folder))
     os.kill(under_way(folder)[0], signal.SIGKILL)
@@ -203,7 +197,7 @@ def test_a_run_that_is_killed_loses_only_itself_and_is_taken_up_again(folder: Pa
 
 
 @pytest.mark.slow
-def test_runs_end_with_the_bench_that_was_killed(folder: Path) -> None:
+def test_runs_end_with_the_bench_that_was_killed(folder):
     command = started("bench_agents:Slow", "--stretch", "100")
     until(lambda: under_way(folder))
     (pid, *_) = under_way(folder)
@@ -213,7 +207,7 @@ def test_runs_end_with_the_bench_that_was_killed(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_killed_at_random_it_finishes_with_the_same_results(folder: Path) -> None:
+def test_killed_at_random_it_finishes_with_the_same_results(folder):
     chosen = "bench_agents:Slow,planner", "--seeds", "0-1"
     rng = random.Random(0)
     for _ in range(6):
@@ -233,7 +227,7 @@ def test_killed_at_random_it_finishes_with_the_same_results(folder: Path) -> Non
 
 
 @pytest.mark.slow
-def test_two_benches_share_the_runs_of_a_folder(folder: Path) -> None:
+def test_two_benches_share_the_runs_of_a_folder(folder):
     commands = [started("bench_agents:Counted", "--seeds", "0-1") for _ in range(2)]
     for command in commands:
         assert "4 of 4 runs finished" in of(command)
@@ -242,7 +236,7 @@ def test_two_benches_share_the_runs_of_a_folder(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_of_a_bench_that_was_killed_is_taken_up_by_another(folder: Path) -> None:
+def test_a_run_of_a_bench_that_was_killed_is_taken_up_by_another(folder):
     chosen = "bench_agents:Slow", "--stretch", "10"
     first = started(*chosen)
     until(lambda: len(under_way(folder)) == 2)
@@ -254,7 +248,7 @@ def test_a_run_of_a_bench_that_was_killed_is_taken_up_by_another(folder: Path) -
 
 
 @pytest.mark.slow
-def test_training_goes_through_the_same_matrix_and_is_resumed(folder: Path) -> None:
+def test_training_goes_through_the_same_matrix_and_is_resumed(folder):
     (folder / "songs" / "64.mid").unlink()
     chosen = "train:fast", "--num-steps", "6000"
     command = started(*chosen)
@@ -270,9 +264,7 @@ def test_training_goes_through_the_same_matrix_and_is_resumed(folder: Path) -> N
     assert not (result.folder / "training" / "checkpoint.safetensors").exists()
 
 
-def test_rows_of_the_table_tell_runs_apart(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rows_of_the_table_tell_runs_apart(folder, monkeypatch, capsys):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     (folder / "songs" / "60.mid").rename(folder / "songs" / f"{'long-' * 20}60.mid")
 

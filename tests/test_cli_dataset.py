@@ -48,7 +48,7 @@ def results(folder: Path) -> dict[str, int]:
 
 
 @pytest.mark.slow
-def test_killed_and_resumed_and_two_at_once(folder: Path) -> None:
+def test_killed_and_resumed_and_two_at_once(folder):
     killed = started("--episodes", "4")
     end = time.monotonic() + _PATIENCE
     while len(results(folder)) < 2:
@@ -72,9 +72,7 @@ def test_killed_and_resumed_and_two_at_once(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_episode_is_played_again_to_a_page(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_episode_is_played_again_to_a_page(folder, capsys):
     main([*COLLECT, *QUICK])
     capsys.readouterr()
     main(["dataset", "play", "out", "1", "-o", "page"])
@@ -108,8 +106,6 @@ def test_an_episode_is_played_again_to_a_page(
         (("export", "songs", "-o", "new"), "holds no demonstrations"),
     ],
 )
-def test_what_cannot_be_is_told_in_a_line(
-    folder: Path, words: tuple[str, ...], what: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_is_told_in_a_line(folder, words, what, capsys):
     assert what in refused_in_a_line(capsys, "dataset", *words)
     assert [path.name for path in folder.iterdir()] == ["songs"]

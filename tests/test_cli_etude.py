@@ -1,7 +1,6 @@
 """`cadenza etude`, as a person types it."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,9 +18,7 @@ def check_same(read: Score, made: Score) -> None:
     np.testing.assert_allclose(*table, atol=2e-5, rtol=0)
 
 
-def test_an_etude_is_written_and_read_back(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_etude_is_written_and_read_back(tmp_path, capsys):
     path = tmp_path / "new" / "etude.mid"
     main(["etude", "--kind", "arpeggios", "--difficulty", "3", "--seed", "7", "-o", str(path)])
     wanted = make_etude("arpeggios", 3, 7)
@@ -33,9 +30,7 @@ def test_an_etude_is_written_and_read_back(
     check_same(load_score(path), wanted)
 
 
-def test_what_is_not_given_is_drawn_and_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_not_given_is_drawn_and_said(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     main(["etude"])
     found = re.match(r"([a-z-]+)-3-(\d+)\.mid: ", capsys.readouterr().out)
@@ -55,7 +50,5 @@ def test_what_is_not_given_is_drawn_and_said(
         (["-o", "etude.mp3"], "etude.mp3: an etude is a .mid file"),
     ],
 )
-def test_what_cannot_be_made_is_said_in_a_line(
-    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_made_is_said_in_a_line(arguments, said, capsys):
     assert said in refused_in_a_line(capsys, "etude", *arguments)

@@ -59,9 +59,7 @@ def held(tmp_path: Path) -> Path:
     return path
 
 
-def test_plain_plays_the_notes_of_a_score_as_they_stand(
-    held: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_plain_plays_the_notes_of_a_score_as_they_stand(held, capsys):
     for options, seconds in (([], "8.0 s"), (["--plain"], "4.0 s")):
         main(["info", str(held), *options])
         assert seconds in capsys.readouterr().out
@@ -79,13 +77,11 @@ def test_plain_plays_the_notes_of_a_score_as_they_stand(
         ("library/Op. 28 No. 4", "Op. 28 No. 4"),
     ],
 )
-def test_results_are_called_as_the_song(song: str, name: str) -> None:
+def test_results_are_called_as_the_song(song, name):
     assert name_without_ending(song) == name
 
 
-def test_arrange_says_what_it_did(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_arrange_says_what_it_did(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     main(["arrange", "cmajorscaleonehand"])  # the file has the letters of the piece's own name
     line = capsys.readouterr().out.splitlines()[-1]
@@ -93,7 +89,7 @@ def test_arrange_says_what_it_did(
     assert line.endswith(": all notes kept")
 
 
-def test_info_lists_the_tracks(trio: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_lists_the_tracks(trio, capsys):
     main(["info", str(trio)])
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     heading = lines.index(["track", "notes", "range", "channel", "instrument", "name"])
@@ -101,18 +97,14 @@ def test_info_lists_the_tracks(trio: Path, capsys: pytest.CaptureFixture[str]) -
     assert lines[heading + 3] == ["3", "4", "A2", "to", "C3", "3", "clarinet", "Cello"]
 
 
-def test_info_tells_of_the_tracks_that_are_chosen(
-    trio: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_tells_of_the_tracks_that_are_chosen(trio, capsys):
     main(["info", str(trio), "--tracks", "1", "3"])
     said = capsys.readouterr().out
     assert "MIDI 45 to 79" in said
     assert "notes      8" in said
 
 
-def test_a_song_for_a_band_is_arranged_for_the_hands(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_song_for_a_band_is_arranged_for_the_hands(tmp_path, capsys):
     play = ["play", "benchmark/band-1007", *QUICK, "--first-seconds", "6", "-o", str(tmp_path)]
     main(play)
     said = capsys.readouterr().err
@@ -134,9 +126,7 @@ def test_a_song_for_a_band_is_arranged_for_the_hands(
     assert not (tmp_path / "arrangement.json").exists()  # of the other performance
 
 
-def test_music_that_the_hands_can_play_stays_as_it_is_unless_a_level_is_given(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_music_that_the_hands_can_play_stays_as_it_is_unless_a_level_is_given(tmp_path, capsys):
     main(["play", "MoonlightOpening", *QUICK, "-o", str(tmp_path)])
     assert "arranged" not in capsys.readouterr().err
     wanted, written = read_midi(tmp_path / "wanted.mid"), load_song("MoonlightOpening")
@@ -147,18 +137,14 @@ def test_music_that_the_hands_can_play_stays_as_it_is_unless_a_level_is_given(
     assert 0 < len(easy.notes) < len(written.notes)
 
 
-def test_what_is_too_wide_for_two_hands_is_moved_by_octaves(
-    trio: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_too_wide_for_two_hands_is_moved_by_octaves(trio, tmp_path, capsys):
     main(["play", str(trio), *QUICK, "-o", str(tmp_path)])
     said = capsys.readouterr().err
     assert "melody and bass whole, 100% of the other notes, 4 moved by octaves" in said
     assert len(read_midi(tmp_path / "wanted.mid").notes) == 12
 
 
-def test_a_song_is_arranged_as_sheet_music(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_song_is_arranged_as_sheet_music(tmp_path, capsys):
     sheet, midi, pages = (tmp_path / f"song.{ending}" for ending in ("musicxml", "mid", "pdf"))
     for path in (sheet, midi, pages):
         how = "--first-seconds", "8", "--level", "5", "-o", str(path)
@@ -181,28 +167,24 @@ def test_a_song_is_arranged_as_sheet_music(
         (["-o", "song.txt"], "song.txt: sheet music is a .musicxml, .pdf, .svg or .mid file"),
     ],
 )
-def test_what_cannot_be_arranged_is_told_in_a_line(
-    options: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_arranged_is_told_in_a_line(options, said, capsys):
     assert said in refused(capsys, "arrange", "benchmark/band-1007", *options)
 
 
-def test_without_hands_no_level_is_ignored(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_hands_no_level_is_ignored(capsys):
     said = refused(capsys, "play", "OdeToJoy", *QUICK, "--hands", "none", "--level", "2")
     assert "without hands, nothing can be arranged" in said
 
 
 @pytest.mark.parametrize("option", [("--level", "3"), ("--arrange", "always")])
-def test_what_is_learnt_is_not_arranged(
-    option: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_learnt_is_not_arranged(option, tmp_path, capsys):
     folder = tmp_path / "run"
     said = refused(capsys, "train", "OdeToJoy", *option, "-o", folder)
     assert "songs are learnt as written: write an arrangement with cadenza arrange" in said
     assert not folder.exists()
 
 
-def test_expression_is_that_of_the_arrangement() -> None:
+def test_expression_is_that_of_the_arrangement():
     how = Arrangement(expression=1.0, first_seconds=6.0)
     scene = build_scene()
     written = arrange(load_song("benchmark/band-1007"), Arrangement(), scene)
@@ -212,9 +194,7 @@ def test_expression_is_that_of_the_arrangement() -> None:
     assert len(played.original.notes) > len(played.arranged.score.notes)
 
 
-def test_a_plan_of_some_tracks_is_replayed_with_them_and_no_others(
-    trio: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_of_some_tracks_is_replayed_with_them_and_no_others(trio, tmp_path, capsys):
     plan = tmp_path / "plan.safetensors"
     main(["plan", str(trio), "--tracks", "1", "3", "--planner.method", "none", "-o", str(plan)])
     _, *arguments = shlex.split(capsys.readouterr().out.strip().splitlines()[-1])
@@ -224,9 +204,7 @@ def test_a_plan_of_some_tracks_is_replayed_with_them_and_no_others(
     assert "was planned with tracks [1, 3], but here it is []" in said
 
 
-def test_a_plan_with_expression_is_replayed_with_its_rules(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_with_expression_is_replayed_with_its_rules(tmp_path, capsys):
     plan, rules = tmp_path / "plan.safetensors", ["--expression", "0.5", "--rules.phrase-arch", "3"]
     main(["plan", "OdeToJoy", *rules, "--planner.method", "none", "-o", str(plan)])
     _, *arguments = shlex.split(capsys.readouterr().out.strip().splitlines()[-1])
@@ -242,7 +220,7 @@ def test_a_plan_with_expression_is_replayed_with_its_rules(
     assert "was planned with rules" in said
 
 
-def test_rules_without_expression_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_rules_without_expression_are_refused(capsys):
     said = refused(capsys, "play", "OdeToJoy", "--rules.melody-lead", "2")
     assert "rules change nothing without expression: give --expression 1, too" in said
     assert "choose 0 to 10" in refused(
@@ -250,13 +228,13 @@ def test_rules_without_expression_are_refused(capsys: pytest.CaptureFixture[str]
     )
 
 
-def test_a_track_that_is_not_there(trio: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_track_that_is_not_there(trio, capsys):
     assert "no track 4; the file has tracks 1 to 3" in refused(capsys, "info", trio, "--tracks", 4)
     said = refused(capsys, "play", "OdeToJoy", "--tracks", 2)
     assert "no track 2; the file has one track" in said
 
 
-def test_a_file_whose_name_is_no_text_is_played(trio: Path, tmp_path: Path) -> None:
+def test_a_file_whose_name_is_no_text_is_played(trio, tmp_path):
     path = trio.rename(tmp_path / os.fsdecode(b"pr\xe4ludium.mid"))
     arguments = ["play", str(path), *QUICK, "-o", str(tmp_path / "out"), "--tracks", "1"]
     code = f"from cadenza.cli import main; main({arguments!a})"
@@ -264,7 +242,7 @@ def test_a_file_whose_name_is_no_text_is_played(trio: Path, tmp_path: Path) -> N
     assert (tmp_path / "out" / "report.html").is_file()
 
 
-def test_musicxml_is_played_as_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_musicxml_is_played_as_well(tmp_path, capsys):
     pitch = "<pitch><step>C</step><octave>4</octave></pitch>"
     measure = f"<measure><note>{pitch}<duration>1</duration></note></measure>"
     names = '<part-list><score-part id="P1"><part-name>Piano</part-name></score-part></part-list>'
@@ -284,16 +262,12 @@ def test_musicxml_is_played_as_well(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["--control-timestep", "1e-9"], "control steps; the maximum is 720000"),
     ],
 )
-def test_songs_of_hours_are_refused(
-    options: list[str], message: str, trio: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_songs_of_hours_are_refused(options, message, trio, tmp_path, capsys):
     said = refused(capsys, "play", trio, "--tracks", 1, *QUICK, *options, "-o", tmp_path / "out")
     assert message in said
 
 
-def test_notes_too_fast_for_control_steps_are_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_notes_too_fast_for_control_steps_are_told(tmp_path, capsys):
     song = tmp_path / "trill.mid"
     notes = tuple(Note(round(0.08 * i, 9), round(0.08 * i, 9) + 0.04, 60) for i in range(10))
     write_midi(Score(notes), song)
@@ -305,9 +279,7 @@ def test_notes_too_fast_for_control_steps_are_told(
     assert "too fast" not in capsys.readouterr().err
 
 
-def test_a_pedal_that_is_hardly_lifted_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pedal_that_is_hardly_lifted_is_told(tmp_path, capsys):
     moves = ((0.0, 127), (0.5, 0), (0.51, 127), (0.9, 0))
     song = tmp_path / "pedal.mid"
     write_midi(Score((Note(0, 1, 60),), tuple(PedalEvent(*move) for move in moves)), song)

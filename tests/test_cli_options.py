@@ -42,7 +42,7 @@ def listed() -> str:
     return "\n".join(f"{command}\n{help_of(command)}" for command in COMMANDS)
 
 
-def test_the_options_of_all_commands_are_as_recorded() -> None:
+def test_the_options_of_all_commands_are_as_recorded():
     assert listed() == RECORDED.read_text()
 
 

@@ -16,9 +16,7 @@ def bench(tmp_path: Path) -> Path:
     return tmp_path / "bench"
 
 
-def test_a_page_and_tables_are_left_and_agents_told(
-    bench: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_page_and_tables_are_left_and_agents_told(bench, capsys):
     (bench / "runs" / "begun").mkdir()
     main(["results", str(bench)])
     left = {path.name for path in (bench / "results").iterdir()}
@@ -29,13 +27,13 @@ def test_a_page_and_tables_are_left_and_agents_told(
     assert told.endswith(f"Open {bench / 'results' / 'index.html'}\n")
 
 
-def test_folders_may_have_names_that_are_no_text(bench: Path, tmp_path: Path) -> None:
+def test_folders_may_have_names_that_are_no_text(bench, tmp_path):
     strange = bench.rename(tmp_path / os.fsdecode(b"b\xfc"))
     main(["results", str(strange), "-o", str(tmp_path / "out")])
     assert "b%FC/runs/" in (tmp_path / "out" / "index.html").read_text()
 
 
-def test_another_folder_and_a_figure(bench: Path, tmp_path: Path) -> None:
+def test_another_folder_and_a_figure(bench, tmp_path):
     main(["results", str(bench), "-o", str(tmp_path / "out"), "--figure", str(tmp_path / "f.svg")])
     assert (tmp_path / "out" / "index.html").exists()
     assert (tmp_path / "f.svg").read_text().startswith("<svg")
@@ -50,13 +48,7 @@ def test_another_folder_and_a_figure(bench: Path, tmp_path: Path) -> None:
         (["empty"], "empty: no run is finished"),
     ],
 )
-def test_what_cannot_be_summed_up(
-    bench: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    said: str,
-) -> None:
+def test_what_cannot_be_summed_up(bench, monkeypatch, capsys, arguments, said):
     monkeypatch.chdir(bench.parent)
     Path("empty", "runs").mkdir(parents=True)
     assert said in refused(capsys, "results", *arguments)

@@ -55,7 +55,7 @@ def rows(folder: Path) -> list[dict[str, float]]:
     return [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
 
 
-def test_a_run_leaves_what_the_readme_names(run: Path) -> None:
+def test_a_run_leaves_what_the_readme_names(run):
     for name in ("run.json", "metrics.jsonl", "report.html", "best", "last", "best_played"):
         assert (run / name).exists(), name
     assert list((run / "tensorboard").glob("events.out.tfevents.*"))
@@ -64,7 +64,7 @@ def test_a_run_leaves_what_the_readme_names(run: Path) -> None:
     assert "best_played/report.html" in (run / "report.html").read_text()
 
 
-def test_tensorboard_has_the_figures(run: Path) -> None:
+def test_tensorboard_has_the_figures(run):
     from tensorboardX.proto.event_pb2 import Event  # of the library that wrote them
     from tensorboardX.record_writer import masked_crc32c
 
@@ -82,18 +82,14 @@ def test_tensorboard_has_the_figures(run: Path) -> None:
             assert seen[row["eval_step"], "eval/f1"] == pytest.approx(row["eval/f1"])
 
 
-def test_the_policy_plays_as_it_was_evaluated(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_policy_plays_as_it_was_evaluated(run, tmp_path, capsys):
     best = max(row["eval/f1"] for row in rows(run) if "eval/f1" in row)
     main(["play", "--agent", str(run), "--no-video", "-o", str(tmp_path)])
     capsys.readouterr()
     assert json.loads((tmp_path / "metrics.json").read_text())["f1"] == best
 
 
-def test_a_policy_learns_when_notes_begin_and_how_loud_and_plays(
-    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_policy_learns_when_notes_begin_and_how_loud_and_plays(tune, tmp_path, capsys):
     """It is stopped, goes on, and is evaluated and played with the terms that it learnt by."""
     folder = tmp_path / "run"
     options = ["--onset-timing-coefficient", "0.5", "--loudness-coefficient", "1"]
@@ -113,12 +109,12 @@ def test_a_policy_learns_when_notes_begin_and_how_loud_and_plays(
     )
 
 
-def test_compare_takes_policies(run: Path, tune: Path, tmp_path: Path) -> None:
+def test_compare_takes_policies(run, tune, tmp_path):
     main(["compare", str(tune), "--agents", "zero", str(run), "-o", str(tmp_path)])
     assert len(json.loads((tmp_path / "compare.json").read_text())["runs"]) == 2
 
 
-def test_help_shows_the_named_preset(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_shows_the_named_preset(capsys):
     shown = {}
     for name in ("paper", "published", "fast"):
         with pytest.raises(SystemExit):
@@ -132,16 +128,14 @@ def test_help_shows_the_named_preset(capsys: pytest.CaptureFixture[str]) -> None
     assert "(default: 128 128)" in " ".join(capsys.readouterr().out.split())
 
 
-def test_a_finished_run_stays_finished(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_finished_run_stays_finished(run, capsys):
     before = rows(run)
     main(["train", "--resume", str(run), "--no-video"])
     assert "Learning curves in" in capsys.readouterr().out
     assert rows(run) == before
 
 
-def test_a_run_goes_on_to_another_end(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_goes_on_to_another_end(run, tmp_path, capsys, monkeypatch):
     pages = []
     monkeypatch.setattr(
         "cadenza.report.training_page.training_page", lambda *page: pages.append(page) or iter(())
@@ -163,9 +157,7 @@ def test_a_run_goes_on_to_another_end(
     assert "(default: 16 16)" in shown
 
 
-def test_curves_of_several_runs_make_one_page(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_curves_of_several_runs_make_one_page(run, tmp_path, capsys):
     other, page = tmp_path / "other", tmp_path / "curves.html"
     shutil.copytree(run, other)
     main(["curves", str(run), str(other), "-o", str(page)])
@@ -187,7 +179,7 @@ def test_curves_of_several_runs_make_one_page(
     assert not picture.exists()
 
 
-def test_ctrl_c_leaves_a_checkpoint_and_says_how_to_go_on(tune: Path, tmp_path: Path) -> None:
+def test_ctrl_c_leaves_a_checkpoint_and_says_how_to_go_on(tune, tmp_path):
     folder = tmp_path / "run"
     code = "from cadenza.cli import main; main()"
     command = [sys.executable, "-c", code, "train", str(tune), "-o", str(folder), *SMALL]
@@ -218,13 +210,7 @@ def at_once(_: str) -> Iterator[Callable[[], bool]]:
 
 
 @pytest.mark.parametrize("when", ["while it is made", "before the first figures"])
-def test_a_run_that_is_stopped_at_once_can_go_on(
-    when: str,
-    tune: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_run_that_is_stopped_at_once_can_go_on(when, tune, tmp_path, capsys, monkeypatch):
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -244,8 +230,8 @@ def test_a_run_that_is_stopped_at_once_can_go_on(
 
 
 def test_a_run_with_a_hand_of_ones_own_goes_on_where_that_is_given_again(
-    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tune, tmp_path, capsys, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path, ""])
     Path("own_hand.py").write_text("from cadenza.hands.shadow import SHADOW as MINE")
@@ -265,18 +251,14 @@ def test_a_run_with_a_hand_of_ones_own_goes_on_where_that_is_given_again(
     assert "own_hand" not in sys.modules
 
 
-def test_a_run_is_begun_by_one_process_alone(
-    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_is_begun_by_one_process_alone(tune, tmp_path, capsys):
     """The second neither begins another run in the folder nor changes the first."""
     with RunFolder(tmp_path / "run").locked():
         assert "another process" in refused(capsys, "train", tune, "-o", tmp_path / "run", *SMALL)
     assert not (tmp_path / "run" / "run.json").exists()
 
 
-def test_a_run_that_cannot_be_made_leaves_its_folder_free(
-    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_that_cannot_be_made_leaves_its_folder_free(tune, tmp_path, capsys):
     train = "train", tune, "-o", tmp_path / "run", *SMALL, *SHORT
     assert "not enough memory" in refused(capsys, *train, "--buffer-size", 10**14)
     assert "control_timestep" in refused(capsys, *train, "--control-timestep", 0.0333)
@@ -284,9 +266,7 @@ def test_a_run_that_cannot_be_made_leaves_its_folder_free(
     assert (tmp_path / "run" / "best").is_dir()
 
 
-def test_what_makes_no_sense_is_said_in_a_line(
-    run: Path, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_makes_no_sense_is_said_in_a_line(run, tune, tmp_path, capsys):
     assert "give a song" in refused(capsys, "train")
     assert "give a song" in refused(capsys, "train", tune, "--resume", run)
     assert "already holds a run" in refused(capsys, "train", tune, "-o", run)

@@ -32,7 +32,7 @@ def line(error: pytest.ExceptionInfo[CadenzaError]) -> str:
     ["x", b"1", object(), np.array([1, 2]), [None]],
     ids=["text", "bytes", "object", "array", "list"],
 )
-def test_an_option_of_another_type(kind: type, name: str, value: Any) -> None:
+def test_an_option_of_another_type(kind, name, value):
     if name in NAMES and isinstance(value, str):
         pytest.skip("text is what it should be")
     with pytest.raises(CadenzaError) as error:
@@ -41,13 +41,13 @@ def test_an_option_of_another_type(kind: type, name: str, value: Any) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(NAMES))
-def test_a_name_that_nothing_has(name: str) -> None:
+def test_a_name_that_nothing_has(name):
     with pytest.raises(CadenzaError) as error:
         build_scene(SceneConfig(**{name: "x"}))
     assert line(error).startswith(f"no {name} 'x'")
 
 
-def test_options_become_plain_values() -> None:
+def test_options_become_plain_values():
     config = as_config(TaskConfig(stretch=2, transpose=np.int64(3)), TaskConfig)  # type: ignore[arg-type]
     assert config == TaskConfig(stretch=2.0, transpose=3)
     assert [type(config.stretch), type(config.transpose)] == [float, int]
@@ -71,14 +71,14 @@ def test_options_become_plain_values() -> None:
     ],
     ids=repr,
 )
-def test_environments_of_what_they_cannot_be_made_of(options: dict[str, Any]) -> None:
+def test_environments_of_what_they_cannot_be_made_of(options):
     with pytest.raises(CadenzaError) as error:
         gym.make_vec("cadenza/Piano-v0", **{"song": TUNE, "num_envs": 1, **options})
     assert len(line(error)) < 200  # and not all fields of what was given instead
 
 
 @pytest.mark.parametrize("value", ["text", None, [1, 2], [[1.0]], [float("nan")]], ids=repr)
-def test_a_reward_that_is_none(value: Any) -> None:
+def test_a_reward_that_is_none(value):
     env = gym.make("cadenza/Piano-v0", song=TUNE, reward_terms={"mine": lambda _: value})
     env.reset(seed=0)
     with pytest.raises(CadenzaError, match="reward term 'mine' returned") as error:
@@ -87,7 +87,7 @@ def test_a_reward_that_is_none(value: Any) -> None:
 
 
 @pytest.mark.parametrize("song", [5, None, b"x", [], {}, 3.5], ids=repr)
-def test_what_is_no_song(song: Any) -> None:
+def test_what_is_no_song(song):
     for play in (cadenza.load_song, cadenza.play, cadenza.plan):
         with pytest.raises(CadenzaError, match=r"song .*: give|plays any song; name one") as error:
             play(song)
@@ -108,13 +108,13 @@ def test_what_is_no_song(song: Any) -> None:
     ],
     ids=repr,
 )
-def test_what_nobody_can_play_with(agent: Any, options: dict[str, Any]) -> None:
+def test_what_nobody_can_play_with(agent, options):
     with pytest.raises(CadenzaError) as error:
         cadenza.play(TUNE, agent, **options)
     line(error)
 
 
-def test_a_class_in_place_of_an_agent_is_named() -> None:
+def test_a_class_in_place_of_an_agent_is_named():
     class Mine(cadenza.Agent):
         def act(self, view: cadenza.View) -> Any:
             raise AssertionError
@@ -139,9 +139,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_agents_of_others_that_break(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_agents_of_others_that_break(name, tmp_path, monkeypatch, capsys):
     (tmp_path / f"broken_{name}.py").write_text(f"from cadenza import Agent\n{BROKEN[name]}")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
@@ -152,7 +150,7 @@ def test_agents_of_others_that_break(
     assert said.startswith("cadenza: agent ")
 
 
-def test_an_agent_s_own_error_is_the_cause() -> None:
+def test_an_agent_s_own_error_is_the_cause():
     class Breaks(cadenza.Agent):
         def reset(self, env_ids: Any, rngs: Any) -> None:
             raise KeyError("here")
@@ -165,7 +163,7 @@ def test_an_agent_s_own_error_is_the_cause() -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a pipe with a name")
-def test_a_file_that_never_ends_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_file_that_never_ends_is_not_waited_for(tmp_path):
     pipe = tmp_path / "pipe.mid"
     os.mkfifo(pipe)
     for path in (pipe, Path("/dev/zero"), Path("/dev/null")):
@@ -179,9 +177,7 @@ def test_a_file_that_never_ends_is_not_waited_for(tmp_path: Path) -> None:
         line(error)
 
 
-def test_a_name_of_two_lines_is_shown_in_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_name_of_two_lines_is_shown_in_one(tmp_path, monkeypatch, capsys):
     (tmp_path / "two\nlines").mkdir()
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit):

@@ -21,13 +21,13 @@ DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 
 
-def test_every_page_is_in_the_contents() -> None:
+def test_every_page_is_in_the_contents():
     listed = re.findall(r"^([\w/-]+)$", (DOCS / "index.md").read_text(), re.MULTILINE)
     pages = [str(page.relative_to(DOCS).with_suffix("")) for page in PAGES]
     assert sorted([*listed, "index"]) == sorted(pages)
 
 
-def test_the_python_files_that_pages_name_exist() -> None:
+def test_the_python_files_that_pages_name_exist():
     places = ("src", "tests", "tools", "benchmarks", "examples")
     files = {
         f"/{path.relative_to(ROOT)}" for folder in places for path in (ROOT / folder).rglob("*.py")
@@ -37,7 +37,7 @@ def test_the_python_files_that_pages_name_exist() -> None:
             assert any(file.endswith(f"/{name}") for file in files), (page.name, name)
 
 
-def test_the_page_of_the_task_has_the_sizes_of_the_environments() -> None:
+def test_the_page_of_the_task_has_the_sizes_of_the_environments():
     text = (DOCS / "task.md").read_text()
     parts = dict(re.findall(r"^\| `(\w+)` \| (\d+) \|", text, re.MULTILINE))
     with closing(PianoEnv("OdeToJoy")) as env:
@@ -50,19 +50,19 @@ def test_the_page_of_the_task_has_the_sizes_of_the_environments() -> None:
     assert f"An action has {sizes[1]} numbers" in text
 
 
-def test_every_public_name_is_in_the_reference() -> None:
+def test_every_public_name_is_in_the_reference():
     text = (DOCS / "reference.md").read_text()
     assert sorted(re.findall(r"^\.\. auto\w+:: (\w+)", text, re.MULTILINE)) == cadenza.__all__
 
 
-def test_the_architecture_lists_all_folders_and_what_they_stand_on() -> None:
+def test_the_architecture_lists_all_folders_and_what_they_stand_on():
     rows = re.findall(
         r"^\| `(\w+)/` \| .* \| (.*)\|$", (DOCS / "architecture.md").read_text(), re.MULTILINE
     )
     assert {folder: set(re.findall(r"\w+", below)) for folder, below in rows} == STANDS_ON
 
 
-def test_the_picture_of_the_architecture_is_as_it_is_drawn() -> None:
+def test_the_picture_of_the_architecture_is_as_it_is_drawn():
     picture = runpy.run_path(str(ROOT / "tools" / "draw_architecture.py"))
     assert picture["PICTURE"].read_text() == picture["drawn"]()
     named = {box.folder.rstrip("/") for box in picture["BOXES"] if box.folder.endswith("/")}
@@ -70,7 +70,7 @@ def test_the_picture_of_the_architecture_is_as_it_is_drawn() -> None:
 
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda page: page.stem)
-def test_tables_are_as_the_results_have_them(page: Path) -> None:
+def test_tables_are_as_the_results_have_them(page):
     text = page.read_text()
     tables = runpy.run_path(str(ROOT / "tools" / "write_tables.py"))
     assert text.count("<!-- table: ") == len(tables["MARKED"].findall(text))
@@ -78,7 +78,7 @@ def test_tables_are_as_the_results_have_them(page: Path) -> None:
 
 
 @pytest.mark.parametrize("name", cadenza.__all__)
-def test_every_public_name_says_what_it_is(name: str) -> None:
+def test_every_public_name_says_what_it_is(name):
     value = getattr(cadenza, name)
     assert value.__doc__
     assert not value.__doc__.startswith(f"{name}(")  # what dataclass would write
@@ -106,9 +106,7 @@ class Links(HTMLParser):
 
 
 @pytest.mark.slow
-def test_the_site_plays_is_built_without_warnings_and_its_links_lead_somewhere(
-    tmp_path: Path,
-) -> None:
+def test_the_site_plays_is_built_without_warnings_and_its_links_lead_somewhere(tmp_path):
     subprocess.run([sys.executable, DOCS / "gallery.py", tmp_path / "gallery"], check=True)
     command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--quiet", DOCS, tmp_path]
     built = subprocess.run(command, capture_output=True, text=True)

@@ -15,9 +15,7 @@ LOADER = ImportError("libjax_common.so: failed to map segment from shared object
 
 
 @pytest.mark.parametrize("error", [MemoryError(), MUJOCO, LOADER], ids=["own", "mujoco", "loader"])
-def test_a_command_without_memory_says_so(
-    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_without_memory_says_so(error, monkeypatch, capsys):
     def fail(_: str) -> None:
         raise error
 
@@ -30,7 +28,7 @@ def test_a_command_without_memory_says_so(
 
 
 @pytest.mark.parametrize("error", [MemoryError(), MUJOCO, LOADER], ids=["own", "mujoco", "loader"])
-def test_code_of_others_without_memory_is_not_to_blame(error: Exception) -> None:
+def test_code_of_others_without_memory_is_not_to_blame(error):
     with pytest.raises(CadenzaError, match="there is not enough memory"), by_others("agent own"):
         raise error
 
@@ -51,13 +49,11 @@ class WithoutRepr:
         (WithoutRepr(), "a value of type WithoutRepr"),
     ],
 )
-def test_what_was_read_is_quoted_in_a_short_line(value: object, said: str) -> None:
+def test_what_was_read_is_quoted_in_a_short_line(value, said):
     assert quoted(value) == said
 
 
-def test_an_argument_of_any_length_is_told_in_a_short_line(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_argument_of_any_length_is_told_in_a_short_line(capsys):
     for words in ["results", "x" * 5000], ["play", "x" * 5000]:
         with pytest.raises(SystemExit) as stop:
             main(words)
@@ -66,12 +62,12 @@ def test_an_argument_of_any_length_is_told_in_a_short_line(
         assert len(line) < 1600
 
 
-def test_words_of_others_become_a_short_line() -> None:
+def test_words_of_others_become_a_short_line():
     assert shortened(" no\tsuch\n  \x07table ") == r"no such \x07table"
     assert shortened("word " * 1000, 12) == "word word..."
 
 
-def test_a_package_without_memory_need_not_be_installed() -> None:
+def test_a_package_without_memory_need_not_be_installed():
     with (
         pytest.raises(CadenzaError, match="there is not enough memory"),
         extra_packages("train", "training"),
@@ -84,9 +80,7 @@ def test_a_package_without_memory_need_not_be_installed() -> None:
         raise ImportError("No module named 'jax'")
 
 
-def test_what_is_blamed_on_a_file_may_be_a_lack_of_memory(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_blamed_on_a_file_may_be_a_lack_of_memory(monkeypatch, capsys):
     def read(_: str) -> None:
         try:
             raise MemoryError

@@ -37,7 +37,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     return run
 
 
-def test_every_example_is_run() -> None:
+def test_every_example_is_run():
     tests = Path(__file__).read_text()
     for path in EXAMPLES.glob("*.py"):
         assert f'run("{path.stem}"' in tests
@@ -72,7 +72,7 @@ def framed_in(html: str) -> str:
     return frame["srcdoc"]
 
 
-def test_a_notebook_shows_a_page_with_sound(shown) -> None:
+def test_a_notebook_shows_a_page_with_sound(shown):
     played, metrics, shape, step, nothing = shown("play.ipynb")
     assert len(played["text/plain"]) < 100
     assert played["text/plain"].startswith("Performance('Twinkle, Twinkle, Little Star' by planner")
@@ -89,7 +89,7 @@ def test_a_notebook_shows_a_page_with_sound(shown) -> None:
     assert Path("played/notebook/report.html").exists()
 
 
-def test_what_a_notebook_shows_is_bounded() -> None:
+def test_what_a_notebook_shows_is_bounded():
     long = cadenza.Score((*UP.notes, Note(250.0, 250.5, 60)), title="<Long>")
     performance = cadenza.play(long, "zero", task=cadenza.TaskConfig(control_timestep=0.5))
     html = performance._repr_html_()
@@ -97,13 +97,13 @@ def test_what_a_notebook_shows_is_bounded() -> None:
     assert "&lt;Long&gt;" in html
 
 
-def test_a_random_agent(run) -> None:
+def test_a_random_agent(run):
     first, last = run("random_agent", "Up.mid")
     assert first.startswith("Up: observations (3412,), actions (39,)")
     assert float(last.split()[-1]) < 0.9
 
 
-def test_a_loop_of_robopianist(run) -> None:
+def test_a_loop_of_robopianist(run):
     said = run("from_robopianist", "Up.mid")
     assert said[0] == "39 actions, the last is sustain"
     metrics = [ast.literal_eval(line) for line in said[2:]]
@@ -113,7 +113,7 @@ def test_a_loop_of_robopianist(run) -> None:
         assert 0 <= each["f1"] <= 1
 
 
-def test_an_agent_of_ones_own(run) -> None:
+def test_an_agent_of_ones_own(run):
     said = dict(line.split(": F1 ") for line in run("own_agent", "Up.mid"))
     assert float(said["planner"]) >= float(said["Trembling"]) > 0.5
     assert Path("played/Trembling/report.html").exists()
@@ -121,7 +121,7 @@ def test_an_agent_of_ones_own(run) -> None:
     assert settings["Trembling"] == {"noise": 0.02}
 
 
-def test_a_reward_of_ones_own(run) -> None:
+def test_a_reward_of_ones_own(run):
     rows = [line.rsplit("[", 1) for line in run("own_reward", "Up.mid")[1:]]
     sums = {name.strip(): np.fromstring(row.rstrip("]"), sep=" ") for name, row in rows}
     assert (sums["reward/wrong_keys"] <= 0).all()
@@ -130,7 +130,7 @@ def test_a_reward_of_ones_own(run) -> None:
     np.testing.assert_allclose(sum(sums.values()), total, atol=0.21)  # all rounded to a tenth
 
 
-def test_a_new_hand(run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_hand(run, monkeypatch):
     monkeypatch.syspath_prepend(EXAMPLES)  # as for a program that is started there
     (said,) = run("claw", "Up.mid")
     assert float(said.removeprefix("F1 ")) > 0.9
@@ -139,7 +139,7 @@ def test_a_new_hand(run, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_training(run) -> None:
+def test_training(run):
     said = run("train", "Up.mid", "400")
     metrics = json.loads(Path("played/metrics.json").read_text())
     assert said == [f"F1 {metrics['f1']:.3f}"]
@@ -151,7 +151,7 @@ def test_training(run) -> None:
 
 
 @pytest.mark.slow
-def test_training_with_stable_baselines3(run) -> None:
+def test_training_with_stable_baselines3(run):
     pytest.importorskip("stable_baselines3", reason="make sb3 runs this")
     import torch
 
@@ -165,7 +165,7 @@ def test_training_with_stable_baselines3(run) -> None:
 
 
 @pytest.mark.slow
-def test_training_with_brax(run) -> None:
+def test_training_with_brax(run):
     """On the CPU, where the simulation alone compiles for minutes."""
     pytest.importorskip("brax")
     pytest.importorskip("mujoco_warp")
@@ -173,7 +173,7 @@ def test_training_with_brax(run) -> None:
     assert all(re.fullmatch(r"\d+ steps: return -?[\d.]+, F1 [\d.]+", line) for line in said)
 
 
-def test_a_dataset(run) -> None:
+def test_a_dataset(run):
     said = run("make_dataset", "songs.npz", "Up.mid", "Down.mid")
     data = np.load("songs.npz")
     steps = [int(line.split()[1]) for line in said[:2]]

@@ -57,7 +57,7 @@ def mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
-def test_writes_into_folders_that_it_makes(tmp_path: Path) -> None:
+def test_writes_into_folders_that_it_makes(tmp_path):
     path = tmp_path / "a" / "b" / "file.bin"
     with write_atomically(path) as file:
         file.write(b"whole")
@@ -65,7 +65,7 @@ def test_writes_into_folders_that_it_makes(tmp_path: Path) -> None:
     assert [p.name for p in path.parent.iterdir()] == ["file.bin"]
 
 
-def test_the_old_file_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
+def test_the_old_file_stays_until_the_new_one_is_whole(tmp_path):
     path = tmp_path / "file.bin"
     path.write_bytes(b"old")
     with write_atomically(path) as file:
@@ -77,9 +77,7 @@ def test_the_old_file_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 @pytest.mark.parametrize("existed", [True, False])
-def test_an_error_leaves_the_old_file_and_nothing_else(
-    tmp_path: Path, error: type[BaseException], existed: bool
-) -> None:
+def test_an_error_leaves_the_old_file_and_nothing_else(tmp_path, error, existed):
     path = tmp_path / "file.bin"
     if existed:
         path.write_bytes(b"old")
@@ -95,13 +93,13 @@ def write_half(path: Path, error: type[BaseException]) -> None:
 
 
 @pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
-def test_a_new_file_may_be_read_by_whom_the_umask_says(tmp_path: Path, mask: int) -> None:
+def test_a_new_file_may_be_read_by_whom_the_umask_says(tmp_path, mask):
     with umask(mask), write_atomically(tmp_path / "new"):
         pass
     assert mode(tmp_path / "new") == 0o666 & ~mask
 
 
-def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path: Path) -> None:
+def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path):
     path = tmp_path / "private"
     path.touch()
     path.chmod(0o600)
@@ -111,7 +109,7 @@ def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path: Path) -> None:
     assert mode(path) == 0o600
 
 
-def test_a_link_is_replaced_and_not_followed(tmp_path: Path) -> None:
+def test_a_link_is_replaced_and_not_followed(tmp_path):
     target, link = tmp_path / "target", tmp_path / "link"
     target.write_text("dear")
     link.symlink_to(target)
@@ -123,7 +121,7 @@ def test_a_link_is_replaced_and_not_followed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["x" * 255, "ü" * 127 + "x"])
-def test_a_name_may_be_as_long_as_the_system_allows(tmp_path: Path, name: str) -> None:
+def test_a_name_may_be_as_long_as_the_system_allows(tmp_path, name):
     with write_atomically(tmp_path / name) as file:
         file.write(b"long")
     assert (tmp_path / name).read_bytes() == b"long"
@@ -153,7 +151,7 @@ def assert_refused(path: Path, saying: str) -> None:
     assert str(error.value).isprintable()
 
 
-def test_json_becomes_what_was_asked_for(tmp_path: Path) -> None:
+def test_json_becomes_what_was_asked_for(tmp_path):
     path = tmp_path / "file.json"
     path.write_text('{"name": "Für", "part": {"size": 2, "sides": [1, 2]}, "more": {"n": [null]}}')
     assert read_json(path, Whole) == Whole("Für", Part(2.0, (1, 2)), more={"n": [None]})
@@ -182,20 +180,18 @@ def test_json_becomes_what_was_asked_for(tmp_path: Path) -> None:
         (b'{"name": "", "part": {"size": "\\ud800"}}', r"Expected text.* at `\$\.part\.size`"),
     ],
 )
-def test_json_of_something_else_is_refused_in_one_line(
-    tmp_path: Path, content: bytes, saying: str
-) -> None:
+def test_json_of_something_else_is_refused_in_one_line(tmp_path, content, saying):
     path = tmp_path / "file.json"
     path.write_bytes(content)
     assert_refused(path, saying)
 
 
-def test_json_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+def test_json_that_cannot_be_read_is_refused(tmp_path):
     assert_refused(tmp_path / "none", "there is no such file")
     assert_refused(tmp_path, r"cannot be read \(Is a directory\)")
 
 
-def test_numbers_beyond_64_bits_are_kept() -> None:
+def test_numbers_beyond_64_bits_are_kept():
     """The state of a random generator has 128."""
     assert checked({"n": 2**127 + 1}, dict[str, Any], "here") == {"n": 2**127 + 1}
 
@@ -223,9 +219,7 @@ ARRAYS = {"a": np.zeros((4, 3)), "b": np.ones(4, np.float32), "extra_x": np.zero
         ({"extra_x": np.zeros((4, 4))}, "extra_x is"),
     ],
 )
-def test_arrays_of_something_else_are_refused(
-    tmp_path: Path, change: dict[str, np.ndarray], saying: str
-) -> None:
+def test_arrays_of_something_else_are_refused(tmp_path, change, saying):
     path = tmp_path / "file.npz"
     np.savez(path, **ARRAYS)
     assert read_arrays(path, EXPECTED).keys() == ARRAYS.keys()
@@ -284,7 +278,7 @@ def with_little_memory() -> Iterator[None]:
         (npz(**{"a\nb": npy((1,), bytes(8))}), "not a readable"),
     ],
 )
-def test_what_a_file_unpacks_to_is_bounded(tmp_path: Path, content: bytes, saying: str) -> None:
+def test_what_a_file_unpacks_to_is_bounded(tmp_path, content, saying):
     path = tmp_path / "file.npz"
     path.write_bytes(content)
     with with_little_memory(), pytest.raises(CadenzaError, match=saying):
@@ -300,7 +294,7 @@ def huge(tmp_path: Path) -> Path:
     return path
 
 
-def test_what_is_too_large_is_not_read(huge: Path) -> None:
+def test_what_is_too_large_is_not_read(huge):
     with with_little_memory():
         for read in (
             content_of,
@@ -320,7 +314,7 @@ def test_what_is_too_large_is_not_read(huge: Path) -> None:
     ("text", "number"),
     [("0", 0), ("007", 7), ("+3600", 3600), ("1.5", 1.5), (".5", 0.5), ("2.", 2), ("1e3", 1000)],
 )
-def test_numbers_are_read_within_their_bounds(text: str, number: float) -> None:
+def test_numbers_are_read_within_their_bounds(text, number):
     assert number_in(text, "time", 0, 3600) == number
     with pytest.raises(CadenzaError, match=f"^time '{re.escape(text)}'; expected a number, 4,000 "):
         number_in(text, "time", 4000, 5000)
@@ -335,13 +329,13 @@ def test_numbers_are_read_within_their_bounds(text: str, number: float) -> None:
         *("1e999", "9" * 41, "9" * 5000, "1" * 5000 + "x"),
     ],
 )
-def test_what_is_no_number_within_them_is_refused(text: str) -> None:
+def test_what_is_no_number_within_them_is_refused(text):
     for read in (number_in, whole_number_in):
         with pytest.raises(CadenzaError, match=r"^bar '.*; expected a (whole )?number, 0 to 3,600"):
             read(text, "bar", 0, 3600)
 
 
-def test_a_digest_is_that_of_all_files_together(tmp_path: Path) -> None:
+def test_a_digest_is_that_of_all_files_together(tmp_path):
     parts = [b"a" * 3_000_000, b"", b"b"]
     paths = [tmp_path / str(number) for number in range(len(parts))]
     for path, part in zip(paths, parts, strict=True):
@@ -349,13 +343,13 @@ def test_a_digest_is_that_of_all_files_together(tmp_path: Path) -> None:
     assert sha256_of(*paths) == hashlib.sha256(b"".join(parts)).hexdigest()
 
 
-def test_what_is_not_asked_for_is_not_unpacked(tmp_path: Path) -> None:
+def test_what_is_not_asked_for_is_not_unpacked(tmp_path):
     path = tmp_path / "file.npz"
     path.write_bytes(npz(b=npy((10**7,), bytes(8 * 10**7)), a=npy((3,), bytes(24))))
     assert read_arrays(path, {"a": ArrayOf(FLOATS, ("T",))}, 100 + 128).keys() == {"a"}
 
 
-def test_a_file_that_is_not_compressed_holds_no_more_than_its_size(tmp_path: Path) -> None:
+def test_a_file_that_is_not_compressed_holds_no_more_than_its_size(tmp_path):
     np.savez(tmp_path / "stored.npz", **ARRAYS)
     assert read_arrays(tmp_path / "stored.npz", ANY).keys() == ARRAYS.keys()
     np.savez_compressed(tmp_path / "packed.npz", a=np.zeros(10_000))
@@ -363,13 +357,13 @@ def test_a_file_that_is_not_compressed_holds_no_more_than_its_size(tmp_path: Pat
         read_arrays(tmp_path / "packed.npz", ANY)
 
 
-def test_the_text_of_json_in_an_array_may_be_long(tmp_path: Path) -> None:
+def test_the_text_of_json_in_an_array_may_be_long(tmp_path):
     text = json.dumps(["ü"] * 10_000, ensure_ascii=False)
     np.savez(tmp_path / "file.npz", text=np.str_(text))
     assert str(read_arrays(tmp_path / "file.npz", {"text": ArrayOf(TEXT)})["text"]) == text
 
 
-def test_tensors_come_back_with_what_there_is_to_know(tmp_path: Path) -> None:
+def test_tensors_come_back_with_what_there_is_to_know(tmp_path):
     path, arrays = tmp_path / "file.safetensors", {"a": np.arange(6.0).reshape(2, 3).T}
     expected = {"a": ArrayOf(FLOATS, (3, 2), needed=True)}
     facts = {"song": "Für", "length": 2, "scores": {"f1": None}}
@@ -394,9 +388,7 @@ def test_tensors_come_back_with_what_there_is_to_know(tmp_path: Path) -> None:
         ({"a": np.zeros(2**18)}, r"takes 2,097,\d+ bytes, .* no more than 1,048,576"),
     ],
 )
-def test_tensors_of_something_else_are_refused(
-    arrays: dict[str, np.ndarray], saying: str, tmp_path: Path
-) -> None:
+def test_tensors_of_something_else_are_refused(arrays, saying, tmp_path):
     path = tmp_path / "file.safetensors"
     write_tensors(path, arrays)
     with pytest.raises(CadenzaError, match=saying) as error:
@@ -405,7 +397,7 @@ def test_tensors_of_something_else_are_refused(
     assert "\n" not in str(error.value)
 
 
-def test_any_byte_of_tensors_that_was_changed_is_noticed(tmp_path: Path) -> None:
+def test_any_byte_of_tensors_that_was_changed_is_noticed(tmp_path):
     path = tmp_path / "file.safetensors"
     write_tensors(path, {"a": np.arange(6.0).reshape(2, 3)}, {"number": 0.5, "none": None})
     content = path.read_bytes()
@@ -418,14 +410,14 @@ def test_any_byte_of_tensors_that_was_changed_is_noticed(tmp_path: Path) -> None
         assert "\n" not in str(error.value)
 
 
-def test_tensors_of_another_program_are_refused(tmp_path: Path) -> None:
+def test_tensors_of_another_program_are_refused(tmp_path):
     path = tmp_path / "file.safetensors"
     path.write_bytes(safetensors.numpy.save({"a": np.zeros(3)}))
     with pytest.raises(CadenzaError, match="written by another program"):
         read_tensors(path, ANY, 2**20)
 
 
-def test_tensors_that_could_not_be_read_again_are_not_written(tmp_path: Path) -> None:
+def test_tensors_that_could_not_be_read_again_are_not_written(tmp_path):
     path = tmp_path / "file.safetensors"
     write_tensors(path, {"a": np.zeros(3)}, most=2**20)
     before = path.read_bytes()
@@ -435,7 +427,7 @@ def test_tensors_that_could_not_be_read_again_are_not_written(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("header", ["[1]", "{", "nonsense", '{"a": NaN}'])
-def test_a_header_that_says_nothing_sensible_is_refused(header: str, tmp_path: Path) -> None:
+def test_a_header_that_says_nothing_sensible_is_refused(header, tmp_path):
     path = tmp_path / "file.safetensors"
     path.write_bytes(safetensors.numpy.save({}, {"facts": header}))
     with pytest.raises(CadenzaError, match=r"file\.safetensors, header: ") as error:
@@ -447,7 +439,7 @@ def test_a_header_that_says_nothing_sensible_is_refused(header: str, tmp_path: P
 
 
 @given(text=st.text() | st.sampled_from(["..", ".", "", "...mid", "a/../b", "CON:x", "\udcff"]))
-def test_a_folder_name_is_one_name_below_its_folder(text: str) -> None:
+def test_a_folder_name_is_one_name_below_its_folder(text):
     name = folder_name(text)
     assert name == folder_name(name)
     assert name not in ("", ".", "..")
@@ -468,11 +460,11 @@ def test_a_folder_name_is_one_name_below_its_folder(text: str) -> None:
         ("ü" * 200, "ü" * 127),
     ],
 )
-def test_a_folder_name_says_what_it_can(text: str, name: str) -> None:
+def test_a_folder_name_says_what_it_can(text, name):
     assert folder_name(text) == name
 
 
-def test_names_that_are_no_text_are_escaped(tmp_path: Path) -> None:
+def test_names_that_are_no_text_are_escaped(tmp_path):
     name = os.fsdecode(b"F\xfcr")
     write_json(tmp_path / "file", {"song": name, "path": Path(name)})
     written = read_json(tmp_path / "file", dict[str, str])

@@ -38,7 +38,7 @@ def names_of_a_hand(hand: str) -> re.Pattern[str]:
 
 
 @pytest.mark.parametrize("hand", HANDS.own)
-def test_joints_are_named_by_their_hand_only(hand: str) -> None:
+def test_joints_are_named_by_their_hand_only(hand):
     named = names_of_a_hand(hand)
     assert [
         f"{file}:{line}: {value}"

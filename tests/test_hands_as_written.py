@@ -49,7 +49,7 @@ def played(setup: Setup) -> list[tuple[int, int]]:
     return [(note.finger.hand, note.pitch) for note in track.score.notes if note.finger]
 
 
-def test_one_hand_plays_what_is_written_for_it(piano: Path) -> None:
+def test_one_hand_plays_what_is_written_for_it(piano):
     setup, said = set_up_with(piano, hands="right")
     assert played(setup) == [(RIGHT, 40), (RIGHT, 76)]
     assert any("2 notes are written for the right hand; without the other 1" in s for s in said)
@@ -58,14 +58,12 @@ def test_one_hand_plays_what_is_written_for_it(piano: Path) -> None:
     assert any("1 note is written for the left hand; without the other 2" in s for s in said)
 
 
-def test_without_hands_nothing_is_played_as_written(piano: Path) -> None:
+def test_without_hands_nothing_is_played_as_written(piano):
     setup, _ = set_up_with(piano, hands="none", hands_as_written=True)
     assert not played(setup)
 
 
-def test_one_hand_plays_all_notes_on_demand_or_where_nothing_says_whose_they_are(
-    piano: Path,
-) -> None:
+def test_one_hand_plays_all_notes_on_demand_or_where_nothing_says_whose_they_are(piano):
     setup, said = set_up_with(piano, hands="right", all_notes=True)
     assert played(setup) == [(RIGHT, 40), (RIGHT, 47), (RIGHT, 76)]
     assert not said
@@ -73,14 +71,14 @@ def test_one_hand_plays_all_notes_on_demand_or_where_nothing_says_whose_they_are
     assert [pitch for _, pitch in played(set_up_with(bare, hands="left")[0])] == [40, 47, 76]
 
 
-def test_hands_play_as_written_on_demand(piano: Path) -> None:
+def test_hands_play_as_written_on_demand(piano):
     assert [hand for hand, _ in played(set_up_with(piano)[0])] != [hand for hand, _ in CROSSED]
     setup, said = set_up_with(piano, hands_as_written=True)
     assert played(setup) == list(CROSSED)
     assert not said
 
 
-def test_what_the_written_hand_cannot_play_is_told() -> None:
+def test_what_the_written_hand_cannot_play_is_told():
     together = ((40, RIGHT), (60, LEFT), (64, LEFT))  # the hands would cross
     song = Score(tuple(Note(0, 1, pitch, hands=(hand,)) for pitch, hand in together))
     setup, said = set_up_with(song, hands_as_written=True)
@@ -88,12 +86,12 @@ def test_what_the_written_hand_cannot_play_is_told() -> None:
     assert said == [": 3 notes that the written hand cannot play are left to the other"]
 
 
-def test_where_nothing_says_so_hands_cannot_play_as_written() -> None:
+def test_where_nothing_says_so_hands_cannot_play_as_written():
     with pytest.raises(CadenzaError, match="nothing says which hand plays what"):
         set_up_with(Score((Note(0, 1, 60),), title="song"), hands_as_written=True)
 
 
-def test_a_hand_for_which_nothing_is_written_plays_nothing() -> None:
+def test_a_hand_for_which_nothing_is_written_plays_nothing():
     song = Score((Note(0, 1, 60, hands=(RIGHT,)),), title="song")
     with pytest.raises(CadenzaError, match="song: nothing is written for the left hand"):
         set_up_with(song, hands="left")

@@ -57,7 +57,7 @@ def follow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Follow]:
         sys.modules.pop(module, None)
 
 
-def test_a_song_library(follow: Follow, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_song_library(follow, capsys):
     follow("song-library")
     Path("site/studies/songs").mkdir()
     write_midi(TUNE, Path("site/studies/songs/thirds.mid"))
@@ -66,7 +66,7 @@ def test_a_song_library(follow: Follow, capsys: pytest.CaptureFixture[str]) -> N
     assert cadenza.load_song("studies/thirds").notes == TUNE.notes
 
 
-def test_an_agent(follow: Follow) -> None:
+def test_an_agent(follow):
     follow("agent")
     main(["play", "tune.mid", "--agent", "waving", "--no-video", "-o", "out"])
     tips = cadenza.load_episode(Path("out/episode.npz"))["fingertip_xpos"][:, 1, 2]
@@ -80,7 +80,7 @@ def test_an_agent(follow: Follow) -> None:
     assert (first != other).any()
 
 
-def test_a_hand(follow: Follow) -> None:
+def test_a_hand(follow):
     follow("hand")
     assert cadenza.play(TUNE, "zero", scene=cadenza.SceneConfig(keyboard="narrow:NARROW")).episode
     shutil.copy(PAGES.parents[1] / "examples" / "claw.py", "site")
@@ -89,7 +89,7 @@ def test_a_hand(follow: Follow) -> None:
     assert performance.episode["fingertip_xpos"].shape[-2:] == (6, 3)
 
 
-def test_a_learner(follow: Follow) -> None:
+def test_a_learner(follow):
     follow("learner")
     options = ["--num-steps", "200", "--learning-starts", "64", "--log-interval", "50"]
     options += ["--train-freq", "8", "--batch-size", "16", "--no-video"]

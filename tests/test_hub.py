@@ -60,9 +60,7 @@ def printed(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return capsys.readouterr().out
 
 
-def test_a_policy_is_published_and_played(
-    hub: Hub, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_policy_is_published_and_played(hub, tmp_path, capsys):
     mine = tmp_path / "mine"
     shutil.copytree(ODE, mine, ignore=shutil.ignore_patterns("README.md"))
     (mine / "notes.txt").write_text("nobody else's business")
@@ -80,9 +78,7 @@ def test_a_policy_is_published_and_played(
     assert load_policy(f"hub:{REPO}").score.title == "Ode to Joy"
 
 
-def test_a_policy_of_the_hub_takes_part_in_many_runs(
-    hub: Hub, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_policy_of_the_hub_takes_part_in_many_runs(hub, tmp_path, capsys):
     write_midi(TWO_NOTES, tmp_path / "songs" / "two.mid")
     save_policy(tmp_path / "own", from_nothing(TWO_NOTES), {})
     commit = hub.commit("models", REPO, files_of(tmp_path / "own"))
@@ -90,7 +86,7 @@ def test_a_policy_of_the_hub_takes_part_in_many_runs(
     assert f"hub:{REPO}@{commit}" in printed(capsys, "results", "bench")
 
 
-def test_a_commit_stays_what_it_was(hub: Hub) -> None:
+def test_a_commit_stays_what_it_was(hub):
     first = hub.commit("models", REPO, files_of(ODE))
     hub.commit("models", REPO, {"policy.safetensors": b"of another time"})
     assert load_policy(f"hub:{REPO}@{first}").score.title == "Ode to Joy"
@@ -100,9 +96,7 @@ def test_a_commit_stays_what_it_was(hub: Hub) -> None:
         load_policy(f"hub:{REPO}@gone")
 
 
-def test_what_cannot_be_had_is_one_line(
-    hub: Hub, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_had_is_one_line(hub, monkeypatch, capsys):
     place = f"hub:{REPO}"
 
     def said(*words: object) -> str:
@@ -123,22 +117,20 @@ def test_what_cannot_be_had_is_one_line(
     assert f"{place}: the hub cannot be reached" in said("play", "--agent", place)
 
 
-def test_fetching_in_a_pipe_prints_no_progress(hub: Hub) -> None:
+def test_fetching_in_a_pipe_prints_no_progress(hub):
     hub.commit("models", REPO, files_of(ODE))
     command = [sys.executable, "-c", f"import cadenza; cadenza.load_policy('hub:{REPO}')"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_without_its_library_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_its_library_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
     with pytest.raises(CadenzaError, match=re.escape(install_line("hub"))):
         load_policy(f"hub:{REPO}")
 
 
-def test_a_dataset_is_published_and_read(
-    hub: Hub, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_dataset_is_published_and_read(hub, tmp_path, capsys):
     write_midi(TWO_NOTES, tmp_path / "songs" / "two.mid")
     main(["dataset", "collect", "--songs", "songs", "-o", "mine", "--quiet"])
     assert "/datasets/" in printed(capsys, "publish", "mine", "someone/scales")

@@ -43,9 +43,7 @@ def said(
         (CLONE, "pip install --editable '/home/me/my clone[hub]'"),
     ],
 )
-def test_an_extra_comes_from_where_cadenza_came_from(
-    monkeypatch: pytest.MonkeyPatch, origin: dict[str, Any] | None, line: str
-) -> None:
+def test_an_extra_comes_from_where_cadenza_came_from(monkeypatch, origin, line):
     monkeypatch.setattr("shutil.which", lambda _: str(Path(sys.executable).with_name("pip")))
     assert said(monkeypatch, origin, "hub") == line
     monkeypatch.setattr("shutil.which", lambda _: "/usr/bin/pip")  # of another environment
@@ -54,9 +52,7 @@ def test_an_extra_comes_from_where_cadenza_came_from(
     assert said(monkeypatch, origin, "hub", "uv\n") == uv
 
 
-def test_in_the_environment_of_a_clone_make_installs(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_in_the_environment_of_a_clone_make_installs(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "prefix", str(tmp_path / ".venv"))
     clone = CLONE | {"url": tmp_path.as_uri()}
     assert said(monkeypatch, clone, "hub") == f"make -C {tmp_path} install"
@@ -65,7 +61,7 @@ def test_in_the_environment_of_a_clone_make_installs(
     assert said(monkeypatch, clone, "gpu").endswith(f" --editable '{tmp_path}[gpu]'")
 
 
-def test_make_installs_all_that_its_line_is_told_for() -> None:
+def test_make_installs_all_that_its_line_is_told_for():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     locked = (ROOT / "requirements-dev.lock").read_text().replace("-", "_").lower()
     for extra, wanted in project["optional-dependencies"].items():
@@ -74,7 +70,7 @@ def test_make_installs_all_that_its_line_is_told_for() -> None:
         assert there == (extra not in ("brax", "gpu", "wandb")), extra
 
 
-def test_without_an_installation_the_sources_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_an_installation_the_sources_are_named(monkeypatch):
     def none(_: str) -> None:
         raise PackageNotFoundError
 

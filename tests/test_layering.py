@@ -107,26 +107,26 @@ def imported_parts(folder: str) -> set[tuple[str, str]]:
     return found
 
 
-def test_every_folder_has_its_place() -> None:
+def test_every_folder_has_its_place():
     folders = {path.name for path in PACKAGE.iterdir() if any(path.glob("*.py"))}
     assert folders == STANDS_ON.keys()
 
 
 @pytest.mark.parametrize("folder", STANDS_ON)
-def test_imports_only_what_it_stands_on(folder: str) -> None:
+def test_imports_only_what_it_stands_on(folder):
     ours = {(f, part) for f, part in imported_parts(folder) if not part.startswith("lib ")}
     assert [(f, part) for f, part in ours if part not in allowed(folder)] == []
 
 
 @pytest.mark.parametrize("folder", LIBRARIES)
-def test_imports_only_the_libraries_it_is_about(folder: str) -> None:
+def test_imports_only_the_libraries_it_is_about(folder):
     """MuJoCo stays below tasks: tasks and agents see arrays."""
     libraries = {(f, part[4:]) for f, part in imported_parts(folder) if part.startswith("lib ")}
     known = LIBRARIES[folder] | sys.stdlib_module_names
     assert [(f, name) for f, name in libraries if name not in known] == []
 
 
-def test_what_all_may_import_stands_on_nothing() -> None:
+def test_what_all_may_import_stands_on_nothing():
     for name in EVERYWHERE:
         parts = {
             n.split(".")[1] for n in imports(PACKAGE / f"{name}.py") if n.startswith("cadenza.")
@@ -134,7 +134,7 @@ def test_what_all_may_import_stands_on_nothing() -> None:
         assert parts <= EVERYWHERE
 
 
-def test_no_module_imports_itself_by_way_of_others() -> None:
+def test_no_module_imports_itself_by_way_of_others():
     """Not behind functions and not for names of types either.
 
     Python would bear these, but files of a circle can only be understood and changed together.

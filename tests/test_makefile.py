@@ -44,14 +44,14 @@ def make(*arguments: str, **environment: str) -> str:
 
 
 @pytest.mark.parametrize("song", SONGS)
-def test_a_song_may_have_any_name(installed: Path, song: str) -> None:
+def test_a_song_may_have_any_name(installed, song):
     there = f"VENV={installed}"
     assert make("play", there, f"SONG={song}").splitlines() == ["play", "--", song]
     assert make("play", there, SONG=song).splitlines() == ["play", "--", song]
     assert f"SONG={song}," in make("help", f"SONG={song}")
 
 
-def test_a_song_is_played_if_none_is_named(installed: Path) -> None:
+def test_a_song_is_played_if_none_is_named(installed):
     *_, song = make("play", f"VENV={installed}").split()
     assert song == "TwinkleTwinkleLittleStar"
 
@@ -64,14 +64,14 @@ def pins(name: str) -> dict[str, str]:
     return versions
 
 
-def test_playing_installs_little_and_the_lock_files_agree() -> None:
+def test_playing_installs_little_and_the_lock_files_agree():
     playing, everything = pins("requirements.lock"), pins("requirements-dev.lock")
     assert playing.items() <= everything.items()
     assert {"mujoco", "gymnasium", "starlette", "uvicorn"} <= playing.keys()
     assert not {"jax", "jaxlib", "flax", "pyarrow", "sphinx", "mypy"} & playing.keys()
 
 
-def test_the_quick_tests_are_there(installed: Path) -> None:
+def test_the_quick_tests_are_there(installed):
     (installed / "installed").touch()
     named = re.findall(r"\btests/\S+", make("--dry-run", "smoke", f"VENV={installed}"))
     assert len(named) > 20

@@ -22,9 +22,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return seconds
 
 
-def test_a_log_gets_a_line_now_and_then(
-    clock: list[float], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_gets_a_line_now_and_then(clock, monkeypatch):
     log = io.StringIO()
     monkeypatch.setattr(sys, "stderr", log)
     with progress("playing", "steps") as advance:
@@ -36,9 +34,7 @@ def test_a_log_gets_a_line_now_and_then(
     )
 
 
-def test_stages_of_a_performance_have_clocks_of_their_own(
-    clock: list[float], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stages_of_a_performance_have_clocks_of_their_own(clock, monkeypatch):
     log = io.StringIO()
     monkeypatch.setattr(sys, "stderr", log)
     with stages("song, seed 3") as tell:
@@ -64,9 +60,7 @@ def test_stages_of_a_performance_have_clocks_of_their_own(
     ]
 
 
-def test_what_is_resumed_is_timed_from_where_it_goes_on(
-    clock: list[float], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_resumed_is_timed_from_where_it_goes_on(clock, monkeypatch):
     log = io.StringIO()
     monkeypatch.setattr(sys, "stderr", log)
     with progress("learning", "steps", 30.0) as advance:
@@ -76,14 +70,14 @@ def test_what_is_resumed_is_timed_from_where_it_goes_on(
     assert log.getvalue() == "learning: 940 of 1000 steps, 01:00 left\n"
 
 
-def test_short_work_leaves_no_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_short_work_leaves_no_line(capsys):
     with progress("playing", "steps") as advance:
         for done in range(10):
             advance(done, 9)
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_gets_a_bar(monkeypatch):
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     with progress("playing", "steps") as advance:
@@ -98,9 +92,7 @@ def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("stream", [Terminal, io.StringIO])
-def test_quiet_shows_nothing(
-    stream: type[io.StringIO], clock: list[float], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_quiet_shows_nothing(stream, clock, monkeypatch):
     shown = stream()
     monkeypatch.setattr(sys, "stderr", shown)
     token = QUIET.set(True)

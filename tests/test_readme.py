@@ -41,9 +41,7 @@ def shortened(arguments: list[str]) -> list[str]:
     return [*added, *(["--num-steps", "600", "--learning-starts", "300"] if learns else [])]
 
 
-def test_the_python_examples_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_python_examples_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     plays, steps = blocks("python")
     for example in (plays, steps):
@@ -53,9 +51,7 @@ def test_the_python_examples_run(
     assert (tmp_path / "joy" / "report.html").exists()
 
 
-def test_the_commands_run_one_after_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_commands_run_one_after_another(tmp_path, monkeypatch, capsys):
     (tmp_path / "tests").symlink_to(ROOT / "tests")
     monkeypatch.chdir(tmp_path)
     for line in command_lines():
@@ -69,13 +65,13 @@ def test_the_commands_run_one_after_another(
         assert capsys.readouterr().out, line
 
 
-def test_the_make_targets_exist() -> None:
+def test_the_make_targets_exist():
     targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     named = re.findall(r"^make ([a-z]+)", "\n".join(blocks("sh")), re.MULTILINE)
     assert {"play", "test"} <= set(named) <= set(targets)
 
 
-def test_its_links_are_absolute_on_pypi() -> None:
+def test_its_links_are_absolute_on_pypi():
     hooks = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["metadata"][
         "hooks"
     ]

@@ -54,9 +54,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
         sys.modules.pop(name, None)
 
 
-def test_an_agent_of_another_package_plays(
-    install: Install, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_agent_of_another_package_plays(install, tmp_path, capsys):
     install("quiet", AGENT, "[cadenza.agents]\nstill = quiet:Still\n")
     write_midi(TUNE, tmp_path / "tune.mid")
     tune, out = str(tmp_path / "tune.mid"), tmp_path / "out"
@@ -90,9 +88,7 @@ def test_an_agent_of_another_package_plays(
         (AGENT, "stil = loud:Still", "no agent 'still': did you mean stil? choose from planner, "),
     ],
 )
-def test_a_broken_package_is_named_and_harms_nobody_else(
-    code: str, entry: str, said: str, install: Install
-) -> None:
+def test_a_broken_package_is_named_and_harms_nobody_else(code, entry, said, install):
     install("loud", code, f"[cadenza.agents]\n{entry}\n")
     with pytest.raises(CadenzaError) as error:
         cadenza.make_agent("still")
@@ -101,13 +97,13 @@ def test_a_broken_package_is_named_and_harms_nobody_else(
     assert entry.split()[0] in AGENTS.entries()
 
 
-def test_broken_metadata_harms_nobody(install: Install) -> None:
+def test_broken_metadata_harms_nobody(install):
     install("loud", AGENT, "[cadenza.agents]\nnonsense\n")
     install("quiet", AGENT, "[cadenza.agents]\nstill = quiet:Still\n")
     assert type(cadenza.make_agent("still")).__module__ == "quiet"
 
 
-def test_a_name_of_two_packages_is_of_neither(install: Install) -> None:
+def test_a_name_of_two_packages_is_of_neither(install):
     install("loud", AGENT, "[cadenza.agents]\nstill = loud:Still\nzero = loud:Still\n")
     install("quiet", AGENT, "[cadenza.agents]\nstill = quiet:Still\n")
     with pytest.raises(CadenzaError, match=r"have this name; give (quiet|loud):Still or"):
@@ -116,7 +112,7 @@ def test_a_name_of_two_packages_is_of_neither(install: Install) -> None:
     assert type(cadenza.make_agent("zero")).__module__ == "cadenza.agents.agent"
 
 
-def test_what_a_registry_gives_is_of_the_kind_asked_for(install: Install) -> None:
+def test_what_a_registry_gives_is_of_the_kind_asked_for(install):
     install(
         "numbers_of", "ONE = 1\nclass Of:\n    two = 2\n", "[cadenza.tests]\none = numbers_of:ONE"
     )
@@ -208,9 +204,7 @@ def action_share(episode: cadenza.Episode) -> np.ndarray:
 
 @pytest.mark.usefixtures("beating")
 @pytest.mark.parametrize("agent", ["slow-beat", "beating:SlowBeat"])
-def test_an_agent_of_another_package_has_options(
-    agent: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_agent_of_another_package_has_options(agent, capsys):
     with pytest.raises(SystemExit):
         play("--agent", agent, "--help")
     said = " ".join(capsys.readouterr().out.replace("│", "").split())
@@ -227,7 +221,7 @@ def test_an_agent_of_another_package_has_options(
 
 
 @pytest.mark.usefixtures("beating")
-def test_options_of_another_package_in_python() -> None:
+def test_options_of_another_package_in_python():
     from beating import BeatConfig  # type: ignore[import-not-found]
 
     agent = cadenza.make_agent("slow-beat", BeatConfig(tempo=np.int64(90)))
@@ -252,9 +246,7 @@ def test_options_of_another_package_in_python() -> None:
         ("beating:Unknown", "agent beating:Unknown: NameError: name 'Nowhere' is not defined"),
     ],
 )
-def test_options_of_agents_that_make_no_sense(
-    words: str, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_of_agents_that_make_no_sense(words, said, capsys):
     with pytest.raises(SystemExit) as stop:
         play("--agent", *words.split())
     assert stop.value.code == 1
@@ -264,13 +256,13 @@ def test_options_of_agents_that_make_no_sense(
 
 
 @pytest.mark.usefixtures("beating")
-def test_two_agents_with_options_of_one_name(capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_agents_with_options_of_one_name(capsys):
     with pytest.raises(SystemExit):
         play("--agents", "slow-beat", "beating:SlowBeat", command="compare")
     assert "its options cannot be called --slow-beat" in capsys.readouterr().err
 
 
-def test_our_agents_get_their_options_as_those_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_our_agents_get_their_options_as_those_of_others(monkeypatch):
     """The table has them, too, so that --help need not import the planners."""
     monkeypatch.setattr("cadenza.agents.registry.AGENTS", Registry("agent", "nothing"))
     for name, entry in AGENTS.own.items():
@@ -289,7 +281,7 @@ nowhere = "nowhere"
 """
 
 
-def test_songs_of_another_package(install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+def test_songs_of_another_package(install, capsys):
     folder = install("notes", SONGS, "[cadenza.songs]\nown = notes:songs\nlost = notes:nowhere\n")
     (folder / "songs").mkdir()
     write_midi(TUNE, folder / "songs" / "Tune.mid")

@@ -12,15 +12,15 @@ CHECK = runpy.run_path(str(ROOT / "tools" / "release_check.py"))
 SIZE = 1000  # bytes
 
 
-def test_package_citation_and_changelog_tell_one_version() -> None:
+def test_package_citation_and_changelog_tell_one_version():
     CHECK["versions"]()
 
 
-def test_all_links_lead_somewhere() -> None:
+def test_all_links_lead_somewhere():
     CHECK["links"]()
 
 
-def test_a_link_that_leads_nowhere_is_found(tmp_path: Path) -> None:
+def test_a_link_that_leads_nowhere_is_found(tmp_path):
     page = tmp_path / "page.md"
     page.write_text(
         "# A page (of *two*)\n[a](#a-page-of-two) [b](#gone) [c](gone.md) [d](page.md#gone)\n"
@@ -44,7 +44,7 @@ def wheel() -> dict[str, int]:
     return dict.fromkeys(names, SIZE)
 
 
-def test_a_wheel_has_the_package_and_the_licences_only(wheel: dict[str, int]) -> None:
+def test_a_wheel_has_the_package_and_the_licences_only(wheel):
     problems = CHECK["problems_of_wheel"]
     assert list(problems(wheel)) == []
     for name in ("tests/test_a.py", "cadenza/__pycache__/a.pyc", "cadenza/tests/a.py"):
@@ -57,7 +57,7 @@ def test_a_wheel_has_the_package_and_the_licences_only(wheel: dict[str, int]) ->
         assert [said for said in problems(less) if said.endswith("is missing")], name
 
 
-def test_the_image_is_made_of_files_that_docker_is_shown() -> None:
+def test_the_image_is_made_of_files_that_docker_is_shown():
     image = (ROOT / "Dockerfile").read_text()
     shown = re.findall(r"^!(.+)$", (ROOT / ".dockerignore").read_text(), re.MULTILINE)
     assert sorted(re.findall(r"/context/(\S+)", image)) == sorted(shown)
@@ -67,20 +67,20 @@ def test_the_image_is_made_of_files_that_docker_is_shown() -> None:
     assert last == [("USER", "nobody"), ("ENTRYPOINT", '["cadenza"]')]
 
 
-def test_the_image_is_built_as_documented() -> None:
+def test_the_image_is_built_as_documented():
     commands = (ROOT / "docs" / "installing.md").read_text() + (ROOT / ".ci" / "run").read_text()
     for command in ("docker build --tag cadenza .", "docker run --rm "):
         assert commands.count(command) == 2, command
 
 
-def test_every_extra_is_documented() -> None:
+def test_every_extra_is_documented():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     page = (ROOT / "docs" / "installing.md").read_text()
     listed = re.findall(r"^\| `([\w-]+)` \|", page, re.MULTILINE)
     assert sorted(listed) == sorted(project["optional-dependencies"])
 
 
-def test_the_licences_of_all_that_is_installed_are_listed() -> None:
+def test_the_licences_of_all_that_is_installed_are_listed():
     page = (ROOT / "docs" / "licences.md").read_text()
     rows = re.findall(r"^\| [^|]+ \| (.+) \|$", page, re.MULTILINE)
     listed = {canonical(name) for row in rows for name in row.split(", ")}

@@ -27,7 +27,7 @@ def folder(tmp_path: Path) -> ResumableFolder:
     return ResumableFolder(tmp_path / "work", "cadenza dream", "somebody dreams there")
 
 
-def test_one_process_at_a_time_works_in_a_folder(folder: ResumableFolder) -> None:
+def test_one_process_at_a_time_works_in_a_folder(folder):
     other = ResumableFolder(folder.path, "cadenza dream", "somebody dreams there")
     with folder.locked():
         with pytest.raises(CadenzaError, match="work: somebody dreams there"), other.locked():
@@ -38,7 +38,7 @@ def test_one_process_at_a_time_works_in_a_folder(folder: ResumableFolder) -> Non
         assert ours
 
 
-def test_what_a_killed_process_was_writing_is_removed_by_the_next(folder: ResumableFolder) -> None:
+def test_what_a_killed_process_was_writing_is_removed_by_the_next(folder):
     folder.path.mkdir()
     names = (f"{TEMPORARY}0123456789abcdef", "result.json", f"{TEMPORARY}folder")
     for name in names[:2]:
@@ -49,9 +49,7 @@ def test_what_a_killed_process_was_writing_is_removed_by_the_next(folder: Resuma
     assert left == set(names[1:])
 
 
-def test_a_folder_is_continued_with_the_options_with_which_it_was_begun(
-    folder: ResumableFolder,
-) -> None:
+def test_a_folder_is_continued_with_the_options_with_which_it_was_begun(folder):
     for steps in (10, 20):
         fields = {"song": "joy", "seed": 0, "places": (Path("a"),), "steps": steps}
         folder.begin_or_continue(fields, changeable=("steps",))
@@ -62,7 +60,7 @@ def test_a_folder_is_continued_with_the_options_with_which_it_was_begun(
     assert folder.read_manifest() == fields | {"places": ["a"]}
 
 
-def test_the_work_of_another_command_is_refused(folder: ResumableFolder) -> None:
+def test_the_work_of_another_command_is_refused(folder):
     folder.begin_or_continue({"song": "joy"})
     folder.save({}, {})
     other = ResumableFolder(folder.path, "cadenza sleep", "somebody sleeps there")
@@ -72,7 +70,7 @@ def test_the_work_of_another_command_is_refused(folder: ResumableFolder) -> None
         other.load(Facts)
 
 
-def test_a_checkpoint_without_a_manifest_is_not_continued(folder: ResumableFolder) -> None:
+def test_a_checkpoint_without_a_manifest_is_not_continued(folder):
     assert not folder.begun
     folder.save({}, {})
     with pytest.raises(CadenzaError, match=r"run\.json: missing, but there is a checkpoint"):
@@ -92,7 +90,7 @@ def saved(folder: ResumableFolder, step: int) -> None:
     folder.save(asdict(Facts(step, 0.1 + 0.2, {"state": 2**127 + 1})), ARRAYS)
 
 
-def test_a_checkpoint_gives_back_what_was_saved(folder: ResumableFolder) -> None:
+def test_a_checkpoint_gives_back_what_was_saved(folder):
     assert folder.load(Facts) is None
     for step in (1, 2):
         saved(folder, step)
@@ -107,7 +105,7 @@ def test_a_checkpoint_gives_back_what_was_saved(folder: ResumableFolder) -> None
     assert [path.name for path in folder.path.iterdir()] == [folder.checkpoint.name]
 
 
-def test_facts_of_something_else_are_refused(folder: ResumableFolder) -> None:
+def test_facts_of_something_else_are_refused(folder):
     folder.save({"step": "three"}, {})
     with pytest.raises(CadenzaError, match=r"checkpoint\.safetensors: .*step"):
         folder.load(Facts)
@@ -125,9 +123,7 @@ def no_file_over(size: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("size", [0, 30, 300])
-def test_where_there_is_no_room_the_last_checkpoint_still_loads(
-    folder: ResumableFolder, size: int
-) -> None:
+def test_where_there_is_no_room_the_last_checkpoint_still_loads(folder, size):
     saved(folder, 1)
     with (
         pytest.raises(CadenzaError, match=r"could not be written \(File too large\); make room"),

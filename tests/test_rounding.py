@@ -58,7 +58,7 @@ def played(processor: str, seconds: float, *pieces: str) -> list[str]:
     return process.stdout.splitlines()
 
 
-def test_the_beginning_is_the_same_bits_on_other_processors() -> None:
+def test_the_beginning_is_the_same_bits_on_other_processors():
     here = played("this", 0.4, "CanonInDOpening")
     assert len(here) == 2
     assert played("Sandybridge", 0.4, "CanonInDOpening") == here
@@ -66,13 +66,13 @@ def test_the_beginning_is_the_same_bits_on_other_processors() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("piece", PIECES)
-def test_whole_pieces_are_the_same_bits_on_other_processors(piece: str) -> None:
+def test_whole_pieces_are_the_same_bits_on_other_processors(piece):
     here = played("this", 60.0, piece)
     for processor in PROCESSORS:
         assert played(processor, 60.0, piece) == here, processor
 
 
-def test_who_imports_numpy_first_is_told() -> None:
+def test_who_imports_numpy_first_is_told():
     """Once, however often it plays."""
     two = "play = cadenza.play; score = cadenza.Score((cadenza.Note(0, .1, 60),)); "
     code = f"import numpy, cadenza; {two} play(score, 'generalist'); play(score, 'generalist')"

@@ -16,16 +16,16 @@ RIGHT_HAND = NamedSetup({"hand": "allegro", "hands": "right", "forearm_dofs": ("
 
 
 @pytest.mark.parametrize("name", SETUPS.own)
-def test_every_setup_is_there(name: str) -> None:
+def test_every_setup_is_there(name):
     assert isinstance(setup_named(name), NamedSetup)
 
 
-def test_no_such_setup() -> None:
+def test_no_such_setup():
     with pytest.raises(cadenza.CadenzaError, match="did you mean allegro"):
         cadenza.play(TWO_NOTES, setup="alegro")
 
 
-def test_a_setup_has_no_other_options_than_scenes_and_tasks() -> None:
+def test_a_setup_has_no_other_options_than_scenes_and_tasks():
     with pytest.raises(cadenza.CadenzaError, match="no option 'knees'"):
         NamedSetup({"hands": "both", "knees": 2})
 
@@ -35,7 +35,7 @@ def settings(*words: str) -> dict[str, object]:
     return read_json(Path("played/settings.json"), dict[str, object])
 
 
-def test_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_the_command_line(tmp_path, monkeypatch):
     """Whether it stands before other options or after them."""
     monkeypatch.chdir(tmp_path)
     setup = f"{__name__}:RIGHT_HAND"
@@ -49,14 +49,14 @@ def test_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert chosen["scene"]["hand"] == "allegro"  # type: ignore[index]
 
 
-def test_in_gymnasium() -> None:
+def test_in_gymnasium():
     env = gymnasium.make("cadenza/Piano-v0", song=TWO_NOTES, setup="allegro", hands="right")
     assert env.unwrapped.task.scene.hand.name == "allegro"  # type: ignore[attr-defined]
     assert env.unwrapped.task.scene.sides == ("right",)  # type: ignore[attr-defined]
     env.close()
 
 
-def test_in_python() -> None:
+def test_in_python():
     task = cadenza.TaskConfig(energy_coefficient=0.0)
     performance = cadenza.play(TWO_NOTES, setup=f"{__name__}:RIGHT_HAND", task=task)
     assert performance.settings["agent"] == "zero"

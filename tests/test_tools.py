@@ -18,9 +18,7 @@ NAMES = sorted({path.stem for path in TOOLS.glob("*.py")} - ELSEWHERE - SHARED)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_tool_asked_for_help_does_nothing_else(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_tool_asked_for_help_does_nothing_else(name, tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(TOOLS))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [name, "--help"])
@@ -32,9 +30,7 @@ def test_a_tool_asked_for_help_does_nothing_else(
     assert not list(tmp_path.iterdir())
 
 
-def test_notes_are_counted_over_folders(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_notes_are_counted_over_folders(tmp_path, monkeypatch, capsys):
     written = Score(tuple(Note(time, time + 0.5, 60) for time in range(4)))
     brushed = Note(0.1, 0.14, 61)
     for folder, notes in (("a", (*written.notes, brushed)), ("b", written.notes[1:])):
@@ -51,9 +47,7 @@ def test_notes_are_counted_over_folders(
     assert "key never sounds 1 12.5" in printed
 
 
-def test_what_is_the_same_in_all_songs_has_no_weight_in_their_difficulty(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_is_the_same_in_all_songs_has_no_weight_in_their_difficulty(monkeypatch):
     monkeypatch.syspath_prepend(str(TOOLS))
     tool = runpy.run_path(str(TOOLS / "fit_difficulty.py"))
     features = np.random.default_rng(0).uniform(0.0, 3.0, (20, 8))

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
@@ -30,7 +29,7 @@ for words in (
 """
 
 
-def test_commands_run_without_extras(tmp_path: Path) -> None:
+def test_commands_run_without_extras(tmp_path):
     write_midi(Score((Note(0, 0.1, 60),)), tmp_path / "songs" / "tune.mid")
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM], capture_output=True, text=True, cwd=tmp_path

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 PROGRAM = """
 import os, sys
@@ -35,7 +34,7 @@ main(["play", "tune.mid", "--agent", "zero", "--no-video", "-o", "played"])
 """
 
 
-def test_the_package_imports_and_plays_without_what_windows_lacks(tmp_path: Path) -> None:
+def test_the_package_imports_and_plays_without_what_windows_lacks(tmp_path):
     from cadenza.music.formats.midi import write_midi
     from cadenza.music.score import Note, Score
 

@@ -64,7 +64,7 @@ def perform(agent: Agent, scene: Scene, seed: int = 0, score: Score = TUNE) -> E
 
 
 @pytest.mark.parametrize("planner", PLANNERS)
-def test_planners_press_the_pedal_as_the_score_has_it(planner: Any, right_hand: Scene) -> None:
+def test_planners_press_the_pedal_as_the_score_has_it(planner, right_hand):
     performance = perform(planner(), right_hand)
     assert_array_equal(performance.episode["action"][:, -1], [0] * 10 + [1] * 9)
     assert performance.metrics["sustain_f1"] == 1.0
@@ -88,9 +88,7 @@ class WatchedEpisode(SamplingPlanner):
         return cost
 
 
-def test_the_nominal_is_the_first_candidate_so_that_iterating_never_hurts(
-    right_hand: Scene,
-) -> None:
+def test_the_nominal_is_the_first_candidate_so_that_iterating_never_hurts(right_hand):
     config = PredictiveSamplingConfig(num_candidates=4, iterations=3)
     planner = WatchedPlanner(config)
     perform(planner, right_hand)
@@ -106,8 +104,8 @@ def test_the_nominal_is_the_first_candidate_so_that_iterating_never_hurts(
 
 
 def test_a_plan_is_measured_by_the_goals_of_the_steps_in_which_it_is_carried_out(
-    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    right_hand, monkeypatch
+):
     """Every 10 ms, of control steps of 50 ms: those of the next step first."""
     measured, cost = [], SamplingPlanner.cost
 
@@ -121,8 +119,8 @@ def test_a_plan_is_measured_by_the_goals_of_the_steps_in_which_it_is_carried_out
 
 
 def test_a_plan_is_held_over_each_step_goes_on_a_step_later_and_stays_at_its_end(
-    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    right_hand, monkeypatch
+):
     task, planner = PianoTask([TUNE], CONFIG, right_hand), PredictiveSampling(ONE_CANDIDATE)
     task.reset([np.random.default_rng(0)], [0])
     planner.reset([0], [np.random.default_rng(0)])
@@ -146,7 +144,7 @@ def test_a_plan_is_held_over_each_step_goes_on_a_step_later_and_stays_at_its_end
     assert_allclose(planner.planners[0].nominal, np.stack([moved, there])[:, :-1])
 
 
-def test_a_plan_costs_the_same_alone_and_among_others(right_hand: Scene) -> None:
+def test_a_plan_costs_the_same_alone_and_among_others(right_hand):
     planner = WatchedPlanner(PredictiveSamplingConfig(num_candidates=4))
     alone = WatchedPlanner(ONE_CANDIDATE)
     task = PianoTask([TUNE], CONFIG, right_hand)
@@ -159,7 +157,7 @@ def test_a_plan_costs_the_same_alone_and_among_others(right_hand: Scene) -> None
         assert alone.planners[0].costs(candidate[None], task.view())[0] == expected
 
 
-def test_planning_leaves_the_task_as_it_is(right_hand: Scene) -> None:
+def test_planning_leaves_the_task_as_it_is(right_hand):
     task = PianoTask([TUNE], CONFIG, right_hand)
     task.reset([np.random.default_rng(0)], [0])
     planner = PredictiveSampling(FEW_CANDIDATES)
@@ -170,14 +168,14 @@ def test_planning_leaves_the_task_as_it_is(right_hand: Scene) -> None:
     assert task.goals.steps_done.tolist() == [0]
 
 
-def test_planning_pays(right_hand: Scene) -> None:
+def test_planning_pays(right_hand):
     planner = PredictiveSampling(PredictiveSamplingConfig(iterations=4))
     planned, resting = perform(planner, right_hand), perform(ZeroAgent(), right_hand)
     assert planned.metrics["f1"] > resting.metrics["f1"] + 0.1
     assert planned.metrics["return"] > resting.metrics["return"] + 5
 
 
-def test_plans_for_a_song_without_fingering(right_hand: Scene) -> None:
+def test_plans_for_a_song_without_fingering(right_hand):
     unfingered = Score(tuple(Note(n.start, n.end, n.pitch) for n in TUNE.notes))
     planner = PredictiveSampling(PredictiveSamplingConfig(iterations=2))
     planned = perform(planner, right_hand, score=unfingered)
@@ -188,7 +186,7 @@ def test_plans_for_a_song_without_fingering(right_hand: Scene) -> None:
 # What is recorded
 
 
-def test_the_record_of_an_episode(right_hand: Scene, tmp_path: Path) -> None:
+def test_the_record_of_an_episode(right_hand, tmp_path):
     performance = perform(PredictiveSampling(FEW_CANDIDATES), right_hand)
     episode, metrics = performance.episode, performance.metrics
     assert (episode.song, episode.dt, episode.num_steps) == ("A tune", 0.05, STEPS)
@@ -208,7 +206,7 @@ def test_the_record_of_an_episode(right_hand: Scene, tmp_path: Path) -> None:
         assert_array_equal(array, episode[name], err_msg=name)
 
 
-def test_progress_counts_the_steps(right_hand: Scene) -> None:
+def test_progress_counts_the_steps(right_hand):
     told: list[tuple[str, int, int]] = []
     play_episode(
         PianoTask([TUNE], CONFIG, right_hand), ZeroAgent(), 0, lambda *step: told.append(step)
@@ -216,7 +214,7 @@ def test_progress_counts_the_steps(right_hand: Scene) -> None:
     assert told == [("playing", step, STEPS) for step in range(1, STEPS + 1)]
 
 
-def test_an_episode_that_ends_early_is_recorded_up_to_there() -> None:
+def test_an_episode_that_ends_early_is_recorded_up_to_there():
     scene = build_scene(SceneConfig(hands="none"))
     plan = np.zeros((STEPS, len(scene.action_low)))
     plan[4:, 0] = scene.action_high[0]
@@ -226,7 +224,7 @@ def test_an_episode_that_ends_early_is_recorded_up_to_there() -> None:
     assert {len(performance.episode[n]) for n in ("goal_keys", "key_qpos", "goal_obs")} == {5}
 
 
-def test_an_episode_has_the_plan_of_an_agent_that_plans(right_hand: Scene) -> None:
+def test_an_episode_has_the_plan_of_an_agent_that_plans(right_hand):
     plan = perform(Planner(), right_hand).plan
     assert plan is not None
     assert plan.complete
@@ -237,7 +235,7 @@ def test_an_episode_has_the_plan_of_an_agent_that_plans(right_hand: Scene) -> No
 # Replaying
 
 
-def test_replaying_a_recorded_performance() -> None:
+def test_replaying_a_recorded_performance():
     with np.load(RECORDING) as file:
         published = json.loads(str(file["metrics"]))
         song, trim = str(file["song"]), bool(file["trim_silence"])
@@ -252,9 +250,7 @@ def test_replaying_a_recorded_performance() -> None:
     ("shape", "sizes"),
     [((STEPS, 39), "39 .* 20"), ((STEPS - 4, 20), "15 .* 19"), ((STEPS, 0), "0 .* 20")],
 )
-def test_a_plan_of_another_size_is_refused(
-    right_hand: Scene, shape: tuple[int, int], sizes: str
-) -> None:
+def test_a_plan_of_another_size_is_refused(right_hand, shape, sizes):
     with pytest.raises(CadenzaError, match=sizes):
         perform(Playback(np.zeros(shape)), right_hand)
 
@@ -306,7 +302,7 @@ BROKEN: dict[str, tuple[Callable[[Path], Path], str]] = {
 
 
 @pytest.mark.parametrize("broken", BROKEN)
-def test_a_broken_recording_is_refused_in_one_line(broken: str, tmp_path: Path) -> None:
+def test_a_broken_recording_is_refused_in_one_line(broken, tmp_path):
     make, message = BROKEN[broken]
     path = make(tmp_path / "recording.npz")
     with pytest.raises(CadenzaError, match=message) as error:
@@ -336,9 +332,7 @@ NO_FINGERS = np.zeros((0, 3))
         ),
     ],
 )
-def test_a_broken_plan_is_refused_in_one_line(
-    arrays: dict[str, Any], facts: dict[str, Any], message: str, tmp_path: Path
-) -> None:
+def test_a_broken_plan_is_refused_in_one_line(arrays, facts, message, tmp_path):
     path = tmp_path / "plan.safetensors"
     write_tensors(path, arrays, facts)
     with pytest.raises(CadenzaError, match=message) as error:
@@ -350,7 +344,7 @@ def test_a_broken_plan_is_refused_in_one_line(
 @pytest.mark.parametrize(
     "content", [None, b"", b"plan: play it well\n", b"\xff" * 20, b"\x02" + bytes(7) + b"{}"]
 )
-def test_what_is_no_plan_is_refused_in_one_line(content: bytes | None, tmp_path: Path) -> None:
+def test_what_is_no_plan_is_refused_in_one_line(content, tmp_path):
     path = tmp_path / "plan.safetensors"
     if content is not None:
         path.write_bytes(content)
@@ -363,7 +357,7 @@ def test_what_is_no_plan_is_refused_in_one_line(content: bytes | None, tmp_path:
 @pytest.mark.parametrize(
     "broken", ["missing", "text", "empty", "truncated", "lone array", "no action"]
 )
-def test_a_broken_episode_is_refused_in_one_line(broken: str, tmp_path: Path) -> None:
+def test_a_broken_episode_is_refused_in_one_line(broken, tmp_path):
     path = BROKEN[broken][0](tmp_path / "episode.npz")
     with pytest.raises(CadenzaError) as error:
         load_episode(path)
@@ -372,7 +366,7 @@ def test_a_broken_episode_is_refused_in_one_line(broken: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("drawn", [True, False])
-def test_a_plan_needs_its_seed_only_where_something_is_drawn(drawn: bool) -> None:
+def test_a_plan_needs_its_seed_only_where_something_is_drawn(drawn):
     noise = DomainRandomization(control_noise=0.1)
     task = TaskConfig(random_stretch=0.1 if drawn else 0.0, randomization=noise)
     assert task_identity(task, SceneConfig(), seed=3).get("seed") == (3 if drawn else None)
@@ -394,11 +388,11 @@ def test_a_plan_needs_its_seed_only_where_something_is_drawn(drawn: bool) -> Non
         ({"planning_timestep": 0.3}, "planning_timestep 0.3: choose 0.0001 to 0.1"),
     ],
 )
-def test_says_what_is_wrong(right_hand: Scene, options: dict, message: str) -> None:
+def test_says_what_is_wrong(right_hand, options, message):
     with pytest.raises(CadenzaError, match=message):
         perform(PredictiveSampling(PredictiveSamplingConfig(**options)), right_hand)
 
 
-def test_a_negative_seed_is_refused(right_hand: Scene) -> None:
+def test_a_negative_seed_is_refused(right_hand):
     with pytest.raises(CadenzaError, match="seed -1: choose 0 or more"):
         perform(ZeroAgent(), right_hand, seed=-1)

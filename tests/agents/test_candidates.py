@@ -12,7 +12,7 @@ FINGER = np.array([-1, 0, 0, 1, -1, 2])
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_each_finger_does_what_it_does_best(seed: int) -> None:
+def test_each_finger_does_what_it_does_best(seed):
     rng = np.random.default_rng(seed)
     candidates = rng.standard_normal((6, 7, len(FINGER)))
     costs = [rng.exponential(1.0, (rng.integers(1, 8), 3)) for _ in candidates]
@@ -35,13 +35,13 @@ def test_each_finger_does_what_it_does_best(seed: int) -> None:
         np.testing.assert_array_equal(child, expected[None])
 
 
-def test_the_hand_goes_where_the_best_candidate_has_it() -> None:
+def test_the_hand_goes_where_the_best_candidate_has_it():
     candidates = np.arange(2.0)[:, None, None] * np.ones((2, 7, len(FINGER)))
     costs = [np.full((7, 3), 1.0), np.zeros((7, 3))]
     np.testing.assert_array_equal(crossover(candidates, costs, 0, FINGER)[0, 0], FINGER >= 0)
 
 
-def test_escape_motions_lift_what_is_caught() -> None:
+def test_escape_motions_lift_what_is_caught():
     servos = servos_of(build_scene(SceneConfig(hands="right")))
     ctrl = np.tile((servos.low + servos.high) / 2, (8, 1))
     posture = ctrl[0] - 0.01

@@ -45,9 +45,7 @@ def runs(request: pytest.FixtureRequest, scene: Scene) -> tuple[str, list[Episod
 
 
 class TestAgent:
-    def test_the_same_seed_plays_the_same_bits_with_any_number_of_threads(
-        self, runs: tuple[str, list[EpisodeResult]]
-    ) -> None:
+    def test_the_same_seed_plays_the_same_bits_with_any_number_of_threads(self, runs):
         name, (one, two, other) = runs
         assert one.episode.arrays.keys() == two.episode.arrays.keys()
         for array in one.episode.arrays.keys() - {"metrics"}:  # which have times among them
@@ -55,9 +53,7 @@ class TestAgent:
         drawn = (one.episode["action"] != other.episode["action"]).any()
         assert drawn == (name in DRAWS) or name in MAY_DRAW
 
-    def test_it_plays_to_the_end_within_the_ranges_of_its_actions(
-        self, runs: tuple[str, list[EpisodeResult]], scene: Scene
-    ) -> None:
+    def test_it_plays_to_the_end_within_the_ranges_of_its_actions(self, runs, scene):
         _, results = runs
         for result in results:
             action = result.episode["action"]

@@ -31,7 +31,7 @@ from cadenza.agents.planner.search.networks.inputs import Corrections, HandInput
 from cadenza.agents.planner.search.networks.weights import Weights
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
-from cadenza.fingers import SIDES, Side
+from cadenza.fingers import SIDES
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
@@ -140,9 +140,7 @@ def play(score: Score, agent: Generalist | Planner, seed: int = 0) -> dict[str, 
 
 
 @pytest.mark.parametrize("step", [10, 25, 40])
-def test_inputs_of_a_left_hand_are_those_of_the_right_hand_in_the_mirror(
-    scene_of_both: SongPlan, step: int
-) -> None:
+def test_inputs_of_a_left_hand_are_those_of_the_right_hand_in_the_mirror(scene_of_both, step):
     images = elsewhere(scene_of_both, lambda key: 82 - key, [1, 0], -1.0)
     inputs, _ = CorrectedHands(scene_of_both).observe(
         step, state_on(scene_of_both, step, {39: 0.02, 41: 0.05})
@@ -152,7 +150,7 @@ def test_inputs_of_a_left_hand_are_those_of_the_right_hand_in_the_mirror(
     np.testing.assert_allclose(inputs, mirrored[::-1], atol=0.05)
 
 
-def test_corrections_of_a_left_hand_are_mirrored(scene_of_both: SongPlan) -> None:
+def test_corrections_of_a_left_hand_are_mirrored(scene_of_both):
     scene = scene_of_both.scene
     corrections = Corrections.of(SIDES, hand_alone(scene, "right").scene)
     names = [name.rpartition("/")[2] for name in scene.actuator_names]
@@ -168,14 +166,14 @@ def scene_of_both() -> SongPlan:
     return planned(notes_of_thumb_to_little(0))
 
 
-def test_same_wherever_on_the_keyboard(scene_of_both: SongPlan) -> None:
+def test_same_wherever_on_the_keyboard(scene_of_both):
     higher = elsewhere(scene_of_both, lambda key: key + 12, [0, 1], 1.0)
     here, _ = CorrectedHands(scene_of_both).observe(25, state_on(scene_of_both, 25, {39: 0.02}))
     there, _ = CorrectedHands(higher).observe(25, state_on(higher, 25, {51: 0.02}))
     np.testing.assert_allclose(here[0], there[0], atol=1e-3)
 
 
-def test_inputs_have_the_output_of_the_step_before(scene_of_both: SongPlan) -> None:
+def test_inputs_have_the_output_of_the_step_before(scene_of_both):
     hands = CorrectedHands(scene_of_both)
     ctrl = hands.observe(24, state_on(scene_of_both, 24, {}))[1]
     hands.record(ctrl + 0.01 * np.sin(np.arange(len(ctrl))), ctrl)
@@ -185,7 +183,7 @@ def test_inputs_have_the_output_of_the_step_before(scene_of_both: SongPlan) -> N
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_a_hand_has_the_same_inputs_without_the_other(scene_of_both: SongPlan, side: Side) -> None:
+def test_a_hand_has_the_same_inputs_without_the_other(scene_of_both, side):
     plan, (alone, _, joints) = scene_of_both, hand_alone(scene_of_both.scene, side)
     hands, state = CorrectedHands(plan), state_on(scene_of_both, 25, {39: 0.02, 60: 0.01})
     hands.output = np.random.default_rng(0).uniform(-1, 1, hands.output.shape)
@@ -202,9 +200,7 @@ def test_a_hand_has_the_same_inputs_without_the_other(scene_of_both: SongPlan, s
 
 
 @pytest.mark.parametrize("seen", [4, 8, 16])
-def test_inputs_are_the_same_by_a_plan_of_what_is_in_sight(
-    scene_of_both: SongPlan, seen: int
-) -> None:
+def test_inputs_are_the_same_by_a_plan_of_what_is_in_sight(scene_of_both, seen):
     """Such a plan begins now, and goes on for a few steps; presses of the past go on in it."""
     plan, now = scene_of_both, 25
     presses = [
@@ -226,7 +222,7 @@ def test_inputs_are_the_same_by_a_plan_of_what_is_in_sight(
     np.testing.assert_allclose(inputs, CorrectedHands(whole).observe(now, state)[0], atol=1e-6)
 
 
-def test_inputs_say_when_and_how_loud_a_finger_is_to_strike() -> None:
+def test_inputs_say_when_and_how_loud_a_finger_is_to_strike():
     score = Score((Note(0.0, 0.3, 64), Note(0.53, 1.0, 64, 92)))  # 30 ms after a step begins
     plan = planned(score, strikes=True)
     _, press = plan.nominal.presses
@@ -246,7 +242,7 @@ def test_inputs_say_when_and_how_loud_a_finger_is_to_strike() -> None:
     np.testing.assert_allclose(speed, [0, 2, 2, 2, 0, 0], atol=0.1)  # 4 rad/s
 
 
-def test_a_touch_moves_the_finger_that_strikes_and_spares_it_corrections() -> None:
+def test_a_touch_moves_the_finger_that_strikes_and_spares_it_corrections():
     plan = planned(notes_of_thumb_to_little(0), strikes=True)
     hands, step = CorrectedHands(plan), plan.strikes.step[1]
     inputs, ctrl = hands.observe(step, state_on(plan, step, {}))
@@ -270,7 +266,7 @@ def test_a_touch_moves_the_finger_that_strikes_and_spares_it_corrections() -> No
 
 
 @pytest.mark.parametrize("look_ahead", [None, 0.5])
-def test_plays_loud_notes_louder(look_ahead: float | None) -> None:
+def test_plays_loud_notes_louder(look_ahead):
     song = load_score("OdeToJoy").beginning(4.0)
     velocities = []
     for velocity in (40, 90):
@@ -291,13 +287,13 @@ def test_plays_loud_notes_louder(look_ahead: float | None) -> None:
 
 
 @pytest.mark.parametrize("config", [CORRECTED, REHEARSED], ids=["corrected", "rehearsed"])
-def test_plays_better_than_its_plan(config: GeneralistConfig) -> None:
+def test_plays_better_than_its_plan(config):
     score = load_score("ArpeggiosTwoHands").beginning(5.0)
     alone = PlannerConfig(method="none")
     assert play(score, Generalist(config))["f1"] > play(score, Planner(alone))["f1"] + 0.05
 
 
-def test_plays_as_it_has_rehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plays_as_it_has_rehearsed(monkeypatch):
     foreseen: list[bool] = []
     act = RehearsedHand.act
 
@@ -310,7 +306,7 @@ def test_plays_as_it_has_rehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.mean(foreseen) > 0.7  # of all steps but those in which half seconds begin
 
 
-def test_keeps_no_change_that_makes_it_worse(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_keeps_no_change_that_makes_it_worse(monkeypatch):
     score = load_score("CanonInDOpening").beginning(6.0)
     changed = actions(score, GeneralistConfig(rehearsals=1))
     hardly = lambda off, *others: 1e-9 * control_update(off, *others)  # noqa: E731
@@ -322,9 +318,7 @@ def test_keeps_no_change_that_makes_it_worse(monkeypatch: pytest.MonkeyPatch) ->
     np.testing.assert_allclose(actions(score, GeneralistConfig(rehearsals=1)), plan, atol=1e-3)
 
 
-def test_half_a_second_begins_with_what_the_one_before_found_for_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_half_a_second_begins_with_what_the_one_before_found_for_it(monkeypatch):
     rehearse, found = HandRehearsal.rehearse, list[int]()
 
     def noted(
@@ -340,7 +334,7 @@ def test_half_a_second_begins_with_what_the_one_before_found_for_it(
     assert found
 
 
-def test_rehearses_only_what_goes_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rehearses_only_what_goes_wrong(monkeypatch):
     simulated: list[int] = []
     rehearse = HandRehearsal.rehearse
 
@@ -356,7 +350,7 @@ def test_rehearses_only_what_goes_wrong(monkeypatch: pytest.MonkeyPatch) -> None
     assert max(simulated) <= 4 * once
 
 
-def test_plays_on_where_a_window_of_the_plan_ends() -> None:
+def test_plays_on_where_a_window_of_the_plan_ends():
     agent = Generalist()
     task = PianoTask([load_score("OdeToJoy").beginning(9.0)], TASK)
     whole = []
@@ -372,7 +366,7 @@ def test_plays_on_where_a_window_of_the_plan_ends() -> None:
     assert whole[-1]
 
 
-def test_corrects_by_default_what_it_has_learnt_to_correct() -> None:
+def test_corrects_by_default_what_it_has_learnt_to_correct():
     score = load_score("MoonlightOpening").beginning(3.0)
     played, corrected, rehearsed = (
         actions(score, config) for config in (GeneralistConfig(), CORRECTED, REHEARSED)
@@ -381,7 +375,7 @@ def test_corrects_by_default_what_it_has_learnt_to_correct() -> None:
     assert (played != rehearsed).any()
 
 
-def test_rehearses_with_hands_that_it_has_not_learnt_with() -> None:
+def test_rehearses_with_hands_that_it_has_not_learnt_with():
     task = PianoTask([load_score("OdeToJoy").beginning(3.0)], TASK, SceneConfig(hand="allegro"))
     assert play_episode(task, Generalist(), 0).metrics["f1"] > 0.8
 
@@ -389,20 +383,20 @@ def test_rehearses_with_hands_that_it_has_not_learnt_with() -> None:
 # What cannot be
 
 
-def test_hand_that_it_has_not_learnt_with() -> None:
+def test_hand_that_it_has_not_learnt_with():
     task = PianoTask([load_score("OdeToJoy")], TASK, SceneConfig(hand="allegro"))
     with pytest.raises(CadenzaError, match="has not learnt to play with hand allegro"):
         play_episode(task, Generalist(CORRECTED), 0)
 
 
-def test_hand_with_other_servos() -> None:
+def test_hand_with_other_servos():
     scene = SceneConfig(reduced_action_space=not SceneConfig().reduced_action_space)
     task = PianoTask([load_score("OdeToJoy").beginning(1.0)], TASK, scene)
     with pytest.raises(CadenzaError, match="leave out options that change the hands"):
         play_episode(task, Generalist(CORRECTED), 0)
 
 
-def test_own_weights_of_other_hands() -> None:
+def test_own_weights_of_other_hands():
     scene = SceneConfig(reduced_action_space=not SceneConfig().reduced_action_space)
     task = PianoTask([load_score("OdeToJoy").beginning(1.0)], TASK, scene)
     with pytest.raises(CadenzaError, match="has learnt with hands of 19 servos") as raised:
@@ -411,13 +405,13 @@ def test_own_weights_of_other_hands() -> None:
 
 
 @pytest.mark.parametrize("other", [{"weights": str(SHIPPED)}, {"look_ahead": 0.5}], ids=str)
-def test_rehearses_neither_what_networks_correct_nor_at_sight(other: dict[str, Any]) -> None:
+def test_rehearses_neither_what_networks_correct_nor_at_sight(other):
     Generalist(GeneralistConfig(rehearsals=0, **other))
     with pytest.raises(CadenzaError, match=f"does not rehearse with {next(iter(other))}"):
         Generalist(GeneralistConfig(rehearsals=4, **other))
 
 
-def test_weights_that_are_damaged(tmp_path: Path) -> None:
+def test_weights_that_are_damaged(tmp_path):
     path = tmp_path / "half.npz"
     path.write_bytes(SHIPPED.read_bytes()[:10_000])
     with pytest.raises(CadenzaError, match=r"half\.npz") as raised:
@@ -433,9 +427,7 @@ def test_weights_that_are_damaged(tmp_path: Path) -> None:
         ("hand:servos", lambda servos: servos * 0, "do not fit 615 inputs and 19 servos"),
     ],
 )
-def test_weights_that_do_not_fit_each_other(
-    tmp_path: Path, name: str, change: Callable[[Array], Array], what: str
-) -> None:
+def test_weights_that_do_not_fit_each_other(tmp_path, name, change, what):
     path = tmp_path / "other.npz"
     with np.load(SHIPPED) as arrays:
         np.savez(path, allow_pickle=False, **{**arrays, name: change(arrays[name])})
@@ -443,14 +435,14 @@ def test_weights_that_do_not_fit_each_other(
         Weights.load(path)
 
 
-def test_weights_are_kept_as_they_were_read(tmp_path: Path) -> None:
+def test_weights_are_kept_as_they_were_read(tmp_path):
     path, shipped = tmp_path / "again.npz", Weights.load(SHIPPED)
     shipped.save(path)
     inputs = np.random.default_rng(0).standard_normal(shipped.sizes[0]).astype(np.float32)
     np.testing.assert_array_equal(Weights.load(path)(inputs), shipped(inputs))
 
 
-def test_fingers_share_what_they_have_learnt(scene_of_both: SongPlan) -> None:
+def test_fingers_share_what_they_have_learnt(scene_of_both):
     hands, weights = CorrectedHands(scene_of_both), Weights.load(SHIPPED)
     inputs = hands.observe(25, state_on(scene_of_both, 25, {}))[0][0]
     ring = inputs + np.where((hands.layout.finger == 3) & hands.layout.private, 0.3, 0.0).astype(
@@ -461,7 +453,7 @@ def test_fingers_share_what_they_have_learnt(scene_of_both: SongPlan) -> None:
     assert set(changed) == {*of_hand, *of_ring}
 
 
-def test_plays_without_jax() -> None:
+def test_plays_without_jax():
     code = """import sys, cadenza
 score = cadenza.Score((cadenza.Note(0.0, 0.5, 60),))
 cadenza.play(score, "generalist")
@@ -473,7 +465,7 @@ print("jax" in sys.modules)"""
 
 
 @pytest.mark.parametrize("look_ahead", [0.5, 2.0])
-def test_plays_the_same_whatever_comes_beyond_what_it_sees(look_ahead: float) -> None:
+def test_plays_the_same_whatever_comes_beyond_what_it_sees(look_ahead):
     known = load_score("BachPreludeInCMajor").beginning(4.5)
     others = tuple(Note(4 + i / 4, 5 + i / 4, 40 + i, 80) for i in range(12))
     changed = replace(known, notes=tuple(n for n in known.notes if n.end <= 4.0) + others)
@@ -496,7 +488,7 @@ def goals_of(score: Score) -> NDArray[np.bool_]:
     return np.column_stack([goals.keys, goals.sustain])
 
 
-def test_plays_at_sight_with_long_control_steps() -> None:
+def test_plays_at_sight_with_long_control_steps():
     task = replace(TASK, control_timestep=0.5)
     score = Score((Note(0.5, 1.0, 60), Note(1.0, 2.0, 64)))
     played = cadenza.play(score, Generalist(GeneralistConfig(look_ahead=0.5)), task=task).episode
@@ -504,12 +496,12 @@ def test_plays_at_sight_with_long_control_steps() -> None:
 
 
 @pytest.mark.parametrize(("look_ahead", "least"), [(0.5, 0.9), (2.0, 0.9)])
-def test_plays_at_sight(look_ahead: float, least: float) -> None:
+def test_plays_at_sight(look_ahead, least):
     score = load_score("CanonInDOpening").beginning(6.0)
     assert play(score, Generalist(GeneralistConfig(look_ahead=look_ahead)))["f1"] > least
 
 
-def test_fingers_that_a_song_gives_are_not_in_sight() -> None:
+def test_fingers_that_a_song_gives_are_not_in_sight():
     given = notes_of_thumb_to_little(0)
     other = notes_of_thumb_to_little(5)
     half_a_second = GeneralistConfig(look_ahead=0.5)
@@ -522,7 +514,7 @@ def receding_planner(task: PianoTask) -> RecedingPlanner:
     return RecedingPlanner(scene, motion, players, task.state.hand_qpos[0], dt)
 
 
-def test_a_look_takes_as_much_work_late_in_a_song_as_early(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_look_takes_as_much_work_late_in_a_song_as_early(monkeypatch):
     work: list[int] = []
     links = Kinematics.links
 
@@ -547,8 +539,8 @@ def test_a_look_takes_as_much_work_late_in_a_song_as_early(monkeypatch: pytest.M
 
 @pytest.mark.parametrize(("astray", "lifted"), [(0.0, False), (0.02, True)])
 def test_finger_that_is_caught_beside_its_key_is_lifted_over_all_keys_and_presses_again(
-    astray: float, lifted: bool
-) -> None:
+    astray, lifted
+):
     task = PianoTask([Score((Note(0.0, 4.0, 64, 80),))], TASK)
     (track,) = task.tracks
     in_sight = receding_planner(task)

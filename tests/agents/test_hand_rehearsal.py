@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import pytest
 from one_hand import DT, OneHand
 
 from cadenza.agents.planner.plan.tracking import Tracking
@@ -34,7 +33,7 @@ class Rehearsed(OneHand):
         return self.rehearsal.rehearse(self.goals, self.tracking, steps, self.simulation)
 
 
-def test_a_plan_that_works_is_rolled_out_once_and_goes_as_rehearsed() -> None:
+def test_a_plan_that_works_is_rolled_out_once_and_goes_as_rehearsed():
     hand = Rehearsed("TwinkleTwinkleLittleStar")
     assert hand.rehearse() == hand.rehearsal.lookahead
     assert hand.rehearsal.end == 10
@@ -49,7 +48,7 @@ def test_a_plan_that_works_is_rolled_out_once_and_goes_as_rehearsed() -> None:
     assert hand.rehearsal.ctrl(4).shape == (6, hand.tracking.ctrl.shape[1])
 
 
-def test_a_finger_that_is_off_its_key_is_put_right(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_finger_that_is_off_its_key_is_put_right(monkeypatch):
     hand = Rehearsed("TwinkleTwinkleLittleStar")
     hand.go_astray()
     rollouts = list[Rollout]()
@@ -65,7 +64,7 @@ def test_a_finger_that_is_off_its_key_is_put_right(monkeypatch: pytest.MonkeyPat
     assert not np.array_equal(hand.rehearsal.ctrl(0), hand.tracking.ctrl[:10])
 
 
-def test_rehearsing_leaves_the_plan_as_it_is() -> None:
+def test_rehearsing_leaves_the_plan_as_it_is():
     hand = Rehearsed("CMajorScaleOneHand")
     before = hand.tracking.ctrl.copy()
     hand.rehearse()

@@ -59,7 +59,7 @@ def play(hand: OneHand, search: HandSearch) -> None:
 @pytest.mark.parametrize(
     ("side", "white", "black"), [("left", 59, 63), ("left", 62, 66), ("right", 59, 61)]
 )
-def test_caught_fingers_get_free(side: Side, white: int, black: int) -> None:
+def test_caught_fingers_get_free(side, white, black):
     hand = OneHand(octaves(side, white, black, 2.0), side)
     keys = [black - 21, black - 9]
 
@@ -80,7 +80,7 @@ def test_caught_fingers_get_free(side: Side, white: int, black: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("white", "black"), [(59, 56), (60, 58), (60, 49), (62, 44)])
-def test_jumps_from_white_octaves_to_black_ones_land(white: int, black: int) -> None:
+def test_jumps_from_white_octaves_to_black_ones_land(white, black):
     task = PianoTask([octaves("left", white, black, 1.2)], BUFFER, SceneConfig(hands="left"))
     agent = Planner(PlannerConfig(fingering="score"))
     assert play_episode(task, agent).metrics["f1"] > 0.75
@@ -98,7 +98,7 @@ def rollouts_of(hand: OneHand, first: int) -> tuple[Rollouts, HorizonCost, np.nd
     return rollouts, horizon, hand.tracking.ctrl[steps]
 
 
-def test_fingertips_off_their_targets_are_corrected() -> None:
+def test_fingertips_off_their_targets_are_corrected():
     hand = OneHand(melody(60, 64, 67, length=0.4))
     rollouts, horizon, nominal = rollouts_of(hand, 6)
     astray = hand.servos.clip(nominal + 2 * hand.servos.noise)
@@ -112,7 +112,7 @@ def test_fingertips_off_their_targets_are_corrected() -> None:
     assert min(rollout.mistakes for rollout in after) < before.mistakes
 
 
-def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
+def test_giving_candidates_up_early_changes_no_cost_that_counts():
     hand = OneHand(melody(60, 72, 61, length=0.2))
     rollouts, _, nominal = rollouts_of(hand, 8)
     noise = np.random.default_rng(0).standard_normal((10, 1, nominal.shape[1]))
@@ -126,7 +126,7 @@ def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
     assert min(rollout.cost for rollout in whole) == min(rollout.cost for rollout in cut)
 
 
-def test_hopeless_music_is_searched_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hopeless_music_is_searched_within_bounds(monkeypatch):
     simulated = []
     run = hand_search.HandRollouts.run
 

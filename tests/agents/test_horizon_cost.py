@@ -29,7 +29,7 @@ class Chord:
         return self.horizon.by_finger(paths, self.tips)
 
 
-def test_costs_of_fingers_are_those_of_the_steps() -> None:
+def test_costs_of_fingers_are_those_of_the_steps():
     chord = Chord()
     for seed in range(10):
         depth = np.random.default_rng(seed).uniform(0.0, 1.2, chord.wanted.shape)
@@ -42,7 +42,7 @@ def test_costs_of_fingers_are_those_of_the_steps() -> None:
         np.testing.assert_allclose(by_finger.sum(axis=1), costs)
 
 
-def test_a_silent_key_is_the_fault_of_the_finger_that_should_press_it() -> None:
+def test_a_silent_key_is_the_fault_of_the_finger_that_should_press_it():
     chord, key = Chord(), CHORD[1] - PIANO.lowest_pitch
     depth = chord.wanted.astype(float)
     fine = chord.by_finger(depth)
@@ -52,7 +52,7 @@ def test_a_silent_key_is_the_fault_of_the_finger_that_should_press_it() -> None:
     assert (worse == (np.arange(worse.shape[1]) == finger)).all()
 
 
-def test_a_wrong_key_is_the_fault_of_the_finger_over_it() -> None:
+def test_a_wrong_key_is_the_fault_of_the_finger_over_it():
     chord, finger = Chord(), 4
     depth = chord.wanted.astype(float)
     fine = chord.by_finger(depth)
@@ -62,7 +62,7 @@ def test_a_wrong_key_is_the_fault_of_the_finger_over_it() -> None:
     assert (worse == (np.arange(worse.shape[1]) == finger)).all()
 
 
-def test_notes_that_do_not_begin_in_time_and_keys_struck_again_cost_more() -> None:
+def test_notes_that_do_not_begin_in_time_and_keys_struck_again_cost_more():
     hand = OneHand(Score((Note(0.0, 0.5, 60),)))
     key, wrong = 60 - 21, 65 - 21
     first, *_, last = np.flatnonzero(hand.plan.goals.keys[:, key])
@@ -88,7 +88,7 @@ def test_notes_that_do_not_begin_in_time_and_keys_struck_again_cost_more() -> No
     assert cost(wrong, "..x.x.....") > cost(wrong, "..xx......") > cost(wrong, "..........")
 
 
-def test_a_wrong_key_that_is_only_brushed_is_a_mistake() -> None:
+def test_a_wrong_key_that_is_only_brushed_is_a_mistake():
     chord, beside = Chord(), CHORD[0] + 1 - PIANO.lowest_pitch
     path = np.repeat(chord.wanted[1:2] * PIANO.travel, 4, axis=0)
     before, tips = chord.horizon.start._replace(sounding=chord.wanted[1]), chord.tips[1]
@@ -100,9 +100,7 @@ def test_a_wrong_key_that_is_only_brushed_is_a_mistake() -> None:
 
 
 @pytest.mark.parametrize(("end", "is_lost"), [(0.6, True), (2.0, False)])
-def test_a_note_that_is_lost_is_not_struck_again_unless_much_of_it_is_left(
-    end: float, is_lost: bool
-) -> None:
+def test_a_note_that_is_lost_is_not_struck_again_unless_much_of_it_is_left(end, is_lost):
     hand, key = OneHand(Score((Note(0.0, end, 60),))), 60 - 21
     steps = np.flatnonzero(hand.plan.goals.keys[:, key])[0] + np.arange(4, 10)
     horizon = HorizonCost(hand.goals, steps, PIANO, slice(None), np.zeros(88))
@@ -146,13 +144,13 @@ def played() -> Played:
     return Played()
 
 
-def test_who_plays_as_planned_makes_no_errors(played: Played) -> None:
+def test_who_plays_as_planned_makes_no_errors(played):
     error, weight = played.errors()
     assert (error == 0.0).all()
     assert weight.max() == 1.0
 
 
-def test_a_finger_whose_key_is_silent_should_have_been_deeper(played: Played) -> None:
+def test_a_finger_whose_key_is_silent_should_have_been_deeper(played):
     step, key = np.argwhere(played.sounding)[2]
     finger = played.goals.finger[step, key]
     played.sounding[step, key] = False
@@ -162,7 +160,7 @@ def test_a_finger_whose_key_is_silent_should_have_been_deeper(played: Played) ->
     assert weight[step, finger] == 1.0
 
 
-def test_a_finger_on_a_key_that_should_be_silent_should_have_been_higher(played: Played) -> None:
+def test_a_finger_on_a_key_that_should_be_silent_should_have_been_higher(played):
     step, key = 2, 40  # before anything sounds
     assert played.goals.wrong[step, key]
     played.sounding[step, key] = True
@@ -174,7 +172,7 @@ def test_a_finger_on_a_key_that_should_be_silent_should_have_been_higher(played:
     assert (error[[step - 2, step + 1]] == 0.0).all()
 
 
-def test_a_key_that_is_struck_again_within_a_step_costs_as_a_wrong_onset() -> None:
+def test_a_key_that_is_struck_again_within_a_step_costs_as_a_wrong_onset():
     chord, key = Chord(), CHORD[0] - PIANO.lowest_pitch
     path = np.repeat(chord.wanted[1:2] * PIANO.travel, 4, axis=0)
     before, tips = chord.horizon.start._replace(sounding=chord.wanted[1]), chord.tips[1]
@@ -185,7 +183,7 @@ def test_a_key_that_is_struck_again_within_a_step_costs_as_a_wrong_onset() -> No
     assert (none, mistakes) == (0, 1)
 
 
-def test_wrong_keys_and_wrong_onsets_near_a_strike_are_its_fault() -> None:
+def test_wrong_keys_and_wrong_onsets_near_a_strike_are_its_fault():
     chord, key, other = Chord(), CHORD[0] - PIANO.lowest_pitch, CHORD[-1] + 4 - PIANO.lowest_pitch
     rest = np.repeat(chord.wanted[:, None] * PIANO.travel, 4, axis=1)
     rest[0, :2] = 0.0  # the chord begins in the first step

@@ -60,7 +60,7 @@ def waking() -> Scene:
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 40), st.floats(0.01, 10))
 @example(1762, 12, 6.0)  # once left a rounding beside a limit, and stuck there
-def test_box_qp_agrees_with_scipy(seed: int, size: int, width: float) -> None:
+def test_box_qp_agrees_with_scipy(seed, size, width):
     rng = np.random.default_rng(seed)
     a, b = rng.standard_normal((size + 5, size)), rng.standard_normal(size + 5)
     low = rng.uniform(-width, width / 2, size)
@@ -71,7 +71,7 @@ def test_box_qp_agrees_with_scipy(seed: int, size: int, width: float) -> None:
     assert_array_equal(free, (x > low) & (x < high))
 
 
-def test_box_qp_refuses_what_has_no_minimum() -> None:
+def test_box_qp_refuses_what_has_no_minimum():
     with pytest.raises(np.linalg.LinAlgError):
         box_qp(-np.eye(2), np.ones(2), np.full(2, -9.0), np.full(2, 9.0), np.zeros(2))
 
@@ -94,7 +94,7 @@ def unlimited(model: Model, steps: int, m: int = 3) -> FeedbackLaw:
     return backward_pass(model, np.zeros((steps, m)), -nowhere, nowhere, 0.0)
 
 
-def test_without_limits_the_gain_is_the_riccati_equations() -> None:
+def test_without_limits_the_gain_is_the_riccati_equations():
     n, steps = 5, 200
     model = linear_quadratic(steps)
     a, b = model.transition[0, :, :n], model.transition[0, :, n:]
@@ -104,7 +104,7 @@ def test_without_limits_the_gain_is_the_riccati_equations() -> None:
     assert_allclose(unlimited(model, steps).gain[0], gain, rtol=1e-8)
 
 
-def test_without_limits_the_offsets_minimise_the_whole_cost() -> None:
+def test_without_limits_the_offsets_minimise_the_whole_cost():
     """All controls at once as one dense least squares problem, from a state of zero."""
     n, m, steps = 5, 3, 6
     model = linear_quadratic(steps)
@@ -126,7 +126,7 @@ def test_without_limits_the_offsets_minimise_the_whole_cost() -> None:
         state = model.transition[k] @ np.concatenate([state, control])
 
 
-def test_controls_at_a_limit_stay_there_and_ignore_the_state() -> None:
+def test_controls_at_a_limit_stay_there_and_ignore_the_state():
     steps, limit = 8, np.full(3, 0.1)
     controls = np.random.default_rng(0).uniform(-limit, limit, (steps, 3))
     policy = backward_pass(linear_quadratic(steps), controls, -limit, limit, 0.0)
@@ -138,7 +138,7 @@ def test_controls_at_a_limit_stay_there_and_ignore_the_state() -> None:
     assert_array_equal((policy.gain == 0).all(axis=2), clamped)
 
 
-def test_regularisation_shortens_the_steps() -> None:
+def test_regularisation_shortens_the_steps():
     model, limit = linear_quadratic(1), np.full(3, 100.0)
     lengths = [
         np.linalg.norm(backward_pass(model, np.zeros((1, 3)), -limit, limit, mu).offset)
@@ -163,9 +163,7 @@ def pressing(scene: Scene) -> tuple[PlanningSimulation, np.ndarray]:
 
 
 @pytest.mark.parametrize("part", ["positions", "velocities", "controls"])
-def test_derivatives_over_a_control_step_are_those_of_the_simulation(
-    part: str, waking: Scene
-) -> None:
+def test_derivatives_over_a_control_step_are_those_of_the_simulation(part, waking):
     simulation, ctrl = pressing(waking)
     assert (simulation.state.key_qpos > 0.01).sum() > 2
     start, joints = simulation.physics_state(0), waking.model.nv
@@ -197,7 +195,7 @@ def slope(scene: Scene, start: np.ndarray, ctrl: np.ndarray, direction: np.ndarr
     return (ends[1] - ends[0]) / 2e-8
 
 
-def test_geometry_after_each_physics_step_is_that_of_the_simulation(waking: Scene) -> None:
+def test_geometry_after_each_physics_step_is_that_of_the_simulation(waking):
     simulation, ctrl = pressing(waking)
     seen = Lineariser(waking, 2, 10).linearise(simulation.physics_state(0), np.array([ctrl, ctrl]))
     for k in range(2):
@@ -219,7 +217,7 @@ def displaced(scene: Scene, hand_qpos: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.array(columns), 0, -1)
 
 
-def test_sleeping_keys_have_no_derivatives(right_hand: Scene) -> None:
+def test_sleeping_keys_have_no_derivatives(right_hand):
     with pytest.raises(CadenzaError, match="sleeping_keys"):
         Lineariser(right_hand, 1, 1)
 
@@ -260,7 +258,7 @@ def begun(
 @pytest.mark.parametrize(
     ("score", "fingering"), [(TUNE, "auto"), (TUNE, "transport"), (CHORD, "auto")]
 )
-def test_the_gradient_is_that_of_the_cost(right_hand: Scene, score: Score, fingering: Any) -> None:
+def test_the_gradient_is_that_of_the_cost(right_hand, score, fingering):
     planner = WatchedPlanner(ILQGConfig(horizon=0.05, centred=True))
     task = begun(planner, right_hand, score=score, fingering=fingering)
     planner.act(task.view())
@@ -287,9 +285,7 @@ def perform(agent: Agent, scene: Scene, **options: Any) -> EpisodeResult:
     return play_episode(PianoTask([TUNE], config, scene), agent)
 
 
-def test_the_next_plan_begins_with_the_last_one_a_step_later(
-    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_next_plan_begins_with_the_last_one_a_step_later(right_hand, monkeypatch):
     for part in ("approximate", "improve"):  # nothing is found that is better
         monkeypatch.setattr(ILQGPlanner, part, lambda *_: None)
     task = begun(planner := ILQG(ILQGConfig(horizon=0.15)), right_hand)
@@ -301,7 +297,7 @@ def test_the_next_plan_begins_with_the_last_one_a_step_later(
     assert_array_equal(planned.nominal, nominal[[1, 2, 2]])
 
 
-def test_planning_lowers_its_cost(right_hand: Scene) -> None:
+def test_planning_lowers_its_cost(right_hand):
     planner = WatchedPlanner(ILQGConfig(horizon=0.1, iterations=4))
     planner.act(begun(planner, right_hand).view())
     costs = planner.planners[0].costs
@@ -311,7 +307,7 @@ def test_planning_lowers_its_cost(right_hand: Scene) -> None:
         assert after[0] == before.min()  # what was chosen costs the same again
 
 
-def test_planning_pays_and_keeps_within_limits(right_hand: Scene) -> None:
+def test_planning_pays_and_keeps_within_limits(right_hand):
     planned, resting = perform(ILQG(SHORT), right_hand), perform(ZeroAgent(), right_hand)
     assert planned.metrics["return"] > resting.metrics["return"] + 3
     action = planned.episode["action"]
@@ -320,7 +316,7 @@ def test_planning_pays_and_keeps_within_limits(right_hand: Scene) -> None:
     assert_array_equal(action[:, -1], [0] * 6 + [1] * 9)  # the pedal as the score has it
 
 
-def test_same_bits_for_any_number_of_threads() -> None:
+def test_same_bits_for_any_number_of_threads():
     """Also of linear algebra, which adds up otherwise with two where matrices are large."""
     config = ILQGConfig(horizon=0.1, planning_timestep=0.05, num_step_sizes=2)
     actions = []
@@ -334,7 +330,7 @@ def test_same_bits_for_any_number_of_threads() -> None:
     assert_array_equal(*actions)
 
 
-def test_planning_leaves_the_task_as_it_is(right_hand: Scene) -> None:
+def test_planning_leaves_the_task_as_it_is(right_hand):
     planner = ILQG(SHORT)
     task = begun(planner, right_hand)
     before = task.simulation.physics_state(0)
@@ -343,7 +339,7 @@ def test_planning_leaves_the_task_as_it_is(right_hand: Scene) -> None:
 
 
 @pytest.mark.parametrize("hands", ["left", "none"])
-def test_plans_for_other_hands(hands: Any) -> None:
+def test_plans_for_other_hands(hands):
     scene = build_scene(SceneConfig(hands=hands, physics="fast"))
     planner = ILQG(SHORT)
     task = begun(planner, scene)
@@ -366,6 +362,6 @@ def test_plans_for_other_hands(hands: Any) -> None:
         ({"planning_timestep": 0.0}, "planning_timestep 0.0: choose 0.0001 to"),
     ],
 )
-def test_says_what_is_wrong(right_hand: Scene, options: dict, message: str) -> None:
+def test_says_what_is_wrong(right_hand, options, message):
     with pytest.raises(CadenzaError, match=message):
         perform(ILQG(ILQGConfig(**options)), right_hand)

@@ -36,7 +36,7 @@ from cadenza.scene.scene import build_scene
 from cadenza.scene.servos import servos_of
 
 
-def test_forearms_of_hands_that_play_close_together_do_not_touch() -> None:
+def test_forearms_of_hands_that_play_close_together_do_not_touch():
     scene = build_scene()
     keys, fingers = np.zeros((40, 88), bool), np.full((40, 88), np.int8(-1))
     for first, (left, right) in enumerate(((39, 43), (37, 45), (39, 43))):  # C4 and E4, and apart
@@ -51,7 +51,7 @@ def test_forearms_of_hands_that_play_close_together_do_not_touch() -> None:
     assert apart.min() > WIDTH
 
 
-def test_links_keep_apart_by_their_radii() -> None:
+def test_links_keep_apart_by_their_radii():
     """Against the distance of two segments as found by a general minimiser."""
     scene = build_scene(SceneConfig(hands="right"))
     servos = servos_of(scene)
@@ -77,7 +77,7 @@ def test_links_keep_apart_by_their_radii() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_a_thumb_meets_only_fingers_that_are_there(count: int) -> None:
+def test_a_thumb_meets_only_fingers_that_are_there(count):
     hand = SimpleNamespace(fingers=SHADOW.fingers[:count], thumb_meets=2)
     shape = 1, count, len(hand.fingers[0].links) + 1, 3
     points = 0.01 * np.random.default_rng(0).standard_normal(shape)
@@ -112,7 +112,7 @@ def evaluated(
 
 
 @pytest.mark.parametrize("number", range(5))
-def test_terms_have_the_jacobian_of_their_residuals(number: int) -> None:
+def test_terms_have_the_jacobian_of_their_residuals(number):
     """The gradient of their squares against finite differences, of hands that interlock."""
     scene = build_scene()
     servos, rng = servos_of(scene), np.random.default_rng(5)
@@ -150,7 +150,7 @@ def _exactly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("_exactly")
-def test_hands_give_way_to_each_other_as_the_gradient_says() -> None:
+def test_hands_give_way_to_each_other_as_the_gradient_says():
     """Of postures that interlock, against finite differences of what they cost."""
     problem, here = close_hands(-0.08, 0.1)
     now = evaluated(problem, here)
@@ -166,7 +166,7 @@ def test_hands_give_way_to_each_other_as_the_gradient_says() -> None:
 
 
 @pytest.mark.usefixtures("_exactly")
-def test_only_postures_that_have_moved_are_linearised_anew() -> None:
+def test_only_postures_that_have_moved_are_linearised_anew():
     problem, here = close_hands(-0.06, 0.085)
     known = evaluated(problem, here).linearisation
     assert known.close.tolist() == [0, 1, 2]  # the forearms
@@ -184,9 +184,7 @@ def test_only_postures_that_have_moved_are_linearised_anew() -> None:
     assert bands == pytest.approx(bands_anew, abs=1e-3 * bands_anew.max())
 
 
-def test_postures_are_found_where_single_precision_does_not_do(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_postures_are_found_where_single_precision_does_not_do(monkeypatch):
     """Where LAPACK says that a matrix of floats is not positive definite."""
     scene = build_scene(SceneConfig(hands="right"))
     servos = servos_of(scene)

@@ -17,7 +17,7 @@ def alone() -> Scene:
     return hand_alone(build_scene(SceneConfig()), "right").scene
 
 
-def test_least_squares_over_all_steps_at_once(alone: Scene) -> None:
+def test_least_squares_over_all_steps_at_once(alone):
     servos, rng = servos_of(alone), np.random.default_rng(0)
     count = len(servos.low)
     off = 0.01 * rng.standard_normal((STEPS, FINGERS, 3))

@@ -52,9 +52,7 @@ def estimated(task: PianoTask, late: Lateness) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(
     ("acting", "sensing"), [(0.05, 0.0), (0.1, 0.05), (0.035, 0.02), (0.0, 0.03)]
 )
-def test_the_state_is_that_in_which_an_action_arrives(
-    scene: Scene, acting: float, sensing: float
-) -> None:
+def test_the_state_is_that_in_which_an_action_arrives(scene, acting, sensing):
     """It is where a robot that is not late would have been with the same actions."""
     task = task_of(scene, latency=(acting,) * 2, observation_latency=(sensing,) * 2)
     there, _ = estimated(task, Lateness(acting, sensing, (0.0, 0.0, 0.0)))
@@ -64,7 +62,7 @@ def test_the_state_is_that_in_which_an_action_arrives(
         prompt.step(ctrl[None])
 
 
-def test_noise_is_filtered_and_a_robot_that_differs_is_followed(scene: Scene) -> None:
+def test_noise_is_filtered_and_a_robot_that_differs_is_followed(scene):
     task = task_of(scene, joint_noise=0.03, servo_gain=(0.8, 0.8))
     estimator = StateEstimator(scene, 0.05, Lateness(0.0, 0.0, (0.03, 0.0, 0.0)), task.sensed)
     off, noise = [], []
@@ -77,7 +75,7 @@ def test_noise_is_filtered_and_a_robot_that_differs_is_followed(scene: Scene) ->
 
 
 @pytest.mark.parametrize("seconds", [0.05, 0.1, 0.02])
-def test_a_song_begins_earlier_with_the_same_fingers(scene: Scene, seconds: float) -> None:
+def test_a_song_begins_earlier_with_the_same_fingers(scene, seconds):
     (track,) = PianoTask([TUNE], None, scene).tracks
     moved = earlier(track, seconds)
     starts = [[n.start for n in each.delayed_score.notes] for each in (track, moved)]
@@ -85,7 +83,7 @@ def test_a_song_begins_earlier_with_the_same_fingers(scene: Scene, seconds: floa
     assert [n.finger for n in moved.score.notes] == [n.finger for n in track.score.notes]
 
 
-def test_a_song_that_begins_too_early_is_refused(scene: Scene) -> None:
+def test_a_song_that_begins_too_early_is_refused(scene):
     config = TaskConfig(
         initial_buffer_time=0.1, randomization=DomainRandomization(latency=(0.2, 0.2))
     )
@@ -96,14 +94,14 @@ def test_a_song_that_begins_too_early_is_refused(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("agent", [Planner, Generalist])
-def test_a_known_delay_of_a_step_costs_nearly_nothing(scene: Scene, agent: Any) -> None:
+def test_a_known_delay_of_a_step_costs_nearly_nothing(scene, agent):
     late = task_of(scene, latency=(0.05, 0.05))
     results = [play_episode(task, agent()).metrics for task in (task_of(scene), late)]
     for name, most in (("f1", 0.02), ("note_onset_f1", 0.05)):
         assert results[1][name] >= results[0][name] - most
 
 
-def test_who_is_not_late_plays_as_ever(scene: Scene) -> None:
+def test_who_is_not_late_plays_as_ever(scene):
     played = [
         play_episode(task, Planner()).episode["action"]
         for task in (task_of(scene), task_of(scene, mass=(1.0, 1.0), seed=3))

@@ -34,7 +34,7 @@ def in_time(score: Score, played: np.ndarray, dt: float) -> bool:
 
 
 @pytest.mark.parametrize("dt", STEPS)
-def test_notes_are_in_time_where_the_metric_says_so(dt: float) -> None:
+def test_notes_are_in_time_where_the_metric_says_so(dt):
     first, length, count = 10, 20, 40
     score = Score((Note(first * dt, (first + length) * dt, PITCH),))
     keys = np.zeros((count, 88), bool)
@@ -48,14 +48,14 @@ def test_notes_are_in_time_where_the_metric_says_so(dt: float) -> None:
     assert last[due] == due - first
 
 
-def test_a_note_that_is_struck_again_begins_a_step_late_at_best() -> None:
+def test_a_note_that_is_struck_again_begins_a_step_late_at_best():
     keys = np.zeros((20, 88), bool)
     keys[2:5, KEY] = keys[6:9, KEY] = True
     assert np.flatnonzero(last_in_time(keys, 0.05)[:, KEY] >= 0).tolist() == [3, 6]
     assert np.flatnonzero(last_in_time(keys, 0.02)[:, KEY] >= 0).tolist() == [4, 7]
 
 
-def test_what_is_due_in_a_long_song_takes_little_memory() -> None:
+def test_what_is_due_in_a_long_song_takes_little_memory():
     keys = np.zeros((20_000, 88), bool)
     tracemalloc.start()
     try:
@@ -79,7 +79,7 @@ def drawn_events(rng: np.random.Generator, steps: int, keys: list[int]) -> tuple
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_faults_of_notes_are_those_of_note_onset_f1(seed: int) -> None:
+def test_faults_of_notes_are_those_of_note_onset_f1(seed):
     rng, keys = np.random.default_rng(seed), [KEY, KEY + 1, KEY + 4]
     notes = [
         Note(start, start + 0.15, PITCH + key - KEY)
@@ -107,7 +107,7 @@ def test_faults_of_notes_are_those_of_note_onset_f1(seed: int) -> None:
     assert faults == len(notes) + len(played.notes) - 2 * found
 
 
-def test_a_strike_loses_by_its_time_and_speed_but_less_than_a_key_or_an_onset() -> None:
+def test_a_strike_loses_by_its_time_and_speed_but_less_than_a_key_or_an_onset():
     score = Score((Note(0.52, 1.0, PITCH, 60), Note(0.52, 1.0, PITCH + 4, 60)))
     task = PianoTask([score], TaskConfig(), SceneConfig(hands="right"))
     task.reset([np.random.default_rng(0)], [0])

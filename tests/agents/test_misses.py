@@ -93,23 +93,23 @@ def concert() -> Concert:
     return Concert()
 
 
-def test_nothing_is_missed_where_nothing_is(concert: Concert) -> None:
+def test_nothing_is_missed_where_nothing_is(concert):
     assert concert.misses() == []
 
 
 @pytest.mark.parametrize("agent", ["planner", "generalist"])
-def test_a_performance_of_a_step_or_two_may_miss_its_note(agent: str) -> None:
+def test_a_performance_of_a_step_or_two_may_miss_its_note(agent):
     tiny = Score((Note(0.0, 0.03, 60),))
     performance = cadenza.play(tiny, agent, task=TaskConfig(initial_buffer_time=0.0))
     assert [miss.what for miss in performance.misses or ()] == ["never sounded"]
 
 
-def test_a_step_late_and_a_step_short_are_in_time(concert: Concert) -> None:
+def test_a_step_late_and_a_step_short_are_in_time(concert):
     concert.sounds(C4, 11, 19)
     assert concert.misses() == []
 
 
-def test_what_is_in_time_does_not_depend_on_the_control_step(concert: Concert) -> None:
+def test_what_is_in_time_does_not_depend_on_the_control_step(concert):
     concert.dt = 0.025
     concert.sounds(C4, 12, 18)
     assert concert.misses() == []
@@ -126,9 +126,7 @@ def test_what_is_in_time_does_not_depend_on_the_control_step(concert: Concert) -
         ((10, 17), "let go 150 ms early", True),
     ],
 )
-def test_what_became_of_a_note(
-    concert: Concert, steps: tuple[int, int], what: str, sounded: bool
-) -> None:
+def test_what_became_of_a_note(concert, steps, what, sounded):
     concert.sounds(C4, *steps)
     (miss,) = concert.misses()
     assert (miss.time, miss.note, miss.finger) == (0.5, "C4", finger(INDEX))
@@ -227,7 +225,7 @@ REASONS: dict[Callable[[Concert], None], tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("spoil", REASONS, ids=lambda spoil: spoil.__name__)
-def test_why_a_note_did_not_sound(spoil: Callable[[Concert], None], concert: Concert) -> None:
+def test_why_a_note_did_not_sound(spoil, concert):
     spoil(concert)
     (miss,) = concert.misses()
     cause, words = REASONS[spoil]
@@ -236,21 +234,19 @@ def test_why_a_note_did_not_sound(spoil: Callable[[Concert], None], concert: Con
 
 
 @pytest.mark.parametrize("spoil", [other_hand_in_the_way, forearms])
-def test_hands_at_pianos_of_their_own_are_not_in_each_others_way(
-    spoil: Callable[[Concert], None], concert: Concert
-) -> None:
+def test_hands_at_pianos_of_their_own_are_not_in_each_others_way(spoil, concert):
     concert.scene = build_scene(SceneConfig(hands="apart"))
     spoil(concert)
     assert [miss.cause for miss in concert.misses()] == ["finger beside the key"]
 
 
-def test_a_key_that_has_sounded_for_long_was_not_struck_instead(concert: Concert) -> None:
+def test_a_key_that_has_sounded_for_long_was_not_struck_instead(concert):
     neighbour(concert)
     concert.sounds(D4, 0, 15)
     assert [miss.cause for miss in concert.misses()] != ["neighbouring key struck"]
 
 
-def test_a_key_that_does_not_come_up_between_notes(concert: Concert) -> None:
+def test_a_key_that_does_not_come_up_between_notes(concert):
     concert.goal[15] = False
     concert.presses[:1] = [Press("right", INDEX, C4, 11, 16), Press("right", INDEX, C4, 17, 21)]
     (miss,) = concert.misses()
@@ -265,7 +261,7 @@ def test_a_key_that_does_not_come_up_between_notes(concert: Concert) -> None:
         (21, 0.0, "key not held down"),
     ],
 )
-def test_why_a_note_was_let_go_early(planned: int, by: float, cause: str, concert: Concert) -> None:
+def test_why_a_note_was_let_go_early(planned, by, cause, concert):
     concert.sounds(C4, 10, 15)
     concert.cut(planned)
     concert.tips[15:, INDEX, 1] += by
@@ -273,7 +269,7 @@ def test_why_a_note_was_let_go_early(planned: int, by: float, cause: str, concer
     assert (miss.what, miss.cause) == ("let go 250 ms early", cause)
 
 
-def test_with_one_hand_only(concert: Concert) -> None:
+def test_with_one_hand_only(concert):
     silent(concert)
     concert.planned = concert.planned[:, :5]
     concert.tips[:, 5:] = 0.0

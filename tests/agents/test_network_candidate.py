@@ -74,7 +74,7 @@ def proposed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return steps
 
 
-def test_search_begins_with_what_is_proposed(proposed: list[int]) -> None:
+def test_search_begins_with_what_is_proposed(proposed):
     score = load_score("CMajorChordProgressionTwoHands").beginning(2.0)
     with_it = play_episode(PianoTask([score], TASK), Planner(), 0)
     assert proposed
@@ -87,9 +87,7 @@ def test_search_begins_with_what_is_proposed(proposed: list[int]) -> None:
 @pytest.mark.parametrize(
     "scene", [SceneConfig(hand="allegro"), SceneConfig(reduced_action_space=False)]
 )
-def test_nothing_is_proposed_to_hands_that_it_was_not_learnt_with(
-    scene: SceneConfig, proposed: list[int]
-) -> None:
+def test_nothing_is_proposed_to_hands_that_it_was_not_learnt_with(scene, proposed):
     score = load_score("OdeToJoy").beginning(1.0)
     config = PlannerConfig(proposals="learnt")
     play_episode(PianoTask([score], TASK, scene), Planner(config), 0)

@@ -31,7 +31,7 @@ def short_windows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nominal_trajectory, "_OVERLAP", 1.5)
 
 
-def test_windows_plan_what_the_whole_song_at_once_does(request: pytest.FixtureRequest) -> None:
+def test_windows_plan_what_the_whole_song_at_once_does(request):
     held = (Note(0.0, 1.9, 60), Note(2.4, 4.8, 67))
     score = Score((*held, *melody(*[64, 79, 67, 84, 72, 71] * 3, length=0.3).notes))
     at_once = whole_plan(score).nominal
@@ -49,9 +49,7 @@ def test_windows_plan_what_the_whole_song_at_once_does(request: pytest.FixtureRe
 
 
 @pytest.mark.usefixtures("short_windows")
-def test_windows_begin_with_what_was_found_for_the_same_steps(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_windows_begin_with_what_was_found_for_the_same_steps(monkeypatch):
     begins, improved = [], []
 
     def spied(*given: Any) -> np.ndarray:
@@ -72,7 +70,7 @@ def test_windows_begin_with_what_was_found_for_the_same_steps(
 
 
 @pytest.mark.usefixtures("short_windows")
-def test_a_long_song_is_planned_as_it_is_played() -> None:
+def test_a_long_song_is_planned_as_it_is_played():
     score = melody(*[60, 62, 64, 65, 67] * 5, length=0.3)
     task = PianoTask([score], BUFFER, SceneConfig(hands="right"))
     agent, planned = Planner(PlannerConfig(method="none")), []
@@ -103,7 +101,7 @@ def first_guess(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("first_guess")
-def test_windows_let_go_later_where_the_whole_song_does(request: pytest.FixtureRequest) -> None:
+def test_windows_let_go_later_where_the_whole_song_does(request):
     score = melody(*[48, 79] * 8, length=0.3)
     usual = whole_plan(score).nominal
     later = np.zeros((usual.num_steps, 1), np.int8)
@@ -120,7 +118,7 @@ def test_windows_let_go_later_where_the_whole_song_does(request: pytest.FixtureR
 
 @pytest.mark.usefixtures("first_guess")
 @pytest.mark.parametrize("dt", [0.01, FINER, COARSER])
-def test_windows_last_as_long_at_any_control_step(dt: float) -> None:
+def test_windows_last_as_long_at_any_control_step(dt):
     scene = build_scene(SceneConfig(hands="right"))
     start = np.zeros(len(scene.hand_joint_names))
 
@@ -135,7 +133,7 @@ def test_windows_last_as_long_at_any_control_step(dt: float) -> None:
 
 
 @pytest.mark.usefixtures("first_guess")
-def test_memory_of_a_long_song_is_that_of_its_plan() -> None:
+def test_memory_of_a_long_song_is_that_of_its_plan():
     scene = build_scene()
     servos = hand_alone(scene, "left").servos
     followed = list[Tracking]()
@@ -157,7 +155,7 @@ def test_memory_of_a_long_song_is_that_of_its_plan() -> None:
 
 
 @pytest.mark.parametrize("dt", [FINER, COARSER])
-def test_hands_glide_as_fast_at_any_control_step(dt: float) -> None:
+def test_hands_glide_as_fast_at_any_control_step(dt):
     scene = build_scene(SceneConfig(hands="right"))
     start = np.zeros(len(scene.hand_joint_names))
 
@@ -173,7 +171,7 @@ def test_hands_glide_as_fast_at_any_control_step(dt: float) -> None:
     assert speed(dt) == pytest.approx(speed(0.05), rel=0.15)
 
 
-def test_postures_are_such_that_their_controls_reach_them() -> None:
+def test_postures_are_such_that_their_controls_reach_them():
     """A thumb on black keys needs the hand further in than on white ones, as soon as it strikes."""
     scene = build_scene(SceneConfig(hands="right"))
     keys = np.zeros((60, 88), bool)
@@ -190,7 +188,7 @@ def test_postures_are_such_that_their_controls_reach_them() -> None:
 # Tracking
 
 
-def test_servos_follow_as_their_figures_say() -> None:
+def test_servos_follow_as_their_figures_say():
     """The tracker's own prediction against the simulation, in the air."""
     scene = build_scene(SceneConfig(hands="right"))
     servos = servos_of(scene)
@@ -205,7 +203,7 @@ def test_servos_follow_as_their_figures_say() -> None:
     assert (tracking.ctrl <= servos.high).all()
 
 
-def test_a_forearm_follows_a_jump_without_delay() -> None:
+def test_a_forearm_follows_a_jump_without_delay():
     servos = servos_of(build_scene(SceneConfig(hands="right")))
     (slide,) = servos.along_keyboard
     reference = np.tile(np.clip(0.0, servos.low, servos.high), (16, 1))

@@ -72,7 +72,7 @@ def judged(passages: list[Passage], hand: int) -> list[int]:
 
 
 @given(st.sets(st.integers(0, len(SONG.notes) - 1)))
-def test_each_note_with_another_finger_is_in_one_passage(notes: set[int]) -> None:
+def test_each_note_with_another_finger_is_in_one_passage(notes):
     passages = passages_of(TRACK, USUAL, with_index(*notes))
     for hand in (0, 1):
         steps = judged(passages, hand)
@@ -81,7 +81,7 @@ def test_each_note_with_another_finger_is_in_one_passage(notes: set[int]) -> Non
     assert bool(passages) == bool(notes)
 
 
-def test_of_each_passage_the_fingers_are_kept_that_lose_less() -> None:
+def test_of_each_passage_the_fingers_are_kept_that_lose_less():
     other = with_index(1, 2, 12)
     early, late = passages_of(TRACK, USUAL, other)
     loss, other_loss = lost(EVERYTHING, 0.1), lost(EVERYTHING, 0.1)
@@ -97,7 +97,7 @@ def test_of_each_passage_the_fingers_are_kept_that_lose_less() -> None:
     assert loss.all()  # is as it was
 
 
-def test_where_fingers_are_the_same_each_second_of_a_hand_is_kept_that_loses_less() -> None:
+def test_where_fingers_are_the_same_each_second_of_a_hand_is_kept_that_loses_less():
     other = with_index(6)
     ((refingered, _),) = passages_of(TRACK, USUAL, other)
     loss = lost(EVERYTHING, 0.1)
@@ -117,7 +117,7 @@ def test_where_fingers_are_the_same_each_second_of_a_hand_is_kept_that_loses_les
         assert (best.trajectory.ctrl[:, SERVOS[hand]] == theirs[:, None]).all()
 
 
-def test_a_note_without_a_finger_is_of_no_hand() -> None:
+def test_a_note_without_a_finger_is_of_no_hand():
     other, loss = USUAL._replace(fingers=USUAL.fingers.copy()), lost(EVERYTHING, 0.1)
     other.fingers[6] = NO_FINGER
     ((steps, _),) = passages_of(TRACK, USUAL, other)
@@ -134,7 +134,7 @@ def test_a_note_without_a_finger_is_of_no_hand() -> None:
     assert not best.trajectory.loss[:, 1].any()
 
 
-def test_other_fingers_are_looked_for_only_where_something_is_lost() -> None:
+def test_other_fingers_are_looked_for_only_where_something_is_lost():
     other_costs = Costs(distance=64.0, same_finger=0.0)
     nowhere = SplicedTrajectory(TRACK, USUAL, played(lost(slice(0))))
     assert nowhere.with_fingers_by(other_costs).equals(USUAL)
@@ -148,7 +148,7 @@ def test_other_fingers_are_looked_for_only_where_something_is_lost() -> None:
     assert all(loss[passage].any() for passage in passages_of(TRACK, USUAL, changed))
 
 
-def test_of_each_jump_the_time_to_let_go_is_kept_that_loses_less() -> None:
+def test_of_each_jump_the_time_to_let_go_is_kept_that_loses_less():
     loss = lost(EVERYTHING, 0.1)
     later = SplicedTrajectory(TRACK, USUAL, played(loss)).with_release_delay(1)
     assert (later.release_delays[STRIKES, 0] == 1).all()
@@ -165,7 +165,7 @@ def test_of_each_jump_the_time_to_let_go_is_kept_that_loses_less() -> None:
     assert best.with_release_delay(2).equals(best.variant)  # nothing is lost there any more
 
 
-def test_a_hand_lets_go_later_only_where_it_loses_something() -> None:
+def test_a_hand_lets_go_later_only_where_it_loses_something():
     third = slice(STRIKES[3] - 1, STRIKES[3] + 1)
     best = SplicedTrajectory(TRACK, USUAL, played(lost(third)))
     assert np.flatnonzero(best.with_release_delay(1).release_delays[STRIKES, 0]).tolist() == [3]
@@ -175,7 +175,7 @@ def test_a_hand_lets_go_later_only_where_it_loses_something() -> None:
     assert changed.release_delays[STRIKES[3]].tolist() == [0, 1]
 
 
-def test_a_variant_gives_the_track_its_fingers() -> None:
+def test_a_variant_gives_the_track_its_fingers():
     fingers = [note.finger for note in with_index(3, 4).of(TRACK).score.notes]
     assert fingers == [Finger(0, int(i in (3, 4))) for i in range(len(SONG.notes))]
 
@@ -207,7 +207,7 @@ def drawn(rng: np.random.Generator) -> Trajectory:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_each_hand_keeps_the_better_of_each_window(seed: int) -> None:
+def test_each_hand_keeps_the_better_of_each_window(seed):
     goals: Any = [Goals(0), Goals(1)]
     own = [slice(0, 3), slice(3, 6)]
     rng = np.random.default_rng(seed)

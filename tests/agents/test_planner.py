@@ -31,13 +31,13 @@ def perform(
 # What is heard
 
 
-def test_twinkle_is_played() -> None:
+def test_twinkle_is_played():
     """The published policy, trained for a day, reaches .994; the paper's planner .13."""
     assert perform(load_score("TwinkleTwinkleLittleStar")).metrics["f1"] > 0.97
 
 
 @pytest.mark.parametrize("dt", [FINER, COARSER])
-def test_other_control_steps_play_as_well(dt: float) -> None:
+def test_other_control_steps_play_as_well(dt):
     task = PianoTask(
         [melody(60, 64)],
         replace(BUFFER, control_timestep=dt),
@@ -48,32 +48,32 @@ def test_other_control_steps_play_as_well(dt: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dt", [FINER, COARSER])
-def test_twinkle_is_played_at_other_control_steps(dt: float) -> None:
+def test_twinkle_is_played_at_other_control_steps(dt):
     task = PianoTask([load_score("TwinkleTwinkleLittleStar")], replace(BUFFER, control_timestep=dt))
     assert play_episode(task, Planner()).metrics["f1"] > 0.97
 
 
-def test_a_plan_that_is_not_refined_plays_a_melody() -> None:
+def test_a_plan_that_is_not_refined_plays_a_melody():
     assert perform(melody(60, 62, 64, 65, 67), PlannerConfig(method="none")).metrics["f1"] > 0.85
 
 
 @pytest.mark.parametrize("hands", ["left", "right"])
-def test_one_hand_plays_alone(hands: str) -> None:
+def test_one_hand_plays_alone(hands):
     assert perform(melody(55, 57, 59, 60), hands=hands).metrics["f1"] > 0.9
 
 
-def test_black_keys_and_chords_with_the_full_hand() -> None:
+def test_black_keys_and_chords_with_the_full_hand():
     chord = Score(tuple(Note(0.0, 1.0, p) for p in (48, 54, 66, 70, 73)))
     task = PianoTask([chord], BUFFER, SceneConfig(reduced_action_space=False))
     assert play_episode(task, Planner()).metrics["recall"] > 0.7
 
 
-def test_the_pedal_follows_the_score() -> None:
+def test_the_pedal_follows_the_score():
     pedal = (PedalEvent(0.2, 127), PedalEvent(0.7, 0))
     assert perform(replace(melody(60, 62), pedal=pedal)).metrics["sustain_f1"] == 1.0
 
 
-def test_same_bits_for_any_number_of_threads_and_of_environments() -> None:
+def test_same_bits_for_any_number_of_threads_and_of_environments():
     score = Score((Note(0.0, 0.15, 60), Note(0.15, 1.3, 84)))  # too far, so that it samples
     agent = Planner()
     agent.num_threads = 1
@@ -94,7 +94,7 @@ def assert_same_metrics(a: EpisodeResult, b: EpisodeResult) -> None:
         assert a.metrics[name] == b.metrics[name], name
 
 
-def test_episodes_of_several_songs_end_when_their_songs_do() -> None:
+def test_episodes_of_several_songs_end_when_their_songs_do():
     short, long = melody(72), melody(72, 76, 74)
     task = PianoTask([short, long], BUFFER, SceneConfig(hands="right"), num_envs=3)
     results = play_episodes(task, Planner(PlannerConfig(method="none")), [0, 1, 2])
@@ -105,7 +105,7 @@ def test_episodes_of_several_songs_end_when_their_songs_do() -> None:
         assert result.metrics["f1"] > 0.85
 
 
-def test_a_hand_alone_moves_as_it_does_beside_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hand_alone_moves_as_it_does_beside_the_other(monkeypatch):
     """The simulations that it plans with are never put right while nothing is disturbed."""
     placed = []
     place = hand_search.PlanningSimulation.set_joints
@@ -118,7 +118,7 @@ def test_a_hand_alone_moves_as_it_does_beside_the_other(monkeypatch: pytest.Monk
     assert len(placed) <= 1
 
 
-def test_notes_without_a_finger_are_listed() -> None:
+def test_notes_without_a_finger_are_listed():
     cluster = Score(tuple(Note(0.0, 0.5, p) for p in range(40, 60)))
     task = PianoTask([cluster], BUFFER)
     agent = Planner()
@@ -130,7 +130,7 @@ def test_notes_without_a_finger_are_listed() -> None:
     assert len(track.dropped or ()) == sum(note.finger is None for note in track.score.notes) > 9
 
 
-def test_fingers_of_the_score_are_taken_on_request() -> None:
+def test_fingers_of_the_score_are_taken_on_request():
     score = replace(
         melody(60, 62),
         notes=(Note(0, 0.4, 60, finger=finger(2)), Note(0.4, 0.8, 62, finger=finger(1))),
@@ -144,18 +144,18 @@ def test_fingers_of_the_score_are_taken_on_request() -> None:
 
 
 @pytest.mark.parametrize("options", [{"num_candidates": 1}, {"iterations": 0}, {"horizon": -1.0}])
-def test_options_without_sense_are_refused(options: dict[str, float]) -> None:
+def test_options_without_sense_are_refused(options):
     with pytest.raises(CadenzaError, match=next(iter(options))):
         Planner(PlannerConfig(**options))  # type: ignore[arg-type]
 
 
-def test_a_piano_without_hands_is_refused() -> None:
+def test_a_piano_without_hands_is_refused():
     task = PianoTask([melody(60)], BUFFER, SceneConfig(hands="none"))
     with pytest.raises(CadenzaError, match="hands"):
         play_episode(task, Planner())
 
 
-def test_planning_reports_its_progress() -> None:
+def test_planning_reports_its_progress():
     reported: list[tuple[str, int, int]] = []
     cadenza.play(
         melody(60, 62, 64),
@@ -175,7 +175,7 @@ def test_planning_reports_its_progress() -> None:
     assert all(0 <= done <= total for _, done, total in reported)
 
 
-def test_planning_can_be_interrupted() -> None:
+def test_planning_can_be_interrupted():
     def interrupt(stage: str, *_: int) -> None:
         if stage == "postures":
             raise KeyboardInterrupt
@@ -186,7 +186,7 @@ def test_planning_can_be_interrupted() -> None:
     assert task.goals.steps_done[0] == 0
 
 
-def test_a_thumb_strikes_in_time_without_a_search() -> None:
+def test_a_thumb_strikes_in_time_without_a_search():
     notes = [
         replace(note, finger=finger(0))
         for note in melody(60, 62, 64, 65, 64, 62, 60, length=0.5).notes

@@ -38,7 +38,7 @@ def begun(agent: Agent, scene: Scene) -> PianoTask:
     return task
 
 
-def test_the_defaults_are_the_figures_of_the_paper() -> None:
+def test_the_defaults_are_the_figures_of_the_paper():
     """RoboPianist (Zakka et al., CoRL 2023), appendix F, but for how long it searches."""
     config = PredictiveSamplingConfig()
     assert (config.num_candidates, config.sigma, config.num_knots) == (10, 0.05, 2)
@@ -70,8 +70,8 @@ class Rollouts:
 
 
 def test_a_plan_costs_the_distance_of_keys_and_the_mean_distance_of_fingers(
-    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    right_hand, monkeypatch
+):
     tried = Rollouts(monkeypatch)
     agent = PredictiveSampling(PredictiveSamplingConfig(num_candidates=2))
     agent.act(begun(agent, right_hand).view())
@@ -101,8 +101,8 @@ def cost_of(states: State, i: int, scene: Scene, smooth: tuple[float, float] = (
 
 
 def test_ilqg_has_the_same_cost_with_smooth_norms_and_a_little_for_controls(
-    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    right_hand, monkeypatch
+):
     tried, costs, search = Rollouts(monkeypatch), [], ILQGPlanner.line_search
 
     def searched(planner: ILQGPlanner, *args: Any) -> Any:
@@ -120,18 +120,14 @@ def test_ilqg_has_the_same_cost_with_smooth_norms_and_a_little_for_controls(
 @pytest.mark.parametrize(
     "agent", [PredictiveSampling(), ILQG(ILQGConfig(horizon=STEP, num_step_sizes=2))]
 )
-def test_plans_in_physics_steps_of_10_ms(
-    right_hand: Scene, agent: Agent, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_plans_in_physics_steps_of_10_ms(right_hand, agent, monkeypatch):
     tried = Rollouts(monkeypatch)
     agent.act(begun(agent, right_hand).view())
     assert tried.timesteps == {0.01}
     assert right_hand.model.opt.timestep == 0.005  # of the performance
 
 
-def test_candidates_lie_sigma_around_the_best(
-    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_candidates_lie_sigma_around_the_best(right_hand, monkeypatch):
     """In radians, whatever the range of a servo; metres, of forearms."""
     drawn: list[np.ndarray] = []
     monkeypatch.setattr(
@@ -152,9 +148,7 @@ def _stop() -> None:
     raise StopIteration
 
 
-def test_iterations_never_make_a_plan_worse(
-    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_iterations_never_make_a_plan_worse(right_hand, monkeypatch):
     tried = Rollouts(monkeypatch)
     agent = PredictiveSampling(PredictiveSamplingConfig(iterations=8))
     agent.act(begun(agent, right_hand).view())
@@ -191,13 +185,7 @@ class Clock:
         (0.0, 0.001, [1, 1, 1]),
     ],
 )
-def test_a_budget_of_time_ends_the_search(
-    right_hand: Scene,
-    monkeypatch: pytest.MonkeyPatch,
-    budget: float,
-    seconds: float,
-    iterations: list[int],
-) -> None:
+def test_a_budget_of_time_ends_the_search(right_hand, monkeypatch, budget, seconds, iterations):
     clock = Clock(seconds, monkeypatch)
     agent = PredictiveSampling(PredictiveSamplingConfig(budget=budget, iterations=7))
     task = begun(agent, right_hand)
@@ -210,6 +198,6 @@ def test_a_budget_of_time_ends_the_search(
 
 
 @pytest.mark.parametrize("budget", [-1.0, float("inf"), float("nan")])
-def test_a_budget_that_makes_no_sense_is_refused(budget: float) -> None:
+def test_a_budget_that_makes_no_sense_is_refused(budget):
     with pytest.raises(CadenzaError, match=f"budget {budget}: choose 0 to"):
         PredictiveSampling(PredictiveSamplingConfig(budget=budget))

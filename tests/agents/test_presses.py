@@ -23,7 +23,7 @@ from numbered import FIVE, finger
 
 @given(st.integers(0, 2**32 - 1))
 @settings(deadline=None, max_examples=50)
-def test_presses_are_the_goals(seed: int) -> None:
+def test_presses_are_the_goals(seed):
     rng = np.random.default_rng(seed)
     fingers = np.where(rng.random((30, 88)) < 0.05, rng.integers(0, 10, (30, 88)), -1)
     fingers = np.repeat(fingers, 2, axis=0).astype(np.int8)
@@ -46,7 +46,7 @@ def let_go(
     return release_in_time(presses, there, PIANO.is_black, dt, hand)
 
 
-def test_a_hand_lets_go_in_time_for_a_jump_only() -> None:
+def test_a_hand_lets_go_in_time_for_a_jump_only():
     near = [Press("right", 0, 39, 10, 20), Press("right", 1, 41, 20, 30)]
     assert let_go(near, places(np.linspace(0.0, 0.2, 10))) == near
     far = [Press("right", 0, 39, 10, 20), Press("right", 0, 60, 20, 30)]
@@ -56,7 +56,7 @@ def test_a_hand_lets_go_in_time_for_a_jump_only() -> None:
 
 
 @pytest.mark.parametrize("finger", [0, 1])
-def test_a_hand_can_let_go_later_before_a_jump(finger: int) -> None:
+def test_a_hand_can_let_go_later_before_a_jump(finger):
     far = [Press("right", 0, 39, 10, 20), Press("right", finger, 60, 20, 30)]
     near = [Press("right", 0, 39, 10, 20), Press("right", finger, 41, 20, 30)]
 
@@ -70,7 +70,7 @@ def test_a_hand_can_let_go_later_before_a_jump(finger: int) -> None:
     assert last(near, 1) == last(near, 0)
 
 
-def test_a_hand_holds_what_it_can_hold_together_with_what_it_strikes() -> None:
+def test_a_hand_holds_what_it_can_hold_together_with_what_it_strikes():
     rest = SHADOW.reach.rest
     there = places(np.concatenate([rest, -rest]))
     octave = [Press("right", 0, 39, 10, 40), Press("right", 4, 51, 20, 30)]
@@ -83,7 +83,7 @@ def test_a_hand_holds_what_it_can_hold_together_with_what_it_strikes() -> None:
     assert let_go(crossing, there)[0].last < 20
 
 
-def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord() -> None:
+def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord():
     first, key, chord = (
         Press("right", 0, 39, 10, 20),
         Press("right", 0, 46, 20, 30),
@@ -97,7 +97,7 @@ def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord() -> None:
     assert not any(press.jumps_to for press in landed)
 
 
-def test_a_finger_takes_longer_from_a_white_key_to_a_black_one() -> None:
+def test_a_finger_takes_longer_from_a_white_key_to_a_black_one():
     white, black = 39, 40
 
     def last(key: int, other: int, later: int = 0, first: int = 10, hand: Hand = SHADOW) -> int:
@@ -169,7 +169,7 @@ def let_go_one_by_one(presses: list[Press], there: np.ndarray, dt: float) -> lis
 
 @given(st.integers(0, 2**32 - 1))
 @settings(deadline=None, max_examples=50)
-def test_letting_go_is_that_of_plain_loops(seed: int) -> None:
+def test_letting_go_is_that_of_plain_loops(seed):
     rng = np.random.default_rng(seed)
     fingers = np.full((40, 88), -1, np.int8)
     for _ in range(rng.integers(40)):
@@ -189,7 +189,7 @@ def test_letting_go_is_that_of_plain_loops(seed: int) -> None:
 
 @pytest.mark.parametrize("far", [False, True])
 @pytest.mark.parametrize("chord", [False, True])
-def test_hands_have_as_long_at_a_finer_control_step(far: bool, chord: bool) -> None:
+def test_hands_have_as_long_at_a_finer_control_step(far, chord):
     second = [Press("right", 1, 55 if far else 41, 20, 30)]
     presses = [Press("right", 0, 39, 10, 20), *second, *[Press("right", 3, 59, 20, 30)][:chord]]
     presses.append(Press("right", 1, 45, 30, 34))
@@ -202,7 +202,7 @@ def test_hands_have_as_long_at_a_finer_control_step(far: bool, chord: bool) -> N
         assert one == other._replace(first=one.first, last=one.last)
 
 
-def test_fingertips_have_as_long_at_a_finer_control_step() -> None:
+def test_fingertips_have_as_long_at_a_finer_control_step():
     scene = build_scene(SceneConfig(hands="right"))
     presses = [Press("right", 1, 41, 6, 9), Press("right", 1, 43, 16, 20, jumps_to=True)]
     finer = [press._replace(first=2 * press.first, last=2 * press.last) for press in presses]
@@ -211,7 +211,7 @@ def test_fingertips_have_as_long_at_a_finer_control_step() -> None:
         np.testing.assert_allclose(other[::2], one)
 
 
-def test_hands_in_haste_let_go_later_and_land_as_soon() -> None:
+def test_hands_in_haste_let_go_later_and_land_as_soon():
     notes = ((0.6, 1.0, 48), (1.0, 1.4, 72), (1.4, 1.8, 48))
     score = Score(tuple(Note(*times, finger=finger(1)) for times in notes))
     usual, hasty = (
@@ -223,7 +223,7 @@ def test_hands_in_haste_let_go_later_and_land_as_soon() -> None:
     assert hasty[2].last == usual[2].last  # no jump
 
 
-def test_in_a_jump_only_heights_are_strict() -> None:
+def test_in_a_jump_only_heights_are_strict():
     still, jump = (
         Press("right", 1, 41, 5, 8),
         Press("right", 1, 41, 5, 8, jumps_off=True, jumps_to=True),
@@ -236,7 +236,7 @@ def test_in_a_jump_only_heights_are_strict() -> None:
     np.testing.assert_array_equal(loose[5:8], strict[5:8])
 
 
-def test_fingertips_are_wanted_at_the_stop_of_their_keys() -> None:
+def test_fingertips_are_wanted_at_the_stop_of_their_keys():
     targets = targets_of(build_scene(), [Press("right", 1, 41, 5, 8)], 12, 0.05)
     assert (targets.force[5:8, 1] > 0).all()
     assert not targets.force[[4, 8], 1].any()

@@ -52,7 +52,7 @@ class Kept(Stitched):
         return self.planned
 
 
-def test_a_line_is_played_with_a_repeated_note_and_a_leap_without_looking() -> None:
+def test_a_line_is_played_with_a_repeated_note_and_a_leap_without_looking():
     agent = Kept()
     result = played(agent)
     assert result.metrics["f1"] > 0.9
@@ -62,7 +62,7 @@ def test_a_line_is_played_with_a_repeated_note_and_a_leap_without_looking() -> N
     assert_array_equal(actions, played(Stitched()).episode["action"])  # the same bits again
 
 
-def test_a_motion_is_the_same_in_every_octave(motions: Motions) -> None:
+def test_a_motion_is_the_same_in_every_octave(motions):
     low, high = (
         KeyChange(((0, key),), ((0, key),), ((0, key), (2, key + 4)), 0) for key in (27, 51)
     )
@@ -75,7 +75,7 @@ def test_a_motion_is_the_same_in_every_octave(motions: Motions) -> None:
     assert_allclose(np.abs(other[:, slide] - one[:, slide]), 2 * octave, atol=1e-9)
 
 
-def test_fingertips_are_on_the_keys_that_are_held(motions: Motions) -> None:
+def test_fingertips_are_on_the_keys_that_are_held(motions):
     scene = build_scene(RIGHT)
     presses = [Press("right", 1, 39, 8, 14), Press("right", 2, 40, 14, 18)]
     rest = np.zeros(len(scene.actuator_names))
@@ -91,7 +91,7 @@ def test_fingertips_are_on_the_keys_that_are_held(motions: Motions) -> None:
         assert tips[t, presses[t > 7].finger, 2] > 0.03
 
 
-def test_letting_go_and_striking_soon_after_are_one_change() -> None:
+def test_letting_go_and_striking_soon_after_are_one_change():
     first, again, later = (
         Press("right", 1, 39, 2, 6),
         Press("right", 1, 39, 7, 9),
@@ -107,7 +107,7 @@ def test_letting_go_and_striking_soon_after_are_one_change() -> None:
     ]
 
 
-def test_the_time_that_changes_take_grows_with_the_song_and_not_with_its_square() -> None:
+def test_the_time_that_changes_take_grows_with_the_song_and_not_with_its_square():
     def seconds(count: int) -> float:
         presses = [Press("right", i % 5, 30 + i % 11, 4 * i, 4 * i + 3) for i in range(count)]
         begin = time.process_time()
@@ -119,6 +119,6 @@ def test_the_time_that_changes_take_grows_with_the_song_and_not_with_its_square(
     assert long < 30 * short  # and not 64 times
 
 
-def test_hands_that_do_not_slide_are_told_apart() -> None:
+def test_hands_that_do_not_slide_are_told_apart():
     with pytest.raises(CadenzaError, match="add tx"):
         played(Stitched(), SceneConfig(hands="right", forearm_dofs=("ty",)))

@@ -53,7 +53,7 @@ def onsets_and_speeds(episode: Episode, score: Score) -> tuple[np.ndarray, np.nd
     return np.array(late), np.array(velocity)
 
 
-def test_a_fingertip_of_the_model_passes_the_depth_in_time_and_as_fast() -> None:
+def test_a_fingertip_of_the_model_passes_the_depth_in_time_and_as_fast():
     model = StrikeModel(time_constant=0.05, dt=DT)
     time, speed, depth = np.array([0.01, 0.03, 0.045]), np.array([0.1, 0.3, 0.2]), np.full(3, 0.006)
     before, after = model.heights(time, speed, depth)
@@ -66,7 +66,7 @@ def test_a_fingertip_of_the_model_passes_the_depth_in_time_and_as_fast() -> None
     np.testing.assert_allclose((height(time - 1e-6) - height(time + 1e-6)) / 2e-6, speed, rtol=1e-5)
 
 
-def test_the_response_of_the_model_is_its_derivative() -> None:
+def test_the_response_of_the_model_is_its_derivative():
     model = StrikeModel(time_constant=0.05, dt=DT)
     time, speed, depth = np.array([0.02]), np.array([0.2]), np.array([0.006])
     lower = np.stack(model.heights(time, speed, depth), axis=1)[0]
@@ -79,7 +79,7 @@ def test_the_response_of_the_model_is_its_derivative() -> None:
         np.testing.assert_allclose(response, slightly * changed, atol=1e-9)
 
 
-def test_strikes_are_within_their_steps() -> None:
+def test_strikes_are_within_their_steps():
     score = scale([0.0, 0.249, 0.5251], [30, 80, 127])
     strikes = planned_strikes(score_to_goals(score, DT).onsets, build_scene(SceneConfig()), DT)
     assert strikes.step.tolist() == [0, 4, 10]
@@ -88,12 +88,12 @@ def test_strikes_are_within_their_steps() -> None:
     np.testing.assert_allclose(PIANO.velocity(strikes.speed), [30, 80, 127])
 
 
-def test_fingers_that_are_too_slow_do_not_strike() -> None:
+def test_fingers_that_are_too_slow_do_not_strike():
     onsets = score_to_goals(scale([0.0], [80]), DT).onsets
     assert not len(planned_strikes(onsets, build_scene(SceneConfig(hand="allegro")), DT).step)
 
 
-def test_repeated_notes_are_each_heard() -> None:
+def test_repeated_notes_are_each_heard():
     """Eighths in octaves and thirds, with less than 0.1 s in which their keys can come up."""
     notes = tuple(
         Note(start, start + 0.18, pitch)
@@ -111,15 +111,13 @@ def sixteenths() -> tuple[Score, Episode]:
     return score, played(score)
 
 
-def test_even_notes_that_lie_between_control_steps_are_played_evenly(
-    sixteenths: tuple[Score, Episode],
-) -> None:
+def test_even_notes_that_lie_between_control_steps_are_played_evenly(sixteenths):
     late, _ = onsets_and_speeds(sixteenths[1], sixteenths[0])
     assert np.median(np.abs(np.diff(late))) < 0.01  # on the grid of control steps: 0.025
     assert np.median(np.abs(late - np.median(late))) < 0.008
 
 
-def test_a_crescendo_becomes_louder(sixteenths: tuple[Score, Episode]) -> None:
+def test_a_crescendo_becomes_louder(sixteenths):
     score, episode = sixteenths
     _, velocity = onsets_and_speeds(episode, score)
     written = np.array([note.velocity for note in score.notes])
@@ -127,7 +125,7 @@ def test_a_crescendo_becomes_louder(sixteenths: tuple[Score, Episode]) -> None:
     assert np.median(np.abs(velocity - written)) < 8
 
 
-def test_a_soft_note_is_softer_than_a_loud_one() -> None:
+def test_a_soft_note_is_softer_than_a_loud_one():
     score = scale([0.5], [40])
     loud = replace(score, notes=tuple(replace(note, velocity=100) for note in score.notes))
     soft_velocity, loud_velocity = (
@@ -136,7 +134,7 @@ def test_a_soft_note_is_softer_than_a_loud_one() -> None:
     assert soft_velocity + 30 < loud_velocity
 
 
-def test_repeated_notes_without_gaps_are_in_time_and_as_loud_as_written() -> None:
+def test_repeated_notes_without_gaps_are_in_time_and_as_loud_as_written():
     velocities = [60, 80, 50, 70, 90, 65, 75, 55]
     starts = 0.33 * np.arange(len(velocities))
     notes = tuple(
@@ -149,7 +147,7 @@ def test_repeated_notes_without_gaps_are_in_time_and_as_loud_as_written() -> Non
     assert np.mean(np.abs(velocity - velocities)) < 8
 
 
-def test_a_strike_costs_more_the_further_it_is_off() -> None:
+def test_a_strike_costs_more_the_further_it_is_off():
     errors = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.045, np.nan])
     outcome = np.column_stack([errors, np.zeros(len(errors))])
     costs = strike_costs(outcome, np.zeros_like(outcome))

@@ -47,7 +47,7 @@ def share_found(wanted: tuple[Note, ...], score: Score, octaves: bool = False) -
     return float(np.mean(found))
 
 
-def test_melody_and_bass_stay(song: str, arranger: Arranger) -> None:
+def test_melody_and_bass_stay(song, arranger):
     arranged = arranger.arrange(load_score(song))
     melody, bass = dict(bands())[song]
     assert share_found(melody, arranged.score) > 0.97
@@ -56,14 +56,14 @@ def test_melody_and_bass_stay(song: str, arranger: Arranger) -> None:
     assert arranged.fidelity.pitch_classes_kept > 0.8
 
 
-def test_the_hands_can_play_all_of_it(song: str, arranger: Arranger, scene: Scene) -> None:
+def test_the_hands_can_play_all_of_it(song, arranger, scene):
     arranged = arranger.arrange(load_score(song)).score
     assert len(arranged.notes) < len(load_score(song).notes)
     _, dropped = find_fingering(arranged, players_of(scene))
     assert not dropped
 
 
-def test_an_easier_arrangement_has_fewer_notes(arranger: Arranger) -> None:
+def test_an_easier_arrangement_has_fewer_notes(arranger):
     score = load_score(EASY)
     hard, easy = arranger.arrange(score), arranger.arrange(score, grade=4.0)
     assert easy.grade < hard.grade
@@ -71,7 +71,7 @@ def test_an_easier_arrangement_has_fewer_notes(arranger: Arranger) -> None:
     assert easy.fidelity.melody_kept > 0.97
 
 
-def test_what_is_playable_is_kept_note_for_note_but_softer_inside(arranger: Arranger) -> None:
+def test_what_is_playable_is_kept_note_for_note_but_softer_inside(arranger):
     notes = tuple(
         Note(0.5 * i, 0.5 * i + 0.45, pitch)
         for i, root in enumerate((60, 62, 64, 65))
@@ -83,16 +83,16 @@ def test_what_is_playable_is_kept_note_for_note_but_softer_inside(arranger: Arra
     assert str(arranged.fidelity) == "all notes kept"
 
 
-def test_a_fidelity_says_all_or_none_only_where_it_is_so() -> None:
+def test_a_fidelity_says_all_or_none_only_where_it_is_so():
     one_hand = Fidelity(1.0, 0.0, 0.997, 1.0, 0, 0)
     assert str(one_hand) == "all of the melody, none of the bass, 99% of the other notes"
 
 
-def test_an_empty_score_stays_empty(arranger: Arranger) -> None:
+def test_an_empty_score_stays_empty(arranger):
     assert not arranger.arrange(Score(())).score.notes
 
 
-def test_each_note_has_its_fate(song: str, arranger: Arranger) -> None:
+def test_each_note_has_its_fate(song, arranger):
     arranged = arranger.arrange(load_score(song))
     played = sorted(note.pitch for note in arranged.score.notes)
     assert sorted(fate.played for fate in arranged.fates if fate.played is not None) == played
@@ -102,12 +102,12 @@ def test_each_note_has_its_fate(song: str, arranger: Arranger) -> None:
 
 
 @pytest.mark.parametrize("level", [5, 6, 8])
-def test_an_arrangement_is_at_most_as_hard_as_its_level(level: int, arranger: Arranger) -> None:
+def test_an_arrangement_is_at_most_as_hard_as_its_level(level, arranger):
     score = load_score(EASY).beginning(20.0)
     assert arranger.arrange(score, grade=level).grade <= level
 
 
-def test_below_all_levels_melody_and_bass_are_left(arranger: Arranger) -> None:
+def test_below_all_levels_melody_and_bass_are_left(arranger):
     arranged = arranger.arrange(load_score(EASY).beginning(20.0), grade=1.0)
     assert arranged.grade > 1
     assert arranged.fidelity.melody_kept == arranged.fidelity.bass_kept == 1
@@ -128,7 +128,7 @@ FOURS = tuple(Bar(2.0 * i, i + 1, tuple(2.0 * i + b for b in (0, 0.5, 1, 1.5))) 
 TWOS = tuple(Bar(2.0 * i, i + 1, (2.0 * i, 2.0 * i + 1)) for i in range(4))
 
 
-def test_a_chord_that_cannot_be_struck_at_once_is_broken(arranger: Arranger) -> None:
+def test_a_chord_that_cannot_be_struck_at_once_is_broken(arranger):
     wide = tuple(Note(2.0 * i, 2.0 * i + 1.9, p) for i in range(4) for p in (48, 55, 64, 71, 77))
     arranged = arranger.arrange(song_for_three(wide, TWOS))
     late = [n for n in arranged.score.notes if 40 < n.pitch < 80 and n.start % 2 > 0.1]
@@ -136,20 +136,20 @@ def test_a_chord_that_cannot_be_struck_at_once_is_broken(arranger: Arranger) -> 
     assert arranged.fidelity.pitch_classes_kept > 0.85
 
 
-def test_a_chord_is_struck_again_when_a_piano_would_have_died_away(arranger: Arranger) -> None:
+def test_a_chord_is_struck_again_when_a_piano_would_have_died_away(arranger):
     held = tuple(Note(0.0, 8.0, pitch) for pitch in (64, 67))
     fidelity = arranger.arrange(song_for_three(held, FOURS)).fidelity
     assert 1 < fidelity.notes_added <= 8
 
 
-def test_keys_come_up_between_repeated_notes_of_the_melody(arranger: Arranger) -> None:
+def test_keys_come_up_between_repeated_notes_of_the_melody(arranger):
     sung = tuple(Note(0.25 * i, 0.25 * (i + 1), 72) for i in range(8))
     notes = arranger.arrange(Score(sung)).score.notes
     assert [note.start for note in notes] == [note.start for note in sung]
     assert all(after.start - note.end > 0.05 for note, after in pairwise(notes))
 
 
-def test_without_bars_beats_are_estimated(arranger: Arranger) -> None:
+def test_without_bars_beats_are_estimated(arranger):
     score = load_score(EASY).beginning(20.0)
     kept, estimated = (arranger.arrange(each).fidelity for each in (score, replace(score, bars=())))
     assert estimated.melody_kept == pytest.approx(kept.melody_kept, abs=0.03)

@@ -39,23 +39,13 @@ WRONG = {
 
 
 @pytest.mark.parametrize("program", BAD)
-def test_a_program_says_what_is_wrong(
-    program: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_program_says_what_is_wrong(program, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert "error: " in last_line_of(program, BAD[program], monkeypatch, capsys)
 
 
 @pytest.mark.parametrize("command", WRONG, ids=" ".join)
-def test_it_says_this(
-    command: tuple[str, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_it_says_this(command, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     row = '{"hand": "shadow", "seconds": 8.0, "costs": {}, "song": "", "f1": 1, "onsets": 1}\n'
     Path("jumps.jsonl").write_text(row)

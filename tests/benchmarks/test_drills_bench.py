@@ -28,5 +28,5 @@ def sounding(*wrong: tuple[int, int]) -> np.ndarray:
         (((3, 2),), False),
     ],
 )
-def test_all_keys_have_to_be_right(wrong: tuple[tuple[int, int], ...], success: bool) -> None:
+def test_all_keys_have_to_be_right(wrong, success):
     assert succeeds(GOAL, sounding(*wrong)) == success

@@ -2,7 +2,6 @@
 
 import csv
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -10,7 +9,7 @@ pytestmark = pytest.mark.slow  # it compiles for a minute
 pytest.importorskip("mujoco_warp")
 
 
-def test_writes_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_writes_a_table(tmp_path, monkeypatch):
     from benchmarks import gpu
 
     table = tmp_path / "gpu.csv"

@@ -30,8 +30,8 @@ def draw(benches: list[str], folder: Path, pieces: str, patch: pytest.MonkeyPatc
 
 
 def test_splits_are_drawn_apart_and_pieces_have_their_titles_and_sources(
-    benches: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    benches, tmp_path, monkeypatch
+):
     draw(benches, tmp_path, "abc", monkeypatch)
     out = tmp_path / "out"
     assert "Nocturne a" in (out / "headline-valid.svg").read_text()
@@ -46,12 +46,7 @@ def test_splits_are_drawn_apart_and_pieces_have_their_titles_and_sources(
     ]
 
 
-def test_a_piece_that_the_table_lacks_is_named(
-    benches: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_piece_that_the_table_lacks_is_named(benches, tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit):
         draw(benches, tmp_path, "ab", monkeypatch)
     assert "c: is not in the table" in capsys.readouterr().err

@@ -80,7 +80,7 @@ def moved(before: Any, after: Any) -> np.ndarray:
     return np.concatenate([np.ravel(np.asarray(b) - np.asarray(a)) for a, b in pairs])
 
 
-def test_the_plain_learner_has_the_sizes_of_ours() -> None:
+def test_the_plain_learner_has_the_sizes_of_ours():
     ours = shapes(DroQ(DroQConfig(), Inputs(tuple(range(1164)), 1164), 39))
     plain = shapes(PlainLearner(1164, 39))
     for name in NETWORKS:
@@ -95,9 +95,7 @@ def test_the_plain_learner_has_the_sizes_of_ours() -> None:
     ("stacked", "activation"),
     [(True, "relu"), pytest.param(False, "gelu", marks=pytest.mark.slow)],
 )
-def test_the_plain_learner_does_what_ours_does(
-    monkeypatch: pytest.MonkeyPatch, stacked: bool, activation: Any
-) -> None:
+def test_the_plain_learner_does_what_ours_does(monkeypatch, stacked, activation):
     noise = np.random.default_rng(1).standard_normal((BATCH, ACTION)).astype(np.float32)
     # They split their keys differently.
     monkeypatch.setattr(jax.random, "normal", lambda *_: jnp.asarray(noise))
@@ -127,7 +125,7 @@ def test_the_plain_learner_does_what_ours_does(
         assert np.abs(by_ours - by_theirs).mean() < 0.01 * np.abs(by_ours).mean(), name
 
 
-def test_the_plain_buffer_keeps_the_newest() -> None:
+def test_the_plain_buffer_keeps_the_newest():
     batch = transitions(5)
     buffer = PlainBuffer(OBSERVATION, ACTION, 3)
     for transition in zip(*batch, strict=True):

@@ -4,14 +4,13 @@ import sys
 
 import mujoco
 import numpy as np
-import pytest
 
 from benchmarks import limits
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 
 
-def test_no_hand_gets_there_before_one_that_need_not_stop() -> None:
+def test_no_hand_gets_there_before_one_that_need_not_stop():
     """In MuJoCo, with the control at the end of its range all the way."""
     scene = build_scene(SceneConfig(hands="right"))
     least = dict(zip(limits.WAYS.round(3).tolist(), limits.least_seconds(scene), strict=True))
@@ -31,9 +30,7 @@ def test_no_hand_gets_there_before_one_that_need_not_stop() -> None:
         assert fastest < least[way] < 2 * fastest
 
 
-def test_faster_jumps_and_better_fingers_hold_more(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_faster_jumps_and_better_fingers_hold_more(monkeypatch, capsys):
     command = ["limits", "debug", "--first-seconds", "6", "--fingerings", "3"]
     monkeypatch.setattr(sys, "argv", command)
     limits.main()

@@ -17,7 +17,7 @@ from cadenza.errors import CadenzaError
 from cadenza.music.libraries.library import open_library
 
 
-def test_sets_of_songs_grow_and_leave_the_last_out() -> None:
+def test_sets_of_songs_grow_and_leave_the_last_out():
     songs = to_learn(20, "etudes:6")
     assert len(set(songs)) == 20
     assert songs[0] == FIRST
@@ -27,12 +27,12 @@ def test_sets_of_songs_grow_and_leave_the_last_out() -> None:
     assert set(songs[16:]) <= {song.name for song in open_library("etudes:6").songs}
 
 
-def test_says_how_many_songs_there_are() -> None:
+def test_says_how_many_songs_there_are():
     with pytest.raises(CadenzaError, match=r"17 songs to learn, but there are 16: .* --more"):
         to_learn(17, None)
 
 
-def test_writes_songs_under_short_names_of_their_own(tmp_path) -> None:
+def test_writes_songs_under_short_names_of_their_own(tmp_path):
     (song,) = open_library("etudes:1").songs
     seen, unseen = write_songs(tmp_path, [FIRST, song.name], [song.name])
     short = song.name.split("/")[1]
@@ -48,7 +48,7 @@ def rows_of(songs: int, width: int, learnt: bool, *f1: float) -> list[dict[str, 
     ]
 
 
-def test_means_and_their_picture() -> None:
+def test_means_and_their_picture():
     rows = rows_of(1, 256, True, 0.9, 1.0) + rows_of(2, 256, False, 0.2, 0.4)
     one, other = means(rows)
     assert (one.songs, one.learnt, one.f1) == (2, False, pytest.approx(0.3))
@@ -60,7 +60,7 @@ def test_means_and_their_picture() -> None:
     assert "0.95 songs learnt, 256 units" in "".join(picture.itertext())
 
 
-def test_widths_have_lines_of_their_own_and_labels_apart() -> None:
+def test_widths_have_lines_of_their_own_and_labels_apart():
     rows = [
         row
         for width, f1 in ((256, 0.3), (1024, 0.31))

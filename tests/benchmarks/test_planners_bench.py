@@ -44,7 +44,7 @@ class Begun(EpisodePlanner):
         return np.zeros(view.task.action_size)
 
 
-def test_every_action_counts_and_a_beginning_by_its_share(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_action_counts_and_a_beginning_by_its_share(monkeypatch):
     monkeypatch.setattr(planners, "time", clock := Clock())
     task = PianoTask(
         [Score((Note(0.0, 0.95, 60),))],

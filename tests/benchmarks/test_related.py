@@ -25,7 +25,7 @@ def short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(related, "RESULTS", tmp_path / "related.csv")
 
 
-def test_what_is_known_is_not_measured_again() -> None:
+def test_what_is_known_is_not_measured_again():
     for row in related.rows("waving", 1, known=()):
         write_csv(related.RESULTS, [*related.read(), row])
     table = related.read()

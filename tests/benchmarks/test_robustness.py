@@ -22,7 +22,7 @@ TUNE = Score(
 )
 
 
-def test_the_model_is_off_by_as_much_and_differs_by_seed() -> None:
+def test_the_model_is_off_by_as_much_and_differs_by_seed():
     task = disturbed_task(TUNE, TaskConfig(), Disturbance("", model=0.1))
     masses = []
     for seed in (0, 1):
@@ -33,13 +33,13 @@ def test_the_model_is_off_by_as_much_and_differs_by_seed() -> None:
     assert (masses[0] != masses[1]).all()
 
 
-def test_noise_alone_leaves_the_model() -> None:
+def test_noise_alone_leaves_the_model():
     task = disturbed_task(TUNE, TaskConfig(), Disturbance("", noise=0.05))
     task.reset([np.random.default_rng(0)], [0])
     assert task.drawn.keys() == {"seed"}
 
 
-def test_starts_differ_by_seed_and_recorded_plans_meet_them_unprepared() -> None:
+def test_starts_differ_by_seed_and_recorded_plans_meet_them_unprepared():
     disturbance = Disturbance("", start=0.05)
     plan = played_with(TUNE, TaskConfig(), DISTURBANCES[0], ZeroAgent(), 0)[1]
     starts = []
@@ -52,7 +52,7 @@ def test_starts_differ_by_seed_and_recorded_plans_meet_them_unprepared() -> None
     assert_array_equal(replayed, plan)
 
 
-def test_a_row_for_each_disturbance() -> None:
+def test_a_row_for_each_disturbance():
     table = list(rows(TUNE, TaskConfig(), ZeroAgent, seeds=1))
     assert [row.split(" | ")[0] for row in table] == [
         disturbance.name for disturbance in DISTURBANCES

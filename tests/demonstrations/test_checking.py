@@ -41,7 +41,7 @@ from cadenza.tasks.piano_task import PianoTask
 from refusals import refused
 
 
-def test_nothing_is_wrong(made: Path) -> None:
+def test_nothing_is_wrong(made):
     assert list(problems(made, replays=2)) == []
 
 
@@ -72,7 +72,7 @@ def changed_result(folder: Path) -> Iterator[dict[str, Any]]:
 
 @pytest.mark.parametrize("name", [STEPS, PLAN, SCORE])
 @pytest.mark.parametrize("damage", ["bit", "cut", "gone"])
-def test_damaged_files(copied: Path, name: str, damage: str) -> None:
+def test_damaged_files(copied, name, damage):
     path = first(copied) / name
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
@@ -86,7 +86,7 @@ def test_damaged_files(copied: Path, name: str, damage: str) -> None:
 
 
 @pytest.mark.parametrize("name", [STEPS, PLAN, SCORE, RESULT])
-def test_a_file_that_is_far_too_large_is_not_read_at_once(copied: Path, name: str) -> None:
+def test_a_file_that_is_far_too_large_is_not_read_at_once(copied, name):
     os.truncate(first(copied) / name, 2**28)  # takes no room
     tracemalloc.start()
     (line,) = problems(copied, replays=0)
@@ -96,7 +96,7 @@ def test_a_file_that_is_far_too_large_is_not_read_at_once(copied: Path, name: st
 
 
 @pytest.mark.parametrize("damage", ["cut", "gone"])
-def test_a_damaged_song_is_told_of_all_its_episodes(copied: Path, damage: str) -> None:
+def test_a_damaged_song_is_told_of_all_its_episodes(copied, damage):
     (path,) = (copied / SONGS).iterdir()
     if damage == "gone":
         path.unlink()
@@ -109,7 +109,7 @@ def test_a_damaged_song_is_told_of_all_its_episodes(copied: Path, damage: str) -
         write_minari(open_dataset(copied), copied / "minari", "copied-v0", lambda *_: None)
 
 
-def test_a_result_that_is_cut_off(copied: Path) -> None:
+def test_a_result_that_is_cut_off(copied):
     path = first(copied) / RESULT
     path.write_text(path.read_text()[:-20])
     (line,) = problems(copied, replays=0)
@@ -117,7 +117,7 @@ def test_a_result_that_is_cut_off(copied: Path) -> None:
     assert "\n" not in line
 
 
-def test_values_that_cannot_be(copied: Path) -> None:
+def test_values_that_cannot_be(copied):
     def spoil(steps: np.ndarray) -> None:
         steps["hand_qvel"][3, 2] = np.nan
         steps["action"][2, 5] = 10.0
@@ -129,7 +129,7 @@ def test_values_that_cannot_be(copied: Path) -> None:
     assert "action beyond the actions' limits" in lines[1]
 
 
-def test_rows_that_are_missing(copied: Path) -> None:
+def test_rows_that_are_missing(copied):
     path = first(copied) / STEPS
     np.save(path, np.load(path)[:-3])
     with changed_result(copied) as result:
@@ -138,7 +138,7 @@ def test_rows_that_are_missing(copied: Path) -> None:
     assert f"{path}: not the" in line
 
 
-def test_facts_that_were_changed_are_noticed_by_all(copied: Path) -> None:
+def test_facts_that_were_changed_are_noticed_by_all(copied):
     path = first(copied) / RESULT
     path.write_text(path.read_text().replace('"noise": 0', '"noise": 1'))
     (line,) = problems(copied, replays=0)
@@ -147,14 +147,14 @@ def test_facts_that_were_changed_are_noticed_by_all(copied: Path) -> None:
         open_dataset(copied)
 
 
-def test_a_result_that_is_gone(copied: Path) -> None:
+def test_a_result_that_is_gone(copied):
     path = first(copied) / RESULT
     path.unlink()
     (line,) = problems(copied, replays=0)
     assert line.startswith(f"{path.parent}: has no result.json, so it does not count")
 
 
-def test_facts_without_their_checksum_are_refused(copied: Path) -> None:
+def test_facts_without_their_checksum_are_refused(copied):
     path = first(copied) / RESULT
     result = json.loads(path.read_text())
     del result["seal"]
@@ -164,7 +164,7 @@ def test_facts_without_their_checksum_are_refused(copied: Path) -> None:
 
 
 @pytest.mark.parametrize("name", [STEPS, PLAN, SCORE])
-def test_changed_files_are_refused_by_learners_exports_and_players(copied: Path, name: str) -> None:
+def test_changed_files_are_refused_by_learners_exports_and_players(copied, name):
     with (first(copied) / name).open("ab") as file:
         file.write(b" ")  # which their formats allow
     with pytest.raises(CadenzaError, match="its checksum is another"):
@@ -176,14 +176,14 @@ def test_changed_files_are_refused_by_learners_exports_and_players(copied: Path,
             replay_episode(kept(copied)[0])
 
 
-def test_a_copied_episode_is_noticed(copied: Path) -> None:
+def test_a_copied_episode_is_noticed(copied):
     copy = first(copied).with_name("copy of it")
     shutil.copytree(first(copied), copy)
     (line,) = problems(copied, replays=0)
     assert line.startswith(f"{copy / RESULT}: its checksum is another")
 
 
-def test_a_score_that_is_too_short(copied: Path) -> None:
+def test_a_score_that_is_too_short(copied):
     path = first(copied) / SCORE
     score = json.loads(path.read_text())
     path.write_text(json.dumps(score | {"notes": score["notes"][:1]}))
@@ -198,12 +198,7 @@ def test_a_score_that_is_too_short(copied: Path) -> None:
         replay_episode(kept(copied)[0])
 
 
-def test_no_file_makes_it_import_a_module(
-    copied: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_no_file_makes_it_import_a_module(copied, tmp_path, monkeypatch, capsys):
     (tmp_path / "stranger.py").write_text(
         "from pathlib import Path\nfrom cadenza.hands.shadow import SHADOW as HAND\n"
         f"Path({str(tmp_path / 'imported')!r}).touch()\n"
@@ -228,7 +223,7 @@ def test_no_file_makes_it_import_a_module(
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with a name")
-def test_a_pipe_is_not_waited_for(copied: Path) -> None:
+def test_a_pipe_is_not_waited_for(copied):
     path = first(copied) / STEPS
     path.unlink()
     os.mkfifo(path)
@@ -236,7 +231,7 @@ def test_a_pipe_is_not_waited_for(copied: Path) -> None:
         open_dataset(copied).batch(np.array([0]))
 
 
-def test_what_was_not_played_so(copied: Path) -> None:
+def test_what_was_not_played_so(copied):
     def spoil(steps: np.ndarray) -> None:
         steps["played"][5, 6] *= 0.99
 
@@ -245,9 +240,7 @@ def test_what_was_not_played_so(copied: Path) -> None:
     assert "played again it differs: hand_qpos by" in line
 
 
-def test_the_command_tells_all_and_fails(
-    copied: Path, made: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_tells_all_and_fails(copied, made, capsys):
     main(["dataset", "check", str(made), "--replays", "0"])
     assert "nothing is wrong" in capsys.readouterr().out
     (first(copied) / PLAN).unlink()
@@ -256,9 +249,7 @@ def test_the_command_tells_all_and_fails(
     assert told[1] == f"cadenza: {copied}: 1 problem"
 
 
-def test_files_that_cannot_be_opened_are_not_called_damaged(
-    copied: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_that_cannot_be_opened_are_not_called_damaged(copied, monkeypatch):
     def too_many(*_: object, **__: object) -> np.ndarray:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
@@ -268,7 +259,7 @@ def test_files_that_cannot_be_opened_are_not_called_damaged(
     assert all("Too many open files" in line and "delete" not in line for line in told)
 
 
-def test_what_was_checked_is_not_kept_open(made: Path) -> None:
+def test_what_was_checked_is_not_kept_open(made):
     opened: list[int] = []
 
     def count(*_: int) -> None:
@@ -278,9 +269,7 @@ def test_what_was_checked_is_not_kept_open(made: Path) -> None:
     assert opened[-1] <= opened[0]
 
 
-def test_an_episode_that_ends_earlier_than_it_did(
-    copied: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_episode_that_ends_earlier_than_it_did(copied, monkeypatch):
     def cut_short(task: PianoTask, agent: Agent) -> EpisodeResult:
         return play_episode(task, agent, stop=lambda: task.goals.steps_done[0] >= 3)
 
@@ -303,9 +292,7 @@ def test_an_episode_that_ends_earlier_than_it_did(
         ("task", "initial_buffer_time", 1e300),
     ],
 )
-def test_a_result_that_cannot_be_is_refused_by_all(
-    copied: Path, part: str, name: str, value: object
-) -> None:
+def test_a_result_that_cannot_be_is_refused_by_all(copied, part, name, value):
     with changed_result(copied) as told:
         told[part][name] = value
     with pytest.raises(CadenzaError, match=rf"result.json: {name} .* cannot be"):
@@ -315,14 +302,14 @@ def test_a_result_that_cannot_be_is_refused_by_all(
     assert said.endswith("delete its folder and collect again")
 
 
-def test_hands_that_began_with_other_joints(copied: Path) -> None:
+def test_hands_that_began_with_other_joints(copied):
     with changed_result(copied) as told:
         told["start"].append(0.0)
     (said,) = problems(copied, 1)
     assert said.startswith(f"{first(copied) / RESULT}: start is not that of")
 
 
-def test_learners_and_exports_refuse_what_is_not_finite(copied: Path) -> None:
+def test_learners_and_exports_refuse_what_is_not_finite(copied):
     def spoil(steps: np.ndarray) -> None:
         steps["action"][3] = np.nan
 

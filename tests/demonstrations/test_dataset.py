@@ -1,7 +1,5 @@
 """Batches of steps against a plain loop, and what a reader refuses."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from cadenza.evaluation.collecting.variation import Variation
 from demonstrations.made import collected
 
 
-def test_a_batch_is_what_a_plain_loop_reads(made: Path) -> None:
+def test_a_batch_is_what_a_plain_loop_reads(made):
     dataset = open_dataset(made)
     assert dataset.num_steps == sum(len(e.steps) - 1 for e in dataset.episodes)
     steps = dataset.sample(np.random.default_rng(0), 40)
@@ -48,14 +46,14 @@ def test_a_batch_is_what_a_plain_loop_reads(made: Path) -> None:
 
 
 @pytest.mark.parametrize("step", [-1, "num_steps"])
-def test_steps_that_there_are_not(step: int | str, made: Path) -> None:
+def test_steps_that_there_are_not(step, made):
     dataset = open_dataset(made)
     number = dataset.num_steps if isinstance(step, str) else step
     with pytest.raises(CadenzaError, match="choose from 0 to"):
         dataset.batch(np.array([0, number]))
 
 
-def test_chunks_of_actions_end_with_the_episode(made: Path) -> None:
+def test_chunks_of_actions_end_with_the_episode(made):
     dataset = open_dataset(made)
     last = int(dataset.first[1]) - 1
     chunk = dataset.actions(np.array([last - 1, 0]), 4)
@@ -64,7 +62,7 @@ def test_chunks_of_actions_end_with_the_episode(made: Path) -> None:
     assert (chunk[1] == actions[:4]).all()
 
 
-def test_all_that_is_played_was_a_goal_or_is_an_error(made: Path) -> None:
+def test_all_that_is_played_was_a_goal_or_is_an_error(made):
     """Recall of the recorded keys against the rebuilt goals is that of the episode."""
     for episode in kept(made):
         dataset = Dataset([episode])
@@ -78,7 +76,7 @@ def test_all_that_is_played_was_a_goal_or_is_an_error(made: Path) -> None:
         assert recall == pytest.approx(episode.facts.metrics["recall"])
 
 
-def test_episodes_that_do_not_go_together_are_refused(made: Path, tmp_path: Path) -> None:
+def test_episodes_that_do_not_go_together_are_refused(made, tmp_path):
     collected(tmp_path, Variation(noise=0.0), control_timestep=0.1)
     with pytest.raises(CadenzaError, match="another control_timestep"):
         Dataset([*kept(made), *kept(tmp_path)])
@@ -88,13 +86,13 @@ def test_episodes_that_do_not_go_together_are_refused(made: Path, tmp_path: Path
         open_dataset(tmp_path / "nowhere")
 
 
-def test_a_million_steps_take_less_than_2500_megabytes(made: Path) -> None:
+def test_a_million_steps_take_less_than_2500_megabytes(made):
     for episode in kept(made):
         rows = episode.steps.itemsize + episode.plan.itemsize
         assert 1e6 * rows < 2.5e9  # and there are about 200 bytes a step for all other files
 
 
-def test_what_there_is(made: Path) -> None:
+def test_what_there_is(made):
     lines = list(summarize(made))
     assert lines[:2] == ["2 episodes of 1 song kept", "0 not kept, 0 not finished"]
     assert any("mujoco" in line for line in lines)

@@ -50,7 +50,7 @@ class Watching(Playback):
 seen: list[np.ndarray] = []
 
 
-def test_observations_are_those_of_the_environment(made: Path) -> None:
+def test_observations_are_those_of_the_environment(made):
     dataset = open_dataset(made)
     episode, exported = dataset.episodes[0], transitions(dataset, 0)
     seen.clear()
@@ -67,9 +67,7 @@ def test_observations_are_those_of_the_environment(made: Path) -> None:
     assert result.metrics["f1"] == episode.facts.f1
 
 
-def test_minari_loads_what_was_recorded(
-    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_minari_loads_what_was_recorded(made, tmp_path, monkeypatch):
     export = ["dataset", "export", str(made), "-o", str(tmp_path / "minari")]
     main([*export, "--version", "3"])  # in the same folder
     main([*export, "--name", "cadenza/demonstrations"])
@@ -101,9 +99,7 @@ def test_minari_loads_what_was_recorded(
 @pytest.mark.parametrize(
     "task", [{"fingering": "off"}, {"n_seconds_lookahead": 0.2}, {"stretch": 2.0, "transpose": 5}]
 )
-def test_minari_recovers_the_task_that_was_recorded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, task: dict[str, Any]
-) -> None:
+def test_minari_recovers_the_task_that_was_recorded(tmp_path, monkeypatch, task):
     exact = {"random_stretch": 0.0, "random_pitch_shift": 0, "random_hand_position": 0.0}
     collected(tmp_path / "made", Variation(noise=0.0, mirror=False), **(exact | task))
     dataset = open_dataset(tmp_path / "made")
@@ -133,12 +129,8 @@ def test_minari_recovers_the_task_that_was_recorded(
     ids=["varied", "noisy excerpts", "randomized", "with a student", "one hand"],
 )
 def test_minari_plays_every_episode_again_to_the_bit_wherever_it_is(
-    variation: Variation,
-    task: dict[str, Any],
-    scene: dict[str, Any],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    variation, task, scene, tmp_path, monkeypatch
+):
     """The songs are given by a path from where they were collected, and are gone."""
     monkeypatch.chdir(tmp_path)
     write_midi(SCORE, Path("made-songs/song.mid"))
@@ -169,9 +161,7 @@ def test_minari_plays_every_episode_again_to_the_bit_wherever_it_is(
 
 
 @pytest.mark.parametrize("form", ["minari", "lerobot"])
-def test_exports_of_the_same_demonstrations_are_the_same_bytes(
-    form: str, made: Path, copied: Path, tmp_path: Path
-) -> None:
+def test_exports_of_the_same_demonstrations_are_the_same_bytes(form, made, copied, tmp_path):
     name = ["--name", "made"] if form == "minari" else []
     for folder, out in ((made, "first"), (copied, "second")):
         main(["dataset", "export", str(folder), "--format", form, "-o", str(tmp_path / out), *name])
@@ -185,9 +175,7 @@ def written_to(folder: Path) -> tuple[Path, Path]:
     return folder / "first", folder / "second"
 
 
-def test_lerobot_files_hold_what_was_recorded(
-    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lerobot_files_hold_what_was_recorded(made, tmp_path, monkeypatch):
     monkeypatch.setattr(lerobot_export, "_MAX_ROWS", 1)
     folder = tmp_path / "lerobot"
     main(["dataset", "export", str(made), "--format", "lerobot", "-o", str(folder)])
@@ -214,9 +202,7 @@ def test_lerobot_files_hold_what_was_recorded(
     assert stats["count"] == [dataset.num_steps]
 
 
-def test_lerobot_files_hold_what_cameras_see(
-    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lerobot_files_hold_what_cameras_see(made, tmp_path, monkeypatch):
     export = ["dataset", "export", str(made), "--format", "lerobot", "--video-size", "64", "48"]
     main([*export, "--video-cameras", "back", "left", "-o", str(tmp_path / "one")])
     monkeypatch.setattr(lerobot_export, "FILE_BYTES", 0)
@@ -279,37 +265,31 @@ def frames_of(folder: Path, info: dict[str, Any], row: dict[str, Any]) -> np.nda
         ),
     ],
 )
-def test_videos_that_cannot_be_are_told(
-    words: list[str], what: str, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_videos_that_cannot_be_are_told(words, what, made, tmp_path, capsys):
     assert what in refused(capsys, "dataset", "export", made, *words, "-o", tmp_path / "new")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_nothing_is_overwritten(made: Path, tmp_path: Path) -> None:
+def test_nothing_is_overwritten(made, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(SystemExit, match="1"):
         main(["dataset", "export", str(made), "--format", "lerobot", "-o", str(tmp_path)])
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_the_current_folder_can_be_written_to(
-    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_current_folder_can_be_written_to(made, tmp_path, monkeypatch):
     (tmp_path / "empty").mkdir()
     monkeypatch.chdir(tmp_path / "empty")
     main(["dataset", "export", str(made.resolve()), "--format", "lerobot", "-o", "."])
     assert (tmp_path / "empty" / "meta" / "info.json").exists()
 
 
-def test_minari_is_given_so_many_steps_at_once_whatever_episodes_they_are_of() -> None:
+def test_minari_is_given_so_many_steps_at_once_whatever_episodes_they_are_of():
     batches = list(minari_export.batched(range(1, 7), [9, 4, 6, 1, 30, 2, 3], most=10))
     assert batches == [range(1, 3), range(3, 4), range(4, 5), range(5, 7)]
 
 
-def test_half_of_an_export_is_never_seen(
-    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_half_of_an_export_is_never_seen(made, tmp_path, monkeypatch):
     def fails(*_: object) -> None:
         raise CadenzaError("damaged")
 

@@ -78,7 +78,7 @@ def carried_out(
     return state, executor.begun
 
 
-def test_a_song_that_cannot_be_read_is_left_out_with_a_line(tmp_path: Path) -> None:
+def test_a_song_that_cannot_be_read_is_left_out_with_a_line(tmp_path):
     write_midi(Score((Note(0.0, 0.2, 60),)), tmp_path / "song.mid")
     (tmp_path / "away.mid").symlink_to(tmp_path / "nowhere.mid")
     contender = Contender("zero", TaskConfig(), SceneConfig())
@@ -88,9 +88,7 @@ def test_a_song_that_cannot_be_read_is_left_out_with_a_line(tmp_path: Path) -> N
     assert len(warned) == 1
 
 
-def test_a_folder_is_extended_and_what_is_finished_never_done_again(
-    jobs: Callable[..., list[BenchJob]], tmp_path: Path
-) -> None:
+def test_a_folder_is_extended_and_what_is_finished_never_done_again(jobs, tmp_path):
     assert carried_out(jobs("zero"), tmp_path)[1] == ["zero"]
     assert carried_out(jobs("zero"), tmp_path)[1] == []
     assert carried_out(jobs("zero", "random"), tmp_path)[1] == ["random"]
@@ -98,9 +96,7 @@ def test_a_folder_is_extended_and_what_is_finished_never_done_again(
     assert len(read_results(tmp_path).results) == 3
 
 
-def test_what_has_finished_before_it_was_stopped_counts(
-    jobs: Callable[..., list[BenchJob]], tmp_path: Path
-) -> None:
+def test_what_has_finished_before_it_was_stopped_counts(jobs, tmp_path):
     class LateNews(OneByOne):
         def ended(self, seconds: float) -> list[Ended]:
             return []
@@ -111,9 +107,7 @@ def test_what_has_finished_before_it_was_stopped_counts(
     assert (state.finished, state.left) == (1, 1)
 
 
-def test_what_failed_is_told_and_carried_out_again_on_demand(
-    jobs: Callable[..., list[BenchJob]], tmp_path: Path
-) -> None:
+def test_what_failed_is_told_and_carried_out_again_on_demand(jobs, tmp_path):
     both = jobs("bench_agents:Raises", "zero")
     for begun in ["bench_agents:Raises", "zero"], []:
         state, agents = carried_out(both, tmp_path)
@@ -137,9 +131,7 @@ def after_a_result_that_was_not_good_enough(
     )
 
 
-def test_what_fails_now_counts_as_failed_whatever_it_has_left_before(
-    jobs: Callable[..., list[BenchJob]], tmp_path: Path
-) -> None:
+def test_what_fails_now_counts_as_failed_whatever_it_has_left_before(jobs, tmp_path):
     class Fails(OneByOne):
         def start(self, job: BenchJob, folder: Path) -> None:
             write_failure(folder, "not today")
@@ -150,9 +142,7 @@ def test_what_fails_now_counts_as_failed_whatever_it_has_left_before(
     assert (state.finished, state.failed) == (0, {job.spec.name: "not today"})
 
 
-def test_a_process_that_dies_is_not_saved_by_a_result_that_was_not_good_enough(
-    jobs: Callable[..., list[BenchJob]], tmp_path: Path
-) -> None:
+def test_a_process_that_dies_is_not_saved_by_a_result_that_was_not_good_enough(jobs, tmp_path):
     class Dies(OneByOne):
         def start(self, job: BenchJob, folder: Path) -> None:
             self._ended.append(Ended(job, "killed"))
@@ -162,16 +152,14 @@ def test_a_process_that_dies_is_not_saved_by_a_result_that_was_not_good_enough(
     assert (state.finished, list(state.failed)) == (0, [job.spec.name])
 
 
-def test_songs_may_have_long_names(jobs: Callable[..., list[BenchJob]]) -> None:
+def test_songs_may_have_long_names(jobs):
     (job,) = jobs("zero")
     name = replace(job.spec, song="songs/" + "\N{KATAKANA LETTER A}" * 78).name
     assert len(name.encode()) < 200
     assert name != replace(job.spec, song="songs/" + "\N{KATAKANA LETTER A}" * 77).name
 
 
-def test_a_run_whose_process_dies_is_taken_up_again_but_not_forever(
-    jobs: Callable[..., list[BenchJob]], tmp_path: Path
-) -> None:
+def test_a_run_whose_process_dies_is_taken_up_again_but_not_forever(jobs, tmp_path):
     dies, vanishes, lives = three = jobs("zero", "random", "bench_agents:Still")
     killed, gone = Ended(dies, "killed"), Ended(vanishes)
     state, begun = carried_out(three, tmp_path, [killed, gone, None, killed, gone, killed, None])
@@ -182,9 +170,7 @@ def test_a_run_whose_process_dies_is_taken_up_again_but_not_forever(
     assert carried_out(three, tmp_path, [killed], retry=True)[0].finished == 3
 
 
-def test_what_a_run_before_has_left_may_be_corrupt(
-    jobs: Callable[..., list[BenchJob]], tmp_path: Path
-) -> None:
+def test_what_a_run_before_has_left_may_be_corrupt(jobs, tmp_path):
     (job,) = jobs("zero")
     failed = tmp_path / "runs" / job.spec.name / "failed.json"
     failed.parent.mkdir(parents=True)
@@ -193,9 +179,7 @@ def test_what_a_run_before_has_left_may_be_corrupt(
     assert carried_out([job], tmp_path, retry=True)[0].finished == 1
 
 
-def test_a_run_of_others_is_waited_for_and_taken_up_if_they_give_up(
-    jobs: Callable[..., list[BenchJob]], tmp_path: Path
-) -> None:
+def test_a_run_of_others_is_waited_for_and_taken_up_if_they_give_up(jobs, tmp_path):
     (job,) = jobs("zero")
     looks = 0
     with locked(tmp_path / "runs" / job.spec.name) as ours:
@@ -213,18 +197,14 @@ def test_a_run_of_others_is_waited_for_and_taken_up_if_they_give_up(
     assert carried_out([job], tmp_path)[0].finished == 1
 
 
-def test_a_song_that_has_changed_since_is_told(
-    jobs: Callable[..., list[BenchJob]], tmp_path: Path
-) -> None:
+def test_a_song_that_has_changed_since_is_told(jobs, tmp_path):
     planned = jobs("zero")
     write_midi(Score((Note(0.0, 0.2, 62),)), tmp_path / "songs" / "song.mid")
     state, _ = carried_out(planned, tmp_path)
     assert "has other notes here and now" in next(iter(state.failed.values()))
 
 
-def test_pages_of_finished_runs_are_made_from_their_files(
-    jobs: Callable[..., list[BenchJob]], tmp_path: Path
-) -> None:
+def test_pages_of_finished_runs_are_made_from_their_files(jobs, tmp_path):
     (job,) = jobs("random", random_stretch=0.5)
     paged = replace(job, page=True)
     carried_out([job], tmp_path / "a")
@@ -244,9 +224,7 @@ def test_pages_of_finished_runs_are_made_from_their_files(
     assert made == saved
 
 
-def test_a_run_of_which_no_page_can_be_made_keeps_its_result(
-    jobs: Callable[..., list[BenchJob]], tmp_path: Path
-) -> None:
+def test_a_run_of_which_no_page_can_be_made_keeps_its_result(jobs, tmp_path):
     (job,) = jobs("zero")
     carried_out([job], tmp_path)
     run = tmp_path / "runs" / job.spec.name

@@ -108,7 +108,7 @@ def read(path: Path) -> Any:
 # What is frozen
 
 
-def test_the_scene_is_that_of_version_1() -> None:
+def test_the_scene_is_that_of_version_1():
     assert scene_digest(build_scene(SCENE)) == frozen().scene
 
 
@@ -125,18 +125,18 @@ def test_the_scene_is_that_of_version_1() -> None:
     ],
     ids=repr,
 )
-def test_another_scene_has_another_hash(other: SceneConfig) -> None:
+def test_another_scene_has_another_hash(other):
     assert scene_digest(build_scene(other)) != frozen().scene
 
 
-def test_a_key_that_is_easier_to_press_is_another_scene() -> None:
+def test_a_key_that_is_easier_to_press_is_another_scene():
     scene = build_scene(SCENE)
     scene.model.jnt_stiffness[scene.model.jnt_stiffness > 0] *= 1.0001
     assert scene_digest(scene) != frozen().scene
 
 
 @pytest.mark.parametrize("name", [name for name in PUBLIC_SETS if ":band" not in name])
-def test_songs_have_the_notes_of_version_1(name: str) -> None:
+def test_songs_have_the_notes_of_version_1(name):
     """Whoever changes a generator or a reader of files makes another benchmark."""
     for song in open_set(name).songs:
         with set_up_song(song) as setup:
@@ -144,7 +144,7 @@ def test_songs_have_the_notes_of_version_1(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in PUBLIC_SETS if ":band" in name])
-def test_songs_for_a_band_are_arranged_as_in_version_1(name: str) -> None:
+def test_songs_for_a_band_are_arranged_as_in_version_1(name):
     """The shortest of each split; the slow test has all."""
     song = min(open_set(name).songs, key=lambda song: len(song.load().notes))
     with set_up_song(song) as setup:
@@ -152,14 +152,14 @@ def test_songs_for_a_band_are_arranged_as_in_version_1(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_all_songs_for_a_band_are_arranged_as_in_version_1() -> None:
+def test_all_songs_for_a_band_are_arranged_as_in_version_1():
     for name in PUBLIC_SETS:
         for song in open_set(name).songs if ":band" in name else ():
             with set_up_song(song) as setup:
                 assert song_digest(setup.task.tracks[0]) == frozen().songs[song.name], song.name
 
 
-def test_no_song_is_in_two_sets_and_splits_are_alike() -> None:
+def test_no_song_is_in_two_sets_and_splits_are_alike():
     songs = {name: [song.name for song in open_set(name).songs] for name in PUBLIC_SETS}
     everything = [song for of_set in songs.values() for song in of_set]
     assert len(everything) == len(set(everything)) == len(frozen().songs)
@@ -174,22 +174,20 @@ def test_no_song_is_in_two_sets_and_splits_are_alike() -> None:
     assert sorted(int(grade) for _, grade, _ in test) == sorted([*range(1, HARDEST + 1)] * 2)
 
 
-def test_a_song_of_a_public_set_with_other_notes_is_refused() -> None:
+def test_a_song_of_a_public_set_with_other_notes_is_refused():
     song = replace(open_set("bundled").songs[0], read=lambda *_: Score((Note(0, 1, 60),)))
     with set_up_song(song) as setup, pytest.raises(CadenzaError, match="has other notes here"):
         check_frozen(song, setup)
 
 
 @pytest.mark.parametrize("name", ["debug", "etudes:3", ".", "/etc", "mine/../mine", "nobody", ""])
-def test_what_is_no_set(name: str) -> None:
+def test_what_is_no_set(name):
     with pytest.raises(CadenzaError, match="choose from bundled"):
         open_set(name)
 
 
 @pytest.mark.parametrize("name", ["bundled", "benchmark:etudes-valid"])
-def test_an_imported_library_cannot_pass_for_a_public_set(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_an_imported_library_cannot_pass_for_a_public_set(tmp_path, monkeypatch, name):
     monkeypatch.setenv("CADENZA_DATA", str(tmp_path))
     import_songs(PITCHES)
     (tmp_path / "libraries" / MINE).rename(tmp_path / "libraries" / name.partition(":")[0])
@@ -200,7 +198,7 @@ def test_an_imported_library_cannot_pass_for_a_public_set(
 # Honest entries
 
 
-def test_an_honest_entry_is_verified_to_the_bit(made: Path) -> None:
+def test_an_honest_entry_is_verified_to_the_bit(made):
     played = verify(made)
     assert played.differences == []
     assert len(played.metrics) == 4
@@ -208,9 +206,7 @@ def test_an_honest_entry_is_verified_to_the_bit(made: Path) -> None:
     assert played.metrics == {(r["song"], r["seed"]): r["metrics"] for r in said_in(made)["runs"]}
 
 
-def test_actions_beyond_the_range_of_a_servo_play_as_those_within(
-    bench: Path, tmp_path: Path
-) -> None:
+def test_actions_beyond_the_range_of_a_servo_play_as_those_within(bench, tmp_path):
     """Since an agent may return any, and the simulation limits them."""
     copy = Path(shutil.copytree(bench, tmp_path / "copy"))
     for path in copy.glob("runs/*/episode.npz"):
@@ -351,7 +347,7 @@ FORGERIES: list[tuple[str, Forge, str]] = [
 @pytest.mark.parametrize(
     ("forge", "why"), [forgery[1:] for forgery in FORGERIES], ids=[name for name, *_ in FORGERIES]
 )
-def test_a_forged_entry_is_not_verified(entry: Path, forge: Forge, why: str) -> None:
+def test_a_forged_entry_is_not_verified(entry, forge, why):
     forge(entry)
     try:
         (reason, *_) = verify(entry).differences
@@ -362,7 +358,7 @@ def test_a_forged_entry_is_not_verified(entry: Path, forge: Forge, why: str) -> 
 
 
 @pytest.mark.parametrize("seed", range(15))
-def test_whatever_is_wrong_is_refused_or_changes_no_metric(entry: Path, seed: int) -> None:
+def test_whatever_is_wrong_is_refused_or_changes_no_metric(entry, seed):
     rng = np.random.default_rng(seed)
     if seed % 3:
         content = mutations.json_bytes(mutations.other_json(rng, said_in(entry)))
@@ -402,9 +398,7 @@ def rewritten(bench: Path, copy: Path, songs: str, do: Callable[[dict[str, Any]]
         ("scene", "sleeping_keys", False, "with sleeping-keys False"),
     ],
 )
-def test_runs_in_another_task_are_no_entry(
-    bench: Path, tmp_path: Path, part: str, option: str, value: object, why: str
-) -> None:
+def test_runs_in_another_task_are_no_entry(bench, tmp_path, part, option, value, why):
     copy = rewritten(bench, tmp_path / "bench", "*", lambda job: job[part].update({option: value}))
     with pytest.raises(CadenzaError, match=why):
         enter(copy, tmp_path / "entry", **ABOUT)
@@ -412,7 +406,7 @@ def test_runs_in_another_task_are_no_entry(
 
 
 @pytest.mark.usefixtures("bench")
-def test_runs_that_hide_their_scene_are_found_out(tmp_path: Path) -> None:
+def test_runs_that_hide_their_scene_are_found_out(tmp_path):
     published = json.loads(json.dumps(asdict(SCENE)))
     fast = played(tmp_path / "fast", replace(SCENE, physics="fast"))
     hidden = rewritten(fast, tmp_path / "b", "*", lambda job: job.update(scene=published))
@@ -420,7 +414,7 @@ def test_runs_that_hide_their_scene_are_found_out(tmp_path: Path) -> None:
         enter(hidden, tmp_path / "entry", **ABOUT)
 
 
-def test_runs_of_several_agents_or_with_one_missing(bench: Path, tmp_path: Path) -> None:
+def test_runs_of_several_agents_or_with_one_missing(bench, tmp_path):
     copy = Path(shutil.copytree(bench, tmp_path / "bench"))
     with pytest.raises(CadenzaError, match=r"were played by planner; name one"):
         enter(copy, tmp_path / "entry", **ABOUT, agent="zero")
@@ -429,7 +423,7 @@ def test_runs_of_several_agents_or_with_one_missing(bench: Path, tmp_path: Path)
         enter(copy, tmp_path / "entry", **ABOUT)
 
 
-def test_an_agent_observes_the_same_in_all_songs(bench: Path, tmp_path: Path) -> None:
+def test_an_agent_observes_the_same_in_all_songs(bench, tmp_path):
     """Or else an entry could say that nobody gave it fingers, which were given in some songs."""
     hides = {"fingering": "robot"}
     copy = rewritten(
@@ -449,9 +443,7 @@ def table_of(folder: Path, *entries: Path) -> tuple[list[dict[str, str]], str]:
     return list(csv.DictReader(text.splitlines())), (folder / "leaderboard.md").read_text()
 
 
-def test_what_is_not_computed_to_the_bit_is_ranked_as_unverified(
-    made: Path, entry: Path, tmp_path: Path
-) -> None:
+def test_what_is_not_computed_to_the_bit_is_ranked_as_unverified(made, entry, tmp_path):
     """Below all that is, with metrics that were computed here, whatever engine it names."""
     another_engine(entry)
     says(lambda said: said.update(name="A warp"))(entry)
@@ -465,7 +457,7 @@ def test_what_is_not_computed_to_the_bit_is_ranked_as_unverified(
     ]
 
 
-def test_whole_notes_rank_entries_and_f1_those_that_are_equal(made: Path, tmp_path: Path) -> None:
+def test_whole_notes_rank_entries_and_f1_those_that_are_equal(made, tmp_path):
     row = row_of(made)
     scores = {"frames": (0.9, 0.99), "notes": (0.95, 0.9), "both": (0.95, 0.91)}
     rows = [
@@ -489,9 +481,7 @@ def deep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     subprocess.run(["rm", "-r", tmp_path / "deep"], check=True)  # which shutil.rmtree cannot
 
 
-def test_one_bad_entry_does_not_end_the_table(
-    made: Path, deep: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_bad_entry_does_not_end_the_table(made, deep, tmp_path, monkeypatch):
     def verify_or_fail(folder: Path) -> PlayedAgain:
         if folder.name == "strange":
             raise ZeroDivisionError("which nobody has thought of")
@@ -514,9 +504,7 @@ def test_one_bad_entry_does_not_end_the_table(
 
 
 @pytest.mark.parametrize("name", [b"\x1b[2J", b"\xff"])
-def test_names_of_files_do_nothing_to_a_terminal(
-    entry: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: bytes
-) -> None:
+def test_names_of_files_do_nothing_to_a_terminal(entry, tmp_path, capsys, name):
     renamed = entry.rename(tmp_path / os.fsdecode(name))
     (renamed / os.fsdecode(name)).write_bytes(b"")
     rows, _ = table_of(tmp_path / "out", renamed)
@@ -529,7 +517,7 @@ def test_names_of_files_do_nothing_to_a_terminal(
     assert all(cell.isprintable() for row in rows for cell in row.values())
 
 
-def test_the_files_of_the_table_take_text_as_text(entry: Path, tmp_path: Path) -> None:
+def test_the_files_of_the_table_take_text_as_text(entry, tmp_path):
     """Also in a spreadsheet that splits lines at semicolons, where quotation marks do not help."""
     says(lambda s: s.update(name="a|b <script>;=1+1", by='=1+1;"=1+1"', about="\uff1d1+1"))(entry)
     (row,), text = table_of(tmp_path / "out", entry)
@@ -542,9 +530,7 @@ def test_the_files_of_the_table_take_text_as_text(entry: Path, tmp_path: Path) -
 # The command line
 
 
-def test_a_person_enters_and_verifies(
-    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_person_enters_and_verifies(bench, tmp_path, capsys):
     entry = str(tmp_path / "entry")
     chosen = ["--songs", MINE, "--track", "planning", "--about", "nothing", "-o", entry]
     main(["enter", str(bench), *chosen])
@@ -560,15 +546,13 @@ def test_a_person_enters_and_verifies(
     assert said.err.count("\n") == 1
 
 
-def test_a_folder_that_is_not_there_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_that_is_not_there_is_named(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert "missing: there is no such folder" in refused(capsys, "leaderboard", "missing")
     assert not list(tmp_path.iterdir())
 
 
-def test_the_list_names_all_tracks_and_sets(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_names_all_tracks_and_sets(capsys):
     main(["benchmark"])
     said = capsys.readouterr().out
     assert all(name in said for name in (*PUBLIC_SETS, "one-song", "at-sight", "planning"))

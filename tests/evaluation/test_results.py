@@ -1,7 +1,6 @@
 """Results are read as they were written; what is corrupt is told and left out."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -36,7 +35,7 @@ def content(text: str, **changes: Any) -> str:
     return json.dumps(json.loads(text) | changes)
 
 
-def test_a_result_says_what_was_played_and_how_well(tmp_path: Path) -> None:
+def test_a_result_says_what_was_played_and_how_well(tmp_path):
     run = tmp_path / "runs" / job().spec.name
     carry_out(job(page=True), run, num_threads=1)
     (result,) = read_results(tmp_path).results
@@ -55,7 +54,7 @@ def test_a_result_says_what_was_played_and_how_well(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", "\xff", '{"format": 1}'])
-def test_what_is_corrupt_is_told_and_left_out(tmp_path: Path, finished: str, text: str) -> None:
+def test_what_is_corrupt_is_told_and_left_out(tmp_path, finished, text):
     key = job().spec.key
     names = [f"{run}--{key}" for run in "abc"]
     for name, written in zip(names, (text, finished, finished[:-30]), strict=True):
@@ -67,7 +66,7 @@ def test_what_is_corrupt_is_told_and_left_out(tmp_path: Path, finished: str, tex
     assert all("\n" not in run.reason for run in found.broken)
 
 
-def test_a_run_that_was_copied_does_not_count_twice(tmp_path: Path, finished: str) -> None:
+def test_a_run_that_was_copied_does_not_count_twice(tmp_path, finished):
     for name in job().spec.name, f"{job().spec.name} copy":
         (tmp_path / "runs" / name).mkdir(parents=True)
         (tmp_path / "runs" / name / "result.json").write_text(finished)
@@ -78,7 +77,7 @@ def test_a_run_that_was_copied_does_not_count_twice(tmp_path: Path, finished: st
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"format": 1}'])
-def test_a_run_whose_result_is_corrupt_is_carried_out_again(tmp_path: Path, text: str) -> None:
+def test_a_run_whose_result_is_corrupt_is_carried_out_again(tmp_path, text):
     run = tmp_path / job().spec.name
     run.mkdir()
     (run / "result.json").write_text(text)
@@ -87,7 +86,7 @@ def test_a_run_whose_result_is_corrupt_is_carried_out_again(tmp_path: Path, text
     assert is_complete(job(), run)
 
 
-def test_what_is_not_of_this_format_is_told(tmp_path: Path, finished: str) -> None:
+def test_what_is_not_of_this_format_is_told(tmp_path, finished):
     changes: dict[str, Any] = {
         "a": {"format": 2},
         "b": {"metrics": {"f1": "good"}},
@@ -102,7 +101,7 @@ def test_what_is_not_of_this_format_is_told(tmp_path: Path, finished: str) -> No
     assert [without.name for without in found.broken] == list(changes)
 
 
-def test_what_is_missing_is_told(tmp_path: Path, finished: str) -> None:
+def test_what_is_missing_is_told(tmp_path, finished):
     jobs = [job(seed=seed) for seed in range(3)]
     write_plan(tmp_path, "cadenza bench", jobs)
     first, second, third = (tmp_path / "runs" / job.spec.name for job in jobs)
@@ -121,7 +120,7 @@ def test_what_is_missing_is_told(tmp_path: Path, finished: str) -> None:
         read_results(first)
 
 
-def test_a_run_is_named_by_all_that_its_result_depends_on() -> None:
+def test_a_run_is_named_by_all_that_its_result_depends_on():
     one = job().spec
     others = [job("random").spec, job(seed=1).spec, job(seconds=0.5).spec]
     assert job(page=True).spec == one
@@ -129,7 +128,7 @@ def test_a_run_is_named_by_all_that_its_result_depends_on() -> None:
     assert len({spec.key for spec in [one, *others]}) == 4
 
 
-def test_a_bench_names_every_run_once_and_the_first_seed_first() -> None:
+def test_a_bench_names_every_run_once_and_the_first_seed_first():
     def who(_: str) -> list[Contender]:
         return [Contender(name, TaskConfig(), SceneConfig()) for name in ("zero", "random", "zero")]
 

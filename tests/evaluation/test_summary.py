@@ -4,7 +4,6 @@ import csv
 import math
 import statistics
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -40,7 +39,7 @@ TWO_AGENTS = {
 }  # fmt: skip
 
 
-def test_figures_worked_out_by_hand(tmp_path: Path) -> None:
+def test_figures_worked_out_by_hand(tmp_path):
     write(tmp_path, TWO_AGENTS)
     summary = summary_of(tmp_path)
     assert summary.agents == ["good", "bad"]
@@ -60,7 +59,7 @@ def test_figures_worked_out_by_hand(tmp_path: Path) -> None:
     assert np.isnan(summary.by_piece["recall"].value).all()
 
 
-def test_an_agent_with_one_piece_has_the_interval_of_the_piece(tmp_path: Path) -> None:
+def test_an_agent_with_one_piece_has_the_interval_of_the_piece(tmp_path):
     write(tmp_path, {("a", "good", seed): f1 for seed, f1 in enumerate((0.5, 0.6, 0.7))})
     summary = summary_of(tmp_path)
     of_agent, of_piece = summary.groups[0].agents["good"].mean["f1"], summary.by_piece["f1"]
@@ -68,7 +67,7 @@ def test_an_agent_with_one_piece_has_the_interval_of_the_piece(tmp_path: Path) -
     assert of_agent.low == pytest.approx(0.6 - 4.303 * 0.1 / math.sqrt(3), abs=1e-3)  # t of 2
 
 
-def test_who_plays_the_same_with_every_seed_has_no_interval(tmp_path: Path) -> None:
+def test_who_plays_the_same_with_every_seed_has_no_interval(tmp_path):
     still = {("a", "still", seed): 0.8 for seed in (0, 1)} | {("b", "still", 0): 0.4}
     write(tmp_path, TWO_AGENTS | still)
     agents = summary_of(tmp_path).groups[0].agents
@@ -77,7 +76,7 @@ def test_who_plays_the_same_with_every_seed_has_no_interval(tmp_path: Path) -> N
     assert not math.isnan(agents["good"].mean["f1"].low)
 
 
-def test_rewards_for_different_fingers_stand_apart(tmp_path: Path) -> None:
+def test_rewards_for_different_fingers_stand_apart(tmp_path):
     for agent, fingers in (("planner", "score"), ("learnt", "found")):
         metrics = {"f1": 0.9, "return": 5.0, "reward/energy": -1.0, "rewarded_fingers": fingers}
         write_result(tmp_path, agent, result("a", agent, 0, metrics))
@@ -92,7 +91,7 @@ def test_rewards_for_different_fingers_stand_apart(tmp_path: Path) -> None:
     assert planner["reward/energy"] == learnt["reward/energy"] == "-1.0"
 
 
-def test_onset_errors_are_told_in_milliseconds(tmp_path: Path) -> None:
+def test_onset_errors_are_told_in_milliseconds(tmp_path):
     metrics = {"f1": 0.5, "onset_error_median": 0.0125, "velocity_error": 3.5}
     write_result(tmp_path, "a", result("a", "planner", 0, metrics))
     (run,) = summary_of(tmp_path).runs
@@ -100,7 +99,7 @@ def test_onset_errors_are_told_in_milliseconds(tmp_path: Path) -> None:
     assert run.metrics["velocity_error"] == 3.5
 
 
-def test_times_and_energy_are_told_for_a_second_of_music(tmp_path: Path) -> None:
+def test_times_and_energy_are_told_for_a_second_of_music(tmp_path):
     content = result("a", "planner", 0, {"f1": 0.5, "energy": 300.0})
     content["timing"] = {"wall_seconds": 15.0, "music_seconds": 20.0, "threads": 1}
     write_result(tmp_path, "a", content)
@@ -114,22 +113,20 @@ def test_times_and_energy_are_told_for_a_second_of_music(tmp_path: Path) -> None
     assert math.isnan(run.metrics["precision"])
 
 
-def test_who_played_the_most_pieces_comes_first_and_of_these_who_played_best(
-    tmp_path: Path,
-) -> None:
+def test_who_played_the_most_pieces_comes_first_and_of_these_who_played_best(tmp_path):
     write(tmp_path, TWO_AGENTS | {("a", "brilliant", 0): 1.0})
     summary = summary_of(tmp_path)
     assert summary.agents == ["good", "bad", "brilliant"]
     assert list(summary.groups[0].agents) == summary.agents
 
 
-def test_whole_notes_count_before_frames(tmp_path: Path) -> None:
+def test_whole_notes_count_before_frames(tmp_path):
     for name, f1, onsets in (("frames", 0.9, 0.5), ("notes", 0.8, 0.7)):
         write_result(tmp_path, name, result("a", name, 0, {"f1": f1, "note_onset_f1": onsets}))
     assert summary_of(tmp_path).agents == ["notes", "frames"]
 
 
-def test_agents_are_compared_on_the_pieces_that_all_played(tmp_path: Path) -> None:
+def test_agents_are_compared_on_the_pieces_that_all_played(tmp_path):
     write(tmp_path, TWO_AGENTS | {("b", "third", 0): 0.6})
     summary = summary_of(tmp_path)
     _, common = summary.groups
@@ -138,19 +135,19 @@ def test_agents_are_compared_on_the_pieces_that_all_played(tmp_path: Path) -> No
     assert "third: 1 run of 1 piece" in caveats(tmp_path)["Some agents have fewer runs."][0]
 
 
-def test_policies_are_named_by_the_end_of_their_path(tmp_path: Path) -> None:
+def test_policies_are_named_by_the_end_of_their_path(tmp_path):
     write(tmp_path, {("a", f"{tmp_path}/elise/best", 0): 0.9, ("a", "run/good", 0): 0.8})
     assert summary_of(tmp_path).agents == ["elise/best", "run/good"]
 
 
-def test_policies_that_would_be_called_the_same_keep_their_whole_path(tmp_path: Path) -> None:
+def test_policies_that_would_be_called_the_same_keep_their_whole_path(tmp_path):
     agents = ["/home/one/run/best", "/home/two/run/best"]
     for i, agent in enumerate(agents):
         write_result(tmp_path, f"run {i}", result("a", agent, 0, {"f1": 0.9}))
     assert sorted(summary_of(tmp_path).agents) == agents
 
 
-def test_every_library_and_split_is_summed_up(tmp_path: Path) -> None:
+def test_every_library_and_split_is_summed_up(tmp_path):
     write(tmp_path, {("a", "planner", 0): 0.9}, library="etudes")
     write(tmp_path, {("b", "planner", 0): 0.5}, library="mine", split="valid")
     write(tmp_path, {("c", "planner", 0): 0.1})
@@ -165,7 +162,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_all_figures_are_those_of_plain_loops(bench: Path) -> None:
+def test_all_figures_are_those_of_plain_loops(bench):
     summary = summary_of(bench)
     for group in summary.groups:
         for agent, own in group.agents.items():
@@ -179,7 +176,7 @@ def test_all_figures_are_those_of_plain_loops(bench: Path) -> None:
                     assert low <= value <= high
 
 
-def test_the_tables_have_the_same_figures(bench: Path, tmp_path: Path) -> None:
+def test_the_tables_have_the_same_figures(bench, tmp_path):
     found = read_results(bench)
     summary = summarize(found, "made up")
     names = write_tables(tmp_path, summary, usable(found))
@@ -202,7 +199,7 @@ def test_the_tables_have_the_same_figures(bench: Path, tmp_path: Path) -> None:
     assert [len(agents), len(pieces)] == [6, 14]
 
 
-def test_what_is_not_known_is_an_empty_cell(tmp_path: Path) -> None:
+def test_what_is_not_known_is_an_empty_cell(tmp_path):
     write(tmp_path, {("a", "planner", 0): 0.5})
     found = read_results(tmp_path)
     write_tables(tmp_path / "out", summarize(found, "made up"), usable(found))
@@ -213,11 +210,11 @@ def test_what_is_not_known_is_an_empty_cell(tmp_path: Path) -> None:
 # Caveats
 
 
-def test_runs_alike_need_no_caveat(bench: Path) -> None:
+def test_runs_alike_need_no_caveat(bench):
     assert summary_of(bench).caveats == []
 
 
-def test_music_that_was_changed_is_told(tmp_path: Path) -> None:
+def test_music_that_was_changed_is_told(tmp_path):
     for seed in range(2):
         content = result("a", "planner", seed, {"f1": 0.5}, seconds=200.0)
         content["job"]["arrangement"] = {"tracks": [], "first_seconds": 20.0}
@@ -234,7 +231,7 @@ def test_music_that_was_changed_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", '{"format": 2}', '{"format": 1}'])
-def test_a_corrupt_run_is_reported_and_left_out(tmp_path: Path, content: str) -> None:
+def test_a_corrupt_run_is_reported_and_left_out(tmp_path, content):
     write(tmp_path, TWO_AGENTS)
     (run,) = (tmp_path / "runs").glob("a-good-0--*")
     (run / "result.json").write_text(content)
@@ -251,9 +248,7 @@ def test_a_corrupt_run_is_reported_and_left_out(tmp_path: Path, content: str) ->
         ({"metrics": {"f1": "high"}}, "its result holds no F1"),
     ],
 )
-def test_a_run_of_nobody_or_of_no_number_is_left_out(
-    tmp_path: Path, change: dict[str, Any], said: str
-) -> None:
+def test_a_run_of_nobody_or_of_no_number_is_left_out(tmp_path, change, said):
     write(tmp_path, TWO_AGENTS)
     write_result(tmp_path, "odd", result("c", "good", 0, {"f1": 0.5}) | change)
     (case,) = caveats(tmp_path)["1 run cannot be read, and is left out."]
@@ -261,7 +256,7 @@ def test_a_run_of_nobody_or_of_no_number_is_left_out(
     assert len(summary_of(tmp_path).runs) == len(TWO_AGENTS)
 
 
-def test_a_run_without_f1_is_reported_and_left_out(tmp_path: Path) -> None:
+def test_a_run_without_f1_is_reported_and_left_out(tmp_path):
     write(tmp_path, TWO_AGENTS)
     odd = write_result(tmp_path, "odd", result("c", "good", 0, {"f1": None})).name
     case = f"{odd}: its result holds no F1"
@@ -269,20 +264,20 @@ def test_a_run_without_f1_is_reported_and_left_out(tmp_path: Path) -> None:
     assert len(summary_of(tmp_path).pieces) == 2
 
 
-def test_runs_that_are_not_finished_are_named(tmp_path: Path) -> None:
+def test_runs_that_are_not_finished_are_named(tmp_path):
     write(tmp_path, TWO_AGENTS)
     (tmp_path / "runs" / "begun").mkdir()
     (case,) = caveats(tmp_path)["1 run is not finished."]
     assert case.startswith("begun: ")
 
 
-def test_without_a_finished_run_there_is_nothing_to_tell(tmp_path: Path) -> None:
+def test_without_a_finished_run_there_is_nothing_to_tell(tmp_path):
     (tmp_path / "runs" / "begun").mkdir(parents=True)
     with pytest.raises(CadenzaError, match="no run is finished"):
         summary_of(tmp_path)
 
 
-def test_the_seed_of_training_is_to_differ(tmp_path: Path) -> None:
+def test_the_seed_of_training_is_to_differ(tmp_path):
     for seed in range(2):
         trained = result("a", "train:fast", seed, {"f1": 0.5})
         trained["job"]["config"] = {"seed": seed, "num_steps": 100}
@@ -291,7 +286,7 @@ def test_the_seed_of_training_is_to_differ(tmp_path: Path) -> None:
     assert summary_of(tmp_path).caveats == []
 
 
-def test_versions_and_settings_that_differ_are_named(tmp_path: Path) -> None:
+def test_versions_and_settings_that_differ_are_named(tmp_path):
     write(tmp_path, TWO_AGENTS)
     other = result("c", "good", 0, {"f1": 0.5})
     other["versions"]["mujoco"] = "3.18"

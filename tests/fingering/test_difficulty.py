@@ -80,13 +80,13 @@ def by_loops(score: Score) -> tuple[float, ...]:
 
 @settings(deadline=None)
 @given(scores())
-def test_features_are_those_of_plain_loops(score: Score) -> None:
+def test_features_are_those_of_plain_loops(score):
     np.testing.assert_allclose(astuple(features_of(score)), by_loops(score), atol=1e-9)
 
 
 @settings(deadline=None)
 @given(scores())
-def test_grades_go_from_1_to_10_and_faster_is_never_easier(score: Score) -> None:
+def test_grades_go_from_1_to_10_and_faster_is_never_easier(score):
     given_fingers = Score(tuple(replace(n, finger=n.finger or finger(0)) for n in score.notes))
     slow, fast = (FITTED.grade(features_of(given_fingers.stretched(by))) for by in (1.0, 0.5))
     assert slow >= 1
@@ -98,12 +98,12 @@ def test_grades_go_from_1_to_10_and_faster_is_never_easier(score: Score) -> None
         assert slow <= fast + 1e-9
 
 
-def test_no_weight_makes_anything_easier() -> None:
+def test_no_weight_makes_anything_easier():
     assert min(astuple(FITTED.weights)) >= 0
     assert sum(weight > 0 for weight in astuple(FITTED.weights)) >= 5
 
 
-def test_pieces_that_are_called_harder_have_higher_grades() -> None:
+def test_pieces_that_are_called_harder_have_higher_grades():
     levels = {"easy": 1, "intermediate": 2, "hard": 3}
     grades = [grade(load_score(piece.name), shadow_hands()) for piece in songs()]
     assert [piece.difficulty for piece in songs()] == pytest.approx(grades, abs=0.05)
@@ -113,7 +113,7 @@ def test_pieces_that_are_called_harder_have_higher_grades() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_harder_etudes_have_higher_grades(kind: str) -> None:
+def test_harder_etudes_have_higher_grades(kind):
     easy, middle, hard = (
         np.mean([grade(make_etude(kind, level, seed), shadow_hands()) for seed in range(2)])
         for level in (1, 5, 10)
@@ -121,14 +121,14 @@ def test_harder_etudes_have_higher_grades(kind: str) -> None:
     assert easy < middle < hard
 
 
-def test_the_fingers_of_the_score_count_unless_players_are_given() -> None:
+def test_the_fingers_of_the_score_count_unless_players_are_given():
     score = load_score("MoonlightOpening")
     found, _ = find_fingering(score.without_fingers())
     assert grade(found) == grade(score, shadow_hands())
     assert grade(score) != grade(found)
 
 
-def test_long_scores_are_graded() -> None:
+def test_long_scores_are_graded():
     notes = tuple(
         Note(0.1 * i, 0.1 * i + 0.1, 40 + (7 * i) % 40, finger=finger(3 * i % 10))
         for i in range(20_000)
@@ -137,7 +137,7 @@ def test_long_scores_are_graded() -> None:
     assert grade(long) == pytest.approx(grade(short), abs=0.05)
 
 
-def test_what_cannot_be_graded_is_said() -> None:
+def test_what_cannot_be_graded_is_said():
     with pytest.raises(CadenzaError, match="without fingers; say who plays"):
         grade(Score((Note(0.0, 1.0, 60),), title="A"))
     with pytest.raises(CadenzaError, match="without notes"):

@@ -25,7 +25,7 @@ def show(sight: OnlineFingering, *notes: Note) -> list[int]:
 
 
 @pytest.mark.parametrize("song", ["FurEliseOpening", "CanonInDOpening"])
-def test_all_notes_at_once_get_what_the_search_finds(song: str) -> None:
+def test_all_notes_at_once_get_what_the_search_finds(song):
     score = load_score(song).beginning(6.0)
     score = Score(tuple(replace(note, finger=None, velocity=80) for note in score.notes))
     sight = OnlineFingering(shadow_hands())
@@ -35,7 +35,7 @@ def test_all_notes_at_once_get_what_the_search_finds(song: str) -> None:
     assert [found[number] for number in numbers] == [n.finger for n in expected.notes]
 
 
-def test_what_is_settled_stays_and_what_is_not_may_change() -> None:
+def test_what_is_settled_stays_and_what_is_not_may_change():
     notes = [Note(0.2 * i, 0.2 * i + 0.2, pitch) for i, pitch in enumerate(range(60, 84))]
     sight, found = OnlineFingering(shadow_hands(["right"])), list[dict[int, Finger | None]]()
     for note in notes:
@@ -48,7 +48,7 @@ def test_what_is_settled_stays_and_what_is_not_may_change() -> None:
 
 
 @pytest.mark.parametrize("song", ["FurEliseOpening", "BachPreludeInCMajor"])
-def test_goes_on_from_what_it_has_found_as_if_it_began_anew(song: str) -> None:
+def test_goes_on_from_what_it_has_found_as_if_it_began_anew(song):
     notes, dt = load_score(song).beginning(4.0).notes, 0.05
     begins = [(round(note.start / dt), 1, i) for i, note in enumerate(notes)]
     ends = [(round(note.end / dt), 0, i) for i, note in enumerate(notes)]
@@ -72,7 +72,7 @@ def test_goes_on_from_what_it_has_found_as_if_it_began_anew(song: str) -> None:
     assert len(found) == len(notes) > 10
 
 
-def test_held_note_keeps_its_finger_from_others_until_it_is_seen_to_end() -> None:
+def test_held_note_keeps_its_finger_from_others_until_it_is_seen_to_end():
     sight = OnlineFingering(shadow_hands(["right"]))
     held = sight.begin(60 - PIANO.lowest_pitch, 0.0)
     fingers = [sight.find(0.1)[held]]
@@ -85,14 +85,14 @@ def test_held_note_keeps_its_finger_from_others_until_it_is_seen_to_end() -> Non
     assert len({sight.find(3.0)[number] for number in numbers}) == 5
 
 
-def test_what_cannot_be_played_gets_no_finger() -> None:
+def test_what_cannot_be_played_gets_no_finger():
     sight = OnlineFingering(shadow_hands(["right"]))
     numbers = show(sight, *(Note(0.0, 1.0, pitch) for pitch in (48, 60, 64, 67, 84)))
     fingers = list(sight.find(0.1).values())
     assert 0 < fingers.count(None) < len(numbers) == len(fingers)
 
 
-def test_notes_that_are_settled_before_they_were_looked_at_get_fingers_later() -> None:
+def test_notes_that_are_settled_before_they_were_looked_at_get_fingers_later():
     notes = [Note(0.1 * i, 0.1 * i + 0.1, 60 + i % 5) for i in range(30)]
     sight = OnlineFingering(shadow_hands(["right"]), moments=12)
     numbers, found = show(sight, *notes), dict[int, Finger | None]()
@@ -101,7 +101,7 @@ def test_notes_that_are_settled_before_they_were_looked_at_get_fingers_later() -
     assert all(found[number] is not None for number in numbers)
 
 
-def test_its_work_does_not_grow_with_the_song(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_its_work_does_not_grow_with_the_song(monkeypatch):
     moments: list[float] = []
 
     def noted(before: Stage, time: float, *others: Any) -> Stage:

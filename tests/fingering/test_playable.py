@@ -114,7 +114,7 @@ everyone = st.builds(
 
 @settings(deadline=None)
 @given(score=st.one_of(crowded, scores()), players=everyone)
-def test_the_same_notes_as_written_out(score: Score, players: Players) -> None:
+def test_the_same_notes_as_written_out(score, players):
     found = playable(score, players)
     played = {i for i in range(len(score.notes)) if i not in found.reasons | found.ignored}
     assert played == written_out(score, players)
@@ -122,7 +122,7 @@ def test_the_same_notes_as_written_out(score: Score, players: Players) -> None:
 
 @settings(deadline=None)
 @given(score=st.one_of(crowded, scores()), players=everyone)
-def test_what_can_be_played_is_played(score: Score, players: Players) -> None:
+def test_what_can_be_played_is_played(score, players):
     """By one of the fingers that there are, and without breaking a limit."""
     found = solve(score, players)
     there = {f for f in players.fingers if players.forearms[f.hand]}
@@ -136,7 +136,7 @@ def test_what_can_be_played_is_played(score: Score, players: Players) -> None:
 
 @settings(deadline=None)
 @given(score=crowded, sides=sides)
-def test_what_begins_is_pressed_until_it_ends(score: Score, sides) -> None:
+def test_what_begins_is_pressed_until_it_ends(score, sides):
     found = playable(score, shadow_hands(sides))
     assert [moment.begun for moment in found.moments][-1] == len(score.notes)
     for moment in found.moments:
@@ -152,13 +152,13 @@ def test_what_begins_is_pressed_until_it_ends(score: Score, sides) -> None:
         assert {i for stroke in moment.strokes for i in stroke.notes} == sounding
 
 
-def test_notes_that_have_begun_are_counted() -> None:
+def test_notes_that_have_begun_are_counted():
     """Also where a key is struck twice at once, for which the last note is of a lower key."""
     score = Score((Note(0, 1, 60), Note(0, 1, 64), Note(0.01, 1, 60), Note(1, 2, 62)))
     assert [moment.begun for moment in playable(score, shadow_hands()).moments] == [3, 4]
 
 
-def test_deciding_takes_little_of_the_time_of_fingering() -> None:
+def test_deciding_takes_little_of_the_time_of_fingering():
     """Also where hardly anything can be played: notes all over the keyboard."""
     rng = np.random.default_rng(0)
     starts, pitches = rng.uniform(0, 40, 500), rng.integers(21, 109, 500)

@@ -34,7 +34,7 @@ def fingers(score: Score, players: Players) -> list[int]:
 # Hands that cannot spread their fingers
 
 
-def test_fingers_that_stand_over_neighbouring_white_keys_play_them() -> None:
+def test_fingers_that_stand_over_neighbouring_white_keys_play_them():
     rest = PIANO.spacing * np.arange(-1, 2)
     apart = np.maximum(rest - rest[:, None], 0.0).round(4)
     stiff = Reach(rest, least=apart, most=apart, outward=-rest, inward=rest, forearm_width=0.1)
@@ -46,7 +46,7 @@ def test_fingers_that_stand_over_neighbouring_white_keys_play_them() -> None:
 
 
 @pytest.mark.parametrize("spacing", [0.2, 0.3, 0.6])
-def test_a_hand_that_does_not_slide_plays_what_is_before_it(spacing: float) -> None:
+def test_a_hand_that_does_not_slide_plays_what_is_before_it(spacing):
     players = shadow_hands(hand_spacing=spacing, slides=False)
     everything = scale(*range(21, 109))
     played = {n.pitch: n.finger for n in find_fingering(everything, players)[0].notes}
@@ -57,7 +57,7 @@ def test_a_hand_that_does_not_slide_plays_what_is_before_it(spacing: float) -> N
         assert 0.1 < max(away) <= max(SHADOW.reach.inward)
 
 
-def test_what_it_does_not_reach_is_dropped_and_said_to_be() -> None:
+def test_what_it_does_not_reach_is_dropped_and_said_to_be():
     twinkle = load_score("TwinkleTwinkleLittleStar").without_fingers()
     found, dropped = find_fingering(twinkle, shadow_hands(slides=False))
     assert {d.reason for d in dropped} == {OUT_OF_REACH}
@@ -65,7 +65,7 @@ def test_what_it_does_not_reach_is_dropped_and_said_to_be() -> None:
     assert not find_fingering(twinkle, shadow_hands(hand_spacing=0.15, slides=False))[1]
 
 
-def test_it_plays_with_the_finger_before_the_key() -> None:
+def test_it_plays_with_the_finger_before_the_key():
     """Or, where that is a weak one, with its neighbour."""
     players = shadow_hands(["right"], hand_spacing=0.0, slides=False)
     for finger, rest in enumerate(SHADOW.reach.rest):
@@ -74,14 +74,14 @@ def test_it_plays_with_the_finger_before_the_key() -> None:
         assert found == finger if finger < 3 else finger - 1 <= found <= finger
 
 
-def test_mirrored_hands_that_do_not_slide() -> None:
+def test_mirrored_hands_that_do_not_slide():
     players = shadow_hands(slides=False)
     white = [pitch for pitch in range(21, 109) if not PIANO.is_black[pitch - 21]]
     right, left = (fingers(scale(*pitches), players) for pitches in (white, white[::-1]))
     assert right == [f if f < 0 else (f + 5) % 10 for f in left]
 
 
-def test_forearms_that_touch_whatever_they_do() -> None:
+def test_forearms_that_touch_whatever_they_do():
     """Mounted too close to each other, they play all the same."""
     for slides in (False, True):
         players = shadow_hands(hand_spacing=0.05, slides=slides)
@@ -89,7 +89,7 @@ def test_forearms_that_touch_whatever_they_do() -> None:
 
 
 @pytest.mark.parametrize("dofs", [("tx", "ty"), ("ty",)])
-def test_players_are_those_of_the_scene(dofs) -> None:
+def test_players_are_those_of_the_scene(dofs):
     scene = build_scene(SceneConfig(hands="left", forearm_dofs=dofs, hand_spacing=0.4))
     right, left = players_of(scene).forearms
     assert right is None
@@ -100,7 +100,7 @@ def test_players_are_those_of_the_scene(dofs) -> None:
 # Other hands and keyboards
 
 
-def test_a_hand_of_four_fingers() -> None:
+def test_a_hand_of_four_fingers():
     everything = Score(tuple(Note(0, 1, pitch) for pitch in range(21, 109)))
     found, dropped = find_fingering(everything, FOUR)
     assert [n.finger for n in found.notes if n.finger] == [
@@ -110,7 +110,7 @@ def test_a_hand_of_four_fingers() -> None:
     assert {d.reason for d in dropped} == {"more than 8 notes at once for both hands"}
 
 
-def test_fingers_that_a_hand_does_not_have_are_found_anew() -> None:
+def test_fingers_that_a_hand_does_not_have_are_found_anew():
     written = load_score("OdeToJoy")
     assert 4 in {note.finger.index for note in written.notes}
     found, dropped = find_fingering(written, FOUR)
@@ -120,7 +120,7 @@ def test_fingers_that_a_hand_does_not_have_are_found_anew() -> None:
         assert after.finger.index < 4
 
 
-def test_a_smaller_keyboard_has_its_keys_elsewhere() -> None:
+def test_a_smaller_keyboard_has_its_keys_elsewhere():
     small = players_at(SHADOW.reach, TWO_OCTAVES, SIDES, hand_spacing=0.3, slides=True)
     found, dropped = find_fingering(scale(47, 48, 72, 73), small)
     assert [d.note.pitch for d in dropped] == [47, 73]
@@ -133,7 +133,7 @@ def test_a_smaller_keyboard_has_its_keys_elsewhere() -> None:
     assert len(find_fingering(chord, wider)[1]) == 1
 
 
-def test_forearms_in_the_way_are_told() -> None:
+def test_forearms_in_the_way_are_told():
     """Of hands with four fingers, eight notes at once."""
     score = Score(tuple(Note(0, 1, pitch) for pitch in (41, 42, 43, 44, 45, 46, 47, 51)))
     allegro = players_of(build_scene(SceneConfig(hand="allegro")))
@@ -146,7 +146,7 @@ def test_forearms_in_the_way_are_told() -> None:
 @pytest.mark.parametrize(
     "config", [SceneConfig(), SceneConfig(hand="allegro-narrow", keyboard="mini", hand_spacing=0.2)]
 )
-def test_forearms_are_thought_to_slide_as_far_as_they_do(config: SceneConfig) -> None:
+def test_forearms_are_thought_to_slide_as_far_as_they_do(config):
     scene = build_scene(config)
     players = players_of(scene)
     for hand, prefix in enumerate(("rh", "lh")):

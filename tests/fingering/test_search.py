@@ -42,7 +42,7 @@ unfingered = scores().map(monophonic_per_key).map(bare)
 # The keyboard
 
 
-def test_keys_lie_where_the_model_has_them() -> None:
+def test_keys_lie_where_the_model_has_them():
     np.testing.assert_array_equal([is_black(pitch) for pitch in PIANO.pitches], PIANO.is_black)
     np.testing.assert_allclose(PIANO.grid_y, PIANO.centre[:, 1], atol=6e-4)
 
@@ -68,7 +68,7 @@ def check_hands(score: Score) -> None:
 
 @settings(deadline=None)
 @given(score=unfingered, sides=st.sampled_from([("right", "left"), ("right",), ("left",)]))
-def test_any_score_can_be_played_or_says_why_not(score: Score, sides) -> None:
+def test_any_score_can_be_played_or_says_why_not(score, sides):
     found, dropped = find_fingering(score, sides)
     check_hands(found)
     assert bare(found) == score
@@ -80,7 +80,7 @@ def test_any_score_can_be_played_or_says_why_not(score: Score, sides) -> None:
 
 @settings(deadline=None)
 @given(score=unfingered)
-def test_what_is_found_is_kept(score: Score) -> None:
+def test_what_is_found_is_kept(score):
     """Given back, the fingers found contradict nothing and cost what they did."""
     first = solve(score)
     played = replace(first.score, notes=tuple(n for n in first.score.notes if n.finger))
@@ -93,14 +93,14 @@ def test_what_is_found_is_kept(score: Score) -> None:
 
 @settings(deadline=None)
 @given(score=scores())
-def test_given_fingers_are_kept_however_odd(score: Score) -> None:
+def test_given_fingers_are_kept_however_odd(score):
     found, dropped = find_fingering(score)
     for before, after in zip(score.notes, found.notes, strict=True):
         assert after.finger == before.finger or before.finger is None
     assert all(d.note in score.notes for d in dropped)
 
 
-def test_a_score_with_all_fingers_comes_back() -> None:
+def test_a_score_with_all_fingers_comes_back():
     odd = Score(
         (
             Note(0, 1, 21, finger=finger(3)),
@@ -111,7 +111,7 @@ def test_a_score_with_all_fingers_comes_back() -> None:
     assert find_fingering(odd) == (odd, ())
 
 
-def test_a_note_held_keeps_its_finger_from_others() -> None:
+def test_a_note_held_keeps_its_finger_from_others():
     score = Score(
         (Note(0, 2, 60, finger=finger(0)), *(Note(t / 4, t / 4 + 0.25, 64) for t in range(8)))
     )
@@ -120,7 +120,7 @@ def test_a_note_held_keeps_its_finger_from_others() -> None:
     assert 0 not in numbers(found)[2:]
 
 
-def test_a_note_held_stays_in_its_hand() -> None:
+def test_a_note_held_stays_in_its_hand():
     """The little finger has no finger beyond it, and the other hand cannot take the note over."""
     for little, beyond in ((4, 62), (9, 58)):
         _, dropped = find_fingering(
@@ -134,7 +134,7 @@ def test_a_note_held_stays_in_its_hand() -> None:
 # What is dropped
 
 
-def test_outer_notes_are_kept_when_there_are_too_many() -> None:
+def test_outer_notes_are_kept_when_there_are_too_many():
     score = chord(*range(21, 109))
     found, dropped = find_fingering(score)
     check_hands(found)
@@ -144,7 +144,7 @@ def test_outer_notes_are_kept_when_there_are_too_many() -> None:
     assert {reason for _, reason in dropped} == {"more than 10 notes at once for both hands"}
 
 
-def test_what_no_hand_reaches_is_dropped_from_the_middle() -> None:
+def test_what_no_hand_reaches_is_dropped_from_the_middle():
     _, dropped = find_fingering(chord(24, 60, 96))
     assert [(d.note.pitch, d.reason) for d in dropped] == [
         (60, "too far from the other notes for both hands")
@@ -155,7 +155,7 @@ def test_what_no_hand_reaches_is_dropped_from_the_middle() -> None:
     ]
 
 
-def test_louder_notes_come_first() -> None:
+def test_louder_notes_come_first():
     """Of two equally far inside a chord of six."""
     for loud in (64, 65):
         notes = (Note(0, 1, p, 100 if p == loud else 60) for p in (60, 62, 64, 65, 67, 69))
@@ -165,14 +165,14 @@ def test_louder_notes_come_first() -> None:
         ]
 
 
-def test_a_note_that_is_struck_twice_at_once_has_one_finger() -> None:
+def test_a_note_that_is_struck_twice_at_once_has_one_finger():
     found, dropped = find_fingering(Score((Note(0, 1, 60), Note(0, 0.5, 60), Note(0.01, 2, 60))))
     assert not dropped
     assert len(set(numbers(found))) == 1
 
 
 @pytest.mark.parametrize("pitches", [(21, 22, 23), (106, 107, 108), (21, 108)])
-def test_both_ends_of_the_keyboard(pitches: tuple[int, ...]) -> None:
+def test_both_ends_of_the_keyboard(pitches):
     for sides in (("right", "left"), ("right",), ("left",)):
         for score in (melody(*pitches), melody(*pitches, seconds=0.05)):
             _, dropped = find_fingering(score, sides)
@@ -187,33 +187,33 @@ def written_for(score: Score, hands: Iterable[int]) -> Score:
     return Score(tuple(replace(note, hands=(hand,)) for note, hand in notes))
 
 
-def test_each_hand_plays_what_is_written_for_it() -> None:
+def test_each_hand_plays_what_is_written_for_it():
     low = written_for(melody(40, 43, 47), [RIGHT])
     assert [n.finger.hand for n in find_fingering(low)[0].notes] == [LEFT] * 3
     assert [n.finger.hand for n in find_fingering(low, as_written=True)[0].notes] == [RIGHT] * 3
 
 
-def test_a_note_that_is_written_for_both_hands_goes_to_either() -> None:
+def test_a_note_that_is_written_for_both_hands_goes_to_either():
     score = Score(tuple(replace(n, hands=(RIGHT, LEFT)) for n in melody(40, 88).notes))
     assert [n.finger.hand for n in find_fingering(score, as_written=True)[0].notes] == [LEFT, RIGHT]
 
 
 @settings(deadline=None)
 @given(unfingered, st.lists(st.sampled_from([RIGHT, LEFT]), min_size=1))
-def test_hands_as_written_are_within_what_hands_can_do(score: Score, hands) -> None:
+def test_hands_as_written_are_within_what_hands_can_do(score, hands):
     found, dropped = find_fingering(written_for(score, hands), as_written=True)
     check_hands(found)
     assert [d.note for d in dropped] == [note for note in found.notes if note.finger is None]
 
 
-def test_what_the_written_hand_cannot_play_goes_to_the_other() -> None:
+def test_what_the_written_hand_cannot_play_goes_to_the_other():
     too_wide = written_for(chord(40, 62, 67), [RIGHT])
     found, dropped = find_fingering(too_wide, as_written=True)
     assert [n.finger.hand for n in found.notes] == [LEFT, RIGHT, RIGHT]
     assert not dropped
 
 
-def test_where_written_hands_cross_the_notes_are_shared() -> None:
+def test_where_written_hands_cross_the_notes_are_shared():
     together = written_for(chord(40, 60, 64), [RIGHT, LEFT, LEFT])
     assert not find_fingering(together, as_written=True)[1]
     held = [Note(0, 4, pitch, hands=(RIGHT,)) for pitch in (60, 64, 67)]
@@ -224,30 +224,30 @@ def test_where_written_hands_cross_the_notes_are_shared() -> None:
 # What pianists play
 
 
-def test_five_keys_in_a_row_take_the_five_numbers() -> None:
+def test_five_keys_in_a_row_take_the_five_numbers():
     found, _ = find_fingering(melody(72, 74, 76, 77, 79, 77, 76, 74, 72), ["right"])
     assert numbers(found) == [0, 1, 2, 3, 4, 3, 2, 1, 0]
     found, _ = find_fingering(melody(48, 50, 52, 53, 55, 53, 52, 50, 48), ["left"])
     assert numbers(found) == [9, 8, 7, 6, 5, 6, 7, 8, 9]
 
 
-def test_triads_and_octaves() -> None:
+def test_triads_and_octaves():
     assert numbers(find_fingering(chord(72, 76, 79), ["right"])[0]) == [0, 2, 4]
     assert numbers(find_fingering(chord(48, 60), ["left"])[0]) == [9, 5]
 
 
-def test_a_repeated_key_keeps_its_finger() -> None:
+def test_a_repeated_key_keeps_its_finger():
     for seconds in (0.1, 0.5):
         found, _ = find_fingering(melody(*[67] * 6, 69, *[67] * 3, seconds=seconds))
         assert len({n.finger for n in found.notes if n.pitch == 67}) == 1
 
 
-def test_low_notes_go_left_and_high_notes_right() -> None:
+def test_low_notes_go_left_and_high_notes_right():
     found, _ = find_fingering(Score((*chord(36, 43).notes, *chord(84, 88).notes)))
     assert [note.finger.hand for note in found.notes] == [1, 1, 0, 0]
 
 
-def test_agrees_with_the_bundled_fingering() -> None:
+def test_agrees_with_the_bundled_fingering():
     """Written by a person's rules: most hands are the same, more than half of the fingers."""
     hands, fingers = [], []
     for piece in songs():
@@ -263,7 +263,7 @@ def test_agrees_with_the_bundled_fingering() -> None:
 
 
 @pytest.mark.parametrize("piece", songs(), ids=lambda piece: piece.name)
-def test_the_bundled_fingering_is_possible_and_costs_more(piece) -> None:
+def test_the_bundled_fingering_is_possible_and_costs_more(piece):
     """Hands of people and of robots are alike enough for that."""
     written = load_score(piece.name)
     theirs, ours = solve(written), solve(bare(written))
@@ -283,7 +283,7 @@ def test_the_bundled_fingering_is_possible_and_costs_more(piece) -> None:
         ((48, 50, 52, 53, 55, 57, 59, 60), "left", [5, 4, 3, 2, 1, 3, 2, 1]),
     ],
 )
-def test_a_pianists_fingers_of_scales(pitches, side, fingers, seconds: float) -> None:
+def test_a_pianists_fingers_of_scales(pitches, side, fingers, seconds):
     found, _ = pianist_fingering(melody(*pitches, seconds=seconds), shadow_hands([side]))
     assert [note.finger.index + 1 for note in found.notes] == fingers
     assert {note.finger.side for note in found.notes} == {side}
@@ -291,7 +291,7 @@ def test_a_pianists_fingers_of_scales(pitches, side, fingers, seconds: float) ->
 
 @settings(deadline=None)
 @given(score=unfingered, sides=st.sampled_from([("right", "left"), ("right",), ("left",)]))
-def test_a_pianists_fingers_are_those_that_the_hands_can_play_with(score: Score, sides) -> None:
+def test_a_pianists_fingers_are_those_that_the_hands_can_play_with(score, sides):
     found, dropped = pianist_fingering(score, shadow_hands(sides))
     check_hands(found)
     split, left_out = find_fingering(score, sides)
@@ -301,7 +301,7 @@ def test_a_pianists_fingers_are_those_that_the_hands_can_play_with(score: Score,
     ]
 
 
-def test_a_pianists_fingers_agree_more_with_the_bundled_fingering() -> None:
+def test_a_pianists_fingers_agree_more_with_the_bundled_fingering():
     agreed = []
     for piece in songs():
         written = load_score(piece.name)
@@ -313,7 +313,7 @@ def test_a_pianists_fingers_agree_more_with_the_bundled_fingering() -> None:
     assert pianist > robot > 0.6
 
 
-def test_hands_of_four_fingers_are_fingered_as_a_pianist_would_without_the_little_one() -> None:
+def test_hands_of_four_fingers_are_fingered_as_a_pianist_would_without_the_little_one():
     hands = players_at(FOUR_FINGERS, PIANO, ["right"], 0.3, slides=True)
     found, _ = pianist_fingering(melody(60, 62, 64, 65, 67, 69), hands)
     assert [note.finger.index + 1 for note in found.notes] == [1, 2, 3, 1, 2, 3]
@@ -332,7 +332,7 @@ def test_hands_of_four_fingers_are_fingered_as_a_pianist_would_without_the_littl
     ],
     ids=["melody", "chord", "held", "repeated"],
 )
-def test_nothing_is_cheaper(score: Score) -> None:
+def test_nothing_is_cheaper(score):
     """Among all ways to put ten fingers on three notes."""
     costs = []
     for choice in itertools.product(range(10), repeat=3):
@@ -353,7 +353,7 @@ WHITE_PITCHES = [pitch for pitch in range(21, 109) if not is_black(pitch)]
 @given(
     played=st.lists(st.tuples(times, lengths, st.integers(12, 39)), min_size=1, max_size=10),
 )
-def test_mirrored_music_costs_the_same(played: list[tuple[float, float, int]]) -> None:
+def test_mirrored_music_costs_the_same(played):
     """On white keys, which lie symmetrically about the keyboard's middle."""
     there, mirrored = (
         monophonic_per_key(Score(tuple(Note(t, t + d, pitches[w]) for t, d, w in played)))
@@ -364,7 +364,7 @@ def test_mirrored_music_costs_the_same(played: list[tuple[float, float, int]]) -
         assert a.cost == pytest.approx(b.cost)
 
 
-def test_a_long_song() -> None:
+def test_a_long_song():
     found, dropped = find_fingering(melody(*(60 + (7 * i) % 12 for i in range(2000)), seconds=0.2))
     assert not dropped
     check_hands(replace(found, notes=found.notes[-50:]))

@@ -20,7 +20,7 @@ STEP = 0.3  # [s]
 
 
 @pytest.mark.parametrize(("finger", "ranges"), RANGES.items())
-def test_joints_are_as_published(finger: str, ranges: tuple[tuple[float, float], ...]) -> None:
+def test_joints_are_as_published(finger, ranges):
     model = build_scene(SceneConfig(hand="allegro")).model
     for side in ("rh", "lh"):
         joints = [model.joint(f"{side}_{finger}J{j}") for j in range(4)]
@@ -30,7 +30,7 @@ def test_joints_are_as_published(finger: str, ranges: tuple[tuple[float, float],
         assert_allclose([joint.damping[0] for joint in joints], 1.0)
 
 
-def test_fingers_are_as_long_as_published() -> None:
+def test_fingers_are_as_long_as_published():
     scene = build_scene(SceneConfig(hand="allegro", hands="right"))
     servos = servos_of(scene)
     (points,) = Kinematics(scene).points(np.zeros((1, len(servos.names))))
@@ -39,7 +39,7 @@ def test_fingers_are_as_long_as_published() -> None:
     assert_allclose(lengths[1:], [(0.054, 0.0384, 0.029)] * 3, atol=1e-6)
 
 
-def test_the_left_hand_mirrors_the_right_one() -> None:
+def test_the_left_hand_mirrors_the_right_one():
     shares, tips = np.random.default_rng(0).random((20, 17)), []  # of the servos' ranges
     for side in ("right", "left"):
         scene = build_scene(SceneConfig(hand="allegro", hands=side, forearm_dofs=("ty",)))
@@ -49,7 +49,7 @@ def test_the_left_hand_mirrors_the_right_one() -> None:
     assert_allclose(tips[0], tips[1] * (1, -1, 1), atol=1e-9)
 
 
-def test_the_planner_plays_five_notes_with_four_fingers() -> None:
+def test_the_planner_plays_five_notes_with_four_fingers():
     notes = (Note(STEP * i, STEP * (i + 1), pitch) for i, pitch in enumerate(FIVE_NOTES, start=2))
     performance = cadenza.play(
         Score(tuple(notes), title="Up and down"),
@@ -59,7 +59,7 @@ def test_the_planner_plays_five_notes_with_four_fingers() -> None:
     assert {note.finger.index for note in performance.track.score.notes} <= {0, 1, 2, 3}
 
 
-def test_narrow_tips_end_where_the_others_do() -> None:
+def test_narrow_tips_end_where_the_others_do():
     wide, narrow = (build_scene(SceneConfig(hand=h)).model for h in ("allegro", "allegro-narrow"))
     for finger in ("ff", "mf", "rf", "th"):
         ends, radii = [], []

@@ -1,6 +1,5 @@
 """The arm: its figures, and that nothing it does is beyond them."""
 
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -13,7 +12,6 @@ from cadenza.agents.planner.plan.rest_poses import RestPoses, rest_posture
 from cadenza.agents.registry import make_agent
 from cadenza.episode import load_episode
 from cadenza.files import read_json
-from cadenza.fingers import Side
 from cadenza.hands.arm_allegro import ARM_ALLEGRO
 from cadenza.hands.body import prefix
 from cadenza.music.score import Note, Score
@@ -52,7 +50,7 @@ def scene() -> Scene:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_figures_are_those_of_the_urdf(scene: Scene, side: str) -> None:
+def test_figures_are_those_of_the_urdf(scene, side):
     model, p = scene.model, prefix(side)  # type: ignore[arg-type]
     for name, limit in zip(ARM, LIMITS, strict=True):
         joint = model.joint(p + name)
@@ -61,7 +59,7 @@ def test_figures_are_those_of_the_urdf(scene: Scene, side: str) -> None:
     np.testing.assert_allclose([model.body(p + name).mass[0] for name in LINKS], MASSES)
 
 
-def test_the_arm_stretched_up_is_as_long_as_in_the_urdf(scene: Scene) -> None:
+def test_the_arm_stretched_up_is_as_long_as_in_the_urdf(scene):
     """All joints at 0: 0.15 + 0.19 + 0.21 + 0.19 + 0.21 + 0.19 + 0.081, and 0.145 to the palm."""
     data = mujoco.MjData(scene.model)
     mujoco.mj_kinematics(scene.model, data)
@@ -70,7 +68,7 @@ def test_the_arm_stretched_up_is_as_long_as_in_the_urdf(scene: Scene) -> None:
     np.testing.assert_allclose(palm, (0, 0, 1.366), atol=1e-9)
 
 
-def test_inertias_are_those_of_the_urdf(scene: Scene) -> None:
+def test_inertias_are_those_of_the_urdf(scene):
     """The tensors of link 2 (with ixz) and link 7 (with ixy), in the frames of the links."""
     wanted = {
         "arm2": [[0.02076, 0, -0.003626], [0, 0.02179, 0], [-0.003626, 0, 0.00779]],
@@ -84,7 +82,7 @@ def test_inertias_are_those_of_the_urdf(scene: Scene) -> None:
         np.testing.assert_allclose(axes @ np.diag(body.inertia) @ axes.T, tensor, atol=1e-9)
 
 
-def test_the_left_arm_is_the_mirror_image_of_the_right_one(scene: Scene) -> None:
+def test_the_left_arm_is_the_mirror_image_of_the_right_one(scene):
     """Fingertips, and where the masses are, in a random posture."""
     model, data = scene.model, mujoco.MjData(scene.model)
     each = len(scene.hand_start) // 2
@@ -98,7 +96,7 @@ def test_the_left_arm_is_the_mirror_image_of_the_right_one(scene: Scene) -> None
     np.testing.assert_allclose(left, right * (1, -1, 1), atol=1e-9)
 
 
-def test_it_stays_where_it_is_against_gravity(scene: Scene) -> None:
+def test_it_stays_where_it_is_against_gravity(scene):
     """Gravity is compensated, as the arm's own controller does."""
     data = mujoco.MjData(scene.model)
     data.qpos[scene.hand_qpos] = data.ctrl[:] = scene.hand_start
@@ -130,7 +128,7 @@ def within_limits(performance: Performance) -> None:
 
 
 @pytest.mark.slow
-def test_a_melody_is_played_within_all_limits() -> None:
+def test_a_melody_is_played_within_all_limits():
     agent = make_agent("icp")
     task, scene = (
         TaskConfig(initial_buffer_time=1.0),
@@ -143,7 +141,7 @@ def test_a_melody_is_played_within_all_limits() -> None:
     within_limits(performance)
 
 
-def test_two_recordings_are_combined() -> None:
+def test_two_recordings_are_combined():
     """Its keys are those of either; and either is what its hand does with its actions alone."""
     agent = make_agent("icp", ICPConfig(rehearse=False))
     task = TaskConfig(initial_buffer_time=1.0)
@@ -178,7 +176,7 @@ def replayed(side: str, actions: np.ndarray, task: TaskConfig) -> dict[str, np.n
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_the_arm_brings_its_hand_level_to_where_it_is_said_to(side: Side) -> None:
+def test_the_arm_brings_its_hand_level_to_where_it_is_said_to(side):
     """Links and tips of all fingers, against the posture at home moved along the keyboard."""
     scene = build_scene(SceneConfig(hand="arm-allegro", hands=side))
     servos = servos_of(scene)
@@ -195,7 +193,7 @@ def test_the_arm_brings_its_hand_level_to_where_it_is_said_to(side: Side) -> Non
     assert (postures < servos.high - 0.02).all()
 
 
-def test_the_page_says_that_it_is_combined(tmp_path: Path) -> None:
+def test_the_page_says_that_it_is_combined(tmp_path):
     agent = make_agent("icp", ICPConfig(rehearse=False))
     first = Score(DUET.notes[:2], title="Two notes")
     performance = play(first, agent, scene=SceneConfig(hand="arm-allegro", hands="apart"))

@@ -106,7 +106,7 @@ def with_joint(joint: str, **changes: Any) -> Body:
         ({"body": replace(BODY, reduced_ranges={"x": (0, 1)})}, "reduced_ranges: .* joint 'x'"),
     ],
 )
-def test_parts_that_do_not_go_together(changes: dict[str, Any], said: str) -> None:
+def test_parts_that_do_not_go_together(changes, said):
     with pytest.raises(CadenzaError, match=f"^hand shadow: .*{said}"):
         replace(SHADOW, **changes)
 
@@ -123,9 +123,7 @@ def test_parts_that_do_not_go_together(changes: dict[str, Any], said: str) -> No
         ({"fingers": with_thumb(name="ff")}, "repeated name 'rh_fftip'"),
     ],
 )
-def test_what_the_physics_engine_refuses(
-    changes: dict[str, Any], said: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_physics_engine_refuses(changes, said, monkeypatch):
     hand = replace(SHADOW, **changes)
     monkeypatch.setattr("cadenza.scene.scene.hand_named", lambda _: hand)
     with pytest.raises(CadenzaError, match=rf"^hand shadow, keyboard piano: MuJoCo [^\n]*{said}"):

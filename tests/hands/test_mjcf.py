@@ -24,7 +24,7 @@ def in_palm(scene_data: mujoco.MjData, palm: str, point: np.ndarray) -> np.ndarr
     return body.xmat.reshape(3, 3).T @ (point - body.xpos)
 
 
-def test_fingertips_are_where_mujoco_has_those_of_the_file(tmp_path: Path) -> None:
+def test_fingertips_are_where_mujoco_has_those_of_the_file(tmp_path):
     hand = HandFile(write_to(tmp_path)).hand(UPRIGHT)
     scene = build_scene(SceneConfig(), hand)
     file, rng = mujoco.MjModel.from_xml_string(mjcf()), np.random.default_rng(0)
@@ -47,7 +47,7 @@ def test_fingertips_are_where_mujoco_has_those_of_the_file(tmp_path: Path) -> No
     )
 
 
-def test_a_joint_that_follows_moves_with_its_leader(tmp_path: Path) -> None:
+def test_a_joint_that_follows_moves_with_its_leader(tmp_path):
     path = write_to(tmp_path)
     path.write_text(TOML.replace("[fingers]", "follows = {index_3={index_2=-0.5}}\n[fingers]"))
     scene = build_scene(SceneConfig(hands="right"), HandFile(path).hand(UPRIGHT))
@@ -98,9 +98,7 @@ def drawn(old: str, new: str) -> Callable[[Path], None]:
         ),
     ],
 )
-def test_faults_are_said_in_a_line(
-    tmp_path: Path, change: Callable[[Path], None], message: str
-) -> None:
+def test_faults_are_said_in_a_line(tmp_path, change, message):
     path = write_to(tmp_path)
     change(path)
     with pytest.raises(CadenzaError, match=message) as error:
@@ -108,7 +106,7 @@ def test_faults_are_said_in_a_line(
     assert "\n" not in str(error.value)
 
 
-def test_a_hand_is_measured_before_it_plays(tmp_path: Path) -> None:
+def test_a_hand_is_measured_before_it_plays(tmp_path):
     path = write_to(tmp_path)
     with pytest.raises(CadenzaError, match="not measured yet; run cadenza hand measure"):
         hand_named(str(path))

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -70,7 +69,7 @@ PISTONS = Hand(
 
 
 @pytest.mark.parametrize(("side", "lowest"), [("right", 60), ("left", 48)])
-def test_the_planner_plays_with_it(side: str, lowest: int) -> None:
+def test_the_planner_plays_with_it(side, lowest):
     song = Score(tuple(Note(0.4 * i, 0.4 * i + 0.4, lowest + p) for i, p in enumerate((0, 4, 2))))
     scene = SceneConfig(hand=f"{__name__}:PISTONS", hands=side)
     performance = cadenza.play(song, scene=scene)
@@ -86,7 +85,7 @@ def run() -> Score:
     return Score(tuple(Note(0.3 * i, 0.3 * i + 0.3, pitch) for i, pitch in enumerate(RUN)))
 
 
-def test_six_keys_in_a_row_take_the_six_fingers(tmp_path: Path) -> None:
+def test_six_keys_in_a_row_take_the_six_fingers(tmp_path):
     """From the search to the files that a plan leaves, and back."""
     plan = cadenza.plan(run(), scene=SceneConfig(hand=SIX, hands="right"))
     assert plan.fingering == tuple(Finger(0, index) for index in range(COUNT))
@@ -104,7 +103,7 @@ def test_six_keys_in_a_row_take_the_six_fingers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fingering", ["auto", "transport"])
-def test_gymnasium_checks_its_environment(fingering: str) -> None:
+def test_gymnasium_checks_its_environment(fingering):
     env = PianoEnv(run(), hand=SIX, fingering=fingering)
     check_env(env, skip_render_check=True)
     part = env.observation_layout["fingering"]
@@ -112,7 +111,7 @@ def test_gymnasium_checks_its_environment(fingering: str) -> None:
     env.close()
 
 
-def test_what_a_six_fingered_hand_lost_is_named(tmp_path: Path) -> None:
+def test_what_a_six_fingered_hand_lost_is_named(tmp_path):
     performance = cadenza.play(run(), scene=SceneConfig(hand=SIX, hands="right"))
     lost = Miss(0.0, "A4", Finger(0, 5), "never sounded", "no finger", "why", False)
     replace(performance, misses=[lost]).save(tmp_path)

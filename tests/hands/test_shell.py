@@ -22,7 +22,7 @@ def points_of(balls: tuple[tuple[float, float, float, float], ...]) -> np.ndarra
 
 
 @pytest.mark.parametrize("name", HULLS)
-def test_a_surface_is_that_of_the_convex_hull(name: str) -> None:
+def test_a_surface_is_that_of_the_convex_hull(name):
     balls = HULLS[name]
     vertices, normals, triangles = surface(balls, meridians=48, parallels=32)
     hull = ConvexHull(points_of(balls))
@@ -34,7 +34,7 @@ def test_a_surface_is_that_of_the_convex_hull(name: str) -> None:
     assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0)
 
 
-def test_a_bevelled_box_is_the_hull_of_its_corners() -> None:
+def test_a_bevelled_box_is_the_hull_of_its_corners():
     vertices, normals, triangles = bevelled((0.02, 0.03, 0.04), 0.004)
     hull = ConvexHull(vertices)
     a, b, c = vertices[triangles].transpose(1, 0, 2)
@@ -45,7 +45,7 @@ def test_a_bevelled_box_is_the_hull_of_its_corners() -> None:
     assert np.abs(vertices).max(axis=0) == pytest.approx([0.02, 0.03, 0.04])
 
 
-def test_the_left_shell_is_the_mirror_image() -> None:
+def test_the_left_shell_is_the_mirror_image():
     shell = Shell(((0.01, 0.02, 0.03, 0.004),))
     assert shell.mirrored("right") == shell
     assert shell.mirrored("left").balls == ((-0.01, 0.02, 0.03, 0.004),)

@@ -1,13 +1,11 @@
 """Keyboards of one's own: where their keys lie, and what is refused."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from cadenza.errors import CadenzaError
-from cadenza.keyboards.keyboard import Keyboard
 from cadenza.keyboards.mini import MINI
 from cadenza.keyboards.piano import PIANO
 
@@ -17,7 +15,7 @@ from cadenza.keyboards.piano import PIANO
     [PIANO, MINI, replace(PIANO, lowest_pitch=60, num_keys=23)],
     ids=["piano", "mini", "to a black key"],
 )
-def test_white_keys_lie_on_the_grid(keyboard: Keyboard) -> None:
+def test_white_keys_lie_on_the_grid(keyboard):
     white = ~keyboard.is_black
     np.testing.assert_allclose(keyboard.grid_y[white], keyboard.centre[white, 1], atol=1e-12)
 
@@ -45,6 +43,6 @@ WHITE, BLACK, BASE = PIANO.white, PIANO.black, PIANO.base
         ({"base": replace(BASE, density=0.0)}, "base: .* > 0.*density"),
     ],
 )
-def test_impossible_keyboards_are_refused_in_a_line(changes: dict[str, Any], said: str) -> None:
+def test_impossible_keyboards_are_refused_in_a_line(changes, said):
     with pytest.raises(CadenzaError, match=rf"^keyboard odd: [^\n]*{said}"):
         replace(PIANO, name="odd", **changes)

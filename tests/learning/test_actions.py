@@ -48,7 +48,7 @@ def performance(agent: Any, score: Score = SONG, **options: Any) -> EpisodeResul
 @pytest.mark.parametrize(
     "options", [{}, {"fingering": "off"}, {"fingering": "transport"}, {"hands": "left"}]
 )
-def test_without_corrections_it_plays_what_the_planner_plays(options: dict[str, Any]) -> None:
+def test_without_corrections_it_plays_what_the_planner_plays(options):
     """This also holds where the task ignores fingers and the score names none."""
     ours, planner = performance(Following(), **options), performance(Planner(), **options)
     for name in ("action", "hand_qpos"):
@@ -57,7 +57,7 @@ def test_without_corrections_it_plays_what_the_planner_plays(options: dict[str, 
     assert ours.metrics["sustain_f1"] == 1
 
 
-def test_it_begins_where_the_hands_do() -> None:
+def test_it_begins_where_the_hands_do():
     """The start is not where all joints are at zero, as they are before the first reset."""
     task = PianoTask([SONG], TaskConfig(**BUFFER), SceneConfig(hand="allegro", hands="right"))
     expected = reference_of(task).expected
@@ -67,7 +67,7 @@ def test_it_begins_where_the_hands_do() -> None:
     assert_allclose(expected[0, :, 0], begins, atol=1e-6)
 
 
-def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> None:
+def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal():
     task = PianoTask([SONG], TaskConfig(**BUFFER))
     task.reset([np.random.default_rng(0)], [0])
     mapping = ActionMapping(task.spec, reference_of(task))
@@ -94,7 +94,7 @@ def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> 
 
 
 @pytest.mark.parametrize("rewarded", [False, True])
-def test_the_pedal_is_as_written_unless_it_is_rewarded(rewarded: bool) -> None:
+def test_the_pedal_is_as_written_unless_it_is_rewarded(rewarded):
     spec = PianoTask([SONG], TaskConfig(sustain_term=rewarded)).spec
     action = np.array([[0.0] * (spec.action_size - 1) + [down] for down in (-1.0, 1.0)])
     written, zeros = np.array([True, False]), np.zeros(2, int)
@@ -103,7 +103,7 @@ def test_the_pedal_is_as_written_unless_it_is_rewarded(rewarded: bool) -> None:
     assert_allclose(ctrl[:, :-1], spec.scale_action(action)[:, :-1])
 
 
-def test_the_actions_that_are_observed_are_what_is_done_but_for_corrections() -> None:
+def test_the_actions_that_are_observed_are_what_is_done_but_for_corrections():
     played = performance(Following())
     task = PianoTask([SONG], TaskConfig(**BUFFER))
     plan = task.spec.scale_action(ActionMapping(task.spec, reference_of(task)).reference)
@@ -113,7 +113,7 @@ def test_the_actions_that_are_observed_are_what_is_done_but_for_corrections() ->
     assert np.median(np.abs(plan - done) / size) < 0.02
 
 
-def test_a_plan_is_for_one_score_and_for_hands() -> None:
+def test_a_plan_is_for_one_score_and_for_hands():
     for option in ({"random_stretch": 0.1}, {"random_hand_position": 0.1}):
         task = PianoTask([SONG], TaskConfig(**option))  # type: ignore[arg-type]
         with pytest.raises(CadenzaError, match=f"leave out {next(iter(option))}"):
@@ -123,7 +123,7 @@ def test_a_plan_is_for_one_score_and_for_hands() -> None:
         reference_of(task)
 
 
-def test_the_fingers_of_a_file_are_forgotten() -> None:
+def test_the_fingers_of_a_file_are_forgotten():
     fingered, _ = find_fingering(SONG)
     assert fingered.has_fingering
     assert fingered.without_fingers() == SONG

@@ -101,7 +101,7 @@ def some_policy(run: Run) -> Perceptron:
     return Perceptron(weights, "relu", (-20, 2))
 
 
-def test_the_transitions_are_those_of_the_task() -> None:
+def test_the_transitions_are_those_of_the_task():
     """Each of them can be drawn, whole, and nothing else; also across the ends of episodes."""
     run = Run(ENDING)
     run.collector.begin()
@@ -125,7 +125,7 @@ def test_the_transitions_are_those_of_the_task() -> None:
     assert_allclose(task.spec.scale_action(drawn.action), ctrl, **close)
 
 
-def test_tells_how_episodes_ended() -> None:
+def test_tells_how_episodes_ended():
     run = Run(ENDING)
     run.collector.begin()
     finished = run.collector.collect(None, 20)
@@ -134,7 +134,7 @@ def test_tells_how_episodes_ended() -> None:
     assert_allclose(finished, run.task.finished)
 
 
-def test_random_actions_fill_the_range() -> None:
+def test_random_actions_fill_the_range():
     run = Run(FIXED)
     run.collector.begin()
     run.collector.collect(None, 30)
@@ -144,7 +144,7 @@ def test_random_actions_fill_the_range() -> None:
     assert_allclose(action.std(), 1 / np.sqrt(3), atol=0.03)
 
 
-def test_the_policy_acts_on_what_is_shown() -> None:
+def test_the_policy_acts_on_what_is_shown():
     run = Run(FIXED)
     seen = []
 
@@ -159,7 +159,7 @@ def test_the_policy_acts_on_what_is_shown() -> None:
         assert_allclose(observation, shown, rtol=1e-6, atol=1e-6)
 
 
-def test_a_residual_policy_corrects_the_plan() -> None:
+def test_a_residual_policy_corrects_the_plan():
     """It is shown the plan's next action last; without correction about that is done."""
     run = Run(FIXED, residual=True)
 
@@ -182,7 +182,7 @@ def test_a_residual_policy_corrects_the_plan() -> None:
 @pytest.mark.parametrize(
     ("config", "residual"), [(RANDOM, False), (RANDOMIZED, False), (FIXED, True)]
 )
-def test_goes_on_after_a_stop_with_the_same_bits(config: TaskConfig, residual: bool) -> None:
+def test_goes_on_after_a_stop_with_the_same_bits(config, residual):
     """The three environments are at different steps of different songs."""
     whole = Run(config, residual)
     whole.collector.begin()
@@ -207,7 +207,7 @@ def test_goes_on_after_a_stop_with_the_same_bits(config: TaskConfig, residual: b
         assert_array_equal(ours, theirs)
 
 
-def test_can_be_stopped_before_anything_was_done() -> None:
+def test_can_be_stopped_before_anything_was_done():
     whole, again = Run(RANDOM), Run(RANDOM)
     whole.collector.begin()
     plain, arrays = whole.collector.state()

@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import pytest
 from rl_examples import melody
@@ -17,7 +16,7 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.setups import setup_named
 
 
-def test_the_defaults_of_the_learner_are_the_table_of_the_paper() -> None:
+def test_the_defaults_of_the_learner_are_the_table_of_the_paper():
     """RoboPianist (Zakka et al., CoRL 2023), appendix: hyperparameters of DroQ."""
     config = DroQConfig()
     assert config.num_critics == 2
@@ -38,7 +37,7 @@ def test_the_defaults_of_the_learner_are_the_table_of_the_paper() -> None:
     assert config.actor_ema == 1.0  # none: the actor itself is evaluated
 
 
-def test_the_paper_s_preset_is_its_table() -> None:
+def test_the_paper_s_preset_is_its_table():
     config = preset("paper")
     assert config.learner == DroQConfig()
     assert config.learning_starts == 5_000
@@ -59,7 +58,7 @@ def test_the_paper_s_preset_is_its_table() -> None:
     assert config.scene.primitive_fingertips
 
 
-def test_the_published_preset_differs_in_what_the_published_script_sets() -> None:
+def test_the_published_preset_differs_in_what_the_published_script_sets():
     """run.sh of robopianist-rl: discount 0.8; networks with its default activation, GELU."""
     published, paper = preset("published"), preset("paper")
     assert replace(paper, task=TaskConfig(), scene=SceneConfig()) == TrainingConfig()
@@ -68,12 +67,12 @@ def test_the_published_preset_differs_in_what_the_published_script_sets() -> Non
     assert replace(published, learner=paper.learner, task=paper.task) == paper
 
 
-def test_the_fast_preset_learns_the_default_task() -> None:
+def test_the_fast_preset_learns_the_default_task():
     assert (preset("fast").task, preset("fast").scene) == (TaskConfig(), SceneConfig())
 
 
 @pytest.mark.parametrize("name", ["fast", "paper", "published"])
-def test_comes_back_from_the_folder_of_a_run(name: str, tmp_path: Path) -> None:
+def test_comes_back_from_the_folder_of_a_run(name, tmp_path):
     config = replace(
         preset(name, residual=True),  # type: ignore[arg-type]
         scene=SceneConfig(forearm_dofs=("ty", "yaw")),
@@ -85,7 +84,7 @@ def test_comes_back_from_the_folder_of_a_run(name: str, tmp_path: Path) -> None:
     assert run.settings() == (config, (melody(60),))
 
 
-def test_naming_the_options_does_not_load_what_learning_needs() -> None:
+def test_naming_the_options_does_not_load_what_learning_needs():
     """The command line shows them."""
     program = "import sys, cadenza.learning.config; print({'jax', 'mujoco'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
@@ -93,12 +92,12 @@ def test_naming_the_options_does_not_load_what_learning_needs() -> None:
 
 
 @pytest.mark.parametrize("name", ["paper", "published", "fast"])
-def test_the_presets_make_sense(name: str) -> None:
+def test_the_presets_make_sense(name):
     check(preset(name))
     check(preset(name, residual=True))
 
 
-def test_a_setup_changes_the_fast_preset_only() -> None:
+def test_a_setup_changes_the_fast_preset_only():
     """Settings of a run and of its learner."""
     otherwise = setup_named("mini-allegro").training
     fast = preset("fast", otherwise=otherwise)
@@ -117,7 +116,7 @@ def test_a_setup_changes_the_fast_preset_only() -> None:
         *({name: -1} for name in ("seed", "learning_starts", "checkpoint_interval")),
     ],
 )
-def test_options_that_make_no_sense_are_refused_by_name(options: dict[str, int]) -> None:
+def test_options_that_make_no_sense_are_refused_by_name(options):
     (name,) = options
     with pytest.raises(CadenzaError, match=name):
         check(TrainingConfig(**options))
@@ -132,7 +131,7 @@ def test_options_that_make_no_sense_are_refused_by_name(options: dict[str, int])
         *({"dropout": 1.0}, {"discount": float("nan")}),
     ],
 )
-def test_options_of_the_learner_too(options: dict[str, object]) -> None:
+def test_options_of_the_learner_too(options):
     (name,) = options
     with pytest.raises(CadenzaError, match=name):
         check(TrainingConfig(learner=DroQConfig(**options)))

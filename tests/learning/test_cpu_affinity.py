@@ -36,7 +36,7 @@ def claim(number: int) -> tuple[subprocess.Popen[str], list[int], list[int]]:
     return process, eval(claimed + "]"), eval("[" + kept_to)
 
 
-def test_no_two_runs_claim_the_same_core() -> None:
+def test_no_two_runs_claim_the_same_core():
     cores = sorted(os.sched_getaffinity(0))
     runs = [claim(1) for _ in cores]
     assert sorted(core for _, mine, _ in runs for core in mine) == cores
@@ -71,9 +71,7 @@ def spoil(tmp_path: Path, how: str) -> None:
 @pytest.mark.parametrize(
     "how", ["link to a folder", "link to nothing", "file", "others may write", "links within"]
 )
-def test_where_others_could_write_nothing_is_claimed(
-    how: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_where_others_could_write_nothing_is_claimed(how, tmp_path, capsys):
     (tmp_path / "dear").write_text("dear")
     spoil(tmp_path, how)
     before = os.sched_getaffinity(0)
@@ -87,9 +85,7 @@ def test_where_others_could_write_nothing_is_claimed(
     assert not list((tmp_path / "elsewhere").glob("*"))
 
 
-def test_a_folder_of_another_user_is_not_used(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_of_another_user_is_not_used(monkeypatch, capsys):
     with claimed_cores(1):
         pass
     real = Path.lstat
@@ -105,7 +101,7 @@ def test_a_folder_of_another_user_is_not_used(
     assert "may share cores (not a folder that only you can write to" in capsys.readouterr().err
 
 
-def test_a_killed_run_gives_its_cores_back() -> None:
+def test_a_killed_run_gives_its_cores_back():
     process, mine, _ = claim(10_000)
     assert mine == sorted(os.sched_getaffinity(0))
     process.kill()

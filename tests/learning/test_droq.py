@@ -180,7 +180,7 @@ def noise(monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
     return noise
 
 
-def test_updates_are_those_of_soft_actor_critic(noise: np.ndarray) -> None:
+def test_updates_are_those_of_soft_actor_critic(noise):
     config = replace(CONFIG, dropout=0.0, layer_norm=False, initial_temperature=0.3, discount=0.9)
     learner = DroQ(config, ALL, ACTIONS)
     state, batch = learner.init(0), batches(4)
@@ -203,7 +203,7 @@ def test_updates_are_those_of_soft_actor_critic(noise: np.ndarray) -> None:
 # What holds for every learner
 
 
-def test_targets_begin_as_the_critics_and_follow_them(learner: DroQ) -> None:
+def test_targets_begin_as_the_critics_and_follow_them(learner):
     """They follow by a share `tau` at every update, as the averaged actor follows the actor."""
     state, batch = learner.init(0), batches(4)
     targets, averaged = flat(state.target_critics), flat(state.actor_ema)
@@ -219,7 +219,7 @@ def test_targets_begin_as_the_critics_and_follow_them(learner: DroQ) -> None:
         assert_allclose(flat(state.actor_ema), averaged, atol=1e-6)
 
 
-def test_learning_rates_have_fallen_when_the_run_ends() -> None:
+def test_learning_rates_have_fallen_when_the_run_ends():
     """This also holds for what is updated only now and then."""
     config = replace(CONFIG, policy_delay=2, final_learning_rate_fraction=0.1)
     for every, updates in (1, 8), (2, 4):
@@ -231,7 +231,7 @@ def test_learning_rates_have_fallen_when_the_run_ends() -> None:
         assert_allclose(rates, np.linspace(1.0, 0.1, updates + 1), rtol=1e-3)
 
 
-def test_the_actor_and_the_temperature_rest_in_between(learner: DroQ) -> None:
+def test_the_actor_and_the_temperature_rest_in_between(learner):
     """The policy delay is 2."""
     state, changed = learner.init(0), []
     for i in range(4):
@@ -247,7 +247,7 @@ def test_the_actor_and_the_temperature_rest_in_between(learner: DroQ) -> None:
     assert changed == [always | actor, always] * 2
 
 
-def test_many_updates_at_once_are_those_one_by_one(learner: DroQ) -> None:
+def test_many_updates_at_once_are_those_one_by_one(learner):
     batch = batches(6)
     together, figures = learner.update(learner.init(1), batch)
     single, each = learner.init(1), []
@@ -263,7 +263,7 @@ def test_many_updates_at_once_are_those_one_by_one(learner: DroQ) -> None:
         assert_allclose(values, expected, rtol=1e-4, atol=1e-5, err_msg=name)
 
 
-def test_the_same_seed_gives_the_same_bits(learner: DroQ) -> None:
+def test_the_same_seed_gives_the_same_bits(learner):
     ends = []
     for seed in (3, 3, 4):
         state = learner.init(seed)
@@ -298,7 +298,7 @@ for name, array in to_arrays(state).items():
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores cannot be chosen here")
-def test_any_number_of_cores_gives_the_same_bits() -> None:
+def test_any_number_of_cores_gives_the_same_bits():
     """Networks and batches of the real sizes: small ones XLA does not divide among threads."""
     cores = sorted(map(str, os.sched_getaffinity(0)))
     if len(cores) == 1:
@@ -313,7 +313,7 @@ def test_any_number_of_cores_gives_the_same_bits() -> None:
     assert len(printed[0].splitlines()) > 50
 
 
-def test_a_state_that_was_kept_goes_on_with_the_same_bits(learner: DroQ) -> None:
+def test_a_state_that_was_kept_goes_on_with_the_same_bits(learner):
     state, _ = learner.update(learner.init(0), batches(6))
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **learner.to_arrays(state))
@@ -326,7 +326,7 @@ def test_a_state_that_was_kept_goes_on_with_the_same_bits(learner: DroQ) -> None
         assert_array_equal(array, numbers(again)[name])
 
 
-def test_a_policy_is_not_changed_by_the_updates_after_it(learner: DroQ) -> None:
+def test_a_policy_is_not_changed_by_the_updates_after_it(learner):
     """An update uses up the memory of the state before it, which a policy may still look at."""
     state = learner.init(0)
     weights = actor_weights(state.actor)
@@ -338,12 +338,12 @@ def test_a_policy_is_not_changed_by_the_updates_after_it(learner: DroQ) -> None:
         assert (actor_weights(state.actor)[name] != before[name]).any()
 
 
-def test_target_entropy_is_minus_half_the_number_of_actions_by_default() -> None:
+def test_target_entropy_is_minus_half_the_number_of_actions_by_default():
     assert DroQ(DroQConfig(), ALL, 39).target_entropy == -19.5
     assert DroQ(DroQConfig(target_entropy=-3.0), ALL, 39).target_entropy == -3.0
 
 
-def test_learns_to_do_what_is_rewarded(learner: DroQ) -> None:
+def test_learns_to_do_what_is_rewarded(learner):
     """Episodes of one step; the reward falls with the square of the distance from a target."""
     rng = np.random.default_rng(0)
     state = learner.init(0)
@@ -366,7 +366,7 @@ def test_learns_to_do_what_is_rewarded(learner: DroQ) -> None:
 # Inputs that are always zero
 
 
-def test_inputs_that_are_always_zero_can_be_left_out(learner: DroQ) -> None:
+def test_inputs_that_are_always_zero_can_be_left_out(learner):
     """Nothing changes, with dropout either: its masks do not look at the inputs.
 
     The first layer of the critics has more inputs that count, the actions, after those.
@@ -405,7 +405,7 @@ def rates(last: float, ends: tuple[tuple[int, int], ...], updates: int) -> np.nd
     return np.array([schedule(update) for update in range(updates)])  # type: ignore[operator]
 
 
-def test_learning_rates_fall_evenly_to_the_end() -> None:
+def test_learning_rates_fall_evenly_to_the_end():
     expected = 2e-3 * np.interp(np.arange(150), [0, 100], [1, 0.1])
     assert_allclose(rates(0.1, ((0, 100),), 150), expected, rtol=1e-5)
     assert learning_rate_schedule(2e-3, 1.0, ((0, 100),)) == 2e-3
@@ -421,9 +421,7 @@ def test_learning_rates_fall_evenly_to_the_end() -> None:
         (((0, 0), (40, 90)), [(1, 0.1), (90, 0.1)]),
     ],
 )
-def test_another_end_makes_no_jump_of_the_learning_rates(
-    ends: tuple[tuple[int, int], ...], corners: list[tuple[int, float]]
-) -> None:
+def test_another_end_makes_no_jump_of_the_learning_rates(ends, corners):
     """They go on from what they are."""
     x, y = zip((0, 1.0), *corners, strict=True)
     fall = rates(0.1, ends, 300)
@@ -436,7 +434,7 @@ def test_another_end_makes_no_jump_of_the_learning_rates(
 # Threads
 
 
-def test_says_with_how_many_threads_jax_was_started() -> None:
+def test_says_with_how_many_threads_jax_was_started():
     """This also holds where JAX was started elsewhere and the learner cannot choose any more."""
     program = """
 import os, sys

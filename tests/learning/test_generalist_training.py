@@ -65,16 +65,14 @@ def same(one: Path, other: Path) -> bool:
     return all(np.array_equal(a, arrays[n]) for n, a in Weights.load(other).arrays.items())
 
 
-def test_a_cloned_generalist_plays(cloned: Path) -> None:
+def test_a_cloned_generalist_plays(cloned):
     agent = cadenza.make_agent("generalist", GeneralistConfig(str(cloned / "weights.npz")))
     own = cadenza.play(SONG, agent=agent).episode
     shipped = cadenza.play(SONG, agent="generalist").episode
     assert (own["action"] != shipped["action"]).any()
 
 
-def test_cloning_goes_on_where_it_was_stopped(
-    demonstrations: Path, cloned: Path, tmp_path: Path
-) -> None:
+def test_cloning_goes_on_where_it_was_stopped(demonstrations, cloned, tmp_path):
     config = GeneralistCloningConfig(batch_size=8, num_epochs=2, hidden_sizes=(8, 8))
     run = GeneralistCloning(config, [demonstrations], tmp_path / "run")
     run.run(lambda: run.step < 4)
@@ -87,9 +85,7 @@ def test_cloning_goes_on_where_it_was_stopped(
         GeneralistCloning(GeneralistCloningConfig(), [demonstrations], tmp_path / "run")
 
 
-def test_reinforcement_changes_the_networks_and_they_play(
-    cloned: Path, library: str, tmp_path: Path
-) -> None:
+def test_reinforcement_changes_the_networks_and_they_play(cloned, library, tmp_path):
     weights, folder = cloned / "weights.npz", tmp_path / "reinforced"
     command = ["generalist", "reinforce", library, "--weights", str(weights), "-o", str(folder)]
     main([*command, "--num-rounds", "2", *REINFORCE])
@@ -99,9 +95,7 @@ def test_reinforcement_changes_the_networks_and_they_play(
 
 
 @pytest.mark.slow
-def test_reinforcement_goes_on_where_it_was_stopped(
-    cloned: Path, library: str, tmp_path: Path
-) -> None:
+def test_reinforcement_goes_on_where_it_was_stopped(cloned, library, tmp_path):
     weights, folder = cloned / "weights.npz", tmp_path / "reinforced"
     command = ["generalist", "reinforce", library, "--weights", str(weights), "-o", str(folder)]
     main([*command, "--num-rounds", "1", *REINFORCE])  # in which only values are learnt
@@ -113,7 +107,7 @@ def test_reinforcement_goes_on_where_it_was_stopped(
     assert same(folder / "weights.npz", tmp_path / "copy.npz")
 
 
-def test_fingers_learn_to_strike_and_nothing_else_changes(tmp_path: Path) -> None:
+def test_fingers_learn_to_strike_and_nothing_else_changes(tmp_path):
     library, folder = str(tmp_path / "songs"), tmp_path / "striking"
     write_midi(SCALE, tmp_path / "songs" / "scale.mid")
     main(["generalist", "strike", library, "-o", str(folder), "--num-rounds", "2", *STRIKE])
@@ -133,7 +127,7 @@ def same_networks(one: Weights, other: Weights) -> bool:
 
 
 @pytest.mark.slow
-def test_learning_to_strike_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+def test_learning_to_strike_goes_on_where_it_was_stopped(tmp_path):
     config = GeneralistStrikingConfig(
         num_envs=2, rollout_steps=40, num_epochs=2, num_rounds=2, seconds=3.0
     )
@@ -150,7 +144,7 @@ def test_learning_to_strike_goes_on_where_it_was_stopped(tmp_path: Path) -> None
     assert len(Weights.load(tmp_path / "run/weights.npz").striking) == 2
 
 
-def test_too_few_songs_are_refused(tmp_path: Path) -> None:
+def test_too_few_songs_are_refused(tmp_path):
     collected(tmp_path / "made", Variation(noise=0.2, mirror=False))
     with pytest.raises(CadenzaError, match=r"1 songs with episodes .*; 3 are needed"):
         GeneralistCloning(GeneralistCloningConfig(), [tmp_path / "made"], tmp_path / "run")

@@ -139,9 +139,7 @@ def newest(run: Path) -> dict[str, np.ndarray]:
     return read_tensors(run / "checkpoint.safetensors", ANY, 2**28)[0]
 
 
-def test_a_learner_of_another_package_trains_resumes_and_plays(
-    package: Path, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_learner_of_another_package_trains_resumes_and_plays(package, tune, tmp_path, capsys):
     whole, stopped = tmp_path / "whole", tmp_path / "stopped"
     train = ["train", str(tune), "--learner", "regression", "--step-size", "0.05", *OPTIONS]
     main([*train, "-o", str(whole)])
@@ -173,9 +171,7 @@ def trained(tune: Path, run: Path, learner: str, *options: str) -> Path:
     return run
 
 
-def test_a_learner_may_make_policies_of_another_kind(
-    package: Path, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_learner_may_make_policies_of_another_kind(package, tune, tmp_path, capsys):
     whole = trained(tune, tmp_path / "whole", "linear")
     stopped = trained(tune, tmp_path / "stopped", "linear", "--num-steps", "104")
     main(["train", "--resume", str(stopped), "--num-steps", "200", "--no-video"])
@@ -204,9 +200,7 @@ def test_a_learner_may_make_policies_of_another_kind(
     )
 
 
-def test_a_learner_need_not_be_installed(
-    package: Path, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_learner_need_not_be_installed(package, tune, tmp_path, capsys):
     (package / "regression-1.0.dist-info" / "entry_points.txt").write_text("")
     name = ["--learner", "regression:LinearConfig"]
     run, page = tmp_path / "run", tmp_path / "curves.html"
@@ -228,9 +222,7 @@ def test_a_learner_need_not_be_installed(
     assert page.exists()
 
 
-def test_no_policy_has_a_module_imported(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_policy_has_a_module_imported(tmp_path, capsys):
     """Nobody has asked for what a module does when it is imported."""
     save_policy(tmp_path / "whole", from_nothing(melody(60, 64)), {})
     arrays, facts = read_tensors(tmp_path / "whole" / POLICY_FILE, ANY, 2**28)
@@ -243,7 +235,7 @@ def test_no_policy_has_a_module_imported(
 
 
 @pytest.mark.usefixtures("package")
-def test_help_lists_the_options_of_the_learner(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_the_options_of_the_learner(capsys):
     shown = {}
     for name in ("regression", "droq"):
         with pytest.raises(SystemExit):
@@ -255,9 +247,7 @@ def test_help_lists_the_options_of_the_learner(capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.usefixtures("package")
-def test_who_is_no_learner_is_refused(
-    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_who_is_no_learner_is_refused(tune, tmp_path, capsys):
     def said(name: str) -> str:
         return refused(capsys, "train", tune, "--learner", name, "-o", tmp_path / "run")
 
@@ -267,9 +257,7 @@ def test_who_is_no_learner_is_refused(
     assert not (tmp_path / "run").exists()
 
 
-def test_a_run_of_a_learner_that_is_not_installed_says_so(
-    package: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_of_a_learner_that_is_not_installed_says_so(package, tmp_path, capsys):
     run = RunFolder(tmp_path / "run")
     sys.path.insert(0, str(package))
     from regression import RegressionConfig  # type: ignore[import-not-found]
@@ -280,7 +268,7 @@ def test_a_run_of_a_learner_that_is_not_installed_says_so(
     assert "no learner 'regression'" in refused(capsys, "train", "--resume", run.path)
 
 
-def test_the_options_of_every_learner_are_checked() -> None:
+def test_the_options_of_every_learner_are_checked():
     for size in 0, 10**8:
         with pytest.raises(CadenzaError, match=f"batch_size {size}: choose 1 to 65536"):
             LearnerConfig(batch_size=size).check()

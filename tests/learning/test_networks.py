@@ -31,7 +31,7 @@ def dropped(rate: float, x: Any, seed: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("rate", [0.01, 0.1, 0.5])
-def test_dropout_drops_its_share_and_scales_up_the_rest(rate: float) -> None:
+def test_dropout_drops_its_share_and_scales_up_the_rest(rate):
     x = np.random.default_rng(0).uniform(1, 2, (2, 256, 256)).astype(np.float32)
     out = dropped(rate, x)
     zeros = int((out == 0).sum())
@@ -39,7 +39,7 @@ def test_dropout_drops_its_share_and_scales_up_the_rest(rate: float) -> None:
     assert_allclose(out[out != 0], x[out != 0] / (1 - rate), rtol=1e-6)
 
 
-def test_dropout_is_the_same_for_the_same_key_only() -> None:
+def test_dropout_is_the_same_for_the_same_key_only():
     x = np.ones((64, 64), np.float32)
     assert_array_equal(dropped(0.5, x, 3), dropped(0.5, x, 3))
     agree = int((dropped(0.5, x, 3) == dropped(0.5, x, 4)).sum())
@@ -47,7 +47,7 @@ def test_dropout_is_the_same_for_the_same_key_only() -> None:
 
 
 @pytest.mark.parametrize("apart", [1, 2, 16, 64, 256, 257, 4096])
-def test_dropout_of_one_entry_says_nothing_about_another(apart: int) -> None:
+def test_dropout_of_one_entry_says_nothing_about_another(apart):
     """Entries side by side, of neighbouring rows, and so on: both fall a quarter of the time."""
     fell = np.concatenate(
         [dropped(0.5, np.ones((256, 256), np.float32), seed).ravel() == 0 for seed in range(4)]
@@ -57,7 +57,7 @@ def test_dropout_of_one_entry_says_nothing_about_another(apart: int) -> None:
 
 
 @pytest.mark.parametrize("rate", [0.01, 0.1, 0.5])
-def test_dropout_scatters_what_it_drops(rate: float) -> None:
+def test_dropout_scatters_what_it_drops(rate):
     """Rows, columns and blocks lose numbers that vary as those of independent coins do."""
     fell = np.array([dropped(rate, np.ones((256, 256), np.float32), s) == 0 for s in range(8)])
     blocks = fell.reshape(8, 16, 16, 16, 16).transpose(0, 1, 3, 2, 4).reshape(8, 256, 256)
@@ -67,7 +67,7 @@ def test_dropout_scatters_what_it_drops(rate: float) -> None:
         assert abs(dispersion - 1) < 6 * np.sqrt(2 / len(lost))
 
 
-def test_dropout_of_the_same_entry_is_fair_over_keys() -> None:
+def test_dropout_of_the_same_entry_is_fair_over_keys():
     fell = np.array([dropped(0.5, np.ones(32, np.float32), seed) == 0 for seed in range(400)])
     assert np.abs(fell.mean(axis=0) - 0.5).max() < 5 * np.sqrt(0.25 / 400)
     correlation = np.corrcoef(fell.T) - np.eye(32)
@@ -77,7 +77,7 @@ def test_dropout_of_the_same_entry_is_fair_over_keys() -> None:
 # Layers
 
 
-def test_first_layer_with_fewer_inputs_begins_as_the_same_layer() -> None:
+def test_first_layer_with_fewer_inputs_begins_as_the_same_layer():
     """Nothing changes where what is left out is zero."""
     x = np.zeros((7, 12), np.float32)
     x[:, SOME.kept] = np.random.default_rng(0).standard_normal((7, 5))
@@ -92,7 +92,7 @@ def test_first_layer_with_fewer_inputs_begins_as_the_same_layer() -> None:
     )
 
 
-def test_first_layer_begins_by_xavier() -> None:
+def test_first_layer_begins_by_xavier():
     """Glorot & Bengio 2010: uniform up to the square root of 6 over inputs and outputs."""
     inputs = Inputs(tuple(range(0, 1000, 2)), 1000)
     params = FirstLayer(256, inputs).init(jax.random.key(0), np.zeros((1, 500)))["params"]
@@ -116,7 +116,7 @@ def dense(layer: dict[str, Any], x: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("activation", ["relu", "gelu"])
-def test_critic_is_a_perceptron_with_layer_normalisation(activation: Any) -> None:
+def test_critic_is_a_perceptron_with_layer_normalisation(activation):
     rng = np.random.default_rng(0)
     observation = rng.standard_normal((6, 12)).astype(np.float32)
     action = rng.standard_normal((6, 2)).astype(np.float32)
@@ -140,7 +140,7 @@ def test_critic_is_a_perceptron_with_layer_normalisation(activation: Any) -> Non
     )
 
 
-def test_critic_drops_before_it_normalises() -> None:
+def test_critic_drops_before_it_normalises():
     """DroQ, section 4: dropout, layer normalisation, activation. So sums stay normalised."""
     config = DroQConfig(hidden_sizes=(64,), dropout=0.5)
     critic = Critic(config, Inputs(tuple(range(14)), 14))
@@ -157,7 +157,7 @@ def test_critic_drops_before_it_normalises() -> None:
     assert len(set(np.asarray(values).tolist())) == 5
 
 
-def test_actor_has_neither_dropout_nor_normalisation_and_limits_its_deviation() -> None:
+def test_actor_has_neither_dropout_nor_normalisation_and_limits_its_deviation():
     rng = np.random.default_rng(0)
     observation = 5 * rng.standard_normal((50, 12)).astype(np.float32)
     config = DroQConfig(hidden_sizes=(9, 7), dropout=0.5, log_std_min=-0.5, log_std_max=0.25)

@@ -62,7 +62,7 @@ def task(request: pytest.FixtureRequest) -> PianoTask:
     return PianoTask(SONGS, TaskConfig(**options), SceneConfig(**scene), num_envs=3)
 
 
-def test_is_what_the_task_shows_at_every_step_and_past_the_end(task: PianoTask) -> None:
+def test_is_what_the_task_shows_at_every_step_and_past_the_end(task):
     scores = GoalTable(task.spec)
     observer = Observer(task.spec, scores)
     for seed in range(3):
@@ -74,7 +74,7 @@ def test_is_what_the_task_shows_at_every_step_and_past_the_end(task: PianoTask) 
             acting.step()
 
 
-def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task: PianoTask) -> None:
+def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task):
     scores = GoalTable(task.spec)
     scores.add_all(task)
     inputs = pruned(ObservationSpec.of(task.spec), *scores.ever_wanted())
@@ -92,7 +92,7 @@ def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task: PianoTask) -> N
             acting.step()
 
 
-def test_every_input_that_is_kept_of_the_goal_is_used() -> None:
+def test_every_input_that_is_kept_of_the_goal_is_used():
     """One song asks for a key in all steps ahead for which it is kept."""
     task = PianoTask([SONGS[0]])
     scores = GoalTable(task.spec)
@@ -111,7 +111,7 @@ def test_every_input_that_is_kept_of_the_goal_is_used() -> None:
     assert np.mean(seen[kept_of_task]) > 0.9
 
 
-def test_the_previous_action_and_reward_follow_as_the_published_wrappers_put_them() -> None:
+def test_the_previous_action_and_reward_follow_as_the_published_wrappers_put_them():
     """CanonicalSpec maps [-1, 1] to the range, ObservationActionReward shows that and the reward.
 
     (dm_env_wrappers; there the action before the first is the least, and here it is zero.)
@@ -131,7 +131,7 @@ def test_the_previous_action_and_reward_follow_as_the_published_wrappers_put_the
     assert np.abs(previous).max() > 0
 
 
-def test_with_a_reference_its_next_action_comes_last() -> None:
+def test_with_a_reference_its_next_action_comes_last():
     task = PianoTask(SONGS[:1])
     scores = GoalTable(task.spec)
     scores.add_all(task)
@@ -148,7 +148,7 @@ def test_with_a_reference_its_next_action_comes_last() -> None:
         acting.step()
 
 
-def test_a_score_that_comes_again_takes_no_room() -> None:
+def test_a_score_that_comes_again_takes_no_room():
     task = PianoTask(SONGS, num_envs=4)
     scores = GoalTable(task.spec)
     scores.add_all(task)
@@ -158,7 +158,7 @@ def test_a_score_that_comes_again_takes_no_room() -> None:
     assert scores.arrays()["rows"].nbytes == room
 
 
-def test_scores_that_differ_in_their_onsets_alone_have_rows_of_their_own() -> None:
+def test_scores_that_differ_in_their_onsets_alone_have_rows_of_their_own():
     """If these are shown."""
     louder = Score(tuple(replace(note, velocity=100) for note in SONGS[0].notes), SONGS[0].pedal)
     for shown in (True, False):
@@ -170,7 +170,7 @@ def test_scores_that_differ_in_their_onsets_alone_have_rows_of_their_own() -> No
 
 
 @pytest.mark.parametrize("onset_goals", [False, True])
-def test_scores_are_restored_with_their_rows(onset_goals: bool) -> None:
+def test_scores_are_restored_with_their_rows(onset_goals):
     config = TaskConfig(random_stretch=0.5, random_pitch_shift=3, onset_goals=onset_goals)
     task = PianoTask(SONGS, config, num_envs=4)
     scores = GoalTable(task.spec)
@@ -186,7 +186,7 @@ def test_scores_are_restored_with_their_rows(onset_goals: bool) -> None:
         assert_array_equal(again.arrays()[name], array)
 
 
-def test_scores_of_many_rows_are_looked_up_together() -> None:
+def test_scores_of_many_rows_are_looked_up_together():
     """A batch of rows gives for each what it gives alone."""
     task = PianoTask(SONGS)
     scores = GoalTable(task.spec)
@@ -207,7 +207,7 @@ def test_scores_of_many_rows_are_looked_up_together() -> None:
 
 
 @pytest.mark.parametrize("residual", [False, True])
-def test_its_shape_is_the_same_for_every_song(residual: bool) -> None:
+def test_its_shape_is_the_same_for_every_song(residual):
     """It follows from the task and the scene."""
     specs = {ObservationSpec.of(PianoTask([song]).spec, residual) for song in SONGS}
     assert len(specs) == 1
@@ -222,7 +222,7 @@ def test_its_shape_is_the_same_for_every_song(residual: bool) -> None:
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_the_shape_is_that_of_what_is_observed(name: str) -> None:
+def test_the_shape_is_that_of_what_is_observed(name):
     options, scene = TASKS[name]
     task = PianoTask(SONGS, TaskConfig(**options), SceneConfig(**scene))
     acting = Acting(task, GoalTable(task.spec))

@@ -36,7 +36,7 @@ class Both:
 
 
 @pytest.mark.parametrize("activation", ["relu", "gelu"])
-def test_the_mode_is_the_squashed_mean_of_the_actor(activation: str) -> None:
+def test_the_mode_is_the_squashed_mean_of_the_actor(activation):
     both = Both(activation)
     observation = both.observations(100)
     best = both.policy.mode(observation)
@@ -49,9 +49,7 @@ def test_the_mode_is_the_squashed_mean_of_the_actor(activation: str) -> None:
     ("activation", "limits"),
     [("relu", {}), ("gelu", {}), ("relu", {"log_std_min": -0.7, "log_std_max": -0.6})],
 )
-def test_draws_come_from_the_distribution_of_the_actor(
-    activation: str, limits: dict[str, float]
-) -> None:
+def test_draws_come_from_the_distribution_of_the_actor(activation, limits):
     """Draws before tanh are normal, with the actor's mean and deviation for each observation."""
     both = Both(activation, **limits)
     observation = np.repeat(both.observations(4), 3000, axis=0)
@@ -66,7 +64,7 @@ def test_draws_come_from_the_distribution_of_the_actor(
     assert np.abs(np.corrcoef(normal.T) - np.eye(ACTIONS)).max() < 5 / np.sqrt(len(normal))
 
 
-def test_draws_follow_their_generator() -> None:
+def test_draws_follow_their_generator():
     both = Both("relu")
     observation = both.observations(5)
     draws = [both.policy.sample(observation, np.random.default_rng(seed)) for seed in (1, 1, 2)]

@@ -71,7 +71,7 @@ def played(learnt: LearntPolicy) -> EpisodeResult:
 
 
 @pytest.mark.parametrize("kind", ["plain", "residual", "ranged"])
-def test_comes_back_exactly_and_plays_the_same(tmp_path: Path, kind: str) -> None:
+def test_comes_back_exactly_and_plays_the_same(tmp_path, kind):
     learnt = some_policy(kind == "residual", kind == "ranged")
     save_policy(tmp_path / "policy", learnt, {"step": 3})
     again = load_policy(tmp_path / "policy")
@@ -95,7 +95,7 @@ def test_comes_back_exactly_and_plays_the_same(tmp_path: Path, kind: str) -> Non
     assert np.ptp(first.episode.arrays["action"], axis=0).max() > 0
 
 
-def test_plays_by_what_it_is_shown() -> None:
+def test_plays_by_what_it_is_shown():
     """Its action depends on the goal: another song gets others from the same start.
 
     Where it is given all that can be observed, also those of keys that its own song never uses.
@@ -107,13 +107,13 @@ def test_plays_by_what_it_is_shown() -> None:
         assert (one != other).any()
 
 
-def test_corrections_are_of_the_song_that_was_learnt() -> None:
+def test_corrections_are_of_the_song_that_was_learnt():
     other = replace(some_policy(residual=True), score=melody(60, 64, 67, 72, 76))
     with pytest.raises(CadenzaError, match="can only play the song"):
         played(other)
 
 
-def test_no_file_of_a_policy_has_a_module_imported(tmp_path: Path) -> None:
+def test_no_file_of_a_policy_has_a_module_imported(tmp_path):
     scene = SceneConfig(hand="this:HAND")
     save_policy(tmp_path / "policy", replace(some_policy(), scene=scene), {})
     with pytest.raises(CadenzaError, match="give --hand this:HAND if you trust it"):
@@ -121,7 +121,7 @@ def test_no_file_of_a_policy_has_a_module_imported(tmp_path: Path) -> None:
     assert "this" not in sys.modules
 
 
-def test_playing_needs_nothing_that_learning_needs(tmp_path: Path) -> None:
+def test_playing_needs_nothing_that_learning_needs(tmp_path):
     save_policy(tmp_path / "policy", some_policy(), {})
     program = f"""
 import sys
@@ -150,7 +150,7 @@ def assert_refused(folder: Path, saying: str) -> None:
 
 
 @pytest.mark.parametrize("option", ["hand", "keyboard"])
-def test_no_file_has_a_module_imported(tmp_path: Path, option: str) -> None:
+def test_no_file_has_a_module_imported(tmp_path, option):
     """Nobody has asked for what this module does when it is imported."""
     learnt = some_policy()
     scene = replace(learnt.scene, **{option: "antigravity:HAND"})
@@ -165,7 +165,7 @@ def with_facts(folder: Path, change: dict[str, Any]) -> None:
     write_tensors(folder / POLICY_FILE, arrays, facts | change)
 
 
-def test_another_format_is_refused(tmp_path: Path) -> None:
+def test_another_format_is_refused(tmp_path):
     save_policy(tmp_path / "policy", some_policy(), {})
     with_facts(tmp_path / "policy", {"format": 99})
     assert_refused(
@@ -189,7 +189,7 @@ def test_another_format_is_refused(tmp_path: Path) -> None:
         {"log_std_range": [1, 2, 3]},
     ],
 )
-def test_facts_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any]) -> None:
+def test_facts_that_do_not_fit_are_refused(tmp_path, change):
     save_policy(tmp_path / "policy", some_policy(), {})
     with_facts(tmp_path / "policy", change)
     (name,) = change
@@ -197,7 +197,7 @@ def test_facts_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any
 
 
 @pytest.mark.parametrize("name", ["hidden_0/kernel", "hidden_1/bias", "mean/kernel"])
-def test_weights_that_do_not_fit_are_refused(tmp_path: Path, name: str) -> None:
+def test_weights_that_do_not_fit_are_refused(tmp_path, name):
     learnt = some_policy()
     for weights in (
         {n: w for n, w in learnt.policy.weights.items() if n != name},
@@ -213,26 +213,26 @@ def test_weights_that_do_not_fit_are_refused(tmp_path: Path, name: str) -> None:
         )
 
 
-def test_weights_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+def test_weights_that_are_not_finite_are_refused(tmp_path):
     learnt = some_policy()
     learnt.policy.weights["mean/bias"][3] = np.nan
     save_policy(tmp_path / "policy", learnt, {})
     assert_refused(tmp_path / "policy", "numbers that are not finite")
 
 
-def test_a_task_that_shows_something_else_is_refused() -> None:
+def test_a_task_that_shows_something_else_is_refused():
     learnt = some_policy()
     with pytest.raises(CadenzaError, match="use the task and scene"):
         play_episode(PianoTask([SONG], learnt.task, SceneConfig()), learnt.agent)
 
 
-def test_a_folder_without_a_policy_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_a_policy_is_refused(tmp_path):
     assert_refused(tmp_path, "holds no policy.safetensors, so it is no policy; name another")
     assert_refused(tmp_path / "nowhere", "so it is no policy; name another")
     (tmp_path / "file").write_text("no folder")
     assert_refused(tmp_path / "file", "so it is no policy; name another")
 
 
-def test_a_checkpoint_is_no_policy(tmp_path: Path) -> None:
+def test_a_checkpoint_is_no_policy(tmp_path):
     write_tensors(tmp_path / POLICY_FILE, {}, {"command": "cadenza train", "step": 3})
     assert_refused(tmp_path, "not a policy that this version can read|has format None")

@@ -74,7 +74,7 @@ def figures(run: RunFolder) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("residual", [False, True])
-def test_a_run_that_is_resumed_ends_as_one_that_was_not(tmp_path: Path, residual: bool) -> None:
+def test_a_run_that_is_resumed_ends_as_one_that_was_not(tmp_path, residual):
     config = replace(CONFIG, residual=residual, song_range=not residual)
     songs = SONGS[:1] if residual else SONGS
     runs = [train(config, songs, tmp_path / "whole"), train(config, songs, tmp_path / "in", 3, 4)]
@@ -85,7 +85,7 @@ def test_a_run_that_is_resumed_ends_as_one_that_was_not(tmp_path: Path, residual
     assert (runs[0].path / "best").is_dir()
 
 
-def test_the_saved_policy_is_the_one_that_acts() -> None:
+def test_the_saved_policy_is_the_one_that_acts():
     learner = PPO(TINY, Inputs(tuple(range(5)), 5), 3)
     rng = np.random.default_rng(0)
     state = learner.init(0)
@@ -98,7 +98,7 @@ def test_the_saved_policy_is_the_one_that_acts() -> None:
     assert_allclose(learner.policy(state).mode(seen), expected, atol=0.03)
 
 
-def test_observations_are_normalised_by_all_that_was_seen() -> None:
+def test_observations_are_normalised_by_all_that_was_seen():
     seen = np.random.default_rng(0).normal([5, -2], [3, 0.001], (4, 6, 2)).astype(np.float32)
     normalisation = Normalisation(jnp.zeros(()), jnp.zeros(2), jnp.ones(2))
     for part in seen:
@@ -108,7 +108,7 @@ def test_observations_are_normalised_by_all_that_was_seen() -> None:
     assert_allclose(normalisation.std, [flat[:, 0].std(), 0.1], rtol=1e-5)
 
 
-def test_the_objective_has_no_gain_beyond_the_clip() -> None:
+def test_the_objective_has_no_gain_beyond_the_clip():
     log_ratio = jnp.log(jnp.array([0.5, 1.0, 1.5]))
     gains = clipped_objective(log_ratio, jnp.ones(3), 0.2)
     losses = clipped_objective(log_ratio, -jnp.ones(3), 0.2)
@@ -116,7 +116,7 @@ def test_the_objective_has_no_gain_beyond_the_clip() -> None:
     assert_allclose(losses, [-0.8, -1.0, -1.5], rtol=1e-6)
 
 
-def test_advantages_are_those_of_td_errors() -> None:
+def test_advantages_are_those_of_td_errors():
     """This holds at lambda 0; no value is carried over the end of an episode."""
     rng = np.random.default_rng(0)
     rewards, values = rng.normal(size=(3, 1, 2)), rng.normal(size=(4, 1, 2))
@@ -127,7 +127,7 @@ def test_advantages_are_those_of_td_errors() -> None:
     assert_allclose(gae(rewards, values, ended, 0.9, 0.5)[0], expected, rtol=1e-5)
 
 
-def test_a_contextual_bandit_is_solved() -> None:
+def test_a_contextual_bandit_is_solved():
     """The best action is half the observation."""
     config = PPOConfig(hidden_sizes=(32,), batch_size=64, learning_rate=1e-3, target_kl=0.02)
     learner = PPO(config, Inputs((0,), 1), 1)
@@ -211,7 +211,7 @@ def both() -> Both:
     return Both(host, device, PPO(TINY, inputs, task.spec.action_size))
 
 
-def test_both_engines_give_the_same_rollouts_and_updates(both: Both) -> None:
+def test_both_engines_give_the_same_rollouts_and_updates(both):
     """Over ends of episodes, as long as the worlds are in the same states."""
     learner, states = both.learner, []
     for kind in (both.host, both.device):
@@ -229,7 +229,7 @@ def test_both_engines_give_the_same_rollouts_and_updates(both: Both) -> None:
     assert (rollout.value_at_end != 0).tolist() == rollout.ended.tolist()
 
 
-def test_environments_on_a_device_go_on_where_they_were_stopped(both: Both) -> None:
+def test_environments_on_a_device_go_on_where_they_were_stopped(both):
     state, device = both.learner.init(1), both.device
     device.rollout(both.learner, state, 3, 0)
     plain, arrays = device.state()
@@ -257,21 +257,19 @@ def assert_trees_close(one: Any, other: Any) -> None:
         ({"residual": True, "song_range": False}, "residual policy corrects the plan of one song"),
     ],
 )
-def test_what_makes_no_sense_is_refused(
-    options: dict[str, Any], message: str, tmp_path: Path
-) -> None:
+def test_what_makes_no_sense_is_refused(options, message, tmp_path):
     with pytest.raises(CadenzaError, match=message):
         begin(replace(CONFIG, **options), SONGS, RunFolder(tmp_path))
     assert not (tmp_path / "run.json").exists()
 
 
-def test_a_learner_that_replays_does_not_learn_on_a_device(tmp_path: Path) -> None:
+def test_a_learner_that_replays_does_not_learn_on_a_device(tmp_path):
     with pytest.raises(CadenzaError, match=r"engine warp: .* choose --learner ppo"):
         begin(replace(preset("fast"), scene=SceneConfig(engine="warp")), SONGS, RunFolder(tmp_path))
 
 
 @pytest.mark.slow  # two minutes
-def test_a_scale_is_learnt(tmp_path: Path) -> None:
+def test_a_scale_is_learnt(tmp_path):
     usual = preset("fast", learner="ppo")
     config = replace(usual, scene=ONE_HAND, num_steps=80_000, eval_interval=20_000)
     run = train(config, [SCALE], tmp_path / "run")

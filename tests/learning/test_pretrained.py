@@ -16,7 +16,7 @@ FOLDERS = sorted(
 )
 
 
-def test_there_are_three_and_they_are_small() -> None:
+def test_there_are_three_and_they_are_small():
     assert len(FOLDERS) >= 3
     for folder in FOLDERS:
         assert folder.name in {piece.name for piece in songs()}
@@ -24,7 +24,7 @@ def test_there_are_three_and_they_are_small() -> None:
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
-def test_they_play_what_they_have_learnt(folder: Path) -> None:
+def test_they_play_what_they_have_learnt(folder):
     learnt = load_policy(folder)
     with closing(PianoTask([learnt.score], learnt.task, learnt.scene)) as task:
         metrics = play_episode(task, learnt.agent).metrics

@@ -39,7 +39,7 @@ def above(task: PianoTask, forearm: float, finger: int, pitch: int) -> float:
     return float(data.geom_xpos[task.scene.key_geoms][pitch - 21, 1] - tip)
 
 
-def test_every_finger_gets_to_its_keys_and_5_cm_further() -> None:
+def test_every_finger_gets_to_its_keys_and_5_cm_further():
     task = PianoTask([SONG])
     low, high = ranges_of(task).actions[:, slides(task)[0]]
     assert (
@@ -54,13 +54,13 @@ def test_every_finger_gets_to_its_keys_and_5_cm_further() -> None:
     assert_allclose([found[0] - low, high - found[-1]], 0.05, atol=1e-3)
 
 
-def test_a_hand_without_notes_rests() -> None:
+def test_a_hand_without_notes_rests():
     task = PianoTask([SONG])
     ranges = ranges_of(task)
     assert_allclose(ranges.actions[:, slides(task)[1]], [-0.05, 0.05])
 
 
-def test_keys_that_name_no_finger_are_for_all_of_them() -> None:
+def test_keys_that_name_no_finger_are_for_all_of_them():
     """Thumb and little finger of the right hand may be asked for the lowest and the highest."""
     task = PianoTask([melody(60, 72)], TaskConfig(fingering="off"))
     low, high = ranges_of(task).actions[:, slides(task)[0]]
@@ -70,14 +70,14 @@ def test_keys_that_name_no_finger_are_for_all_of_them() -> None:
 
 
 @pytest.mark.parametrize("option", ["random_pitch_shift", "random_octave_shift"])
-def test_every_key_may_come_where_songs_are_moved(option: str) -> None:
+def test_every_key_may_come_where_songs_are_moved(option):
     whole = PianoTask([SONG], TaskConfig(**{option: 1}))
     ranges, a = ranges_of(whole), slides(whole)[0]
     assert ranges.actions[1, a] - ranges.actions[0, a] > 1.0
 
 
 @pytest.mark.parametrize("hands", ["right", "both"])
-def test_only_the_forearms_along_the_keyboard_are_kept_to_less(hands: str) -> None:
+def test_only_the_forearms_along_the_keyboard_are_kept_to_less(hands):
     scene = SceneConfig(hands=hands, forearm_dofs=("tx", "ty"))  # type: ignore[arg-type]
     task = PianoTask([SONG], scene=scene)
     ranges = ranges_of(task)
@@ -92,7 +92,7 @@ def test_only_the_forearms_along_the_keyboard_are_kept_to_less(hands: str) -> No
 
 
 @pytest.mark.parametrize("drill", ["notes-6-0", "notes-6-2", "dyads-3-1"])
-def test_the_plan_of_a_hand_that_stays_near_its_rest_is_within_reach(drill: str) -> None:
+def test_the_plan_of_a_hand_that_stays_near_its_rest_is_within_reach(drill):
     """Forearms are where fingers at rest, not stretched ones, are over their keys."""
     options = setup_named("mini-allegro")
     scene, config = SceneConfig(**options.of(SceneConfig)), TaskConfig(initial_buffer_time=0.5)
@@ -112,7 +112,7 @@ def test_the_plan_of_a_hand_that_stays_near_its_rest_is_within_reach(drill: str)
     assert_allclose(ranges.joints[:, joint], ranges.actions[:, knuckle])
 
 
-def test_acts_and_sees_on_that_scale() -> None:
+def test_acts_and_sees_on_that_scale():
     task = PianoTask([SONG], num_envs=2)
     scores, ranges = GoalTable(task.spec), ranges_of(task)
     scores.add_all(task)

@@ -144,9 +144,7 @@ def assert_same(drawn: Batch, expected: Batch) -> None:
     ending=st.sampled_from([0.0, 0.2, 0.6, 1.0]),
     seed=st.integers(0, 2**31),
 )
-def test_draws_exactly_the_transitions_that_are_held(
-    num_envs: int, length: int, steps: int, ending: float, seed: int
-) -> None:
+def test_draws_exactly_the_transitions_that_are_held(num_envs, length, steps, ending, seed):
     """Episodes have any length, down to one step; the ring wraps up to fifteen times."""
     playing = Playing(num_envs, length, seed, ending)
     for step in range(steps):
@@ -158,7 +156,7 @@ def test_draws_exactly_the_transitions_that_are_held(
             assert set(as_tuples(drawn)) == held
 
 
-def test_every_transition_is_as_likely() -> None:
+def test_every_transition_is_as_likely():
     """Environments whose episodes end more often have more frames, not more weight a frame."""
     playing = Playing(num_envs=3, length=20, seed=0)
     for _ in range(50):
@@ -170,7 +168,7 @@ def test_every_transition_is_as_likely() -> None:
     assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000)
 
 
-def test_batches_have_the_shape_that_was_asked_for() -> None:
+def test_batches_have_the_shape_that_was_asked_for():
     playing = Playing(2, 10, 0)
     for _ in range(5):
         playing.step()
@@ -181,7 +179,7 @@ def test_batches_have_the_shape_that_was_asked_for() -> None:
     assert {part.dtype for part in batch} == {np.dtype(np.float32)}
 
 
-def test_nothing_can_be_drawn_before_anything_was_done() -> None:
+def test_nothing_can_be_drawn_before_anything_was_done():
     with pytest.raises(ValueError, match="no transitions yet"):
         Playing(2, 10, 0).replay.sample(np.random.default_rng(0), (4,))
 
@@ -197,14 +195,12 @@ def test_nothing_can_be_drawn_before_anything_was_done() -> None:
     ending=st.sampled_from([0.0, 0.2, 1.0]),
     seed=st.integers(0, 2**31),
 )
-def test_goes_on_from_chunks_as_if_nothing_had_happened(
-    num_envs: int, length: int, pauses: list[int], ending: float, seed: int
-) -> None:
+def test_goes_on_from_chunks_as_if_nothing_had_happened(num_envs, length, pauses, ending, seed):
     """Chunks of any size, among them empty ones and some of more than the ring holds."""
     check_chunks(Playing(num_envs, length, seed, ending), pauses)
 
 
-def test_goes_on_from_two_chunks_that_meet_anywhere_in_the_ring() -> None:
+def test_goes_on_from_two_chunks_that_meet_anywhere_in_the_ring():
     for before in range(1, 10):
         for after in range(10):
             check_chunks(Playing(1, 6, 0, ending=0.0), [before, after])
@@ -243,9 +239,7 @@ def check_chunks(playing: Playing, pauses: list[int]) -> None:
     seed=st.integers(0, 2**31),
 )
 @example(num_envs=1, length=4, pauses=[1, 0, 1], lost={0}, seed=0)  # an empty one in the gap
-def test_goes_on_without_chunks_that_are_lost(
-    num_envs: int, length: int, pauses: list[int], lost: set[int], seed: int
-) -> None:
+def test_goes_on_without_chunks_that_are_lost(num_envs, length, pauses, lost, seed):
     """It has the transitions that were held and no others: none reaches over a gap."""
     playing, chunks = Playing(num_envs, length, seed), []
     for steps in pauses:
@@ -267,7 +261,7 @@ def test_goes_on_without_chunks_that_are_lost(
         assert len(set(drawn)) > 0.9 * found
 
 
-def test_what_is_left_of_much_is_found() -> None:
+def test_what_is_left_of_much_is_found():
     """Ten transitions among a hundred thousand places."""
     playing = Playing(num_envs=1, length=100_000, seed=0, ending=0.0)
     for _ in range(10):
@@ -295,7 +289,7 @@ def test_what_is_left_of_much_is_found() -> None:
         {"to": np.array([6.0])},
     ],
 )
-def test_a_chunk_of_something_else_is_refused(change: dict[str, np.ndarray]) -> None:
+def test_a_chunk_of_something_else_is_refused(change):
     playing = Playing(num_envs=1, length=10, seed=0, ending=0.0)
     for _ in range(6):
         playing.step()
@@ -306,7 +300,7 @@ def test_a_chunk_of_something_else_is_refused(change: dict[str, np.ndarray]) -> 
         playing.new_replay().restore({n: a for n, a in chunk.items() if n != "proprioception"})
 
 
-def test_chunks_that_the_ring_has_overwritten_are_not_needed() -> None:
+def test_chunks_that_the_ring_has_overwritten_are_not_needed():
     playing = Playing(num_envs=1, length=10, seed=0, ending=0.0)
     for _ in range(5):
         playing.step()
@@ -320,7 +314,7 @@ def test_chunks_that_the_ring_has_overwritten_are_not_needed() -> None:
 # Room
 
 
-def test_a_transition_of_the_full_observation_takes_less_than_1500_bytes() -> None:
+def test_a_transition_of_the_full_observation_takes_less_than_1500_bytes():
     """Two observations of 1,100 numbers, as others keep them, take 9,300."""
     task = PianoTask([melody(60)], num_envs=2)
     observer = Observer(task.spec, GoalTable(task.spec))

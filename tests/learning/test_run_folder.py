@@ -28,7 +28,7 @@ def run(tmp_path: Path) -> RunFolder:
 # What was asked for
 
 
-def test_a_run_knows_what_was_asked_for(tmp_path: Path) -> None:
+def test_a_run_knows_what_was_asked_for(tmp_path):
     config = TrainingConfig(
         learner=replace(TINY, target_entropy=-3.0),
         task=TaskConfig(initial_buffer_time=0.1 + 0.2, n_seconds_lookahead=0.7),
@@ -43,14 +43,14 @@ def test_a_run_knows_what_was_asked_for(tmp_path: Path) -> None:
     assert about["versions"]["numpy"] == np.__version__
 
 
-def test_a_run_is_begun_once(run: RunFolder) -> None:
+def test_a_run_is_begun_once(run):
     run.begin(TrainingConfig(), [melody(60)])
     with pytest.raises(CadenzaError, match="already holds a run; continue it with --resume"):
         run.begin(TrainingConfig(seed=1), [melody(60)])
     assert run.settings()[0].seed == 0
 
 
-def test_what_is_left_of_a_run_is_not_taken_for_a_new_one(run: RunFolder) -> None:
+def test_what_is_left_of_a_run_is_not_taken_for_a_new_one(run):
     run.begin(TrainingConfig(), [melody(60)])
     run.save({"step": 10}, {})
     (run.path / "run.json").unlink()
@@ -58,7 +58,7 @@ def test_what_is_left_of_a_run_is_not_taken_for_a_new_one(run: RunFolder) -> Non
         run.begin(TrainingConfig(seed=1), [melody(62)])
 
 
-def test_no_two_runs_have_the_same_id(tmp_path: Path) -> None:
+def test_no_two_runs_have_the_same_id(tmp_path):
     runs = [RunFolder(tmp_path / name / "run") for name in "ab"]
     for run in runs:
         run.begin(TrainingConfig(), [melody(60)])
@@ -68,7 +68,7 @@ def test_no_two_runs_have_the_same_id(tmp_path: Path) -> None:
     assert runs[0].id == a
 
 
-def test_only_its_end_can_change(run: RunFolder) -> None:
+def test_only_its_end_can_change(run):
     run.begin(config := TrainingConfig(num_steps=100), [melody(60)])
     run.set_end(config)
     assert run.settings() == (config, (melody(60),))
@@ -81,7 +81,7 @@ def test_only_its_end_can_change(run: RunFolder) -> None:
     assert run.settings() == (longer, (melody(60),))
 
 
-def test_a_folder_without_a_run_or_with_half_of_one_is_refused(run: RunFolder) -> None:
+def test_a_folder_without_a_run_or_with_half_of_one_is_refused(run):
     with pytest.raises(CadenzaError, match="holds no run to resume"):
         run.settings()
     run.begin(TrainingConfig(), [melody(60)])
@@ -95,7 +95,7 @@ def test_a_folder_without_a_run_or_with_half_of_one_is_refused(run: RunFolder) -
             run.settings()
 
 
-def test_one_process_at_a_time_trains_a_run(tmp_path: Path) -> None:
+def test_one_process_at_a_time_trains_a_run(tmp_path):
     first, second = RunFolder(tmp_path / "run"), RunFolder(tmp_path / "run")
     with first.locked():  # noqa: SIM117
         with pytest.raises(CadenzaError, match="another process is training"), second.locked():
@@ -107,7 +107,7 @@ def test_one_process_at_a_time_trains_a_run(tmp_path: Path) -> None:
 # Figures
 
 
-def test_rows_come_back_and_numbers_that_are_none_as_none(run: RunFolder) -> None:
+def test_rows_come_back_and_numbers_that_are_none_as_none(run):
     assert run.metrics.rows() == []
     run.metrics.add({"step": 1, "seconds": 0.5, "f1": 0.1 + 0.2})
     run.metrics.add({"step": 2, "seconds": 1.0, "f1": math.nan, "loss": math.inf})
@@ -117,7 +117,7 @@ def test_rows_come_back_and_numbers_that_are_none_as_none(run: RunFolder) -> Non
     ]
 
 
-def test_half_a_row_is_left_out_and_rows_after_a_checkpoint_are_dropped(run: RunFolder) -> None:
+def test_half_a_row_is_left_out_and_rows_after_a_checkpoint_are_dropped(run):
     run.metrics.add({"step": 10, "seconds": 1.0})
     size = run.metrics.size
     run.metrics.add({"step": 12, "seconds": 1.2})
@@ -129,9 +129,7 @@ def test_half_a_row_is_left_out_and_rows_after_a_checkpoint_are_dropped(run: Run
     assert [row["step"] for row in run.metrics.rows()] == [10, 11]
 
 
-def test_shortened_figures_are_not_lengthened(
-    run: RunFolder, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_shortened_figures_are_not_lengthened(run, capsys):
     for step in (10, 20):
         run.metrics.add({"step": step, "seconds": 1.0})
     path, size = run.path / "metrics.jsonl", run.metrics.size
@@ -164,9 +162,7 @@ def test_shortened_figures_are_not_lengthened(
         b"[" * 100_000,
     ],
 )
-def test_lines_that_are_no_rows_are_left_out(
-    run: RunFolder, line: bytes, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lines_that_are_no_rows_are_left_out(run, line, capsys):
     good = b'{"step": 1, "seconds": 0.5, "eval/f1": null}\n'
     (run.path / "metrics.jsonl").write_bytes(good + line + b"\n" + bytes(9) + good + b"half")
     row = {"step": 1, "seconds": 0.5, "eval/f1": None}
@@ -179,7 +175,7 @@ def test_lines_that_are_no_rows_are_left_out(
 # Links
 
 
-def test_links_are_not_followed(run: RunFolder, tmp_path: Path) -> None:
+def test_links_are_not_followed(run, tmp_path):
     dear = tmp_path / "dear"
     dear.write_text("dear")
     (run.path / "lock").symlink_to(dear)
@@ -189,9 +185,7 @@ def test_links_are_not_followed(run: RunFolder, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES])
-def test_a_run_where_nothing_can_be_written_is_to_be_copied(
-    run: RunFolder, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_a_run_where_nothing_can_be_written_is_to_be_copied(run, monkeypatch, number):
     def fail(path: str, *_: object) -> int:
         raise OSError(number, os.strerror(number), path)
 
@@ -200,7 +194,7 @@ def test_a_run_where_nothing_can_be_written_is_to_be_copied(
         pass
 
 
-def test_what_a_lock_holds_is_kept(run: RunFolder) -> None:
+def test_what_a_lock_holds_is_kept(run):
     (run.path / "lock").write_text("dear")
     with run.locked():
         pass

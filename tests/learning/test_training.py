@@ -140,9 +140,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Run
 
 
 @pytest.mark.parametrize("way", ["in turn", "residual"])
-def test_a_run_evaluates_and_keeps_the_best_and_the_last(
-    way: str, undisturbed: Callable[[str], RunFolder]
-) -> None:
+def test_a_run_evaluates_and_keeps_the_best_and_the_last(way, undisturbed):
     """The best plays again what its evaluation says; a residual begins with the planner's play."""
     run = undisturbed(way)
     rows = evaluations(run)
@@ -166,9 +164,7 @@ def test_a_run_evaluates_and_keeps_the_best_and_the_last(
         assert metrics[name] == best[f"eval/{name}"]
 
 
-def test_an_evaluation_that_ends_early_is_not_the_best_for_what_it_played(
-    runs: Callable[[], RunFolder], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_evaluation_that_ends_early_is_not_the_best_for_what_it_played(runs, monkeypatch):
     """Everything is right before the first note, and a wrong key may end an episode there.
 
     Whole notes decide, and F1 only where they are equal.
@@ -187,7 +183,7 @@ def test_an_evaluation_that_ends_early_is_not_the_best_for_what_it_played(
     assert (about["eval/f1"], about["eval/steps"]) == (0.7, 13)
 
 
-def test_figures_come_at_their_interval(undisturbed: Callable[[str], RunFolder]) -> None:
+def test_figures_come_at_their_interval(undisturbed):
     rows = [row for row in undisturbed("in turn").metrics.rows() if "eval_step" not in row]
     assert [row["step"] for row in rows] == [40, 80, 120, 160, 200]
     # 48 steps at random, then two updates with every eight steps.
@@ -196,7 +192,7 @@ def test_figures_come_at_their_interval(undisturbed: Callable[[str], RunFolder])
     assert 0 <= rows[-1]["episodes/f1"] <= 1
 
 
-def test_a_figure_that_no_update_has_had_is_left_out(runs: Callable[[], RunFolder]) -> None:
+def test_a_figure_that_no_update_has_had_is_left_out(runs):
     """The actor waits for more updates than there are between two rows."""
     run = runs()
     train(replace(CONFIG, learner=replace(TINY, policy_delay=1000)), run)
@@ -206,7 +202,7 @@ def test_a_figure_that_no_update_has_had_is_left_out(runs: Callable[[], RunFolde
     assert np.isfinite(rows[-1]["train/critic_loss"])
 
 
-def test_a_policy_that_diverges_is_not_kept(runs: Callable[[], RunFolder]) -> None:
+def test_a_policy_that_diverges_is_not_kept(runs):
     run = runs()
     wild = replace(TINY, actor_learning_rate=1e38, critic_learning_rate=1e38)
     with pytest.raises(CadenzaError, match="no longer finite; start a new run with smaller"):
@@ -215,7 +211,7 @@ def test_a_policy_that_diverges_is_not_kept(runs: Callable[[], RunFolder]) -> No
     assert all(np.isfinite(array).all() for array in weights.values())
 
 
-def test_the_policy_is_trained(undisturbed: Callable[[str], RunFolder]) -> None:
+def test_the_policy_is_trained(undisturbed):
     run = undisturbed("in turn")
     with closing(Training(problem_of(CONFIG, [SONG]), RunFolder(run.path / "unused"))) as fresh:
         begun = fresh.learnt().policy.weights
@@ -223,7 +219,7 @@ def test_the_policy_is_trained(undisturbed: Callable[[str], RunFolder]) -> None:
         assert (array != begun[name]).any(), name
 
 
-def test_keys_can_be_learnt_to_move_by_themselves(runs: Callable[[], RunFolder]) -> None:
+def test_keys_can_be_learnt_to_move_by_themselves(runs):
     """There is no forearm whose range could be the song's."""
     run = runs()
     train(replace(CONFIG, scene=SceneConfig(hands="none"), song_range=True, num_steps=64), run)
@@ -231,9 +227,7 @@ def test_keys_can_be_learnt_to_move_by_themselves(runs: Callable[[], RunFolder])
     assert evaluations(run)[-1]["eval/steps"] > 0
 
 
-def test_another_seed_is_another_run(
-    runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
-) -> None:
+def test_another_seed_is_another_run(runs, undisturbed):
     other = runs()
     train(replace(CONFIG, seed=1), other)
     assert evaluations(other) != evaluations(undisturbed("in turn"))
@@ -243,9 +237,7 @@ def test_another_seed_is_another_run(
 
 
 @pytest.mark.parametrize("way", ["in turn", "parallel"])
-def test_the_same_seed_gives_the_same_bits(
-    way: str, runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
-) -> None:
+def test_the_same_seed_gives_the_same_bits(way, runs, undisturbed):
     again = runs()
     train(WAYS[way], again)
     assert_same_runs(again, undisturbed(way))
@@ -260,12 +252,7 @@ def test_the_same_seed_gives_the_same_bits(
         ("stretched", [8, 9]),
     ],
 )
-def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
-    way: str,
-    stops: list[int],
-    runs: Callable[[], RunFolder],
-    undisturbed: Callable[[str], RunFolder],
-) -> None:
+def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(way, stops, runs, undisturbed):
     """It stops before anything, among random actions, at an evaluation, and twice at once."""
     stopped = runs()
     train(WAYS[way], stopped, *stops)
@@ -273,9 +260,7 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
 
 
 @pytest.mark.parametrize("way", ["in turn", "parallel"])
-def test_checkpoints_on_the_way_change_nothing(
-    way: str, runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
-) -> None:
+def test_checkpoints_on_the_way_change_nothing(way, runs, undisturbed):
     """One after every round, the last of them right before the end's."""
     often = runs()
     train(replace(WAYS[way], checkpoint_interval=0.0), often, 13)
@@ -288,9 +273,7 @@ def test_checkpoints_on_the_way_change_nothing(
     assert_same_runs(often, other)
 
 
-def test_a_run_that_is_done_stays_as_it_is(
-    runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
-) -> None:
+def test_a_run_that_is_done_stays_as_it_is(runs, undisturbed):
     done = runs()
     train(CONFIG, done)
     train(CONFIG, done)
@@ -329,11 +312,7 @@ def killed_after(calls: int) -> Iterator[list[str]]:
 
 
 @pytest.mark.parametrize("way", ["in turn", pytest.param("residual", marks=pytest.mark.slow)])
-def test_a_run_that_is_killed_at_any_write_of_its_end_goes_on(
-    way: str,
-    runs: Callable[[], RunFolder],
-    undisturbed: Callable[[str], RunFolder],
-) -> None:
+def test_a_run_that_is_killed_at_any_write_of_its_end_goes_on(way, runs, undisturbed):
     """The last evaluation, the best policy, the last checkpoint, what it drops, the last policy."""
     begun = runs()
     with closing(Training(problem_of(WAYS[way], [SONG]), begun)) as one:
@@ -353,9 +332,7 @@ def test_a_run_that_is_killed_at_any_write_of_its_end_goes_on(
     assert made.count("replace") >= 4  # experience, a checkpoint, the best policy and the last
 
 
-def test_a_run_that_goes_on_to_another_end_learns_as_if_begun_with_it(
-    runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
-) -> None:
+def test_a_run_that_goes_on_to_another_end_learns_as_if_begun_with_it(runs, undisturbed):
     run = runs()
     train(replace(CONFIG, num_steps=104), run)
     train(CONFIG, run)
@@ -365,9 +342,7 @@ def test_a_run_that_goes_on_to_another_end_learns_as_if_begun_with_it(
         assert_array_equal(array, whole[name], err_msg=name)
 
 
-def test_a_run_that_is_to_end_where_it_is_has_a_best_policy(
-    runs: Callable[[], RunFolder],
-) -> None:
+def test_a_run_that_is_to_end_where_it_is_has_a_best_policy(runs):
     """This also holds if it has not been evaluated before."""
     run = runs()
     with closing(Training(problem_of(CONFIG, [SONG]), run)) as one:
@@ -379,9 +354,7 @@ def test_a_run_that_is_to_end_where_it_is_has_a_best_policy(
 
 
 @pytest.mark.parametrize("damage", ["gone", "changed"])
-def test_a_best_policy_that_is_lost_is_made_up_for(
-    damage: str, runs: Callable[[], RunFolder], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_best_policy_that_is_lost_is_made_up_for(damage, runs, capsys):
     """The best of the evaluations to come makes up for it."""
     run = runs()
     with closing(Training(problem_of(CONFIG, [SONG]), run)) as one:
@@ -399,11 +372,7 @@ def test_a_best_policy_that_is_lost_is_made_up_for(
     assert about["eval_step"] > 120
 
 
-def test_a_full_disk_ends_a_run_with_what_to_do(
-    runs: Callable[[], RunFolder],
-    undisturbed: Callable[[str], RunFolder],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_full_disk_ends_a_run_with_what_to_do(runs, undisturbed, monkeypatch):
     """Whatever finds no room: figures, the best policy, a checkpoint, the last policy."""
     run, room = runs(), 0
 
@@ -464,9 +433,7 @@ def started(cache: Path, run: RunFolder) -> subprocess.Popen[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["in turn", "residual"])
-def test_a_run_that_is_killed_at_any_moment_goes_on(
-    way: str, runs: Callable[[], RunFolder], tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_a_run_that_is_killed_at_any_moment_goes_on(way, runs, tmp_path_factory):
     """SIGKILL at random times, while there is a checkpoint at every round."""
     cache = tmp_path_factory.mktemp("compiled")
     whole, killed = runs(), runs()

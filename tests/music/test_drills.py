@@ -19,9 +19,7 @@ PLAYERS = players_at(ALLEGRO.reach, MINI, ("right",), hand_spacing=0.0, slides=T
 
 @given(st.sampled_from([*DRILLS]), st.integers(1, 10), st.integers(0, 2**32))
 @settings(deadline=None, max_examples=40)
-def test_a_drill_is_so_many_notes_or_chords_for_four_fingers(
-    kind: str, count: int, seed: int
-) -> None:
+def test_a_drill_is_so_many_notes_or_chords_for_four_fingers(kind, count, seed):
     score = make_etude(kind, count, seed)
     at_once = [
         [note.pitch for note in notes]
@@ -35,13 +33,13 @@ def test_a_drill_is_so_many_notes_or_chords_for_four_fingers(
     assert find_fingering(score, PLAYERS)[1] == ()
 
 
-def test_seeds_make_others_and_names_name_them() -> None:
+def test_seeds_make_others_and_names_name_them():
     melodies = {make_etude("notes", 6, seed).notes for seed in range(20)}
     assert len(melodies) == 20
     assert load_score("etudes/dyads-3-7") == make_etude("dyads", 3, 7)
 
 
-def test_drills_are_the_same_on_every_machine() -> None:
+def test_drills_are_the_same_on_every_machine():
     """Results name them by their seeds only."""
     wanted = [
         [64, 69, 72],
@@ -53,6 +51,6 @@ def test_drills_are_the_same_on_every_machine() -> None:
     assert pitches == wanted
 
 
-def test_other_kinds_are_refused() -> None:
+def test_other_kinds_are_refused():
     with pytest.raises(CadenzaError, match=r"'pentads': choose from .*trills.*, dyads, triads"):
         make_etude("pentads", 3, 0)

@@ -54,7 +54,7 @@ def verticals(score: Score) -> list[list[int]]:
 @few
 @given(kinds, difficulties, seeds)
 @example("leaps", 10, 1)
-def test_any_etude_fits_the_piano_and_the_hands(kind: str, difficulty: int, seed: int) -> None:
+def test_any_etude_fits_the_piano_and_the_hands(kind, difficulty, seed):
     score = make_etude(kind, difficulty, seed)
     assert all(note.pitch in PITCHES for note in score.notes)
     assert 15 <= score.total_time <= 40
@@ -68,14 +68,14 @@ def test_any_etude_fits_the_piano_and_the_hands(kind: str, difficulty: int, seed
 
 @few
 @given(kinds, st.integers(1, 7), seeds)
-def test_two_hands_have_a_finger_for_every_note(kind: str, difficulty: int, seed: int) -> None:
+def test_two_hands_have_a_finger_for_every_note(kind, difficulty, seed):
     _, dropped = find_fingering(make_etude(kind, difficulty, seed))
     assert dropped == ()
 
 
 @few
 @given(kinds, difficulties, seeds)
-def test_a_key_comes_up_before_it_is_struck_again(kind: str, difficulty: int, seed: int) -> None:
+def test_a_key_comes_up_before_it_is_struck_again(kind, difficulty, seed):
     """At 20 steps a second, with notes held while their step begins."""
     score = make_etude(kind, difficulty, seed)
     if difficulty <= 7:
@@ -86,14 +86,14 @@ def test_a_key_comes_up_before_it_is_struck_again(kind: str, difficulty: int, se
 
 @given(kinds, difficulties, seeds)
 @settings(deadline=None, max_examples=10)
-def test_the_same_seed_gives_the_same_etude(kind: str, difficulty: int, seed: int) -> None:
+def test_the_same_seed_gives_the_same_etude(kind, difficulty, seed):
     score = make_etude(kind, difficulty, seed)
     assert score == make_etude(kind, difficulty, seed)
     others = (make_etude(kind, difficulty, seed + more).notes for more in range(1, 5))
     assert any(score.notes != notes for notes in others)  # two may be alike by chance
 
 
-def test_etudes_are_the_same_on_every_machine() -> None:
+def test_etudes_are_the_same_on_every_machine():
     """A benchmark names etudes by their seeds only."""
     digest = hashlib.sha256()
     for kind, difficulty in itertools.product(KINDS, range(1, 11)):
@@ -106,7 +106,7 @@ def test_etudes_are_the_same_on_every_machine() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_harder_etudes_have_more_notes_a_second_and_more_accidentals(kind: str) -> None:
+def test_harder_etudes_have_more_notes_a_second_and_more_accidentals(kind):
     def rate(difficulty: int) -> float:
         scores = [make_etude(kind, difficulty, seed) for seed in range(3)]
         return sum(len(s.notes) for s in scores) / sum(s.total_time for s in scores)
@@ -120,7 +120,7 @@ def test_harder_etudes_have_more_notes_a_second_and_more_accidentals(kind: str) 
     }
 
 
-def test_the_hardest_etudes_are_in_all_keys() -> None:
+def test_the_hardest_etudes_are_in_all_keys():
     drawn = {tonic_and_minor(make_etude("hanon", 10, seed)) for seed in range(200)}
     assert drawn == {(tonic, minor) for tonic in range(12) for minor in (False, True)}
 
@@ -134,7 +134,7 @@ def test_the_hardest_etudes_are_in_all_keys() -> None:
         ("scales", 3, -1, "seed -1: choose 0 or more"),
     ],
 )
-def test_what_cannot_be_made_is_said(kind: str, difficulty: int, seed: int, said: str) -> None:
+def test_what_cannot_be_made_is_said(kind, difficulty, seed, said):
     with pytest.raises(CadenzaError, match=said):
         make_etude(kind, difficulty, seed)
 
@@ -142,18 +142,18 @@ def test_what_cannot_be_made_is_said(kind: str, difficulty: int, seed: int, said
 # Names
 
 
-def test_an_etude_has_a_name() -> None:
+def test_an_etude_has_a_name():
     assert load_score("etudes/broken-chords-3-7") == make_etude("broken-chords", 3, 7)
     assert load_score("etudes/Scales-10-0") == make_etude("scales", 10, 0)
 
 
 @pytest.mark.parametrize("name", ["etudes/scales-3", "scales-3-7", "etudes/waltz-3-7", "etudes/"])
-def test_other_names_are_refused(name: str) -> None:
+def test_other_names_are_refused(name):
     with pytest.raises(CadenzaError):
         load_score(name)
 
 
-def test_names_are_spread_evenly_over_kinds_and_difficulties() -> None:
+def test_names_are_spread_evenly_over_kinds_and_difficulties():
     names = etude_names(250, seed=3)
     assert len(set(names)) == 250
     counts = Counter(name.rsplit("-", 1)[0] for name in names)
@@ -168,7 +168,7 @@ def test_names_are_spread_evenly_over_kinds_and_difficulties() -> None:
 
 @pytest.mark.parametrize("sharps", range(-5, 7))
 @pytest.mark.parametrize("minor", [False, True])
-def test_keys_have_the_scales_of_their_signatures(sharps: int, minor: bool) -> None:
+def test_keys_have_the_scales_of_their_signatures(sharps, minor):
     signature = {letter: LETTERS[letter] for letter in FIFTHS}
     for letter in FIFTHS[:sharps] if sharps > 0 else FIFTHS[sharps:] if sharps else []:
         signature[letter] += 1 if sharps > 0 else -1
@@ -182,9 +182,7 @@ def test_keys_have_the_scales_of_their_signatures(sharps: int, minor: bool) -> N
 
 @few
 @given(kinds.filter(lambda kind: kind != "scales"), difficulties, seeds)
-def test_all_notes_belong_to_the_key_and_it_ends_on_the_tonic(
-    kind: str, difficulty: int, seed: int
-) -> None:
+def test_all_notes_belong_to_the_key_and_it_ends_on_the_tonic(kind, difficulty, seed):
     score = make_etude(kind, difficulty, seed)
     tonic, minor = tonic_and_minor(score)
     assert {note.pitch % 12 for note in score.notes} <= scale_of_key(tonic, minor)
@@ -193,7 +191,7 @@ def test_all_notes_belong_to_the_key_and_it_ends_on_the_tonic(
 
 @few
 @given(difficulties, seeds)
-def test_scales_run_through_the_key_and_its_relative(difficulty: int, seed: int) -> None:
+def test_scales_run_through_the_key_and_its_relative(difficulty, seed):
     score = make_etude("scales", difficulty, seed)
     tonic, minor = tonic_and_minor(score)
     relative = (tonic + (3 if minor else -3)) % 12
@@ -204,7 +202,7 @@ def test_scales_run_through_the_key_and_its_relative(difficulty: int, seed: int)
 
 @few
 @given(seeds, st.integers(1, 4), st.sampled_from([4, 7]))
-def test_progressions_end_with_a_cadence(seed: int, phrases: int, length: int) -> None:
+def test_progressions_end_with_a_cadence(seed, phrases, length):
     chords = progression(np.random.default_rng(seed), phrases, length)
     roots = [chord.root for chord in chords]
     assert roots[0] == 0
@@ -232,7 +230,7 @@ def perfect_parallels(score: Score) -> list[tuple[list[int], list[int]]]:
 
 @few
 @given(difficulties, seeds)
-def test_chorales_have_no_parallel_fifths_or_octaves(difficulty: int, seed: int) -> None:
+def test_chorales_have_no_parallel_fifths_or_octaves(difficulty, seed):
     score = make_etude("chorale", difficulty, seed)
     chords = verticals(score)
     assert {len(chord) for chord in chords} == {
@@ -247,7 +245,7 @@ def test_chorales_have_no_parallel_fifths_or_octaves(difficulty: int, seed: int)
 
 @few
 @given(difficulties, seeds)
-def test_two_voices_keep_the_rules_of_counterpoint(difficulty: int, seed: int) -> None:
+def test_two_voices_keep_the_rules_of_counterpoint(difficulty, seed):
     score = make_etude("counterpoint", difficulty, seed)
     moments = verticals(score)
     assert all(len(moment) == 2 for moment in moments)

@@ -340,7 +340,7 @@ def test_quantities_are_checked(value):
         Arrangement(expression=1.0, rules=ExpressionRules(phrase_arch=value))
 
 
-def test_an_arrangement_with_expression_is_the_performed_score() -> None:
+def test_an_arrangement_with_expression_is_the_performed_score():
     written = Arrangement().score("OdeToJoy")
     dose, rules = 0.5, ExpressionRules(phrase_arch=3.0)
     expected = performed(written, dose, rules)
@@ -348,17 +348,17 @@ def test_an_arrangement_with_expression_is_the_performed_score() -> None:
     assert expected != performed(written, dose) != written
 
 
-def test_a_beginning_is_that_of_the_whole_performance() -> None:
+def test_a_beginning_is_that_of_the_whole_performance():
     whole = Arrangement(expression=1.0).score("OdeToJoy")
     part = Arrangement(expression=1.0, first_seconds=5.0).score("OdeToJoy")
     assert part == whole.beginning(5.0)
 
 
-def test_rules_without_expression_are_refused() -> None:
+def test_rules_without_expression_are_refused():
     with pytest.raises(CadenzaError, match="give --expression 1"):
         Arrangement(rules=ExpressionRules(melody_lead=2.0))
 
 
-def test_expression_out_of_range_is_refused() -> None:
+def test_expression_out_of_range_is_refused():
     with pytest.raises(CadenzaError, match="expression -1: choose 0 to 10"):
         Arrangement(expression=-1)

@@ -46,14 +46,14 @@ def folder(tmp_path: Path) -> Path:
     return place
 
 
-def test_karaoke_and_wrapped_midi_files_are_listed(tmp_path: Path) -> None:
+def test_karaoke_and_wrapped_midi_files_are_listed(tmp_path):
     for name in ("song.mid", "sung.kar", "wrapped.RMI"):
         write_midi(TUNE, tmp_path / name)
     names = [Path(song.name).name for song in open_library(tmp_path).songs]
     assert names == ["song.mid", "sung.kar", "wrapped.RMI"]
 
 
-def test_names_are_safe_and_unique_and_facts_come_along(folder: Path) -> None:
+def test_names_are_safe_and_unique_and_facts_come_along(folder):
     imported = import_folder(folder, "mine")
     assert imported.left_out == []
     library = open_library("mine")
@@ -76,7 +76,7 @@ def test_names_are_safe_and_unique_and_facts_come_along(folder: Path) -> None:
     assert len(load_score("mine/sheet").notes) == 1
 
 
-def test_a_line_with_the_path_of_a_file_is_of_no_other_of_the_same_name(tmp_path: Path) -> None:
+def test_a_line_with_the_path_of_a_file_is_of_no_other_of_the_same_name(tmp_path):
     for name in ("one.mid", "a/one.mid"):
         write_midi(TUNE, tmp_path / name)
     (tmp_path / "index.csv").write_text("file,title,split\none.mid,First,train\n")
@@ -84,9 +84,7 @@ def test_a_line_with_the_path_of_a_file_is_of_no_other_of_the_same_name(tmp_path
         assert [song.split for song in library.songs] == ["", "train"]
 
 
-def test_what_cannot_be_read_is_left_out_and_said(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_read_is_left_out_and_said(folder, capsys):
     (folder / "bad.mid").write_bytes(b"MThd")
     (folder / "list.xml").write_text("<list/>")
     (folder / "a" / "one.fingering").write_text("0 99 1\n")
@@ -111,9 +109,7 @@ def test_what_cannot_be_read_is_left_out_and_said(
 @pytest.mark.parametrize(
     "error", [RecursionError("too deep"), MemoryError(), ValueError("4300 digits"), KeyError("a")]
 )
-def test_no_file_ends_an_import_whatever_it_causes(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
-) -> None:
+def test_no_file_ends_an_import_whatever_it_causes(folder, monkeypatch, error):
     read = read_score
 
     def fail(path: Path) -> Score:
@@ -130,9 +126,7 @@ def test_no_file_ends_an_import_whatever_it_causes(
     assert len(imported.rows) == 6
 
 
-def test_one_that_is_not_there_or_lies_elsewhere_loses_no_other(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_that_is_not_there_or_lies_elsewhere_loses_no_other(folder, monkeypatch):
     (folder / "away.mid").symlink_to(folder / "nowhere.mid")
     copy = shutil.copyfile
 
@@ -150,7 +144,7 @@ def test_one_that_is_not_there_or_lies_elsewhere_loses_no_other(
     assert len(imported.rows) == 6
 
 
-def test_importing_again(folder: Path, data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_importing_again(folder, data, capsys):
     again = ["import", "midi", str(folder), "--name", "mine", "--quiet"]
     main(again)
     kept = sorted(data.rglob("*.mid*"))
@@ -179,14 +173,7 @@ def test_importing_again(folder: Path, data: Path, capsys: pytest.CaptureFixture
         (["midi", "music/empty", "--name", "x"], "x: not one piece can be read; none is there"),
     ],
 )
-def test_imports_that_make_no_sense(
-    folder: Path,
-    data: Path,
-    arguments: list[str],
-    message: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_imports_that_make_no_sense(folder, data, arguments, message, capsys, monkeypatch):
     (folder / "empty").mkdir()
     monkeypatch.chdir(folder.parent)
     assert message in refused(capsys, "import", *arguments)
@@ -194,7 +181,7 @@ def test_imports_that_make_no_sense(
     assert not list(data.rglob("*.mid"))
 
 
-def test_a_thousand_songs_are_listed_at_once(data: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_thousand_songs_are_listed_at_once(data, capsys):
     """From the index alone: there are no files."""
     rows = ((f"files-0/song{i}.mid", {"title": f"Song {i}", "seconds": i}) for i in range(1000))
     write_index(data / "libraries" / "many" / "index.csv", rows)
@@ -205,7 +192,7 @@ def test_a_thousand_songs_are_listed_at_once(data: Path, capsys: pytest.CaptureF
     assert took < 0.3
 
 
-def test_progress_is_told_and_difficulty_kept(folder: Path) -> None:
+def test_progress_is_told_and_difficulty_kept(folder):
     told: list[tuple[int, int]] = []
 
     def tell(done: int, total: int) -> None:
@@ -217,16 +204,14 @@ def test_progress_is_told_and_difficulty_kept(folder: Path) -> None:
     assert (grades["Ode to Joy"], grades["First"]) == (13.0, 0.67)
 
 
-def test_folders_within_each_other_are_read_however_many_there_are(tmp_path: Path) -> None:
+def test_folders_within_each_other_are_read_however_many_there_are(tmp_path):
     for depth, name in (0, "tune.mid"), (60, "inner.mid"), (500, "innermost.mid"):
         write_midi(TUNE, tmp_path.joinpath(*["d"] * depth) / name)
     names = [Path(song.name).name for song in open_library(tmp_path).songs]
     assert sorted(names) == ["inner.mid", "innermost.mid", "tune.mid"]
 
 
-def test_a_line_for_each_file_whatever_it_is_called(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_line_for_each_file_whatever_it_is_called(folder, capsys):
     (folder / "a\nb\x1b[31m.mid").write_bytes(b"nothing")
     said = refused(capsys, "import", "midi", folder, "--name", "mine")
     assert "a\\nb\\x1b[31m.mid: not a MIDI file" in said

@@ -34,7 +34,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", ["bundled", "debug"])
-def test_bundled_songs_load_under_their_names(name: str) -> None:
+def test_bundled_songs_load_under_their_names(name):
     library = open_library(name)
     assert (library.name, library.splits) == (name, ())
     assert 5 <= len(library.songs) <= 24
@@ -48,7 +48,7 @@ def test_bundled_songs_load_under_their_names(name: str) -> None:
     assert all(song.seconds <= 20 for song in open_library("debug").songs)
 
 
-def test_a_folder_with_an_index(folder: Path) -> None:
+def test_a_folder_with_an_index(folder):
     library = open_library(folder)
     by_file = {Path(song.name).name: song for song in library.songs}
     one, two, three = (by_file.pop(name) for name in ("one.mid", "Two.MID", "three.mid"))
@@ -62,7 +62,7 @@ def test_a_folder_with_an_index(folder: Path) -> None:
     assert pickle.loads(pickle.dumps(two)).load() == TUNE
 
 
-def test_splits(folder: Path) -> None:
+def test_splits(folder):
     assert open_library(folder).splits == ("train", "valid")
     (song,) = open_library(f"{folder}:valid").songs
     assert song.composer == "Bert"
@@ -86,7 +86,7 @@ def test_splits(folder: Path) -> None:
         ("file\none\n\udcff\n", r"index\.csv:3: not text in UTF-8"),
     ],
 )
-def test_an_index_that_is_wrong_is_said_to_be(folder: Path, content: str, message: str) -> None:
+def test_an_index_that_is_wrong_is_said_to_be(folder, content, message):
     (folder / "index.csv").write_bytes(content.encode(errors="surrogateescape"))
     with pytest.raises(CadenzaError, match=message):
         open_library(folder)
@@ -94,9 +94,7 @@ def test_an_index_that_is_wrong_is_said_to_be(folder: Path, content: str, messag
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=60, deadline=None)
-def test_a_damaged_index_is_at_most_refused(
-    tmp_path_factory: pytest.TempPathFactory, seed: int
-) -> None:
+def test_a_damaged_index_is_at_most_refused(tmp_path_factory, seed):
     place = tmp_path_factory.mktemp("music")
     (place / "a.mid").write_bytes(b"")
     rows = b'file,title,seconds,notes\r\na.mid,"A, ""B""",1.5,3\r\nb,,,\r\n'
@@ -106,7 +104,7 @@ def test_a_damaged_index_is_at_most_refused(
         open_library(place)
 
 
-def test_etudes() -> None:
+def test_etudes():
     library = open_library("etudes:30:7")
     assert len({song.name for song in library.songs}) == len(library.songs) == 30
     assert library.songs == open_library("etudes:40:7").songs[:30]
@@ -127,7 +125,7 @@ def test_etudes() -> None:
         load_score("etudes/scales-3-" + 5000 * "9")
 
 
-def test_libraries_that_there_are_not(folder: Path) -> None:
+def test_libraries_that_there_are_not(folder):
     with pytest.raises(CadenzaError, match="no song library 'OdeToJoy': that is a song"):
         open_library("OdeToJoy")
     with pytest.raises(CadenzaError, match="no song library 'bundle': did you mean bundled"):
@@ -140,14 +138,14 @@ def test_libraries_that_there_are_not(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["etude-12", "repertoire-150"])
-def test_a_dataset_that_is_not_there_says_how_to_get_it(name: str) -> None:
+def test_a_dataset_that_is_not_there_says_how_to_get_it(name):
     assert name in libraries()
     for ask in (lambda: open_library(name), lambda: load_score(f"{name}/GolliwoggsCakewalk")):
         with pytest.raises(CadenzaError, match=r"https://.*`cadenza import pig FILE\.zip`"):
             ask()
 
 
-def test_the_list_of_libraries(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_of_libraries(capsys):
     main(["libraries"])
     said = capsys.readouterr()
     rows = {line.split()[0]: line.split()[1:3] for line in said.out.splitlines()}
@@ -156,7 +154,7 @@ def test_the_list_of_libraries(capsys: pytest.CaptureFixture[str]) -> None:
     assert said.err.count("\n") == 1
 
 
-def test_songs_are_listed_and_sorted(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_songs_are_listed_and_sorted(folder, capsys):
     main(["songs", "bundled", "--sort", "length"])
     lines = capsys.readouterr().out.splitlines()
     seconds = [float(line.split(" s ")[0].split()[-1]) for line in lines]

@@ -627,7 +627,7 @@ def test_a_score_of_hours_is_not_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_of_two_notes_at_the_same_moment_the_finger_that_is_known_is_kept() -> None:
+def test_of_two_notes_at_the_same_moment_the_finger_that_is_known_is_kept():
     known = Finger(0, 2)
     for fingers in ((None, known), (known, None), (known, Finger(1, 0))):
         doubled = [RawNote(0, 480, 60, 80, True, finger) for finger in fingers]
@@ -636,7 +636,7 @@ def test_of_two_notes_at_the_same_moment_the_finger_that_is_known_is_kept() -> N
 
 
 @pytest.mark.parametrize("known_first", [True, False])
-def test_of_two_notes_at_the_same_moment_an_end_that_is_known_is_kept(known_first: bool) -> None:
+def test_of_two_notes_at_the_same_moment_an_end_that_is_known_is_kept(known_first):
     doubled = [RawNote(0, 480, 60, 80, True), RawNote(0, 9600, 60, 90, False)]
     found = doubled if known_first else doubled[::-1]
     (note,), remarks = repaired_notes(found, Counter(), ())

@@ -112,7 +112,7 @@ def dataset(tmp_path: Path) -> Path:
 # A file of notes
 
 
-def test_a_file_of_notes() -> None:
+def test_a_file_of_notes():
     score = read_fingered(ONE.encode(), "f")
     assert score.notes == ONE_READ
     assert score.remarks == ()
@@ -128,7 +128,7 @@ def test_a_file_of_notes() -> None:
         ONE.replace("-5\n", "-5\t// weak\n").encode(),
     ],
 )
-def test_other_ways_to_write_the_same(content: bytes) -> None:
+def test_other_ways_to_write_the_same(content):
     assert read_fingered(content, "f").notes == ONE_READ
 
 
@@ -156,14 +156,14 @@ def test_other_ways_to_write_the_same(content: bytes) -> None:
         ("80\t0\t1\n", "80\t0\t\u0661\n", "finger '\u0661'; expected"),
     ],
 )
-def test_a_wrong_line_is_named(old: str, new: str, said: str) -> None:
+def test_a_wrong_line_is_named(old, new, said):
     assert old in ONE
     with pytest.raises(CadenzaError) as caught:
         read_fingered(ONE.replace(old, new, 1).encode(), "001-1_fingering.txt")
     assert str(caught.value).startswith(f"001-1_fingering.txt:2: {said}")
 
 
-def test_a_file_without_notes_is_refused() -> None:
+def test_a_file_without_notes_is_refused():
     with pytest.raises(CadenzaError, match=r"f:3: not text in UTF-8"):
         read_fingered(ONE.encode().replace(b"Ebb3", b"E\xff3"), "f")
     for nothing in (b"//Version\n", b""):
@@ -171,7 +171,7 @@ def test_a_file_without_notes_is_refused() -> None:
             read_fingered(nothing, "f")
 
 
-def test_the_finger_says_which_hand_plays_and_a_remark_that_the_channel_does_not() -> None:
+def test_the_finger_says_which_hand_plays_and_a_remark_that_the_channel_does_not():
     crossed = ONE.replace("80\t1\t-5", "80\t0\t-5")
     score = read_fingered(crossed.encode(), "f")
     assert score.notes == ONE_READ
@@ -190,13 +190,13 @@ fingered = (
 
 @given(fingered)
 @settings(max_examples=60, deadline=None)
-def test_what_is_written_is_read(score: Score) -> None:
+def test_what_is_written_is_read(score):
     assert read_fingered(text_of(score).encode(), "f").notes == score.notes
 
 
 @given(st.integers(0, 2**32 - 1), fingered)
 @settings(max_examples=150, deadline=None)
-def test_damage_is_at_most_refused(seed: int, score: Score) -> None:
+def test_damage_is_at_most_refused(seed, score):
     rng = np.random.default_rng(seed)
     content = text_of(score).encode()
     for _ in range(rng.integers(1, 4)):
@@ -209,7 +209,7 @@ def test_damage_is_at_most_refused(seed: int, score: Score) -> None:
 
 
 @pytest.mark.parametrize("packed", [False, True])
-def test_importing(dataset: Path, tmp_path: Path, packed: bool) -> None:
+def test_importing(dataset, tmp_path, packed):
     fingering(dataset, 2).rename(fingering(dataset, 2, 3))
     fingering(dataset, 2, 10).write_text(ONE.replace("C#4", "A0"))
     imported = import_pig(zipped(dataset, tmp_path / "pig.zip") if packed else dataset)
@@ -229,7 +229,7 @@ def test_importing(dataset: Path, tmp_path: Path, packed: bool) -> None:
         assert song.load().title == song.title
 
 
-def test_a_zip_file_of_the_files_themselves(dataset: Path, tmp_path: Path) -> None:
+def test_a_zip_file_of_the_files_themselves(dataset, tmp_path):
     with zipfile.ZipFile(tmp_path / "pig.zip", "w") as archive:
         for file in dataset.rglob("*.*"):
             archive.write(file, file.relative_to(dataset))
@@ -237,14 +237,14 @@ def test_a_zip_file_of_the_files_themselves(dataset: Path, tmp_path: Path) -> No
     assert len(import_pig(tmp_path / "pig.zip").rows) == 3
 
 
-def test_the_list_may_call_its_columns_otherwise(dataset: Path) -> None:
+def test_the_list_may_call_its_columns_otherwise(dataset):
     path = dataset / "List.csv"
     path.write_text(path.read_text().replace("ID,Composer,Piece", "No.,Composer,Title"))
     import_pig(dataset)
     assert open_library("repertoire-150").songs[0].title == "Invention No. 1, BWV 772"
 
 
-def test_the_twelve_etudes_are_found_however_their_titles_are_written(tmp_path: Path) -> None:
+def test_the_twelve_etudes_are_found_however_their_titles_are_written(tmp_path):
     titles = [
         *("Piano Sonata No. 14 Op. 27 No. 2, 1st mov.", "Waltz Op. 64 No. 2", *ETUDES),
     ]
@@ -271,13 +271,11 @@ def test_the_twelve_etudes_are_found_however_their_titles_are_written(tmp_path: 
 
 
 @pytest.mark.parametrize(("title", "name"), ETUDES.items())
-def test_pieces_are_called_as_in_the_published_benchmark(title: str, name: str) -> None:
+def test_pieces_are_called_as_in_the_published_benchmark(title, name):
     assert published_name(title) == name
 
 
-def test_damaged_files_are_left_out_and_said_to_be(
-    dataset: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_damaged_files_are_left_out_and_said_to_be(dataset, capsys):
     fingering(dataset, 2).write_text(ONE.replace("Ebb3", "Ehh3"))
     fingering(dataset, 7).unlink()
     fingering(dataset, 9).write_text(ONE)
@@ -306,7 +304,7 @@ def test_damaged_files_are_left_out_and_said_to_be(
         open_library("etude-12")
 
 
-def test_what_is_no_dataset_is_refused(tmp_path: Path, data: Path, dataset: Path) -> None:
+def test_what_is_no_dataset_is_refused(tmp_path, data, dataset):
     (tmp_path / "no.zip").write_bytes(b"PK nothing")
     (tmp_path / "empty").mkdir()
     (tmp_path / "other").mkdir()
@@ -326,7 +324,7 @@ def test_what_is_no_dataset_is_refused(tmp_path: Path, data: Path, dataset: Path
     assert not [path for path in data.rglob("*") if not path.name.startswith(".")][1:]
 
 
-def test_a_zip_file_that_would_fill_the_disk_is_not_unpacked(dataset: Path, tmp_path: Path) -> None:
+def test_a_zip_file_that_would_fill_the_disk_is_not_unpacked(dataset, tmp_path):
     os.truncate(fingering(dataset, 2), 300 * 2**20)
     path = zipped(dataset, tmp_path / "pig.zip")
     with pytest.raises(CadenzaError, match="neither a folder nor a readable ZIP file"):
@@ -338,9 +336,7 @@ def test_a_zip_file_that_would_fill_the_disk_is_not_unpacked(dataset: Path, tmp_
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=40, deadline=None)
-def test_a_damaged_zip_file_is_at_most_refused(
-    tmp_path_factory: pytest.TempPathFactory, seed: int
-) -> None:
+def test_a_damaged_zip_file_is_at_most_refused(tmp_path_factory, seed):
     folder = tmp_path_factory.mktemp("zip")
     path = zipped(make(folder, {1: ("A", "B"), 2: ("C", "D")}), folder / "pig.zip")
     rng = np.random.default_rng(seed)
@@ -352,7 +348,7 @@ def test_a_damaged_zip_file_is_at_most_refused(
 # Interrupted
 
 
-def test_an_import_that_fails_leaves_what_was_there(dataset: Path, data: Path) -> None:
+def test_an_import_that_fails_leaves_what_was_there(dataset, data):
     import_pig(dataset)
     files = sorted(data.rglob("*"))
 
@@ -367,7 +363,7 @@ def test_an_import_that_fails_leaves_what_was_there(dataset: Path, data: Path) -
 
 
 @pytest.mark.parametrize("again", [False, True])
-def test_a_killed_import_leaves_nothing_half(dataset: Path, data: Path, again: bool) -> None:
+def test_a_killed_import_leaves_nothing_half(dataset, data, again):
     if again:
         import_pig(dataset)
     code = (

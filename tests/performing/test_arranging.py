@@ -59,14 +59,12 @@ def piano(score: Score) -> Score:
         (piano(Score(tuple(Note(0.0, 1.0, pitch) for pitch in range(40, 72)))), 1.0, True),
     ],
 )
-def test_a_song_is_arranged_where_much_would_be_missed(
-    score: Score, stretch: float, arranged: bool
-) -> None:
+def test_a_song_is_arranged_where_much_would_be_missed(score, stretch, arranged):
     task, source = replace(TASK, stretch=stretch), load(score, Arrangement())
     assert (arranged_for(source, SCENE, task) is not None) == arranged
 
 
-def test_what_no_finger_plays_is_foreseen_to_be_missed() -> None:
+def test_what_no_finger_plays_is_foreseen_to_be_missed():
     """Ten fingers and twelve keys; then a hand that leaps four octaves in a tenth of a second."""
     (track,) = prepare_tracks([Score(tuple(Note(0, 1, p) for p in range(60, 72)))], TASK, SCENE)
     assert foreseen_misses(track) == pytest.approx(len(track.fingered().dropped or ()) / 12)

@@ -37,18 +37,18 @@ def song(*notes: Note, **arrangement: Any) -> LoadedSong:
         ({"configs": {PLANNER: PlannerConfig(iterations=0)}}, "iterations 0"),
     ],
 )
-def test_who_cannot_play_is_told(given: dict[str, Any], message: str) -> None:
+def test_who_cannot_play_is_told(given, message):
     with pytest.raises(CadenzaError, match=message):
         find_player(**given)
 
 
-def test_the_planner_plays_by_default_with_its_options() -> None:
+def test_the_planner_plays_by_default_with_its_options():
     player = find_player(configs={PLANNER: PlannerConfig(iterations=3)})
     assert (player.name, player.agent.config.iterations) == (PLANNER, 3)
     assert player.known(song(TREBLE)) is None
 
 
-def test_a_player_goes_to_another_task_and_another_scene() -> None:
+def test_a_player_goes_to_another_task_and_another_scene():
     policy = find_player("pretrained", "OdeToJoy")
     moved = policy.playing_in(None, SceneConfig(hands="right"))
     assert (moved.task, moved.scene.hands) == (policy.task, "right")
@@ -57,7 +57,7 @@ def test_a_player_goes_to_another_task_and_another_scene() -> None:
         policy.playing_in("fast", None)  # type: ignore[arg-type]
 
 
-def test_what_was_learnt_is_known_with_other_fingers_and_from_the_whole_song() -> None:
+def test_what_was_learnt_is_known_with_other_fingers_and_from_the_whole_song():
     player = replace(find_player(ZeroAgent()), scene=SceneConfig(hands="right"), song=song(TREBLE))
     fingered = song(replace(TREBLE, finger=Finger(RIGHT, 1)))
     assert player.known(fingered) is fingered

@@ -41,20 +41,20 @@ def said(
     ],
 )
 def test_an_option_is_named_that_helps_against_most_of_what_was_missed(
-    missed: Sequence[str], early: Sequence[str], f1: float, hands: str, arranged: bool, option: str
-) -> None:
+    missed, early, f1, hands, arranged, option
+):
     tip = said(missed, early, f1, hands, arranged)
     assert tip is not None
     assert tip.option == option
     assert str(tip).endswith(f" ({option})")
 
 
-def test_what_is_played_well_needs_no_advice() -> None:
+def test_what_is_played_well_needs_no_advice():
     assert said(["no finger"] * 9, EARLY, 0.93) is None
     assert said([], [], 0.5) is None  # who plays has no plan to tell by
 
 
-def test_advice_is_among_the_notices() -> None:
+def test_advice_is_among_the_notices():
     """Of a chord of twelve keys, the hands have fingers for ten."""
     chords = tuple(Note(at, at + 0.4, pitch) for at in (0.0, 0.5) for pitch in range(60, 72))
     played = play(Score(chords))
@@ -97,7 +97,5 @@ def heard(*changed: Note, late: float = 0.0, louder: int = 0, first: int = 0) ->
         (Score(()), "0 of 10 notes in time (within 50 ms), 10 missed."),
     ],
 )
-def test_a_sentence_counts_notes_and_tells_of_time_and_loudness(
-    played: Score, sentence: str
-) -> None:
+def test_a_sentence_counts_notes_and_tells_of_time_and_loudness(played, sentence):
     assert verdict(played, WRITTEN, expressive_metrics(played, WRITTEN)) == sentence

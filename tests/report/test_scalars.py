@@ -2,7 +2,6 @@
 
 import re
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,9 +12,7 @@ from cadenza.installing import install_line
 from cadenza.report.scalars import TensorBoard, WeightsAndBiases
 
 
-def test_a_run_of_weights_and_biases_goes_by_its_id(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_of_weights_and_biases_goes_by_its_id(tmp_path, monkeypatch):
     """And not by the name of its folder, which others have too."""
     asked: list[dict[str, Any]] = []
     logged: list[dict[str, float]] = []
@@ -37,7 +34,7 @@ def test_a_run_of_weights_and_biases_goes_by_its_id(
     assert logged == [{"seconds": 1.0, "control_steps": 5}]
 
 
-def test_nobody_knows_the_name_of_the_next_file(tmp_path: Path) -> None:
+def test_nobody_knows_the_name_of_the_next_file(tmp_path):
     """It would be written through a link of that name."""
     for _ in range(3):
         TensorBoard(tmp_path, 0).close()
@@ -45,9 +42,7 @@ def test_nobody_knows_the_name_of_the_next_file(tmp_path: Path) -> None:
     assert len({name.rsplit(".", 1)[1] for name in names}) == 3
 
 
-def test_packages_that_are_missing_are_told_with_how_to_install_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_packages_that_are_missing_are_told_with_how_to_install_them(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboardX", None)  # importing it fails
     with pytest.raises(CadenzaError, match=f"training needs .*{re.escape(install_line('train'))}"):
         TensorBoard(tmp_path, 0)

@@ -33,7 +33,7 @@ def song(num_bars: int, title: str = "A (short) song by Dvořák") -> Score:
     return Score(tuple(notes), title=title, bars=bars)
 
 
-def test_a_page_has_title_composer_and_the_finger_of_each_note(tmp_path) -> None:
+def test_a_page_has_title_composer_and_the_finger_of_each_note(tmp_path):
     write_pdf(song(4), tmp_path / "a.pdf", "Antonín")
     (page,) = pages_of(tmp_path / "a.pdf")
     texts = re.findall(r"Tm \((.*)\) Tj", page)
@@ -43,7 +43,7 @@ def test_a_page_has_title_composer_and_the_finger_of_each_note(tmp_path) -> None
 
 
 @pytest.mark.parametrize("num_bars", range(60, 90, 3))
-def test_pages_are_numbered_and_none_ends_with_a_system_by_itself(tmp_path, num_bars: int) -> None:
+def test_pages_are_numbered_and_none_ends_with_a_system_by_itself(tmp_path, num_bars):
     write_pdf(song(num_bars), tmp_path / "a.pdf")
     pages = pages_of(tmp_path / "a.pdf")
     assert len(pages) > 1

@@ -23,13 +23,13 @@ def read(path: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["wav", "flac"])
-def test_a_file_without_loss_has_every_sample(tmp_path: Path, kind: str) -> None:
+def test_a_file_without_loss_has_every_sample(tmp_path, kind):
     audio = synthesize(SCORE)
     write_sound(tmp_path / f"a.{kind}", audio)
     assert np.array_equal(read(tmp_path / f"a.{kind}"), audio[:])
 
 
-def test_an_mp3_sounds_alike(tmp_path: Path) -> None:
+def test_an_mp3_sounds_alike(tmp_path):
     audio = synthesize(SCORE)
     write_sound(tmp_path / "A.MP3", audio)
     heard = read(tmp_path / "A.MP3")
@@ -46,7 +46,7 @@ class TestSoundFont:
         path.write_bytes(sine_font())
         return path
 
-    def test_notes_sound_with_its_waves(self, font: Path) -> None:
+    def test_notes_sound_with_its_waves(self, font):
         high, low = Note(0, 1.0, 69), Note(0, 1.0, 57)
         for note, frequency in (high, 440), (low, 220):
             sound = synthesize(Score((note,)), voice=font_tone(font))[: SAMPLE_RATE // 2][:, 0]
@@ -55,7 +55,7 @@ class TestSoundFont:
             # The piano's second partial is a tenth of the first and more; a sine has none.
             assert spectrum[2 * frequency] < 0.02 * spectrum[frequency]
 
-    def test_harder_is_louder_and_a_note_ends_where_its_key_is_released(self, font: Path) -> None:
+    def test_harder_is_louder_and_a_note_ends_where_its_key_is_released(self, font):
         score = Score((Note(0, 0.5, 69, 40), Note(2, 2.5, 69, 120)))
         sound = synthesize(score, voice=font_tone(font))[:][:, 0].astype(float)
         soft, silence, loud = (
@@ -64,7 +64,7 @@ class TestSoundFont:
         assert loud > 3 * soft > 100 * silence
 
     @pytest.mark.parametrize("content", [b"", b"RIFF", b"MThd" + bytes(100)])
-    def test_what_is_no_sound_font_is_refused(self, font: Path, content: bytes) -> None:
+    def test_what_is_no_sound_font_is_refused(self, font, content):
         font.write_bytes(content)
         with pytest.raises(CadenzaError, match=r"sine.sf2: is no sound font; choose an .sf2 file"):
             font_tone(font)

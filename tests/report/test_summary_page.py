@@ -53,7 +53,7 @@ class Links(HTMLParser):
 
 
 @pytest.mark.parametrize("place", ["results", "far/away"])
-def test_every_page_that_was_kept_is_reached(index: Path, place: str) -> None:
+def test_every_page_that_was_kept_is_reached(index, place):
     bench = index.parent.parent
     page = written(bench, bench / place)
     targets = [target for target in Links(page).targets if target != "runs.csv"]
@@ -61,7 +61,7 @@ def test_every_page_that_was_kept_is_reached(index: Path, place: str) -> None:
     assert all((page.parent / unquote(target)).exists() for target in targets)
 
 
-def test_the_page_says_what_its_figures_mean_and_what_is_missing(index: Path) -> None:
+def test_the_page_says_what_its_figures_mean_and_what_is_missing(index):
     shown = words(index.read_text())
     assert "A step in which nothing should sound and nothing does counts as 1" in shown
     assert "1 run cannot be read, and is left out." in shown
@@ -69,7 +69,7 @@ def test_the_page_says_what_its_figures_mean_and_what_is_missing(index: Path) ->
         assert group in shown
 
 
-def test_the_table_has_the_means_of_each_piece_and_agent(tmp_path: Path) -> None:
+def test_the_table_has_the_means_of_each_piece_and_agent(tmp_path):
     for piece, agent, seed, f1 in (("a", "one", 0, 0.5), ("a", "one", 1, 0.7), ("b", "two", 0, 1)):
         name = f"{piece} {agent} {seed}"
         write_result(tmp_path, name, result(piece, agent, seed, {"f1": f1}, title=f"Piece {piece}"))
@@ -78,13 +78,13 @@ def test_the_table_has_the_means_of_each_piece_and_agent(tmp_path: Path) -> None
     assert "Piece b made-up 3.0 20 60 two – – 1.000 –" in shown
 
 
-def test_the_page_stands_alone(index: Path) -> None:
+def test_the_page_stands_alone(index):
     text = index.read_text().replace("http://www.w3.org/2000/svg", "")
     assert not re.search(r"https?://|src=|<link rel=\"stylesheet|@import|url\(", text)
     assert "{{" not in text
 
 
-def test_words_of_others_are_escaped(tmp_path: Path) -> None:
+def test_words_of_others_are_escaped(tmp_path):
     song = {"title": BAD, "composer": BAD, "library": BAD}
     for i, name in enumerate((BAD, "..")):
         content = result(name, BAD, 0, {"f1": 0.5}, **song)
@@ -96,14 +96,14 @@ def test_words_of_others_are_escaped(tmp_path: Path) -> None:
     assert "run%200%20%23--" in page
 
 
-def test_a_single_run_makes_a_page(tmp_path: Path) -> None:
+def test_a_single_run_makes_a_page(tmp_path):
     write_result(tmp_path, "only", result("a", "planner", 0, {"f1": 0.5}))
     shown = words(written(tmp_path).read_text())
     assert "planner – – 0.500 –" in shown
     assert "nan" not in shown.lower()
 
 
-def test_the_figure_has_a_bar_for_every_piece_and_agent(index: Path, tmp_path: Path) -> None:
+def test_the_figure_has_a_bar_for_every_piece_and_agent(index, tmp_path):
     write_figure(tmp_path / "f.svg", summarize(read_results(index.parent.parent), "x"))
     picture = ET.parse(tmp_path / "f.svg").getroot()
     bars = [element for element in picture.iter() if element.get("class") == "bar"]
@@ -113,7 +113,7 @@ def test_the_figure_has_a_bar_for_every_piece_and_agent(index: Path, tmp_path: P
     assert {"planner", "ilqg"} <= {text.text for text in picture.iter() if text.text}
 
 
-def test_the_figure_of_one_piece_has_a_bar_for_every_agent(tmp_path: Path) -> None:
+def test_the_figure_of_one_piece_has_a_bar_for_every_agent(tmp_path):
     for agent, f1 in (("low", 0.25), ("high", 0.75)):
         write_result(tmp_path, agent, result("a", agent, 0, {"f1": f1}))
     write_figure(tmp_path / "f.svg", summarize(read_results(tmp_path), "x"))
@@ -143,9 +143,7 @@ def column(browser: Browser, number: int) -> list[str]:
 
 @pytest.mark.slow
 @needs_chromium
-def test_the_table_is_sorted_by_a_click_and_backwards_by_another(
-    browser: Browser, index: Path
-) -> None:
+def test_the_table_is_sorted_by_a_click_and_backwards_by_another(browser, index):
     opened(browser, index)
     assert browser.evaluate("document.querySelector('.rows [aria-sort]')") is None
     sort = "document.querySelectorAll('.rows thead button')[{}].click()"
@@ -164,7 +162,7 @@ def test_the_table_is_sorted_by_a_click_and_backwards_by_another(
 @pytest.mark.slow
 @needs_chromium
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_page_fits_every_screen(browser: Browser, index: Path, scheme: str) -> None:
+def test_the_page_fits_every_screen(browser, index, scheme):
     feature = {"name": "prefers-color-scheme", "value": scheme}
     browser.call("Emulation.setEmulatedMedia", features=[feature])
     for width, height in SIZES:
@@ -175,7 +173,7 @@ def test_the_page_fits_every_screen(browser: Browser, index: Path, scheme: str) 
 
 @pytest.mark.slow
 @needs_chromium
-def test_a_large_bench_is_drawn_and_opened_quickly(browser: Browser, tmp_path: Path) -> None:
+def test_a_large_bench_is_drawn_and_opened_quickly(browser, tmp_path):
     write_bench(tmp_path, pieces=150, agents=AGENTS, seeds=3)
     began = time.process_time()
     index = written(tmp_path)

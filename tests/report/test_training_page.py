@@ -78,28 +78,28 @@ def assert_drawn(drawn: Sequence[tuple[float, float]], expected: Sequence) -> No
     np.testing.assert_allclose(drawn, expected, rtol=1e-5)
 
 
-def test_f1_is_drawn_at_the_steps_that_its_policies_are_of(written) -> None:
+def test_f1_is_drawn_at_the_steps_that_its_policies_are_of(written):
     page = written(RUN)
     assert_drawn(lines(page, STEPS)["run0"], list(F1.items()))
     onsets = [(step, 0.8 * f1) for step, f1 in F1.items()]
     assert_drawn(lines(page, "Note onset F1")["run0"], onsets)
 
 
-def test_what_is_not_known_is_left_out(written) -> None:
+def test_what_is_not_known_is_left_out(written):
     page = written(RUN)
     assert_drawn(lines(page, "Return")["run0"], [(1000, 3), (3000, 5), (4000, 7)])
     assert_drawn(lines(page, "Value")["run0"], [(3000, -2), (4000, 9), (5000, 11.5)])
     assert "Entropy" not in charts(page)
 
 
-def test_the_critics_loss_is_drawn_by_its_logarithm(written) -> None:
+def test_the_critics_loss_is_drawn_by_its_logarithm(written):
     page = written(RUN)
     assert charts(page)["Critic loss"]["y"] == "log"
     drawn = lines(page, "Critic loss")["run0"]
     assert_drawn(drawn, [(2000, 7), (3000, 0.5), (4000, 0.03), (5000, 0.003)])
 
 
-def test_the_mean_of_runs_is_drawn_where_all_of_them_are(written) -> None:
+def test_the_mean_of_runs_is_drawn_where_all_of_them_are(written):
     early = Curve("early", [evaluation(s + 1000, s, f) for s, f in ((1000, 0.2), (3000, 0.6))])
     late = Curve("late", [evaluation(s + 1000, s, f) for s, f in ((2000, 0.8), (4000, 1.0))])
     unborn = Curve("without an evaluation", [learning(1000)])
@@ -110,7 +110,7 @@ def test_the_mean_of_runs_is_drawn_where_all_of_them_are(written) -> None:
     assert "mean" not in lines(written(early, unborn), STEPS)
 
 
-def test_runs_of_several_songs_are_left_apart(written) -> None:
+def test_runs_of_several_songs_are_left_apart(written):
     low, high = (
         Curve(f"joy {i}", [evaluation(s + 1000, s, f1) for s in (1000, 3000)], "joy")
         for i, f1 in ((0, 0.2), (1, 0.6))
@@ -127,12 +127,12 @@ def test_runs_of_several_songs_are_left_apart(written) -> None:
     assert "Evaluation joy elise F1" in words(page)  # the legend
 
 
-def test_the_page_of_a_run_that_goes_on_loads_itself_anew(written) -> None:
+def test_the_page_of_a_run_that_goes_on_loads_itself_anew(written):
     assert "location.reload()" in written(RUN, running=True)
     assert "location.reload()" not in written(RUN)
 
 
-def test_huge_values_neither_hang_nor_hide_the_others(written) -> None:
+def test_huge_values_neither_hang_nor_hide_the_others(written):
     rows = [learning(s, value=1.0 * s, critic_loss=0.1) for s in (1000, 2000)]
     for huge in (1e308, -1e308, math.inf, 1e29):
         rows.append(learning(2500, value=huge))
@@ -143,18 +143,18 @@ def test_huge_values_neither_hang_nor_hide_the_others(written) -> None:
     assert "wild" in written(Curve("wild", [{"step": 1e250}]))
 
 
-def test_without_an_evaluation(written) -> None:
+def test_without_an_evaluation(written):
     page = written(Curve("begun", [learning(1000, value=2.0)]))
     assert "No evaluation yet." in words(page)
     assert_drawn(lines(page, "Value")["run0"], [(1000, 2)])
 
 
 @pytest.mark.parametrize("rows", [[], [{"step": 0}]])
-def test_a_run_that_has_just_begun(written, rows: list[Row]) -> None:
+def test_a_run_that_has_just_begun(written, rows):
     assert "No evaluation yet." in words(written(Curve("begun", rows), Curve("too", rows)))
 
 
-def test_what_stays_the_same_is_a_level_line(written) -> None:
+def test_what_stays_the_same_is_a_level_line(written):
     rows = [learning(s, value=0.3, critic_loss=0.0, temperature=1.0) for s in (1000, 2000)]
     page = written(Curve("still", rows))
     assert_drawn(lines(page, "Value")["run0"], [(1000, 0.3), (2000, 0.3)])
@@ -162,14 +162,14 @@ def test_what_stays_the_same_is_a_level_line(written) -> None:
     assert "Critic loss" not in charts(page)  # a logarithm has no zero
 
 
-def test_scores_are_drawn_from_0_to_1(written) -> None:
+def test_scores_are_drawn_from_0_to_1(written):
     row = evaluation(2000, 1000, 0.0) | {"eval/note_onset_f1": 0.0, "episodes/f1": 0.3}
     page = written(Curve("begun", [row]))
     for title in ("Note onset F1", "F1 of training episodes"):
         assert charts(page)[title]["y"] == "share"
 
 
-def test_long_runs_make_a_small_page_that_still_shows_them(written) -> None:
+def test_long_runs_make_a_small_page_that_still_shows_them(written):
     rng = np.random.default_rng(0)
     steps = 100 * np.arange(1, 50_001)
     truth = np.sin(steps / 1e6)
@@ -188,7 +188,7 @@ def test_long_runs_make_a_small_page_that_still_shows_them(written) -> None:
     assert np.abs(y - np.interp(x, steps, truth)).max() < 0.15
 
 
-def test_words_of_others_are_escaped(written) -> None:
+def test_words_of_others_are_escaped(written):
     bad = '<i>"&'
     page = written(
         Curve(bad, RUN.rows),
@@ -203,7 +203,7 @@ def test_words_of_others_are_escaped(written) -> None:
     assert {line["name"] for line in charts(page)[STEPS]["lines"]} > {bad}
 
 
-def test_settings_and_links(written) -> None:
+def test_settings_and_links(written):
     settings = {"learner": {"rate": 3e-4, "sizes": [256, 256]}, "residual": True, "limit": None}
     page = written(RUN, settings=settings, links={"the best": "best/report.html"})
     assert "Settings learner.rate 0.0003 learner.sizes 256, 256 residual True" in words(page)
@@ -212,7 +212,7 @@ def test_settings_and_links(written) -> None:
     assert "<details" not in written(RUN)
 
 
-def test_the_page_stands_alone(written) -> None:
+def test_the_page_stands_alone(written):
     page = written(RUN, RUN)
     assert not re.search(r"https?://|src=|<link rel=\"stylesheet|@import|url\(", page)
     assert "{{" not in page
@@ -237,9 +237,7 @@ VALUES = (
 
 @pytest.mark.slow
 @needs_chromium
-def test_values_show_under_the_pointer_the_finger_and_by_keys(
-    written, browser: Browser, tmp_path: Path
-) -> None:
+def test_values_show_under_the_pointer_the_finger_and_by_keys(written, browser, tmp_path):
     low = Curve("low", [evaluation(s + 1000, s, f1) for s, f1 in ((1000, 0.2), (3000, 0.4))])
     high = Curve("high", [evaluation(s + 1000, s, f1) for s, f1 in ((2000, 0.9), (4000, 0.7))])
     written(low, high)
@@ -287,7 +285,7 @@ def press(browser: Browser, key: str) -> None:
 
 @pytest.mark.slow
 @needs_chromium
-def test_labels_do_not_overlap_on_any_screen(written, browser: Browser, tmp_path: Path) -> None:
+def test_labels_do_not_overlap_on_any_screen(written, browser, tmp_path):
     names = ("actor_loss", "policy_loss", "value", "entropy", "kl")
     sizes = dict(zip(names, (1e-29, -1e-9, -12.3, 1e9, 1e29), strict=True))
     wild = [learning(9, **{name: 0.7 * size for name, size in sizes.items()})]
@@ -306,7 +304,7 @@ def test_labels_do_not_overlap_on_any_screen(written, browser: Browser, tmp_path
 
 @pytest.mark.slow
 @needs_chromium
-def test_labels_are_as_people_say_them(written, browser: Browser, tmp_path: Path) -> None:
+def test_labels_are_as_people_say_them(written, browser, tmp_path):
     rows = [evaluation(s, s, 0.5, **{"return": s / 1e7 - 0.4}) for s in (10_000, 900_000)]
     rows += [learning(s, critic_loss=loss) for s, loss in ((10_000, 0.003), (900_000, 7.0))]
     written(Curve("a day", rows))
@@ -321,8 +319,8 @@ def test_labels_are_as_people_say_them(written, browser: Browser, tmp_path: Path
 @pytest.mark.slow
 @needs_chromium
 def test_curves_are_where_their_axes_say_and_change_with_the_colour_scheme(
-    written, browser: Browser, tmp_path: Path
-) -> None:
+    written, browser, tmp_path
+):
     rows = [learning(s, value=v) for s, v in ((0, 0.0), (1000, 8.0), (2000, 0.0))]
     written(Curve("a peak", rows))
     for scheme, colour in (("light", (0x2F, 0x5B, 0xD7)), ("dark", (0x86, 0xA8, 0xFF))):

@@ -26,12 +26,12 @@ def scene(request: pytest.FixtureRequest) -> Scene:
     return build_scene(SceneConfig(hands=request.param))
 
 
-def test_is_plain_json(scene: Scene) -> None:
+def test_is_plain_json(scene):
     drawn = drawing(scene)
     assert json.loads(json.dumps(drawn, allow_nan=False)) == drawn
 
 
-def test_geoms_are_fixed_to_bodies_that_there_are(scene: Scene) -> None:
+def test_geoms_are_fixed_to_bodies_that_there_are(scene):
     drawn = drawing(scene)
     assert drawn["bodies"] == [scene.model.body(b).name for b in scene.hand_bodies]
     moving = {part["body"] for part in (*drawn["geoms"], *drawn["shells"])}
@@ -44,7 +44,7 @@ def test_geoms_are_fixed_to_bodies_that_there_are(scene: Scene) -> None:
         assert_allclose(np.linalg.norm(geom["quat"]), 1.0, atol=1e-5)
 
 
-def test_each_finger_has_a_tip(scene: Scene) -> None:
+def test_each_finger_has_a_tip(scene):
     drawn = drawing(scene)
     tips = {
         s["finger"]: drawn["bodies"][s["body"]] for s in drawn["shells"] if s["finger"] is not None
@@ -56,7 +56,7 @@ def test_each_finger_has_a_tip(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("hand", ["shadow", "allegro", "allegro-narrow", "arm-allegro"])
-def test_fingertips_are_drawn_where_they_touch(hand: str) -> None:
+def test_fingertips_are_drawn_where_they_touch(hand):
     scene = build_scene(SceneConfig(hand=hand, primitive_fingertips=True))
     drawn, model = drawing(scene), scene.model
     for number, body in enumerate(scene.hand_bodies):
@@ -72,7 +72,7 @@ def test_fingertips_are_drawn_where_they_touch(hand: str) -> None:
         assert highest == pytest.approx(max(ends) + radius, abs=5e-4)
 
 
-def test_hands_of_a_model_for_drawing_move_as_those_that_play() -> None:
+def test_hands_of_a_model_for_drawing_move_as_those_that_play():
     scene = build_scene()
     model = drawn_model(scene)
     assert (model.nq, model.nu) == (scene.model.nq, scene.model.nu)
@@ -84,7 +84,7 @@ def test_hands_of_a_model_for_drawing_move_as_those_that_play() -> None:
     assert_allclose(ours.site_xpos, theirs.site_xpos, atol=1e-12)
 
 
-def test_keys_lie_where_the_simulation_has_them(scene: Scene) -> None:
+def test_keys_lie_where_the_simulation_has_them(scene):
     keys, model = drawing(scene)["keys"], scene.model
     assert len(keys) == PIANO.num_keys
     assert sum(key["black"] for key in keys) == 36
@@ -100,7 +100,7 @@ def test_keys_lie_where_the_simulation_has_them(scene: Scene) -> None:
         assert_allclose(key["travel"], model.jnt_range[joint, 1], atol=1e-6)
 
 
-def test_poses_put_the_fingertips_where_they_were_recorded(scene: Scene) -> None:
+def test_poses_put_the_fingertips_where_they_were_recorded(scene):
     with np.load(EPISODE) as file:
         of_side = [n[:3] in prefixes(scene) for n in file["hand_joint_names"]]
         qpos = file["hand_qpos"][::10, of_side]
@@ -116,7 +116,7 @@ def test_poses_put_the_fingertips_where_they_were_recorded(scene: Scene) -> None
             assert_allclose(xpos[t, body] + offset, tips[t, i], rtol=0, atol=1e-6)
 
 
-def test_poses_are_those_of_mujoco(scene: Scene) -> None:
+def test_poses_are_those_of_mujoco(scene):
     with np.load(EPISODE) as file:
         of_side = [n[:3] in prefixes(scene) for n in file["hand_joint_names"]]
         qpos = file["hand_qpos"][::50, of_side]
@@ -133,13 +133,13 @@ def prefixes(scene: Scene) -> tuple[str, ...]:
     return tuple("rh_" if side == "right" else "lh_" for side in scene.sides)
 
 
-def test_nothing_to_draw_of_hands_that_are_not_there() -> None:
+def test_nothing_to_draw_of_hands_that_are_not_there():
     xpos, xquat = body_poses(build_scene(SceneConfig(hands="none")), np.zeros((4, 0)))
     assert xpos.shape == (4, 0, 3)
     assert xquat.shape == (4, 0, 4)
 
 
-def test_a_link_that_is_called_like_a_key_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_link_that_is_called_like_a_key_is_drawn(monkeypatch):
     ball = Geom("sphere", (0.0123,))
     link = Link("low_key_finger", "palm", (0, 0, 0), 0.1, (0, 0, 0), (1e-4,) * 3, geoms=(ball,))
     hand = replace(SHADOW, body=replace(SHADOW.body, links=(*SHADOW.body.links, link)))

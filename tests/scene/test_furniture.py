@@ -4,7 +4,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from cadenza.keyboards.keyboard import Keyboard
 from cadenza.keyboards.mini import MINI
 from cadenza.keyboards.piano import PIANO
 from cadenza.scene.config import SceneConfig
@@ -14,7 +13,7 @@ from cadenza.scene.scene import build_scene
 
 
 @pytest.mark.parametrize("keyboard", [PIANO, MINI], ids=lambda keyboard: keyboard.name)
-def test_keys_go_down_without_touching_the_case(keyboard: Keyboard) -> None:
+def test_keys_go_down_without_touching_the_case(keyboard):
     front = keyboard.centre + keyboard.half_size
     for piece in furniture(keyboard):
         if piece.slope:
@@ -26,7 +25,7 @@ def test_keys_go_down_without_touching_the_case(keyboard: Keyboard) -> None:
         assert (beside | before | below | behind).all()
 
 
-def test_the_case_is_around_the_whole_keyboard() -> None:
+def test_the_case_is_around_the_whole_keyboard():
     for keyboard in (PIANO, MINI):
         ends = [abs(piece.pos[1]) + piece.half_size[1] for piece in furniture(keyboard)]
         assert keyboard.half_length < max(ends) < keyboard.half_length + 0.06
@@ -35,7 +34,7 @@ def test_the_case_is_around_the_whole_keyboard() -> None:
 @pytest.mark.parametrize(
     "options", [{}, {"hand": "allegro", "keyboard": "mini", "hands": "right", "hand_spacing": 0}]
 )
-def test_what_is_only_drawn_touches_nothing(options: dict) -> None:
+def test_what_is_only_drawn_touches_nothing(options):
     scene = build_scene(SceneConfig(**options))
     drawn = drawn_model(scene)
     keys = key_geoms(drawn, scene)

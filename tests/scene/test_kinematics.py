@@ -14,7 +14,7 @@ CONFIGS = [SceneConfig(), SceneConfig(hands="left"), SceneConfig(reduced_action_
 
 
 @pytest.mark.parametrize("config", CONFIGS, ids=["both", "left", "full"])
-def test_fingertips_and_their_jacobian_are_mujocos(config: SceneConfig) -> None:
+def test_fingertips_and_their_jacobian_are_mujocos(config):
     scene = build_scene(config)
     servos = servos_of(scene)
     postures = np.random.default_rng(0).uniform(servos.low, servos.high, (5, len(servos.low)))
@@ -40,7 +40,7 @@ def test_fingertips_and_their_jacobian_are_mujocos(config: SceneConfig) -> None:
     [*CONFIGS, SceneConfig(hand="allegro"), SceneConfig(hand="arm-allegro")],
     ids=["both", "left", "full", "allegro", "arm"],
 )
-def test_points_on_links_move_as_in_mujoco(config: SceneConfig) -> None:
+def test_points_on_links_move_as_in_mujoco(config):
     scene = build_scene(config)
     servos, rng = servos_of(scene), np.random.default_rng(2)
     kinematics = Kinematics(scene)
@@ -71,7 +71,7 @@ def test_points_on_links_move_as_in_mujoco(config: SceneConfig) -> None:
         np.testing.assert_allclose(found, expected[mine], atol=1e-12)
 
 
-def test_links_are_where_their_bodies_are() -> None:
+def test_links_are_where_their_bodies_are():
     scene = build_scene(SceneConfig(hands="right"))
     servos = servos_of(scene)
     posture = np.random.default_rng(1).uniform(servos.low, servos.high)
@@ -86,7 +86,7 @@ def test_links_are_where_their_bodies_are() -> None:
             )
 
 
-def test_servos_hold_what_the_model_says() -> None:
+def test_servos_hold_what_the_model_says():
     scene = build_scene()
     servos = servos_of(scene)
     by_name = dict(zip(servos.names, servos.stiffness, strict=True))
@@ -101,7 +101,7 @@ def test_servos_hold_what_the_model_says() -> None:
 
 
 @pytest.mark.parametrize("moving", ["forearm_tx", "FFJ0", "all"])
-def test_reaction_is_what_inverse_dynamics_say(moving: str) -> None:
+def test_reaction_is_what_inverse_dynamics_say(moving):
     """A forearm that speeds up pushes its hand: what that asks of the fingers' servos."""
     scene = build_scene(SceneConfig(hands="right"))
     scene.model.opt.gravity[:] = 0.0  # which the model compensates otherwise

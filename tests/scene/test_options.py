@@ -36,12 +36,12 @@ ROLLOUTS = {
 }
 
 
-def test_every_published_rollout_is_run() -> None:
+def test_every_published_rollout_is_run():
     assert ROLLOUTS.keys() == PUBLISHED["rollouts"]["cases"].keys()
 
 
 @pytest.mark.parametrize("case", ROLLOUTS)
-def test_moves_as_published(case: str) -> None:
+def test_moves_as_published(case):
     """Until the forearms touch, whose shells are a mesh there and a cylinder here."""
     scene = build_scene(ROLLOUTS[case])
     simulation = MujocoSimulation(scene, watch_forearms=True)
@@ -73,7 +73,7 @@ def in_published_order(scene: Scene) -> list[int]:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_forearm_joints(side: str) -> None:
+def test_forearm_joints(side):
     model = build_scene(SceneConfig(forearm_dofs=ALL_DOFS)).model
     for figure in PUBLISHED["forearm_dofs"][side]:
         joint = model.joint(SIDES[side] + figure["name"])
@@ -94,7 +94,7 @@ def test_forearm_joints(side: str) -> None:
 
 
 @pytest.mark.parametrize("reduced", [True, False])
-def test_order_of_joints_and_actuators(reduced: bool) -> None:
+def test_order_of_joints_and_actuators(reduced):
     scene = build_scene(SceneConfig(forearm_dofs=ALL_DOFS, reduced_action_space=reduced))
     order = PUBLISHED["order_with_all_forearm_dofs"]["reduced" if reduced else "full"]
     joints = [p + name for p in SIDES.values() for name in order["joints"]]
@@ -107,7 +107,7 @@ def test_order_of_joints_and_actuators(reduced: bool) -> None:
     assert list(scene.actuator_names) == actuators
 
 
-def test_chosen_forearm_joints_come_in_the_order_asked_for() -> None:
+def test_chosen_forearm_joints_come_in_the_order_asked_for():
     scene = build_scene(SceneConfig(hands="right", forearm_dofs=("yaw", "tx")))
     assert scene.hand_joint_names[:2] == ("rh_forearm_yaw", "rh_forearm_tx")
     fixed = build_scene(SceneConfig(forearm_dofs=()))
@@ -116,7 +116,7 @@ def test_chosen_forearm_joints_come_in_the_order_asked_for() -> None:
 
 @pytest.mark.parametrize("yaw", ["0", "15", "-30"])
 @pytest.mark.parametrize("side", SIDES)
-def test_mounting(side: str, yaw: str) -> None:
+def test_mounting(side, yaw):
     figure = PUBLISHED["mounting"][side]
     model = build_scene(SceneConfig(attachment_yaw=float(yaw))).model
     forearm = model.body(f"{SIDES[side]}forearm")
@@ -126,7 +126,7 @@ def test_mounting(side: str, yaw: str) -> None:
 
 
 @pytest.mark.parametrize("spacing", [0.1, 0.3, 0.6])
-def test_both_hands_reach_the_whole_keyboard_at_any_spacing(spacing: float) -> None:
+def test_both_hands_reach_the_whole_keyboard_at_any_spacing(spacing):
     model = build_scene(SceneConfig(hand_spacing=spacing)).model
     data = mujoco.MjData(model)
     for prefix, sign in (("rh_", 1), ("lh_", -1)):
@@ -139,7 +139,7 @@ def test_both_hands_reach_the_whole_keyboard_at_any_spacing(spacing: float) -> N
 
 
 @pytest.mark.parametrize("compensated", [True, False])
-def test_gravity_compensation(compensated: bool) -> None:
+def test_gravity_compensation(compensated):
     figures = PUBLISHED["gravity_compensation"]
     scene = build_scene(SceneConfig(gravity_compensation=compensated))
     model, value = scene.model, figures["gravcomp_on" if compensated else "gravcomp_off"]
@@ -150,7 +150,7 @@ def test_gravity_compensation(compensated: bool) -> None:
 
 
 @pytest.mark.parametrize("collide", [True, False])
-def test_hand_collisions(collide: bool) -> None:
+def test_hand_collisions(collide):
     figures = PUBLISHED["disable_hand_collisions"]
     scene = build_scene(SceneConfig(hand_collisions=collide))
     model = scene.model
@@ -165,7 +165,7 @@ def test_hand_collisions(collide: bool) -> None:
 
 
 @pytest.mark.parametrize("hands", ["both", "right", "left"])
-def test_fast_physics_changes_what_it_says(hands: Any) -> None:
+def test_fast_physics_changes_what_it_says(hands):
     """Longer steps, no dry friction, and nothing else."""
     published = build_scene(SceneConfig(hands=hands)).model
     fast = build_scene(SceneConfig(hands=hands, physics="fast")).model
@@ -181,7 +181,7 @@ def test_fast_physics_changes_what_it_says(hands: Any) -> None:
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("finger", ["th", "ff", "mf", "rf", "lf"])
 @pytest.mark.parametrize("primitive", [True, False])
-def test_fingertips(side: str, finger: str, primitive: bool) -> None:
+def test_fingertips(side, finger, primitive):
     """A capsule as published, or an ellipsoid with the bounds of the published mesh."""
     figure = PUBLISHED["fingertip_collisions"]["thumb" if finger == "th" else "fingers"]
     scene = build_scene(SceneConfig(primitive_fingertips=primitive))
@@ -207,7 +207,7 @@ def test_fingertips(side: str, finger: str, primitive: bool) -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_one_hand_is_the_same_hand(side: Any) -> None:
+def test_one_hand_is_the_same_hand(side):
     both, alone = build_scene(), build_scene(SceneConfig(hands=side))
     prefix = SIDES[side]
     assert alone.sides == (side,)
@@ -235,7 +235,7 @@ class TestPianoThatPlaysItself:
     def scene(self, request: pytest.FixtureRequest) -> Scene:
         return build_scene(SceneConfig(hands="none", physics=request.param))
 
-    def test_actions(self, scene: Scene) -> None:
+    def test_actions(self, scene):
         figures = PUBLISHED["self_actuated_piano"]
         assert scene.model.nu == figures["actuators"] == PIANO.num_keys
         assert len(scene.action_low) == figures["action_size"]
@@ -247,7 +247,7 @@ class TestPianoThatPlaysItself:
         assert_allclose(scene.action_high[:-1], PIANO.travel)
 
     @pytest.mark.parametrize("key", [0, 1, 43, 46, 87])
-    def test_a_key_sounds_while_it_is_held_and_no_other(self, scene: Scene, key: int) -> None:
+    def test_a_key_sounds_while_it_is_held_and_no_other(self, scene, key):
         simulation = MujocoSimulation(scene)
         ctrl = np.zeros((1, PIANO.num_keys))
         for _ in range(2):
@@ -261,7 +261,7 @@ class TestPianoThatPlaysItself:
                 assert not sounding(simulation).any()
         assert abs(simulation.state.key_qpos).max() < 0.1 * PIANO.travel[0]
 
-    def test_all_keys_follow_at_once(self, scene: Scene) -> None:
+    def test_all_keys_follow_at_once(self, scene):
         simulation, key = MujocoSimulation(scene), np.arange(PIANO.num_keys)
         for step in range(12):
             down = (key + step) % 3 == 0
@@ -285,13 +285,13 @@ class TestPianoThatPlaysItself:
         ({"attachment_yaw": float("inf")}, "attachment_yaw inf degrees"),
     ],
 )
-def test_says_what_is_wrong(options: dict, message: str) -> None:
+def test_says_what_is_wrong(options, message):
     with pytest.raises(CadenzaError, match=message) as error:
         build_scene(SceneConfig(**options))
     assert "\n" not in str(error.value)
 
 
-def test_creating_an_environment_takes_under_half_a_second() -> None:
+def test_creating_an_environment_takes_under_half_a_second():
     score = load_score("TwinkleTwinkleLittleStar")
     seconds = []
     for _ in range(5):

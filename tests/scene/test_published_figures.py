@@ -152,7 +152,7 @@ def check_actuators(model: mujoco.MjModel, actuators: list[dict], ours) -> None:
 
 
 @pytest.mark.parametrize(("space", "side"), HANDS)
-def test_hand(scenes: dict[str, Scene], space: str, side: str) -> None:
+def test_hand(scenes, space, side):
     hand = figures(f"shadow_hands_{space}")[side]
     scene, model, ours = scenes[space], scenes[space].model, hand_name(side)
     check_bodies(model, hand["bodies"], ours)
@@ -182,11 +182,11 @@ def excluded_pairs(model: mujoco.MjModel) -> set[tuple[str, ...]]:
     return {tuple(sorted(model.body(b).name for b in pair)) for pair in pairs}
 
 
-def test_nothing_else_is_excluded(scenes: dict[str, Scene]) -> None:
+def test_nothing_else_is_excluded(scenes):
     assert len(excluded_pairs(scenes["full"].model)) == 4
 
 
-def test_piano(scenes: dict[str, Scene]) -> None:
+def test_piano(scenes):
     piano, model = figures("piano"), scenes["full"].model
     assert len(piano["joints"]) == 88
     check_bodies(model, piano["bodies"], key_name)
@@ -194,7 +194,7 @@ def test_piano(scenes: dict[str, Scene]) -> None:
     check_geoms(model, piano["geoms"], key_name)
 
 
-def test_options(scenes: dict[str, Scene]) -> None:
+def test_options(scenes):
     published, options = figures("scene"), scenes["full"].model.opt
     for field in ("timestep", "gravity", "impratio", "iterations", "tolerance", "ls_iterations"):
         assert_allclose(getattr(options, field), published[field], err_msg=field)

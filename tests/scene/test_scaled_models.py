@@ -40,14 +40,14 @@ def arrays(model: mujoco.MjModel) -> dict[str, np.ndarray]:
     return {name: v.copy() for name, v in values.items() if isinstance(v, np.ndarray)}
 
 
-def test_factors_of_one_change_no_bit(scene: Scene) -> None:
+def test_factors_of_one_change_no_bit(scene):
     there = arrays(scaled(scene, drawn(scene, 0, 0.0)))
     for name, values in arrays(scene.model).items():
         assert_array_equal(values, there[name], err_msg=name)
 
 
 @pytest.mark.parametrize("what", SCALED_FIELDS)
-def test_one_thing_is_scaled_and_nothing_else(scene: Scene, what: str) -> None:
+def test_one_thing_is_scaled_and_nothing_else(scene, what):
     before, factor = arrays(scene.model), drawn(scene, 0)[what]
     there = arrays(scaled(scene, {what: factor}))
     for name, values in arrays(scene.model).items():
@@ -60,7 +60,7 @@ def test_one_thing_is_scaled_and_nothing_else(scene: Scene, what: str) -> None:
         assert_array_equal(before[name], there[name], err_msg=name)
 
 
-def test_nothing_adds_up(scene: Scene) -> None:
+def test_nothing_adds_up(scene):
     model, data = copy(scene.model), mujoco.MjData(scene.model)
     for seed in (3, 4, 5):
         scale(model, scene, drawn(scene, seed), data)
@@ -68,7 +68,7 @@ def test_nothing_adds_up(scene: Scene) -> None:
         assert_array_equal(arrays(model)[name], values, err_msg=name)
 
 
-def test_what_follows_from_masses_follows(scene: Scene) -> None:
+def test_what_follows_from_masses_follows(scene):
     """MuJoCo's own sums of the masses below a body, and its inertia matrix."""
     model = scaled(scene, drawn(scene, 1))
     assert_allclose(model.body_subtreemass[0], model.body_mass.sum())
@@ -78,7 +78,7 @@ def test_what_follows_from_masses_follows(scene: Scene) -> None:
     assert_allclose(model.dof_M0, np.diag(inertia))
 
 
-def test_servos_come_to_rest_where_they_did(scene: Scene) -> None:
+def test_servos_come_to_rest_where_they_did(scene):
     """How two joints share what their tendon asks for, damping decides on the way there."""
     ctrl = np.array([0.2, *scene.action_low[:-1][1:] * 0.5 + scene.action_high[:-1][1:] * 0.5])
     ctrl[-2:] = 0.1, -0.3  # the forearm, off the keys

@@ -8,7 +8,7 @@ from cadenza.scene.scene import build_scene
 from cadenza.scene.servos import Servos, servos_of
 
 
-def test_coordinates_of_joints_do_not_depend_on_the_threads_of_linear_algebra() -> None:
+def test_coordinates_of_joints_do_not_depend_on_the_threads_of_linear_algebra():
     servos = servos_of(build_scene(SceneConfig(reduced_action_space=False)))
     maps = []
     for threads in (1, 2):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from cadenza.agents.playback import load_plan
-from cadenza.fingers import Side
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene, colliding_parts, hand_alone, reduced_model
 from cadenza.scene.servos import servos_of
@@ -22,7 +21,7 @@ AHEAD = 7  # steps
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_a_hand_on_the_keys_near_it_moves_as_on_all(side: Side) -> None:
+def test_a_hand_on_the_keys_near_it_moves_as_on_all(side):
     scene, servos, _ = hand_alone(build_scene(), side)
     actions = load_plan(RECORDED).actions[:, :-1][:, servos]
     whole, there = PlanningSimulation(scene), PlanningSimulation(scene)
@@ -50,7 +49,7 @@ def test_a_hand_on_the_keys_near_it_moves_as_on_all(side: Side) -> None:
     assert touched
 
 
-def test_key_paths_are_the_angles_after_each_physics_step(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_key_paths_are_the_angles_after_each_physics_step(monkeypatch):
     scene, servos, _ = hand_alone(build_scene(), "right")
     actions = load_plan(RECORDED).actions[40:47, :-1][:, servos]
     simulation = PlanningSimulation(scene)
@@ -75,7 +74,7 @@ def test_key_paths_are_the_angles_after_each_physics_step(monkeypatch: pytest.Mo
     assert np.ptp(paths, axis=(0, 1)).max() > 0.01  # a key moves
 
 
-def test_a_rollout_continues_from_a_state_that_another_has_kept() -> None:
+def test_a_rollout_continues_from_a_state_that_another_has_kept():
     scene, servos, _ = hand_alone(build_scene(), "right")
     actions = load_plan(RECORDED).actions[40:47, :-1][:, servos]
     simulation = PlanningSimulation(scene)
@@ -90,7 +89,7 @@ def test_a_rollout_continues_from_a_state_that_another_has_kept() -> None:
         np.testing.assert_array_equal(rest, whole[first:])
 
 
-def test_fingertips_move_with_servos_as_the_jacobian_says() -> None:
+def test_fingertips_move_with_servos_as_the_jacobian_says():
     scene, _, _ = hand_alone(build_scene(), "left")
     simulation, moved = PlanningSimulation(scene), PlanningSimulation(scene)
     rollouts = HandRollouts(scene, simulation.control_timestep)
@@ -112,7 +111,7 @@ def test_fingertips_move_with_servos_as_the_jacobian_says() -> None:
 
 
 @pytest.mark.parametrize("hand", ["shadow", "allegro"])
-def test_a_reduced_model_keeps_joints_servos_and_weight(hand: str) -> None:
+def test_a_reduced_model_keeps_joints_servos_and_weight(hand):
     scene = build_scene(SceneConfig(hands="left", hand=hand))
     whole, some = scene.model, reduced_model(scene, range(30, 50), colliding_parts(scene))
     joints = [some.joint(j).name for j in range(some.njnt)]
@@ -132,9 +131,7 @@ def test_a_reduced_model_keeps_joints_servos_and_weight(hand: str) -> None:
     assert some.ngeom < 0.5 * whole.ngeom
 
 
-def test_models_are_few_however_far_a_hand_goes_and_the_same_when_made_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_models_are_few_however_far_a_hand_goes_and_the_same_when_made_again(monkeypatch):
     alive = weakref.WeakSet[mujoco.MjModel]()
 
     def recorded(*args: Any) -> mujoco.MjModel:

@@ -11,7 +11,7 @@ STEPS = 150
 INWARDS = 0.15  # [m], by which each hand moves from its place, so that both are at the same keys
 
 
-def test_a_key_that_both_hands_press_sounds_from_the_first_to_the_last() -> None:
+def test_a_key_that_both_hands_press_sounds_from_the_first_to_the_last():
     scene = build_scene(SceneConfig(hands="apart"))
     simulation = HandsApart(scene)
     rng, sounds_from = np.random.default_rng(0), scene.keyboard.sounds_from

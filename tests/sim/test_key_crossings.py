@@ -6,7 +6,7 @@ from numpy.testing import assert_array_equal
 from cadenza.sim.key_crossings import dense_key_events, last_key_events
 
 
-def test_dense_events_are_the_last_ones() -> None:
+def test_dense_events_are_the_last_ones():
     """Keys that rest, that cross once, and that cross many times in a step."""
     rng = np.random.default_rng(0)
     paths = rng.uniform(0.0, 1.0, (50, 11, 3)) * [0.0, 1.0, 0.52]

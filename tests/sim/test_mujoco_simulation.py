@@ -28,11 +28,11 @@ def run(scene: Scene, num_envs: int, num_threads: int) -> State:
 
 
 @pytest.mark.parametrize("num_threads", [2, 3, 8])
-def test_same_bits_for_any_number_of_threads(scene: Scene, num_threads: int) -> None:
+def test_same_bits_for_any_number_of_threads(scene, num_threads):
     assert_same(run(scene, 5, 1), run(scene, 5, num_threads))
 
 
-def test_each_simulation_is_alone(scene: Scene) -> None:
+def test_each_simulation_is_alone(scene):
     """Row i of a batch moves as if it were the only one."""
     batch = MujocoSimulation(scene, 3)
     single = [MujocoSimulation(scene, 1) for _ in range(3)]
@@ -45,7 +45,7 @@ def test_each_simulation_is_alone(scene: Scene) -> None:
             assert_array_equal(ours[i], alone[0])
 
 
-def test_reset_leaves_no_trace(scene: Scene) -> None:
+def test_reset_leaves_no_trace(scene):
     used, fresh = MujocoSimulation(scene, 1), MujocoSimulation(scene, 1)
     for ctrl in controls(scene, 1, seed=1):
         used.step(ctrl)
@@ -56,7 +56,7 @@ def test_reset_leaves_no_trace(scene: Scene) -> None:
     assert_same(used.state, fresh.state)
 
 
-def test_steps_only_those_asked_for(scene: Scene) -> None:
+def test_steps_only_those_asked_for(scene):
     simulation = MujocoSimulation(scene, 2)
     before = simulation.state
     simulation.step(next(controls(scene, 2)), env_ids=[1])
@@ -65,9 +65,7 @@ def test_steps_only_those_asked_for(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("num_threads", [1, 2])
-def test_a_diverging_simulation_is_reported_once_and_harms_no_other(
-    scene: Scene, num_threads: int, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_diverging_simulation_is_reported_once_and_harms_no_other(scene, num_threads, caplog):
     healthy = run(scene, 3, 1)
     simulation = PlanningSimulation(scene, 3, num_threads=num_threads)
     far_away = np.full((1, len(scene.hand_joint_names)), 1e9)  # [m, rad]
@@ -94,6 +92,6 @@ def test_a_diverging_simulation_is_reported_once_and_harms_no_other(
         ({"control_timestep": 0.0}, "not a multiple"),
     ],
 )
-def test_says_what_is_wrong(scene: Scene, options: dict, message: str) -> None:
+def test_says_what_is_wrong(scene, options, message):
     with pytest.raises(CadenzaError, match=message):
         MujocoSimulation(scene, **options)

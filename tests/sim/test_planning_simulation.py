@@ -22,7 +22,7 @@ def scene() -> Scene:
 
 
 @pytest.mark.parametrize("num_threads", [1, 2])
-def test_rollout_is_many_steps(scene: Scene, num_threads: int) -> None:
+def test_rollout_is_many_steps(scene, num_threads):
     ctrl = np.stack(list(controls(scene, 3)), axis=1)
     rolled, stepped = (
         PlanningSimulation(scene, 3, num_threads=num_threads),
@@ -36,7 +36,7 @@ def test_rollout_is_many_steps(scene: Scene, num_threads: int) -> None:
     assert_same(rolled.state, stepped.state)
 
 
-def test_copies_the_state_of_another(scene: Scene) -> None:
+def test_copies_the_state_of_another(scene):
     original, copies = (
         PlanningSimulation(scene, 1),
         PlanningSimulation(scene, 3, control_timestep=0.01),
@@ -53,7 +53,7 @@ def test_copies_the_state_of_another(scene: Scene) -> None:
     assert_array_equal(copies.state.key_qpos[2], original.state.key_qpos[0])
 
 
-def test_looks_ahead_in_coarser_steps() -> None:
+def test_looks_ahead_in_coarser_steps():
     """As MuJoCo does from that state with the other timestep, among keys that fingers press."""
     scene = build_scene(SceneConfig(sleeping_keys=False))
     original = PlanningSimulation(scene)
@@ -76,7 +76,7 @@ def test_looks_ahead_in_coarser_steps() -> None:
 
 
 @pytest.mark.parametrize("sleeping", [False, True])
-def test_another_scene_goes_on_from_a_physics_state(sleeping: bool) -> None:
+def test_another_scene_goes_on_from_a_physics_state(sleeping):
     """To the bit where keys never sleep, and closely where they did."""
     waking = build_scene(SceneConfig(sleeping_keys=False))
     original = PlanningSimulation(build_scene(SceneConfig(sleeping_keys=sleeping)))
@@ -91,7 +91,7 @@ def test_another_scene_goes_on_from_a_physics_state(sleeping: bool) -> None:
         assert_allclose(found[1], expected[0], rtol=0, atol=1e-3 * sleeping)
 
 
-def test_coordinates_are_those_of_keys_and_hands(scene: Scene) -> None:
+def test_coordinates_are_those_of_keys_and_hands(scene):
     simulation = PlanningSimulation(scene, 2)
     for ctrl in controls(scene, 2):
         simulation.step(ctrl)
@@ -101,7 +101,7 @@ def test_coordinates_are_those_of_keys_and_hands(scene: Scene) -> None:
     assert_array_equal(velocities[:, scene.hand_qvel], simulation.state.hand_qvel)
 
 
-def test_joints_that_are_set_have_no_past(scene: Scene) -> None:
+def test_joints_that_are_set_have_no_past(scene):
     """Two simulations with different pasts go on alike, from the joints that were asked for."""
     used, fresh = PlanningSimulation(scene, 1), PlanningSimulation(scene, 1)
     for ctrl in controls(scene, 1, seed=1):

@@ -36,7 +36,7 @@ def randomized(scene: Scene, seeds: list[int], num_threads: int = 1) -> MujocoSi
     return simulation
 
 
-def test_each_has_a_model_of_its_own_on_any_number_of_threads(scene: Scene) -> None:
+def test_each_has_a_model_of_its_own_on_any_number_of_threads(scene):
     one, two = randomized(scene, [1, 2, 3]), randomized(scene, [1, 2, 3], 2)
     alone = randomized(scene, [2])
     for ctrl in controls(scene, 1):
@@ -49,7 +49,7 @@ def test_each_has_a_model_of_its_own_on_any_number_of_threads(scene: Scene) -> N
     assert len({row.tobytes() for row in one.state.hand_qpos}) == 3
 
 
-def test_randomizing_again_is_as_if_it_were_the_first_time(scene: Scene) -> None:
+def test_randomizing_again_is_as_if_it_were_the_first_time(scene):
     again, fresh = randomized(scene, [1]), randomized(scene, [2])
     for ctrl in controls(scene, 1):
         again.step(ctrl)
@@ -61,7 +61,7 @@ def test_randomizing_again_is_as_if_it_were_the_first_time(scene: Scene) -> None
     assert_same(again.state, fresh.state)
 
 
-def test_a_copy_has_the_models_too(scene: Scene) -> None:
+def test_a_copy_has_the_models_too(scene):
     simulation = randomized(scene, [1, 2])
     twin = deepcopy(simulation)
     for ctrl in controls(scene, 2):
@@ -70,7 +70,7 @@ def test_a_copy_has_the_models_too(scene: Scene) -> None:
     assert_same(simulation.state, twin.state)
 
 
-def test_a_planner_takes_over_the_state_and_not_the_model(scene: Scene) -> None:
+def test_a_planner_takes_over_the_state_and_not_the_model(scene):
     simulation = randomized(scene, [1])
     for ctrl in controls(scene, 1):
         simulation.step(ctrl)
@@ -86,7 +86,7 @@ def test_a_planner_takes_over_the_state_and_not_the_model(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("late", [0, 1, 3, 9])
-def test_late_controls_are_those_of_mujoco_stepped_by_hand(scene: Scene, late: int) -> None:
+def test_late_controls_are_those_of_mujoco_stepped_by_hand(scene, late):
     simulation, data = MujocoSimulation(scene), mujoco.MjData(scene.model)
     (before,), (then,), *_ = controls(scene, 1)
     simulation.step(then[None], None, HeldControls(before[None], np.array([late])))
@@ -96,7 +96,7 @@ def test_late_controls_are_those_of_mujoco_stepped_by_hand(scene: Scene, late: i
     assert_allclose(simulation.state.hand_qpos[0], data.qpos[scene.hand_qpos], atol=1e-12)
 
 
-def test_hands_apart_are_randomized_as_they_are_together() -> None:
+def test_hands_apart_are_randomized_as_they_are_together():
     """Off the keys and each other, hands at two pianos move as at one."""
     factors = drawn(build_scene(), 1)
     states = []

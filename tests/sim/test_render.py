@@ -14,6 +14,6 @@ from cadenza.sim.render import Picture
         ({"height": 1081}, "640 x 1081: choose up to 1920 x 1080"),
     ],
 )
-def test_pictures_that_make_no_sense_are_refused(picture: dict, problem: str) -> None:
+def test_pictures_that_make_no_sense_are_refused(picture, problem):
     with pytest.raises(CadenzaError, match=problem):
         Picture(**picture)

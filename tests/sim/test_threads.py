@@ -9,7 +9,7 @@ import pytest
 from cadenza.sim.threads import Threads
 
 
-def test_no_call_is_under_way_once_an_error_is_raised() -> None:
+def test_no_call_is_under_way_once_an_error_is_raised():
     raised, done = threading.Event(), set()
 
     def work(i: int) -> None:
@@ -28,7 +28,7 @@ def test_no_call_is_under_way_once_an_error_is_raised() -> None:
 
 
 @pytest.mark.parametrize("num_threads", [1, 2])
-def test_calls_together_return_in_order(num_threads: int) -> None:
+def test_calls_together_return_in_order(num_threads):
     threads = Threads(num_threads)
     assert threads.together([]) == []
     assert threads.together([lambda i=i: i for i in range(5)]) == [0, 1, 2, 3, 4]  # type: ignore[misc]
@@ -36,7 +36,7 @@ def test_calls_together_return_in_order(num_threads: int) -> None:
 
 
 @pytest.mark.parametrize("num_threads", [1, 2])
-def test_items_made_ahead_come_in_order_and_errors_where_they_belong(num_threads: int) -> None:
+def test_items_made_ahead_come_in_order_and_errors_where_they_belong(num_threads):
     made_by = list[int]()
 
     def items() -> Iterator[int]:
@@ -54,7 +54,7 @@ def test_items_made_ahead_come_in_order_and_errors_where_they_belong(num_threads
     threads.close()
 
 
-def test_of_calls_together_none_is_under_way_once_an_error_is_raised() -> None:
+def test_of_calls_together_none_is_under_way_once_an_error_is_raised():
     begun, done = threading.Event(), []
 
     def fails() -> None:
@@ -77,7 +77,7 @@ def test_of_calls_together_none_is_under_way_once_an_error_is_raised() -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
-def test_a_forked_process_starts_threads_of_its_own() -> None:
+def test_a_forked_process_starts_threads_of_its_own():
     threads, done = Threads(2), set()
     threads.for_each(range(4), done.add)
     if (child := os.fork()) == 0:

@@ -74,7 +74,7 @@ def contact_forces(scene: Scene) -> np.ndarray:
 
 
 @pytest.mark.parametrize("hand", HANDS)
-def test_they_measure_the_normal_forces_on_the_tips(hand: str) -> None:
+def test_they_measure_the_normal_forces_on_the_tips(hand):
     scene = scene_of(hand)
     touch = np.array([state.touch[0] for state in played(scene)])
     expected = contact_forces(scene)
@@ -85,7 +85,7 @@ def test_they_measure_the_normal_forces_on_the_tips(hand: str) -> None:
 
 
 @pytest.mark.parametrize("hand", HANDS)
-def test_they_change_nothing_else(hand: str) -> None:
+def test_they_change_nothing_else(hand):
     with_them, without = (played(scene_of(hand, touch)) for touch in (True, False))
     for one, other in zip(with_them, without, strict=True):
         assert not other.touch.any()
@@ -94,7 +94,7 @@ def test_they_change_nothing_else(hand: str) -> None:
                 assert_array_equal(values, getattr(other, name))
 
 
-def test_there_are_none_unless_asked_for() -> None:
+def test_there_are_none_unless_asked_for():
     assert build_scene().model.nsensor == 0
     assert build_scene(SceneConfig(touch=True)).model.nsensor == 10
     assert build_scene(SceneConfig(touch=True, hands="none")).model.nsensor == 0

@@ -33,7 +33,7 @@ def ctrl() -> np.ndarray:
         return recorded["action"][:STEPS, :-1]
 
 
-def test_a_performance_resets_and_a_world_that_diverges(scene: Scene, ctrl: np.ndarray) -> None:
+def test_a_performance_resets_and_a_world_that_diverges(scene, ctrl):
     """In one test, as each batch compiles anew."""
     from cadenza.sim.warp import WarpSimulation
 
@@ -73,7 +73,7 @@ def test_a_performance_resets_and_a_world_that_diverges(scene: Scene, ctrl: np.n
     assert_allclose(simulation.state.hand_qpos[2], nominal.state.hand_qpos[0], atol=POSITIONS)
 
 
-def test_contacts_without_room_are_told(scene: Scene, ctrl: np.ndarray) -> None:
+def test_contacts_without_room_are_told(scene, ctrl):
     from cadenza.sim.warp import Buffers, WarpPhysics
 
     physics = WarpPhysics(scene, 1, buffers=Buffers(rows=120))
@@ -83,7 +83,7 @@ def test_contacts_without_room_are_told(scene: Scene, ctrl: np.ndarray) -> None:
     assert state.overflow[0]
 
 
-def test_randomized_worlds_with_late_controls(scene: Scene, ctrl: np.ndarray) -> None:
+def test_randomized_worlds_with_late_controls(scene, ctrl):
     """Each as in C with the same factors, and not as another one."""
     from cadenza.sim.warp import WarpSimulation
 

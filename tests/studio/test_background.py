@@ -36,7 +36,7 @@ def state_of(pid: int) -> str:
 
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="needs Linux")
-def test_practice_stands_still_while_others_play(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_practice_stands_still_while_others_play(monkeypatch):
     """The process does nothing but wait."""
     begun = []
 
@@ -70,9 +70,7 @@ def test_practice_stands_still_while_others_play(monkeypatch: pytest.MonkeyPatch
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
-def test_practice_that_cannot_begin_is_no_end_of_all_practice(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_practice_that_cannot_begin_is_no_end_of_all_practice(monkeypatch):
     tried = []
 
     async def full(*_: str) -> Any:
@@ -95,7 +93,7 @@ def test_practice_that_cannot_begin_is_no_end_of_all_practice(
 
 
 @pytest.mark.slow
-def test_what_was_practised_is_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_practised_is_played(tmp_path, monkeypatch):
     song, told = tmp_path / "three.mid", list[WireMessage]()
     write_midi(SCORE, song)
     monkeypatch.setattr(practice_process, "ENOUGH", 0.2)
@@ -109,9 +107,7 @@ def test_what_was_practised_is_played(tmp_path: Path, monkeypatch: pytest.Monkey
         assert perform(setup).metrics["f1"] == pytest.approx(said[-1]["f1"][0])  # at first sight
 
 
-def test_practice_that_cannot_go_on_begins_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_practice_that_cannot_go_on_begins_anew(tmp_path, monkeypatch):
     song, told = tmp_path / "three.mid", list[WireMessage]()
     write_midi(SCORE, song)
     folder = player.practice_folder_of(order(str(song), tmp_path))
@@ -122,7 +118,7 @@ def test_practice_that_cannot_go_on_begins_anew(
     assert (folder / "practice.safetensors.old").read_bytes() == b"damaged"
 
 
-def test_a_damaged_plan_is_practised_anew(tmp_path: Path) -> None:
+def test_a_damaged_plan_is_practised_anew(tmp_path):
     song = tmp_path / "three.mid"
     write_midi(SCORE, song)
     folder = player.practice_folder_of(order(str(song), tmp_path))
@@ -163,7 +159,7 @@ asyncio.run(run())
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
-def test_practice_ends_with_a_server_that_is_killed(tmp_path: Path) -> None:
+def test_practice_ends_with_a_server_that_is_killed(tmp_path):
     """Also while it stands still for a song: nothing would wake it again."""
     command = [sys.executable, "-c", SERVER, str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
@@ -184,7 +180,7 @@ def test_practice_ends_with_a_server_that_is_killed(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("agent", ["planner", "generalist"])
-def test_what_is_streamed_is_what_the_command_line_plays(tmp_path: Path, agent: str) -> None:
+def test_what_is_streamed_is_what_the_command_line_plays(tmp_path, agent):
     """The same bits, so nothing is lost by it."""
     song = tmp_path / "three.mid"
     write_midi(SCORE, song)

@@ -125,9 +125,7 @@ def text(browser: Browser, id: str) -> str:
     return browser.evaluate(f"document.getElementById('{id}').innerText")
 
 
-def test_a_dropped_file_plays_to_its_end_and_is_kept(
-    browser: Browser, address: str, folder: Path, tmp_path: Path
-) -> None:
+def test_a_dropped_file_plays_to_its_end_and_is_kept(browser, address, folder, tmp_path):
     visit(browser, address)
     drop(browser, song(tmp_path / "a.mid"), "../My <b>song.mid")
     wait(browser, "cadenza.began")
@@ -165,7 +163,7 @@ def test_a_dropped_file_plays_to_its_end_and_is_kept(
 
 
 @pytest.mark.usefixtures("kept")
-def test_what_is_shown_no_more_is_let_go(browser: Browser, address: str) -> None:
+def test_what_is_shown_no_more_is_let_go(browser, address):
     """A page that is open for days shows many performances."""
     visit(browser, address)
     browser.call("Performance.enable")
@@ -188,7 +186,7 @@ def test_what_is_shown_no_more_is_let_go(browser: Browser, address: str) -> None
 
 
 @pytest.mark.usefixtures("kept")
-def test_one_can_go_back_and_forth(browser: Browser, address: str) -> None:
+def test_one_can_go_back_and_forth(browser, address):
     visit(browser, address)
     press(browser, "#kept", "Watch")
     wait(browser, "cadenza.time > 0.5")
@@ -215,7 +213,7 @@ def test_one_can_go_back_and_forth(browser: Browser, address: str) -> None:
 
 
 @pytest.mark.usefixtures("kept")
-def test_a_click_in_the_roll_goes_there(browser: Browser, address: str) -> None:
+def test_a_click_in_the_roll_goes_there(browser, address):
     visit(browser, address)
     press(browser, "#kept", "Watch")
     wait(browser, "cadenza.began")
@@ -235,9 +233,7 @@ def test_a_click_in_the_roll_goes_there(browser: Browser, address: str) -> None:
     assert browser.problems() == []
 
 
-def test_the_score_follows_and_a_click_goes_to_its_notes(
-    browser: Browser, address: str, tmp_path: Path
-) -> None:
+def test_the_score_follows_and_a_click_goes_to_its_notes(browser, address, tmp_path):
     visit(browser, address)
     drop(browser, song(tmp_path / "eight.mid", 8), "eight.mid")
     wait(browser, "document.querySelectorAll('#score .note').length === 8")
@@ -259,9 +255,7 @@ def test_the_score_follows_and_a_click_goes_to_its_notes(
     assert uncaught(browser) == []
 
 
-def test_what_is_chosen_behind_more_is_played(
-    browser: Browser, address: str, folder: Path, tmp_path: Path
-) -> None:
+def test_what_is_chosen_behind_more_is_played(browser, address, folder, tmp_path):
     """One of two tracks, by Allegro hands, faster and higher; what is kept can be taken away."""
     visit(browser, address)
     file = mido.MidiFile(ticks_per_beat=480)
@@ -303,7 +297,7 @@ def test_what_is_chosen_behind_more_is_played(
 
 
 @pytest.mark.usefixtures("kept")
-def test_an_upload_can_be_deleted(browser: Browser, address: str, folder: Path) -> None:
+def test_an_upload_can_be_deleted(browser, address, folder):
     visit(browser, address)
     browser.evaluate("window.confirm = () => true")
     before = len(list((folder / "uploads").iterdir()))
@@ -319,7 +313,7 @@ def test_an_upload_can_be_deleted(browser: Browser, address: str, folder: Path) 
     assert browser.problems() == []
 
 
-def test_a_link_to_a_deleted_upload_says_so(browser: Browser, address: str) -> None:
+def test_a_link_to_a_deleted_upload_says_so(browser, address):
     visit(browser, address)
     browser.evaluate("location.hash = '#song=upload/gone&tempo=1'")
     wait(browser, "cadenza.error?.startsWith('This song is not here any more')")
@@ -328,9 +322,7 @@ def test_a_link_to_a_deleted_upload_says_so(browser: Browser, address: str) -> N
 
 
 @pytest.mark.usefixtures("kept")
-def test_a_song_after_a_whole_one_is_drawn_at_once(
-    browser: Browser, address: str, tmp_path: Path
-) -> None:
+def test_a_song_after_a_whole_one_is_drawn_at_once(browser, address, tmp_path):
     """The flat view draws more often what is whole, and must not make up for that afterwards."""
     visit(browser, address)
     press(browser, "#kept", "Watch")
@@ -350,9 +342,7 @@ def test_a_song_after_a_whole_one_is_drawn_at_once(
     cancel(browser)
 
 
-def test_a_page_that_is_loaded_again_goes_on(
-    browser: Browser, address: str, tmp_path: Path
-) -> None:
+def test_a_page_that_is_loaded_again_goes_on(browser, address, tmp_path):
     visit(browser, address)
     drop(browser, song(tmp_path / "b.mid", 12), "b.mid")
     wait(browser, "cadenza.time > 1.5")
@@ -363,9 +353,7 @@ def test_a_page_that_is_loaded_again_goes_on(
     cancel(browser)
 
 
-def test_cancel_ends_the_player_and_keeps_nothing(
-    browser: Browser, address: str, folder: Path, tmp_path: Path
-) -> None:
+def test_cancel_ends_the_player_and_keeps_nothing(browser, address, folder, tmp_path):
     visit(browser, address)
     browser.evaluate("document.getElementById('agent').value = 'planner'")  # it takes its time
     for moment in "cadenza.live", "cadenza.time > 0.5":
@@ -384,7 +372,7 @@ def test_cancel_ends_the_player_and_keeps_nothing(
     assert not list(folder.glob(".*/episode.npz"))
 
 
-def test_a_song_is_chosen_by_the_keyboard(browser: Browser, address: str) -> None:
+def test_a_song_is_chosen_by_the_keyboard(browser, address):
     visit(browser, address)
     browser.evaluate("document.querySelector('[data-song=MaryHadALittleLamb]').focus()")
     enter = {"key": "Enter", "code": "Enter", "windowsVirtualKeyCode": 13, "text": "\r"}
@@ -397,7 +385,7 @@ def test_a_song_is_chosen_by_the_keyboard(browser: Browser, address: str) -> Non
     cancel(browser)
 
 
-def test_of_songs_chosen_at_once_the_last_is_played(browser: Browser, address: str) -> None:
+def test_of_songs_chosen_at_once_the_last_is_played(browser, address):
     visit(browser, address)
     browser.evaluate("""for (const song of ["OdeToJoy", "JingleBells", "FrereJacques"])
         document.querySelector(`[data-song=${song}]`).click()""")
@@ -410,7 +398,7 @@ def test_of_songs_chosen_at_once_the_last_is_played(browser: Browser, address: s
     assert browser.problems() == []
 
 
-def test_a_broken_file_gives_one_line(browser: Browser, address: str) -> None:
+def test_a_broken_file_gives_one_line(browser, address):
     visit(browser, address)
     drop(browser, b"MThd" + b"\xff" * 100, "broken.mid")
     wait(browser, "cadenza.error !== null")
@@ -421,9 +409,7 @@ def test_a_broken_file_gives_one_line(browser: Browser, address: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.mp3", "a.pdf", "a.mp4", "folder"])
-def test_each_file_that_is_refused_is_told_why_in_a_line(
-    browser: Browser, address: str, tmp_path: Path, name: str
-) -> None:
+def test_each_file_that_is_refused_is_told_why_in_a_line(browser, address, tmp_path, name):
     visit(browser, address)
     (path := tmp_path / name).touch()
     with pytest.raises(CadenzaError) as refused:
@@ -454,9 +440,7 @@ def test_each_file_that_is_refused_is_told_why_in_a_line(
         ("requestMIDIAccess = undefined", "from another machine"),
     ],
 )
-def test_where_a_keyboard_may_not_be_heard_the_page_says_so(
-    browser: Browser, address: str, fake: str, why: str
-) -> None:
+def test_where_a_keyboard_may_not_be_heard_the_page_says_so(browser, address, fake, why):
     source = (
         f"navigator.{fake}; Object.defineProperty(window, 'isSecureContext', {{ value: false }})"
     )
@@ -471,7 +455,7 @@ def test_where_a_keyboard_may_not_be_heard_the_page_says_so(
 
 
 @pytest.mark.usefixtures("kept")
-def test_nothing_of_the_song_before_stands_under_the_next(browser: Browser, address: str) -> None:
+def test_nothing_of_the_song_before_stands_under_the_next(browser, address):
     visit(browser, address)
     press(browser, "#kept", "Watch")
     browser.evaluate("document.querySelector('.figures').open = true")
@@ -490,9 +474,7 @@ def test_nothing_of_the_song_before_stands_under_the_next(browser: Browser, addr
 
 @pytest.mark.parametrize("size", [(1440, 900), (390, 844)])
 @pytest.mark.usefixtures("kept")
-def test_what_is_chosen_far_below_plays_in_view(
-    browser: Browser, address: str, size: tuple[int, int]
-) -> None:
+def test_what_is_chosen_far_below_plays_in_view(browser, address, size):
     screen = {"deviceScaleFactor": 1, "mobile": size[0] < 500}
     browser.call("Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], **screen)
     visit(browser, address)
@@ -522,7 +504,7 @@ def test_what_is_chosen_far_below_plays_in_view(
     )
 
 
-def test_what_is_played_on_a_keyboard_is_played_after(browser: Browser, address: str) -> None:
+def test_what_is_played_on_a_keyboard_is_played_after(browser, address):
     fake = (
         "navigator.requestMIDIAccess = async () => ({ inputs: new Map([[1, window.piano = {}]]) })"
     )
@@ -545,9 +527,7 @@ def test_what_is_played_on_a_keyboard_is_played_after(browser: Browser, address:
     cancel(browser)
 
 
-def test_two_users_take_turns(
-    browser: Browser, address: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_two_users_take_turns(browser, address, tmp_path, tmp_path_factory):
     other = Browser(tmp_path_factory.mktemp("other"))
     try:
         for who, name in (browser, "first.mid"), (other, "second.mid"):
@@ -562,7 +542,7 @@ def test_two_users_take_turns(
         other.close()
 
 
-def test_what_was_left_out_of_a_file_is_said(browser: Browser, address: str) -> None:
+def test_what_was_left_out_of_a_file_is_said(browser, address):
     visit(browser, address)
     file, notes = mido.MidiFile(), mido.MidiTrack()
     notes += [mido.Message("note_on", note=pitch, time=480) for pitch in (60, 64)]  # never released
@@ -579,9 +559,7 @@ def test_what_was_left_out_of_a_file_is_said(browser: Browser, address: str) -> 
     cancel(browser)
 
 
-def test_what_a_closed_page_asked_for_can_be_cancelled(
-    browser: Browser, address: str, tmp_path: Path
-) -> None:
+def test_what_a_closed_page_asked_for_can_be_cancelled(browser, address, tmp_path):
     """Others wait for it, and it would go on for long."""
     visit(browser, address)
     drop(browser, song(tmp_path / "long.mid", 2000), "long.mid")
@@ -599,7 +577,7 @@ def test_what_a_closed_page_asked_for_can_be_cancelled(
 
 
 @pytest.mark.usefixtures("kept")
-def test_nothing_lies_over_the_legend_of_the_picture(browser: Browser, address: str) -> None:
+def test_nothing_lies_over_the_legend_of_the_picture(browser, address):
     visit(browser, address)
     press(browser, "#kept", "Watch")
     wait(browser, "cadenza.began && !!document.querySelector('#score .note')")
@@ -614,9 +592,7 @@ def test_nothing_lies_over_the_legend_of_the_picture(browser: Browser, address: 
     browser.call("Emulation.setDeviceMetricsOverride", width=1000, **screen | {"height": 1700})
 
 
-def test_half_an_hour_begins_at_once_and_more_is_refused(
-    browser: Browser, address: str, tmp_path: Path
-) -> None:
+def test_half_an_hour_begins_at_once_and_more_is_refused(browser, address, tmp_path):
     for minutes in 30, 33:
         notes = (Note(60.0 * i, 60.0 * i + 2, 60 + i % 12) for i in range(minutes))
         steady = (Note(0.5 * i, 0.5 * i + 0.4, 72) for i in range(120 * minutes - 119))
@@ -632,7 +608,7 @@ def test_half_an_hour_begins_at_once_and_more_is_refused(
     assert "half an hour" in text(browser, "error")
 
 
-def test_a_server_that_ends_is_noticed(browser: Browser, tmp_path: Path) -> None:
+def test_a_server_that_ends_is_noticed(browser, tmp_path):
     with studio(tmp_path / "short") as short:
         visit(browser, short)
         drop(browser, song(tmp_path / "e.mid", 60), "e.mid")
@@ -650,7 +626,7 @@ def test_a_server_that_ends_is_noticed(browser: Browser, tmp_path: Path) -> None
         wait(browser, "cadenza.began")
 
 
-def test_a_server_that_is_killed_and_started_again(browser: Browser, tmp_path: Path) -> None:
+def test_a_server_that_is_killed_and_started_again(browser, tmp_path):
     """The page waits for it, and then says what became of the performance."""
     line = [sys.executable, "-m", "cadenza", "studio", "--folder", str(tmp_path / "killed")]
     for turn in range(2):
@@ -669,9 +645,7 @@ def test_a_server_that_is_killed_and_started_again(browser: Browser, tmp_path: P
             wait(browser, "cadenza.error?.includes('does not answer')")
 
 
-def test_kept_performances_and_settings_are_found_after_a_restart(
-    browser: Browser, folder: Path
-) -> None:
+def test_kept_performances_and_settings_are_found_after_a_restart(browser, folder):
     with studio(folder) as again:  # beside the first, which does not mind
         kept = list(folder.glob("*/studio.json"))
         visit(browser, f"{again}#song=OdeToJoy&hand=allegro&seed=7&tempo=1.5")
@@ -686,9 +660,7 @@ def test_kept_performances_and_settings_are_found_after_a_restart(
         assert len(list(folder.glob("*/studio.json"))) == len(kept) - 1
 
 
-def test_a_song_is_played_with_expression_and_without_signs(
-    browser: Browser, address: str, folder: Path
-) -> None:
+def test_a_song_is_played_with_expression_and_without_signs(browser, address, folder):
     visit(browser, f"{address}#song=MaryHadALittleLamb&expression=true&plain=true&seed=1")
     browser.evaluate("document.getElementById('agent').value = 'sight'")
     assert browser.evaluate("document.getElementById('expression').checked")
@@ -717,7 +689,7 @@ def test_a_song_is_played_with_expression_and_without_signs(
     assert browser.problems() == []
 
 
-def test_the_page_opens_with_a_song_at_a_click(browser: Browser, address: str) -> None:
+def test_the_page_opens_with_a_song_at_a_click(browser, address):
     browser.call("Page.navigate", url="about:blank")
     browser.call("Page.navigate", url=address)
     wait(browser, "!!document.querySelector('#hands-view canvas')")  # hands that are ready
@@ -731,9 +703,7 @@ def test_the_page_opens_with_a_song_at_a_click(browser: Browser, address: str) -
     cancel(browser)
 
 
-def test_an_arrangement_is_chosen_and_explained(
-    browser: Browser, address: str, tmp_path: Path
-) -> None:
+def test_an_arrangement_is_chosen_and_explained(browser, address, tmp_path):
     chords = tuple(Note(i, i + 0.9, pitch) for i in range(4) for pitch in range(36, 84, 4))
     write_midi(Score(chords), tmp_path / "chords.mid")
     visit(browser, address)
@@ -764,7 +734,7 @@ def test_an_arrangement_is_chosen_and_explained(
     assert not uncaught(browser)
 
 
-def test_speed_and_loop(browser: Browser, address: str, tmp_path: Path) -> None:
+def test_speed_and_loop(browser, address, tmp_path):
     visit(browser, address)
     drop(browser, song(tmp_path / "a.mid"), "a.mid")
     wait(browser, "cadenza.finished && cadenza.state === 'kept'")

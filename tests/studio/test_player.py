@@ -51,7 +51,7 @@ def ode_to_joy(folder: Path) -> bytes:
     return json.dumps(asdict(order)).encode()
 
 
-def test_a_song_is_put_down_while_it_is_planned(tmp_path: Path) -> None:
+def test_a_song_is_put_down_while_it_is_planned(tmp_path):
     """The same process then waits for another."""
     with player() as (say, hear):
         say(ode_to_joy(tmp_path))
@@ -64,7 +64,7 @@ def test_a_song_is_put_down_while_it_is_planned(tmp_path: Path) -> None:
         assert not any(b"failed" in content for kind, content in told if kind == JSON)
 
 
-def test_what_is_not_played_is_told(tmp_path: Path) -> None:
+def test_what_is_not_played_is_told(tmp_path):
     trill = tuple(Note(0.08 * i, 0.08 * i + 0.02, 60) for i in range(10))
     write_midi(Score(trill), tmp_path / "trill.mid")
     request, source = PlayRequest("trill"), str(tmp_path / "trill.mid")
@@ -79,7 +79,7 @@ def test_what_is_not_played_is_told(tmp_path: Path) -> None:
     assert remark.startswith("4 notes repeat too fast for control steps of 0.05 s")
 
 
-def test_a_song_that_was_put_down_is_played_again_just_the_same(tmp_path: Path) -> None:
+def test_a_song_that_was_put_down_is_played_again_just_the_same(tmp_path):
     with player() as (say, hear):
         played: list[list[bytes]] = []
         for _ in range(2):

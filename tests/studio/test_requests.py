@@ -36,9 +36,7 @@ def read(content: object) -> PlayRequest:
         ("left", "left", False),
     ],
 )
-def test_a_request_says_which_hand_plays_what(
-    hands: str, playing: str, as_written: bool, tmp_path: Path
-) -> None:
+def test_a_request_says_which_hand_plays_what(hands, playing, as_written, tmp_path):
     request = read({"song": "CMajorScaleTwoHands", "hands": hands})
     order = Order(request, "", request.song, False, "0" * 16, str(tmp_path))
     with set_up_order(order, silent) as setup:
@@ -48,7 +46,7 @@ def test_a_request_says_which_hand_plays_what(
         assert len(track.score.notes) == (15 if playing == "left" else 30)
 
 
-def test_a_request_says_what_is_to_be_played() -> None:
+def test_a_request_says_what_is_to_be_played():
     request = read({"song": "OdeToJoy", "tempo": 2, "tracks": [1, 2], "plain": True})
     assert request == PlayRequest("OdeToJoy", tempo=2.0, tracks=(1, 2), plain=True)
     assert request.arrangement == Arrangement((1, 2), plain=True)
@@ -77,7 +75,7 @@ def test_a_request_says_what_is_to_be_played() -> None:
         {"song": "OdeToJoy", "video": "/etc/passwd"},
     ],
 )
-def test_what_cannot_be_asked_for_is_refused_in_a_line(content: dict[str, object]) -> None:
+def test_what_cannot_be_asked_for_is_refused_in_a_line(content):
     with pytest.raises(CadenzaError) as refused:
         read(content)
     assert "\n" not in str(refused.value)
@@ -99,7 +97,7 @@ def add(songs: Storage, content: bytes, name: str) -> Upload:
 
 
 @pytest.mark.parametrize("name", ["../../evil.mid", "/etc/passwd", "a\0b.mid", "", "é" * 5000])
-def test_names_are_shown_but_lead_nowhere(songs: Storage, name: str) -> None:
+def test_names_are_shown_but_lead_nowhere(songs, name):
     upload = add(songs, b"MThd", name)
     (listed, *_) = songs.songs()
     assert listed["title"] == upload.title
@@ -109,12 +107,12 @@ def test_names_are_shown_but_lead_nowhere(songs: Storage, name: str) -> None:
 
 
 @pytest.mark.parametrize("song", ["../uploads/x", "/etc/passwd", "0" * 16, "no such"])
-def test_a_song_that_is_not_there_is_refused(songs: Storage, song: str) -> None:
+def test_a_song_that_is_not_there_is_refused(songs, song):
     with pytest.raises(CadenzaError, match="no such song"):
         songs.source(song)
 
 
-def test_no_upload_is_lost_for_another(songs: Storage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_upload_is_lost_for_another(songs, monkeypatch):
     monkeypatch.setattr(storage, "MAX_UPLOADS", 2)
     first, second = (add(songs, b"MThd%d" % i, f"{i}.mid") for i in range(2))
     with pytest.raises(CadenzaError, match="2 files of yours already; delete some"):
@@ -126,7 +124,7 @@ def test_no_upload_is_lost_for_another(songs: Storage, monkeypatch: pytest.Monke
     add(songs, b"MThd2", "2.mid")
 
 
-def test_uploads_that_nobody_has_read_do_not_stay(songs: Storage) -> None:
+def test_uploads_that_nobody_has_read_do_not_stay(songs):
     """The studio was killed meanwhile; a file that another studio just reads stays."""
     listed = add(songs, b"MThd0", "0.mid")
     killed, (now, *_) = (
@@ -141,14 +139,14 @@ def test_uploads_that_nobody_has_read_do_not_stay(songs: Storage) -> None:
     assert {path.name for path in Storage(songs.folder).uploads.iterdir()} == left
 
 
-def test_practice_is_of_what_a_song_holds_now() -> None:
+def test_practice_is_of_what_a_song_holds_now():
     request, score = PlayRequest("library/song"), Score((Note(0.0, 1.0, 60),))
     folder = practice_folder(Path("x"), request, score)
     assert folder == practice_folder(Path("x"), request, replace(score, title="renamed"))
     assert folder != practice_folder(Path("x"), request, score.transposed(1))
 
 
-def test_performances_are_found_again_and_removed(songs: Storage) -> None:
+def test_performances_are_found_again_and_removed(songs):
     id = "0123456789abcdef"
     kept = KeptPerformance("Ode", PlayRequest("OdeToJoy"), "Well.", 8.0, 1.0)
     (songs.folder / id).mkdir()
@@ -168,7 +166,7 @@ def test_performances_are_found_again_and_removed(songs: Storage) -> None:
         again.remove_performance("uploads")
 
 
-def test_a_file_is_read_by_a_process_that_says_what_it_holds(tmp_path: Path) -> None:
+def test_a_file_is_read_by_a_process_that_says_what_it_holds(tmp_path):
     path = tmp_path / "a.mid"
     write_midi(Score((Note(0.0, 1.0, 60), Note(1.0, 2.0, 62))), path)
     command = [sys.executable, "-P", "-m", "cadenza.studio.upload_reader", str(path)]
@@ -177,12 +175,7 @@ def test_a_file_is_read_by_a_process_that_says_what_it_holds(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("content", [b"MThd", b"", b"<score", b"PK\3\4", b"\x89PNG" * 100])
-def test_what_is_no_music_is_refused_in_a_line(
-    songs: Storage,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    content: bytes,
-) -> None:
+def test_what_is_no_music_is_refused_in_a_line(songs, capsys, monkeypatch, content):
     path, *_ = songs.write_upload(content, "song.mid")
     monkeypatch.setattr(sys, "argv", ["upload_reader", str(path)])
     monkeypatch.setattr(upload_reader, "limit", lambda _: None)  # not on the process of the tests
@@ -193,7 +186,7 @@ def test_what_is_no_music_is_refused_in_a_line(
     assert str(path) not in error
 
 
-def test_what_fails_says_where_no_upload_lies_and_what_a_piece_is_called() -> None:
+def test_what_fails_says_where_no_upload_lies_and_what_a_piece_is_called():
     def said(source: str, uploaded: bool) -> str:
         order = Order(PlayRequest("x"), "", source, uploaded, "0" * 16, "")
         return error_text(CadenzaError(f"{source}: nobody\nknows '{source}'"), order)
@@ -210,14 +203,12 @@ def test_what_fails_says_where_no_upload_lies_and_what_a_piece_is_called() -> No
         (tuple(Note(0.01 * i, 0.01 * i + 0.01, 60) for i in range(40_001)), "40001 notes"),
     ],
 )
-def test_there_is_a_limit_to_what_is_played(notes: tuple[Note, ...], why: str) -> None:
+def test_there_is_a_limit_to_what_is_played(notes, why):
     with pytest.raises(CadenzaError, match=why):
         upload_reader.check_size(Score(notes))
 
 
-def test_imported_libraries_are_listed(
-    songs: Storage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_imported_libraries_are_listed(songs, tmp_path, monkeypatch):
     monkeypatch.setenv("CADENZA_DATA", str(tmp_path / "data"))
     with new_library("mine") as library:
         write_midi(SCORE, library.folder / "four.mid")

@@ -61,7 +61,7 @@ def client(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClie
         yield client
 
 
-def test_the_page_and_its_parts_are_there(client: TestClient) -> None:
+def test_the_page_and_its_parts_are_there(client):
     page = client.get("/TOKEN/")
     assert page.status_code == 200
     assert "default-src 'none'" in page.headers["content-security-policy"]
@@ -72,7 +72,7 @@ def test_the_page_and_its_parts_are_there(client: TestClient) -> None:
     assert client.get("/TOKEN/guard.py").status_code == 404
 
 
-def test_the_page_opens_with_hands_at_a_piano(client: TestClient) -> None:
+def test_the_page_opens_with_hands_at_a_piano(client):
     songs = client.get("/TOKEN/api/songs").json()
     assert songs["first"] in {song["id"] for song in songs["songs"]}
     assert songs["hands"]["shadow"] == "Shadow Dexterous Hand"
@@ -81,7 +81,7 @@ def test_the_page_opens_with_hands_at_a_piano(client: TestClient) -> None:
     assert picture["notes"]
 
 
-def test_a_host_may_be_given_in_capitals(tmp_path: Path) -> None:
+def test_a_host_may_be_given_in_capitals(tmp_path):
     app = Studio(tmp_path / "studio").app("TOKEN", "MyBox")
     with TestClient(app, base_url="http://mybox:8000") as browser:
         assert browser.get("/TOKEN/").status_code == 200
@@ -102,13 +102,13 @@ def test_a_host_may_be_given_in_capitals(tmp_path: Path) -> None:
         ("/TOKEN/api/songs", {"origin": "http://127.0.0.1:9000"}),
     ],
 )
-def test_others_are_refused(client: TestClient, path: str, headers: dict[str, str]) -> None:
+def test_others_are_refused(client, path, headers):
     answer = client.get(path, headers=headers)
     assert answer.status_code == 403
     assert answer.text.count("\n") == 1
 
 
-def test_nothing_changes_without_an_origin(client: TestClient) -> None:
+def test_nothing_changes_without_an_origin(client):
     for method, path in [("POST", "jobs"), ("POST", "songs"), ("DELETE", "performances/x")]:
         assert client.request(method, f"/TOKEN/api/{path}").status_code == 403
 
@@ -122,7 +122,7 @@ def test_nothing_changes_without_an_origin(client: TestClient) -> None:
         ("/TOKEN/watch/x", SAME | {"host": "evil.example"}),
     ],
 )
-def test_others_cannot_watch(client: TestClient, path: str, headers: dict[str, str]) -> None:
+def test_others_cannot_watch(client, path, headers):
     with (
         pytest.raises(WebSocketDisconnect),
         client.websocket_connect(f"ws://127.0.0.1:8000{path}", headers=headers),
@@ -130,12 +130,12 @@ def test_others_cannot_watch(client: TestClient, path: str, headers: dict[str, s
         pass
 
 
-def test_a_job_that_is_gone_is_said_to_be(client: TestClient) -> None:
+def test_a_job_that_is_gone_is_said_to_be(client):
     with client.websocket_connect("ws://127.0.0.1:8000/TOKEN/watch/x", headers=SAME) as told:
         assert told.receive_json() == {"state": "gone"}
 
 
-def test_a_tone_is_made_for_who_asks(client: TestClient) -> None:
+def test_a_tone_is_made_for_who_asks(client):
     answer = client.get("/TOKEN/tones/60/3")
     samples = np.frombuffer(answer.content[4:], "<i2")
     assert np.abs(samples).max() == 32767
@@ -150,7 +150,7 @@ def test_a_tone_is_made_for_who_asks(client: TestClient) -> None:
         *("1e3/1", "NaN/1", "inf/1", "%D9%A3/1", "%C2%B2/1", "%00/1", "%20/1", "+1/1", "1_0/1"),
     ],
 )
-def test_a_tone_that_there_is_not_is_refused(client: TestClient, wrong: str) -> None:
+def test_a_tone_that_there_is_not_is_refused(client, wrong):
     answer = client.get(f"/TOKEN/tones/{wrong}")
     assert answer.status_code == 400
     assert answer.json() == {"error": "there is no such tone"}
@@ -158,9 +158,7 @@ def test_a_tone_that_there_is_not_is_refused(client: TestClient, wrong: str) -> 
 
 @pytest.mark.parametrize("value", ["9" * 5000, "-1", "1e400", "NaN", "[" * 5000, "1.5", "true"])
 @pytest.mark.parametrize("name", ["seed", "transpose", "tempo", "tracks", "song"])
-def test_numbers_that_are_none_are_refused_in_a_line(
-    client: TestClient, name: str, value: str
-) -> None:
+def test_numbers_that_are_none_are_refused_in_a_line(client, name, value):
     if (name, value) in (("tempo", "1.5"), ("transpose", "-1")):
         return  # may be asked for
     asked = {"song": '"OdeToJoy"', name: f"[{value}]" if name == "tracks" else value}
@@ -171,7 +169,7 @@ def test_numbers_that_are_none_are_refused_in_a_line(
 
 
 @pytest.mark.parametrize("length", ["9" * 5000, "-1", "1e3", "+1", "\u00b2"])
-def test_a_length_that_is_none_is_refused(client: TestClient, length: str) -> None:
+def test_a_length_that_is_none_is_refused(client, length):
     headers = {**SAME, "content-length": length.encode("latin-1")}
     answer = client.post("/TOKEN/api/songs?name=a.mid", content=b"MThd", headers=headers)
     assert answer.status_code == 400
@@ -179,9 +177,7 @@ def test_a_length_that_is_none_is_refused(client: TestClient, length: str) -> No
 
 
 @pytest.mark.parametrize("name", ["a.mp3", "a.WAV", "a.mp4", "a.pdf", "a.mscz", "a.png", "a.webm"])
-def test_a_file_of_another_format_gets_the_answer_of_the_command_line(
-    client: TestClient, tmp_path: Path, name: str
-) -> None:
+def test_a_file_of_another_format_gets_the_answer_of_the_command_line(client, tmp_path, name):
     content = b"\0" * (5 << 20)  # more than a file of music may have
     answer = client.post(f"/TOKEN/api/songs?name={name}", content=content, headers=SAME)
     (tmp_path / name).touch()
@@ -191,7 +187,7 @@ def test_a_file_of_another_format_gets_the_answer_of_the_command_line(
     assert answer.json()["error"] == str(refused.value).replace(f"{tmp_path}/", "")
 
 
-def test_what_is_kept_is_told_again(client: TestClient, tmp_path: Path) -> None:
+def test_what_is_kept_is_told_again(client, tmp_path):
     id, wanted = "0123456789abcdef", PlayRequest("OdeToJoy")
     folder, rows = tmp_path / "studio" / id, bytes(range(256)) * 4000  # more than is sent at once
     folder.mkdir()
@@ -221,7 +217,7 @@ def test_what_is_kept_is_told_again(client: TestClient, tmp_path: Path) -> None:
             assert told.receive_json() == {"state": "gone"}
 
 
-def test_no_link_leads_out_of_what_is_kept(client: TestClient, tmp_path: Path) -> None:
+def test_no_link_leads_out_of_what_is_kept(client, tmp_path):
     secret = tmp_path / "secret"
     secret.write_text("secret")
     studio, wanted = tmp_path / "studio", PlayRequest("OdeToJoy")
@@ -273,9 +269,7 @@ def weird(path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["dangling", "loop", "folder", "pipe", *WEIRD])
-def test_whatever_lies_in_the_folders_the_lists_are_there(
-    client: TestClient, tmp_path: Path, kind: str
-) -> None:
+def test_whatever_lies_in_the_folders_the_lists_are_there(client, tmp_path, kind):
     id, studio = "0123456789abcdef", tmp_path / "studio"
     for path in (
         *(studio / "uploads" / f"{name}.json" for name in (id, "x", ".cadenza-1")),
@@ -299,9 +293,7 @@ def test_whatever_lies_in_the_folders_the_lists_are_there(
         Studio(studio)  # starts again
 
 
-def test_lists_survive_what_vanishes_while_they_are_made(
-    client: TestClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lists_survive_what_vanishes_while_they_are_made(client, tmp_path, monkeypatch):
     studio, glob = tmp_path / "studio", Path.glob
     (studio / "0123456789abcdef").mkdir()
     (studio / "0123456789abcdef" / "studio.json").write_text("{}")
@@ -318,9 +310,7 @@ def test_lists_survive_what_vanishes_while_they_are_made(
         (studio / "uploads").mkdir(parents=True, exist_ok=True)
 
 
-def test_a_file_that_is_deleted_before_it_is_sent_is_not_there(
-    client: TestClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_is_deleted_before_it_is_sent_is_not_there(client, tmp_path, monkeypatch):
     gone = tmp_path / "gone.html"
     monkeypatch.setattr("cadenza.studio.storage.Storage.file", lambda *_: gone)
     answer = client.get("/TOKEN/performances/0123456789abcdef/report.html")
@@ -341,7 +331,7 @@ def address_of(folder: Path, known: Path | None = None) -> str:
     return address
 
 
-def test_links_stay_valid(tmp_path: Path) -> None:
+def test_links_stay_valid(tmp_path):
     known = tmp_path / "address.json"
     address = address_of(tmp_path, known)
     assert address_of(tmp_path, known) == address
@@ -357,7 +347,7 @@ def test_links_stay_valid(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "content", ["", '{"token": "", "port": 0}', '{"token": "abcdefghijklmnopqrst", "port": 70000}']
 )
-def test_a_damaged_address_is_replaced(content: str, tmp_path: Path) -> None:
+def test_a_damaged_address_is_replaced(content, tmp_path):
     (known := tmp_path / "address.json").write_text(content)
     known.chmod(0o600)
     assert address_of(tmp_path, known) == address_of(tmp_path, known)
@@ -365,9 +355,7 @@ def test_a_damaged_address_is_replaced(content: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs owners of files")
-def test_an_address_that_others_may_have_written_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_address_that_others_may_have_written_is_refused(tmp_path, monkeypatch):
     known = tmp_path / "studio" / "address.json"
     address_of(tmp_path / "studio", known)
     assert known.parent.stat().st_mode & 0o077 == 0
@@ -401,7 +389,7 @@ os.rename({told!r} + ".new", {told!r})
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_the_token_is_in_no_list_of_processes(tmp_path: Path, end: signal.Signals) -> None:
+def test_the_token_is_in_no_list_of_processes(tmp_path, end):
     """A browser is opened by a file that only the user can read, and that is there for a while."""
     told, browser = tmp_path / "told", tmp_path / "browser"
     browser.write_text(BROWSER.format(python=sys.executable, told=str(told)))
@@ -470,7 +458,7 @@ FRAMES = {
 }
 
 
-def test_whatever_a_page_says_the_terminal_stays_empty_and_others_watch(tmp_path: Path) -> None:
+def test_whatever_a_page_says_the_terminal_stays_empty_and_others_watch(tmp_path):
     command = [sys.executable, "-c", SERVING, str(tmp_path)]
     with subprocess.Popen(command, stdout=PIPE, stderr=PIPE, text=True) as server:
         assert server.stdout is not None
@@ -504,7 +492,7 @@ def test_whatever_a_page_says_the_terminal_stays_empty_and_others_watch(tmp_path
         assert server.stderr.read() == ""
 
 
-def test_a_dropped_file_is_listed_once_read(client: TestClient, tmp_path: Path) -> None:
+def test_a_dropped_file_is_listed_once_read(client, tmp_path):
     path = tmp_path / "a.mid"
     notes, url = (Note(0, 1, 60), Note(1, 2, 62)), "/TOKEN/api/songs?name=%3Cb%3EMy%20song.mid"
     for title, shown in ("Sunrise Drive", "Sunrise Drive"), ("", "<b>My song"):
@@ -517,9 +505,7 @@ def test_a_dropped_file_is_listed_once_read(client: TestClient, tmp_path: Path) 
     assert not any(song["uploaded"] for song in client.get("/TOKEN/api/songs").json()["songs"])
 
 
-def test_a_broken_or_large_file_gives_one_line_and_leaves_nothing(
-    client: TestClient, tmp_path: Path
-) -> None:
+def test_a_broken_or_large_file_gives_one_line_and_leaves_nothing(client, tmp_path):
     for content in b"MThd broken", b"\0" * (5 << 20):
         answer = client.post("/TOKEN/api/songs?name=a.mid", content=content, headers=SAME)
         assert answer.status_code == 400
@@ -530,8 +516,8 @@ def test_a_broken_or_large_file_gives_one_line_and_leaves_nothing(
 
 
 def test_a_file_that_was_read_before_is_not_lost_if_it_cannot_be_read_again(
-    client: TestClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    client, tmp_path, monkeypatch
+):
     async def cannot(_: Path) -> Any:
         raise CadenzaError("it takes too long to read")
 
@@ -543,7 +529,7 @@ def test_a_file_that_was_read_before_is_not_lost_if_it_cannot_be_read_again(
     assert (tmp_path / "studio" / "uploads" / f"{id}.mid").read_bytes() == path.read_bytes()
 
 
-def test_only_so_many_songs_wait(client: TestClient) -> None:
+def test_only_so_many_songs_wait(client):
     def ask(**request: Any) -> Any:
         return client.post("/TOKEN/api/jobs", json=request, headers=SAME)
 
@@ -605,7 +591,7 @@ def queue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Queue:
     return run_queue
 
 
-def test_jobs_run_one_after_the_other_and_end_when_cancelled(queue: Queue) -> None:
+def test_jobs_run_one_after_the_other_and_end_when_cancelled(queue):
     async def run(queue: jobs.JobQueue) -> None:
         first, second = asked(queue), asked(queue)
         assert (first.status["state"], second.status["state"]) == ("preparing", "queued")
@@ -619,7 +605,7 @@ def test_jobs_run_one_after_the_other_and_end_when_cancelled(queue: Queue) -> No
     queue(lambda *_: player(WAITING), run)
 
 
-def test_a_song_plays_on_where_no_spare_player_can_start(queue: Queue) -> None:
+def test_a_song_plays_on_where_no_spare_player_can_start(queue):
     """The spare one is started when the song has been played, and its files are being written."""
     told = io.BytesIO()
     json_message(state="played", verdict="").write(told)
@@ -641,7 +627,7 @@ def test_a_song_plays_on_where_no_spare_player_can_start(queue: Queue) -> None:
     queue(once, run)
 
 
-def test_a_player_whose_song_is_cancelled_plays_the_next(queue: Queue) -> None:
+def test_a_player_whose_song_is_cancelled_plays_the_next(queue):
     """If it puts it down in time."""
     polite = (
         "import sys\nfor number, _ in enumerate(sys.stdin):\n"
@@ -662,7 +648,7 @@ def test_a_player_whose_song_is_cancelled_plays_the_next(queue: Queue) -> None:
     queue(lambda *_: player(programs.pop(0)), run)
 
 
-def test_what_is_cancelled_at_its_last_moment_is_not_kept(queue: Queue, tmp_path: Path) -> None:
+def test_what_is_cancelled_at_its_last_moment_is_not_kept(queue, tmp_path):
     """The player does not notice, and keeps it all the same."""
     keeping = (
         "import json, os\norder = json.loads(input())\ninput()\n"
@@ -676,7 +662,7 @@ def test_what_is_cancelled_at_its_last_moment_is_not_kept(queue: Queue, tmp_path
     queue(lambda *_: player(keeping), run)
 
 
-def test_one_player_waits_at_most(queue: Queue) -> None:
+def test_one_player_waits_at_most(queue):
     begun = []
 
     async def waiting(*_: str) -> Any:
@@ -691,9 +677,7 @@ def test_one_player_waits_at_most(queue: Queue) -> None:
     assert len(begun) == 1
 
 
-def test_a_file_that_does_not_come_is_given_up(
-    client: TestClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_does_not_come_is_given_up(client, monkeypatch):
     async def never(_: Any) -> AsyncIterator[bytes]:
         yield b"MThd"
         await asyncio.sleep(60)
@@ -704,9 +688,7 @@ def test_a_file_that_does_not_come_is_given_up(
     assert answer.json()["error"] == "a.mid takes too long to come"
 
 
-def test_a_page_that_closes_while_it_sends_is_no_fault_of_the_server(
-    client: TestClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_that_closes_while_it_sends_is_no_fault_of_the_server(client, monkeypatch):
     async def gone(_: Any) -> AsyncIterator[bytes]:
         yield b"MThd"
         raise ClientDisconnect
@@ -716,7 +698,7 @@ def test_a_page_that_closes_while_it_sends_is_no_fault_of_the_server(
     assert answer.json()["error"] == "a.mid has not come to its end"
 
 
-def test_a_synthesizer_that_ends_is_started_again() -> None:
+def test_a_synthesizer_that_ends_is_started_again():
     async def run() -> None:
         synthesizer = Synthesizer()
         low = asyncio.create_task(synthesizer.tone(30, 0))

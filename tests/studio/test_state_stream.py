@@ -23,7 +23,7 @@ from cadenza.tasks.config import TaskConfig
 @pytest.mark.parametrize(
     "task", [TaskConfig(), TaskConfig(random_stretch=0.5, random_pitch_shift=3)]
 )
-def test_the_rows_hold_the_episode(task: TaskConfig) -> None:
+def test_the_rows_hold_the_episode(task):
     score = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, 60 + i) for i in range(4)), title="Four")
     sent: list[WireMessage] = []
     with set_up(score, find_player(RandomAgent()).playing_in(task, None), seed=3) as setup:
@@ -63,7 +63,7 @@ def test_the_rows_hold_the_episode(task: TaskConfig) -> None:
     np.testing.assert_array_equal(goal, episode["goal_keys"])
 
 
-def test_what_an_arrangement_left_out_and_what_was_missed_is_sent() -> None:
+def test_what_an_arrangement_left_out_and_what_was_missed_is_sent():
     chords = tuple(Note(i, i + 0.9, pitch) for i in range(3) for pitch in range(36, 84, 6))
     sent: list[WireMessage] = []
     agent = make_agent(PLANNER, PlannerConfig(method="none"))

@@ -81,7 +81,7 @@ def seen(states: list[PianoState]) -> Any:
     [{"mass": (0.7, 1.4)}, {"latency": (0.0, 0.3)}, {"joint_noise": 0.02}, {"control_noise": 0.02}],
     ids=str,
 )
-def test_worlds_and_episodes_differ_by_the_seed(on: Any) -> None:
+def test_worlds_and_episodes_differ_by_the_seed(on):
     first, again, other = played(DomainRandomization(**on), 0, 0, 1)
     assert_array_equal(seen(first), seen(again))
     assert (seen(first) != seen(other)).any(axis=(0, 2)).all()
@@ -91,7 +91,7 @@ def test_worlds_and_episodes_differ_by_the_seed(on: Any) -> None:
         assert (seeds[0] != seeds[-1]).all()  # of the next episode
 
 
-def test_ranges_without_width_change_no_bit() -> None:
+def test_ranges_without_width_change_no_bit():
     same: Any = dict.fromkeys(SCALED_FIELDS, (1.0, 1.0))
     (off,), (on,) = (
         played(each, 0) for each in (DomainRandomization(), DomainRandomization(**same))
@@ -101,7 +101,7 @@ def test_ranges_without_width_change_no_bit() -> None:
     assert_array_equal(seen(fixed)[:, 1:], seen(fixed)[:, :-1])
 
 
-def test_models_are_those_of_the_cpu(scene: Scene) -> None:
+def test_models_are_those_of_the_cpu(scene):
     config = DomainRandomization(**FACTORS, seed=5)
     random = DeviceRandomization(config, scene, DT, 2)
     key = jax.random.key(0)
@@ -129,7 +129,7 @@ class Listening:
 
 
 @pytest.mark.parametrize("latency", [0.005, 0.015, 0.05, 0.1, 0.12])
-def test_actions_arrive_when_they_do_on_the_cpu(scene: Scene, latency: float) -> None:
+def test_actions_arrive_when_they_do_on_the_cpu(scene, latency):
     """After exactly so many control steps, and physics steps within one."""
     config = DomainRandomization(latency=(latency, latency), seed=1)
     listening, start = Listening(), np.tile(scene.hand_start, (2, 1))
@@ -151,7 +151,7 @@ def test_actions_arrive_when_they_do_on_the_cpu(scene: Scene, latency: float) ->
             assert_allclose(ours, sent[step - whole], atol=1e-6)
 
 
-def test_noise_is_as_wide_as_it_says_and_the_state_has_none(scene: Scene) -> None:
+def test_noise_is_as_wide_as_it_says_and_the_state_has_none(scene):
     noise = DomainRandomization(joint_noise=0.03, slide_noise=0.002, key_noise=0.05)
     (states,) = played(noise, 0, num_envs=16)
     layout = task_spec(TaskConfig(), scene).observation_layout
@@ -167,13 +167,13 @@ def test_noise_is_as_wide_as_it_says_and_the_state_has_none(scene: Scene) -> Non
     assert 0.05 < keys.max() < 0.5
 
 
-def test_says_what_makes_no_sense() -> None:
+def test_says_what_makes_no_sense():
     with pytest.raises(CadenzaError, match=r"randomization.mass 1.2 0.8: give the least"):
         played(DomainRandomization(mass=(1.2, 0.8)), 0)
 
 
 @pytest.mark.slow  # it compiles for a minute
-def test_randomized_worlds_move_as_on_the_cpu(scene: Scene) -> None:
+def test_randomized_worlds_move_as_on_the_cpu(scene):
     """Each as the environment of the CPU that begins with the same seed, and not as another one."""
     pytest.importorskip("mujoco_warp")
     ranges = DomainRandomization(**FACTORS, latency=(0.0, 0.12))

@@ -31,7 +31,7 @@ class ConformanceTest(test_utils.EnvironmentTestMixin, absltest.TestCase):
             yield rng.uniform(-1, 1, spec.shape).astype(spec.dtype)
 
 
-def test_discount_tells_the_score_s_end_from_a_wrong_key() -> None:
+def test_discount_tells_the_score_s_end_from_a_wrong_key():
     adapter = DmEnvAdapter(PianoEnv(SHORT, initial_buffer_time=0.0))
     adapter.reset()
     steps = [adapter.step(np.zeros(39)) for _ in range(6)]
@@ -44,7 +44,7 @@ def test_discount_tells_the_score_s_end_from_a_wrong_key() -> None:
     assert step.discount == 0.0
 
 
-def test_parts_are_those_of_the_environment() -> None:
+def test_parts_are_those_of_the_environment():
     env = PianoEnv(SHORT)
     adapter = DmEnvAdapter(env, seed=1)
     parts = adapter.reset().observation
@@ -53,7 +53,7 @@ def test_parts_are_those_of_the_environment() -> None:
     np.testing.assert_array_equal(np.concatenate(list(parts.values())), whole)
 
 
-def test_the_seed_is_that_of_the_first_episode_and_the_others_draw_on() -> None:
+def test_the_seed_is_that_of_the_first_episode_and_the_others_draw_on():
     def starts() -> list[np.ndarray]:
         adapter = DmEnvAdapter(PianoEnv(SHORT, random_hand_position=0.05), seed=3)
         return [adapter.reset().observation["joints"] for _ in range(2)]
@@ -63,7 +63,7 @@ def test_the_seed_is_that_of_the_first_episode_and_the_others_draw_on() -> None:
     np.testing.assert_array_equal(starts(), [first, second])
 
 
-def test_takes_what_gymnasium_makes() -> None:
+def test_takes_what_gymnasium_makes():
     adapter = DmEnvAdapter(gym.make("cadenza/Piano-v0", song=SHORT, max_episode_steps=2), seed=1)
     whole, _ = PianoEnv(SHORT).reset(seed=1)
     parts = adapter.reset().observation
@@ -72,7 +72,7 @@ def test_takes_what_gymnasium_makes() -> None:
     assert adapter.step(np.zeros(39, np.float32)).last()
 
 
-def test_refuses_what_has_no_such_parts() -> None:
+def test_refuses_what_has_no_such_parts():
     stacked = gym.wrappers.FrameStackObservation(PianoEnv(SHORT), 2)
     for env, message in (
         (stacked, "leave out the wrapper that changes them"),
@@ -84,7 +84,7 @@ def test_refuses_what_has_no_such_parts() -> None:
 
 
 @pytest.mark.parametrize("name", "ad")
-def test_a_published_environment_replays_its_recording(name: str) -> None:
+def test_a_published_environment_replays_its_recording(name):
     """It has each reward and the metrics, by the names of the options that it was made with."""
     with np.load(Path(__file__).parents[1] / f"data/episode_{name}.npz") as file:
         recording = dict(file)
@@ -114,7 +114,7 @@ def test_a_published_environment_replays_its_recording(name: str) -> None:
         assert_allclose(env.get_musical_metrics()[metric], value, err_msg=metric)
 
 
-def test_metrics_and_statistics_are_means_over_the_last_episodes() -> None:
+def test_metrics_and_statistics_are_means_over_the_last_episodes():
     adapter = DmEnvAdapter(PianoEnv(SHORT), seed=0, deque_size=2)
     with pytest.raises(CadenzaError, match="no episode has ended"):
         adapter.get_musical_metrics()
@@ -129,7 +129,7 @@ def test_metrics_and_statistics_are_means_over_the_last_episodes() -> None:
     assert_allclose(adapter.get_musical_metrics()["sustain_f1"], np.mean(seen[1:], axis=0)[1])
 
 
-def test_says_what_a_published_option_is_here() -> None:
+def test_says_what_a_published_option_is_here():
     for option, meant in (
         ({"disable_fingering_reward": True}, "fingering='off'"),
         ({"disable_forearm_reward": False}, "forearm_term=True"),

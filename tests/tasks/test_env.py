@@ -5,10 +5,8 @@ import json
 import pickle
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 import av
@@ -42,22 +40,22 @@ SHORT_STEPS = SILENT_STEPS + 6
 FAR_AWAY = 1e12  # [m, rad], where MuJoCo takes the state for that of a simulation that diverged
 
 
-def test_every_bundled_song_is_registered() -> None:
+def test_every_bundled_song_is_registered():
     for piece in songs():
         assert f"cadenza/{piece.name}-v0" in gym.registry
     assert cadenza.__version__
 
 
-def test_gymnasium_imports_the_package_that_is_named() -> None:
+def test_gymnasium_imports_the_package_that_is_named():
     make = 'import gymnasium as gym; gym.make("cadenza:cadenza/OdeToJoy-v0").reset(seed=0)'
     subprocess.run([sys.executable, "-c", make], check=True, timeout=60)
 
 
-def test_gymnasium_checks_the_env_when_it_draws() -> None:
+def test_gymnasium_checks_the_env_when_it_draws():
     check_env(gym.make(ID, render_mode="rgb_array").unwrapped)
 
 
-def test_make_takes_options() -> None:
+def test_make_takes_options():
     env = gym.make(ID, reduced_action_space=False, n_steps_lookahead=2)
     assert env.action_space.shape == (45,)
     observation, _ = env.reset(seed=0)
@@ -67,7 +65,7 @@ def test_make_takes_options() -> None:
         gym.make(ID, speed=2)
 
 
-def test_episode_ends_with_the_score() -> None:
+def test_episode_ends_with_the_score():
     env = gym.make("cadenza/Piano-v0", song=SHORT)
     env.reset(seed=0)
     for step in range(SHORT_STEPS):
@@ -81,7 +79,7 @@ def test_episode_ends_with_the_score() -> None:
         env.step(np.zeros(39, np.float32))
 
 
-def test_make_vec_picks_the_batched_env() -> None:
+def test_make_vec_picks_the_batched_env():
     envs = gym.make_vec(ID, num_envs=3, num_threads=2)
     assert isinstance(envs.unwrapped, PianoVectorEnv)
     assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
@@ -93,7 +91,7 @@ def test_make_vec_picks_the_batched_env() -> None:
     envs.close()
 
 
-def test_a_batch_is_its_environments_one_by_one() -> None:
+def test_a_batch_is_its_environments_one_by_one():
     """Environment i of a batch seeded with s is a single one seeded with s + i."""
     options = {"song": ["OdeToJoy", SHORT], "random_hand_position": 0.05, "random_pitch_shift": 5}
     envs = PianoVectorEnv(num_envs=3, num_threads=2, **options)
@@ -111,7 +109,7 @@ def test_a_batch_is_its_environments_one_by_one() -> None:
     envs.close()
 
 
-def test_a_score_and_a_start_that_a_reset_names_are_taken_as_they_are() -> None:
+def test_a_score_and_a_start_that_a_reset_names_are_taken_as_they_are():
     """Nothing is drawn then, nor done to the score; as JSON has them, they are the same."""
     env = PianoEnv(
         "OdeToJoy", stretch=2.0, transpose=1, random_stretch=0.2, random_hand_position=0.05
@@ -129,13 +127,13 @@ def test_a_score_and_a_start_that_a_reset_names_are_taken_as_they_are() -> None:
     assert not np.array_equal(env.task.state.hand_qpos[0], start)
 
 
-def test_fingers_are_looked_for_where_a_score_that_a_reset_names_gives_none() -> None:
+def test_fingers_are_looked_for_where_a_score_that_a_reset_names_gives_none():
     env = PianoEnv(SHORT)
     env.reset(options={"score": SHORT.without_fingers()})
     assert env.task.goals.tracks[0].score.has_fingering
 
 
-def test_each_environment_is_reset_to_a_score_and_a_start_of_its_own() -> None:
+def test_each_environment_is_reset_to_a_score_and_a_start_of_its_own():
     envs = PianoVectorEnv(SHORT, num_envs=3)
     start = np.full(len(envs.task.scene.hand_joint_names), 0.01)
     other = replace(SHORT, title="other")
@@ -163,14 +161,14 @@ def test_each_environment_is_reset_to_a_score_and_a_start_of_its_own() -> None:
         ({"start": [[0.0] * 46] * 2}, "2 starts for 1 environments: give one for each"),
     ],
 )
-def test_scores_and_starts_that_cannot_be(options: dict[str, Any], what: str) -> None:
+def test_scores_and_starts_that_cannot_be(options, what):
     env = PianoEnv(SHORT)
     env.reset(seed=0)
     with pytest.raises(CadenzaError, match=what):
         env.reset(options=options)
 
 
-def test_same_seed_same_episode_and_reset_draws_anew() -> None:
+def test_same_seed_same_episode_and_reset_draws_anew():
     env = PianoEnv("OdeToJoy", random_hand_position=0.05)
     first, _ = env.reset(seed=3)
     again, _ = env.reset()
@@ -179,7 +177,7 @@ def test_same_seed_same_episode_and_reset_draws_anew() -> None:
     assert (first != again).any()
 
 
-def test_list_of_seeds() -> None:
+def test_list_of_seeds():
     envs = PianoVectorEnv("OdeToJoy", num_envs=2, random_hand_position=0.05)
     both, _ = envs.reset(seed=[4, 4])
     assert_array_equal(both[0], both[1])
@@ -196,7 +194,7 @@ def scripted(mode: AutoresetMode, steps: int) -> list[tuple]:
     return [envs.step(rng.uniform(-1, 1, envs.action_space.shape)) for _ in range(steps)]
 
 
-def test_autoreset_on_the_next_step() -> None:
+def test_autoreset_on_the_next_step():
     results = scripted(AutoresetMode.NEXT_STEP, 2 * SHORT_STEPS)
     ended = np.array([result[3] for result in results])
     assert ended[SHORT_STEPS - 1].any()
@@ -210,7 +208,7 @@ def test_autoreset_on_the_next_step() -> None:
             assert_array_equal(info["_metrics/f1"], ended[now])
 
 
-def test_a_reset_row_starts_over() -> None:
+def test_a_reset_row_starts_over():
     results = scripted(AutoresetMode.NEXT_STEP, 2 * SHORT_STEPS)
     ended = np.flatnonzero(results[SHORT_STEPS - 1][3])
     fresh = results[SHORT_STEPS][0][ended]
@@ -218,7 +216,7 @@ def test_a_reset_row_starts_over() -> None:
     assert_array_equal(fresh[:, joints], np.zeros((len(ended), 46)))
 
 
-def test_autoreset_on_the_same_step_keeps_the_last_observation() -> None:
+def test_autoreset_on_the_same_step_keeps_the_last_observation():
     next_step = scripted(AutoresetMode.NEXT_STEP, SHORT_STEPS)
     same_step = scripted(AutoresetMode.SAME_STEP, SHORT_STEPS)
     observation, _, _, truncated, info = same_step[-1]
@@ -228,7 +226,7 @@ def test_autoreset_on_the_same_step_keeps_the_last_observation() -> None:
         assert_array_equal(observation[i, -46:], np.zeros(46))
 
 
-def test_disabled_autoreset_resets_by_mask() -> None:
+def test_disabled_autoreset_resets_by_mask():
     envs = PianoVectorEnv(SHORT, num_envs=2, autoreset_mode=AutoresetMode.DISABLED)
     envs.reset(seed=0)
     for _ in range(SHORT_STEPS):
@@ -240,13 +238,13 @@ def test_disabled_autoreset_resets_by_mask() -> None:
     envs.step(envs.action_space.sample())
 
 
-def test_a_single_environment_is_always_reset() -> None:
+def test_a_single_environment_is_always_reset():
     env = PianoEnv(SHORT)
     env.reset(seed=0, options={"reset_mask": [False]})
     env.step(np.zeros(39))
 
 
-def test_an_unstable_simulation_ends_its_episode_only() -> None:
+def test_an_unstable_simulation_ends_its_episode_only():
     envs = PianoVectorEnv("OdeToJoy", num_envs=3)
     envs.reset(seed=0, options={"start": [None, np.full(46, FAR_AWAY), None]})
     observation, reward, terminated, _, info = envs.step(np.zeros((3, 39)))
@@ -256,7 +254,7 @@ def test_an_unstable_simulation_ends_its_episode_only() -> None:
     assert np.isfinite(reward).all()
 
 
-def test_pixels() -> None:
+def test_pixels():
     env = gym.make(ID, pixels=True)
     observation, _ = env.reset(seed=0)
     assert observation in env.observation_space
@@ -271,7 +269,7 @@ def test_pixels() -> None:
     assert info["final_obs"][0]["pixels"].shape == (360, 640, 3)
 
 
-def test_rendered_keys_light_up() -> None:
+def test_rendered_keys_light_up():
     env = PianoEnv("OdeToJoy", hands="none", render_mode="rgb_array")
     env.reset(seed=0)
     action = -np.ones(89)
@@ -283,7 +281,7 @@ def test_rendered_keys_light_up() -> None:
     assert 20 < reddened.sum() < 4000
 
 
-def test_gymnasium_records_a_video(tmp_path: Path) -> None:
+def test_gymnasium_records_a_video(tmp_path):
     env = gym.make("cadenza/Piano-v0", song=SHORT, render_mode="rgb_array")
     with closing(RecordVideo(env, str(tmp_path), episode_trigger=lambda _: True)) as recorded:
         recorded.reset(seed=0)
@@ -300,15 +298,13 @@ def test_gymnasium_records_a_video(tmp_path: Path) -> None:
     ("options", "meant"),
     [({"song": "OdeToJy"}, "OdeToJoy"), ({"sng": "OdeToJoy"}, "song"), ({"hnds": "left"}, "hands")],
 )
-def test_what_is_misspelt_is_suggested(options: dict[str, Any], meant: str) -> None:
+def test_what_is_misspelt_is_suggested(options, meant):
     for make in (gym.make, gym.make_vec):
         with pytest.raises(CadenzaError, match=rf"did you mean {meant}\?"):
             make("cadenza/Piano-v0", **options)
 
 
-def test_keys_are_drawn_by_what_was_wanted_when_they_were_pressed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_keys_are_drawn_by_what_was_wanted_when_they_were_pressed(monkeypatch):
     drawn, goals = [], []
 
     def frame(_self: Renderer, _hand: Any, _keys: Any, sounding: Any, wanted: Any) -> np.ndarray:
@@ -327,7 +323,7 @@ def test_keys_are_drawn_by_what_was_wanted_when_they_were_pressed(
     assert any(sounding.any() for sounding, _ in drawn)
 
 
-def test_seeds_of_some_leave_the_others_as_they_were() -> None:
+def test_seeds_of_some_leave_the_others_as_they_were():
     def pitches(**again: Any) -> list[int]:
         envs = PianoVectorEnv(SHORT, num_envs=2, random_pitch_shift=20)
         envs.reset(seed=[1, 2])
@@ -346,7 +342,7 @@ def test_seeds_of_some_leave_the_others_as_they_were() -> None:
     assert pitches(seed=np.array([3, 4]), options={"reset_mask": mask})[1] == other
 
 
-def test_observation_sees_the_score_and_the_keys() -> None:
+def test_observation_sees_the_score_and_the_keys():
     env = PianoEnv(SHORT, initial_buffer_time=0.0)
     observation, _ = env.reset(seed=0)
     layout = env.observation_layout
@@ -357,7 +353,7 @@ def test_observation_sees_the_score_and_the_keys() -> None:
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_copies_live_a_life_of_their_own(duplicate: Callable) -> None:
+def test_copies_live_a_life_of_their_own(duplicate):
     envs = PianoVectorEnv("OdeToJoy", num_envs=2, num_threads=2, random_pitch_shift=10)
     envs.reset(seed=0)
     envs.step(np.zeros((2, 39)))
@@ -375,7 +371,7 @@ def test_copies_live_a_life_of_their_own(duplicate: Callable) -> None:
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_copies_go_on_as_their_originals_within_an_episode(duplicate: Callable) -> None:
+def test_copies_go_on_as_their_originals_within_an_episode(duplicate):
     """Some keys sleep, others do not."""
     envs = PianoVectorEnv("OdeToJoy", num_envs=2, physics="fast", sleeping_keys=True)
     envs.reset(seed=0)
@@ -385,7 +381,7 @@ def test_copies_go_on_as_their_originals_within_an_episode(duplicate: Callable) 
 
 
 @pytest.mark.parametrize("at", [slice(None), 0, -1], ids=["all", "a joint", "the pedal"])
-def test_actions_that_are_no_numbers_end_their_episode_only(at: int | slice) -> None:
+def test_actions_that_are_no_numbers_end_their_episode_only(at):
     envs = PianoVectorEnv("OdeToJoy", num_envs=2)
     envs.reset(seed=0)
     actions = np.zeros((2, 39))
@@ -397,7 +393,7 @@ def test_actions_that_are_no_numbers_end_their_episode_only(at: int | slice) -> 
     assert np.isfinite(reward).all()
 
 
-def test_the_next_episode_knows_nothing_of_a_pedal_that_was_no_number() -> None:
+def test_the_next_episode_knows_nothing_of_a_pedal_that_was_no_number():
     env = PianoEnv("OdeToJoy")
     env.reset(seed=0)
     action = np.zeros(39)
@@ -409,7 +405,7 @@ def test_the_next_episode_knows_nothing_of_a_pedal_that_was_no_number() -> None:
     assert not info["unstable"]
 
 
-def test_steps_on_after_close() -> None:
+def test_steps_on_after_close():
     envs = PianoVectorEnv("OdeToJoy", num_envs=2, num_threads=2)
     envs.reset(seed=0)
     envs.close()
@@ -470,12 +466,12 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
         (lambda: PianoEnv(SHORT, picture={"width": 64}), r"picture .*: give a cadenza\.sim"),
     ],
 )
-def test_says_what_is_wrong(use: Callable, message: str) -> None:
+def test_says_what_is_wrong(use, message):
     with pytest.raises(CadenzaError, match=message):
         use()
 
 
-def test_seeds_of_gymnasium_and_of_numpy_are_the_same() -> None:
+def test_seeds_of_gymnasium_and_of_numpy_are_the_same():
     env, envs = PianoEnv(SHORT), PianoVectorEnv(SHORT)
     env.reset(seed=3)
     drawn = env.np_random.random()
@@ -486,7 +482,7 @@ def test_seeds_of_gymnasium_and_of_numpy_are_the_same() -> None:
 
 
 @pytest.mark.parametrize("kind", [PianoEnv, PianoVectorEnv])
-def test_nothing_is_done_with_what_is_closed(kind: Callable) -> None:
+def test_nothing_is_done_with_what_is_closed(kind):
     env = kind(SHORT, render_mode="rgb_array")
     env.reset(seed=0)
     env.close()
@@ -496,7 +492,7 @@ def test_nothing_is_done_with_what_is_closed(kind: Callable) -> None:
     env.close()
 
 
-def test_a_metric_without_a_value_is_left_out_of_infos() -> None:
+def test_a_metric_without_a_value_is_left_out_of_infos():
     env, envs = PianoEnv(SHORT), PianoVectorEnv(SHORT, num_envs=2)
     env.reset(seed=0)
     envs.reset(seed=0)
@@ -511,14 +507,14 @@ def test_a_metric_without_a_value_is_left_out_of_infos() -> None:
     assert not any(np.isnan(v).any() for n, v in infos.items() if n.startswith("metrics/"))
 
 
-def test_what_could_not_be_made_need_not_be_closed() -> None:
+def test_what_could_not_be_made_need_not_be_closed():
     begun = PianoVectorEnv.__new__(PianoVectorEnv)
     with pytest.raises(CadenzaError, match="no song named"):
         begun.__init__("no song")  # type: ignore[misc]
     begun.close()
 
 
-def test_wrong_shape_of_actions() -> None:
+def test_wrong_shape_of_actions():
     envs = PianoVectorEnv(SHORT, num_envs=2)
     envs.reset(seed=0)
     with pytest.raises(CadenzaError, match=r"actions of shape \(39,\): give \(2, 39\)"):
@@ -529,14 +525,14 @@ def test_wrong_shape_of_actions() -> None:
         env.step(np.zeros(38))
 
 
-def test_final_info_holds_the_ended_episodes_scores() -> None:
+def test_final_info_holds_the_ended_episodes_scores():
     *_, truncated, info = scripted(AutoresetMode.SAME_STEP, SHORT_STEPS)[-1]
     assert_array_equal(info["_final_info"], truncated)
     assert_array_equal(info["final_info"]["metrics/f1"], info["metrics/f1"])
 
 
 @pytest.mark.parametrize("env_id", ["cadenza/Piano-v0", ID])
-def test_info_names_the_song(env_id: str) -> None:
+def test_info_names_the_song(env_id):
     given = {} if env_id == ID else {"song": SHORT}
     title = "Twinkle, Twinkle, Little Star" if env_id == ID else "short"
     env = gym.make(env_id, **given)
@@ -545,7 +541,7 @@ def test_info_names_the_song(env_id: str) -> None:
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_infos_name_the_song_of_each_environment(mode: AutoresetMode) -> None:
+def test_infos_name_the_song_of_each_environment(mode):
     envs = PianoVectorEnv([SHORT, OTHER], num_envs=8, autoreset_mode=mode)
     _, infos = envs.reset(seed=0)
     assert set(infos["song"]) == {"short", "other"}
@@ -565,7 +561,7 @@ OTHER = Score((Note(0.0, 0.1, 64),), title="other")
 BOTH = {"short", "other"}
 
 
-def test_songs_are_assigned_or_drawn() -> None:
+def test_songs_are_assigned_or_drawn():
     envs = PianoVectorEnv([SHORT, OTHER], num_envs=4, autoreset_mode=AutoresetMode.SAME_STEP)
     drawn = np.array([envs.reset(seed=seed)[1]["song"] for seed in range(8)])
     assert [set(titles) for titles in drawn.T] == [BOTH] * 4
@@ -583,7 +579,7 @@ def test_songs_are_assigned_or_drawn() -> None:
     assert [set(titles) for titles in partly.T] == [{"other"}, BOTH, {"short"}, BOTH]
 
 
-def test_an_assignment_is_for_one_episode_of_the_environments_that_are_reset() -> None:
+def test_an_assignment_is_for_one_episode_of_the_environments_that_are_reset():
     envs = PianoVectorEnv([SHORT, OTHER], num_envs=8, autoreset_mode=AutoresetMode.SAME_STEP)
     envs.reset(seed=0, options={"song": "short"})
     last_four = np.arange(8) >= 4
@@ -594,7 +590,7 @@ def test_an_assignment_is_for_one_episode_of_the_environments_that_are_reset() -
     assert set(infos["song"][:4]) == {"short", "other"}
 
 
-def test_a_song_is_assigned_by_the_name_that_was_given() -> None:
+def test_a_song_is_assigned_by_the_name_that_was_given():
     envs = PianoVectorEnv(["OdeToJoy", "FrereJacques"], num_envs=2)
     infos = envs.reset(options={"song": ["FrereJacques", "OdeToJoy"]})[1]
     assert infos["song"].tolist() == ["Frère Jacques", "Ode to Joy"]
@@ -602,7 +598,7 @@ def test_a_song_is_assigned_by_the_name_that_was_given() -> None:
         envs.reset(options={"song": "JingleBells"})
 
 
-def test_a_single_environment_is_assigned_a_song() -> None:
+def test_a_single_environment_is_assigned_a_song():
     env = gym.make("cadenza/Piano-v0", song=[SHORT, OTHER])
     for song, title in ((0, "short"), ("other", "other"), (1, "other")):
         for seed in range(3):
@@ -625,14 +621,14 @@ def test_a_single_environment_is_assigned_a_song() -> None:
         ("other", r"song 'other': 2 have this title; give an index: \[1, 2\]"),
     ],
 )
-def test_songs_that_there_are_not(song: object, message: str) -> None:
+def test_songs_that_there_are_not(song, message):
     envs = PianoVectorEnv([SHORT, OTHER, OTHER], num_envs=2)
     with pytest.raises(CadenzaError, match=message) as error:
         envs.reset(seed=0, options={"song": song})
     assert "\n" not in str(error.value)
 
 
-def test_scaling_actions_there_and_back() -> None:
+def test_scaling_actions_there_and_back():
     spec = PianoEnv(SHORT).task.spec
     action = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 3, 39))
     assert_allclose(spec.unscale_action(spec.scale_action(action)), action, atol=1e-12)
@@ -644,7 +640,7 @@ def near_middle_c(outcome: Outcome) -> np.ndarray:
     return outcome.key_state[:, 39] - outcome.goal_keys.sum(axis=1)
 
 
-def test_reward_terms_of_one_s_own() -> None:
+def test_reward_terms_of_one_s_own():
     terms = {"middle_c": near_middle_c, "energy": lambda outcome: np.zeros(len(outcome.ctrl))}
     env = gym.make("cadenza/Piano-v0", song=SHORT, reward_terms=terms)
     envs = gym.make_vec("cadenza/Piano-v0", num_envs=3, song=SHORT, reward_terms=terms)
@@ -665,19 +661,19 @@ def test_reward_terms_of_one_s_own() -> None:
         assert_array_equal(infos["reward/middle_c"], [info["reward/middle_c"]] * 3)
 
 
-def test_a_reward_term_of_the_wrong_shape() -> None:
+def test_a_reward_term_of_the_wrong_shape():
     env = PianoEnv(SHORT, reward_terms={"sum": lambda outcome: outcome.sounding.sum()})
     env.reset(seed=0)
     with pytest.raises(CadenzaError, match=r"'sum' returned values of shape \(\): give .* \(1,\)"):
         env.step(np.zeros(39))
 
 
-def test_a_reward_term_that_would_take_the_place_of_the_sum_in_recordings() -> None:
+def test_a_reward_term_that_would_take_the_place_of_the_sum_in_recordings():
     with pytest.raises(CadenzaError, match="reward term 'total': recordings call the sum"):
         PianoEnv(SHORT, reward_terms={"total": near_middle_c})
 
 
-def test_make_takes_configurations_and_tasks() -> None:
+def test_make_takes_configurations_and_tasks():
     config, scene = TaskConfig(stretch=2.0), SceneConfig(reduced_action_space=False)
     env = gym.make(ID, task=config, scene=scene, n_steps_lookahead=3)
     assert env.unwrapped.task.config == TaskConfig(stretch=2.0, n_steps_lookahead=3)
@@ -688,7 +684,7 @@ def test_make_takes_configurations_and_tasks() -> None:
     assert envs.reset(seed=0)[1]["song"].tolist() == ["short", "short"]
 
 
-def test_stretch_and_transpose() -> None:
+def test_stretch_and_transpose():
     slow = PianoEnv(SHORT, stretch=2.0, transpose=-12)
     observation, _ = slow.reset(seed=0)
     goal = observation[slow.observation_layout["goal"]].reshape(11, 89)

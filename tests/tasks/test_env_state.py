@@ -45,7 +45,7 @@ def steps(envs: PianoVectorEnv, actions: np.ndarray) -> list[list[Any]]:
 
 
 @pytest.mark.parametrize("options", CASES.values(), ids=CASES)
-def test_an_environment_goes_on_to_the_bit(options: dict[str, Any]) -> None:
+def test_an_environment_goes_on_to_the_bit(options):
     """Also another one, after a pickle, through the end of the episode and into the next."""
     envs = PianoVectorEnv([UP, DOWN], num_envs=2, privileged=True, **options)
     size = envs.single_action_space.shape[0]
@@ -67,7 +67,7 @@ def test_an_environment_goes_on_to_the_bit(options: dict[str, Any]) -> None:
             assert_array_equal(ours, theirs[::-1])
 
 
-def test_a_state_is_not_changed_by_going_on_from_it() -> None:
+def test_a_state_is_not_changed_by_going_on_from_it():
     env = PianoEnv(UP, randomization={"joint_noise": 0.1})
     env.reset(seed=0)
     env.step(np.zeros(39))
@@ -80,7 +80,7 @@ def test_a_state_is_not_changed_by_going_on_from_it() -> None:
     assert env.np_random.bit_generator.state == state[1].bit_generator.state
 
 
-def test_one_environment_takes_over_the_state_of_another() -> None:
+def test_one_environment_takes_over_the_state_of_another():
     envs = PianoVectorEnv([UP, DOWN], num_envs=3)
     envs.reset(seed=0, options={"song": [0, 1, 1]})
     action = np.zeros((3, 39))
@@ -96,7 +96,7 @@ def test_one_environment_takes_over_the_state_of_another() -> None:
     assert list(envs.step(action)[4]["song"]) == ["Up", "Up", "Down"]
 
 
-def test_states_that_cannot_be() -> None:
+def test_states_that_cannot_be():
     env = PianoEnv(UP)
     with pytest.raises(CadenzaError, match=r"call reset\(\) before get_state"):
         env.get_state()
@@ -111,7 +111,7 @@ def test_states_that_cannot_be() -> None:
         PianoVectorEnv(UP, num_envs=2).set_state([state])
 
 
-def test_an_episode_begins_within_its_song() -> None:
+def test_an_episode_begins_within_its_song():
     whole, part = (PianoEnv(UP, initial_buffer_time=0.0) for _ in range(2))
     whole.reset(seed=0)
     for _ in range(8):
@@ -128,7 +128,7 @@ def test_an_episode_begins_within_its_song() -> None:
     assert len(part.task.score(0).since(0.4).notes) == 3
 
 
-def test_metrics_count_from_the_first_step_on() -> None:
+def test_metrics_count_from_the_first_step_on():
     """A piano that plays itself, from the third of five notes on."""
     env = PianoEnv(UP, hands="none", initial_buffer_time=0.0)
     observation, _ = env.reset(seed=0, options={"step": 8})
@@ -140,7 +140,7 @@ def test_metrics_count_from_the_first_step_on() -> None:
     assert [note.pitch for note in env.task.played(0).notes] == [62, 63, 64]
 
 
-def test_a_step_that_the_song_does_not_have() -> None:
+def test_a_step_that_the_song_does_not_have():
     env = gym.make("cadenza/Piano-v0", song=UP)
     last = env.unwrapped.task.tracks[0].goals.num_steps - 1
     env.reset(options={"step": last})
@@ -148,7 +148,7 @@ def test_a_step_that_the_song_does_not_have() -> None:
         env.reset(options={"step": last + 1})
 
 
-def test_velocities_of_joints_are_observed_if_they_are_asked_for() -> None:
+def test_velocities_of_joints_are_observed_if_they_are_asked_for():
     env = PianoEnv(UP, joint_velocities=True)
     env.reset(seed=0)
     observation, *_ = env.step(np.ones(39))
@@ -158,7 +158,7 @@ def test_velocities_of_joints_are_observed_if_they_are_asked_for() -> None:
     assert env.observation_space.contains(observation)
 
 
-def test_critics_see_the_true_state_and_what_was_drawn() -> None:
+def test_critics_see_the_true_state_and_what_was_drawn():
     noisy = cadenza.DomainRandomization(joint_noise=0.1, mass=(0.5, 1.5))
     envs = PianoVectorEnv(UP, num_envs=2, randomization=noisy, privileged=True)
     _, infos = envs.reset(seed=0)

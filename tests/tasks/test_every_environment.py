@@ -30,14 +30,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
 class TestEnvironment:
-    def test_gymnasium_checks_it(self, options: dict[str, Any]) -> None:
+    def test_gymnasium_checks_it(self, options):
         env = PianoEnv(TUNE, **options)
         check_env(env, skip_render_check=True)
         env.close()
 
-    def test_a_batch_is_its_environments_one_by_one_to_the_bit(
-        self, options: dict[str, Any]
-    ) -> None:
+    def test_a_batch_is_its_environments_one_by_one_to_the_bit(self, options):
         """Environment i of a batch seeded with s is a single one seeded with s + i."""
         envs = PianoVectorEnv(TUNE, num_envs=2, num_threads=2, **options)
         single = [PianoEnv(TUNE, **options) for _ in range(2)]

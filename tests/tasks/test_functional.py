@@ -78,7 +78,7 @@ def recorded() -> np.ndarray:
 
 @pytest.mark.parametrize("options", CASES.values(), ids=CASES)
 @pytest.mark.parametrize("touch", [False, True])
-def test_every_value_of_an_episode(options: dict[str, Any], touch: bool) -> None:
+def test_every_value_of_an_episode(options, touch):
     """The recorded performance, random actions, an action that is no number, and a short song."""
     scores = [load_score("CMajorScaleTwoHands"), ONE_NOTE]
     config, scene = TaskConfig(**options), SceneConfig(touch=touch)
@@ -112,7 +112,7 @@ def test_every_value_of_an_episode(options: dict[str, Any], touch: bool) -> None
     cpu.close()
 
 
-def test_episodes_begin_anew() -> None:
+def test_episodes_begin_anew():
     """Against the environments of Gymnasium that are reset in the same step."""
     config = TaskConfig(initial_buffer_time=0.0)
     envs = PianoVectorEnv(ONE_NOTE, 2, autoreset_mode="SameStep", task=config)
@@ -147,7 +147,7 @@ def test_episodes_begin_anew() -> None:
     envs.close()
 
 
-def test_songs_of_any_length_one_after_the_other() -> None:
+def test_songs_of_any_length_one_after_the_other():
     """Against the task of the CPU, whose episodes begin with the songs that were drawn here."""
     lengths = (1, 2, 5, 7, 12)  # control steps
     scores = [Score((Note(0.0, 0.05 * n, 60 + n),), title=str(n)) for n in lengths]
@@ -198,12 +198,12 @@ def on_device(state: State) -> State:
     ("options", "what"),
     [({"fingering": "transport"}, "fingering transport"), ({"random_stretch": 0.1}, "random_str")],
 )
-def test_says_what_it_lacks(options: dict[str, Any], what: str) -> None:
+def test_says_what_it_lacks(options, what):
     with pytest.raises(CadenzaError, match=f"no {what}"):
         FunctionalPianoTask([ONE_NOTE], TaskConfig(**options), None, 1, RecordedPhysics)
 
 
-def test_gymnasium_makes_environments_on_the_device() -> None:
+def test_gymnasium_makes_environments_on_the_device():
     """Random actions as another library's array; the observations of the first as of the CPU's."""
     options: dict[str, Any] = {"song": ONE_NOTE, "num_envs": 2, "initial_buffer_time": 0.0}
     envs = gym.make_vec("cadenza/Piano-v0", engine="warp", make_physics=StillPhysics, **options)
@@ -221,7 +221,7 @@ def test_gymnasium_makes_environments_on_the_device() -> None:
         gym.make_vec("cadenza/Piano-v0", engine="cuda", **options)
 
 
-def test_the_first_unstable_simulation_is_told_and_all_are_counted(caplog: Any) -> None:
+def test_the_first_unstable_simulation_is_told_and_all_are_counted(caplog):
     envs = gym.make_vec("cadenza/Piano-v0", 3, song=ONE_NOTE, engine="warp", make_physics=Failing)
     envs.reset(seed=0)
     counts = []

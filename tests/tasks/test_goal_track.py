@@ -14,9 +14,9 @@ from cadenza.agents.rollout import play_episode
 from cadenza.fingers import Finger
 from cadenza.learning.observation import GoalTable
 from cadenza.music.score import Note, Score
-from cadenza.scene.config import Hands, SceneConfig
+from cadenza.scene.config import SceneConfig
 from cadenza.tasks import goal_track
-from cadenza.tasks.config import Fingering, TaskConfig
+from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 CONFIG = TaskConfig(initial_buffer_time=0.33)
@@ -31,7 +31,7 @@ def begun(song: Score, **options: object) -> PianoTask:
     return task
 
 
-def test_all_share_the_goals_of_a_song(monkeypatch) -> None:
+def test_all_share_the_goals_of_a_song(monkeypatch):
     made = []
     real = goal_track.score_to_goals
     monkeypatch.setattr(
@@ -45,7 +45,7 @@ def test_all_share_the_goals_of_a_song(monkeypatch) -> None:
     assert len(made) == 1
 
 
-def test_goals_are_not_kept_when_nobody_has_them() -> None:
+def test_goals_are_not_kept_when_nobody_has_them():
     task = begun(SONG, hands="none")
     track, goals = task.tracks[0], weakref.ref(task.tracks[0].goals)
     assert goals() is not None
@@ -54,7 +54,7 @@ def test_goals_are_not_kept_when_nobody_has_them() -> None:
     assert_array_equal(track.goals.keys.sum(axis=0)[[39, 43, 46]], [4, 4, 4])
 
 
-def test_notes_begin_after_the_silence() -> None:
+def test_notes_begin_after_the_silence():
     task = begun(SONG, hands="none")
     (track,) = task.tracks
     steps = [track.first_step(note) for note in SONG.notes]
@@ -64,7 +64,7 @@ def test_notes_begin_after_the_silence() -> None:
     assert track.delayed_score.notes[1].start == 0.55
 
 
-def test_says_which_notes_no_finger_is_there_for() -> None:
+def test_says_which_notes_no_finger_is_there_for():
     (track,) = begun(CLUSTER).tracks
     assert {note for note, _ in track.dropped or ()} == {
         note for note in track.score.notes if note.finger is None
@@ -85,9 +85,7 @@ def test_says_which_notes_no_finger_is_there_for() -> None:
         (GIVEN, "auto", "none", "off"),
     ],
 )
-def test_says_whose_fingers_are_rewarded(
-    song: Score, fingering: Fingering, hands: Hands, rewarded: str
-) -> None:
+def test_says_whose_fingers_are_rewarded(song, fingering, hands, rewarded):
     with closing(PianoTask([song], TaskConfig(fingering=fingering), SceneConfig(hands=hands))) as t:
         assert t.tracks[0].rewarded_fingers == rewarded
         metrics = play_episode(t, ZeroAgent(), stop=lambda: True).metrics
@@ -95,6 +93,6 @@ def test_says_whose_fingers_are_rewarded(
     assert ("reward/fingering" in metrics) == (rewarded != "off")
 
 
-def test_can_be_pickled() -> None:
+def test_can_be_pickled():
     track = begun(SONG).tracks[0]
     assert_array_equal(pickle.loads(pickle.dumps(track)).goals.keys, track.goals.keys)

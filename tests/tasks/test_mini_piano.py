@@ -16,7 +16,7 @@ from cadenza.tasks.view import TOUCH_RANGE
 IDS = {"cadenza/MiniNote-v0": 1, "cadenza/MiniNotes-v0": 6, "cadenza/MiniDyads-v0": 6}
 
 
-def test_its_keys_are_two_thirds_of_a_pianos() -> None:
+def test_its_keys_are_two_thirds_of_a_pianos():
     for mini, full in ((MINI.white, PIANO.white), (MINI.black, PIANO.black)):
         across = np.divide(mini.half_size[1:], full.half_size[1:])
         assert across == pytest.approx(2 / 3, rel=0.06)
@@ -30,7 +30,7 @@ def test_its_keys_are_two_thirds_of_a_pianos() -> None:
 
 
 @pytest.mark.parametrize(("env_id", "count"), IDS.items())
-def test_environments_draw_drills_with_touch(env_id: str, count: int) -> None:
+def test_environments_draw_drills_with_touch(env_id, count):
     env = gymnasium.make(env_id)
     drawn = set()
     for seed in range(6):
@@ -42,7 +42,7 @@ def test_environments_draw_drills_with_touch(env_id: str, count: int) -> None:
     assert observation[env.unwrapped.observation_layout["touch"]].shape == (4,)
 
 
-def test_a_hand_feels_the_key_that_it_presses() -> None:
+def test_a_hand_feels_the_key_that_it_presses():
     env = gymnasium.make("cadenza/MiniNotes-v0", song="etudes/notes-6-3").unwrapped
     observation, _ = env.reset(seed=0)
     touch = env.observation_layout["touch"]
@@ -58,12 +58,12 @@ def test_a_hand_feels_the_key_that_it_presses() -> None:
     assert np.max(felt) > 0
 
 
-def test_hands_do_not_begin_beside_it() -> None:
+def test_hands_do_not_begin_beside_it():
     with pytest.raises(CadenzaError, match=r"keyboard mini is only 0\.23 m long; .*one hand 0"):
         build_scene(SceneConfig(keyboard="mini"))
 
 
 @pytest.mark.slow
-def test_the_planner_plays_it() -> None:
+def test_the_planner_plays_it():
     performance = cadenza.play(make_etude("notes", 3, 0), setup="mini-allegro")
     assert performance.metrics["recall"] > 0.9

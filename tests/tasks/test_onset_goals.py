@@ -93,7 +93,7 @@ def seen(task: PianoTask, part: str) -> np.ndarray:
 # What is observed
 
 
-def test_notes_say_when_and_how_loud_from_the_last_step_on() -> None:
+def test_notes_say_when_and_how_loud_from_the_last_step_on():
     task = begin(
         song((0.02, 60, 127), (0.13, 64, 40)),
         onset_goals=True,
@@ -111,7 +111,7 @@ def test_notes_say_when_and_how_loud_from_the_last_step_on() -> None:
         task.step(np.zeros((1, NUM_KEYS + 1)))
 
 
-def test_keys_say_when_they_sounded_in_the_last_step_and_how_loud() -> None:
+def test_keys_say_when_they_sounded_in_the_last_step_and_how_loud():
     task = begin(song((0.0, 60, 80)), Onset(1, 0.03, 50.0), onset_goals=True)
     for onset, velocity in ((0.0, 0.0), (0.0, 0.0), (0.6, 50 / 127), (0.0, 0.0)):
         assert_allclose(seen(task, "key_onset")[0, C], onset, atol=1e-6)
@@ -119,7 +119,7 @@ def test_keys_say_when_they_sounded_in_the_last_step_and_how_loud() -> None:
         task.step(np.zeros((1, NUM_KEYS + 1)))
 
 
-def test_a_piano_that_plays_itself_shows_what_the_simulation_says() -> None:
+def test_a_piano_that_plays_itself_shows_what_the_simulation_says():
     silence = {"initial_buffer_time": 0.0}
     env = gym.make(ID, song=song((0.0, 60, 80)), hands="none", **silence, **REWARDED)
     env.reset(seed=0)
@@ -134,7 +134,7 @@ def test_a_piano_that_plays_itself_shows_what_the_simulation_says() -> None:
     assert_allclose(info["reward/loudness"], as_loud(PIANO.velocity(speed) - 80), rtol=1e-9)
 
 
-def test_without_the_option_nothing_is_observed_or_rewarded_and_the_rest_is_the_same() -> None:
+def test_without_the_option_nothing_is_observed_or_rewarded_and_the_rest_is_the_same():
     """To the bit."""
     plain = gym.make(ID, song="TwinkleTwinkleLittleStar", onset_goals=False)
     more = gym.make(ID, song="TwinkleTwinkleLittleStar", **REWARDED)
@@ -171,7 +171,7 @@ def as_loud(error: float) -> float:
     return 0.1 ** ((max(abs(error) - 10.8, 0) / 25) ** 2)
 
 
-def test_the_figures_by_hand() -> None:
+def test_the_figures_by_hand():
     assert (in_time(0.006), in_time(-0.05)) == (1.0, pytest.approx(0.1))
     assert (as_loud(-10.8), as_loud(35.8)) == (1.0, pytest.approx(0.1))
 
@@ -191,7 +191,7 @@ DUE = song((0.07, 60, 80))  # 20 ms after the beginning of step 1
         (Onset(0, 0.045), -0.025),
     ],
 )
-def test_a_note_earns_by_how_far_its_onset_is_off(onset: Onset, error: float) -> None:
+def test_a_note_earns_by_how_far_its_onset_is_off(onset, error):
     timing, loudness = rewards(DUE, onset)
     expected = np.zeros(5)
     expected[onset.step] = 1.0
@@ -200,7 +200,7 @@ def test_a_note_earns_by_how_far_its_onset_is_off(onset: Onset, error: float) ->
 
 
 @pytest.mark.parametrize("velocity", [80, 90, 69.5, 100, 115.8, 44.2, 1])
-def test_a_note_earns_by_how_far_its_velocity_is_off(velocity: float) -> None:
+def test_a_note_earns_by_how_far_its_velocity_is_off(velocity):
     timing, loudness = rewards(DUE, Onset(1, 0.02, velocity))
     assert_allclose(timing, [0, 1, 0, 0, 0], atol=1e-9)
     assert_allclose(loudness, [0, as_loud(velocity - 80), 0, 0, 0], atol=1e-9)
@@ -209,11 +209,11 @@ def test_a_note_earns_by_how_far_its_velocity_is_off(velocity: float) -> None:
 @pytest.mark.parametrize(
     "onset", [Onset(3, 0.0), Onset(1, 0.02, key=E)], ids=["two steps late", "of another key"]
 )
-def test_other_onsets_earn_nothing(onset: Onset) -> None:
+def test_other_onsets_earn_nothing(onset):
     assert rewards(DUE, onset) == ([0] * 5, [0] * 5)
 
 
-def test_to_strike_again_earns_nothing() -> None:
+def test_to_strike_again_earns_nothing():
     """The first onset near a note counts, however well the second one fits."""
     early, late = Onset(0, 0.01, 30), Onset(2, 0.01)
     timing, loudness = rewards(DUE, early, Onset(1, 0.02, offset=0.01), late)
@@ -223,35 +223,35 @@ def test_to_strike_again_earns_nothing() -> None:
         assert rewards(DUE, Onset(1, 0.02), again) == ([0, 1, 0, 0, 0], [0, 1, 0, 0, 0])
 
 
-def test_to_strike_twice_within_a_step_earns_nothing() -> None:
+def test_to_strike_twice_within_a_step_earns_nothing():
     """A key that was silent, and falls silent again before its last onset, sounded twice."""
     twice = Onset(1, 0.02, offset=0.01)
     assert rewards(DUE, twice) == ([0] * 5, [0] * 5)
     assert rewards(DUE, twice, Onset(3, 0.0)) == ([0] * 5, [0] * 5)
 
 
-def test_a_key_that_sounded_before_may_be_struck_anew() -> None:
+def test_a_key_that_sounded_before_may_be_struck_anew():
     """It falls silent in the step, and then plays the next note."""
     notes = song((0.0, 60, 80), (0.12, 60, 80))
     timing, _ = rewards(notes, Onset(1, 0.0), Onset(2, 0.02, offset=0.01))
     assert_allclose(timing, [0, in_time(0.05), 1, 0, 0], atol=1e-9)
 
 
-def test_an_onset_between_two_notes_plays_the_nearer_one() -> None:
+def test_an_onset_between_two_notes_plays_the_nearer_one():
     notes = song((0.0, 60, 40), (0.1, 60, 80))
     timing, loudness = rewards(notes, Onset(1, 0.04))
     assert_allclose(timing, [0, in_time(0.01), 0, 0, 0], atol=1e-9)
     assert_allclose(loudness, [0, 1, 0, 0, 0], atol=1e-9)
 
 
-def test_the_notes_of_a_chord_add_up() -> None:
+def test_the_notes_of_a_chord_add_up():
     chord = song((0.07, 60, 80), (0.07, 64, 80))
     timing, loudness = rewards(chord, Onset(1, 0.02), Onset(1, 0.04, 100, key=E))
     assert_allclose(timing, [0, 1 + in_time(0.02), 0, 0, 0], atol=1e-9)
     assert_allclose(loudness, [0, 1 + as_loud(20), 0, 0, 0], atol=1e-9)
 
 
-def test_a_weight_scales_its_term() -> None:
+def test_a_weight_scales_its_term():
     options = {"onset_timing_coefficient": 0.0, "loudness_coefficient": 0.5}
     task = begin(DUE, Onset(1, 0.02), **options)
     steps = [task.step(np.zeros((1, NUM_KEYS + 1))) for _ in range(2)]
@@ -260,7 +260,7 @@ def test_a_weight_scales_its_term() -> None:
     assert steps[1].reward == sum(steps[1].terms.values())
 
 
-def test_environments_play_their_notes_at_their_own_steps() -> None:
+def test_environments_play_their_notes_at_their_own_steps():
     """The second begins a step later, and the first begins anew."""
     task = begin(DUE, Onset(1, 0.02), num_envs=2, **REWARDED)
     ctrl = np.zeros((2, NUM_KEYS + 1))
@@ -272,7 +272,7 @@ def test_environments_play_their_notes_at_their_own_steps() -> None:
     assert_array_equal(task.step(ctrl).terms["onset_timing"], [1, 0])
 
 
-def test_terms_of_ones_own_are_given_the_errors() -> None:
+def test_terms_of_ones_own_are_given_the_errors():
     def late(outcome: Any) -> np.ndarray:
         return np.nansum(outcome.onset_errors.time, axis=1)
 

@@ -25,7 +25,7 @@ KEYBOARD = f"{__name__}:TWO_OCTAVES"
 SONG = Score((Note(0.0, 0.1, 48), Note(0.1, 0.3, 72), Note(0.1, 0.3, 60)), title="three notes")
 
 
-def test_it_plays_itself_from_the_first_key_to_the_last() -> None:
+def test_it_plays_itself_from_the_first_key_to_the_last():
     env = PianoEnv(SONG, setup="paper", hands="none", keyboard=KEYBOARD, control_timestep=0.1)
     observation, _ = env.reset(seed=0)
     layout = env.observation_layout
@@ -39,7 +39,7 @@ def test_it_plays_itself_from_the_first_key_to_the_last() -> None:
     assert info["metrics/f1"] == info["metrics/note_onset_offset_f1"] == 1.0
 
 
-def test_hands_play_it() -> None:
+def test_hands_play_it():
     envs = PianoVectorEnv(SONG, num_envs=2, keyboard=KEYBOARD, initial_buffer_time=0.0)
     observation, _ = envs.reset(seed=0)
     assert observation in envs.observation_space
@@ -49,7 +49,7 @@ def test_hands_play_it() -> None:
     assert np.isfinite(reward).all()
 
 
-def test_the_planner_plays_it() -> None:
+def test_the_planner_plays_it():
     notes = (Note(0.25 * i, 0.25 * i + 0.25, pitch) for i, pitch in enumerate((60, 62, 64, 65)))
     config, scene = (
         TaskConfig(initial_buffer_time=0.5),
@@ -64,7 +64,7 @@ def test_the_planner_plays_it() -> None:
 
 
 @pytest.mark.parametrize("agent", ["zero", "planner"])
-def test_a_performance_on_it_is_saved_with_its_page(agent: str, tmp_path: Path) -> None:
+def test_a_performance_on_it_is_saved_with_its_page(agent, tmp_path):
     tune = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, p) for i, p in enumerate((60, 61, 62))))
     scene = SceneConfig(hands="right", keyboard=KEYBOARD)
     performance = cadenza.play(tune, agent, scene=scene)
@@ -81,7 +81,7 @@ def test_a_performance_on_it_is_saved_with_its_page(agent: str, tmp_path: Path) 
         assert performance.played.notes == ()
 
 
-def test_misses_are_named_by_the_keys_that_it_has() -> None:
+def test_misses_are_named_by_the_keys_that_it_has():
     keys = tuple(Note(0.0, 0.4, pitch) for pitch in range(60, 71))  # too many for a hand
     performance = cadenza.play(
         Score(keys), Planner(UNREFINED), scene=SceneConfig(hands="right", keyboard=KEYBOARD)
@@ -99,11 +99,11 @@ def saved(path: Path, keys: int, **more: np.ndarray) -> Path:
     return path
 
 
-def test_recordings_that_do_not_say_are_of_pianos(tmp_path: Path) -> None:
+def test_recordings_that_do_not_say_are_of_pianos(tmp_path):
     assert cadenza.load_episode(saved(tmp_path / "old.npz", 88)).lowest_pitch == 21
 
 
-def test_recordings_of_impossible_keyboards_are_refused(tmp_path: Path) -> None:
+def test_recordings_of_impossible_keyboards_are_refused(tmp_path):
     high = saved(tmp_path / "high.npz", 25, lowest_pitch=np.array(120))
     with pytest.raises(CadenzaError, match="25 keys from pitch 120 on"):
         cadenza.load_episode(high)
@@ -112,7 +112,7 @@ def test_recordings_of_impossible_keyboards_are_refused(tmp_path: Path) -> None:
         cadenza.load_episode(other)
 
 
-def test_shifted_songs_stay_on_it() -> None:
+def test_shifted_songs_stay_on_it():
     config = TaskConfig(random_pitch_shift=40, random_octave_shift=3)
     melody = Score((Note(0.0, 0.1, 55), Note(0.1, 0.2, 65)))
     task = PianoTask([melody], config, SceneConfig(hands="none", keyboard=KEYBOARD), 40)
@@ -123,7 +123,7 @@ def test_shifted_songs_stay_on_it() -> None:
 
 
 @pytest.mark.parametrize(("transpose", "wrong"), [(0, 2), (-24, 3)])
-def test_notes_that_it_does_not_have_are_refused(transpose: int, wrong: int) -> None:
+def test_notes_that_it_does_not_have_are_refused(transpose, wrong):
     song = Score((*SONG.notes, Note(0.2, 0.3, 74), Note(0.3, 0.4, 47)), title="five notes")
     with pytest.raises(CadenzaError, match=rf"five notes: {wrong} of 5 notes .* 48 to 72"):
         PianoEnv(song, keyboard=KEYBOARD, transpose=transpose)

@@ -53,7 +53,7 @@ def make_task(num_envs: int = 1, **options: Any) -> PianoTask:
     return PianoTask([SONG], config, scene, num_envs, make_simulation=SelfPlayingPiano)
 
 
-def test_plays_an_episode() -> None:
+def test_plays_an_episode():
     """The first environment as the score asks, the second nothing."""
     envs = PianoVectorEnv(num_envs=2, task=make_task(2))
     envs.reset(seed=0)
@@ -74,7 +74,7 @@ def test_plays_an_episode() -> None:
     assert envs.task.simulation.closed
 
 
-def test_a_wrong_key_and_a_diverged_simulation_end_it() -> None:
+def test_a_wrong_key_and_a_diverged_simulation_end_it():
     task = make_task(2, wrong_press_termination=True)
     task.reset(np.random.default_rng(0).spawn(2), [0, 1])
     ctrl = np.zeros((2, 89))
@@ -85,7 +85,7 @@ def test_a_wrong_key_and_a_diverged_simulation_end_it() -> None:
 
 
 @pytest.mark.parametrize("planner", [PredictiveSampling(), ILQG()])
-def test_planners_that_take_over_a_physical_state_say_that_they_cannot(planner: Any) -> None:
+def test_planners_that_take_over_a_physical_state_say_that_they_cannot(planner):
     task = make_task()
     task.reset([np.random.default_rng(0)], [0])
     planner.reset([0], [np.random.default_rng(0)])
@@ -94,7 +94,7 @@ def test_planners_that_take_over_a_physical_state_say_that_they_cannot(planner: 
 
 
 @pytest.mark.parametrize("planner", [PredictiveSampling(), ILQG()])
-def test_planners_of_one_scene_do_not_play_with_hands_apart(planner: Any) -> None:
+def test_planners_of_one_scene_do_not_play_with_hands_apart(planner):
     task = PianoTask([SONG], TaskConfig(), SceneConfig(hands="apart"))
     task.reset([np.random.default_rng(0)], [0])
     planner.reset([0], [np.random.default_rng(0)])

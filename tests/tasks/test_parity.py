@@ -52,7 +52,7 @@ def recording(request: pytest.FixtureRequest) -> Recording:
 
 
 @pytest.mark.parametrize("name", "ad")
-def test_keys_that_never_sleep_replay_the_whole_recording(name: str) -> None:
+def test_keys_that_never_sleep_replay_the_whole_recording(name):
     """To the bit on the machine that wrote this; a C library may round sines otherwise."""
     recording = Recording(name)
     task = recording.task()
@@ -66,7 +66,7 @@ def test_keys_that_never_sleep_replay_the_whole_recording(name: str) -> None:
     assert_allclose([ours[k] for k in published], list(published.values()), atol=1e-12)
 
 
-def test_names_and_ranges_of_actions(recording: Recording) -> None:
+def test_names_and_ranges_of_actions(recording):
     scene = recording.scene
     assert_allclose(scene.action_low, recording["action_min"], **EXACT)
     assert_allclose(scene.action_high, recording["action_max"], **EXACT)
@@ -80,7 +80,7 @@ def test_names_and_ranges_of_actions(recording: Recording) -> None:
     ]
 
 
-def test_rewards_follow_from_recorded_states(recording: Recording) -> None:
+def test_rewards_follow_from_recorded_states(recording):
     goals = recording.goals
     key_qpos = recording["key_qpos"]
     keyboard = recording.scene.keyboard
@@ -102,7 +102,7 @@ def test_rewards_follow_from_recorded_states(recording: Recording) -> None:
     assert_allclose(sum(terms.values()), recording["reward_total"], **EXACT)
 
 
-def test_hands_that_touch_cost_the_reward_for_forearms() -> None:
+def test_hands_that_touch_cost_the_reward_for_forearms():
     """Postures with the published reward: forearms that touch, hands that do, and neither."""
     with np.load(DATA / "published_touches.npz") as published:
         postures, expected = published["hand_qpos"], published["forearm"]
@@ -150,7 +150,7 @@ def servo_force_and_velocity(recording: Recording) -> tuple[np.ndarray, np.ndarr
     return np.array(force), np.array(velocity)
 
 
-def test_metrics_follow_from_recorded_states(recording: Recording) -> None:
+def test_metrics_follow_from_recorded_states(recording):
     goals = recording.goals
     ours = playing_metrics(
         recording["key_activation"],
@@ -164,7 +164,7 @@ def test_metrics_follow_from_recorded_states(recording: Recording) -> None:
     assert_allclose([ours[name] for name in published], list(published.values()), **EXACT)
 
 
-def test_replaying_the_actions(recording: Recording) -> None:
+def test_replaying_the_actions(recording):
     """Goal and fingering are observed as recorded, hands and keys move as recorded."""
     task = recording.task()
     goal, fingering = (

@@ -99,7 +99,7 @@ def wanted_keys(row: np.ndarray) -> list[int]:
 # What is asked for
 
 
-def test_trimmed_song_begins_with_its_first_note(scenes: dict[str, Scene]) -> None:
+def test_trimmed_song_begins_with_its_first_note(scenes):
     player = Player(scenes["both"])
     rows = player.goal()[0]
     c, e, g = (pitch - 21 for pitch in (60, 64, 43))
@@ -109,7 +109,7 @@ def test_trimmed_song_begins_with_its_first_note(scenes: dict[str, Scene]) -> No
     assert len(player.play_on()) == 10
 
 
-def test_untrimmed_song_keeps_its_silence(scenes: dict[str, Scene]) -> None:
+def test_untrimmed_song_keeps_its_silence(scenes):
     player = Player(scenes["both"], trim_silence=False)
     assert [wanted_keys(row) for row in player.goal()[0]] == [[]] * 10 + [[39]]
     assert player.task.goals.num_steps.tolist() == [20]
@@ -119,7 +119,7 @@ def test_untrimmed_song_keeps_its_silence(scenes: dict[str, Scene]) -> None:
     ("seconds", "silent_steps"),
     [(0.0, 0), (0.02, 0), (0.125, 2), (0.2, 4), (0.375, 8), (0.13, 3)],  # half to even
 )
-def test_initial_buffer(scenes: dict[str, Scene], seconds: float, silent_steps: int) -> None:
+def test_initial_buffer(scenes, seconds, silent_steps):
     player = Player(scenes["both"], initial_buffer_time=seconds)
     rows = player.goal()[0]
     assert [wanted_keys(row) for row in rows[: silent_steps + 1]] == [[]] * silent_steps + [[39]]
@@ -142,16 +142,14 @@ def test_initial_buffer(scenes: dict[str, Scene], seconds: float, silent_steps: 
         ({"n_seconds_lookahead": 0.12, "control_timestep": 0.02}, 7),
     ],
 )
-def test_lookahead(scenes: dict[str, Scene], options: dict, rows: int) -> None:
+def test_lookahead(scenes, options, rows):
     player = Player(scenes["both"], **options)
     assert player.goal().shape == (1, rows, ROW)
     assert player.task.spec.observation_layout["goal"] == slice(0, rows * ROW)
 
 
 @pytest.mark.parametrize("lookahead", [0, 4, 30])
-def test_the_goal_moves_on_by_a_row_a_step_and_is_seen_once_more_at_the_end(
-    scenes: dict[str, Scene], lookahead: int
-) -> None:
+def test_the_goal_moves_on_by_a_row_a_step_and_is_seen_once_more_at_the_end(scenes, lookahead):
     whole = Player(scenes["both"], n_steps_lookahead=9).goal()[0]
     padded = np.vstack([whole, np.zeros((lookahead + 1, ROW))])
     player = Player(scenes["both"], n_steps_lookahead=lookahead)
@@ -160,7 +158,7 @@ def test_the_goal_moves_on_by_a_row_a_step_and_is_seen_once_more_at_the_end(
         player.rest()
 
 
-def test_control_timestep(scenes: dict[str, Scene]) -> None:
+def test_control_timestep(scenes):
     player = Player(scenes["both"], control_timestep=0.1)
     assert [wanted_keys(row) for row in player.goal()[0][:5]] == [[39], [43], [22, 43], [22], [22]]
     assert len(player.play_on()) == player.task.goals.num_steps[0] == 5
@@ -179,9 +177,7 @@ def test_control_timestep(scenes: dict[str, Scene]) -> None:
         ("none", {}, ["goal", *NOTES, "key_state", "pedal", *KEYS]),
     ],
 )
-def test_layout_of_the_observation(
-    scenes: dict[str, Scene], hands: str, options: dict, parts: list
-) -> None:
+def test_layout_of_the_observation(scenes, hands, options, parts):
     player = Player(scenes[hands], **options)
     layout = player.task.spec.observation_layout
     sizes = {name: SIZES[name] for name in parts}
@@ -193,7 +189,7 @@ def test_layout_of_the_observation(
     assert player.task.observation().dtype == np.float32
 
 
-def test_parts_of_the_observation(scenes: dict[str, Scene]) -> None:
+def test_parts_of_the_observation(scenes):
     player, rng = Player(scenes["both"]), np.random.default_rng(0)
     fingers = [np.flatnonzero(player.seen("fingering")[0]).tolist()]
     for _ in range(9):
@@ -210,9 +206,7 @@ def test_parts_of_the_observation(scenes: dict[str, Scene]) -> None:
 
 
 @pytest.mark.parametrize(("given", "seen"), [(5.0, 1.0), (-2.0, 0.0), (np.nan, 0.0), (0.3, 0.3)])
-def test_the_pedal_is_seen_within_its_range(
-    scenes: dict[str, Scene], given: float, seen: float
-) -> None:
+def test_the_pedal_is_seen_within_its_range(scenes, given, seen):
     player = Player(scenes["none"])
     ctrl = player.task.spec.action_low[None].copy()
     ctrl[:, -1] = given
@@ -220,7 +214,7 @@ def test_the_pedal_is_seen_within_its_range(
     assert player.seen("pedal") == np.float32(seen)
 
 
-def test_one_hand_is_asked_for_its_own_fingers_only(scenes: dict[str, Scene]) -> None:
+def test_one_hand_is_asked_for_its_own_fingers_only(scenes):
     for hands, fingers in (("right", [2]), ("left", [5])):
         player = Player(scenes[hands])
         for _ in range(4):
@@ -244,9 +238,7 @@ def test_one_hand_is_asked_for_its_own_fingers_only(scenes: dict[str, Scene]) ->
         ("none", {"sustain_term": True, "onset_goals": False}, {"key_press", "sustain"}),
     ],
 )
-def test_terms_add_up_to_the_reward(
-    scenes: dict[str, Scene], hands: str, options: dict, terms: set
-) -> None:
+def test_terms_add_up_to_the_reward(scenes, hands, options, terms):
     player, rng = Player(scenes[hands], **options), np.random.default_rng(0)
     for _ in range(10):
         transition = player.act(rng)
@@ -255,7 +247,7 @@ def test_terms_add_up_to_the_reward(
         assert transition.reward.shape == (1,)
 
 
-def test_energy_coefficient(scenes: dict[str, Scene]) -> None:
+def test_energy_coefficient(scenes):
     energy = {}
     for coefficient in (0.0, 0.005, 0.01):
         player = Player(scenes["both"], energy_coefficient=coefficient)
@@ -266,7 +258,7 @@ def test_energy_coefficient(scenes: dict[str, Scene]) -> None:
     assert_array_equal(energy[0.0], 0.0)
 
 
-def test_the_pedal_is_rewarded_for_following_the_score(scenes: dict[str, Scene]) -> None:
+def test_the_pedal_is_rewarded_for_following_the_score(scenes):
     player = Player(scenes["both"], sustain_term=True)
     pedal = [0, 0, 1, 1, 1, 1, 0.5, 0.49, 1, 1]  # down from the middle on
     right = []
@@ -277,7 +269,7 @@ def test_the_pedal_is_rewarded_for_following_the_score(scenes: dict[str, Scene])
     assert right == [True, True, False, False, True, True, True, False, True, True]
 
 
-def test_touching_forearms_lose_the_forearm_term(scenes: dict[str, Scene]) -> None:
+def test_touching_forearms_lose_the_forearm_term(scenes):
     player = Player(scenes["both"], forearm_term=True)
     names = player.task.scene.actuator_names
     ctrl = np.clip(0.0, player.task.spec.action_low, player.task.spec.action_high)
@@ -288,7 +280,7 @@ def test_touching_forearms_lose_the_forearm_term(scenes: dict[str, Scene]) -> No
     assert terms[-1] == 0.0
 
 
-def test_fingering_by_the_score_or_by_transport(scenes: dict[str, Scene]) -> None:
+def test_fingering_by_the_score_or_by_transport(scenes):
     """Transport lets any finger do, whatever the score says."""
     near = {}
     for name, score, fingering in (
@@ -305,9 +297,7 @@ def test_fingering_by_the_score_or_by_transport(scenes: dict[str, Scene]) -> Non
 
 
 @pytest.mark.parametrize(("hands", "fingers"), [("both", 10), ("right", 5), ("left", 5)])
-def test_a_song_without_fingering_gets_one(
-    scenes: dict[str, Scene], hands: Any, fingers: int
-) -> None:
+def test_a_song_without_fingering_gets_one(scenes, hands, fingers):
     """Every note is for one hand if there is but one."""
     player = Player(scenes[hands], UNFINGERED)
     notes = player.task.goals.scores[0].notes
@@ -319,14 +309,14 @@ def test_a_song_without_fingering_gets_one(
     assert "fingering" in player.rest().terms
 
 
-def test_known_fingers_stay_when_the_others_are_found(scenes: dict[str, Scene]) -> None:
+def test_known_fingers_stay_when_the_others_are_found(scenes):
     notes = (SONG.notes[0], *UNFINGERED.notes[1:])
     found = Player(scenes["both"], Score(notes)).task.goals.scores[0]
     assert found.notes[0].finger == SONG.notes[0].finger
     assert all(note.finger for note in found.notes)
 
 
-def test_reset_begins_anew(scenes: dict[str, Scene]) -> None:
+def test_reset_begins_anew(scenes):
     """Also after an episode that was cut short, or played past its end, with the pedal down."""
     for steps in (3, 12):
         player, rng = Player(scenes["both"]), np.random.default_rng(0)
@@ -353,7 +343,7 @@ def press(player: Player, *keys: int) -> Transition:
     return player.task.step(ctrl)
 
 
-def test_plays_a_song_without_hands(scenes: dict[str, Scene]) -> None:
+def test_plays_a_song_without_hands(scenes):
     player = Player(scenes["none"], onset_goals=False)
     transitions = []
     for _ in range(10):
@@ -367,7 +357,7 @@ def test_plays_a_song_without_hands(scenes: dict[str, Scene]) -> None:
 
 
 @pytest.mark.parametrize("ends", [True, False])
-def test_wrong_press_termination(scenes: dict[str, Scene], ends: bool) -> None:
+def test_wrong_press_termination(scenes, ends):
     player = Player(scenes["none"], wrong_press_termination=ends, onset_goals=False)
     right = press(player, 39)
     assert (right.terminated.tolist(), right.truncated.tolist()) == ([False], [False])
@@ -378,9 +368,7 @@ def test_wrong_press_termination(scenes: dict[str, Scene], ends: bool) -> None:
     assert_allclose(wrong.reward, [0.5], atol=2e-3)  # that step is still paid
 
 
-def test_a_wrong_press_on_the_last_step_terminates_and_does_not_truncate(
-    scenes: dict[str, Scene],
-) -> None:
+def test_a_wrong_press_on_the_last_step_terminates_and_does_not_truncate(scenes):
     player = Player(scenes["none"], wrong_press_termination=True)
     for _ in range(9):
         press(player)
@@ -389,14 +377,14 @@ def test_a_wrong_press_on_the_last_step_terminates_and_does_not_truncate(
 
 
 @pytest.mark.parametrize("hands", ["right", "left"])
-def test_one_hand_plays_through(scenes: dict[str, Scene], hands: str) -> None:
+def test_one_hand_plays_through(scenes, hands):
     player, rng = Player(scenes[hands]), np.random.default_rng(0)
     ends = [bool(player.act(rng).truncated[0]) for _ in range(10)]
     assert ends == [False] * 9 + [True]
     assert 0 <= player.task.episode_metrics(0)["f1"] <= 1
 
 
-def test_an_unstable_simulation_terminates_its_own_episode_only(scenes: dict[str, Scene]) -> None:
+def test_an_unstable_simulation_terminates_its_own_episode_only(scenes):
     player = Player(scenes["both"], seeds=(0, 1, 2))
     far_away = np.full(46, 1e12)  # [m, rad], which MuJoCo takes for a simulation that diverged
     player.task.reset([np.random.default_rng(0)], [1], [EpisodeStart(hand_qpos=far_away)])
@@ -411,7 +399,7 @@ def test_an_unstable_simulation_terminates_its_own_episode_only(scenes: dict[str
 # What is random
 
 
-def test_random_hand_position(scenes: dict[str, Scene]) -> None:
+def test_random_hand_position(scenes):
     """Both hands begin as far to the side, within the range and differently each time."""
     seeds = tuple(range(40))
     still = Player(scenes["both"]).task.state.fingertip_xpos[0]
@@ -439,7 +427,7 @@ def songs_drawn(scene: Scene, count: int, *scores: Score, **options: Any) -> lis
     return drawn
 
 
-def test_random_stretch(scenes: dict[str, Scene]) -> None:
+def test_random_stretch(scenes):
     drawn = songs_drawn(scenes["none"], 200, random_stretch=0.2)
     factor = np.array([song.total_time for song in drawn]) / 0.45
     assert (factor.min() >= 0.8, factor.max() <= 1.2) == (True, True)
@@ -449,7 +437,7 @@ def test_random_stretch(scenes: dict[str, Scene]) -> None:
 
 
 @pytest.mark.parametrize("repeats", ["published", "shortened"])
-def test_the_score_is_on_the_clock_of_the_goals(scenes: dict[str, Scene], repeats: str) -> None:
+def test_the_score_is_on_the_clock_of_the_goals(scenes, repeats):
     song = dataclasses.replace(SONG, notes=(*SONG.notes, Note(0.8, 1.2, 64), Note(1.2, 1.5, 64)))
     options: dict[str, Any] = {"initial_buffer_time": 0.33, "stretch": 1.5, "random_stretch": 0.2}
     options |= {"random_pitch_shift": 3, "repeats": repeats}
@@ -471,7 +459,7 @@ def test_the_score_is_on_the_clock_of_the_goals(scenes: dict[str, Scene], repeat
         ),
     ],
 )
-def test_random_shifts(scenes: dict[str, Scene], options: dict, shifts: set[int]) -> None:
+def test_random_shifts(scenes, options, shifts):
     """Every shift comes up, and no note ever leaves the keyboard (Note would refuse it)."""
     drawn = songs_drawn(scenes["none"], 300, **options)
     assert {song.notes[0].pitch - 60 for song in drawn} == shifts
@@ -479,7 +467,7 @@ def test_random_shifts(scenes: dict[str, Scene], options: dict, shifts: set[int]
     assert drawn == songs_drawn(scenes["none"], 300, **options)
 
 
-def test_fingers_that_were_found_are_found_anew_for_other_keys(scenes: dict[str, Scene]) -> None:
+def test_fingers_that_were_found_are_found_anew_for_other_keys(scenes):
     """At another tempo they stay; a song's own always do."""
     scene = scenes["both"]
     (song, slower), (_, higher), (given, moved) = (
@@ -498,14 +486,14 @@ def test_fingers_that_were_found_are_found_anew_for_other_keys(scenes: dict[str,
     assert [note.finger for note in moved.notes] == [note.finger for note in given.notes]
 
 
-def test_a_song_as_wide_as_the_keyboard_is_not_shifted(scenes: dict[str, Scene]) -> None:
+def test_a_song_as_wide_as_the_keyboard_is_not_shifted(scenes):
     wide = Score((Note(0, 1, 21), Note(0, 1, 108)))
     drawn = songs_drawn(scenes["none"], 20, wide, random_pitch_shift=5, random_octave_shift=2)
     assert set(drawn) == {wide}
 
 
 @pytest.mark.parametrize("probability", [0.0, 0.3, 1.0])
-def test_randomization_probability(scenes: dict[str, Scene], probability: float) -> None:
+def test_randomization_probability(scenes, probability):
     drawn = songs_drawn(
         scenes["none"], 400, random_stretch=0.5, randomization_probability=probability
     )
@@ -514,7 +502,7 @@ def test_randomization_probability(scenes: dict[str, Scene], probability: float)
     assert abs(changed - probability) < 0.08
 
 
-def test_every_song_comes_up(scenes: dict[str, Scene]) -> None:
+def test_every_song_comes_up(scenes):
     drawn = songs_drawn(scenes["none"], 120, SONG, UNFINGERED, SHORT)
     count = [drawn.count(s.with_silence_trimmed()) for s in (SONG, UNFINGERED, SHORT)]
     assert sum(count) == 120
@@ -525,7 +513,7 @@ def test_every_song_comes_up(scenes: dict[str, Scene]) -> None:
 
 
 @pytest.mark.parametrize("hands", ["both", "none"])
-def test_each_row_is_as_if_alone(scenes: dict[str, Scene], hands: str) -> None:
+def test_each_row_is_as_if_alone(scenes, hands):
     """Songs of different lengths, tempos and places, one generator for each environment."""
     options = {"random_stretch": 0.3, "random_pitch_shift": 5, "sustain_term": True}
     options |= {"random_hand_position": 0.05} if hands == "both" else {}
@@ -547,7 +535,7 @@ def test_each_row_is_as_if_alone(scenes: dict[str, Scene], hands: str) -> None:
         assert batch.task.episode_metrics(i) == player.task.episode_metrics(0)
 
 
-def test_a_longer_song_beside_a_running_episode_leaves_it_alone(scenes: dict[str, Scene]) -> None:
+def test_a_longer_song_beside_a_running_episode_leaves_it_alone(scenes):
     """Resetting one environment makes room for a longer song; the other goes on."""
     task = PianoTask([SHORT, SONG], TaskConfig(**AT_ONCE), scenes["none"], 2)
     alone = Player(scenes["none"], SHORT)
@@ -576,7 +564,7 @@ def seed_that_draws(task: PianoTask, song: Score) -> int:
     raise AssertionError("never drawn")
 
 
-def test_actions_are_scaled_to_the_actuators(scenes: dict[str, Scene]) -> None:
+def test_actions_are_scaled_to_the_actuators(scenes):
     task = Player(scenes["both"]).task
     ones = np.ones(task.spec.action_size)
     assert_allclose(task.spec.scale_action(-ones), task.spec.action_low, atol=1e-12)
@@ -618,13 +606,13 @@ def test_actions_are_scaled_to_the_actuators(scenes: dict[str, Scene]) -> None:
         ({"randomization_probability": 1.5}, "randomization_probability 1.5: choose 0 to 1"),
     ],
 )
-def test_says_what_is_wrong(scenes: dict[str, Scene], options: dict, message: str) -> None:
+def test_says_what_is_wrong(scenes, options, message):
     with pytest.raises(CadenzaError, match=message) as error:
         PianoTask([SONG], TaskConfig(**options), scenes["both"])
     assert "\n" not in str(error.value)
 
 
-def test_hands_that_cannot_slide_cannot_be_placed(scenes: dict[str, Scene]) -> None:
+def test_hands_that_cannot_slide_cannot_be_placed(scenes):
     fixed = SceneConfig(forearm_dofs=("ty",))
     for scene in (fixed, scenes["none"]):
         with pytest.raises(CadenzaError, match="needs hands that slide along the keyboard"):
@@ -635,9 +623,7 @@ def test_hands_that_cannot_slide_cannot_be_placed(scenes: dict[str, Scene]) -> N
     ("scores", "message"),
     [([], "no song"), ([SONG, Score((), title="Silence")], "Silence has no notes")],
 )
-def test_says_which_song_cannot_be_played(
-    scenes: dict[str, Scene], scores: list[Score], message: str
-) -> None:
+def test_says_which_song_cannot_be_played(scenes, scores, message):
     with pytest.raises(CadenzaError, match=message):
         PianoTask(scores, scene=scenes["none"])
 
@@ -653,7 +639,7 @@ def press_keys(scene: Scene, rows: np.ndarray, dt: float) -> tuple[Note, ...]:
     return task.played(0).notes
 
 
-def test_notes_sound_at_the_times_of_the_physics(scenes: dict[str, Scene]) -> None:
+def test_notes_sound_at_the_times_of_the_physics(scenes):
     """As if every physics step were a control step."""
     scene, rng = scenes["none"], np.random.default_rng(0)
     rows = rng.uniform(0, scene.action_high, (9, ROW)) * (rng.random((9, ROW)) < 0.5)
@@ -666,7 +652,7 @@ def test_notes_sound_at_the_times_of_the_physics(scenes: dict[str, Scene]) -> No
     assert not any(on_steps)
 
 
-def test_keys_struck_harder_are_louder_and_earlier(scenes: dict[str, Scene]) -> None:
+def test_keys_struck_harder_are_louder_and_earlier(scenes):
     scene = scenes["none"]
     keys = [20, 22, 24]  # all white
     rows = np.zeros((9, ROW))

@@ -62,7 +62,7 @@ def worlds(env: PlaygroundPiano, count: int) -> WorldState:
     return jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.PRNGKey(0), count))
 
 
-def test_has_the_fields_that_learners_read(env: PlaygroundPiano) -> None:
+def test_has_the_fields_that_learners_read(env):
     state = jax.jit(env.reset)(jax.random.key(0))
     assert state.obs.shape == (env.observation_size,)
     assert state.done.dtype == np.float32
@@ -73,7 +73,7 @@ def test_has_the_fields_that_learners_read(env: PlaygroundPiano) -> None:
     assert (put_back.data, put_back.pipeline_state, float(put_back.done)) == ("there", "there", 1)
 
 
-def test_worlds_that_are_mapped_are_those_one_by_one(env: PlaygroundPiano) -> None:
+def test_worlds_that_are_mapped_are_those_one_by_one(env):
     """And those of the batch that they are stepped as, song by song."""
     state, step, step_alone = worlds(env, 8), jax.jit(jax.vmap(env.step)), jax.jit(env.step)
     alone = [jax.tree.map(lambda values, i=i: values[i], state) for i in range(8)]
@@ -92,7 +92,7 @@ def test_worlds_that_are_mapped_are_those_one_by_one(env: PlaygroundPiano) -> No
     assert returns[0] < returns[1:].min()
 
 
-def test_an_episode_ends_with_its_song_and_says_how_it_was(env: PlaygroundPiano) -> None:
+def test_an_episode_ends_with_its_song_and_says_how_it_was(env):
     state, step = worlds(env, 4), jax.jit(jax.vmap(env.step))
     length = np.array([track.goals.num_steps for track in env.task.tracks])[state.info["song"]]
     sums, ended = np.zeros(4), np.zeros(4)
@@ -105,7 +105,7 @@ def test_an_episode_ends_with_its_song_and_says_how_it_was(env: PlaygroundPiano)
     assert_allclose(sums, 1.0)
 
 
-def test_steps_within_scans_and_what_wrappers_add_stays(env: PlaygroundPiano) -> None:
+def test_steps_within_scans_and_what_wrappers_add_stays(env):
     state = worlds(env, 3)
     state.info["steps"], state.metrics["reward"] = jnp.arange(3), jnp.ones(3)
 
@@ -123,7 +123,7 @@ def test_steps_within_scans_and_what_wrappers_add_stays(env: PlaygroundPiano) ->
     assert_array_equal(state.metrics["reward"], np.ones(3))
 
 
-def test_another_number_of_environments_plays_the_same(env: PlaygroundPiano) -> None:
+def test_another_number_of_environments_plays_the_same(env):
     two = env.task.resized(2)
     assert isinstance(two, FunctionalPianoTask)
     assert two.tracks is env.task.tracks
@@ -131,7 +131,7 @@ def test_another_number_of_environments_plays_the_same(env: PlaygroundPiano) -> 
     assert env.task.reset(jax.random.key(0)).obs.shape[0] == 1
 
 
-def test_renders_a_world_but_no_batch(env: PlaygroundPiano) -> None:
+def test_renders_a_world_but_no_batch(env):
     state = worlds(env, 2)
     with pytest.raises(CadenzaError, match="states of 2 worlds"):
         env.render([state])
@@ -142,7 +142,7 @@ def test_renders_a_world_but_no_batch(env: PlaygroundPiano) -> None:
 
 
 @pytest.mark.slow
-def test_brax_trains_on_it(env: PlaygroundPiano) -> None:
+def test_brax_trains_on_it(env):
     """By its PPO with its own wrappers, as the example does; too briefly to learn it."""
     ppo = pytest.importorskip("brax.training.agents.ppo.train")
     evaluations: list[dict[str, float]] = []

@@ -2,9 +2,7 @@
 
 import copy
 import pickle
-from collections.abc import Callable
 from dataclasses import asdict, fields
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -97,21 +95,21 @@ def happens(envs: PianoVectorEnv, seed: Any = 0) -> list[NDArray[Any]]:
 
 
 @pytest.mark.parametrize("name", sorted(EACH.keys() - QUIET))
-def test_environments_differ_in_each_field(name: str) -> None:
+def test_environments_differ_in_each_field(name):
     seen, _, qpos = happens(make(4, randomization={name: EACH[name]}))
     parts = (seen, qpos) if name in SENSED else (qpos,)
     rows = {np.concatenate([part[:, i].ravel() for part in parts]).tobytes() for i in range(4)}
     assert len(rows) == 4
 
 
-def test_another_seed_draws_others_and_the_same_the_same() -> None:
+def test_another_seed_draws_others_and_the_same_the_same():
     first, again, other = (happens(make(2), seed) for seed in (0, 0, 5))
     for a, b, c in zip(first, again, other, strict=True):
         assert_array_equal(a, b)
         assert (a != c).any()
 
 
-def test_episodes_of_one_environment_differ() -> None:
+def test_episodes_of_one_environment_differ():
     envs = make(1)
     _, first = envs.reset(seed=0)
     _, second = envs.reset()
@@ -122,7 +120,7 @@ def test_episodes_of_one_environment_differ() -> None:
 @pytest.mark.parametrize(
     "scene", [SceneConfig(), SceneConfig(hands="apart")], ids=["both", "apart"]
 )
-def test_same_bits_for_any_number_of_threads_and_alone(scene: SceneConfig) -> None:
+def test_same_bits_for_any_number_of_threads_and_alone(scene):
     one, two = (happens(make(3, num_threads=n, scene=scene)) for n in (1, 2))
     alone = happens(make(1, scene=scene), seed=[1])
     for a, b, c in zip(one, two, alone, strict=True):
@@ -130,7 +128,7 @@ def test_same_bits_for_any_number_of_threads_and_alone(scene: SceneConfig) -> No
         assert_array_equal(a[:, 1:2], c)
 
 
-def test_a_field_draws_the_same_whatever_else_is_on() -> None:
+def test_a_field_draws_the_same_whatever_else_is_on():
     infos = [
         make(1, randomization=options).reset(seed=0)[1]
         for options in (ALL, {"mass": EACH["mass"]}, {"mass": EACH["mass"], "key_noise": 0.1})
@@ -142,7 +140,7 @@ def test_a_field_draws_the_same_whatever_else_is_on() -> None:
 @pytest.mark.parametrize(
     "off", [{}, {"seed": 3}, DomainRandomization(), {"mass": (1, 1), "latency": (0, 0)}]
 )
-def test_nothing_on_is_as_if_there_were_nothing(off: Any) -> None:
+def test_nothing_on_is_as_if_there_were_nothing(off):
     envs = make(2, randomization=off)
     plain = gym.make_vec(ID, 2, song=TUNE).unwrapped
     for a, b in zip(happens(envs), happens(plain), strict=True):  # type: ignore[arg-type]
@@ -151,7 +149,7 @@ def test_nothing_on_is_as_if_there_were_nothing(off: Any) -> None:
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_copies_go_on_as_their_originals(duplicate: Callable) -> None:
+def test_copies_go_on_as_their_originals(duplicate):
     envs = make(2)
     envs.reset(seed=0)
     for action in actions(envs, 3):
@@ -167,7 +165,7 @@ def test_copies_go_on_as_their_originals(duplicate: Callable) -> None:
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_infos_tell_what_was_drawn_for_each_episode(mode: AutoresetMode) -> None:
+def test_infos_tell_what_was_drawn_for_each_episode(mode):
     envs = make(2, autoreset_mode=mode)
     _, infos = envs.reset(seed=0)
     names = {f"randomization/{name}" for name in DRAWN}
@@ -188,7 +186,7 @@ def test_infos_tell_what_was_drawn_for_each_episode(mode: AutoresetMode) -> None
             assert later["_randomization/mass"].all()
 
 
-def test_a_single_environment_tells_it_as_numbers_and_arrays() -> None:
+def test_a_single_environment_tells_it_as_numbers_and_arrays():
     env = gym.make(ID, song=TUNE, randomization={"mass": (0.5, 2.0), "latency": (0.03, 0.03)})
     _, info = env.reset(seed=3)
     assert info["randomization/mass"].shape == (env.unwrapped.task.scene.model.nbody,)  # type: ignore[attr-defined]
@@ -196,7 +194,7 @@ def test_a_single_environment_tells_it_as_numbers_and_arrays() -> None:
     assert isinstance(info["randomization/seed"], int)
 
 
-def test_an_episode_can_be_had_again_by_the_seed_that_its_info_tells() -> None:
+def test_an_episode_can_be_had_again_by_the_seed_that_its_info_tells():
     """One in the middle of many."""
     envs = make(2, autoreset_mode=AutoresetMode.DISABLED)
     envs.reset(seed=0)
@@ -211,7 +209,7 @@ def test_an_episode_can_be_had_again_by_the_seed_that_its_info_tells() -> None:
 # What it does
 
 
-def test_models_have_what_infos_tell_and_nothing_adds_up() -> None:
+def test_models_have_what_infos_tell_and_nothing_adds_up():
     """The heavier a key, the deeper it sags."""
     config = TaskConfig(randomization=DomainRandomization(mass=(0.5, 2.0)))
     task = PianoTask([TUNE], config, SceneConfig(hands="none"), 6)
@@ -227,7 +225,7 @@ def test_models_have_what_infos_tell_and_nothing_adds_up() -> None:
 
 
 @pytest.mark.parametrize(("gain", "hands"), [(0.25, "both"), (0.25, "apart")])
-def test_weaker_servos_lag(gain: float, hands: Any) -> None:
+def test_weaker_servos_lag(gain, hands):
     def reached(factor: float) -> NDArray[np.float64]:
         config = TaskConfig(randomization=DomainRandomization(servo_gain=(factor, factor)))
         task = PianoTask([TUNE], config, SceneConfig(hands=hands))
@@ -243,7 +241,7 @@ def test_weaker_servos_lag(gain: float, hands: Any) -> None:
     assert_allclose(weak, gain * nominal, rtol=0.2)
 
 
-def test_planners_have_the_nominal_scene(scene: Scene) -> None:
+def test_planners_have_the_nominal_scene(scene):
     """Predictive sampling simulates, and from a nominal state chooses what it would anyway."""
     config = PredictiveSamplingConfig(num_candidates=2, horizon=0.1)
     chosen = []
@@ -274,7 +272,7 @@ def late(scene: Scene, latency: float, steps: int = 8) -> tuple[PianoTask, NDArr
     return task, np.array([*map(np.append, path, pedals)])
 
 
-def test_an_action_arrives_after_its_latency(scene: Scene) -> None:
+def test_an_action_arrives_after_its_latency(scene):
     """Within a control step as MuJoCo's own steps have it, and steps later for longer ones."""
     _, at_once = late(scene, 0.0)
     _, whole = late(scene, 0.1)
@@ -293,7 +291,7 @@ def test_an_action_arrives_after_its_latency(scene: Scene) -> None:
     ]
 
 
-def test_a_latency_within_a_step_is_that_of_mujoco_stepped_by_hand(scene: Scene) -> None:
+def test_a_latency_within_a_step_is_that_of_mujoco_stepped_by_hand(scene):
     task, path = late(scene, 0.015, 1)  # 3 of 10 physics steps
     fresh = late(scene, 0.015, 0)[0]
     model, data = scene.model, mujoco.MjData(scene.model)
@@ -309,11 +307,11 @@ def test_a_latency_within_a_step_is_that_of_mujoco_stepped_by_hand(scene: Scene)
     assert task.drawn["latency"][0] == pytest.approx(0.015)
 
 
-def test_latency_is_rounded_to_physics_steps(scene: Scene) -> None:
+def test_latency_is_rounded_to_physics_steps(scene):
     assert late(scene, 0.012, 0)[0].drawn["latency"][0] == pytest.approx(0.01)
 
 
-def test_observations_have_noise_and_the_state_has_none(scene: Scene) -> None:
+def test_observations_have_noise_and_the_state_has_none(scene):
     noise = DomainRandomization(joint_noise=0.03, slide_noise=0.002, key_noise=0.05)
     task = PianoTask([TUNE], TaskConfig(randomization=noise), scene, 4)
     task.reset(np.random.default_rng(0).spawn(4), range(4))
@@ -336,7 +334,7 @@ def test_observations_have_noise_and_the_state_has_none(scene: Scene) -> None:
     assert 0.05 < high < 0.5
 
 
-def test_controls_have_noise_in_each_step_and_environment(scene: Scene) -> None:
+def test_controls_have_noise_in_each_step_and_environment(scene):
     arrived = []
 
     class Listening(MujocoSimulation):
@@ -373,7 +371,7 @@ def playing(scene: SceneConfig | Scene, steps: int = 12, **options: Any) -> Pian
 
 @pytest.mark.parametrize("hands", ["both", "apart"])
 @pytest.mark.parametrize("steps", [0, 1, 2])
-def test_observations_are_late_by_control_steps(hands: Any, steps: int) -> None:
+def test_observations_are_late_by_control_steps(hands, steps):
     late = playing(SceneConfig(hands=hands), 12, observation_latency=(steps * 0.05,) * 2)
     then = playing(SceneConfig(hands=hands), 12 - steps)
     for name in ("hand_qpos", "hand_qvel", "key_qpos"):
@@ -385,7 +383,7 @@ def test_observations_are_late_by_control_steps(hands: Any, steps: int) -> None:
     assert late.drawn.get("observation_latency", [0.0])[0] == pytest.approx(steps * 0.05)
 
 
-def test_observations_are_late_by_physics_steps(scene: Scene) -> None:
+def test_observations_are_late_by_physics_steps(scene):
     """They are what MuJoCo itself has so long before."""
     task = playing(scene, 1, observation_latency=(0.02, 0.02))
     model, data = scene.model, mujoco.MjData(scene.model)
@@ -398,7 +396,7 @@ def test_observations_are_late_by_physics_steps(scene: Scene) -> None:
     assert_allclose(task.sensed.hand_qpos[0], data.qpos[scene.hand_qpos], atol=1e-9)
 
 
-def test_onsets_are_heard_when_they_arrive() -> None:
+def test_onsets_are_heard_when_they_arrive():
     """A key of a piano that plays itself sounds, and is heard 0.12 s later, as loud."""
     heard = []
     for late in (0.0, 0.12):
@@ -417,7 +415,7 @@ def test_onsets_are_heard_when_they_arrive() -> None:
     assert heard[1][1] == heard[0][1]
 
 
-def test_biases_stay_and_drift_wanders(scene: Scene) -> None:
+def test_biases_stay_and_drift_wanders(scene):
     def off(steps: int, **more: float) -> NDArray[Any]:
         task = playing(scene, steps, joint_bias=0.02, slide_bias=0.001, seed=4, **more)
         return task.sensed.hand_qpos[0] - task.state.hand_qpos[0]
@@ -431,7 +429,7 @@ def test_biases_stay_and_drift_wanders(scene: Scene) -> None:
     assert 0 < np.linalg.norm(wandered[0]) < np.linalg.norm(wandered[1])
 
 
-def test_agents_see_fingertips_where_joints_seem_to_be(scene: Scene) -> None:
+def test_agents_see_fingertips_where_joints_seem_to_be(scene):
     task = playing(scene, 5, joint_bias=0.05)
     data = mujoco.MjData(scene.model)
     data.qpos[scene.hand_qpos] = task.view().state.hand_qpos[0]
@@ -442,7 +440,7 @@ def test_agents_see_fingertips_where_joints_seem_to_be(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("hands", ["both", "apart"])
-def test_the_keyboard_lies_where_infos_tell(hands: Any) -> None:
+def test_the_keyboard_lies_where_infos_tell(hands):
     config = SceneConfig(hands=hands)
     there = playing(config, 0).state.key_xpos[0]
     task = playing(config, 0, keyboard_offset=0.01, keyboard_tilt=0.02)
@@ -453,7 +451,7 @@ def test_the_keyboard_lies_where_infos_tell(hands: Any) -> None:
 
 
 @pytest.mark.parametrize("hands", ["both", "apart"])
-def test_hands_are_mounted_where_infos_tell(hands: Any) -> None:
+def test_hands_are_mounted_where_infos_tell(hands):
     config = SceneConfig(hands=hands)
     there = playing(config, 0).state.fingertip_xpos[0]
     task = playing(config, 0, mount_offset=0.01)
@@ -462,7 +460,7 @@ def test_hands_are_mounted_where_infos_tell(hands: Any) -> None:
 
 
 @pytest.mark.parametrize("hands", ["none", "apart"])
-def test_keys_sound_from_the_depth_and_stop_at_the_end_that_infos_tell(hands: Any) -> None:
+def test_keys_sound_from_the_depth_and_stop_at_the_end_that_infos_tell(hands):
     """Keys that go down by themselves, or do not move; either way states and events agree."""
     task = PianoTask(
         [TUNE],
@@ -483,7 +481,7 @@ def test_keys_sound_from_the_depth_and_stop_at_the_end_that_infos_tell(hands: An
     assert hands == "apart" or sounded.all()
 
 
-def test_setpoints_have_limits_of_speed_dead_bands_and_backlash(scene: Scene) -> None:
+def test_setpoints_have_limits_of_speed_dead_bands_and_backlash(scene):
     arrived = []
 
     class Listening(MujocoSimulation):
@@ -512,7 +510,7 @@ def test_setpoints_have_limits_of_speed_dead_bands_and_backlash(scene: Scene) ->
     assert_allclose(np.diff(steps[:, 3]), [0.0, -0.3], atol=1e-12)
 
 
-def test_gravity_off_its_direction_and_pushes_move_hands(scene: Scene) -> None:
+def test_gravity_off_its_direction_and_pushes_move_hands(scene):
     still = playing(scene, 40).state.hand_qpos
     for options in ({"gravity_tilt": 0.1}, {"push": 50.0}):
         moved = np.abs(playing(scene, 40, **options).state.hand_qpos - still)
@@ -520,14 +518,14 @@ def test_gravity_off_its_direction_and_pushes_move_hands(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("name", ["gentle", "realistic", "harsh"])
-def test_profiles_are_setups_that_play(name: str) -> None:
+def test_profiles_are_setups_that_play(name):
     env = gym.make(ID, song=TUNE, setup=name)
     _, info = env.reset(seed=0)
     assert np.isfinite(env.step(env.action_space.sample())[0]).all()
     assert info["randomization/latency"] > 0
 
 
-def test_the_device_refuses_what_it_does_not_have() -> None:
+def test_the_device_refuses_what_it_does_not_have():
     with pytest.raises(CadenzaError, match=r"engine warp has no randomization\.drift: choose"):
         PianoTask(
             [TUNE],
@@ -540,7 +538,7 @@ def test_the_device_refuses_what_it_does_not_have() -> None:
 # Recordings and options
 
 
-def test_a_recorded_episode_plays_again_to_the_bit(tmp_path: Path) -> None:
+def test_a_recorded_episode_plays_again_to_the_bit(tmp_path):
     task = TaskConfig(randomization=ALL, random_hand_position=0.02)
     played = cadenza.play(TUNE, RandomAgent(), 4, task=task)
     played.save(tmp_path)
@@ -558,7 +556,7 @@ def test_a_recorded_episode_plays_again_to_the_bit(tmp_path: Path) -> None:
     assert_array_equal(start["randomization_mass"], recorded["randomization_mass"])
 
 
-def test_a_spec_has_it_as_a_dictionary_or_a_value() -> None:
+def test_a_spec_has_it_as_a_dictionary_or_a_value():
     for randomization in (ALL, asdict(ALL)):
         env = gym.make(ID, song="CMajorScaleOneHand", randomization=randomization)
         again = gym.make(pickle.loads(pickle.dumps(env.spec)))
@@ -588,11 +586,11 @@ def test_a_spec_has_it_as_a_dictionary_or_a_value() -> None:
         (0.1, "randomization 0.1: give a DomainRandomization or a dictionary"),
     ],
 )
-def test_says_what_makes_no_sense(options: Any, message: str) -> None:
+def test_says_what_makes_no_sense(options, message):
     with pytest.raises(CadenzaError, match=message) as error:
         gym.make(ID, song=TUNE, randomization=options)
     assert "\n" not in str(error.value)
 
 
-def test_every_field_is_tried_here() -> None:
+def test_every_field_is_tried_here():
     assert {each.name for each in fields(DomainRandomization)} == {*EACH, "seed", "robot"}

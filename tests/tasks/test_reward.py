@@ -49,7 +49,7 @@ def gaussian(x: float, low: float, high: float, margin: float) -> float:
 
 @few
 @given(sizes.flatmap(key_angles))
-def test_state_and_sounding_of_keys(key_qpos: np.ndarray) -> None:
+def test_state_and_sounding_of_keys(key_qpos):
     state = reward.key_state(key_qpos, PIANO.travel)
     sounds = reward.key_activation(key_qpos, PIANO.sounds_from)
     for index, angle in np.ndenumerate(key_qpos):
@@ -61,7 +61,7 @@ def test_state_and_sounding_of_keys(key_qpos: np.ndarray) -> None:
 
 @few
 @given(st.data(), sizes)
-def test_key_press(data: st.DataObject, n: int) -> None:
+def test_key_press(data, n):
     key_qpos, goal = data.draw(key_angles(n)), data.draw(masks(n, NUM_KEYS))
     sounds = data.draw(masks(n, NUM_KEYS))
     state = reward.key_state(key_qpos, PIANO.travel)
@@ -76,7 +76,7 @@ def test_key_press(data: st.DataObject, n: int) -> None:
 
 @few
 @given(st.data(), sizes)
-def test_graded_key_press(data: st.DataObject, n: int) -> None:
+def test_graded_key_press(data, n):
     state = reward.key_state(data.draw(key_angles(n)), PIANO.travel)
     sounds, goal = data.draw(masks(n, NUM_KEYS)), data.draw(masks(n, NUM_KEYS))
     ours = reward.graded_key_press(state, sounds, goal)
@@ -88,7 +88,7 @@ def test_graded_key_press(data: st.DataObject, n: int) -> None:
 
 
 @pytest.mark.parametrize("key_press", [reward.key_press, reward.graded_key_press])
-def test_key_press_with_nothing_to_press(key_press: Any) -> None:
+def test_key_press_with_nothing_to_press(key_press):
     nothing = np.zeros((2, NUM_KEYS), bool)
     wrong = nothing.copy()
     wrong[1, 40] = True
@@ -119,7 +119,7 @@ def fingerings(n: int, fingers: int = 10) -> st.SearchStrategy[np.ndarray]:
 
 @few
 @given(st.data(), sizes)
-def test_fingering_of_the_score(data: st.DataObject, n: int) -> None:
+def test_fingering_of_the_score(data, n):
     tips, centres = data.draw(fingertips(n)), data.draw(key_centres(n))
     fingers = data.draw(fingerings(n))
     ours = reward.score_fingering(tips, centres, PRESS, fingers)
@@ -134,7 +134,7 @@ def test_fingering_of_the_score(data: st.DataObject, n: int) -> None:
 
 
 @pytest.mark.parametrize("key", [0, 1, 39, 87])
-def test_a_finger_at_its_key_gets_all(key: int) -> None:
+def test_a_finger_at_its_key_gets_all(key):
     assert bool(PIANO.is_black[key]) == (key == 1)
     tips, fingers = np.full((1, 10, 3), 9.0), np.full((1, NUM_KEYS), -1, np.int8)
     fingers[0, key] = 7
@@ -149,7 +149,7 @@ def test_a_finger_at_its_key_gets_all(key: int) -> None:
 
 @few
 @given(st.data(), st.integers(1, 5), st.lists(st.integers(0, 87), unique=True, max_size=5))
-def test_optimal_transport(data: st.DataObject, num_fingers: int, keys: list[int]) -> None:
+def test_optimal_transport(data, num_fingers, keys):
     """No assignment of fingers to keys, or of keys to fingers where they are more, is shorter."""
     tips, centres = data.draw(fingertips(1, num_fingers)), data.draw(key_centres(1))
     goal = np.zeros((1, NUM_KEYS), bool)
@@ -173,7 +173,7 @@ def test_optimal_transport(data: st.DataObject, num_fingers: int, keys: list[int
     assert_allclose(ours, min(sums), **CLOSE)
 
 
-def test_optimal_transport_row_by_row() -> None:
+def test_optimal_transport_row_by_row():
     """Rows without a key to press have no pairs, and are worth 1."""
     tips, centres = np.zeros((3, 10, 3)), np.tile(PIANO.centre, (3, 1, 1))
     goal = np.zeros((3, NUM_KEYS), bool)
@@ -189,7 +189,7 @@ def test_optimal_transport_row_by_row() -> None:
 
 @few
 @given(st.data(), sizes)
-def test_dense_terms_have_the_bits_of_ragged_ones(data: st.DataObject, n: int) -> None:
+def test_dense_terms_have_the_bits_of_ragged_ones(data, n):
     """Also with more keys to press than a plain sum adds up one after the other."""
     state = reward.key_state(data.draw(key_angles(n)), PIANO.travel)
     centres = data.draw(key_centres(n))
@@ -218,7 +218,7 @@ def test_dense_terms_have_the_bits_of_ragged_ones(data: st.DataObject, n: int) -
         assert_array_equal(dense, ragged)
 
 
-def test_jax_compiles_the_terms() -> None:
+def test_jax_compiles_the_terms():
     """All that a step is rewarded for, in single precision."""
     n, rng = 3, np.random.default_rng(0)
     down, angles = rng.random(n) < 0.5, rng.uniform(-0.01, 0.1, (n, NUM_KEYS))
@@ -264,7 +264,7 @@ def around_keys(rng: np.random.Generator, n: int) -> tuple[np.ndarray, ...]:
 
 @few
 @given(st.data(), sizes, st.integers(1, 44), st.floats(0, 1))
-def test_energy(data: st.DataObject, n: int, actuators: int, coefficient: float) -> None:
+def test_energy(data, n, actuators, coefficient):
     force, velocity = (data.draw(arrays((n, actuators), -20, 20)) for _ in range(2))
     ours = reward.energy(force, velocity, coefficient)
     for env in range(n):
@@ -274,18 +274,18 @@ def test_energy(data: st.DataObject, n: int, actuators: int, coefficient: float)
 
 @pytest.mark.parametrize("down", [True, False])
 @pytest.mark.parametrize("goal", [True, False])
-def test_sustain(down: bool, goal: bool) -> None:
+def test_sustain(down, goal):
     expected = gaussian(float(goal) - float(down), 0, 0.05, 0.5)
     assert_allclose(reward.sustain(np.array([down]), np.array([goal])), [expected], **CLOSE)
 
 
-def test_forearm() -> None:
+def test_forearm():
     assert_array_equal(reward.forearm(np.array([True, False])), [0.0, 0.5])
 
 
 @few
 @given(st.data(), sizes, st.floats(0, 2))
-def test_onset_timing_and_loudness(data: st.DataObject, n: int, coefficient: float) -> None:
+def test_onset_timing_and_loudness(data, n, coefficient):
     for term, most, bound, margin in (
         (reward.onset_timing, 0.1, 0.006, 0.044),
         (reward.loudness, 126.0, 10.8, 25.0),

@@ -17,7 +17,7 @@ F1 = 0.001
 KEYS = 1e-3  # [rad], a sixtieth of the way of a key; it was 7e-6 over the whole song
 
 
-def test_what_was_planned_in_c_is_played() -> None:
+def test_what_was_planned_in_c_is_played():
     """By the task on the host, and by the one whose arrays stay on the device."""
     import jax
 

@@ -289,7 +289,7 @@ def test_plain_plays_every_note_as_it_stands():
     assert [grace, main] == [(3.9, 4, D4), (4, 5, C4)]  # and not on the beat
 
 
-def test_a_grace_note_without_a_note_sounds_before_a_silence_at_the_beginning() -> None:
+def test_a_grace_note_without_a_note_sounds_before_a_silence_at_the_beginning():
     grace = SignedNote(Q(0), Q(1, 12), 60, 64, grace=Grace(0, takes=Q(1, 8)))
     [note] = realised([grace], TempoMap.of([Caesura(Q(0))], Q(4)))
     assert (note.start, note.end) == (-0.0625, 0.0)
