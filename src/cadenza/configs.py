@@ -29,14 +29,10 @@ _WORDS = {
 
 
 def as_config(value: Any, kind: type[T]) -> T:
-    """Check that `value` is a `kind`, a dataclass, with fields of the right types.
+    """Check that `value` is a dataclass `kind` with fields of the right types; None has defaults.
 
     Only numbers of NumPy, lists as tuples and whole numbers as floats are converted. Raises
     CadenzaError if the value or one of its fields is of another type.
-
-    Args:
-        value: the configuration; None is `kind` with its defaults.
-        kind: the dataclass.
     """
     if value is None:
         return kind()
@@ -135,14 +131,9 @@ def whole_number(value: Any, name: str, least: int, most: int) -> int:
 def check_ranges(
     config: object, ranges: Mapping[str, tuple[float, float]], prefix: str = ""
 ) -> None:
-    """Check that fields are in their ranges.
+    """Check that fields are in their ranges, by name -> (minimum, maximum).
 
-    Raises CadenzaError if a field is out of its range.
-
-    Args:
-        config: the configuration.
-        ranges: name -> (minimum, maximum) of fields.
-        prefix: stands before names in messages.
+    Raises CadenzaError if one is not; `prefix` stands before its name.
     """
     for name, (least, most) in ranges.items():
         _check_range(getattr(config, name), prefix + name, least, most)

@@ -45,11 +45,8 @@ def quoted(value: object, most: int = _MAX_QUOTED) -> str:
     """What was read or given, as a message may quote it: a line of at most `most` letters.
 
     Text stands in quotation marks, and what cannot be printed in it is escaped. Every message that
-    repeats the content of a file, an argument or a name quotes it so.
-
-    Args:
-        value: anything, however long, deeply nested or wrongly written its class may be.
-        most: what is longer ends with "...".
+    repeats the content of a file, an argument or a name quotes it so, however long, deeply nested
+    or wrongly written it may be.
     """
     try:
         text = repr(value[: most + 1] if isinstance(value, str | bytes) else value)
@@ -61,9 +58,8 @@ def quoted(value: object, most: int = _MAX_QUOTED) -> str:
 def shortened(text: str, most: int = _MAX_OTHERS) -> str:
     """Text that others have worded, such as the message of a library, as a line of a message.
 
-    Args:
-        text: anything; white space becomes a space, and what cannot be printed is escaped.
-        most: what is longer ends with "...".
+    White space becomes a space, what cannot be printed is escaped, and what is longer than `most`
+    letters ends with "...".
     """
     line = on_one_line(" ".join(text[: most * 2].split()))
     return line if len(line) <= most and len(text) <= most * 2 else f"{line[: most - 3]}..."
@@ -131,11 +127,9 @@ def with_place(error: BaseException) -> str:
 
 
 def in_a_line(error: BaseException, where: object = "") -> str:
-    """What went wrong with one of many files, in a line, so that the others can go on.
+    """What went wrong with the file `where`, in a line, so that others can go on.
 
-    Args:
-        error: any; one that is a fault of the program is told with its place in the code.
-        where: the file, which errors that are meant for users name themselves.
+    A fault of the program is told with its place in the code.
     """
     if isinstance(error, CadenzaError | OSError):
         return on_one_line(explained(error))

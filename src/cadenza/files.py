@@ -400,15 +400,10 @@ ANY: Expected = {"*": ArrayOf(NUMBERS + TEXT, None)}
 
 
 def read_arrays(path: Path, expected: Expected, most: int | None = None) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a .npz file by name; nothing in it is executed.
+    """Read the `expected` arrays of a .npz file by name; nothing in it is executed.
 
-    Raises CadenzaError if the file is not there, is no such file, holds more, or something else.
-
-    Args:
-        path: the file.
-        expected: others are not read.
-        most: bytes that all of them may take together; by default as many as the file, which is
-            what a file that is not compressed can hold.
+    They may take `most` bytes together, by default as many as the file. Raises CadenzaError if the
+    file is not there, is no such file, holds more, or something else.
     """
     try:
         with opened(path) as stream, np.load(stream, allow_pickle=False) as file:
@@ -474,13 +469,8 @@ def read_tensors(
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Read the arrays of a .safetensors file by name, and the facts in its header.
 
-    Raises CadenzaError if the file is not there, is no such file, was damaged or changed, or holds
-    more or something else.
-
-    Args:
-        path: The file.
-        expected: All arrays that it may hold.
-        most: The bytes that it may take.
+    It may hold the `expected` arrays, and take `most` bytes. Raises CadenzaError if the file is not
+    there, is no such file, was damaged or changed, or holds more or something else.
     """
     content = content_of(path, most)
     try:

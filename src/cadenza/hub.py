@@ -39,15 +39,11 @@ def is_on_hub(place: object) -> bool:
 
 
 def fetched(place: str | Path, kind: Kind) -> Path:
-    """The folder that `place` names, which is fetched if it is one of the hub.
+    """The folder that `place` names: a folder or `hub:OWNER/NAME`, maybe with `@REVISION`, fetched.
 
     Without the hub, or where it fails, what was fetched before is used. Raises CadenzaError if
     there is no such thing on the hub, it is not of this kind or takes too much, or it cannot be
     fetched.
-
-    Args:
-        place: a folder, or `hub:OWNER/NAME`, maybe with `@REVISION`.
-        kind: what the folder is.
     """
     if not is_on_hub(place):
         return Path(place)
@@ -74,12 +70,7 @@ def fetched(place: str | Path, kind: Kind) -> Path:
 
 
 def pinned(place: str, folder: Path) -> str:
-    """The name on the hub of the very commit that was `fetched` to `folder`, or its path.
-
-    Args:
-        place: what was fetched.
-        folder: where it lies.
-    """
+    """The name on the hub of the very commit that was `fetched` to `folder`, or its path."""
     return f"{place.partition('@')[0]}@{folder.name}" if is_on_hub(place) else str(folder)
 
 

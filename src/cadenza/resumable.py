@@ -76,11 +76,8 @@ class ResumableFolder:
     def claimed(self, patience: float = 0.0) -> Iterator[bool]:
         """Yield whether this process holds the lock of the folder, which is made if need be.
 
-        Files that a killed process has left half-written are removed. Raises CadenzaError if
-        nothing can be written in the folder.
-
-        Args:
-            patience: The time to wait for another process to release the lock [s].
+        Another process has `patience` [s] to release it. Files that a killed process has left
+        half-written are removed. Raises CadenzaError if nothing can be written in the folder.
         """
         with locked(self.path, patience) as ours:
             if ours:
@@ -135,13 +132,10 @@ class ResumableFolder:
     def begin_or_continue(
         self, fields: Mapping[str, Any], changeable: Collection[str] = ()
     ) -> None:
-        """Write the manifest of new work, or of the same work.
+        """Write the manifest of new work, or of the same work: its `fields`, as JSON has them.
 
-        Raises CadenzaError if the folder holds other work, or a damaged manifest.
-
-        Args:
-            fields: What the work is, as JSON has it.
-            changeable: The names of fields that may differ from those of the manifest so far.
+        Only those that are `changeable` may differ from the manifest so far. Raises CadenzaError if
+        the folder holds other work, or a damaged manifest.
         """
         expected = plain(fields)
         if self.begun:

@@ -53,12 +53,7 @@ class Agent(ABC):
     def reset(  # noqa: B027 - not all have anything to begin
         self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]
     ) -> None:
-        """Begin episodes in some environments; the next view is of their first step.
-
-        Args:
-            env_ids: the environments.
-            rngs: the generator of all that is random in the episode, for each environment.
-        """
+        """Begin episodes in environments, each with its generator; the next view is of step 0."""
 
     @abstractmethod
     def act(self, view: View) -> Array:

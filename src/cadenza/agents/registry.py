@@ -80,16 +80,10 @@ def is_folder(agent: str) -> bool:
 
 
 def make_agent(name: str, config: Any = None) -> Agent:
-    """An agent that plays any task.
+    """An agent that plays any task, by a name of `AGENTS` or as `module:Class`.
 
-    Raises CadenzaError if there is no such agent, its class is not derived from `cadenza.Agent`, or
-    an option makes no sense.
-
-    Args:
-        name: a name of `AGENTS`, or `module:Class`, a class of your own derived from
-            `cadenza.Agent`.
-        config: the agent's options, of the type that `agent_options` returns; by default, their
-            defaults.
+    Its `config` is of the type that `agent_options` returns. Raises CadenzaError if there is no
+    such agent, its class is not derived from `cadenza.Agent`, or an option makes no sense.
     """
     if not isinstance(name, str):
         raise CadenzaError(f"agent {quoted(name)}: give its name, such as {PLANNER!r}")

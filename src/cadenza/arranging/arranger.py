@@ -43,13 +43,9 @@ class Arranger:
         self._hands = OneHand(RIGHT, players, times), OneHand(LEFT, players, times)
 
     def arrange(self, score: Score, grade: float = HARDEST) -> Arranged:
-        """The arrangement that keeps most of a song, of those that are not harder than a grade.
+        """The arrangement that keeps most of a song, of those not harder than a grade, 1 to 10.
 
         If even the melody and the bass are harder, they are what is played.
-
-        Args:
-            score: the whole song, with all its tracks.
-            grade: the difficulty, from 1 to 10, see `cadenza.fingering.difficulty`.
         """
         if not score.notes:
             return Arranged(score, NOTHING_LOST, EASIEST)

@@ -86,12 +86,7 @@ class Chosen:
 
 
 def choose(prog: str, words: Sequence[str]) -> Chosen:
-    """Find in the words of a command line what the options of the command depend on.
-
-    Args:
-        prog: the program and the command, as in "cadenza play".
-        words: the words after them.
-    """
+    """Find in the `words` after a command, as "cadenza play", what its options depend on."""
     chosen, _ = tyro.cli(
         Chosen, prog=prog, args=words, add_help=False, return_unknown_args=True, config=SETTINGS
     )

@@ -13,13 +13,7 @@ from cadenza.errors import CadenzaWarning, on_one_line
 
 
 def in_columns(rows: Sequence[Sequence[str]], alignment: str = "<") -> str:
-    """Return a table as text.
-
-    Args:
-        rows: the cells of each row.
-        alignment: how each column is aligned, "<" for left and ">" for right, which those have that
-            it does not reach.
-    """
+    """Return the cells of rows as a table, columns aligned by "<" or, beyond `alignment`, ">"."""
     ways = alignment.ljust(len(rows[0]), ">")
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     cells = [f"{way}{width}" for way, width in zip(ways, widths, strict=True)]

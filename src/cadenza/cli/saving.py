@@ -69,13 +69,9 @@ def write_sheet(score: Score, path: Path, song: str) -> None:
 
 
 def check_writable(folder: Path, option: str = "--output", mode: int = 0o777) -> None:
-    """Check that results can be written to a folder before anything is played for it.
+    """Check that results can be written to a folder, which is made with this `mode`.
 
-    Raises CadenzaError if they cannot.
-
-    Args:
-        folder: it is made, with this `mode`, if it is not there.
-        option: chooses another folder, as the error says.
+    Raises CadenzaError if they cannot; `option` chooses another folder.
     """
     import tempfile
 

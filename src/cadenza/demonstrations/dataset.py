@@ -141,15 +141,11 @@ class Dataset:
         return episode, steps - self.first[episode]
 
     def batch(self, steps: Ids, lookahead: int = LOOKAHEAD, ahead: Sequence[int] = ()) -> StepBatch:
-        """What there is to learn from `steps` (B,).
+        """What there is to learn from `steps` (B,), with goals for L steps after the next.
 
-        Raises CadenzaError if there is no such step, or a file is not there, or is damaged.
-
-        Args:
-            steps: their numbers, from 0 up to `num_steps`.
-            lookahead: L, for how many steps after the next there are goals.
-            ahead: The states that have references: 0 for the one before the step, 1 for the
-                one after it, and so on; past the end of the song, its last.
+        There are references to the states `ahead`: 0 for the one before the step, 1 for the one
+        after it, and so on; past the end of the song, its last. Raises CadenzaError if there is no
+        such step, or a file is not there, or is damaged.
         """
         episode, step = self.place(steps)
         rows = _gathered(self._steps, episode, step[:, None])[:, 0]

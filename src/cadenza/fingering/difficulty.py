@@ -77,12 +77,8 @@ FITTED = DifficultyModel(
 def grade(score: Score, players: Players | None = None) -> float:
     """The difficulty of `score`, from 1 to 10.
 
-    Raises CadenzaError if there are no notes, or no fingers and no players.
-
-    Args:
-        score: a score of one note or more.
-        players: the hands for which fingers are found, as by the planner, whatever the score says.
-            None takes the fingers of the score.
+    Fingers are those that the planner would find for `players` or, without these, those of the
+    score. Raises CadenzaError if there are no notes, or no fingers and no players.
     """
     if players is not None:
         score, _ = find_fingering(score.without_fingers(), players)

@@ -128,12 +128,9 @@ class Players:
 def ways_to_hold(
     keys: Sequence[int], reaches: NDArray[np.bool_], spans: NDArray[np.bool_]
 ) -> Iterator[tuple[int, ...]]:
-    """Yield the sets of fingers of a hand that reach keys together.
+    """Yield the sets of fingers of a hand that reach keys together, from the thumb's side on.
 
-    Args:
-        keys: the keys, and in the same order their fingers, from the thumb's side on.
-        reaches: (K, F), see `Players.reaches`.
-        spans: (K, K, F, F), see `Players.spans`.
+    `reaches` (K, F) and `spans` (K, K, F, F) are those of `Players`.
     """
     for fingers in combinations(range(reaches.shape[1]), len(keys)):
         placed = list(zip(keys, fingers, strict=True))

@@ -28,13 +28,8 @@ def onsets(
 ) -> Iterator[tuple[float, list[Stroke]]]:
     """The moments at which notes begin [s], with the strokes that begin then.
 
-    A stroke ends where its key is struck again.
-
-    Args:
-        score: the notes.
-        lowest_pitch: the MIDI number of key 0.
-        as_written: whether strokes have the hands that notes are written for, but where these
-            cross, which ours cannot.
+    A stroke ends where its key is struck again. Key 0 has the `lowest_pitch`. Strokes `as_written`
+    have the hands that notes are written for, but where these cross, which ours cannot.
     """
     moments: list[tuple[float, dict[int, list[int]]]] = []
     for chord in chords(range(len(score.notes)), start=lambda i: score.notes[i].start):

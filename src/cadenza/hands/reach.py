@@ -36,14 +36,9 @@ class Reach:
     """(F,) additional cost of pressing black keys with each finger."""
 
     def spans(self, finger: ArrayLike, other: ArrayLike, distance: ArrayLike) -> NDArray[np.bool_]:
-        """Whether two fingers can press two keys at once.
+        """Whether two fingers, 0 for the thumb, can press two keys at once; arguments broadcast.
 
-        All arguments broadcast.
-
-        Args:
-            finger: the finger that presses one key, 0 for the thumb.
-            other: the finger that presses the other key.
-            distance: from the one key to the other, outwards: to the right for a right hand [m].
+        The other key is at this `distance`, outwards: to the right for a right hand [m].
         """
         finger, other, distance = np.asarray(finger), np.asarray(other), np.asarray(distance)
         outer, inner = np.maximum(finger, other), np.minimum(finger, other)

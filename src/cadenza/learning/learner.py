@@ -138,12 +138,8 @@ class LearnerConfig:
     def make(self, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)) -> Any:
         """The `Learner` that these options describe, or the `OnPolicyLearner`.
 
-        Raises CadenzaError if a library that it needs is missing.
-
-        Args:
-            inputs: The entries that its policy observes.
-            action_size: A, of actions in [-1, 1].
-            ends: The ends of the run, for schedules.
+        Its policy observes `inputs`, and has A = `action_size` actions in [-1, 1]; schedules follow
+        the `ends` of the run. Raises CadenzaError if a library that it needs is missing.
         """
         if not self.learner:
             raise NotImplementedError(f"{type(self).__name__} makes no learner")

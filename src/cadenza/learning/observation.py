@@ -220,14 +220,10 @@ def _bytes_of(bits: NDArray[np.uint8], onsets: Onsets) -> bytes:
 def pruned(
     spec: ObservationSpec, keys_wanted: NDArray[np.bool_], fingers_wanted: NDArray[np.bool_]
 ) -> Inputs:
-    """Inputs without goals of keys and fingers that no score ever asks for.
+    """Inputs without goals of keys and fingers that no score asks for, see `GoalTable.ever_wanted`.
 
     They are always zero, so that no weight of theirs would ever be used or change. A network
     without them begins with the same other weights.
-
-    Args:
-        spec: the observation.
-        keys_wanted, fingers_wanted: what scores ask for, see `GoalTable.ever_wanted`.
     """
     layout = spec.layout
     goal, fingers = np.arange(spec.goal), np.arange(spec.fingering)

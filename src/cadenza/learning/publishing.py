@@ -39,14 +39,11 @@ Recorded with [Cadenza](https://github.com/cadenza-piano/cadenza), to learn from
 
 
 def publish(folder: Path, repo: str) -> str:
-    """Upload a policy or a dataset to the hub and return where it is.
+    """Upload a policy or a dataset to the repository OWNER/NAME of the hub, and return where it is.
 
-    Without a README.md in the folder, a card is written for it. Raises CadenzaError if the folder
-    holds neither, or is damaged; or the hub does not take it.
-
-    Args:
-        folder: that of a policy, or of `cadenza dataset collect`.
-        repo: OWNER/NAME of the repository; it is made if there is none.
+    The repository is made if there is none. Without a README.md in the folder, a card is written
+    for it. Raises CadenzaError if the folder holds neither, or is damaged; or the hub does not take
+    it.
     """
     with extra_packages("hub", "publishing"):
         import huggingface_hub  # noqa: F401 - before anything is read

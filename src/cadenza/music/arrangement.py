@@ -87,14 +87,10 @@ class Arrangement:
         return score
 
     def written_for(self, hands: str, score: Score) -> Score:
-        """The notes of a song that are written for the hands that play.
+        """The notes of a song that are written for the hands that play: "right", "left" or both.
 
         All are left with `all_notes`, for both hands, and where the song does not say. Raises
         CadenzaError if nothing is written for the one hand that plays.
-
-        Args:
-            hands: "right" or "left", or anything else for both.
-            score: the song.
         """
         if hands not in SIDES or self.all_notes or not score.has_written_hands:
             return score

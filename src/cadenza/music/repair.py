@@ -117,10 +117,8 @@ def _merged(notes: Sequence[RawNote]) -> RawNote:
 def merged_pedal(moves: Iterable[tuple[_Time, Hashable, int]]) -> Iterator[tuple[_Time, int]]:
     """Yield times and values of the one pedal of a piano: the lowest that any channel holds it.
 
-    Where several channels change the pedal at one time, it goes up before it goes down again.
-
-    Args:
-        moves: times, channels or parts of a sheet, and values, in order of time.
+    `moves` are times, channels or parts of a sheet, and values, in order of time. Where several
+    channels change the pedal at one time, it goes up before it goes down again.
     """
     held: dict[Hashable, int] = {}
     channels_at = [0] * (_PEDAL_DOWN + 1)  # how many hold the pedal at each value

@@ -312,12 +312,9 @@ def chords(
     within: float = CHORD_TOLERANCE,
     start: Callable[[_N], float] = attrgetter("start"),
 ) -> Iterator[list[_N]]:
-    """Yield the chords of notes: groups that begin together, or nearly so.
+    """Yield the chords of notes in order of time: groups that begin `within` [s] of the first.
 
-    Args:
-        notes: notes in order of time, or what stands for them.
-        within: how much later than the first of its chord a note may begin [s].
-        start: when a note begins [s].
+    `start` says when a note begins [s], or what stands for one.
     """
     chord: list[_N] = []
     for note in notes:

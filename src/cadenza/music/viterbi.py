@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 def cheapest_sequence(costs: Sequence[NDArray[Any]], steps: Sequence[NDArray[Any]]) -> list[int]:
     """The candidates of all moments, one each, whose costs have the least sum (Viterbi).
 
-    Args:
-        costs: (n_i,) costs of the candidates of each moment.
-        steps: (n_i, n_i+1) costs of going from a candidate to one of the next moment.
+    `costs` (n_i,) are of the candidates of each moment, `steps` (n_i, n_i+1) of going from one to
+    one of the next.
     """
     total, before = costs[0], []
     for cost, step in zip(costs[1:], steps, strict=True):

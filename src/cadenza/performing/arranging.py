@@ -67,12 +67,7 @@ class HandArrangement:
         return replace(self, original=original, arranged=arranged)
 
     def metrics(self, episode: Episode, track: GoalTrack) -> dict[str, Any]:
-        """Metrics of the arrangement, and of what was played against the original.
-
-        Args:
-            episode: what was played.
-            track: the goals of the episode, of the arranged song.
-        """
+        """Metrics of the arrangement, and of what was played on its track against the original."""
         original = replace(track, score=Score(tuple(self._on_clock(track))), dropped=())
         steps = min(episode.num_steps, original.goals.num_steps)
         keys, goal_keys = episode["key_activation"][:steps], original.goals.keys[:steps]
@@ -86,11 +81,7 @@ class HandArrangement:
         }
 
     def fates(self, track: GoalTrack) -> Iterator[Fate]:
-        """Yield what became of each note of the song that the keyboard has.
-
-        Args:
-            track: the goals of an episode, of the arranged song; times are on its clock.
-        """
+        """Yield what became of each note that the keyboard has, on the clock of the track."""
         at, transposed = self._clock(track)
         silence = track.silent_steps * track.config.control_timestep
         for note, played in self.arranged.fates:

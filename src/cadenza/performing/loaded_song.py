@@ -44,13 +44,10 @@ class LoadedSong:
 
 
 def load(song: SomeSong | LoadedSong, arrangement: Arrangement | None = None) -> LoadedSong:
-    """Load a song; what was repaired in it is a warning.
+    """Load a song, see `load_song`, or a score, which is by default played as it is written.
 
-    Raises CadenzaError if there is no such song, or it cannot be read.
-
-    Args:
-        song: see `load_song`, or a score.
-        arrangement: which notes of it; all by default. A score is then played as written.
+    What was repaired in it is a warning. Raises CadenzaError if there is no such song, or it cannot
+    be read.
     """
     if isinstance(song, LoadedSong):
         return song

@@ -57,12 +57,8 @@ class Practising:
     def __init__(self, setup: Setup, folder: ResumableFolder, progress: Progress = silent) -> None:
         """Restore what was practised in the folder, and write what it is practice of.
 
-        Raises CadenzaError if the folder holds practice of something else, or it cannot be read.
-
-        Args:
-            setup: the song, with the planner as its agent.
-            folder: the folder in which practice is kept, locked by whoever practises.
-            progress: is told of "fingers" and "postures".
+        Whoever practises locks the folder; `progress` is told of "fingers" and "postures". Raises
+        CadenzaError if the folder holds practice of something else, or it cannot be read.
         """
         assert isinstance(setup.agent, Planner)
         self._setup, self._agent, self._path = setup, setup.agent, folder.path / PRACTICE

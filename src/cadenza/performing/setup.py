@@ -163,10 +163,7 @@ def _check_other_song(song: LoadedSong, player: Player, known: LoadedSong) -> No
 def _about_hands(track: GoalTrack, song: Score, own: Score) -> Iterator[str]:
     """Yield what one hand leaves to the other, and what is not played as it is written for hands.
 
-    Args:
-        track: the song as the task plays it.
-        song: all notes of the song.
-        own: the notes that are written for the hands of the scene.
+    `song` has all notes, `own` those that are written for the hands of the scene.
     """
     if others := len(song.notes) - len(own.notes):
         (side,) = track.scene.sides

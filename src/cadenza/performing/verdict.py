@@ -31,15 +31,11 @@ class Advice(NamedTuple):
 
 
 def verdict(played: Score, written: Score, metrics: Mapping[str, Any]) -> str:
-    """How well a song was played, as a sentence with its figures.
+    """How well a song was played, as a sentence with its figures, see `expressive_metrics`.
 
-    Notes of one key that begin within 50 ms of each other are in time; others are early or late
-    if they begin within 0.2 s.
-
-    Args:
-        played: what sounded.
-        written: what was to be played, on the same clock, as far as it was played.
-        metrics: those of both, see `expressive_metrics`.
+    Notes of one key that begin within 50 ms of each other are in time; others are early or late if
+    they begin within 0.2 s. `written` is what was to be played, on the same clock, as far as it
+    was.
     """
     errors, notes = note_errors(written.notes, played.notes), counted(len(written.notes), "note")
     off_time, missed, extra = errors.missed.off_time, errors.missed, errors.extra

@@ -239,11 +239,8 @@ def write_svg(score: Score, path: str | Path) -> tuple[str, ...]:
 def engraving_of(score: Score) -> str:
     """Return the engraved score that `score.js` reads, as `packed_text`; "" for no notation.
 
-    A score has notation if its bars are known, or if its onsets fit the bars that are
-    estimated, as those of performers do not. One of over 15,000 symbols is too long for a page.
-
-    Args:
-        score: what is to be played, with its fingers, on the clock of the performance.
+    A score has notation if its bars are known, or if its onsets fit the bars that are estimated, as
+    those of performers do not. One of over 15,000 symbols is too long for a page.
     """
     if not 0 < len(score.notes) <= _MAX_SYMBOLS:
         return ""

@@ -51,11 +51,9 @@ def packed_text(text: str) -> str:
 
 
 def render(template: str, **context: Any) -> Iterator[str]:
-    """Yield the text of a page piece by piece; each asset is a piece of its own.
+    """Yield the text of a page piece by piece, from a file of `templates`; each asset is a piece.
 
-    Args:
-        template: a file of `templates`.
-        context: the values and functions that the template names; text among them is escaped.
+    Text among the values and functions of the `context` is escaped.
     """
     return _environment().get_template(template).generate(context)
 

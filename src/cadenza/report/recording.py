@@ -79,14 +79,9 @@ def recording_of(
 
 
 def finger_numbers(notes: Iterable[Note], lowest: int) -> list[list[float]]:
-    """Return the fingers of notes, as `recording.js` reads them.
+    """Return key, onset [s], hand, and number from 1 of the finger of each note that has one.
 
-    Args:
-        notes: some of them with fingers.
-        lowest: the pitch of the lowest key.
-
-    Returns:
-        Of each note with a finger its key, its onset [s], the hand, and the number from 1.
+    `recording.js` reads them.
     """
     return [
         [note.pitch - lowest, round(note.start, 3), note.finger.hand, note.finger.index + 1]
@@ -96,14 +91,9 @@ def finger_numbers(notes: Iterable[Note], lowest: int) -> list[list[float]]:
 
 
 def lost_notes(misses: Iterable[Mapping[str, Any]]) -> list[list[Any]]:
-    """Return the notes that were lost, as `explanations.js` reads them.
+    """Return the notes of `misses.json`, as `explanations.js` reads them.
 
-    Args:
-        misses: as `misses.json` has them.
-
-    Returns:
-        Of each its time [s], its name, the name of its finger, what became of it, and cause and
-        reason of that.
+    Each has its time [s], its name, the name of its finger, what became of it, cause and reason.
     """
     return [
         [
@@ -117,15 +107,10 @@ def lost_notes(misses: Iterable[Mapping[str, Any]]) -> list[list[Any]]:
 
 
 def arranged_notes(fates: Iterable[Mapping[str, Any]], lowest: int) -> list[list[Any]]:
-    """Return what became of each note of a song that was arranged, as `arrangement.js` reads it.
+    """Return the notes of `arrangement.json`, as `arrangement.js` reads them.
 
-    Args:
-        fates: as `arrangement.json` has them.
-        lowest: the pitch of the lowest key.
-
-    Returns:
-        Of each note its key, from and to [s], the key that is played or None, its part, and
-        whether it is struck again.
+    Each has its key, from and to [s], the key that is played or None, its part, and whether it is
+    struck again.
     """
     return [
         [

@@ -84,17 +84,11 @@ Samples = NDArray[np.int16] | Sound
 
 
 def synthesize(score: Score, voice: Tone = tone) -> Sound:
-    """Return the sound of `score`; without notes it has no samples.
-
-    Args:
-        score: the notes and the pedal.
-        voice: what makes the notes; the built-in piano unless it is another, such as `font_tone`.
+    """Return the sound of `score` by a `voice`, such as `font_tone`; no notes have no samples.
 
     Louder notes are also brighter; while the pedal is down, notes ring on after their end. The
     whole has an integrated loudness of -18 LUFS (ITU-R BS.1770) and peaks below -1 dBFS, so that
-    all recordings are equally loud.
-
-    Memory: about 150 MB, however many notes there are.
+    all recordings are equally loud. It takes about 150 MB, however many notes there are.
     """
     if not score.notes:
         return Sound(0)

@@ -40,12 +40,9 @@ _MAX_CAP, _MAX_DOT = 5, 3  # [px] half the end of an interval, radius of a dot
 def summary_page(
     summary: BenchSummary, folder: Path, downloads: Sequence[str] = ()
 ) -> Iterator[str]:
-    """Yield the page of runs piece by piece, see `html_pages.render`.
+    """Yield the page of one run or more piece by piece, see `html_pages.render`.
 
-    Args:
-        summary: of at least one run.
-        folder: of the page, to which addresses are relative.
-        downloads: names of files in the folder.
+    Addresses are relative to its folder, in which `downloads` are files.
     """
     seeds = sorted({run.seed for run in summary.runs})
     seconds = math.fsum(piece.seconds for piece in summary.pieces)

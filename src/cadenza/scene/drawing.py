@@ -74,11 +74,7 @@ def drawing(scene: Scene) -> dict[str, Any]:
 def body_poses(
     scene: Scene, hand_qpos: NDArray[Any]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Positions (T, B, 3) [m] and orientations (T, B, 4) of the hands' bodies.
-
-    Args:
-        hand_qpos: (T, J) [m, rad].
-    """
+    """Positions (T, B, 3) [m] and orientations (T, B, 4) of the hands' bodies, by joints (T, J)."""
     data = mujoco.MjData(scene.model)
     xpos = np.zeros((len(hand_qpos), len(scene.hand_bodies), 3), np.float32)
     xquat = np.zeros((len(hand_qpos), len(scene.hand_bodies), 4), np.float32)

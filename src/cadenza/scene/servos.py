@@ -149,12 +149,7 @@ class Reaction:
     """
 
     def __init__(self, scene: Scene, servos: Servos) -> None:
-        """Copy the model of a scene with hands, without gravity.
-
-        Args:
-            scene: a scene with hands, whose gravity is compensated.
-            servos: its servos.
-        """
+        """Copy the model of a scene with hands, without gravity, which is compensated."""
         self._servos, self._model = servos, reduced_model(scene, range(0), ())
         self._model.opt.gravity = 0.0
         self._data = mujoco.MjData(self._model)

@@ -36,12 +36,9 @@ class HandRollouts:
     keys: slice
 
     def __init__(self, scene: Scene, control_timestep: float, whole: Scene | None = None) -> None:
-        """Prepare rollouts of a hand, which begin after a call of `start_from`.
+        """Prepare rollouts of the hand of a scene, which begin after a call of `start_from`.
 
-        Args:
-            scene: a scene with one hand.
-            control_timestep: time of a control step [s].
-            whole: the scene of the simulations in whose states rollouts start; `scene` by default.
+        They start in states of simulations of the `whole` scene, by default this one.
         """
         self._scene, self._whole = scene, whole or scene
         self._servos = servos_of(scene)
@@ -51,12 +48,9 @@ class HandRollouts:
         self._models: dict[range, _HandOnKeys] = {}
 
     def start_from(self, simulation: MujocoSimulation, low: float, high: float) -> None:
-        """Let rollouts start in the present state of a simulation, the first if it is a batch.
+        """Let rollouts start in the present state of the first simulation of a whole scene.
 
-        Args:
-            simulation: a simulation of the whole scene.
-            low: the least y of fingertips, along the keyboard [m].
-            high: the largest y [m].
+        Fingertips stay between `low` and `high` y, along the keyboard [m].
         """
         keys = self._keys_between(low - _MARGIN, high + _MARGIN)
         self.keys = slice(keys.start, keys.stop)

@@ -75,11 +75,9 @@ class Lineariser:
         self._pool, self._centred = ThreadPoolExecutor(num_threads), centred
 
     def linearise(self, state: Array, ctrl: Array) -> Linearisation:
-        """States and derivatives along the trajectory of these controls.
+        """States and derivatives along the trajectory of controls (T, A), each held for a step.
 
-        Args:
-            state: (S,) the first state, as `MujocoSimulation.physics_state` returns it.
-            ctrl: (T, A) controls in actuator units, each held for a control step.
+        It begins in `state` (S,), as `MujocoSimulation.physics_state` returns it.
         """
         states = self._roll_out(state, ctrl)
         transitions = np.array(list(self._pool.map(self._differentiate, self._data)))

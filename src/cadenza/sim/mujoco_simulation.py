@@ -76,12 +76,7 @@ class MujocoSimulation:
         self.reset()
 
     def reset(self, env_ids: Sequence[int] | None = None, hand_qpos: Array | None = None) -> None:
-        """Put simulations back to the start.
-
-        Args:
-            env_ids: the simulations that are reset; all by default.
-            hand_qpos: (len(env_ids), J) joint positions to start from; zero by default.
-        """
+        """Put simulations, all by default, back to the start at joint positions (N, J) or 0."""
 
         ids = self._ids(env_ids)
 

@@ -35,15 +35,9 @@ class PlanningSimulation(MujocoSimulation):
     """N simulations that can be put into any state, and rolled out for several steps."""
 
     def rollout(self, ctrl: Array) -> State:
-        """Take K control steps in every simulation and return all states on the way.
+        """Take control steps (N, K, A) in every simulation, and return all states, (N, K).
 
         The result is that of K times `step`, but no simulation waits for another in between.
-
-        Args:
-            ctrl: (N, K, A) in actuator units.
-
-        Returns:
-            A state whose arrays have leading dimensions (N, K) instead of (N,).
         """
         states = State.at_rest(self.scene, *ctrl.shape[:2])
         keys = self.scene.keyboard.num_keys

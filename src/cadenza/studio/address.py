@@ -79,15 +79,11 @@ def write_address(path: Path, address: Address) -> None:
 
 
 def announce(address: str, browser: bool = True, folder: Path | None = None) -> None:
-    """Print the address of the page, and open it where there is a screen.
+    """Print the address of the page, and open it where there is a screen and `browser` is true.
 
     Everybody on this machine can read the arguments of the browser, so that it is given a file of
-    ours to open, which leads on to the address. It is there until this process ends.
-
-    Args:
-        address: of the page.
-        browser: whether to open it.
-        folder: where the file is made, in a folder of its own; by default that of temporary files.
+    ours to open, in a folder of its own in `folder`, which leads on to the address. It is there
+    until this process ends.
     """
     print(f"Open {address}", flush=True)
     if not browser or not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):

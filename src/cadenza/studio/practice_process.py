@@ -68,10 +68,7 @@ def practise(order: Order, send: Send) -> None:
 def _practise_until_done(practising: Practising, num_saved: int, send: Send) -> None:
     """Practise until all practice has been made; report and save now and then.
 
-    Args:
-        practising: practice, from where it was left.
-        num_saved: the number of attempts before the plan was saved.
-        send: is told how far it has got.
+    `num_saved` attempts had been made before the plan was saved.
     """
     practice, finished = practising.practice, False
 

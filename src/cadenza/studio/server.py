@@ -65,13 +65,9 @@ class Studio:
     """The studio: songs, jobs, practice, and performances that are kept."""
 
     def __init__(self, folder: Path, at_once: int = 1) -> None:
-        """Open the folder of the studio.
+        """Open the folder of the studio, where `at_once` songs are played at the same time.
 
         Raises OSError if the folder cannot be made.
-
-        Args:
-            folder: where songs and performances are kept.
-            at_once: how many songs are played at the same time.
         """
         self._synthesizer = Synthesizer()
         self.storage = Storage(folder)

@@ -30,9 +30,7 @@ INSTRUMENT: dict[str, Any] = {
 def samples(pitch: int, band: int) -> bytes:
     """Return the peak as float32, and int16 samples, little-endian, faded out at their end.
 
-    Args:
-        pitch: as MIDI counts.
-        band: of velocities, below `NUM_BANDS`.
+    `band`, below `NUM_BANDS`, is of velocities.
     """
     seconds = next(seconds for above, seconds in _SECONDS.items() if pitch < above)
     middle = (band + 0.5) * _BAND  # velocity

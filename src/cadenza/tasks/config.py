@@ -232,15 +232,10 @@ _PLAYED_ALIKE = {
 
 
 def task_identity(task: TaskConfig, scene: SceneConfig, seed: int, **song: Any) -> dict[str, Any]:
-    """The options, as in JSON, on which it depends how a plan is played.
+    """The options, as in JSON, on which it depends how a plan of a song is played.
 
     The file of a plan keeps them, practice is continued only with the same, and comparisons tell
-    where they differ.
-
-    Args:
-        task, scene: all options.
-        seed: the seed, which is left out if the task draws nothing at random.
-        song: the arrangement of the song.
+    where they differ. The seed is left out if the task draws nothing at random.
     """
     options = asdict(task) | asdict(scene)
     drawn = any(value for name, value in asdict(task).items() if name.startswith("random_"))

@@ -82,13 +82,9 @@ class DevicePianoVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start new episodes in all environments.
+        """Start new episodes in all environments; without a seed, the random numbers go on.
 
         Raises CadenzaError if there is an option.
-
-        Args:
-            seed: what is random follows from it; by default the random numbers go on.
-            options: there are none.
         """
         if options:
             raise CadenzaError(

@@ -75,16 +75,10 @@ class DeviceRandomization:
         return noise * jax.random.normal(key, (self._num_envs, len(noise)))
 
     def send(self, draws: Draws, ctrl: Array, key: Array) -> tuple[Draws, Array, dict[str, Any]]:
-        """Send actions at the beginning of a control step, see `Randomization.step`.
+        """Send actions (N, A + 1) at the beginning of a control step, see `Randomization.step`.
 
-        Args:
-            draws: the draws for the episodes.
-            ctrl: (N, A + 1) the actions of the agent, in actuator units, the pedal last.
-            key: the key of the noise.
-
-        Returns:
-            The draws, the actions (N, A + 1) that hold at the end of the step, and what else the
-            physics takes, see `cadenza.sim.warp.WarpPhysics.step`.
+        Returns the draws, the actions (N, A + 1) that hold at the end of the step, and what else
+        the physics takes, see `cadenza.sim.warp.WarpPhysics.step`.
         """
         of_control, of_observation = jax.random.split(key)
         draws = draws._replace(offset=self._offset(of_observation))

@@ -229,12 +229,9 @@ class PianoVectorEnv(VectorEnv):
         return [(self.task.save(env), *each) for env, each in enumerate(own)]
 
     def set_state(self, states: Sequence[Any]) -> Observation:
-        """Put environments where `get_state` found them or others, and observe all.
+        """Put environments in states (N,) of `get_state`, None where they stay, and observe all.
 
         Raises CadenzaError if a state is of other options, or missing before the first reset.
-
-        Args:
-            states: (N,) a state for each environment, None where it stays.
         """
         self._check_open()
         states = self._each("state", list(states))

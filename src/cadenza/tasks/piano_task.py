@@ -242,13 +242,8 @@ class PianoTask:
     def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> Transition:
         """Take one control step with actions `ctrl` (N, A) in actuator units, the pedal last.
 
-        Args:
-            ctrl: a row for every environment.
-            env_ids: the environments that take the step, all by default; rows of the others in the
-                result have no meaning.
-
-        Raises:
-            CadenzaError: a reward term of the user's is not a finite number for each environment.
+        By default all environments take it; rows of others than `env_ids` have no meaning. Raises
+        CadenzaError if a reward term of the user's is not a finite number for each environment.
         """
         goals = self.goals
         goal, fingers, row = goals.upcoming.goal[:, 0], goals.upcoming.fingers, goals.row

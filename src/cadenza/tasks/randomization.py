@@ -143,17 +143,11 @@ class Randomization:
     # In each step
 
     def step(self, ctrl: Array, moving: slice | Ids) -> Array:
-        """Step the simulation with noisy and delayed actions.
+        """Step the simulation with noisy and delayed actions, and return those at its end.
 
-        Action k is sent at the beginning of control step k. With n physics steps a control step and
-        a latency of d of them, it arrives at physics step k n + d.
-
-        Args:
-            ctrl: (N, A + 1) the actions of the agent, in actuator units, the pedal last.
-            moving: the environments that take the step.
-
-        Returns:
-            (N, A + 1) the actions that hold at the end of the step.
+        Actions (N, A + 1) are in actuator units, the pedal last. Action k is sent at the beginning
+        of control step k. With n physics steps a control step and a latency of d of them, it
+        arrives at physics step k n + d.
         """
         env_ids = None if isinstance(moving, slice) else moving.tolist()
         config, path = self._ranges.config, self._senses.path

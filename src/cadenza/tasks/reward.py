@@ -207,29 +207,21 @@ def forearm(contact: Mask) -> Array:
 
 
 def onset_timing(error: Array, coefficient: float) -> Array:
-    """(N,) reward for notes that begin in time.
+    """(N,) reward for notes that begin in time, by their errors (N, K) [s], NaN for other keys.
 
     Each note that is played is worth max(0, abs(error) - 6 ms) on a Gaussian that falls to a tenth
     at 44 ms: 1 up to an error that a listener hardly notices, a tenth at the 50 ms that note onset
     F1 allows. Notes count alike, so those of a chord add up.
-
-    Args:
-        error: (N, K) times between notes and the onsets that play them [s], NaN for other keys.
-        coefficient: the reward for a note.
     """
     return coefficient * _sum_of_played(error, _ONSET_BOUND, _ONSET_MARGIN)
 
 
 def loudness(error: Array, coefficient: float) -> Array:
-    """(N,) reward for notes that are as loud as written.
+    """(N,) reward for notes as loud as written, by errors (N, K) of MIDI velocities or NaN.
 
     Each note that is played is worth max(0, abs(error) - 10.8) on a Gaussian that falls to a tenth
     at 25: 1 up to an error by which two people who play the same piece differ, a tenth where the
     hammer is half or twice as fast beyond that. Notes count alike, so those of a chord add up.
-
-    Args:
-        error: (N, K) differences of MIDI velocities, NaN for keys that play no note.
-        coefficient: the reward for a note.
     """
     return coefficient * _sum_of_played(error, _VELOCITY_BOUND, _VELOCITY_MARGIN)
 

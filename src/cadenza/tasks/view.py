@@ -46,13 +46,7 @@ def observed_touch(force: NDArray[Any]) -> NDArray[Any]:
 def observed_onsets(
     time: NDArray[Any], velocity: NDArray[Any], control_timestep: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """What is observed of onsets: times as fractions of a step, velocities as fractions of 127.
-
-    Args:
-        time: (...) from the beginnings of the steps on [s].
-        velocity: (...) MIDI velocities, 0 for no onset.
-        control_timestep: time of a control step [s].
-    """
+    """What is observed of onsets (...): times as fractions of a step, velocities of 127, or 0."""
     xp = time.__array_namespace__()
     share = xp.clip(time / control_timestep, 0.0, 1.0)  # which rounding may leave
     return share.astype(xp.float32), (velocity / VELOCITIES[1]).astype(xp.float32)

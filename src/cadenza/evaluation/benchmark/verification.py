@@ -42,13 +42,9 @@ class PlayedAgain:
 
 
 def verify(folder: Path, progress: Progress = silent) -> PlayedAgain:
-    """Play every run of an entry again, and compare.
+    """Play every run of an entry again, and compare; `progress` is told how many of how many.
 
     Raises CadenzaError if it is no whole entry, or cannot be played; the error says why in a line.
-
-    Args:
-        folder: that of the entry.
-        progress: is told how many runs have been played again, and their number.
     """
     entry = read_entry(folder)
     by_song = runs_by_song(entry)

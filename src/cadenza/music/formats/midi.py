@@ -156,13 +156,8 @@ def messages(
 ) -> Iterator[mido.Message]:
     """Yield the messages of notes and of the pedal, each with the ticks since the one before.
 
-    At one tick, notes end first, then the pedal moves, then notes begin. Notes of one pitch begin a
-    tick apart at least.
-
-    Args:
-        notes: the notes, which last a tick or more.
-        pedal: the movements of the pedal.
-        ticks: converts times [s] to ticks.
+    `ticks` converts times [s]. At one tick, notes end first, then the pedal moves, then notes
+    begin. Notes last a tick or more, and those of one pitch begin a tick apart at least.
     """
     timed: list[tuple[int, int, mido.Message]] = []
     free: dict[int, int] = {}  # from which tick on a note of each pitch can begin

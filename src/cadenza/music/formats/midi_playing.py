@@ -73,9 +73,7 @@ class Part:
 class Playing:
     """The tracks of a file as they are played; each channel of a port is one stream of messages.
 
-    Args:
-        tracks: the messages of the file, by tracks.
-        at: converts ticks to times, in the unit of notes.
+    `at` converts ticks to times, in the unit of notes.
     """
 
     def __init__(self, tracks: Sequence[Sequence[Message]], at: Callable[[int], int]) -> None:

@@ -52,17 +52,13 @@ def check_format(path: Path) -> None:
 
 
 def read_score(path: Path, tracks: Collection[int] = (), plain: bool = False) -> Score:
-    """The score in a MIDI, MusicXML, Humdrum or MEI file.
+    """The score in a MIDI, MusicXML, Humdrum or MEI file, of all `Score.tracks` or some.
 
-    Notes have the fingers of a file beside it with the ending .fingering, see
-    `cadenza.music.formats.fingering_file`. Raises CadenzaError if its format is not read, or one
-    of `read_midi`, `read_musicxml`, `read_by_verovio` and `read_fingering` refuses it.
-
-    Args:
-        path: the file, whose first bytes tell its format, or else its ending; with an unknown
-            ending it is read as MIDI.
-        tracks: the numbers of the tracks to be played, as in `Score.tracks`; all by default.
-        plain: plays the notes of a MusicXML file as they stand, whatever signs they have.
+    The first bytes of the file tell its format, or else its ending; with an unknown one it is read
+    as MIDI. Of MusicXML, `plain` plays the notes as they stand, whatever signs they have. Notes
+    have the fingers of a file beside it with the ending .fingering, see
+    `cadenza.music.formats.fingering_file`. Raises CadenzaError if its format is not read, or one of
+    `read_midi`, `read_musicxml`, `read_by_verovio` and `read_fingering` refuses it.
     """
     from cadenza.music.formats.fingering_file import SUFFIX, read_fingering
     from cadenza.music.formats.midi import read_midi

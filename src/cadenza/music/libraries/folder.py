@@ -25,12 +25,9 @@ _LONGEST = 120  # bytes of the name of a piece
 def folder_library(folder: Path, name: str = "") -> Library:
     """The library of the music files in a folder and the folders in it; none of them is opened.
 
-    Raises CadenzaError if there are no music files, or the index cannot be read.
-
-    Args:
-        folder: the folder, which may have an index (see `cadenza.music.libraries.index`).
-        name: the name of the library, whose songs are then called `name/piece`. Without it they
-            are called by their paths.
+    The folder may have an index, see `cadenza.music.libraries.index`. Songs are called `name/piece`
+    or, without a name, by their paths. Raises CadenzaError if there are no music files, or the
+    index cannot be read.
     """
     files = music_files(folder)
     if not files:

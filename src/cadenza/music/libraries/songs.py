@@ -41,11 +41,7 @@ class Song:
     def load(self, tracks: Collection[int] = (), plain: bool = False) -> Score:
         """Load the score, under the title of the song, with the hands that it is written for.
 
-        Raises CadenzaError if it cannot be read, or has no such track.
-
-        Args:
-            tracks: the numbers of the tracks to be played, as in `Score.tracks`; all by default.
-            plain: plays notes as they stand, whatever signs they have.
+        See `read_score`. Raises CadenzaError if it cannot be read, or has no such track.
         """
         score = with_written_hands(self.read(tracks, plain))
         return replace(score, title=self.title or score.title)

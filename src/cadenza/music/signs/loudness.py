@@ -46,14 +46,10 @@ class Hairpin:
 
 
 class Loudness:
-    """The velocity of notes as a function of their place, by the marks of one staff.
+    """The velocity of notes as a function of their place, by the marks of one staff in any order.
 
     Under a hairpin it leads from the dynamic before to that after it. Where there is none, or one
-    in the other direction, it changes by `HAIRPIN_STEP`.
-
-    Args:
-        marks: the marks, in any order.
-        unmarked: the velocity up to the first dynamic.
+    in the other direction, it changes by `HAIRPIN_STEP`. Up to the first dynamic it is `unmarked`.
     """
 
     def __init__(self, marks: Iterable[Dynamic | Sforzato | Hairpin], unmarked: int) -> None:

@@ -35,10 +35,7 @@ Played = tuple[float, float, int]
 def neighbour(note: SignedNote, step: int, accidental: int | None = None) -> int:
     """The pitch a few steps of the staff above a note, or below it if `step` is negative.
 
-    Args:
-        note: the note.
-        step: how many steps higher.
-        accidental: the alteration [semitones] that a sign gives; None is that of the key.
+    It is altered by the `accidental` of a sign [semitones]; None is that of the key.
     """
     natural = note.pitch - note.alter
     if natural % OCTAVE not in NATURALS:  # no line has this note: the file contradicts itself

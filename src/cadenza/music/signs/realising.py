@@ -43,16 +43,11 @@ MAX_NOTES = 100_000
 def realised(
     notes: Iterable[SignedNote], tempo: TempoMap, swings: Iterable[Swing] = ()
 ) -> list[SoundingNote]:
-    """The notes as they sound, by their beginnings.
+    """The notes of all parts as they sound, by their beginnings.
 
     Notes that no sign concerns begin and end where the tempo map says, to the bit. Grace notes
     before the first beat begin before 0 s. Raises CadenzaError if there would be more notes than
     `MAX_NOTES`, or one ends too late for a score.
-
-    Args:
-        notes: the notes as written, of all parts.
-        tempo: the time of each place in the music.
-        swings: where notes swing.
     """
     notes = with_signs_of_chords(list(notes))
     timed = _timed(notes, tempo, swings)
@@ -102,10 +97,6 @@ class _SwungTimes:
     """Where notes begin and end that are to swing.
 
     As in MuseScore, only the middle of a pair moves, and not where shorter notes fill the pair.
-
-    Args:
-        swings: where the rhythm changes.
-        notes: all notes, to know which pairs have shorter ones.
     """
 
     def __init__(self, swings: Iterable[Swing], notes: Iterable[SignedNote]) -> None:
@@ -143,14 +134,10 @@ _MAX_LIFTED = 0.5  # of a note, by which it ends earlier at most
 
 
 def articulate(voice: Voice, slurred: set[Fraction]) -> None:
-    """Give the chords of a voice their lengths and velocities.
+    """Give the chords of a voice their lengths and velocities, `slurred` as `slurred_onsets` says.
 
-    Notes last as long as they are written, if no sign says otherwise. Under a slur they last to
-    the next note, even where that is late.
-
-    Args:
-        voice: the voice.
-        slurred: the onsets of chords from which a slur leads on, see `slurred_onsets`.
+    Notes last as long as they are written, if no sign says otherwise. Under a slur they last to the
+    next note, even where that is late.
     """
     in_slur, chords = False, list(voice.chords.values())
     for chord, following in zip_longest(chords, chords[1:]):

@@ -133,11 +133,7 @@ class TempoSegment:
 
 
 class TempoMap:
-    """Time as a function of places in the music.
-
-    Args:
-        segments: the segments of the map in their order, one or more.
-    """
+    """Time as a function of places in the music, by segments in their order, one or more."""
 
     def __init__(self, segments: Sequence[TempoSegment]) -> None:
         self.segments = tuple(segments)
@@ -150,15 +146,11 @@ class TempoMap:
 
     @classmethod
     def of(cls, marks: Iterable[TempoMark], end: Fraction | None = None) -> TempoMap:
-        """The map of a score by its marks, in any order.
+        """The map of a score by its marks, in any order, up to its `end` [quarters].
 
-        A `Tempo` overrules a word at the same place that means it. Fermatas that sound together
-        are one. A gradual change whose end the score does not show goes on up to the next mark of
-        a tempo, or for `OPEN_RAMP` quarters, after which it is forgotten.
-
-        Args:
-            marks: the marks.
-            end: where the music ends [quarters], and with it the last change of tempo.
+        A `Tempo` overrules a word at the same place that means it. Fermatas that sound together are
+        one. A gradual change whose end the score does not show goes on up to the next mark of a
+        tempo, or for `OPEN_RAMP` quarters, after which it is forgotten.
         """
         marks = list(marks)
         flow = cls(_tempos(marks, end))
@@ -189,12 +181,9 @@ class TempoMap:
         return time - np.where(there, self._silence[segment], 0.0)
 
     def played(self, sections: Iterable[tuple[Fraction, Fraction]]) -> TempoMap:
-        """The map of music that is played section by section, such as one with repeats.
+        """The map of music that is played section by section, from begin to end of each [quarters].
 
         Raises CadenzaError if there would be more than `MAX_SEGMENTS`.
-
-        Args:
-            sections: the beginning and the end of each section in the written music [quarters].
         """
         at, time, silence = Fraction(0), 0.0, 0.0
         segments: list[TempoSegment] = []

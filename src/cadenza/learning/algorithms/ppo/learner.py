@@ -260,10 +260,7 @@ def gae(rewards: Array, values: Array, ended: Array, discount: float, gae_lambda
 def clipped_objective(log_ratio: Array, advantage: Array, clip: float) -> Array:
     """PPO's clipped surrogate objective of each transition, to be maximised.
 
-    Args:
-        log_ratio: log of the ratio of the new to the old probability.
-        advantage: of the same shape.
-        clip: how far the ratio may move from 1.
+    `log_ratio` is of the new to the old probability, which may move from 1 by `clip`.
     """
     ratio = jnp.exp(log_ratio)
     return jnp.minimum(ratio * advantage, jnp.clip(ratio, 1 - clip, 1 + clip) * advantage)

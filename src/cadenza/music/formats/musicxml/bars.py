@@ -73,12 +73,7 @@ class WrittenBar:
 
 
 def bars_of(part: Sequence[Placed], begins: Sequence[Fraction]) -> list[WrittenBar]:
-    """The bars of a part, with its repeats and endings.
-
-    Args:
-        part: its elements.
-        begins: the quarters at which measures begin, and the end of the last.
-    """
+    """The bars of a part, with its repeats and endings; `begins` as `timeline` returns it."""
     reader = _BarReader(begins)
     for placed in part:
         reader.read(placed)

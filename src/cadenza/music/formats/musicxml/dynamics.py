@@ -37,14 +37,10 @@ _Mark = Dynamic | Sforzato | Hairpin
 
 
 class PartLoudness:
-    """How loud the notes of a part are.
+    """How loud the notes of a part are; `plain` without hairpins and sforzatos.
 
     A mark with a staff is for that staff, one without for all of the part. A staff follows the
     marks of the others until it has one of its own.
-
-    Args:
-        part: the elements of the part.
-        plain: whether hairpins and sforzatos have no effect.
     """
 
     def __init__(self, part: Sequence[Placed], plain: bool) -> None:
@@ -164,16 +160,11 @@ class Move(NamedTuple):
 
 
 def pedal_moves(part: Iterable[Placed], begins: Sequence[Fraction], pedal: str) -> list[Move]:
-    """The motions of a pedal of a part, in the order of their times.
+    """The motions of a pedal of a part, one of `PEDALS`, in the order of their times.
 
     A sign moves by its offset for playback, as far as its measure reaches. A pedal that is pressed
     again without having been lifted is lifted before. A sign that lifts a pedal is for the one that
-    went down last.
-
-    Args:
-        part: the elements of the part.
-        begins: the quarters at which measures begin, and the end of the last.
-        pedal: which of `PEDALS`.
+    went down last. `begins` is as `timeline` returns it.
     """
     moves: list[Move] = []
     down = defaultdict[str, list[str]](list)  # pedals, by the numbers of their signs

@@ -46,16 +46,11 @@ JUMPS = frozenset((*_SOUNDS, "time-only"))
 def read_jumps(
     parts: Sequence[Sequence[Placed]], bars: Sequence[WrittenBar], begins: Sequence[Fraction]
 ) -> None:
-    """Add the jumps in all parts, and their goals, to the signs of bars.
+    """Add the jumps in all parts, and their goals, to the signs of bars, which have their barlines.
 
     Words and signs count where no sound for playback stands with them. A fine is within a bar if it
-    stands at a line there, or says how long the note before it is. A coda sign up to the last
-    jump back sends the player to the coda, one after it is the coda.
-
-    Args:
-        parts: the elements of each part.
-        bars: the bars, with the signs of their barlines.
-        begins: the quarters at which measures begin, and the end of the last.
+    stands at a line there, or says how long the note before it is. A coda sign up to the last jump
+    back sends the player to the coda, one after it is the coda.
     """
     reader = JumpReader(bars)
     for part in parts:

@@ -277,10 +277,7 @@ def _hands_of(part: Sequence[Placed], others: Sequence[bool]) -> list[int | None
 
     The upper staff is the right hand's. A voice that goes to the other staff stays with the hand of
     the staff where it began, unless in a bar it begins on the other while others are on its own.
-
-    Args:
-        part: its elements.
-        others: which of its notes and rests are on a staff that is not played, such as an ossia.
+    `others` are on a staff that is not played, such as an ossia.
     """
     notes = [placed for placed in part if placed.element.tag == "note"]
     played = [(i, note) for i, note in enumerate(notes) if not others[i]]

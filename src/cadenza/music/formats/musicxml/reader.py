@@ -56,13 +56,9 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = (), plain: bool = 
     part with most measures has them, the first of those. Times follow the tempos given for playback
     and metronome marks, velocities what is given for playback or else the dynamic marks. Of a part
     on two staves hands and fingering are taken over: the upper staff is the right hand's. What
-    cannot be played on one piano is repaired as by `read_midi`. Raises CadenzaError if the
-    file is not there, no MusicXML, damaged or too large, or has no notes, or not one of `tracks`.
-
-    Args:
-        path: the file.
-        tracks: the numbers of the tracks to be played; all by default.
-        plain: plays no signs, such as trills and hairpins.
+    cannot be played on one piano is repaired as by `read_midi`. Without signs, such as trills and
+    hairpins, if `plain`. Raises CadenzaError if the file is not there, no MusicXML, damaged or too
+    large, or has no notes, or not one of `tracks`.
     """
     path = Path(path)
     root = tree_of(path)

@@ -47,11 +47,7 @@ class TempoMarks:
 
     A metronome mark counts where there is no tempo for playback. `marks` and `swings` have their
     places in quarters; `impossible` counts tempos for playback that cannot be, and `unclear`
-    metronome marks that give no tempo.
-
-    Args:
-        parts: the elements of each part.
-        begins: the quarters at which measures begin, and the end of the last.
+    metronome marks that give no tempo. `begins` is as `timeline` returns it.
     """
 
     def __init__(self, parts: Sequence[Sequence[Placed]], begins: Sequence[Fraction]) -> None:

@@ -50,9 +50,6 @@ class Unrolled:
     """A sheet whose bars are played in the order of their signs: `passages`.
 
     Raises CadenzaError if it or a method would play too many bars, notes or marks.
-
-    Args:
-        bars: the bars of the sheet.
     """
 
     def __init__(self, bars: Sequence[WrittenBar]) -> None:
