@@ -33,8 +33,7 @@ T = TypeVar("T")
 TEMPORARY = ".cadenza-"  # what the name of a file begins with while it is written
 MAX_JSON = 32 * 2**20
 """Bytes of a file that is read as a whole; a song of half a million notes takes as many."""
-TENSORS = ".safetensors"
-"""The ending of the names of our own files of arrays."""
+TENSORS = ".safetensors"  # the ending of the names of our own files of arrays
 _FACTS, _SHA256 = "facts", "sha256"  # in the header of such a file
 _ANOTHER = "it is damaged, modified or from another version; use another copy"
 

@@ -12,13 +12,10 @@ from typing import Any, Literal
 from cadenza.errors import CadenzaError
 
 Side = Literal["right", "left"]
-SIDES: tuple[Side, ...] = ("right", "left")
-"""Sides in the order of fingers, joints and actions."""
-RIGHT, LEFT = range(len(SIDES))
-"""The numbers of the hands, as `Finger.hand` has them."""
+SIDES: tuple[Side, ...] = ("right", "left")  # sides in the order of fingers, joints and actions
+RIGHT, LEFT = range(len(SIDES))  # the numbers of the hands, as `Finger.hand` has them
 
-NO_FINGER = -1
-"""The number in arrays for no finger, or an unknown one."""
+NO_FINGER = -1  # the number in arrays for no finger, or an unknown one
 _NAMES = ("thumb", "index", "middle", "ring", "little")
 
 

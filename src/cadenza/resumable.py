@@ -41,8 +41,7 @@ from cadenza.files import (
 T = TypeVar("T")
 Arrays = dict[str, NDArray[Any]]
 
-CHECKPOINT = "checkpoint.safetensors"
-"""The name of the file of a checkpoint."""
+CHECKPOINT = "checkpoint.safetensors"  # the name of the file of a checkpoint
 _COMMAND = "command"  # in manifests and checkpoints
 _MAX_CHECKPOINT = 2**30  # bytes; those of learners take some ten million
 

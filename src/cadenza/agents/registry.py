@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from cadenza.agents.agent import Agent
 
 PLANNER, PRETRAINED, PLAYBACK = "planner", "pretrained", "playback"
-PRACTISED = f"plan{TENSORS}"
-"""The plan in the folder of a practised song."""
+PRACTISED = f"plan{TENSORS}"  # the plan in the folder of a practised song
 
 _BASELINES = "cadenza.agents.baselines"
 AGENTS = Registry(

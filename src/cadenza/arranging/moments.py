@@ -12,8 +12,7 @@ from cadenza.arranging.parts import TOGETHER, SourceNote
 from cadenza.music.notation.beats import estimated_bars
 from cadenza.music.score import MIDI_PITCHES, Score, chords
 
-SHORTEST = 0.05
-"""The least length of a note that ends early [s]."""
+SHORTEST = 0.05  # the least length of a note that ends early [s]
 _USUAL_BEAT = 0.5  # [s] where a song has a single one
 _PARTS = 2  # of a beat, at which notes may be struck though none is written there
 _APART = 0.1  # [s] from such a moment to others

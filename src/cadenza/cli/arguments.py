@@ -54,8 +54,7 @@ SoundFont = Annotated[
 SETTINGS = (tyro.conf.DisallowNone,)
 """What holds for all options: what is None by default is left out to be None."""
 
-HELP_ALL = "--help-all"
-"""The option that lists what `--help` leaves out."""
+HELP_ALL = "--help-all"  # the option that lists what `--help` leaves out
 _RARELY_SET = (
     *(TaskConfig, SceneConfig, DomainRandomization, ExpressionRules),
     *(PlannerConfig, TrainingConfig, DroQConfig),

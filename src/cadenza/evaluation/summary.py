@@ -27,8 +27,7 @@ _MS_PER_SECOND = 1000
 
 AllScores = Mapping[str, Mapping[str, Scores]]
 """Agent -> metric -> scores (runs, pieces), NaN where a piece has fewer runs."""
-Caveat = tuple[str, Sequence[str]]
-"""A line, and its cases."""
+Caveat = tuple[str, Sequence[str]]  # a line, and its cases
 
 
 def summarize(bench: BenchResults, title: str) -> BenchSummary:

@@ -38,8 +38,7 @@ from cadenza.fingers import Finger
 from cadenza.hands.reach import Array
 from cadenza.music.score import RELEASE_TIME, Note, Score
 
-COSTS = Costs()
-"""The default weights of what a hand does from moment to moment."""
+COSTS = Costs()  # the default weights of what a hand does from moment to moment
 
 
 class Dropped(NamedTuple):

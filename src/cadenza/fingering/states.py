@@ -19,8 +19,7 @@ from cadenza.fingering.players import Players, is_within
 from cadenza.fingers import Finger
 from cadenza.hands.reach import Array, Reach
 
-INFEASIBLE = 1e9
-"""Cost of what hands cannot do: more than all other costs of a song together."""
+INFEASIBLE = 1e9  # cost of what hands cannot do: more than all other costs of a song together
 
 _FAR = 10.0  # [m] farther than anything at a keyboard
 _STRETCH = 1.0  # cost of stretching or squeezing fingers as far as they go

@@ -33,8 +33,7 @@ GEOM_TYPES = {
 }
 """Type of a `Geom` -> MuJoCo's type, and how many numbers its size has."""
 
-SERVO = "A_"
-"""Prefix of the names of servos, before the name of the joint or tendon that they move."""
+SERVO = "A_"  # prefix of the names of servos, before the name of the joint or tendon that they move
 
 
 def prefix(side: Side) -> str:

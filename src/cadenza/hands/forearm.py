@@ -9,12 +9,9 @@ from dataclasses import dataclass
 from cadenza.fingers import Side
 from cadenza.hands.servo import Servo
 
-FOREARM = "forearm"
-"""The link that carries a hand."""
-ALONG_KEYBOARD = "forearm_tx"
-"""The servo that slides a hand along the keyboard."""
-FORWARDS = "forearm_ty"
-"""The servo that slides it towards the keys and back."""
+FOREARM = "forearm"  # the link that carries a hand
+ALONG_KEYBOARD = "forearm_tx"  # the servo that slides a hand along the keyboard
+FORWARDS = "forearm_ty"  # the servo that slides it towards the keys and back
 WIDTH = 0.149
 """Two forearms touch when they are nearer than this [m]: twice the radius of their shells."""
 

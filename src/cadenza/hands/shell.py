@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from cadenza.fingers import Side
 
-Ball = tuple[float, float, float, float]
-"""The centre x, y, z and the radius of a ball [m]."""
+Ball = tuple[float, float, float, float]  # the centre x, y, z and the radius of a ball [m]
 
 
 @dataclass(frozen=True)
@@ -35,14 +34,11 @@ class Material:
 
 COVER = Material((0.86, 0.85, 0.82, 1.0), 0.38)
 """Glossy ivory plastic, which palms and fingers are covered with."""
-METAL = Material((0.42, 0.44, 0.48, 1.0), 0.32, 0.75)
-"""Anodised metal of joints."""
+METAL = Material((0.42, 0.44, 0.48, 1.0), 0.32, 0.75)  # anodised metal of joints
 RUBBER = Material((0.15, 0.16, 0.18, 1.0), 0.85)
 """The soft skin of fingertips, dark so that it is seen on white keys."""
-SLEEVE = Material((0.19, 0.22, 0.28, 1.0), 0.5, 0.1)
-"""Forearms and arms."""
-TRIM = Material((0.72, 0.55, 0.38, 1.0), 0.3, 0.85)
-"""Brushed bronze, for edges."""
+SLEEVE = Material((0.19, 0.22, 0.28, 1.0), 0.5, 0.1)  # forearms and arms
+TRIM = Material((0.72, 0.55, 0.38, 1.0), 0.3, 0.85)  # brushed bronze, for edges
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-VELOCITIES = 1, 127
-"""The least and the greatest velocity of MIDI."""
+VELOCITIES = 1, 127  # the least and the greatest velocity of MIDI
 
 
 @dataclass(frozen=True)

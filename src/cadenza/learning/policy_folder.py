@@ -32,11 +32,9 @@ from cadenza.scene.config import SceneConfig, check_modules
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
-POLICY_FILE = f"policy{TENSORS}"
-"""The file of a policy: arrays, and facts as JSON in its header."""
+POLICY_FILE = f"policy{TENSORS}"  # the file of a policy: arrays, and facts as JSON in its header
 _MAX_BYTES = 2**30  # policies take a few million
-POLICY = Kind("policy", "model", (POLICY_FILE,), _MAX_BYTES)
-"""A policy as the hub keeps it."""
+POLICY = Kind("policy", "model", (POLICY_FILE,), _MAX_BYTES)  # a policy as the hub keeps it
 _FORMAT = 3
 _REFERENCE, _RANGES, _POLICY = "reference/", "ranges/", "policy/"  # begin names of arrays
 _CHANGE_THE_REFERENCE = (

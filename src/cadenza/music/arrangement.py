@@ -14,8 +14,7 @@ from cadenza.music.score import Score, check_beginning, check_length
 if TYPE_CHECKING:
     from cadenza.music.libraries.songs import Song
 
-EASIEST, HARDEST = 1, 10
-"""The grades of difficulty."""
+EASIEST, HARDEST = 1, 10  # the grades of difficulty
 
 
 @dataclass(frozen=True)

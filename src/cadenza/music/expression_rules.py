@@ -5,8 +5,7 @@ from dataclasses import dataclass, fields
 from cadenza.configs import check_ranges, in_short
 from cadenza.errors import CadenzaError
 
-MAX_QUANTITY = 10
-"""The most of a rule, and of the dose of all; 5 is a caricature already."""
+MAX_QUANTITY = 10  # the most of a rule, and of the dose of all; 5 is a caricature already
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from cadenza.music.performance import SAME_NOTE, performed_score
 from cadenza.music.score import LOUDEST, LOWEST_PITCH, Note, Score
 
-Pair = tuple[Note, Note]
-"""A note that was written, and the note played for it."""
+Pair = tuple[Note, Note]  # a note that was written, and the note played for it
 
 # The defaults of mir_eval
 ONSET_TOLERANCE = 0.05  # [s]

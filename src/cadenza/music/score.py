@@ -19,14 +19,11 @@ NUM_KEYS = 88
 LOWEST_PITCH = 21  # MIDI number of A0, key 0
 PITCHES = range(LOWEST_PITCH, LOWEST_PITCH + NUM_KEYS)
 MIDI_PITCHES = range(128)
-OCTAVE = 12
-"""The semitones of an octave."""
+OCTAVE = 12  # the semitones of an octave
 STEPS, NATURALS = "CDEFGAB", (0, 2, 4, 5, 7, 9, 11)
 """The names of the white keys of an octave, and their semitones above C."""
-SOFTEST, LOUDEST = 1, 127
-"""The least and the largest MIDI velocity."""
-PEDAL_DOWN = 64
-"""The least value of a pedal that is down."""
+SOFTEST, LOUDEST = 1, 127  # the least and the largest MIDI velocity
+PEDAL_DOWN = 64  # the least value of a pedal that is down
 MIRROR = 124  # sum of a pitch and its mirror image: twice D4, about which black keys are symmetric
 MAX_SECONDS = 3600.0  # of music that is played; a longer song is taken for a mistake
 MAX_SCORE_LENGTH = 4 * 3600.0  # [s]; a part may be played, and bars of days would fill memory

@@ -41,8 +41,7 @@ _REPLACED = (
     *("metrics.json", "episode.npz", *(f"episode-{side}.npz" for side in SIDES), "misses.json"),
     *("arrangement.json", "played.mid", "wanted.mid", "report.html", "video.mp4"),
 )
-RESULTS = ("settings.json", *_REPLACED)
-"""Files that a performance leaves."""
+RESULTS = ("settings.json", *_REPLACED)  # files that a performance leaves
 
 _IN_A_NOTEBOOK = 240.0  # [s] of music: the notebook keeps the page
 

@@ -29,10 +29,8 @@ from cadenza.performing.loaded_song import LoadedSong
 from cadenza.scene.config import SceneConfig, check_modules
 from cadenza.tasks.config import TaskConfig
 
-PRACTICE = f"practice{TENSORS}"
-"""How far the song of a folder has been practised."""
-PRACTISED_HOW = "practice.json"
-"""In what task and scene."""
+PRACTICE = f"practice{TENSORS}"  # how far the song of a folder has been practised
+PRACTISED_HOW = "practice.json"  # in what task and scene
 
 SomeAgent = str | Path | Agent | LearntPolicy
 

@@ -65,8 +65,7 @@ METRICS = SHARES | {
 }
 """Metrics of a run; NaN stands for one that is not known."""
 
-HEADLINES = ("note_onset_f1", "f1", "pooled_f1", "wall_per_music")
-"""Metrics that are printed."""
+HEADLINES = ("note_onset_f1", "f1", "pooled_f1", "wall_per_music")  # metrics that are printed
 
 
 class Estimate(NamedTuple):

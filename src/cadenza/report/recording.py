@@ -122,8 +122,7 @@ def arranged_notes(fates: Iterable[Mapping[str, Any]], lowest: int) -> list[list
     ]
 
 
-VERDICTS = ("hit", "wrong", "missed")
-"""Names of what `verdict` returns, from 1 on."""
+VERDICTS = ("hit", "wrong", "missed")  # names of what `verdict` returns, from 1 on
 
 
 def verdict(goal: NDArray[np.bool_], played: NDArray[np.bool_]) -> NDArray[np.uint8]:

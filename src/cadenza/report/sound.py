@@ -79,8 +79,7 @@ class Sound:
         self._file.write(samples.tobytes())
 
 
-Samples = NDArray[np.int16] | Sound
-"""Samples (n, 2) left and right, 16 bit."""
+Samples = NDArray[np.int16] | Sound  # samples (n, 2) left and right, 16 bit
 
 
 def synthesize(score: Score, voice: Tone = tone) -> Sound:

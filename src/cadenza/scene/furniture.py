@@ -11,19 +11,13 @@ import numpy as np
 from cadenza.hands.shell import TRIM, Material
 from cadenza.keyboards.keyboard import Keyboard
 
-LACQUER = Material((0.045, 0.043, 0.048, 1.0), 0.24)
-"""Polished black: the case, and the black keys."""
-IVORY = Material((0.95, 0.935, 0.90, 1.0), 0.25)
-"""White keys, a little warm."""
-FELT = Material((0.50, 0.05, 0.075, 1.0), 1.0)
-"""The red strip behind the keys."""
-FLOOR = Material((0.74, 0.755, 0.78, 1.0), 1.0)
-"""What the piano stands on."""
+LACQUER = Material((0.045, 0.043, 0.048, 1.0), 0.24)  # polished black: the case, and the black keys
+IVORY = Material((0.95, 0.935, 0.90, 1.0), 0.25)  # white keys, a little warm
+FELT = Material((0.50, 0.05, 0.075, 1.0), 1.0)  # the red strip behind the keys
+FLOOR = Material((0.74, 0.755, 0.78, 1.0), 1.0)  # what the piano stands on
 
-SLOPE = 0.5
-"""How far the fall board rises towards the back [rad]."""
-BOARD_LENGTH = 0.21
-"""The fall board has this length from its lower edge to its upper one [m]."""
+SLOPE = 0.5  # how far the fall board rises towards the back [rad]
+BOARD_LENGTH = 0.21  # the fall board has this length from its lower edge to its upper one [m]
 _BOARD_BEHIND, _BOARD_OVER = 0.012, 0.016  # [m] its lower edge lies, from the keys
 _BOARD_BELOW = 0.005  # [m] its face lies below the notes that fall on it
 _BOARD_HALF = 0.004  # [m] half of its thickness

@@ -156,8 +156,7 @@ def in_steps_of(scene: Scene, seconds: float) -> Scene:
     return replace(scene, model=model)
 
 
-Part = tuple[str, int]
-"""A geom of a hand: the name of its body, and its index in that body."""
+Part = tuple[str, int]  # a geom of a hand: the name of its body, and its index in that body
 
 
 def colliding_parts(scene: Scene) -> set[Part]:

@@ -12,8 +12,7 @@ from cadenza.sim.mujoco_simulation import UNSTABLE, MujocoSimulation
 
 Array = NDArray[np.float64]
 
-NUM_SLOTS = 2
-"""Rollouts that can be simulated at once."""
+NUM_SLOTS = 2  # rollouts that can be simulated at once
 _MARGIN = 0.05  # [m] of keys to each side of where fingertips should go
 _MAX_MODELS = 16  # of about 2 MB that are kept: memory must not grow with the length of a song
 _GRID = 6  # keys; a song needs few models where they begin and end at every sixth

@@ -36,8 +36,7 @@ from cadenza.studio.request import HEADER_FILE, ROWS_FILE, PlayRequest
 
 _ID_DIGITS = 16
 _ID = re.compile(f"[0-9a-f]{{{_ID_DIGITS}}}")
-ABOUT = "studio.json"
-"""File of a performance, with what the list shows."""
+ABOUT = "studio.json"  # file of a performance, with what the list shows
 MAX_UPLOADS = 200
 _MAX_TITLE = 100
 _ABANDONED = 3600.0  # [s] after which a file that nobody has finished is deleted

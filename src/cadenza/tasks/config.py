@@ -13,8 +13,7 @@ KeyPress = Literal["published", "graded"]
 Repeats = Literal["published", "shortened"]
 
 
-Range = tuple[float, float]
-"""A minimum and a maximum."""
+Range = tuple[float, float]  # a minimum and a maximum
 
 SAME: Range = (1.0, 1.0)
 NOISE_ON_OBSERVATIONS = "joint_noise", "slide_noise", "key_noise", "touch_noise"

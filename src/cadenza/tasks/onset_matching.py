@@ -15,8 +15,7 @@ from cadenza.tasks.goal_track import UpcomingOnsets
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-STEPS = (-1, 0, 1)
-"""The steps in which a note may be due: the last step, the one taken, the next."""
+STEPS = (-1, 0, 1)  # the steps in which a note may be due: the last step, the one taken, the next
 
 
 class OnsetErrors(NamedTuple):

@@ -69,8 +69,7 @@ class Outcome(NamedTuple):
         return f"Outcome({len(self.ctrl)} environments)"
 
 
-RewardTerm = Callable[[Outcome], Array]
-"""A function that returns a term of the reward, (N,)."""
+RewardTerm = Callable[[Outcome], Array]  # a function that returns a term of the reward, (N,)
 
 
 def press_offset(key_half_size: Array) -> Array:

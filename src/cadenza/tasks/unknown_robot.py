@@ -11,8 +11,7 @@ from cadenza.errors import CadenzaError
 from cadenza.tasks.env import Observation, PianoEnv, Song
 from cadenza.tasks.robots import REALISTIC
 
-PLAYS = 10
-"""How often a song may be played before the play that is scored."""
+PLAYS = 10  # how often a song may be played before the play that is scored
 _OWN = "randomization", "privileged", "task", "pixels"
 
 

@@ -34,8 +34,7 @@ def from_range(ctrl: NDArray[Any], low: Array, high: Array) -> Array:
     return action.clip(-1.0, 1.0)
 
 
-TOUCH_RANGE = 5.0
-"""Greatest force that is observed [N]; a key is held down with about one."""
+TOUCH_RANGE = 5.0  # greatest force that is observed [N]; a key is held down with about one
 
 
 def observed_touch(force: NDArray[Any]) -> NDArray[Any]:

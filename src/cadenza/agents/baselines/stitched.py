@@ -87,8 +87,7 @@ def _slower(times: JumpTimes) -> JumpTimes:
     return replace(slower, within_reach=_REACH * slower.within_reach, climb=RISE)
 
 
-Held = tuple[tuple[int, int], ...]
-"""Pairs of finger and key, of each finger that is down."""
+Held = tuple[tuple[int, int], ...]  # pairs of finger and key, of each finger that is down
 
 _BEFORE = 0.2  # [s] of a motion before the keys change, in which fingers get over the next ones
 _AFTER = 0.15  # [s] after it, in which the others get off theirs

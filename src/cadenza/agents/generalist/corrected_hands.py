@@ -11,8 +11,7 @@ from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
 
-MAX_LOWER = 1.5
-"""Maximum change of a finger's height where it strikes [cm]."""
+MAX_LOWER = 1.5  # maximum change of a finger's height where it strikes [cm]
 _CM = 0.01  # [m]
 
 

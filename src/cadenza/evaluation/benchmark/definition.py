@@ -32,8 +32,7 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
 
 VERSION: Literal[1] = 1
-MUJOCO = "3.17.0"
-"""The version of MuJoCo on which entries are ranked."""
+MUJOCO = "3.17.0"  # the version of MuJoCo on which entries are ranked
 TASK = TaskConfig(
     control_timestep=0.05,
     trim_silence=True,

@@ -15,8 +15,7 @@ from cadenza.music.viterbi import cheapest_sequence
 
 Costs = NDArray[np.int64]
 Pitches = NDArray[np.int64]
-FORBIDDEN = 1_000_000
-"""Cost of breaking a rule: more than all other costs of an etude together."""
+FORBIDDEN = 1_000_000  # cost of breaking a rule: more than all other costs of an etude together
 _FIFTH, _TRITONE, _AUGMENTED_SECOND = 7, 6, 3  # [semitones]
 _CONSONANCES = (0, 3, 4, 7, 8, 9)  # [semitones] unison, thirds, fifth, sixths
 

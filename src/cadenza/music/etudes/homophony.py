@@ -23,8 +23,7 @@ _RIGHT_LEAPS, _REPEATED_THIRDS = 6, 9
 
 _HOME: dict[Side, int] = {"right": 0, "left": -STEPS}
 """The degree around which each hand has its figures."""
-_ALBERTI = (0, 2, 1, 2)
-"""Tones of a triad: lowest, highest, middle, highest."""
+_ALBERTI = (0, 2, 1, 2)  # tones of a triad: lowest, highest, middle, highest
 _CELLS = ((0, 1, 2, 3), (0, 2, 1, 3), (3, 1, 2, 0), (0, 2, 1, 2), (0, 3, 1, 3), (3, 2, 1, 2))
 """Tones of a triad and its octave in the orders of broken chords."""
 

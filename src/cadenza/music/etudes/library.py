@@ -30,10 +30,8 @@ from cadenza.music.etudes.sheet import EtudeSheet, Tone, pick
 from cadenza.music.libraries.songs import Library, Song
 from cadenza.music.score import Score
 
-HARDEST = 10
-"""The highest difficulty of an etude; the lowest is 1."""
-LIBRARY = "etudes"
-"""The name of the library, with which the names of its etudes begin."""
+HARDEST = 10  # the highest difficulty of an etude; the lowest is 1
+LIBRARY = "etudes"  # the name of the library, with which the names of its etudes begin
 _TEMPI = range(50, 141)  # [beats / min] preferred tempi
 _USUAL_TEMPO = 90  # [beats / min] that etudes come near to if none is among the preferred
 _TEMPO_VARIATION = 0.08  # share by which tempi differ at random
@@ -64,8 +62,7 @@ _KINDS = {
     "trills": _EtudeKind("Trills", trills, 2.5, 11, (2, 4)),
     "repeated-notes": _EtudeKind("Repeated notes", repeated_notes, 1.5, 8),
 }
-KINDS = tuple(_KINDS)
-"""Kinds of etudes for two hands; those for one are `DRILLS`."""
+KINDS = tuple(_KINDS)  # kinds of etudes for two hands; those for one are `DRILLS`
 _ETUDE_NAME = re.compile(rf"{LIBRARY}/([a-z-]+)-(\d{{1,9}})-(\d{{1,39}})", re.ASCII)
 _COUNT_AND_SEED = re.compile(r"\d{1,9}(:\d{1,9})?", re.ASCII)
 _OF_ONE_KIND = re.compile(r"([a-z-]+-\d{1,9}):([1-9]\d{0,5})", re.ASCII)

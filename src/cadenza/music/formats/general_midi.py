@@ -1,14 +1,11 @@
 """Programs of General MIDI by their names, and controllers by their numbers."""
 
-LARGEST = 127
-"""The largest value of a controller."""
+LARGEST = 127  # the largest value of a controller
 BANK, VOLUME, EXPRESSION = 0, 7, 11
-SUSTAIN, SOSTENUTO, SOFT = 64, 66, 67
-"""The pedals of a piano."""
+SUSTAIN, SOSTENUTO, SOFT = 64, 66, 67  # the pedals of a piano
 AMOUNTS = frozenset((VOLUME, EXPRESSION, SUSTAIN, SOSTENUTO, SOFT))
 """The controllers of which a value that is too large can only mean the largest."""
-RESET = 121
-"""The controller that lifts the pedals of a channel, among others."""
+RESET = 121  # the controller that lifts the pedals of a channel, among others
 ALL_OFF = frozenset((120, *range(123, 128)))
 """The controllers that end all notes of a channel; the last four change its mode, too."""
 CHANNELS, DRUM_CHANNEL = range(16), 9

@@ -9,8 +9,7 @@ from cadenza.errors import CadenzaError
 from cadenza.music.formats.general_midi import AMOUNTS, LARGEST, MAKERS
 from cadenza.music.repair import counted_remarks
 
-LONGEST = 2**28 - 1
-"""The most ticks from one event to the next that the format can say."""
+LONGEST = 2**28 - 1  # the most ticks from one event to the next that the format can say
 NOTE_OFF, NOTE_ON, CONTROL, PROGRAM, WHEEL = 0x8, 0x9, 0xB, 0xC, 0xE
 """The kinds of messages to channels: the upper halves of their status bytes."""
 SYSEX, NAME, PORT, END, TEMPO, METRE = 0xF0, 0x03, 0x21, 0x2F, 0x51, 0x58

@@ -10,15 +10,13 @@ from cadenza.files import opened
 from cadenza.music.score import Score
 
 _MIDI = (".mid", ".midi", ".kar", ".rmi")
-SHEET = ".musicxml"
-"""The ending of the names of files of sheet music that are written."""
+SHEET = ".musicxml"  # the ending of the names of files of sheet music that are written
 _MUSICXML = (SHEET, ".xml", ".mxl")
 _BY_VEROVIO = {".krn": "Humdrum", ".mei": "MEI"}
 _BEGINS_MIDI = (b"MThd", b"RIFF")
 _IS_MEI = re.compile(rb"<(\w+:)?mei(Corpus)?[\s>/]")
 _BEGINNING = 1 << 12  # bytes of a file, among which an MEI file says what it is
-MUSIC = (*_MIDI, *_MUSICXML, *_BY_VEROVIO)
-"""The endings of music files."""
+MUSIC = (*_MIDI, *_MUSICXML, *_BY_VEROVIO)  # the endings of music files
 
 _NOTATION = "open it in a notation program such as MuseScore, and export it as MIDI or MusicXML"
 _SOUND = "convert the sound to MIDI with a transcription program such as Basic Pitch"

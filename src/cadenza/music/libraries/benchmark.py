@@ -13,8 +13,7 @@ from cadenza.music.formats.midi_messages import parsed
 from cadenza.music.libraries.songs import Library, Song
 from cadenza.music.score import Score
 
-BENCHMARK = "benchmark"
-"""The name of the library."""
+BENCHMARK = "benchmark"  # the name of the library
 _ETUDE_SEED = 1_000_000  # of all etudes, far from seeds that anybody is likely to have used
 _ETUDE_SPLITS = ("test", "valid", "train", "train", "train")
 _BANDS = {"train": range(1000, 1036), "valid": range(1036, 1048), "test": range(1048, 1060)}

@@ -29,8 +29,7 @@ _NAME = re.compile(r"\w[\w.-]{0,63}")
 Progress = Callable[[int, int], None]
 """A function that an import calls with the number of pieces done and of all."""
 
-Grade = Callable[[Score], float]
-"""A function that says how difficult a score is, from 1 to 10."""
+Grade = Callable[[Score], float]  # a function that says how difficult a score is, from 1 to 10
 
 
 def _libraries_folder() -> Path:

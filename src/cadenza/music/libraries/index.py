@@ -31,8 +31,7 @@ _NUMBERS: Mapping[str, Callable[[str, str, int, int], float]] = {
 _COLUMNS = (_NAMES[0], *_TEXTS, *_NUMBERS)
 _MAX_BYTES = 64 * 2**20  # of a hundred thousand pieces
 
-Facts = dict[str, Any]
-"""Facts about a piece, by the names of the fields of `Song`."""
+Facts = dict[str, Any]  # facts about a piece, by the names of the fields of `Song`
 
 
 def read_index(path: Path) -> dict[str, Facts]:

@@ -28,8 +28,7 @@ _FASTEST = 0.05  # [s] a note has no ornament whose notes would be shorter; a ch
 _FIRST = 4 / 3  # of the mean length has the first note of a trill that accelerates; a choice
 _MAX_OF_NOTE = 0.5  # of the note, which a turn after it takes at most
 
-Played = tuple[float, float, int]
-"""A note of an ornament: start and end [s], and pitch."""
+Played = tuple[float, float, int]  # a note of an ornament: start and end [s], and pitch
 
 
 def neighbour(note: SignedNote, step: int, accidental: int | None = None) -> int:

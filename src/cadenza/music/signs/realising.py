@@ -36,8 +36,7 @@ from cadenza.music.signs.notes import (
 from cadenza.music.signs.ornaments import ornament_notes, place_graces
 from cadenza.music.signs.tempo_map import Swing, TempoMap
 
-MAX_NOTES = 100_000
-"""More, with repeats and ornaments, are taken for damage."""
+MAX_NOTES = 100_000  # more, with repeats and ornaments, are taken for damage
 
 
 def realised(

@@ -25,8 +25,7 @@ from cadenza.music.signs.conventions import (
 
 Floats = NDArray[np.float64]
 
-MAX_SEGMENTS = 100_000
-"""More, with all repeats, are taken for damage."""
+MAX_SEGMENTS = 100_000  # more, with all repeats, are taken for damage
 _SLOWEST, _FASTEST = 60.0, 0.006  # [s] a quarter lasts at most and at least, however it changes
 _SECONDS_PER_QUARTER = 0.5  # until the score says otherwise, as in MIDI
 _AT_BARLINE = Fraction(1)  # [quarters]: over a barline, a fermata is as long as over a quarter

@@ -14,10 +14,8 @@ from cadenza.agents.planner.plan.strike_model import PlannedStrikes
 from cadenza.fingers import SIDES, Side
 from cadenza.music.metrics import ONSET_TOLERANCE
 
-ABOUT_TO_PRESS = 0.1
-"""Time before a press in which its finger counts as playing [s]."""
-TIP_WEIGHT = 3000.0
-"""Weight of the squared distance of a playing fingertip from the plan [1 / m^2]."""
+ABOUT_TO_PRESS = 0.1  # time before a press in which its finger counts as playing [s]
+TIP_WEIGHT = 3000.0  # weight of the squared distance of a playing fingertip from the plan [1 / m^2]
 _IDLE_TIP_WEIGHT = 200.0  # [1 / m^2] the same of an idle one, which only has to be out of the way
 _LEAVING = 0.1  # [s] that a hand needs to leave a key of the other's
 _ROUNDING = 1e-9  # so that a whole number of steps counts as such

@@ -15,8 +15,7 @@ from cadenza.hands.reach import JumpTimes
 
 Key = int | Ids
 
-RISE = 0.05
-"""Time in which a finger gets off a key [s]."""
+RISE = 0.05  # time in which a finger gets off a key [s]
 
 
 class Strike(NamedTuple):

@@ -14,8 +14,7 @@ from cadenza.music.score import LOUDEST
 from cadenza.music.signs.loudness import Dynamic, Hairpin, Loudness, Sforzato, within_midi
 from cadenza.music.signs.words import loudness_step
 
-FORTE = 90
-"""The velocity that MusicXML's `dynamics` attributes are in percent of."""
+FORTE = 90  # the velocity that MusicXML's `dynamics` attributes are in percent of
 VELOCITIES = {"ppp": 16, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 96, "ff": 112, "fff": 126}
 """The velocities of dynamic markings."""
 UNMARKED = VELOCITIES["mf"]

@@ -13,8 +13,7 @@ from xml.etree.ElementTree import Element
 
 ZERO = Fraction(0)
 _FIRST_VOICE = "1"
-MAX_STAVES = 16
-"""Staves of a part that are told apart; beyond, all are one."""
+MAX_STAVES = 16  # staves of a part that are told apart; beyond, all are one
 _FINEST = 10**6  # parts of a quarter that are told apart; more would make sums slow
 _UNIT = 10_000  # parts of a whole number that are told apart, so that 1.3333333 is 4/3
 _T = TypeVar("_T")
