@@ -166,8 +166,8 @@ def errors_in_a_line() -> Iterator[None]:
 def extra_packages(extra: str, what: str) -> Iterator[None]:
     """Turn failed imports of the block into advice to install an `extra` of Cadenza.
 
-    Raises:
-        CadenzaError: an import fails. The message begins with `what`, which needs the packages.
+    Raises CadenzaError if an import fails. The message begins with `what`, which needs the
+    packages.
     """
     try:
         yield

@@ -265,8 +265,8 @@ def whole_number_in(text: str, what: str, least: int, most: int) -> int:
 def number_in(text: str, what: str, least: float, most: float) -> float:
     """The number from `least` to `most` that a file or a user writes as `text`.
 
-    Raises:
-        CadenzaError: it is something else, also nan; the message begins with `what` it was to be.
+    Raises CadenzaError if it is something else, also nan; the message begins with `what` it was to
+    be.
     """
     if not _DECIMAL.fullmatch(text) or not least <= (number := float(text)) <= most:
         raise CadenzaError(f"{what} {quoted(text)}; expected a number, {least:,g} to {most:,g}")

@@ -116,8 +116,8 @@ class ResumableFolder:
     def read_manifest(self) -> dict[str, Any]:
         """The fields of the manifest, unchecked.
 
-        Raises:
-            CadenzaError: There is no manifest, it is damaged, or it is that of another command.
+        Raises CadenzaError if there is no manifest, it is damaged, or it is that of another
+        command.
         """
         fields = read_json(self.manifest, dict[str, Any])
         command = checked(fields.pop(_COMMAND, None), str, self.manifest)

@@ -35,8 +35,8 @@ def check_name(path: Path, suffix: str, what: str) -> None:
 def check_sheet(path: Path, option: str) -> None:
     """Check the name of a file of sheet music and its folder, which this `option` chooses.
 
-    Raises:
-        CadenzaError: it has none of the endings that `write_sheet` knows, or cannot be written.
+    Raises CadenzaError if it has none of the endings that `write_sheet` knows, or cannot be
+    written.
     """
     known = f"{', '.join(_SHEETS[:-1])} or {_SHEETS[-1]}"
     suffix = path.suffix if path.suffix in _SHEETS else SHEET

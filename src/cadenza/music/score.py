@@ -196,8 +196,8 @@ class Score:
     def stretched(self, factor: float) -> Score:
         """The score with all times multiplied by `factor` (2 is half as fast).
 
-        Raises:
-            CadenzaError: `factor` is not a positive number, or the song would last over an hour.
+        Raises CadenzaError if `factor` is not a positive number, or the song would last over an
+        hour.
         """
         if not isinstance(factor, Real) or not 0 < factor < float("inf"):
             raise CadenzaError(f"cannot stretch by {quoted(factor)}: give a positive number")
@@ -269,8 +269,8 @@ class Score:
     def with_initial_silence(self, seconds: float) -> Score:
         """The score later by `seconds`, so that the hands have time to get into place.
 
-        Raises:
-            CadenzaError: `seconds` is negative or not finite, or the song would last over an hour.
+        Raises CadenzaError if `seconds` is negative or not finite, or the song would last over an
+        hour.
         """
         if not 0 <= seconds < float("inf"):
             raise CadenzaError(f"initial silence of {seconds} s: give zero or more seconds")

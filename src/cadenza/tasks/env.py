@@ -490,8 +490,8 @@ class PianoEnv(gymnasium.Env):
 def _known(options: dict[str, Any] | None) -> dict[str, Any]:
     """The options of a reset, none by default.
 
-    Raises:
-        CadenzaError: there is no such option. If it were ignored, songs would be drawn instead.
+    Raises CadenzaError if there is no such option. If it were ignored, songs would be drawn
+    instead.
     """
     if unknown := sorted(set(options or ()) - _RESET_OPTIONS):
         raise CadenzaError(

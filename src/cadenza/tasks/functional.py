@@ -114,15 +114,15 @@ class FunctionalPianoTask:
     ) -> None:
         """Make a task of songs; each episode plays one.
 
+        Raises CadenzaError if a song cannot be played, or an option makes no sense or is missing
+        here.
+
         Args:
             scores: the songs to draw from.
             config: the task's options.
             scene: the scene or its options.
             num_envs: N.
             make_physics: makes the simulation, by default `cadenza.sim.warp.WarpPhysics`.
-
-        Raises:
-            CadenzaError: a song cannot be played, or an option makes no sense or is missing here.
         """
         self.config = as_config(config, TaskConfig)
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)

@@ -118,8 +118,8 @@ class PlaygroundPiano:
     ) -> list[Any]:
         """Draw states of one world, as pictures (height, width, 3).
 
-        Raises:
-            CadenzaError: this machine cannot draw, there is no such camera, or states are batches.
+        Raises CadenzaError if this machine cannot draw, there is no such camera, or states are
+        batches.
         """
         scene, pictures = self.task.scene, []
         with closing(Renderer(scene, Picture(width, height, camera or "back"))) as renderer:

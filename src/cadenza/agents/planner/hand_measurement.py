@@ -205,8 +205,8 @@ class ReachMeasurement:
     def measure(self) -> dict[ReachField, Array]:
         """The fields of `Reach` that are measured.
 
-        Raises:
-            CadenzaError: a finger cannot press with all others, or no two of them reach two keys.
+        Raises CadenzaError if a finger cannot press with all others, or no two of them reach two
+        keys.
         """
         everyone = tuple(self._fingers)
         q = self._rest

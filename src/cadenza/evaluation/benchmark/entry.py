@@ -98,8 +98,8 @@ def check_claims(entry: BenchmarkEntry) -> None:
 def runs_by_song(entry: BenchmarkEntry) -> list[tuple[Song, list[EnteredRun]]]:
     """Every song of the set with its runs, one for each seed.
 
-    Raises:
-        CadenzaError: there is no such set, or a run is missing, is there twice, or of another song.
+    Raises CadenzaError if there is no such set, or a run is missing, is there twice, or of another
+    song.
     """
     songs, seeds = open_set(entry.songs).songs, entry.seeds
     expected = {(song.name, seed) for song in songs for seed in seeds}
