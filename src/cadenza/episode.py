@@ -147,10 +147,7 @@ class Episode:
         return f"Episode({self.song!r}, {self.num_steps} steps of {self.dt:g} s)"
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """The array of this name.
-
-        Raises CadenzaError if there is no such array.
-        """
+        """The array of this name; raises CadenzaError if there is none."""
         if name not in self.arrays:
             raise CadenzaError(f"the episode of {quoted(self.song)} holds no array named {name}")
         return self.arrays[name]

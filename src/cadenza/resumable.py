@@ -59,13 +59,9 @@ class ResumableFolder:
     def __init__(
         self, path: Path, command: str, locked_out: str, manifest: str = "run.json"
     ) -> None:
-        """Make nothing yet.
+        """Make nothing yet, of work that a command begins and resumes in a folder.
 
-        Args:
-            path: The folder.
-            command: The command that begins and resumes the work.
-            locked_out: What the error of `locked` says when another process holds the lock.
-            manifest: The name of the manifest.
+        `locked_out` is what the error of `locked` says when another process holds the lock.
         """
         self.path, self.command = path, command
         self.manifest, self.checkpoint = path / manifest, path / CHECKPOINT

@@ -67,10 +67,7 @@ class Arranger:
     def _struck(
         self, score: Score, moments: Sequence[SongMoment], cost: float
     ) -> tuple[list[Struck], Score]:
-        """What the hands strike, and the score of it with fingers.
-
-        `cost` is that of every note of the harmony.
-        """
+        """What the hands strike, the harmony at a `cost` a note, and its score with fingers."""
         struck, early_ends = reduced(moments, self._hands, cost)
         fingered, dropped = find_fingering(_score(score, struck, early_ends), self._players)
         if dropped:
@@ -130,10 +127,7 @@ def held_as_possible(score: Score, players: Players, times: JumpTimes) -> Score:
 def _end_for_jumps(
     notes: list[Note], struck: Sequence[list[int]], hand: int, players: Players, times: JumpTimes
 ) -> None:
-    """End notes whose hand is to strike what it does not reach from there.
-
-    `struck` are the indices of the notes that it strikes together.
-    """
+    """End notes whose hand does not reach from there the notes of the indices `struck`."""
     y, reach = players.key_y(hand), players.reach
     key = [note.pitch - players.keyboard.lowest_pitch for note in notes]
     finger = [_index(note.finger) for note in notes]

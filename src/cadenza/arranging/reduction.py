@@ -228,10 +228,7 @@ def _collide(right: Action, left: Action) -> bool:
 
 
 def _value(struck: Struck, classes: frozenset[int], cost: float) -> float:
-    """What a note is worth that is struck when these pitch classes have sounded.
-
-    Notes of the harmony have a `cost`.
-    """
+    """What a note is worth that is struck when these pitch classes sounded, less its `cost`."""
     note, moved = struck.source, abs(struck.pitch - struck.source.pitch) // OCTAVE
     if note.melody:
         return _MELODY

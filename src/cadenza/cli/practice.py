@@ -216,8 +216,7 @@ def _progress(
 ) -> tuple[str, str, float, float]:
     """Return the stage, its unit, how much of it is done, and how much it is, after `seconds`.
 
-    The first take, which counts for no effort, and what is finished after the effort are stages of
-    their own: what they take says nothing of how long the rest will take.
+    The first take and what is finished after the effort say nothing of how long the rest takes.
     """
     if minutes is not None:
         return "practising", "s", seconds, 60 * minutes

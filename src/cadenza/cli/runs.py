@@ -104,10 +104,7 @@ def run_all(command: _Command, jobs: Sequence[BenchJob], work: Work) -> None:
 
 
 class _Table:
-    """The runs under way, drawn anew in place twice a second; what has ended scrolls by above.
-
-    Where there is no terminal, only a line for each run that ends.
-    """
+    """The runs under way, drawn anew in place; without a terminal, a line for each that ends."""
 
     def __init__(self, work: Work) -> None:
         self._work = work

@@ -278,8 +278,7 @@ def curves(command: Curves) -> None:
 def _title_and_settings(run: Path) -> list[str]:
     """Return the song of a run, its preset, and the settings that differ from it but the seed.
 
-    Of a folder that has the figures only, its name without the number at the end is taken for the
-    song.
+    Of a folder with figures only, the name without the number at the end stands for the song.
     """
     from cadenza.configs import flat
     from cadenza.learning.run_folder import RunFolder

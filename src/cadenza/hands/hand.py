@@ -72,10 +72,7 @@ class Hand:
     """The links that the reward for forearms wants to keep from those of the other hand."""
 
     def __post_init__(self) -> None:
-        """Check that the parts go together.
-
-        Raises CadenzaError if they do not.
-        """
+        """Check that the parts go together; raises CadenzaError if they do not."""
         for fault in _faults(self):
             raise CadenzaError(f"hand {self.name}: {fault}")
 

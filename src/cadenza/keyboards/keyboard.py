@@ -107,10 +107,7 @@ class Keyboard:
     """How loud a key sounds."""
 
     def __post_init__(self) -> None:
-        """Check the figures.
-
-        Raises CadenzaError if there can be no such keyboard.
-        """
+        """Check the figures; raises CadenzaError if there can be no such keyboard."""
         for fault in _faults(self):
             raise CadenzaError(f"keyboard {self.name}: {fault}")
 

@@ -59,13 +59,9 @@ class CheckpointedRun(ABC):
         checkpoint_interval: float,
         rng: np.random.Generator,
     ) -> None:
-        """Neither begins nor resumes the run; see `resume`.
+        """Neither begins nor resumes the run of `num_steps` in a folder; see `resume`.
 
-        Args:
-            folder: The folder of the run.
-            num_steps: The number of steps of the whole run.
-            checkpoint_interval: The time between checkpoints [s].
-            rng: The source of randomness, whose state is part of checkpoints.
+        Checkpoints, which have the state of `rng`, come every `checkpoint_interval` [s].
         """
         self.folder, self.num_steps = folder, num_steps
         self.step, self._seconds = 0, 0.0

@@ -50,13 +50,9 @@ class Collector:
     ) -> None:
         """Collect nothing before `begin` or `restore`.
 
-        Args:
-            task: The task with N environments.
-            goals: the table of goals, to which scores of episodes are added.
-            observer: The maker of the observations.
-            replay: The buffer to which experience is added, if it is kept.
-            mapping: The map from the policy's actions to controls.
-            rng: The source of randomness of the actions and of each environment.
+        Scores of episodes are added to `goals`, and experience to `replay`, if it is kept.
+        `mapping` leads from the policy's actions to controls; actions and environments draw from
+        `rng`.
         """
         self._task, self._goals, self._observer = task, goals, observer
         self._replay, self._mapping = replay, mapping

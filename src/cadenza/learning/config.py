@@ -100,10 +100,7 @@ def _with(options: Mapping[str, Any], config: TrainingConfig) -> TrainingConfig:
 
 
 def _fast() -> TrainingConfig:
-    """The preset fast.
-
-    Tunes are learnt long before its end; pieces for two hands still improve.
-    """
+    """The preset fast; tunes are learnt long before its end, not pieces for two hands."""
     return TrainingConfig(
         num_steps=1_000_000,
         num_envs=2,

@@ -52,13 +52,8 @@ class DeviceRollouts(RolloutExperience):
     ) -> None:
         """Begin no episode yet.
 
-        Args:
-            config: the options of the run.
-            task: the task with N environments.
-            inputs: the entries of `ObservationSpec` that are observed, all of them the task's own.
-            ranges: the scale of joints and actions, if not the task's.
-            rng: what is random in the environments follows from it.
-            sample_rng: see `RolloutExperience`.
+        The policy observes `inputs`, all of them the task's own, scaled by `ranges`, if not the
+        task's. Environments draw from `rng`; for `sample_rng` see `RolloutExperience`.
         """
         super().__init__(config, sample_rng)
         self._task, self._ranges = task, ranges

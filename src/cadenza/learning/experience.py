@@ -82,15 +82,9 @@ class ReplayExperience:
         sample_rng: np.random.Generator,
         folder: Path,
     ) -> None:
-        """Begin with an empty buffer.
+        """Begin with an empty buffer, which the collector fills and `sample_rng` samples.
 
-        Args:
-            config: the options of the run.
-            collector: the collector, which fills the buffer.
-            replay: the buffer.
-            goals: the goals of all scores that it knows.
-            sample_rng: the source of randomness of what is sampled.
-            folder: The folder of the files of experience.
+        Files of experience lie in the folder.
         """
         self._config, self._collector, self._replay = config, collector, replay
         self._goals, self._sample_rng = goals, sample_rng

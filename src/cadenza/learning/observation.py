@@ -259,12 +259,8 @@ class Observer:
     ) -> None:
         """Observe nothing yet.
 
-        Args:
-            task: The task that is observed.
-            goals: The goals of its scores.
-            inputs: The entries that are to be there, all by default.
-            reference: (T, A) actions for the only score, in [-1, 1].
-            ranges: The ranges of joints and actions, which are normalised to -1 to 1.
+        All `inputs` are there by default. The only score has a `reference` (T, A) of actions in
+        [-1, 1], and `ranges` of joints and actions are normalised to that.
         """
         spec = ObservationSpec.of(task, residual=reference is not None)
         self.inputs = inputs or spec.inputs

@@ -48,13 +48,9 @@ class Perceptron:
         activation: Activation,
         log_std_range: tuple[float, float],
     ) -> None:
-        """Keep the weights as they are.
+        """Keep the weights: "hidden_0/kernel" (D, H), "hidden_0/bias" (H,), "mean/...", ...
 
-        Args:
-            weights: "hidden_0/kernel" (D, H), "hidden_0/bias" (H,) and so on, "mean/..." and
-                "log_std/...".
-            activation: after every hidden layer.
-            log_std_range: The limits of the log standard deviation.
+        The activation follows every hidden layer, and log standard deviations stay in a range.
         """
         self.weights, self.activation, self.log_std_range = weights, activation, log_std_range
         self._activate = _ACTIVATIONS[activation]

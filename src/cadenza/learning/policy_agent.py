@@ -27,12 +27,8 @@ class PolicyAgent(Agent):
     ) -> None:
         """Prepare nothing before the first step.
 
-        Args:
-            policy: The policy that plays.
-            observation: The observation with which it was trained.
-            inputs: the entries of the observation that it is given.
-            reference: The trajectory that a residual policy corrects.
-            ranges: the scale of its joints and actions, if not the task's.
+        The policy is given the `inputs` of the observation with which it was trained, scaled by
+        `ranges`, if not the task's, and corrects a `reference` if it is residual.
         """
         self._policy, self._observation, self._inputs = policy, observation, inputs
         self._reference, self._ranges = reference, ranges

@@ -126,10 +126,7 @@ class Training(CheckpointedRun):
         return before // interval != self.step // interval
 
     def _round(self) -> None:
-        """Collect experience, and learn from it.
-
-        Raises CadenzaError if the policy is no longer finite.
-        """
+        """Collect experience, and learn; raises CadenzaError if the policy is not finite."""
         config = self.config
         self._state, metrics, finished = self._experience.round(
             self._learner, self._state, self._policy, self.step
@@ -280,11 +277,7 @@ def _experience(
 ) -> Experience:
     """The source of experience that a learner needs.
 
-    Args:
-        problem: What is to be learnt.
-        folder: The folder of the run.
-        rng: The source of randomness of the environments and of actions.
-        sample_rng: The source of randomness of what is learnt from.
+    Environments and actions draw from `rng`, and from `sample_rng` what is learnt from.
     """
     config, task, goals = problem.config, problem.task, problem.goals
     observer, mapping = problem.observer, problem.mapping
@@ -308,10 +301,7 @@ def _experience(
 
 
 def _rank(row: Row) -> tuple[float, ...]:
-    """What ranks an evaluation: note onset F1, then F1, each times its length, then loudness.
-
-    A wrong key may end it early.
-    """
+    """What ranks an evaluation: note onset F1, F1 (each times its length), then loudness."""
     names = "eval/note_onset_f1", "eval/f1"
     loudness = -row.get("eval/velocity_error", math.inf)
     return *(float(row[name] * row["eval/steps"]) for name in names), loudness

@@ -213,12 +213,8 @@ def _time_map(
 ) -> Callable[[float], float]:
     """The map from written to played time [s], which is linear between `knots`.
 
-    Args:
-        melody: the melody.
-        added: (M,) by how much each of its intervals gets longer [s].
-        knots: (N + 1,) the onsets of all chords and the end of the music [s].
-        ritard: the quantity of the final ritard, which slows down all chords and not only those of
-            the melody.
+    These (N + 1,) are the onsets of all chords and the end of the music [s]. Intervals of the
+    melody get longer by `added` (M,) [s]; a final `ritard` slows down all chords.
     """
     melody_knots = np.append(melody.onset, melody.onset[-1] + melody.interval[-1])
     shifts = np.interp(knots, melody_knots, np.append(0.0, np.cumsum(added)))
@@ -241,12 +237,8 @@ def _note_times(
 ) -> Callable[[Note], tuple[float, float]]:
     """The function from a note to when it is played, from its start to its end [s].
 
-    Args:
-        groups: the chords, each with its notes by pitch.
-        melody: the melody.
-        pauses: (M,) the micropauses after its notes [s].
-        moved: the map from written to played time [s].
-        lead: how much later than the melody the other notes begin [s].
+    `groups` are the chords by pitch, `pauses` (M,) the micropauses after notes of the melody [s],
+    `moved` the map from written to played time, and `lead` how much later other notes begin [s].
     """
     sung = {id(note): index for index, note in enumerate(melody.notes)}
     next_onset = dict[int, float]()

@@ -145,10 +145,7 @@ def _chosen_song(
 
 
 def _check_other_song(song: LoadedSong, player: Player, known: LoadedSong) -> None:
-    """Warn that a player plays a song that it does not know.
-
-    Raises CadenzaError if it cannot play any other.
-    """
+    """Warn that a player plays a song that it does not know, or raise CadenzaError if it cannot."""
     learnt = "was trained on" if player.policy is not None else "has practised"
     what = f"{player.name}: {learnt} {quoted(known.score.title)}"
     if known.score.title == song.score.title:

@@ -56,15 +56,9 @@ class WeightsAndBiases:
     """A run on wandb.ai, or wherever its environment variables say."""
 
     def __init__(self, project: str, folder: Path, run: str, settings: Mapping[str, Any]) -> None:
-        """Resume the run of that id in the project, if there is one.
+        """Resume the run of that id in the project, if any; wandb keeps files in the folder.
 
         Raises CadenzaError if wandb is not installed.
-
-        Args:
-            project: there.
-            folder: for files of wandb's own.
-            run: its id.
-            settings: of the run.
         """
         self._run = need_wandb().init(
             project=project, dir=str(folder), id=run, resume="allow", config=dict(settings)

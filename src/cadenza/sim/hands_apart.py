@@ -26,10 +26,7 @@ class HandsApart:
     """
 
     def __init__(self, scene: Scene, watch_forearms: bool = False, **options: Any) -> None:
-        """Take a scene with both hands and the options of `MujocoSimulation`.
-
-        Forearms never touch, whether `watch_forearms` or not.
-        """
+        """Take a scene with both hands, as `MujocoSimulation`; forearms never touch."""
         self.scene = scene
         self._alone = [hand_alone(scene, side) for side in SIDES]
         self._parts = [MujocoSimulation(alone.scene, **options) for alone in self._alone]

@@ -53,16 +53,10 @@ class Lineariser:
         num_threads: int = 1,
         centred: bool = False,
     ) -> None:
-        """Allocate the derivatives of one trajectory, and data for each thread.
+        """Allocate the derivatives of a trajectory of T control steps, each of P physics steps.
 
+        Threads have data of their own. Centred differences take twice the time of forward ones.
         Raises CadenzaError if the keys of the scene can sleep.
-
-        Args:
-            scene: the scene to linearise, whose keys must not sleep.
-            num_steps: T, control steps.
-            num_substeps: P, physics steps in each.
-            num_threads: number of threads that share the work.
-            centred: whether differences are centred, which takes twice the time of forward ones.
         """
         if scene.config.sleeping_keys:
             raise CadenzaError(

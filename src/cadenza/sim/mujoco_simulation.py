@@ -50,16 +50,10 @@ class MujocoSimulation:
         num_threads: int = 1,
         watch_forearms: bool = False,
     ) -> None:
-        """Allocate N simulations of a scene, and reset them.
+        """Allocate N simulations of a scene, which threads share, and reset them.
 
-        Raises CadenzaError if a number is not positive or the timesteps do not divide.
-
-        Args:
-            scene: the scene to simulate.
-            num_envs: N.
-            control_timestep: time of a control step [s], a multiple of the physics step.
-            num_threads: number of threads that share the work.
-            watch_forearms: whether `State.forearm_contact` is wanted.
+        `State.forearm_contact` is there if `watch_forearms`. Raises CadenzaError if a number is not
+        positive or the timesteps [s] do not divide.
         """
         self.scene = scene
         self.num_envs = whole_number(num_envs, "num_envs", 1, MAX_ENVS)

@@ -28,10 +28,7 @@ class Threads:
     """A pool that starts when it is first needed. A copy, and a forked child, starts its own."""
 
     def __init__(self, num_threads: int) -> None:
-        """Prepare a pool of `num_threads` threads.
-
-        Raises CadenzaError if the number is not positive.
-        """
+        """Prepare a pool of threads; raises CadenzaError if their number is not positive."""
         self._num_threads = whole_number(num_threads, "num_threads", 1, MAX_THREADS)
         self._pool: ThreadPoolExecutor | None = None
         self._pool_of = os.getpid()

@@ -94,16 +94,9 @@ class WarpPhysics:
     ) -> None:
         """Allocate N worlds on JAX's device. The first step compiles for up to a minute or two.
 
-        Raises CadenzaError if a number makes no sense.
-
-        Args:
-            scene: the scene to simulate.
-            num_envs: N.
-            control_timestep: time of a control step [s], a multiple of the physics step.
-            watch_forearms: whether `State.forearm_contact` is wanted.
-            buffers: the room for contacts.
-            scaled: names of the quantities that each world has scaled by factors of its own, see
-                `cadenza.scene.randomization.shapes`.
+        The `buffers` are room for contacts, and each world has the quantities of these names
+        `scaled` by factors of its own, see `cadenza.scene.randomization.shapes`. For the others see
+        `MujocoSimulation`. Raises CadenzaError if a number makes no sense.
         """
         self.scene = scene
         self.num_envs = whole_number(num_envs, "num_envs", 1, MAX_WORLDS)

@@ -77,10 +77,7 @@ class Storage:
     """The folder of the studio, read and written."""
 
     def __init__(self, folder: Path) -> None:
-        """Make the folder, where it is not there.
-
-        Raises OSError if it cannot be made.
-        """
+        """Make the folder, where it is not there; raises OSError if that cannot be."""
         self.folder = folder.absolute()
         self.uploads = self.folder / "uploads"
         self.folder.mkdir(0o700, parents=True, exist_ok=True)

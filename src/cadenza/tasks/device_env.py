@@ -48,16 +48,9 @@ class DevicePianoVectorEnv(VectorEnv):
     ) -> None:
         """Make N environments of a song, or of songs that episodes are drawn from.
 
-        Raises CadenzaError if a song cannot be played, or an option makes no sense or is missing
-        here.
-
-        Args:
-            song: see `PianoVectorEnv`.
-            num_envs: N.
-            task: the task's configuration.
-            scene: the scene's configuration.
-            make_physics: makes the simulation, see `FunctionalPianoTask`.
-            options: fields of `TaskConfig` and `SceneConfig`, see `PianoVectorEnv`.
+        The options are fields of `TaskConfig` and `SceneConfig`; see `PianoVectorEnv` and, of the
+        simulation, `FunctionalPianoTask`. Raises CadenzaError if a song cannot be played, or an
+        option makes no sense or is missing here.
         """
         config, scene = configure(options, task, scene)
         songs = list(song) if isinstance(song, list | tuple) else [song]

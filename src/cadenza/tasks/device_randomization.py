@@ -40,15 +40,9 @@ class DeviceRandomization:
     def __init__(
         self, config: DomainRandomization, scene: Scene, control_timestep: float, num_envs: int
     ) -> None:
-        """Compute the models that episodes draw from.
+        """Compute the models that episodes of N environments draw from.
 
         Raises CadenzaError if a range makes no sense, or the engine warp does not have it.
-
-        Args:
-            config: the ranges and standard deviations.
-            scene: the nominal scene.
-            control_timestep: time between two actions [s].
-            num_envs: N.
         """
         self._ranges = ranges = DrawRanges(config, scene, control_timestep)
         ranges.refuse_on_device()

@@ -112,17 +112,10 @@ class FunctionalPianoTask:
         num_envs: int = 1,
         make_physics: Any = None,
     ) -> None:
-        """Make a task of songs; each episode plays one.
+        """Make a task of songs, of which each of N episodes plays one.
 
-        Raises CadenzaError if a song cannot be played, or an option makes no sense or is missing
-        here.
-
-        Args:
-            scores: the songs to draw from.
-            config: the task's options.
-            scene: the scene or its options.
-            num_envs: N.
-            make_physics: makes the simulation, by default `cadenza.sim.warp.WarpPhysics`.
+        `make_physics` makes the simulation, by default `cadenza.sim.warp.WarpPhysics`. Raises
+        CadenzaError if a song cannot be played, or an option makes no sense or is missing here.
         """
         self.config = as_config(config, TaskConfig)
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)

@@ -43,16 +43,9 @@ class Randomization:
         num_envs: int,
         simulation: Simulation,
     ) -> None:
-        """Prepare draws for N environments, which resets make.
+        """Prepare draws for N environments of a simulation, which resets make.
 
         Raises CadenzaError if a range makes no sense.
-
-        Args:
-            config: the ranges and standard deviations.
-            scene: the nominal scene.
-            control_timestep: time between two actions [s].
-            num_envs: N.
-            simulation: the physics of all environments.
         """
         self._ranges = ranges = DrawRanges(config, scene, control_timestep)
         if scene.config.engine != "c":

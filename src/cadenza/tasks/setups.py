@@ -64,10 +64,7 @@ class NamedSetup:
     """Changes to the preset "fast": fields of `TrainingConfig` and of its learner."""
 
     def __post_init__(self) -> None:
-        """Check the names of the options.
-
-        Raises CadenzaError if no configuration has such an option.
-        """
+        """Check the names of options; raises CadenzaError if no configuration has one."""
         known = {*self.of(SceneConfig), *self.of(TaskConfig)}
         if unknown := sorted(self.options.keys() - known):
             raise CadenzaError(

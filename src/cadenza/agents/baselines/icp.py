@@ -140,13 +140,10 @@ class _Hand:
     def play(
         self, chord: Sequence[Note], keys: Array, ahead: Array, reached: NDArray[np.bool_]
     ) -> list[int | None]:
-        """Fingers for notes that begin together.
+        """Fingers for N notes of different keys, at the places `keys` (N,) [m], that begin at once.
 
-        Args:
-            chord: N notes of different keys.
-            keys: (N,) the places of their keys [m].
-            ahead: (M,) the places of the next keys, in their order [m].
-            reached: (N, F) whether each finger reaches the key, wherever the hand is.
+        The next keys lie `ahead` (M,) [m]; `reached` (N, F) is whether each finger reaches each
+        key, wherever the hand is.
         """
         now = min(note.start for note in chord)
         # A note whose key is struck again ends there.
@@ -195,13 +192,9 @@ class _Hand:
     ) -> dict[int, int]:
         """Key -> finger, by matching the nearest points and moving the hand onto them in turn.
 
-        This is iterative closest point (Besl & McKay, 1992) for motions along the keyboard alone.
-
-        Args:
-            keys: (N,) the places of keys [m].
-            free: the F fingers that can be matched.
-            penalty: (F, N) the costs added to squared distances [m^2].
-            held: finger -> place, of the fingers that stay [m].
+        This is iterative closest point (Besl & McKay, 1992) for motions along the keyboard alone:
+        of `keys` (N,) [m] to F `free` fingers. A `penalty` (F, N) is added to squared distances
+        [m^2], and fingers that are `held` stay at their places [m].
         """
         rest, fingers, matches = self.reach.rest, list(free), dict[int, int]()
         for _ in range(_MAX_ITERATIONS):

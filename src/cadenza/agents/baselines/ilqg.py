@@ -300,10 +300,7 @@ def box_qp(
 def _line_search(
     hessian: Array, gradient: Array, x: Array, step: Array, low: Array, high: Array
 ) -> Array:
-    """End (m,) of the longest projected step that meets the Armijo condition.
-
-    `gradient` (m,) is that at `x`.
-    """
+    """End (m,) of the longest projected step from `x` that meets the Armijo condition."""
     size = 1.0
     while size > _MIN_STEP_SIZE:
         end = np.clip(x + size * step, low, high)

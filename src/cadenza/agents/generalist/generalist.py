@@ -130,10 +130,7 @@ class SightReader(EpisodePlanner):
     """
 
     def __init__(self, track: GoalTrack, start: State, look_ahead: float, weights: Weights) -> None:
-        """Plan what is in sight at the beginning, from the state of one simulation.
-
-        Goals are known for the time `look_ahead` [s].
-        """
+        """Plan what is in sight at the beginning: goals of the time `look_ahead` [s]."""
         dt = track.config.control_timestep
         self._track, self._goals = track, track.goals
         self._ahead = np.arange(steps_in(look_ahead, dt) + 1)

@@ -92,10 +92,7 @@ def place(path: Path) -> tuple[HandFile, Measurement]:
 
 
 class _OverKeys:
-    """The residual of a right hand that is to be over white keys.
-
-    Its variables are those of the palm, place (3,) and tilt, and the servos of the hand.
-    """
+    """The residual of a right hand over white keys, of its palm's place and tilt, and servos."""
 
     def __init__(self, hand: Hand) -> None:
         scene = build_scene(SceneConfig(hands="right"), hand)

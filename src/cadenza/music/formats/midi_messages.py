@@ -217,10 +217,7 @@ class _Track:
         self.messages.append(Message(tick, kind, content, channel))
 
     def _bytes(self, size: int) -> bytes:
-        """The next bytes.
-
-        Raises EOFError if fewer are left.
-        """
+        """The next bytes; raises EOFError if fewer are left."""
         begin, self.end = self.end, self.end + size
         if self.end > self._last:
             raise EOFError

@@ -214,10 +214,7 @@ def read_fingered(content: bytes, where: str) -> Score:
 
 
 def _note(line: str) -> tuple[RawNote, int]:
-    """The note of a line, and its channel.
-
-    Raises CadenzaError if it is wrong.
-    """
+    """The note of a line, and its channel; raises CadenzaError if it is wrong."""
     cells = line.split()
     if len(cells) != 8:
         raise CadenzaError(f"{len(cells)} columns; expected eight: {_COLUMNS}")

@@ -101,13 +101,9 @@ class Loudness:
         dynamic: tuple[Fraction, float] | None,
         following: Fraction | None,
     ) -> None:
-        """Add the change under a hairpin, and what follows it.
+        """Add the change under a hairpin that begins at a velocity `now`, and what follows it.
 
-        Args:
-            hairpin: the hairpin.
-            now: the velocity at its beginning.
-            dynamic: the place and the velocity of the next dynamic, if any.
-            following: the place of the next hairpin, if any.
+        The next dynamic has a place and a velocity, the `following` hairpin a place.
         """
         end, grows = hairpin.end, hairpin.step > 0
         begin = SOFTEST if hairpin.niente and grows else now

@@ -127,10 +127,7 @@ def _accelerated(notes: list[Played], start: float, end: float) -> list[Played]:
 
 
 def _sequence(pitches: list[int], first: float, each: float, end: float) -> list[Played]:
-    """Notes that last `each` [s], from `first` [s] on; the last lasts to the end.
-
-    Where they would be too short to be played, there is only the last.
-    """
+    """Notes of `each` [s] from `first` [s] to the end; only the last if that is too short."""
     if each < _FASTEST:
         return [(first, end, pitches[-1])]
     times = [first + k * each for k in range(len(pitches))] + [end]

@@ -93,10 +93,7 @@ def _timed(
 
 
 class _SwungTimes:
-    """Where notes begin and end that are to swing.
-
-    As in MuseScore, only the middle of a pair moves, and not where shorter notes fill the pair.
-    """
+    """Where notes swing: as in MuseScore, the middle of a pair that no shorter notes fill."""
 
     def __init__(self, swings: Iterable[Swing], notes: Iterable[SignedNote]) -> None:
         self._swings = sorted(swings, key=lambda swing: swing.onset)

@@ -258,10 +258,7 @@ def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoSegme
 
 
 def _is_said(word: TempoWord | Modulation, speeds: Sequence[TempoSegment]) -> bool:
-    """Whether the tempo at the place of a mark, the last of `speeds`, is what the mark means.
-
-    A tempo from which a gradual change begins is not.
-    """
+    """Whether the tempo at a mark, the last of `speeds`, is what it means, and begins no change."""
     if isinstance(word, Modulation) or word.change not in _GRADUAL:
         return True
     before = [speed.seconds for speed in speeds[-2:] if speed.place < word.onset]

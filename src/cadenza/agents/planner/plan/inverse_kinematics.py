@@ -115,10 +115,7 @@ def _gauss_newton(problem: PostureProblem, postures: Array, options: SolverOptio
 def _levenberg_marquardt(
     problem: PostureProblem, postures: Array, options: SolverOptions, progress: Progress
 ) -> Array:
-    """Levenberg-Marquardt, in which each posture has a damping of its own.
-
-    A posture that is hard to find does not hold up the others.
-    """
+    """Levenberg-Marquardt, in which each posture has a damping of its own, so that none waits."""
     damping = np.full(len(postures) - 1, options.damping, _REAL)
     now = problem.evaluation(postures, problem.linearisation(postures))
     for iteration in range(options.max_iterations):

@@ -185,11 +185,7 @@ class MotionPlanner:
         warm_start: Array | None,
         progress: Progress,
     ) -> tuple[NominalTrajectory, int, Array]:
-        """Plan the steps after `plan`.
-
-        Returns:
-            The plan, the number of its steps to keep, and the warm start of the next window.
-        """
+        """Plan the steps after `plan`; returns also how many to keep, and the next warm start."""
         first, dt = plan.num_steps, self._dt
         shortest, longest = steps_in(_FIRST_WINDOW, dt), steps_in(_MAX_WINDOW, dt)
         kept = min(max(round(_GROWTH * first), shortest), longest)
@@ -285,10 +281,7 @@ class MotionPlanner:
         return least.sum(axis=2) * noise
 
     def _guess(self, plan: NominalTrajectory, presses: list[Press], first: int, last: int) -> Array:
-        """Postures (S, A) at rest over the keys that hands press now or next, from `first` on.
-
-        The first row is where they are.
-        """
+        """Postures (S, A) at rest over keys that hands press now or next, from where they are."""
         states, here = last + 1, plan.postures[-1]
         lead = steps_in(_ARRIVAL, self._dt)
         paths = dict[Side, Array]()
@@ -314,10 +307,7 @@ class MotionPlanner:
 
 
 def _first_that_matters(fingers: Fingering, first: int, settling: int) -> int:
-    """First row of `fingers` (T, K) whose presses matter from row `first` on.
-
-    Presses that ended `settling` rows before do not.
-    """
+    """First row of `fingers` (T, K) with presses within `settling` rows before `first`."""
     settled = max(first - settling, 0)
     held = fingers[settled] >= 0
     changes = fingers[:settled, held] != fingers[settled, held]

@@ -101,11 +101,7 @@ def release_in_time(
 
 
 class _TimeLine:
-    """P presses by hand, then by time, then by key.
-
-    Both hands are on one line, the left one long after the right one, so that both are computed at
-    once.
-    """
+    """P presses by hand, time and key; the left hand's follow long after the right one's."""
 
     def __init__(
         self, presses: list[Press], places: Array, is_black: Mask, dt: float, hand: Hand

@@ -88,10 +88,7 @@ class RestPoses:
         return postures
 
     def _posture_at(self, side: Side, place: float, before: Array) -> Array:
-        """Posture nearest to the one `before` in which a hand is at a place, as at rest.
-
-        Gauss-Newton over the servos of the arm; the fingers stay.
-        """
+        """Posture nearest to `before`, by Gauss-Newton over the arm, with a hand at a place."""
         scene, servos = self._scene, self._servos
         tips = scene.fingertips_on(side)
         own = range(len(servos.names))[scene.servos_on(side)]

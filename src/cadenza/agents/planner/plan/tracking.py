@@ -88,9 +88,8 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
 def _feedback(servos: Servos, dt: float, steps: int) -> tuple[Array, Array, Array]:
     """Solve the Riccati recursion, which does not depend on the reference.
 
-    Returns:
-        The gains (T, A, 2), the curvature (T, A) of the cost-to-go as a function of the control,
-        and the closed-loop transition (T, A, 2, 2) of position and speed.
+    Returns the gains (T, A, 2), the curvature (T, A) of the cost-to-go as a function of the
+    control, and the closed-loop transition (T, A, 2, 2) of position and speed.
     """
     step, push = discretised(servos, dt)
     count = len(servos.low)

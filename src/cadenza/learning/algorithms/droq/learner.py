@@ -71,11 +71,8 @@ class DroQ(JaxLearner[DroQState]):
     ) -> None:
         """Build the networks and their optimisers; nothing is drawn yet.
 
-        Args:
-            config: The hyperparameters.
-            inputs: The entries that the actor observes; the critics get the actions besides.
-            action_size: The number A of entries of an action.
-            ends: The ends of the learning rates' decay, see `learning_rate_schedule`.
+        The actor observes `inputs`, the critics A = `action_size` actions besides. Learning rates
+        decay up to the `ends`, see `learning_rate_schedule`.
         """
         super().__init__()
         actions = tuple(range(inputs.total, inputs.total + action_size))

@@ -114,14 +114,7 @@ class PPO(StateOnJax[PPOState]):
     def __init__(
         self, config: PPOConfig, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
     ) -> None:
-        """Build the network and its optimiser; nothing is drawn yet.
-
-        Args:
-            config: the hyperparameters.
-            inputs: the entries that are observed.
-            action_size: A.
-            ends: of the run; nothing depends on them.
-        """
+        """Build the network and its optimiser; nothing is drawn yet, nor depends on the `ends`."""
         super().__init__()
         self._config, self._num_inputs = config, len(inputs.kept)
         self._network = ActorCritic(config, action_size)

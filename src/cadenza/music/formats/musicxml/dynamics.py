@@ -125,10 +125,7 @@ def _name(sign: Element) -> str:
 
 
 def _percent(text: str | None) -> int | None:
-    """The velocity that an attribute for playback says, if it does: in percent of a forte.
-
-    It is 0 for none at all.
-    """
+    """The velocity of an attribute for playback, in percent of a forte, if any; 0 for none."""
     percent = number_or_none(text)
     if percent is None or percent < 0:
         return None

@@ -86,10 +86,7 @@ class SheetNote:
 
 
 class _Transposition(NamedTuple):
-    """So many steps and semitones an instrument sounds higher than it is written.
-
-    It also sounds `doubled` semitones higher than that, if not 0.
-    """
+    """How much higher an instrument sounds than written, and `doubled` beyond, if not 0."""
 
     steps: int = 0
     semitones: int = 0
@@ -175,10 +172,7 @@ def _is_slashed(style: Element) -> bool:
 
 
 def _written_pitch(note: Element, counts: Counter[str]) -> tuple[int, int] | None:
-    """The pitch of a note: its number among the white keys, C0 being 0, and in MIDI.
-
-    It is None for what has no pitch that can be read.
-    """
+    """The pitch of a note, among the white keys from C0 and in MIDI; None without one."""
     counts["unpitched"] += note.find("unpitched") is not None
     pitch = note.find("pitch")
     if pitch is None:

@@ -76,10 +76,7 @@ class TempoMarks:
             self.marks.append(Tempo(max(ZERO, onset), _MINUTE / float(speed)))
 
     def _is_chorale(self, ends: Iterable[Fraction]) -> bool:
-        """Whether fermatas that end at these places [quarters] are those of lines of a chorale.
-
-        Then there are some, a few bars apart, up to the end.
-        """
+        """Whether fermatas that end there [quarters] are a few bars apart, as in a chorale."""
         bars = sorted({bisect_left(self._begins, end) for end in ends})
         if len(bars) < _MIN_LINES or len(self._begins) - 1 - bars[-1] > _LINE[1]:
             return False
@@ -139,10 +136,7 @@ def _is_possible(speed: Fraction) -> bool:
 
 
 class _Metronome:
-    """A metronome mark: notes, by their lengths [quarters], and what they are equal to.
-
-    That is a number a minute, or the lengths of notes `after`.
-    """
+    """A metronome mark: lengths of notes [quarters], and a number a minute or notes `after`."""
 
     def __init__(self, mark: Element) -> None:
         self.before: list[Fraction] = []
@@ -180,8 +174,7 @@ class _Metronome:
 
     @property
     def slower(self) -> Fraction | None:
-        """How many times longer notes are now, if those on the left were as long as those on the
-        right are; None if the mark says nothing like it."""
+        """How many times longer notes are now, by what the mark says is equal; None if nothing."""
         old, new = sum(self.before, ZERO), sum(self.after, ZERO)
         return old / new if old and new else None
 

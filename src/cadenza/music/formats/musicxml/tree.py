@@ -148,10 +148,7 @@ def _document_of(data: bytes) -> bytes:
 
 
 def _name_of_document(archive: ZipFile) -> str:
-    """The first document that the table of contents names; without one, the only document.
-
-    What macOS adds to an archive (`__MACOSX`) is no document.
-    """
+    """The first document in the table of contents; without one, the only one but for macOS's."""
     names = [name for name in archive.namelist() if not _FROM_MACOS.search(name)]
     if _CONTENTS in names:
         there = {_plain(name): name for name in names}
