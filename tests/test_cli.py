@@ -322,12 +322,7 @@ def test_a_film_that_cannot_be_is_refused_in_a_line(tune, tmp_path, capsys, monk
 @pytest.mark.parametrize("size", [(160, 90), (90, 160)])
 def test_a_film_shows_what_was_played(size, tune, tmp_path):
     """By another reader of films: H.264 and AAC, which any player plays."""
-    agent = [
-        "--agent",
-        "playback",
-        "--plan",
-        str(perfect_plan(TUNE, tmp_path / "p.npz")),
-    ]
+    agent = ["--agent", "playback", "--plan", str(perfect_plan(TUNE, tmp_path / "p.npz"))]
     folder = tmp_path / "played"
     main(["play", str(tune), "--hands", "none", *agent, *AT_ONCE, "-o", str(folder)])
     main(["film", str(folder), "--seconds", "0.25", "--score", "--size", *map(str, size)])
@@ -751,10 +746,7 @@ def test_songs_that_there_are_not(command, tmp_path, capsys):
         (["--agent", "zero", "--hand-spacing", "9"], "hand_spacing 9.0 m"),
         (["--agent", "zero", "--forearm-dofs", "tx", "tx"], "forearm_dofs"),
         (["--planner.num-candidates", "1"], "num_candidates 1: choose 4 to 10000"),
-        (
-            ["--agent", "predictive-sampling", "--predictive-sampling.num-knots", "1"],
-            "num_knots 1",
-        ),
+        (["--agent", "predictive-sampling", "--predictive-sampling.num-knots", "1"], "num_knots 1"),
     ],
 )
 def test_options_that_make_no_sense(arguments, message, tmp_path, monkeypatch, capsys):

@@ -3,7 +3,7 @@
     python tools/count_notes.py FOLDER...
 
 FOLDERs are what `cadenza play` leaves, or hold such folders; the notes are those of wanted.mid and
-played.mid. Kinds are those of `cadenza.music.note_errors`. Below them stands how far from the
+played.mid. Kinds are those of `cadenza.music.metrics`. Below them stands how far from the
 middle of their keys fingertips strike, of folders with an episode.npz.
 """
 
@@ -19,7 +19,7 @@ from strike_offsets import strike_offsets
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.music.formats.midi import read_midi
-from cadenza.music.note_errors import BRUSHED, note_errors
+from cadenza.music.metrics import BRUSHED, note_errors
 
 IN_THE_MIDDLE = 0.003  # [m] from the middle of a key
 ROWS = {

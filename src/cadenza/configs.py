@@ -119,10 +119,7 @@ def _is_plain(hint: Any) -> bool:
 
 
 def whole_number(value: Any, name: str, least: int, most: int) -> int:
-    """`value` as an int from `least` to `most`.
-
-    Raises CadenzaError if it is not; the message begins with `name`.
-    """
+    """`value` as an int from `least` to `most`; raises CadenzaError, which begins with `name`."""
     number: int = _as(value, int, name)
     _check_range(number, name, least, most)
     return number

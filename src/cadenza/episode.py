@@ -182,10 +182,7 @@ class Episode:
 
 
 def load_episode(path: Path) -> Episode:
-    """Read what `Episode.save` wrote.
-
-    Raises CadenzaError if the file is not there or is not an episode.
-    """
+    """Read what `Episode.save` wrote; raises CadenzaError if it is not there, or something else."""
     arrays = read_arrays(path, _ARRAYS, _MAX_BYTES)
     song, dt = str(arrays.pop("song")), float(arrays.pop("dt"))
     scene = parsed_json(str(arrays.pop("scene", "{}")), dict[str, Any], f"{path}, scene")

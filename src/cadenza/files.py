@@ -136,10 +136,7 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
 
 @contextmanager
 def locked_file(path: Path, patience: float = 0.0) -> Iterator[bool]:
-    """Yield whether this process holds the lock file, after `patience` [s] at most.
-
-    Raises OSError if it cannot be written.
-    """
+    """Yield whether this process holds the lock file, after `patience` [s] at most; or OSError."""
     from filelock import FileLock, Timeout  # which takes a while to import
 
     lock = FileLock(path)
@@ -285,10 +282,7 @@ def read_json(path: Path, kind: type[T]) -> T:
 
 
 def parsed_json(content: bytes | str, kind: type[T], where: object) -> T:
-    """Parse JSON as a value of a type; see `checked`.
-
-    Raises CadenzaError if it is no JSON, or holds something else.
-    """
+    """Parse JSON as a value of a type, see `checked`; raises CadenzaError if it is none."""
     try:
         value = json.loads(content, object_pairs_hook=_named_once)
     except CadenzaError as error:

@@ -94,10 +94,7 @@ class ResumableFolder:
 
     @property
     def begun(self) -> bool:
-        """Whether there is a manifest.
-
-        Raises CadenzaError if there is none, but a checkpoint, from which new work would go on.
-        """
+        """Whether there is a manifest; raises CadenzaError if there is only a checkpoint."""
         if not self.manifest.exists() and self.checkpoint.exists():
             raise CadenzaError(
                 f"{self.manifest}: missing, but there is a checkpoint; use another copy, or choose "
@@ -145,10 +142,7 @@ class ResumableFolder:
     # How far it is
 
     def save(self, facts: Mapping[str, Any], arrays: Arrays) -> None:
-        """Write a checkpoint in place of the one before.
-
-        Raises CadenzaError if it is too large to be read again.
-        """
+        """Write a checkpoint in place of the one before; raises CadenzaError if it is too large."""
         about = {_COMMAND: self.command, **facts}
         write_tensors(self.checkpoint, arrays, about, _MAX_CHECKPOINT)
 
@@ -166,10 +160,7 @@ class ResumableFolder:
 
     @contextmanager
     def errors_of_writing(self) -> Iterator[None]:
-        """Say what to do where the block cannot write in the folder.
-
-        Raises CadenzaError if it could not.
-        """
+        """Say what to do where the block cannot write in the folder, by a CadenzaError."""
         try:
             yield
         except OSError as error:

@@ -13,10 +13,7 @@ from cadenza.agents.agent import Agent, ZeroAgent
 from cadenza.agents.baselines.icp import ICP
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling, SamplingPlanner
 from cadenza.agents.baselines.stitched import Stitched
-from cadenza.agents.planner.config import (
-    ICPConfig,
-    PredictiveSamplingConfig,
-)
+from cadenza.agents.planner.config import ICPConfig, PredictiveSamplingConfig
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.playback import Playback, load_plan
 from cadenza.agents.rollout import EpisodeResult, play_episode

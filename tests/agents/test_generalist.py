@@ -83,9 +83,7 @@ def state_on(plan: SongPlan, step: int, depths: dict[int, float]) -> State:
     keys[0, list(depths)] = list(depths.values())
     posture = plan.nominal.tracking.expected[step, :, 0]
     return State.at_rest(plan.scene, 1)._replace(
-        hand_qpos=(posture @ servos_of(plan.scene).joints)[None],
-        fingertip_xpos=tips,
-        key_qpos=keys,
+        hand_qpos=(posture @ servos_of(plan.scene).joints)[None], fingertip_xpos=tips, key_qpos=keys
     )
 
 

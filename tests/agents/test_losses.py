@@ -7,12 +7,7 @@ import pytest
 
 from cadenza.agents.planner.plan.hand_goals import HandGoals, last_in_time, may_begin
 from cadenza.agents.planner.plan.song_plan import plan_song
-from cadenza.agents.planner.practice.losses import (
-    KeyEvents,
-    Losses,
-    StepLoss,
-    WrittenNotes,
-)
+from cadenza.agents.planner.practice.losses import KeyEvents, Losses, StepLoss, WrittenNotes
 from cadenza.music.metrics import matched_notes, playing_metrics
 from cadenza.music.performance import key_events, performed_score
 from cadenza.music.score import Note, Score

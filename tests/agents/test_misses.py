@@ -204,14 +204,8 @@ def elsewhere(concert: Concert) -> None:
 REASONS: dict[Callable[[Concert], None], tuple[str, str]] = {
     dropped: ("no finger", "no finger for it: too far from what is held by both hands"),
     other_hand: ("no finger", "no finger for it: its hand does not play"),
-    jump: (
-        "finger needed elsewhere",
-        "too early to sound, as planned: the hand had to jump",
-    ),
-    next_note: (
-        "finger needed elsewhere",
-        "as planned: its finger had to press D4",
-    ),
+    jump: ("finger needed elsewhere", "too early to sound, as planned: the hand had to jump"),
+    next_note: ("finger needed elsewhere", "as planned: its finger had to press D4"),
     neighbour: ("neighbouring key struck", "the finger pressed D4 instead"),
     finger_in_the_way: ("collided", "the finger beside it"),
     other_hand_in_the_way: ("collided", "a finger of the other hand"),

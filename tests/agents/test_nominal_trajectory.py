@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.plan import nominal_trajectory
-from cadenza.agents.planner.plan.inverse_kinematics import (
-    solve_postures,
-)
+from cadenza.agents.planner.plan.inverse_kinematics import solve_postures
 from cadenza.agents.planner.plan.nominal_trajectory import MotionPlanner
 from cadenza.agents.planner.plan.tracking import Tracking, track
 from cadenza.agents.planner.planner import Planner

@@ -39,9 +39,7 @@ def test_twinkle_is_played():
 @pytest.mark.parametrize("dt", [FINER, COARSER])
 def test_other_control_steps_play_as_well(dt):
     task = PianoTask(
-        [melody(60, 64)],
-        replace(BUFFER, control_timestep=dt),
-        SceneConfig(hands="right"),
+        [melody(60, 64)], replace(BUFFER, control_timestep=dt), SceneConfig(hands="right")
     )
     assert play_episode(task, Planner()).metrics["f1"] > 0.97
 

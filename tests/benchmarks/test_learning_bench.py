@@ -41,8 +41,7 @@ def drawn(learner: DroQ) -> DroQState:
     rng, state = np.random.default_rng(2), shapes(learner)
     weights = {
         name: jax.tree.map(
-            lambda x: jnp.asarray(0.2 * rng.standard_normal(x.shape), x.dtype),
-            getattr(state, name),
+            lambda x: jnp.asarray(0.2 * rng.standard_normal(x.shape), x.dtype), getattr(state, name)
         )
         for name in NETWORKS
     }
@@ -92,8 +91,7 @@ def test_the_plain_learner_has_the_sizes_of_ours():
 
 
 @pytest.mark.parametrize(
-    ("stacked", "activation"),
-    [(True, "relu"), pytest.param(False, "gelu", marks=pytest.mark.slow)],
+    ("stacked", "activation"), [(True, "relu"), pytest.param(False, "gelu", marks=pytest.mark.slow)]
 )
 def test_the_plain_learner_does_what_ours_does(monkeypatch, stacked, activation):
     noise = np.random.default_rng(1).standard_normal((BATCH, ACTION)).astype(np.float32)

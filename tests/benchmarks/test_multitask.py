@@ -4,15 +4,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from benchmarks.multitask import (
-    FIRST,
-    NOT_LEARNT,
-    drawn,
-    means,
-    order,
-    to_learn,
-    write_songs,
-)
+from benchmarks.multitask import FIRST, NOT_LEARNT, drawn, means, order, to_learn, write_songs
 from cadenza.errors import CadenzaError
 from cadenza.music.libraries.library import open_library
 

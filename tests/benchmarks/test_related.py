@@ -15,10 +15,7 @@ from cadenza.scene.config import SceneConfig
 def short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tune = Score((Note(0.0, 0.3, 72),), (), "A tune")
     setting = related.Setting(
-        RandomAgent,
-        SceneConfig(hands="right"),
-        open_loop=True,
-        disturbances=related.ALL,
+        RandomAgent, SceneConfig(hands="right"), open_loop=True, disturbances=related.ALL
     )
     monkeypatch.setattr(related, "PIECES", {"tune": lambda: tune})
     monkeypatch.setattr(related, "SETTINGS", {"waving": setting})

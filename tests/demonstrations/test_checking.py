@@ -23,14 +23,7 @@ from cadenza.demonstrations import replay
 from cadenza.demonstrations.checking import problems
 from cadenza.demonstrations.dataset import kept, open_dataset
 from cadenza.demonstrations.minari_export import write_minari
-from cadenza.demonstrations.recorded_episode import (
-    PLAN,
-    RESULT,
-    SCORE,
-    SONGS,
-    STEPS,
-    write_facts,
-)
+from cadenza.demonstrations.recorded_episode import PLAN, RESULT, SCORE, SONGS, STEPS, write_facts
 from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError
 from cadenza.files import sha256_of

@@ -350,9 +350,7 @@ WHITE_PITCHES = [pitch for pitch in range(21, 109) if not is_black(pitch)]
 
 
 @settings(deadline=None)
-@given(
-    played=st.lists(st.tuples(times, lengths, st.integers(12, 39)), min_size=1, max_size=10),
-)
+@given(played=st.lists(st.tuples(times, lengths, st.integers(12, 39)), min_size=1, max_size=10))
 def test_mirrored_music_costs_the_same(played):
     """On white keys, which lie symmetrically about the keyboard's middle."""
     there, mirrored = (

@@ -52,8 +52,7 @@ def test_the_left_hand_mirrors_the_right_one():
 def test_the_planner_plays_five_notes_with_four_fingers():
     notes = (Note(STEP * i, STEP * (i + 1), pitch) for i, pitch in enumerate(FIVE_NOTES, start=2))
     performance = cadenza.play(
-        Score(tuple(notes), title="Up and down"),
-        scene=SceneConfig(hand="allegro", hands="right"),
+        Score(tuple(notes), title="Up and down"), scene=SceneConfig(hand="allegro", hands="right")
     )
     assert performance.metrics["f1"] > 0.8  # wide tips slip: 0.86 to 0.98 with other seeds
     assert {note.finger.index for note in performance.track.score.notes} <= {0, 1, 2, 3}

@@ -44,10 +44,7 @@ def with_joint(joint: str, **changes: Any) -> Body:
         ({"fingers": with_thumb(links=("thproximal", "x", "y"))}, "no link 'x'"),
         ({"fingers": with_thumb(links=("thproximal",), radii=(0.01,))}, "ff has 3 links and th 1"),
         ({"fingers": with_thumb(radii=(0.01,))}, "finger th: give a radius for each of its 3"),
-        (
-            {"fingers": with_thumb(links=THUMB.links[::-1])},
-            "thmiddle does not hang from thdistal",
-        ),
+        ({"fingers": with_thumb(links=THUMB.links[::-1])}, "thmiddle does not hang from thdistal"),
         ({"start": {"FFJ9": 0.1}}, "start: there is no joint 'FFJ9'"),
         ({"start": {"FFJ3": 9.0}}, "joint FFJ3 begins at 9.0, outside its range"),
         ({"body": with_joint("FFJ3", range=(0.3, 1.5))}, "is without 0; say in start where"),
@@ -93,10 +90,7 @@ def with_joint(joint: str, **changes: Any) -> Body:
         ({"body": with_joint("FFJ3", range=(1.5, -0.3))}, "rest is 0.75, outside its range"),
         ({"body": with_palm(pos=(0, 0))}, "link palm: pos: Expected .* length 3"),
         ({"body": with_palm(pos=(0, 0, np.nan))}, "link palm: pos: Expected .float., got .null."),
-        (
-            {"body": with_palm(geoms=(Geom("cube", (1,)),))},
-            "palm: .* enum value 'cube'",
-        ),
+        ({"body": with_palm(geoms=(Geom("cube", (1,)),))}, "palm: .* enum value 'cube'"),
         (
             {"body": replace(BODY, actuators=(Actuator("FFJ3", -1.0, 1.0),))},
             "actuators: Expected .* > 0",

@@ -20,12 +20,12 @@ from cadenza.learning.algorithms.ppo.learner import PPO, Normalisation, clipped_
 from cadenza.learning.collector import Collector
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.device_rollouts import DeviceRollouts
+from cadenza.learning.learner import EnvRollout
 from cadenza.learning.observation import GoalTable, Inputs, ObservationSpec, Observer
 from cadenza.learning.on_policy import HostRollouts
 from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.problem import problem_of
 from cadenza.learning.ranges import ranges_of
-from cadenza.learning.rollout import EnvRollout
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import Training, begin
 from cadenza.music.score import Score

@@ -23,8 +23,7 @@ METRES = st.tuples(st.integers(1, 12), st.sampled_from([1, 2, 4, 8, 16, 32, 64])
 TEMPOS = st.tuples(st.integers(0, 2000), st.integers(100_000, 2_000_000))
 
 THREE = Score(
-    tuple(Note(i, i + 0.5, 60) for i in range(6)),
-    bars=tuple(Bar(2.0 * i, i + 1) for i in range(3)),
+    tuple(Note(i, i + 0.5, 60) for i in range(6)), bars=tuple(Bar(2.0 * i, i + 1) for i in range(3))
 )
 
 
@@ -187,8 +186,7 @@ def test_times_must_be_finite():
 
 
 @pytest.mark.parametrize(
-    ("times", "said"),
-    [([2.0], "bar 2"), ([0.0, 3.9], "bars 1-2"), ([5, 0.5, 4.5], "bars 1, 3")],
+    ("times", "said"), [([2.0], "bar 2"), ([0.0, 3.9], "bars 1-2"), ([5, 0.5, 4.5], "bars 1, 3")]
 )
 def test_places_are_said_as_musicians_do(times, said):
     assert describe_times(THREE, times) == said

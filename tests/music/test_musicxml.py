@@ -308,10 +308,7 @@ def test_what_is_not_played_is_told(saved):
     again = f"<attributes>{sign}</attributes><note><rest/><duration>16</duration></note>"
     score = load_score(saved(document([FOUR_QUARTERS + note("C4", 8) + unpitched, again])))
     assert played(score) == [(0.0, 1.0, 60)]
-    assert score.remarks == (
-        "1 unpitched note left out",
-        "1 bar-repeat sign left out",
-    )
+    assert score.remarks == ("1 unpitched note left out", "1 bar-repeat sign left out")
 
 
 @pytest.mark.parametrize(

@@ -624,8 +624,7 @@ def test_notes_of_cue_size_are_played(saved):
 
 def test_parts_of_no_volume_are_silent_until_they_have_some(saved):
     text = document(
-        [FOUR_QUARTERS + note("C4", 16)],
-        [FOUR_QUARTERS + note("C5", 16), "{}" + note("D5", 16)],
+        [FOUR_QUARTERS + note("C4", 16)], [FOUR_QUARTERS + note("C5", 16), "{}" + note("D5", 16)]
     )
     name = "<part-name>Part 2</part-name>"
     silent = '<midi-instrument id="P2-I1"><volume>{}</volume></midi-instrument>'

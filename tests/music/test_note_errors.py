@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cadenza.music.note_errors import note_errors
+from cadenza.music.metrics import note_errors
 from cadenza.music.score import Note
 
 RIGHT = Note(2.0, 3.0, 60)

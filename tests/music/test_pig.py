@@ -245,9 +245,7 @@ def test_the_list_may_call_its_columns_otherwise(dataset):
 
 
 def test_the_twelve_etudes_are_found_however_their_titles_are_written(tmp_path):
-    titles = [
-        *("Piano Sonata No. 14 Op. 27 No. 2, 1st mov.", "Waltz Op. 64 No. 2", *ETUDES),
-    ]
+    titles = [*("Piano Sonata No. 14 Op. 27 No. 2, 1st mov.", "Waltz Op. 64 No. 2", *ETUDES)]
     variants = {
         "in C major 1st mov.": "1st movement",
         "Partita no. 2 (6)": "Partita No.2-6",

@@ -19,7 +19,7 @@ from cadenza.episode import load_episode
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
-from cadenza.studio import player, practice, practice_process
+from cadenza.studio import jobs, player, practice_process
 from cadenza.studio.messages import JSON, WireMessage
 from cadenza.studio.request import PRACTISED, Order, PlayRequest
 
@@ -50,7 +50,7 @@ def test_practice_stands_still_while_others_play(monkeypatch):
             await asyncio.sleep(0.01)
 
     async def run() -> None:
-        practising = practice.BackgroundPractice()
+        practising = jobs.BackgroundPractice()
         practising.pause(True)
         practising.begin(order("OdeToJoy"))
         await until(lambda: begun and state_of(begun[0].pid) == "T")
@@ -66,7 +66,7 @@ def test_practice_stands_still_while_others_play(monkeypatch):
         assert practising.summary["status"]["state"] == "stopped"
         await practising.close()
 
-    monkeypatch.setattr(practice, "start_bound_process", waiting)
+    monkeypatch.setattr(jobs, "start_bound_process", waiting)
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
@@ -78,7 +78,7 @@ def test_practice_that_cannot_begin_is_no_end_of_all_practice(monkeypatch):
         raise BlockingIOError("no room for another process")
 
     async def run() -> None:
-        practising = practice.BackgroundPractice()
+        practising = jobs.BackgroundPractice()
         for song in ("OdeToJoy", "OdeToJoy", "JingleBells"):
             practising.begin(order(song))
             while practising.summary["status"]["state"] == "preparing":
@@ -88,7 +88,7 @@ def test_practice_that_cannot_begin_is_no_end_of_all_practice(monkeypatch):
         assert len(tried) == 3
         await practising.close()
 
-    monkeypatch.setattr(practice, "start_bound_process", full)
+    monkeypatch.setattr(jobs, "start_bound_process", full)
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
@@ -131,7 +131,7 @@ def test_a_damaged_plan_is_practised_anew(tmp_path):
 
 SERVER = """
 import asyncio, sys
-from cadenza.studio import practice
+from cadenza.studio import jobs
 from cadenza.studio.processes import start_bound_process
 from cadenza.studio.request import PRACTISED, Order, PlayRequest
 
@@ -141,10 +141,10 @@ async def start(module):
     processes.append(await start_bound_process(module))
     return processes[-1]
 
-practice.start_bound_process = start
+jobs.start_bound_process = start
 
 async def run():
-    practising = practice.BackgroundPractice()
+    practising = jobs.BackgroundPractice()
     request = PlayRequest("OdeToJoy", PRACTISED)
     practising.begin(Order(request, "Ode", "OdeToJoy", False, "0" * 16, sys.argv[1]))
     while "stage" not in practising.status:

@@ -30,11 +30,7 @@ def read(content: object) -> PlayRequest:
 
 @pytest.mark.parametrize(
     ("hands", "playing", "as_written"),
-    [
-        ("both", "both", False),
-        ("written", "both", True),
-        ("left", "left", False),
-    ],
+    [("both", "both", False), ("written", "both", True), ("left", "left", False)],
 )
 def test_a_request_says_which_hand_plays_what(hands, playing, as_written, tmp_path):
     request = read({"song": "CMajorScaleTwoHands", "hands": hands})

@@ -43,7 +43,7 @@ from cadenza.studio.request import HEADER_FILE, ROWS_FILE, PlayRequest
 from cadenza.studio.server import Studio
 from cadenza.studio.state_stream import json_message
 from cadenza.studio.storage import KeptPerformance
-from cadenza.studio.synthesizer import Synthesizer
+from cadenza.studio.tone_samples import Synthesizer
 
 ADDRESS = "http://127.0.0.1:8000"
 SAME = {"origin": ADDRESS}

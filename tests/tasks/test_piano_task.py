@@ -53,11 +53,7 @@ class Player:
     """A task and what it has seen, from reset on; the hands rest unless told otherwise."""
 
     def __init__(
-        self,
-        scene: Scene,
-        *scores: Score,
-        seeds: tuple[int, ...] = (0,),
-        **options: Any,
+        self, scene: Scene, *scores: Score, seeds: tuple[int, ...] = (0,), **options: Any
     ) -> None:
         self.task = PianoTask(
             scores or [SONG], TaskConfig(**(AT_ONCE | options)), scene, len(seeds)

@@ -202,10 +202,7 @@ def test_dense_terms_have_the_bits_of_ragged_ones(data, n):
     row, finger = (keys >= 0).nonzero()
     assert_array_equal([row, finger, keys[row, finger]], pairs)
     for dense, ragged in (
-        (
-            reward.key_press(state, sounds, goal),
-            ragged_reward.key_press(state, sounds, goal),
-        ),
+        (reward.key_press(state, sounds, goal), ragged_reward.key_press(state, sounds, goal)),
         (
             reward.score_fingering(tips, centres, PRESS, fingers),
             ragged_reward.nearness(tips, centres, PRESS, ragged_reward.score_pairs(fingers), 0.0),
@@ -225,22 +222,14 @@ def test_jax_compiles_the_terms():
     for term, *arguments in (
         (reward.key_state, angles, PIANO.travel),
         (reward.key_activation, angles, PIANO.sounds_from),
-        (
-            reward.key_press,
-            rng.random((n, NUM_KEYS)),
-            *(rng.random((2, n, NUM_KEYS)) < 0.01),
-        ),
+        (reward.key_press, rng.random((n, NUM_KEYS)), *(rng.random((2, n, NUM_KEYS)) < 0.01)),
         (
             reward.graded_key_press,
             rng.random((n, NUM_KEYS)),
             *(rng.random((2, n, NUM_KEYS)) < 0.01),
         ),
         (reward.score_fingering, *around_keys(rng, n), rng.integers(-1, 10, (n, NUM_KEYS))),
-        (
-            reward.transport_fingering,
-            *around_keys(rng, n),
-            rng.integers(-1, NUM_KEYS, (n, 10)),
-        ),
+        (reward.transport_fingering, *around_keys(rng, n), rng.integers(-1, NUM_KEYS, (n, 10))),
         (reward.energy, *rng.normal(size=(2, n, 38)), np.array(0.005)),
         (reward.sustain, down, ~down),
         (reward.forearm, down),

@@ -46,10 +46,7 @@ class Lateness:
 
 
 def earlier(track: GoalTrack, seconds: float) -> GoalTrack:
-    """The track of a song that begins earlier, with the same fingers.
-
-    Raises CadenzaError if it begins before that.
-    """
+    """The track with the same fingers, earlier; raises CadenzaError if it begins before that."""
     config, dt = track.config, track.config.control_timestep
     steps = math.ceil(round(seconds / dt, 9))
     if steps > track.silent_steps:

@@ -103,19 +103,13 @@ class SavedPlan:
         return {name: self.options[name] for name in PHYSICS if name in self.options}
 
     def config(self, kind: type[T]) -> T:
-        """Options of one kind, such as `TaskConfig`, that the plan was made with.
-
-        Raises CadenzaError if they are damaged.
-        """
+        """Options of a kind, such as `TaskConfig`, of the plan; raises CadenzaError if damaged."""
         names = {each.name for each in fields(cast(Any, kind))}
         given = {name: value for name, value in self.options.items() if name in names}
         return checked(given, kind, f"{self.path}, options")
 
     def check(self, options: Mapping[str, Any]) -> None:
-        """Compare `options` with those of the plan; other physics is a warning.
-
-        Raises CadenzaError if they differ.
-        """
+        """Compare `options` but physics with the plan's; raises CadenzaError if they differ."""
         for name in self.options.keys() - set(PHYSICS):
             value = self.options[name]
             if name not in options:

@@ -150,11 +150,7 @@ def _option(field: StructFieldSpec, hidden: bool) -> StructFieldSpec:
         kind = Annotated[kind, tyro.conf.arg(help_behavior_hint="")]
     if field.name in _FLAT_IN_OTHERS and is_dataclass(kind):
         kind = Annotated[kind, tyro.conf.arg(name="")]
-    return replace(
-        field,
-        type=kind,
-        helptext=lambda: _unwrapped(field.helptext),
-    )
+    return replace(field, type=kind, helptext=lambda: _unwrapped(field.helptext))
 
 
 def _unwrapped(helptext: str | Callable[[], str | None] | None) -> str | None:

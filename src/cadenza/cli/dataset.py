@@ -136,7 +136,7 @@ class DatasetInfo:
 
 
 def info(command: DatasetInfo) -> None:
-    from cadenza.demonstrations.summary import summarize
+    from cadenza.demonstrations.checking import summarize
 
     print(*summarize(command.folder), sep="\n")
 

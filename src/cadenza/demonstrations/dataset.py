@@ -129,10 +129,7 @@ class Dataset:
         return rng.integers(self.num_steps, size=count)
 
     def place(self, steps: Ids) -> tuple[Ids, Ids]:
-        """The episodes of these steps (B,), and which steps of those they are (B,).
-
-        Raises CadenzaError if there is no such step.
-        """
+        """The episodes of steps (B,), and which of their steps; or raises CadenzaError."""
         if steps.size and not 0 <= steps.min() <= steps.max() < self.num_steps:
             raise CadenzaError(
                 f"steps {steps.min()} to {steps.max()}: choose from 0 to {self.num_steps - 1}"
@@ -268,10 +265,7 @@ class _Rows:
 
     @cached_property
     def bytes(self) -> NDArray[np.uint8]:
-        """The rows (T + 1, bytes).
-
-        Raises CadenzaError if the array is not as it should be.
-        """
+        """The rows (T + 1, bytes). Raises CadenzaError if the array is not as it should be."""
         episode = self._episode
         try:
             array = episode.steps if self._name == STEPS else episode.plan
@@ -317,10 +311,7 @@ def wrong_values(episode: RecordedEpisode, scene: Scene) -> Iterator[str]:
 
 
 def check_values(episode: RecordedEpisode, scene: Scene) -> None:
-    """Read all of an episode's arrays.
-
-    Raises CadenzaError if one is not as it was written, or what is in it cannot be.
-    """
+    """Read all of an episode's arrays; raises CadenzaError if one is not as it was written."""
     episode.check_files((STEPS, PLAN))
     for what in wrong_values(episode, scene):
         raise CadenzaError(what)

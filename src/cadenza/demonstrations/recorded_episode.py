@@ -24,14 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError, quoted
-from cadenza.files import (
-    checked,
-    plain,
-    read_json,
-    sha256_of,
-    write_atomically,
-    write_json,
-)
+from cadenza.files import checked, plain, read_json, sha256_of, write_atomically, write_json
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.goals import MAX_STEPS, Goals
 from cadenza.music.score import Score
@@ -150,10 +143,7 @@ class RecordedEpisode:
     facts: EpisodeFacts
 
     def build_scene(self) -> Scene:
-        """Build the scene in which it was played.
-
-        Raises CadenzaError if the hands are of a module that nobody has imported.
-        """
+        """Build its scene; raises CadenzaError if the module of its hands is not imported."""
         check_modules(self.facts.scene, self.folder / RESULT)
         return build_scene(self.facts.scene)
 
@@ -199,10 +189,7 @@ class RecordedEpisode:
             raise CadenzaError(f"{message}; or {MAKE_AGAIN}") from error
 
     def check_files(self, names: Collection[str]) -> None:
-        """Compare files with their checksums; `score` does so by itself.
-
-        Raises CadenzaError if one is not there, or is not as it was written.
-        """
+        """Compare files with their checksums; raises CadenzaError if one was changed."""
         for what in self.wrong_files(names):
             raise CadenzaError(what)
 
@@ -260,10 +247,7 @@ MAKE_AGAIN = "delete its folder and collect again"
 
 
 def read_facts(folder: Path) -> EpisodeFacts:
-    """Read the result.json of an episode.
-
-    Raises CadenzaError if it is not finished, or the file is damaged.
-    """
+    """Read the result.json of an episode; raises CadenzaError if it is not there, or damaged."""
     facts = read_json(folder / RESULT, dict[str, Any])
     sealed = facts.pop(_SEAL, None)
     checked_facts = checked(facts, EpisodeFacts, folder / RESULT)

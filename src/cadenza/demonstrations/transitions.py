@@ -44,10 +44,7 @@ class Transitions(NamedTuple):
 
 
 def transitions(dataset: Dataset, number: int) -> Transitions:
-    """The transitions of the episode of that number.
-
-    Raises CadenzaError if a file is not there, or is damaged.
-    """
+    """The transitions of an episode; raises CadenzaError if a file is not there, or is damaged."""
     scene, steps = dataset.scene, dataset.episodes[number].steps
     check_values(dataset.episodes[number], scene)
     count = len(steps) - 1

@@ -119,10 +119,7 @@ def progress_writer(folder: Path) -> Progress:
 
 
 def check_song(spec: JobSpec) -> None:
-    """Compare the song with the one that was planned.
-
-    Raises CadenzaError if it has changed since.
-    """
+    """Compare the song with the planned one; raises CadenzaError if it has changed since."""
     if song_digest(find_song(spec.song)) != spec.song_digest:
         raise CadenzaError(
             f"{spec.song}: has other notes here and now than when the run was planned; "

@@ -31,10 +31,7 @@ Caveat = tuple[str, Sequence[str]]  # a line, and its cases
 
 
 def summarize(bench: BenchResults, title: str) -> BenchSummary:
-    """Return the summary of the runs of a bench.
-
-    Raises CadenzaError if there is none that can be summed up.
-    """
+    """Return the summary of the runs of a bench; raises CadenzaError if there is none to sum up."""
     results = usable(bench)  # in the order of `BenchSummary.runs`
     if not results:
         raise CadenzaError(f"{title}: no run is finished; run cadenza bench first")

@@ -88,10 +88,7 @@ def grade(score: Score, players: Players | None = None) -> float:
 
 
 def features_of(score: Score) -> Features:
-    """The features of a score with fingers, in time linear in its notes.
-
-    Raises CadenzaError if there are no notes.
-    """
+    """The features of a score with fingers, in linear time; raises CadenzaError without notes."""
     if not score.notes:
         raise CadenzaError(f"{score.title or 'score'}: without notes, nothing is hard or easy")
     start = np.array([note.start for note in score.notes])
@@ -146,10 +143,7 @@ def _spread(moment: NDArray[np.intp], pitch: Array) -> float:
 
 
 def _travel(moment: NDArray[np.intp], place: Array) -> float:
-    """Distance that one hand travels [semitones].
-
-    At each moment it is at the mean of the places where its fingers have it.
-    """
+    """Distance that one hand travels [semitones], at the means of the places of its fingers."""
     first = _first_notes(moment)
     mean = np.add.reduceat(place, first) / np.diff(first, append=len(place))
     return float(np.abs(np.diff(mean)).sum())

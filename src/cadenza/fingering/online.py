@@ -45,10 +45,7 @@ class OnlineFingering:
         return number
 
     def end(self, number: int, time: float) -> None:
-        """Set the end of a note.
-
-        Notes that were dropped from a chord that nobody can play stay dropped.
-        """
+        """Set the end of a note. Notes that were dropped from a chord stay dropped."""
         self._ends[number] = time
         self._stages = [stage for stage in self._stages if stage[0] < time - RELEASE_TIME]
 

@@ -57,10 +57,7 @@ _UNRELATED, _HELD, _STRUCK_AGAIN, _HIGHER, _LOWER = range(5)
 def finger_change_costs(
     before: Sequence[Stroke], now: Sequence[Stroke], time: float, reach: Reach, costs: Costs
 ) -> tuple[Array, Array] | tuple[None, None]:
-    """(S', S) costs of going between `finger_sets`, of the right hand and of the left.
-
-    None where it costs nothing.
-    """
+    """(S', S) costs of going between `finger_sets`, by hand, right first; None where it is free."""
     keys = {stroke.key for stroke in now}
     begins = [stroke.start >= time for stroke in now]
     gaps = tuple([min(max(time - stroke.end, 0.0), _TIME_TO_CROSS) for stroke in before])

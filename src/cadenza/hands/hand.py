@@ -12,13 +12,7 @@ from cadenza.configs import Positive, wrong_types
 from cadenza.errors import CadenzaError, quoted
 from cadenza.fingers import Side
 from cadenza.hands import forearm
-from cadenza.hands.body import (
-    Body,
-    BodyBuilder,
-    HandOptions,
-    mirrored,
-    prefix,
-)
+from cadenza.hands.body import Body, BodyBuilder, HandOptions, mirrored, prefix
 from cadenza.hands.reach import JumpTimes, Reach
 from cadenza.hands.servo import Servo
 

@@ -136,10 +136,7 @@ class HandFile:
     """
 
     def __init__(self, path: Path) -> None:
-        """Read and compile the files.
-
-        Raises CadenzaError if they are missing, or contradict each other.
-        """
+        """Read and compile the files; raises CadenzaError if they are missing, or do not fit."""
         self._path = path
         try:
             content = tomllib.loads(content_of(path).decode())
@@ -168,10 +165,7 @@ class HandFile:
         self._actuators = list(self._find_actuators())
 
     def hand(self, measurement: Measurement) -> Hand:
-        """The hand with what was measured of it.
-
-        Raises CadenzaError if its parts do not go together.
-        """
+        """The hand with what was measured of it; raises CadenzaError if its parts do not fit."""
         links = [self._link(body, measurement) for body in self._bodies]
         rest = {each.name: float(np.clip(0.0, *each.range)) for each in _joints(links)}
         rest |= measurement.rest

@@ -22,10 +22,7 @@ HANDS = Registry(
 
 
 def hand_named(name: str) -> Hand:
-    """The hand called `name`, or that of a TOML file.
-
-    Raises CadenzaError if there is no such hand, or something is wrong with its files.
-    """
+    """The hand called `name`, or of a TOML file; raises CadenzaError if there is none, or wrong."""
     if name.endswith(TOML):
         return from_mjcf(name)
     return HANDS.load(name, Hand)

@@ -14,8 +14,5 @@ KEYBOARDS = Registry(
 
 
 def keyboard_named(name: str) -> Keyboard:
-    """The keyboard called `name`.
-
-    Raises CadenzaError if there is no such keyboard.
-    """
+    """The keyboard called `name`. Raises CadenzaError if there is no such keyboard."""
     return KEYBOARDS.load(name, Keyboard)

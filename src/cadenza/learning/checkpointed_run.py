@@ -86,10 +86,7 @@ class CheckpointedRun(ABC):
 
     @abstractmethod
     def _restore(self, facts: dict[str, Any], arrays: Arrays) -> None:
-        """Go on from `_facts` and `_arrays`; `step` is restored already.
-
-        Raises CadenzaError if they are of another learner.
-        """
+        """Go on from `_facts` and `_arrays`; raises CadenzaError if they are of another learner."""
 
     @abstractmethod
     def _save_result(self) -> None:
@@ -138,10 +135,7 @@ class CheckpointedRun(ABC):
             self._save_result()
 
     def resume(self) -> None:
-        """Go on from the checkpoint, or begins where there is none.
-
-        Raises CadenzaError if it is damaged, or that of another run.
-        """
+        """Go on from the checkpoint, or begin; raises CadenzaError if it is no use."""
         if (latest := self.folder.load(_Facts)) is None:
             self._metrics_log.delete()
             self._begin()

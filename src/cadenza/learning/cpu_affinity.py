@@ -47,10 +47,7 @@ def claimed_cores(number: int) -> Iterator[set[int]]:
 
 
 def _claims_folder() -> Path:
-    """The folder of this user's lock files, `CORE.SHARE` for each run that uses a core.
-
-    Raises OSError if somebody else could write there.
-    """
+    """The folder of this user's lock files, `CORE.SHARE`; raises OSError if others could write."""
     folder = Path(tempfile.gettempdir()) / f"cadenza-cores-{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     status = folder.lstat()
@@ -61,10 +58,7 @@ def _claims_folder() -> Path:
 
 
 def _claims(folder: Path, stack: ExitStack, cores: set[int], share: int) -> Iterator[int]:
-    """Claim the cores one by one whose `share` nobody has, until `stack` ends.
-
-    Raises OSError if they cannot be claimed.
-    """
+    """Claim cores one by one whose `share` nobody has, until `stack` ends; or raise OSError."""
     for core in sorted(cores):
         if stack.enter_context(locked_file(folder / f"{core}.{share}")):
             yield core

@@ -11,11 +11,10 @@ from cadenza.learning.algorithms.on_jax import from_arrays, to_arrays
 from cadenza.learning.collector import Finished
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.experience import Chunk
-from cadenza.learning.learner import OnPolicyLearner
+from cadenza.learning.learner import EnvRollout, OnPolicyLearner
 from cadenza.learning.observation import Inputs
 from cadenza.learning.on_policy import MAX_SEED, RolloutExperience
 from cadenza.learning.ranges import Ranges
-from cadenza.learning.rollout import EnvRollout
 from cadenza.resumable import Arrays
 from cadenza.tasks.functional import FunctionalPianoTask, PianoState
 

@@ -1,4 +1,4 @@
-"""The protocol of learners, and learners by name. Imports nothing heavy: --help shows options.
+"""Learners by protocol and by name, and their rollouts. Imports nothing heavy, for --help.
 
 A learner is named by its configuration, a frozen dataclass that makes it. Another package adds one
 by an entry point of the group `cadenza.learners`.
@@ -10,7 +10,7 @@ import importlib
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Protocol, Self, TypeVar
 
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError, extra_packages
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from cadenza.learning.observation import Inputs
     from cadenza.learning.policy import Policy
     from cadenza.learning.replay_buffer import Batch
-    from cadenza.learning.rollout import Decision, EnvRollout
 
 State = TypeVar("State")
 Preset = Literal["fast", "paper", "published"]
@@ -68,10 +67,7 @@ class AnyLearner(Protocol[State]):
         """A state as arrays by name, for `from_arrays`."""
 
     def from_arrays(self, arrays: dict[str, NDArray[Any]]) -> State:
-        """The state of `to_arrays`.
-
-        Raises CadenzaError if the arrays are those of another learner.
-        """
+        """The state of `to_arrays`; raises CadenzaError if the arrays are another learner's."""
 
 
 class Learner(AnyLearner[State], Protocol[State]):
@@ -150,10 +146,7 @@ class LearnerConfig:
 
     @classmethod
     def policy_of(cls, facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Policy:
-        """The policy of such a learner from its `state`, if it is no `Perceptron`.
-
-        Raises CadenzaError if there is none.
-        """
+        """The policy of a `state` that is no `Perceptron`; raises CadenzaError without one."""
         raise NotImplementedError(f"{cls.__name__} reads no policy")
 
 
@@ -181,10 +174,7 @@ def learner_config(name: str) -> type[LearnerConfig]:
 
 
 def name_of(config: LearnerConfig) -> str:
-    """The name by which `learner_config` finds the class of `config`.
-
-    Raises CadenzaError if another process could not find it.
-    """
+    """The name by which `learner_config` finds a class; raises CadenzaError if others could not."""
     kind = type(config)
     place = f"{kind.__module__}:{kind.__qualname__}"
     for name, entry in LEARNERS.entries().items():
@@ -195,3 +185,29 @@ def name_of(config: LearnerConfig) -> str:
             f"learner {place}: its run could not be resumed; put the class into a module of its own"
         )
     return place
+
+
+Array = Any  # of NumPy or of JAX
+
+
+class Decision(NamedTuple):
+    """What a policy does in N environments."""
+
+    action: Array  # (N, A) what was drawn; its hyperbolic tangent is the action in [-1, 1]
+    log_prob: Array  # (N,) log probability of what was drawn
+    value: Array  # (N,) value of the observation
+
+
+class EnvRollout(NamedTuple):
+    """T control steps of N environments, in the order in which they were taken."""
+
+    observation: Array  # (T, N, D) what was observed before each step
+    action: Array  # (T, N, A) see `Decision`
+    log_prob: Array  # (T, N)
+    value: Array  # (T, N)
+    reward: Array  # (T, N)
+    ended: Array  # (T, N) whether the episode ended with the step
+    # (T, N) value of the observation after the step where a song was over; 0 elsewhere
+    value_at_end: Array
+    # (N,) value of the observation after the last step, or of the next episode's first
+    last_value: Array

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.experience import Chunk, Round
-from cadenza.learning.learner import OnPolicyLearner
+from cadenza.learning.learner import EnvRollout, OnPolicyLearner
 from cadenza.learning.policy import Policy
-from cadenza.learning.rollout import EnvRollout
 from cadenza.resumable import Arrays
 
 Array = Any  # of NumPy or of JAX

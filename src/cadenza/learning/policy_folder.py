@@ -235,10 +235,7 @@ def load_policy(folder: str | Path) -> LearntPolicy:
 
 
 def remarks_on(folder: Path) -> dict[str, Any]:
-    """The remarks about a policy, such as the metrics of its evaluation.
-
-    Raises CadenzaError if there is no policy, or it is damaged.
-    """
+    """The remarks about a policy, such as its metrics; raises CadenzaError if it is damaged."""
     facts = read_tensors(folder / POLICY_FILE, ANY, _MAX_BYTES)[1]
     return checked(facts.get("about"), dict[str, Any], folder / POLICY_FILE)
 

@@ -37,10 +37,7 @@ class ReplayBuffer:
     """
 
     def __init__(self, observer: Observer, num_envs: int, capacity: int, action_size: int) -> None:
-        """Make room for `capacity` frames of all environments together.
-
-        Raises CadenzaError if there is no room for them.
-        """
+        """Make room for `capacity` frames of all environments, or raise CadenzaError."""
         self._observer = observer
         # At least four: a frame with an action outlives the end of its episode and the next start.
         length = max(-(-capacity // num_envs), 4)
@@ -99,10 +96,7 @@ class ReplayBuffer:
         self._size += num_envs
 
     def sample(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Batch:
-        """Draw transitions uniformly with replacement, arrays (*shape, ...).
-
-        Raises ValueError if there is none.
-        """
+        """Draw transitions (*shape, ...) with replacement; raises ValueError without any."""
         if not self._size:
             raise ValueError("the replay buffer has no transitions yet")
         env, column = self._draw(rng, int(np.prod(shape)))

@@ -51,10 +51,7 @@ class RunFolder(ResumableFolder):
         self.metrics, self.replay = MetricsLog(path), path / "replay"
 
     def begin(self, config: TrainingConfig, scores: Sequence[Score]) -> None:
-        """Write down what is asked for.
-
-        Raises CadenzaError if the folder holds a run already, or what is left of one.
-        """
+        """Write down what is asked for; raises CadenzaError if the folder holds a run."""
         if self.begun:
             raise CadenzaError(
                 f"{self.path}: already holds a run; continue it with --resume {self.path}, or "
@@ -67,10 +64,7 @@ class RunFolder(ResumableFolder):
         self.write_manifest(asdict(manifest))
 
     def set_end(self, config: TrainingConfig) -> None:
-        """Change the number of steps to that of `config`.
-
-        Raises CadenzaError if it differs in something else too, or makes no sense.
-        """
+        """Change the number of steps to that of `config`; raises CadenzaError if more differs."""
         manifest = self._read()
         check(config)
         if replace(config, num_steps=manifest.config.num_steps) != manifest.config:
@@ -101,10 +95,7 @@ class RunFolder(ResumableFolder):
         return config, scores
 
     def description(self) -> tuple[TrainingConfig, tuple[Score, ...]]:
-        """The config and the scores, to be shown.
-
-        Raises CadenzaError if the folder holds no run.
-        """
+        """The config and the scores, to be shown; raises CadenzaError if there is no run."""
         manifest = self._read()
         with errors_in(self.manifest):
             return manifest.config, tuple(song.score for song in manifest.songs)

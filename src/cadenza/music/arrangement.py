@@ -64,10 +64,7 @@ class Arrangement:
         return self.performed(self.whole(find_song(song)), song)
 
     def whole(self, song: Song) -> Score:
-        """The whole score of `song`, as it is written.
-
-        Raises CadenzaError if it cannot be read, or has no such tracks.
-        """
+        """The whole score of `song`; raises CadenzaError if it or its tracks cannot be read."""
         return song.load(self.tracks, self.plain)
 
     def performed(self, score: Score, song: str) -> Score:

@@ -39,10 +39,7 @@ class ExpressionRules:
 
 
 def check_quantities(dose: float, rules: ExpressionRules) -> None:
-    """Check the dose of all rules and the quantity of each.
-
-    Raises CadenzaError if one is out of range.
-    """
+    """Check the dose of all rules and the quantity of each; raises CadenzaError if out of range."""
     if not 0 <= dose <= MAX_QUANTITY:
         raise CadenzaError(f"expression {dose}: choose 0 to {MAX_QUANTITY}")
     check_ranges(rules, {each.name: (0, MAX_QUANTITY) for each in fields(rules)}, "rules.")

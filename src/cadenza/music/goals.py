@@ -192,10 +192,7 @@ def merged_notes(score: Score, goals: Goals) -> int:
 
 
 def check_pitches(score: Score, pitches: range) -> None:
-    """Check that all notes are on a keyboard of these pitches.
-
-    Raises CadenzaError if the score has notes of other pitches.
-    """
+    """Check that all notes are on a keyboard of these pitches; raises CadenzaError if not."""
     if outside := sum(note.pitch not in pitches for note in score.notes):
         raise CadenzaError(
             f"{score.title or 'the score'}: {outside} of {len(score.notes)} notes are not on the "
@@ -204,10 +201,7 @@ def check_pitches(score: Score, pitches: range) -> None:
 
 
 def check_steps(steps: float) -> None:
-    """Check a number of control steps.
-
-    Raises CadenzaError if they are more than memory has room for.
-    """
+    """Check a number of control steps; raises CadenzaError if memory has no room for them."""
     if steps > MAX_STEPS:
         raise CadenzaError(
             f"the song would have {steps:.3g} control steps; the maximum is {MAX_STEPS}: "

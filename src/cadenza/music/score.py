@@ -205,10 +205,7 @@ class Score:
         return self.with_times(lambda time: time * factor)
 
     def transposed(self, semitones: int) -> Score:
-        """The score with all pitches moved by `semitones`.
-
-        Raises CadenzaError if a note would have a pitch that MIDI does not have.
-        """
+        """The score with pitches moved by `semitones`; raises CadenzaError if one leaves MIDI's."""
         pitches = [note.pitch + semitones for note in self.notes]
         if outside := [pitch for pitch in pitches if pitch not in MIDI_PITCHES]:
             raise CadenzaError(
@@ -324,10 +321,7 @@ def chords(
 
 
 def check_beginning(seconds: float) -> None:
-    """Check how much of a song is to be its beginning [s].
-
-    Raises CadenzaError if it is not positive or not finite.
-    """
+    """Check the length of a beginning [s]; raises CadenzaError if not positive or not finite."""
     if not 0 < seconds < float("inf"):
         raise CadenzaError(f"--first-seconds {seconds:g}: give a positive number")
 
@@ -345,10 +339,7 @@ def check_length(seconds: float, what: str, advice: str = "") -> None:
 
 
 def check_end(seconds: float) -> None:
-    """Check that a score ends within `MAX_SCORE_LENGTH`.
-
-    Raises CadenzaError if it ends later.
-    """
+    """Check that a score ends within `MAX_SCORE_LENGTH`. Raises CadenzaError if it ends later."""
     if not seconds <= MAX_SCORE_LENGTH:  # also where it is not a number
         raise CadenzaError(
             f"a score of {seconds / 3600:.4g} hours; the longest is {MAX_SCORE_LENGTH / 3600:.0f}, "
@@ -357,10 +348,7 @@ def check_end(seconds: float) -> None:
 
 
 def check_chosen(chosen: Collection[int], tracks: Sequence[Track]) -> None:
-    """Check that a file with these tracks has those with the `chosen` numbers.
-
-    Raises CadenzaError if it does not.
-    """
+    """Check that tracks of a file have the `chosen` numbers; raises CadenzaError if not."""
     if missing := sorted(set(chosen) - {track.number for track in tracks}):
         there = f"tracks 1 to {len(tracks)}" if len(tracks) > 1 else "one track"
         raise CadenzaError(f"there is no track {missing[0]}; the file has {there}")

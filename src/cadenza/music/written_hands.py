@@ -13,10 +13,7 @@ _NAMED = {
     LEFT: r"left( ?hand)?|l\.? ?h|linke?s?( ?hand)?|gauche|sinistra",
 }
 """How a track is called if nothing else can be meant than a hand."""
-_ALONE = {
-    RIGHT: r"upper|up|treble|m\.? ?d",
-    LEFT: r"lower|down|bass|m\.? ?[gs]",
-}
+_ALONE = {RIGHT: r"upper|up|treble|m\.? ?d", LEFT: r"lower|down|bass|m\.? ?[gs]"}
 """How a hand's track may be called if there is only the other hand's beside it."""
 _SAYS_NOTHING = "", "piano", "pianoforte", "klavier", "staff", "track", "part", "channel"
 _LOWER = 7  # semitones by which the left hand's track is lower, by its median: a fifth

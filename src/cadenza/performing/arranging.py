@@ -140,10 +140,7 @@ def arrange_song(song: LoadedSong, scene: Scene) -> HandArrangement:
 
 
 def arrange(score: Score, arrangement: Arrangement, scene: Scene) -> HandArrangement:
-    """The arrangement of a song for the hands of a scene, as hard as its level.
-
-    Raises CadenzaError if the scene has no hands.
-    """
+    """The arrangement for the hands of a scene, to a level; raises CadenzaError without any."""
     if not scene.sides:
         raise CadenzaError("without hands, nothing can be arranged: choose --hands both")
     players = players_of(scene)

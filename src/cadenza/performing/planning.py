@@ -114,10 +114,7 @@ def plan(
 
 
 def plan_of(setup: Setup, performance: Performance) -> Plan:
-    """The plan that a planner has performed.
-
-    Raises CadenzaError if the hands could not play to the end.
-    """
+    """The plan that a planner performed; raises CadenzaError if it was not played to the end."""
     steps, length = performance.episode.num_steps, setup.num_steps
     if steps < length:
         raise CadenzaError(

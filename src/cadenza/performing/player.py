@@ -51,10 +51,7 @@ class Player:
     plan: SavedPlan | None = None
 
     def playing_in(self, task: TaskConfig | None, scene: SceneConfig | None) -> Player:
-        """The player in another task and another scene; None leaves those it has.
-
-        Raises CadenzaError if an option is of the wrong type.
-        """
+        """The player in another task and scene, if given; raises CadenzaError for a wrong type."""
         task = as_config(self.task if task is None else task, TaskConfig)
         scene = as_config(self.scene if scene is None else scene, SceneConfig)
         return replace(self, task=task, scene=scene)

@@ -34,10 +34,7 @@ def practice_folder(path: Path) -> ResumableFolder:
 
 
 def check_is_practice(folder: Path) -> None:
-    """Check that practice may go on in a folder.
-
-    Raises CadenzaError if it holds a plan that was made in another way.
-    """
+    """Check that practice may go on; raises CadenzaError if a folder holds another plan."""
     if (folder / PRACTISED).exists() and not (folder / PRACTICE).exists():
         raise CadenzaError(
             f"{folder}: holds {PRACTISED} from something else; choose another folder with --output"

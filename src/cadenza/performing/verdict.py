@@ -7,8 +7,7 @@ from cadenza.agents.planner.misses import Miss
 from cadenza.errors import counted
 from cadenza.fingers import SIDES
 from cadenza.music.arrangement import HARDEST
-from cadenza.music.metrics import ONSET_TOLERANCE
-from cadenza.music.note_errors import note_errors
+from cadenza.music.metrics import ONSET_TOLERANCE, note_errors
 from cadenza.music.score import Score
 
 _MS_PER_SECOND = 1000

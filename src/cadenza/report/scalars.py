@@ -24,10 +24,7 @@ class TensorBoard:
     """Event files of TensorBoard in a folder."""
 
     def __init__(self, folder: Path, step: int) -> None:
-        """Resume at `step`; what the files hold of later steps is hidden.
-
-        Raises CadenzaError if tensorboardX is not installed.
-        """
+        """Resume at `step`, and hide later ones; raises CadenzaError without tensorboardX."""
         with extra_packages("train", "training"):
             from tensorboardX import SummaryWriter
         # A name that nobody can know before: the file is opened through links.
@@ -43,10 +40,7 @@ class TensorBoard:
 
 
 def need_wandb() -> Any:
-    """Import the package wandb.
-
-    Raises CadenzaError if it is not installed.
-    """
+    """Import the package wandb. Raises CadenzaError if it is not installed."""
     with extra_packages("wandb", "--wandb"):
         import wandb
     return wandb

@@ -109,10 +109,7 @@ def _displace(model: mujoco.MjModel, scene: Scene, name: str, by: NDArray[np.flo
 
 
 def affected_fields(names: Collection[str]) -> tuple[str, ...]:
-    """The fields of a model that differ where quantities of these names are scaled.
-
-    Those on which no motion depends are left out.
-    """
+    """The fields of a model that differ, and change motion, where such quantities are scaled."""
     computed = _COMPUTED if _INERTIAL & set(names) else ()
     fields = SCALED_FIELDS | POSE_FIELDS
     return (*dict.fromkeys(f for name in names for f in fields.get(name, ())), *computed)

@@ -82,10 +82,7 @@ class MujocoSimulation:
         self._change(change, env_ids)
 
     def randomize(self, env_id: int, factors: Factors) -> None:
-        """Scale a copy of the nominal model for one simulation, which is to be reset next.
-
-        The arguments are those of `protocol.Simulation.randomize`.
-        """
+        """Scale the model of one simulation, see `protocol.Simulation.randomize`."""
         if self._models[env_id] is self.scene.model:
             self._models[env_id] = copy(self.scene.model)
         scale(self._models[env_id], self.scene, factors, self._data[env_id])
@@ -278,10 +275,7 @@ def physics_steps(control_timestep: float, physics_timestep: float) -> int:
 
 
 def steps_of(whole: float, part: float, name: str, part_name: str) -> int:
-    """The number of steps of length `part` in a time that is called `name`, both [s].
-
-    Raises CadenzaError if it is not a whole number.
-    """
+    """The number of steps of length `part` in a time [s]; raises CadenzaError if not whole."""
     steps = round(whole / part)
     if steps < 1 or abs(steps * part - whole) > 1e-9:
         raise CadenzaError(f"{name} {whole} s is not a multiple of {part_name} {part} s")

@@ -140,10 +140,7 @@ class Simulation(Protocol):
         """
 
     def push(self, env_id: int, force: Array) -> None:
-        """Push the bodies of one simulation with forces (bodies, 3) [N] from now until its reset.
-
-        They replace those before.
-        """
+        """From now until its reset, push a simulation's bodies with only these (bodies, 3) [N]."""
 
     def step(
         self,

@@ -86,10 +86,7 @@ class Picture:
     """One of the published scene's: closeup, left, right, back, egocentric, topdown."""
 
     def __post_init__(self) -> None:
-        """Check camera and size.
-
-        Raises CadenzaError if there is no such camera, or the picture is empty or too large.
-        """
+        """Check camera and size; raises CadenzaError if there is no such camera, or picture."""
         if self.camera not in CAMERAS:
             raise CadenzaError(f"no camera {quoted(self.camera)}: choose from {', '.join(CAMERAS)}")
         if not (0 < self.width <= MAX_WIDTH and 0 < self.height <= MAX_HEIGHT):
@@ -102,10 +99,7 @@ class Renderer:
     """A renderer of one scene. It holds a graphics context of this thread until `close`."""
 
     def __init__(self, scene: Scene, picture: Picture | None = None) -> None:
-        """Open a graphics context to draw a scene in a picture of some size, by a camera.
-
-        Raises CadenzaError if this machine cannot draw.
-        """
+        """Open a graphics context for a picture of a scene, or raise CadenzaError."""
         picture = picture or Picture()
         model = drawn_model(scene)
         self._camera = _fixed_camera(model, picture.camera)

@@ -311,10 +311,7 @@ class WarpSimulation:
         num_threads: int = 1,
         watch_forearms: bool = False,
     ) -> None:
-        """Take the arguments of `MujocoSimulation`; `num_threads` has no meaning here.
-
-        Raises CadenzaError if a number makes no sense.
-        """
+        """Take the arguments of `MujocoSimulation`, but for threads; or raise CadenzaError."""
         self.scene = scene
         self._make = partial(WarpPhysics, scene, num_envs, control_timestep, watch_forearms)
         self._use(self._make())

@@ -33,19 +33,13 @@ class Address:
     port: int
 
     def __post_init__(self) -> None:
-        """Check the port and the form of the token.
-
-        Raises ValueError if there is no such port, or the token is none that we make.
-        """
+        """Check port and token; raises ValueError if there is no such port, or token of ours."""
         if self.port not in range(_NUM_PORTS) or not _TOKEN.fullmatch(self.token):
             raise ValueError("no address of a page")
 
 
 def read_address(path: Path) -> Address | None:
-    """Return the address of the last time, or None without a readable file.
-
-    Raises CadenzaError if somebody else may have written the file.
-    """
+    """Return the last address, None without one; raises CadenzaError if others may know it."""
     if _is_open_to_others(path.parent, _OTHERS_WRITE):
         raise CadenzaError(
             f"{path.parent}: other users of this machine may change what is in it; choose another "

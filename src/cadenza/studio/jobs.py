@@ -1,6 +1,7 @@
-"""Job queue: performances that are made one after the other, each by a process of its own."""
+"""The queue of performances, and practice while none is made, each by a process of its own."""
 
 import asyncio
+import json
 import secrets
 import shutil
 from asyncio.subprocess import Process
@@ -12,9 +13,16 @@ from typing import Any
 
 from cadenza.errors import CadenzaError
 from cadenza.studio.broadcast import Broadcast
-from cadenza.studio.messages import IDLE
-from cadenza.studio.practice import BackgroundPractice
-from cadenza.studio.processes import cancel_song, kill, messages, send_order, start_process
+from cadenza.studio.messages import IDLE, JSON
+from cadenza.studio.processes import (
+    cancel_song,
+    kill,
+    messages,
+    send_order,
+    start_bound_process,
+    start_process,
+    suspend,
+)
 from cadenza.studio.request import PRACTISED, Order, PlayRequest, unfinished_folder
 
 MAX_QUEUED = 8
@@ -75,10 +83,7 @@ class JobQueue:
                     self._idle_player = await start_process("cadenza.studio.player")
 
     def submit(self, request: PlayRequest, title: str, source: str, uploaded: bool) -> Job:
-        """Add a job to the queue.
-
-        Raises CadenzaError if too many wait already.
-        """
+        """Add a job to the queue. Raises CadenzaError if too many wait already."""
         if len(self._waiting) >= MAX_QUEUED:
             raise CadenzaError(f"{MAX_QUEUED} songs wait already; cancel one, or wait")
         id, folder = secrets.token_hex(8), str(self._folder)
@@ -203,3 +208,90 @@ class JobQueue:
         self._schedule()
         if state == "played":
             await self.start_player()
+
+
+class BackgroundPractice:
+    """Practice of a song in a process, which is suspended while others play.
+
+    Attributes:
+        order: what is practised, or was last.
+        status: how far it has got; `state` is idle, or what `cadenza.studio.practice_process` says.
+    """
+
+    def __init__(self) -> None:
+        self.order: Order | None = None
+        self.status: dict[str, Any] = {"state": "idle"}
+        self._process: Process | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._paused = False
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Fields that the page shows."""
+        order = self.order
+        about = {} if order is None else {"title": order.title, "request": asdict(order.request)}
+        return about | {"status": self.status, "paused": self._paused}
+
+    def begin(self, order: Order) -> None:
+        """Practise a song from now on, instead of any other."""
+        if self._is_active and self.order is not None and self.order.request == order.request:
+            return
+        self.stop()
+        self.order, self.status = order, {"state": "preparing"}
+        self._task = asyncio.create_task(self._run(order, self._task))
+
+    def stop(self) -> None:
+        """End practice; what was saved last stays."""
+        if self._process is not None:
+            kill(self._process)
+        if self._is_active:
+            self.status = self.status | {"state": "stopped"}
+
+    @property
+    def _is_active(self) -> bool:
+        return self.status["state"] in ("preparing", "practising")
+
+    def _practises(self, order: Order) -> bool:
+        """Return whether this is practised, and no other order has taken its place."""
+        return self.order is order and self._is_active
+
+    def pause(self, paused: bool) -> None:
+        """Suspend practice, or have it go on."""
+        if paused != self._paused:
+            self._paused = paused
+            if self._process is not None:
+                suspend(self._process, paused)
+
+    async def close(self) -> None:
+        """End practice, and wait for its process."""
+        self.stop()
+        if self._task is not None:
+            await asyncio.wait({self._task})
+
+    async def _run(self, order: Order, previous: asyncio.Task[None] | None) -> None:
+        if previous is not None:
+            await asyncio.wait({previous})
+        if not self._practises(order):
+            return
+        try:
+            process = self._process = await start_bound_process("cadenza.studio.practice_process")
+        except OSError as error:
+            self._fail(order, f"practice could not begin: {error}")
+            return
+        await send_order(process, order)
+        if not self._practises(order):  # stopped in between
+            kill(process)
+        suspend(process, self._paused)
+        assert process.stdout is not None
+        async for kind, content in messages(process.stdout):
+            if kind == JSON and self._practises(order):
+                self.status = json.loads(content)
+        kill(process)
+        await process.wait()
+        self._process = None
+        self._fail(order, "practice ended unexpectedly")
+
+    def _fail(self, order: Order, error: str) -> None:
+        """Say what went wrong, unless practice of this is done or was stopped."""
+        if self._practises(order):
+            self.status = {"state": "failed", "error": error}

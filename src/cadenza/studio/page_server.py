@@ -67,10 +67,7 @@ PARTS: dict[str, tuple[str, Callable[[], str]]] = {
 
 
 def _bound_socket(host: str, ports: Sequence[int]) -> socket.socket:
-    """Listen at the first of the ports that is free.
-
-    Raises CadenzaError if none is, or there is no such address.
-    """
+    """Listen at the first free port; raises CadenzaError if none is, or no such address."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for port in ports:
         try:

@@ -180,10 +180,7 @@ def practice_folder_of(order: Order) -> Path:
 
 
 def _song(order: Order) -> LoadedSong:
-    """Load the song of an order.
-
-    Raises CadenzaError if there is nothing to play, or more than the studio takes.
-    """
+    """Load the song of an order; raises CadenzaError if there is nothing, or too much, to play."""
     with warnings.catch_warnings():
         if order.uploaded:
             warnings.simplefilter("ignore")

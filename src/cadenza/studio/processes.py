@@ -25,10 +25,7 @@ async def start_process(module: str, *arguments: str, **how: Any) -> Process:
 
 
 async def start_bound_process(module: str) -> Process:
-    """Start a process that ends with this one, whatever ends that, and may be suspended.
-
-    See `cadenza.studio.limits`.
-    """
+    """Start a process that ends with this one and may be suspended, see `cadenza.studio.limits`."""
     process = await start_process("cadenza.studio.limits", module)
     assert process.stdout is not None
     try:

@@ -75,10 +75,7 @@ class PlayRequest:
 
     @property
     def arrangement(self) -> Arrangement:
-        """The part of the song that is played, and how it is arranged and performed.
-
-        Raises CadenzaError if an option makes no sense.
-        """
+        """How the song is arranged and performed; raises CadenzaError for senseless options."""
         return Arrangement(
             tracks=self.tracks,
             plain=self.plain,

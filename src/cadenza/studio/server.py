@@ -29,7 +29,7 @@ from cadenza.studio.page_server import PARTS, page
 from cadenza.studio.processes import opening_picture, read_upload
 from cadenza.studio.request import AGENTS, hand_titles, read_request
 from cadenza.studio.storage import FILES, Storage, Upload
-from cadenza.studio.synthesizer import Synthesizer
+from cadenza.studio.tone_samples import Synthesizer
 
 _FIRST_SONG = "FurEliseOpening"  # with which the page opens
 _FIRST_TONE = 60, 2  # middle C, made at the start: the process that makes tones is ready then
@@ -65,10 +65,7 @@ class Studio:
     """The studio: songs, jobs, practice, and performances that are kept."""
 
     def __init__(self, folder: Path, at_once: int = 1) -> None:
-        """Open the folder of the studio, where `at_once` songs are played at the same time.
-
-        Raises OSError if the folder cannot be made.
-        """
+        """Open the folder of a studio that plays `at_once` songs, or raise OSError."""
         self._synthesizer = Synthesizer()
         self.storage = Storage(folder)
         self.jobs = JobQueue(self.storage.folder, at_once)

@@ -105,10 +105,7 @@ class Storage:
         return uploaded + [_about(song) for song in _library_songs()]
 
     def source(self, song: str) -> tuple[str, str, bool]:
-        """Return the title of a song, its name or path, and whether it is an upload.
-
-        Raises CadenzaError if there is no such song.
-        """
+        """Return title, name or path, and whether it is an upload, or raise CadenzaError."""
         for known in _library_songs():
             if known.name == song:
                 return known.title or song, song, False
@@ -125,10 +122,7 @@ class Storage:
         return uploads
 
     def _upload(self, path: Path) -> Upload:
-        """Read what an upload holds.
-
-        Raises CadenzaError if no upload of ours lies there.
-        """
+        """Read what an upload holds. Raises CadenzaError if no upload of ours lies there."""
         upload = read_json(path, Upload) if _ID.fullmatch(path.stem) else None
         if upload is None or upload.id != path.stem or upload.ending not in MUSIC:
             raise CadenzaError("there is no such upload")
@@ -161,10 +155,7 @@ class Storage:
         return (self.uploads / f"{id}.json").exists()
 
     def remove_upload(self, id: str) -> None:
-        """Delete an upload.
-
-        Raises CadenzaError if there is none.
-        """
+        """Delete an upload. Raises CadenzaError if there is none."""
         if not _ID.fullmatch(id) or not self.is_listed(id):
             raise CadenzaError("there is no such upload")
         for path in self.uploads.glob(f"{id}.*"):
@@ -186,10 +177,7 @@ class Storage:
         return sorted(performances, key=lambda kept: kept["finished"], reverse=True)
 
     def file(self, id: str, name: str) -> Path:
-        """Return the path of one of `FILES` of a performance.
-
-        Raises CadenzaError if there is none.
-        """
+        """Return the path of one of `FILES` of a performance, or raise CadenzaError."""
         path = self._performance(id) / name
         if name not in FILES or not _is_own(path):
             raise CadenzaError("there is no such file")
@@ -210,10 +198,7 @@ class Storage:
         return Broadcast(kept.title, asdict(kept.request), status, [header], rows)
 
     def remove_performance(self, id: str) -> None:
-        """Delete a performance.
-
-        Raises CadenzaError if there is no such performance.
-        """
+        """Delete a performance. Raises CadenzaError if there is no such performance."""
         with suppress(FileNotFoundError):  # another page deletes it as well
             shutil.rmtree(self._performance(id))
 

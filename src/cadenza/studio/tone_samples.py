@@ -1,13 +1,12 @@
-"""The sound of a key as the page plays it: samples that Web Audio starts and damps.
-
-Imports no library of the studio's server: `cadenza play` sends the settings to its live page, too.
-"""
+"""The sound of a key as the page plays it: samples that Web Audio starts and damps."""
 
 import struct
 from typing import Any
 
 import numpy as np
+from anyio import BrokenWorkerProcess, CapacityLimiter, to_process
 
+from cadenza.errors import CadenzaError
 from cadenza.report.tone import DAMPING, LAST_DAMPER, LOUDER, tone
 
 _RATE = 32_000  # [Hz]
@@ -39,3 +38,28 @@ def samples(pitch: int, band: int) -> bytes:
     sound[-fade:] *= np.linspace(1, 0, fade, dtype=np.float32)
     peak = float(np.abs(sound).max())
     return struct.pack("<f", peak) + np.rint(sound / peak * _LOUDEST).astype("<i2").tobytes()
+
+
+class Synthesizer:
+    """A maker of one tone after the other, in a process.
+
+    The server must not make them itself: it starts processes, and what multiplies matrices on
+    threads may then hang for ever.
+    """
+
+    def __init__(self) -> None:
+        self._one = CapacityLimiter(1)
+
+    async def tone(self, pitch: int, band: int) -> bytes:
+        """Return the samples of a tone, see `samples`.
+
+        Raises CadenzaError if there is no such tone, or the process has ended.
+        """
+        if pitch not in range(NUM_PITCHES) or band not in range(NUM_BANDS):
+            raise CadenzaError("there is no such tone")
+        try:
+            return await to_process.run_sync(
+                samples, pitch, band, cancellable=True, limiter=self._one
+            )
+        except BrokenWorkerProcess as error:
+            raise CadenzaError("the tone cannot be made") from error

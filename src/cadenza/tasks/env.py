@@ -502,10 +502,7 @@ def _known(options: dict[str, Any] | None) -> dict[str, Any]:
 
 
 def checked_seed(seed: Any) -> int | None:
-    """The seed as Python's int, or None.
-
-    Raises CadenzaError if it is none.
-    """
+    """The seed as Python's int, or None. Raises CadenzaError if it is none."""
     return None if seed is None else whole_number(seed, "seed", 0, MAX_SEED)
 
 

@@ -124,10 +124,7 @@ ARM_ALLEGRO = NamedSetup(
 
 
 def setup_named(name: str) -> NamedSetup:
-    """The setup of a name or of `module:NAME`.
-
-    Raises CadenzaError if there is no such setup.
-    """
+    """The setup of a name or of `module:NAME`. Raises CadenzaError if there is no such setup."""
     return SETUPS.load(name, NamedSetup)
 
 

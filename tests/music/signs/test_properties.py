@@ -45,13 +45,7 @@ ornaments = st.builds(
 )
 shares = maybe | st.floats(0, 1)
 graces = st.builds(
-    Grace,
-    st.integers(0, 3),
-    st.booleans(),
-    shares,
-    shares,
-    maybe | st.just(Q(1, 8)),
-    st.booleans(),
+    Grace, st.integers(0, 3), st.booleans(), shares, shares, maybe | st.just(Q(1, 8)), st.booleans()
 )
 notes = st.builds(
     SignedNote,

@@ -63,10 +63,7 @@ def test_a_trill_may_begin_on_its_note():
 
 
 def test_grace_notes_after_a_trill_end_it():
-    ending = [
-        note(1, Q(1, 4), B3, grace=Grace(0)),
-        note(1, Q(1, 4), C4, grace=Grace(1)),
-    ]
+    ending = [note(1, Q(1, 4), B3, grace=Grace(0)), note(1, Q(1, 4), C4, grace=Grace(1))]
     got = played(note(0, 1, **ornament("TRILL")), *ending, note(1, 1, D4))
     assert got == [*fast(0, [D4, C4] * 5 + [B3, C4]), (1, 2, D4)]
 

@@ -247,11 +247,7 @@ class ReachMeasurement:
         return float(y[-1] - (y[0] if len(fingers) > 1 else self._forearm_y(q)))
 
     def _posture(
-        self,
-        fingers: tuple[int, ...],
-        apart: float | None,
-        start: Array,
-        weight: float,
+        self, fingers: tuple[int, ...], apart: float | None, start: Array, weight: float
     ) -> Array:
         """Servos with which `fingers` press at a distance if given, by `weight` near rest."""
         pressing = list(fingers)

@@ -46,10 +46,7 @@ Row = dict[str, Any]
 
 
 def entries_in(folders: Iterable[Path]) -> list[Path]:
-    """The folders that may be entries: the given ones, or the entries in them.
-
-    Raises CadenzaError if one is no folder.
-    """
+    """The given folders, or the entries in them; raises CadenzaError if one is no folder."""
     entries: list[Path] = []
     for folder in folders:
         if not folder.is_dir():

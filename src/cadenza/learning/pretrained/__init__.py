@@ -7,10 +7,7 @@ from cadenza.learning.policy_folder import POLICY_FILE
 
 
 def pretrained_folder(song: str) -> Path:
-    """The folder of the policy that plays a bundled song, in upper or lower case.
-
-    Raises CadenzaError if there is none.
-    """
+    """The folder of the policy that plays a bundled song; raises CadenzaError if there is none."""
     here = Path(__file__).parent
     names = sorted(path.parent.name for path in here.glob(f"*/{POLICY_FILE}"))
     for name in names:

@@ -3,9 +3,4 @@
 from cadenza.music.etudes.library import KINDS, etude_names, make_etude
 from cadenza.music.etudes.scales import DRILLS
 
-__all__ = [
-    "DRILLS",
-    "KINDS",
-    "etude_names",
-    "make_etude",
-]
+__all__ = ["DRILLS", "KINDS", "etude_names", "make_etude"]

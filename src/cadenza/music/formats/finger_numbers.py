@@ -25,10 +25,7 @@ def finger_number(finger: Finger | None) -> int | str:
 
 
 def finger_from(text: int | str) -> Finger | None:
-    """The finger with this number in files, None for an unknown one.
-
-    Raises CadenzaError if there is no such finger.
-    """
+    """The finger with this number in files, None for unknown; raises CadenzaError for no finger."""
     text = str(text)
     if text == str(_UNKNOWN):
         return None

@@ -94,10 +94,7 @@ def _parsed(content: list[str], where: str) -> tuple[float, int, Finger | None]:
 
 
 def _nearest(score: Score, indices: list[int], start: float) -> int | None:
-    """The index, of `indices` by start, of the note that starts nearest to `start` [s].
-
-    None if no note starts within the tolerance.
-    """
+    """The index, of `indices` by start, of the note nearest to `start` [s], if any is near."""
     place = bisect_left(indices, start, key=lambda i: score.notes[i].start)
     nearest = min(
         indices[max(0, place - 1) : place + 1],

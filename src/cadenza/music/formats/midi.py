@@ -150,9 +150,7 @@ def write_midi(score: Score, path: str | Path) -> None:
 
 
 def messages(
-    notes: Iterable[Note],
-    pedal: Iterable[PedalEvent],
-    ticks: Callable[[float], int],
+    notes: Iterable[Note], pedal: Iterable[PedalEvent], ticks: Callable[[float], int]
 ) -> Iterator[mido.Message]:
     """Yield the messages of notes and of the pedal, each with the ticks since the one before.
 
@@ -190,10 +188,7 @@ class _Clock:
 
     @classmethod
     def of(cls, division: int, tracks: Iterable[Iterable[Message]]) -> _Clock:
-        """The clock of a file whose ticks are in this division.
-
-        Raises CadenzaError if the division is not valid.
-        """
+        """The clock of ticks in this division; raises CadenzaError if it is not valid."""
         if division < 0:  # SMPTE: minus the frames a second, and the ticks a frame
             frames, ticks_per_frame = 256 - ((division >> 8) & 0xFF), division & 0xFF
             if frames not in (24, 25, 29, 30) or ticks_per_frame == 0:
@@ -220,10 +215,7 @@ class _Clock:
 
 
 def _tracks(parts: Sequence[Part]) -> tuple[Track, ...]:
-    """The tracks with notes, which get their numbers.
-
-    One without a program of its own has that of its channel, if any.
-    """
+    """The tracks with notes, numbered, with programs of their own or of their channels."""
     programs: dict[Channel, int] = {}
     for part in parts:
         if part.program is not None:

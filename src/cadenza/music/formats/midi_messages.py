@@ -125,10 +125,7 @@ def _next_track(data: bytes, at: int) -> int:
 
 
 def _track(data: bytes, begin: int, end: int) -> _Track:
-    """The track from one byte to another, or beyond where this is not its end.
-
-    Raises CadenzaError if the track is damaged.
-    """
+    """The track from one byte to another, or to its end; raises CadenzaError if it is damaged."""
     track = _Track(data, begin, end)
     if track.has_ended or _begins_chunk(data, end):
         return track

@@ -40,10 +40,7 @@ def name_without_ending(song: str) -> str:
 
 
 def check_format(path: Path) -> None:
-    """Check the ending of a file.
-
-    Raises CadenzaError if it is that of a format that is not read.
-    """
+    """Check the ending of a file; raises CadenzaError if its format is not read."""
     suffix = path.suffix.lower()
     if suffix in NOT_READ:
         raise CadenzaError(f"{path}: {suffix} files cannot be read; {NOT_READ[suffix]}")
@@ -81,10 +78,7 @@ def read_score(path: Path, tracks: Collection[int] = (), plain: bool = False) ->
 
 
 def ending_of(content: bytes) -> str:
-    """The ending that fits the first bytes of a file of music, whatever it is called.
-
-    It is that of MIDI for all that is of no format that is read.
-    """
+    """The ending that fits the first bytes of a file of music; that of MIDI if none does."""
     if content.startswith(b"PK"):
         return ".mxl"
     text = content[:_BEGINNING].replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n")

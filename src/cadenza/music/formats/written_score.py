@@ -42,10 +42,7 @@ class WrittenScore:
 
     @property
     def score(self) -> Score:
-        """The score.
-
-        Raises CadenzaError if a note, or its finger, is not possible.
-        """
+        """The score. Raises CadenzaError if a note, or its finger, is not possible."""
         notes = (
             Note(n.start, n.end, n.pitch, n.velocity, finger_from(n.finger), hands=n.hands)
             for n in self.notes

@@ -113,10 +113,7 @@ def music_files(folder: Path) -> list[Path]:
 
 
 def index_of(folder: Path) -> dict[str, Facts]:
-    """The facts in the index of a folder; none if it has no index.
-
-    Raises CadenzaError if the index cannot be read.
-    """
+    """The facts in the index of a folder, if it has any; raises CadenzaError if it is damaged."""
     return read_index(folder / INDEX) if os.path.isfile(folder / INDEX) else {}
 
 

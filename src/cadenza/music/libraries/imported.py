@@ -53,10 +53,7 @@ def is_imported(name: str) -> bool:
 
 
 def imported(name: str) -> Library:
-    """The library that was imported under this name; only its index is read.
-
-    Raises CadenzaError if there is no such library, or its index is damaged.
-    """
+    """The library imported under a name, of which only the index is read, or a CadenzaError."""
     folder = _libraries_folder() / name
     songs = (
         Song(f"{name}/{Path(file).stem}", partial(read_score, folder / file), **facts)

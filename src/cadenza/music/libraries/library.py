@@ -154,10 +154,7 @@ def load_score(song: str | Path | Song, tracks: Collection[int] = (), plain: boo
 
 
 def check_is_free(name: str) -> None:
-    """Check that an imported library may have this name.
-
-    Raises CadenzaError if a library that needs no import has it.
-    """
+    """Check that an imported library may have a name; raises CadenzaError if that is taken."""
     if name in (entries := LIBRARIES.entries()):
         raise CadenzaError(
             f"there is a library {name} already ({entries[name].about}); choose another --name"
@@ -169,10 +166,7 @@ def _is_library(name: str) -> bool:
 
 
 def _named(name: str) -> Library:
-    """The library of this name.
-
-    Raises CadenzaError if it has not been imported yet, is none, or cannot be read.
-    """
+    """The library of this name; raises CadenzaError if it is not imported, none, or damaged."""
     if is_imported(name):
         return imported(name)
     about = LIBRARIES.entries()[name].about

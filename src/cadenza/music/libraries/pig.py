@@ -33,10 +33,7 @@ _UNSAID = re.compile(r"\bin [a-h]\b([ -]?(flat|sharp))?( (major|minor))?|\b(no|m
 
 
 def repertoire_150() -> Library:
-    """The pieces of the dataset.
-
-    Raises CadenzaError if the dataset has not been imported.
-    """
+    """The pieces of the dataset. Raises CadenzaError if the dataset has not been imported."""
     if not is_imported(ALL):
         raise CadenzaError(
             f"{ALL} and {TWELVE} are made of the PIG dataset, which may not be passed on: register "

@@ -63,10 +63,7 @@ class Library:
         return tuple(sorted({song.split for song in self.songs} - {""}))
 
     def of_split(self, split: str) -> Library:
-        """The songs of one split.
-
-        Raises CadenzaError if there is no such split.
-        """
+        """The songs of one split. Raises CadenzaError if there is no such split."""
         songs = tuple(song for song in self.songs if song.split == split)
         if not split or not songs:
             there = f"choose from {', '.join(self.splits)}" if self.splits else "it has none"
@@ -75,10 +72,7 @@ class Library:
 
 
 def song_named(name: str, library: Library) -> Song:
-    """The song of a library with this name, in upper or lower case.
-
-    Raises CadenzaError if there is none.
-    """
+    """The song of a library with this name, in any case; raises CadenzaError if there is none."""
     known = {song.name.lower(): song for song in library.songs}
     # Bundled songs are called by their names alone, and found with the name of the library, too.
     for wanted in (name.lower(), name.lower().removeprefix(f"{library.name}/")):

@@ -100,10 +100,7 @@ class Sheet:
 
 
 def sheet_of(score: Score) -> Sheet:
-    """Write a score, whose times may be those of a performance, for piano.
-
-    Raises CadenzaError if it has no notes.
-    """
+    """Write a score, maybe with times of a performance, for piano; CadenzaError without notes."""
     if not score.notes:
         raise CadenzaError("there are no notes to be written")
     metre = metre_of(score)

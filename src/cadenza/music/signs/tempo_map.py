@@ -163,10 +163,7 @@ class TempoMap:
         return cls(segments)
 
     def onsets(self, places: Sequence[Fraction] | Floats) -> Floats:
-        """(N,) when that begins [s] which stands at `places`, (N,) [quarters].
-
-        That is after all waiting there.
-        """
+        """(N,) when that begins [s] which stands at `places` (N,) [quarters], after all waiting."""
         return self._at(np.asarray(places, np.float64))[0]
 
     def ends(self, places: Sequence[Fraction] | Floats) -> Floats:

@@ -265,10 +265,7 @@ def _predicted(layers: Layers, x: Array) -> Array:
 
 
 def examples_of(recorded: RecordedEpisode) -> HandExamples:
-    """The examples of an episode.
-
-    Raises CadenzaError if its plan was made by another version.
-    """
+    """The examples of an episode. Raises CadenzaError if its plan was made by another version."""
     scene, rows = recorded.build_scene(), recorded.steps
     track = GoalTrack(recorded.score, (), recorded.facts.task, scene)
     plan = plan_song(track, np.array(recorded.facts.start))

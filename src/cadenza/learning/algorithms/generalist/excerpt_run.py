@@ -27,10 +27,7 @@ from cadenza.scene.scene import Scene, build_scene
 
 
 class ExcerptRun(CheckpointedRun):
-    """A run of training on excerpts; when it is resumed, they begin anew.
-
-    Another `num_rounds` changes its end.
-    """
+    """A run on excerpts, which a resumed one begins anew; another `num_rounds` changes its end."""
 
     def __init__(
         self,

@@ -89,10 +89,7 @@ class _Step(NamedTuple):
 
 
 def play(envs: ExcerptEnvs, weights: Weights, steps: int, rng: np.random.Generator) -> Strikes:
-    """Play steps with touches drawn around those of the networks; returns their strikes.
-
-    Raises CadenzaError if there were none.
-    """
+    """Play steps with touches around the networks'; returns their strikes, or CadenzaError."""
     played, strikes = deque[_Step](maxlen=3), []
     for _ in range(steps):
         inputs, episodes = envs.inputs(), list(envs.episodes)

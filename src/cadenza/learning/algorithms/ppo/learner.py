@@ -25,10 +25,9 @@ import optax
 
 from cadenza.learning.algorithms.on_jax import ACTIVATIONS, StateOnJax, named_weights
 from cadenza.learning.algorithms.ppo.config import PPOConfig
-from cadenza.learning.learner import Ends
+from cadenza.learning.learner import Decision, Ends, EnvRollout
 from cadenza.learning.observation import Inputs
 from cadenza.learning.policy import Perceptron
-from cadenza.learning.rollout import Decision, EnvRollout
 
 Array = Any  # of JAX
 Params = Any  # nested dictionaries of arrays

@@ -54,10 +54,7 @@ class PartLoudness:
             self._marks[staff].append(hairpin)
 
     def velocity(self, placed: Placed) -> int:
-        """The velocity of a note: its own for playback, or as the marks before it say.
-
-        It is 0 for a note that is not to be heard.
-        """
+        """The velocity of a note: its own for playback, or as marks say; 0 if not heard."""
         if (own := _percent(placed.element.get("dynamics"))) is not None:
             return own
         first, loudness = self._loudness(placed.staff)

@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from cadenza.errors import CadenzaError, errors_in
-from cadenza.music.formats.musicxml.bars import WrittenBar, bars_of, without_goal
+from cadenza.music.formats.musicxml.bars import Passage, Unrolled, WrittenBar, bars_of, without_goal
 from cadenza.music.formats.musicxml.dynamics import (
     PEDALS,
     Move,
@@ -34,7 +34,6 @@ from cadenza.music.formats.musicxml.timeline import (
     timeline,
 )
 from cadenza.music.formats.musicxml.tree import tree_of
-from cadenza.music.formats.musicxml.unrolling import Passage, Unrolled
 from cadenza.music.formats.source import printable, title_of
 from cadenza.music.repair import RawNote, counted_remarks, merged_pedal, repaired_notes
 from cadenza.music.score import Bar, PedalEvent, Score, Track, check_chosen
