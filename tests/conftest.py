@@ -1,14 +1,12 @@
 """For all tests."""
 
-from collections.abc import Iterator
-
 import pytest
 
 import cadenza  # noqa: F401 - before any test imports NumPy, and so as commands do
 
 
 @pytest.fixture(autouse=True, scope="session")
-def no_data_of_the_user(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def no_data_of_the_user(tmp_path_factory):
     """What whoever runs the tests has imported plays no part in them."""
     patch = pytest.MonkeyPatch()
     patch.setenv("CADENZA_DATA", str(tmp_path_factory.mktemp("data")))

@@ -2,7 +2,6 @@
 
 import functools
 import shutil
-from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -40,7 +39,7 @@ CONFIG = TrainingConfig(
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _compiled_once() -> Iterator[None]:
+def _compiled_once():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(DroQConfig, "make", functools.cache(DroQConfig.make))
         yield
@@ -56,7 +55,7 @@ def go_on(path: Path, rounds: int = 2) -> int:
 
 
 @pytest.fixture(scope="module")
-def begun(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def begun(tmp_path_factory):
     """With two files of experience."""
     path = tmp_path_factory.mktemp("run")
     go_on(path, 3)
@@ -65,7 +64,7 @@ def begun(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def copy(begun: Path, tmp_path: Path) -> Path:
+def copy(begun, tmp_path):
     return Path(shutil.copytree(begun, tmp_path / "copy"))
 
 

@@ -37,7 +37,7 @@ TASK, SCENE = TaskConfig(), SceneConfig(hands="right")
 
 
 @pytest.fixture(scope="module")
-def performance() -> Any:
+def performance():
     with closing(PianoTask([SONG], TASK, SCENE)) as task:
         return play_episode(task, ZeroAgent())
 

@@ -56,7 +56,7 @@ RUN += "from cadenza.cli import main; main(sys.argv[1:])"
 
 
 @pytest.fixture
-def tune(tmp_path: Path) -> Path:
+def tune(tmp_path):
     write_midi(TUNE, tmp_path / "tune.mid")
     return tmp_path / "tune.mid"
 

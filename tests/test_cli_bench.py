@@ -33,7 +33,7 @@ _PATIENCE = 600.0  # [s] a machine may be busy
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     """With two songs of one note each, and the folder out for results."""
     for pitch in 60, 64:
         write_midi(Score((Note(0.0, 0.3, pitch),)), tmp_path / "songs" / f"{pitch}.mid")

@@ -22,7 +22,7 @@ QUICK = ("--planner.method", "none", "--jobs", "2")
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     """With two songs of one note each."""
     for pitch in 60, 64:
         write_midi(Score((Note(0.0, 0.3, pitch),)), tmp_path / "songs" / f"{pitch}.mid")

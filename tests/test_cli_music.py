@@ -6,7 +6,6 @@ import shlex
 import subprocess
 import sys
 from dataclasses import asdict
-from pathlib import Path
 
 import mido
 import pytest
@@ -28,7 +27,7 @@ QUICK = ("--agent", "zero", "--no-video")
 
 
 @pytest.fixture
-def trio(tmp_path: Path) -> Path:
+def trio(tmp_path):
     """Three instruments play four quarters each."""
     file = mido.MidiFile(ticks_per_beat=480)
     for channel, (name, pitch) in enumerate((("Flute", 76), ("Harp", 60), ("Cello", 45))):
@@ -43,7 +42,7 @@ def trio(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def held(tmp_path: Path) -> Path:
+def held(tmp_path):
     """A whole note of 4 s with a fermata."""
     note = (
         "<note><pitch><step>C</step><octave>4</octave></pitch><duration>4</duration>"

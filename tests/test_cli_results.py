@@ -11,7 +11,7 @@ from refusals import refused
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Path:
+def bench(tmp_path):
     write_bench(tmp_path / "bench", pieces=3, agents=("planner", "ilqg"), seeds=2)
     return tmp_path / "bench"
 

@@ -38,14 +38,14 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 
 @pytest.fixture(scope="module")
-def tune(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tune(tmp_path_factory):
     path = tmp_path_factory.mktemp("songs") / "tune.mid"
     write_midi(TUNE, path)
     return path
 
 
 @pytest.fixture(scope="module")
-def run(tune: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(tune, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "tune"
     main(["train", str(tune), "-o", str(folder), *SMALL, *SHORT])
     return folder

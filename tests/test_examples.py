@@ -23,7 +23,7 @@ DOWN = Score((Note(0.0, 0.25, 62), Note(0.25, 0.6, 60)), title="Down")
 
 
 @pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+def run(tmp_path, monkeypatch, capsys):
     """Runs an example in a folder with two short songs; returns the lines that it printed."""
     monkeypatch.chdir(tmp_path)
     for score in (UP, DOWN):
@@ -44,7 +44,7 @@ def test_every_example_is_run():
 
 
 @pytest.fixture
-def shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def shown(tmp_path, monkeypatch):
     """Runs the cells of a notebook as IPython does; returns what each of them displays."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))

@@ -286,7 +286,7 @@ def test_what_a_file_unpacks_to_is_bounded(tmp_path, content, saying):
 
 
 @pytest.fixture
-def huge(tmp_path: Path) -> Path:
+def huge(tmp_path):
     """A file of 3 GiB that takes no room."""
     path = tmp_path / "huge"
     path.touch()

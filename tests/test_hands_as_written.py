@@ -19,7 +19,7 @@ CROSSED = (RIGHT, 40), (LEFT, 47), (RIGHT, 76)
 
 
 @pytest.fixture
-def piano(tmp_path: Path) -> Path:
+def piano(tmp_path):
     """A file of two tracks, of which the right hand's goes below the left hand's."""
     file = mido.MidiFile(type=1)
     for hand, name in enumerate(("RH", "LH")):

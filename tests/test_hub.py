@@ -5,7 +5,6 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,7 +18,7 @@ from cadenza.learning.policy_folder import load_policy, save_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
-from hub_server import Hub, running
+from hub_server import running
 from learnt import from_nothing
 from refusals import refused_in_a_line
 
@@ -37,7 +36,7 @@ def ask(monkeypatch: pytest.MonkeyPatch, url: str) -> None:
 
 
 @pytest.fixture
-def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
+def hub(tmp_path, monkeypatch):
     """A hub without repositories, in whose place nothing else is asked."""
     with running() as hub:
         ask(monkeypatch, hub.url)

@@ -23,7 +23,7 @@ SONGS = (
 
 
 @pytest.fixture
-def installed(tmp_path: Path) -> Path:
+def installed(tmp_path):
     """A virtual environment, as make takes it, in which `cadenza` prints its arguments."""
     if shutil.which("make") is None:
         pytest.skip("there is no make")

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ Install = Callable[..., Path]
 
 
 @pytest.fixture
-def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+def install(tmp_path, monkeypatch):
     """Puts a package with a module and entry points where Python finds it."""
     installed = []
 
@@ -182,7 +182,7 @@ class OfItsOwn(SlowBeat):
 
 
 @pytest.fixture
-def beating(install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def beating(install, tmp_path, monkeypatch):
     install("beating", BEATING, "[cadenza.agents]\nslow-beat = beating:SlowBeat\n")
     write_midi(TUNE, tmp_path / "tune.mid")
     monkeypatch.chdir(tmp_path)

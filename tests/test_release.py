@@ -35,7 +35,7 @@ def test_a_link_that_leads_nowhere_is_found(tmp_path):
 
 
 @pytest.fixture
-def wheel() -> dict[str, int]:
+def wheel():
     """Names of all files of a good wheel, and their sizes [bytes]."""
     tracked = CHECK["output"]("git", "ls-files", "src").splitlines()
     about = f"cadenza-{CHECK['version']()}.dist-info"

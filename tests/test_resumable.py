@@ -23,7 +23,7 @@ class Facts:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> ResumableFolder:
+def folder(tmp_path):
     return ResumableFolder(tmp_path / "work", "cadenza dream", "somebody dreams there")
 
 

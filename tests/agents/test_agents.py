@@ -52,7 +52,7 @@ PLANNERS: tuple[Callable[[], Agent], ...] = (
 
 
 @pytest.fixture(scope="module")
-def right_hand() -> Scene:
+def right_hand():
     return build_scene(SceneConfig(hands="right"))
 
 

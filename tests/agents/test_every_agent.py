@@ -8,10 +8,10 @@ from numpy.testing import assert_array_equal
 
 from cadenza.agents.planner.config import ILQGConfig, PredictiveSamplingConfig
 from cadenza.agents.registry import AGENTS, PLAYBACK, PRETRAINED, make_agent
-from cadenza.agents.rollout import EpisodeResult, play_episode
+from cadenza.agents.rollout import play_episode
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
@@ -29,12 +29,12 @@ MAY_DRAW = {"planner"}  # where a note is hard
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return build_scene(SceneConfig(hands="right"))
 
 
 @pytest.fixture(scope="module", params=NAMES)
-def runs(request: pytest.FixtureRequest, scene: Scene) -> tuple[str, list[EpisodeResult]]:
+def runs(request, scene):
     """The name of an agent, and episodes: two of a seed, by one and two threads, and another."""
     results = []
     for num_threads, seed in (1, 3), (2, 3), (1, 4):

@@ -160,7 +160,7 @@ def test_corrections_of_a_left_hand_are_mirrored(scene_of_both):
 
 
 @pytest.fixture(scope="module")
-def scene_of_both() -> SongPlan:
+def scene_of_both():
     return planned(notes_of_thumb_to_little(0))
 
 

@@ -140,7 +140,7 @@ class Played:
 
 
 @pytest.fixture
-def played() -> Played:
+def played():
     return Played()
 
 

@@ -8,7 +8,6 @@ import pytest
 
 from cadenza.agents.baselines.icp import ICP, nearest_fingers, with_nearest_fingers
 from cadenza.agents.rollout import play_episode
-from cadenza.fingering.players import Players
 from cadenza.fingers import SIDES
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
@@ -19,7 +18,7 @@ from cadenza.tasks.piano_task import PianoTask
 
 
 @pytest.fixture(scope="module")
-def players() -> Players:
+def players():
     return players_of(build_scene(SceneConfig(hand="arm-allegro")))
 
 

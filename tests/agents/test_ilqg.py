@@ -45,12 +45,12 @@ SHORT = ILQGConfig(horizon=0.1)
 
 
 @pytest.fixture(scope="module")
-def right_hand() -> Scene:
+def right_hand():
     return build_scene(SceneConfig(hands="right", physics="fast"))
 
 
 @pytest.fixture(scope="module")
-def waking() -> Scene:
+def waking():
     return build_scene(SceneConfig(hands="right", sleeping_keys=False))
 
 

@@ -143,7 +143,7 @@ def test_terms_have_the_jacobian_of_their_residuals(number):
 
 
 @pytest.fixture
-def _exactly(monkeypatch: pytest.MonkeyPatch) -> None:
+def _exactly(monkeypatch):
     monkeypatch.setattr(
         inverse_kinematics, "_REAL", np.dtype(float)
     )  # differences lack digits else

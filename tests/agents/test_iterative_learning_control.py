@@ -6,14 +6,14 @@ import pytest
 from cadenza.agents.planner.plan.tracking import discretised
 from cadenza.agents.planner.search.fingertip_correction import CONTROL_TOLERANCE, control_update
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import Scene, build_scene, hand_alone
+from cadenza.scene.scene import build_scene, hand_alone
 from cadenza.scene.servos import servos_of
 
 DT, STEPS, FINGERS = 0.05, 6, 5
 
 
 @pytest.fixture(scope="module")
-def alone() -> Scene:
+def alone():
     return hand_alone(build_scene(SceneConfig()), "right").scene
 
 

@@ -22,7 +22,7 @@ TUNE = Score(
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return build_scene()
 
 

@@ -89,7 +89,7 @@ class Concert:
 
 
 @pytest.fixture
-def concert() -> Concert:
+def concert():
     return Concert()
 
 

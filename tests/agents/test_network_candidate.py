@@ -62,7 +62,7 @@ def test_proposes_what_the_generalist_plays(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.fixture
-def proposed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+def proposed(monkeypatch):
     """The steps from which on networks have proposed something."""
     steps, controls = list[int](), NetworkCandidate.controls
 

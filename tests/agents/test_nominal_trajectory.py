@@ -23,7 +23,7 @@ from melodies import BUFFER, COARSER, FINER, melody, whole_plan
 
 
 @pytest.fixture
-def short_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_windows(monkeypatch):
     monkeypatch.setattr(nominal_trajectory, "_FIRST_WINDOW", 1.0)
     monkeypatch.setattr(nominal_trajectory, "_MAX_WINDOW", 1.5)
     monkeypatch.setattr(nominal_trajectory, "_OVERLAP", 1.5)
@@ -86,7 +86,7 @@ def test_a_long_song_is_planned_as_it_is_played():
 
 
 @pytest.fixture
-def first_guess(monkeypatch: pytest.MonkeyPatch) -> None:
+def first_guess(monkeypatch):
     """Makes plans of the first guess, without solving anything, and of hands that keep still."""
 
     def still(_: object, reference: NDArray[np.float64], *__: object) -> Tracking:

@@ -27,7 +27,7 @@ CHORD = Score(tuple(Note(0.0, 1.0, 72 + 2 * i, finger=finger(i)) for i in range(
 
 
 @pytest.fixture(scope="module")
-def right_hand() -> Scene:
+def right_hand():
     return build_scene(SceneConfig(hands="right"))
 
 

@@ -38,7 +38,7 @@ def played(agent: Agent, scene: SceneConfig = RIGHT) -> EpisodeResult:
 
 
 @pytest.fixture(scope="module")
-def motions() -> Motions:
+def motions():
     return Motions(build_scene(RIGHT), DT)
 
 

@@ -104,7 +104,7 @@ def test_repeated_notes_are_each_heard():
 
 
 @pytest.fixture(scope="module")
-def sixteenths() -> tuple[Score, Episode]:
+def sixteenths():
     """Even notes of 125 ms, which do not lie on control steps, in a crescendo."""
     starts, velocities = (0.125 * np.arange(16)).tolist(), np.linspace(40, 95, 16).astype(int)
     score = scale(starts, velocities.tolist())

@@ -14,7 +14,7 @@ from cadenza.fingering.search import find_fingering
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Bar, Note, Score, Track
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import build_scene
 from cadenza.tasks.goal_track import players_of
 
 SONGS = ("benchmark/band-1026", "benchmark/band-1029", "benchmark/band-1031")
@@ -22,17 +22,17 @@ EASY = "benchmark/band-1026"
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return build_scene(SceneConfig())
 
 
 @pytest.fixture(scope="module")
-def arranger(scene: Scene) -> Arranger:
+def arranger(scene):
     return Arranger(players_of(scene), scene.hand.jump_times)
 
 
 @pytest.fixture(scope="module", params=SONGS)
-def song(request: pytest.FixtureRequest) -> str:
+def song(request):
     return str(request.param)
 
 

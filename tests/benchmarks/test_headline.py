@@ -11,7 +11,7 @@ from evaluation.made_up import result, write_result
 
 
 @pytest.fixture
-def benches(tmp_path: Path) -> list[str]:
+def benches(tmp_path):
     metrics = {"f1": 0.9, "note_onset_f1": 0.8, "onset_error_median": 0.004}
     for split, names in {"valid": ["a"], "train": ["b", "c"]}.items():
         for name in names:

@@ -1,7 +1,5 @@
 """The comparison with the robots before: that rows are measured once."""
 
-from pathlib import Path
-
 import pytest
 
 from benchmarks import related
@@ -12,7 +10,7 @@ from cadenza.scene.config import SceneConfig
 
 
 @pytest.fixture(autouse=True)
-def short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def short(tmp_path, monkeypatch):
     tune = Score((Note(0.0, 0.3, 72),), (), "A tune")
     setting = related.Setting(
         RandomAgent, SceneConfig(hands="right"), open_loop=True, disturbances=related.ALL

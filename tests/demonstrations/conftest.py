@@ -10,7 +10,7 @@ from demonstrations.made import collected
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     """The folder of two episodes, one with noise; nobody changes it."""
     folder = tmp_path_factory.mktemp("demonstrations")
     collected(folder, Variation(noise=0.2, mirror=False), episodes=2)
@@ -18,6 +18,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def copied(made: Path, tmp_path: Path) -> Path:
+def copied(made, tmp_path):
     """The same, to be damaged."""
     return Path(shutil.copytree(made, tmp_path / "copied"))

@@ -1,7 +1,7 @@
 """Tests of runs of a bench that finish, fail, crash, end early, or belong to others."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -53,7 +53,7 @@ class OneByOne:
 
 
 @pytest.fixture
-def jobs(tmp_path: Path) -> Callable[..., list[BenchJob]]:
+def jobs(tmp_path):
     """Runs of agents with a song of one note."""
     write_midi(Score((Note(0.0, 0.2, 60),)), tmp_path / "songs" / "song.mid")
     library = open_library(tmp_path / "songs")

@@ -5,7 +5,7 @@ import json
 import os
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -70,7 +70,7 @@ def played(folder: Path, scene: SceneConfig = SCENE) -> Path:
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def bench(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:  # no other test finds the songs
         patch.setenv("CADENZA_DATA", str(tmp_path_factory.mktemp("data")))
         import_songs(PITCHES)
@@ -78,14 +78,14 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def made(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(bench, tmp_path_factory):
     folder = tmp_path_factory.mktemp("made") / "entry"
     enter(bench, folder, **ABOUT)
     return folder
 
 
 @pytest.fixture
-def entry(made: Path, tmp_path: Path) -> Path:
+def entry(made, tmp_path):
     """An honest entry, to be forged."""
     return Path(shutil.copytree(made, tmp_path / "entry"))
 
@@ -469,7 +469,7 @@ def test_whole_notes_rank_entries_and_f1_those_that_are_equal(made, tmp_path):
 
 
 @pytest.fixture
-def deep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def deep(tmp_path, monkeypatch):
     """A folder in a folder, and so on, deeper than Python calls functions."""
     monkeypatch.chdir(tmp_path)
     for _ in range(NESTED):

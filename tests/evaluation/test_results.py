@@ -25,7 +25,7 @@ def job(agent: str = "zero", seed: int = 0, page: bool = False, seconds: float =
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> str:
+def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("finished")
     carry_out(job(), folder, num_threads=1)
     return (folder / "result.json").read_text()

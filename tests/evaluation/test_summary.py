@@ -156,7 +156,7 @@ def test_every_library_and_split_is_summed_up(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bench(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench")
     write_bench(folder, pieces=7, agents=("planner", "ilqg"), seeds=3, libraries=2)
     return folder

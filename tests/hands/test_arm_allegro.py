@@ -18,7 +18,7 @@ from cadenza.music.score import Note, Score
 from cadenza.performing.performance import Performance, hand_episodes, play
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.kinematics import Kinematics
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import build_scene
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import TaskConfig
 
@@ -45,7 +45,7 @@ DUET = Score(
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return build_scene(SceneConfig(hand="arm-allegro"))
 
 

@@ -22,7 +22,7 @@ with claimed_cores(int(sys.argv[1])) as cores:
 
 
 @pytest.fixture(autouse=True)
-def claims(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def claims(tmp_path, monkeypatch):
     """The folder of claims of this test alone."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)

@@ -39,7 +39,7 @@ CONFIG = DroQConfig(
 
 
 @pytest.fixture(scope="module")
-def learner() -> DroQ:
+def learner():
     """A learner with dropout and layer normalisation, which is compiled once."""
     return DroQ(CONFIG, ALL, ACTIONS)
 
@@ -173,7 +173,7 @@ class Reference:
 
 
 @pytest.fixture
-def noise(monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+def noise(monkeypatch):
     """Gives learner and reference the same random numbers: how keys are split is free."""
     noise = np.random.default_rng(5).standard_normal((BATCH, ACTIONS)).astype(np.float32)
     monkeypatch.setattr(jax.random, "normal", lambda *_, **__: jnp.asarray(noise))

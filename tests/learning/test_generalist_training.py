@@ -37,7 +37,7 @@ STRIKE = ["--num-envs", "2", "--rollout-steps", "40", "--num-epochs", "2", "--se
 
 
 @pytest.fixture(scope="module")
-def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def demonstrations(tmp_path_factory):
     """Episodes of three songs."""
     folder = tmp_path_factory.mktemp("made") / "demonstrations"
     for i in range(3):
@@ -48,14 +48,14 @@ def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def cloned(demonstrations: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def cloned(demonstrations, tmp_path_factory):
     folder = tmp_path_factory.mktemp("cloned") / "run"
     main(["generalist", "clone", str(demonstrations), "-o", str(folder), *CLONE])
     return folder
 
 
 @pytest.fixture
-def library(tmp_path: Path) -> str:
+def library(tmp_path):
     write_midi(SONG, tmp_path / "songs" / "song.mid")
     return str(tmp_path / "songs")
 

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +109,7 @@ OPTIONS += ["--log-interval", "50", "--train-freq", "8", "--batch-size", "16"]
 
 
 @pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def package(tmp_path, monkeypatch):
     """Installed, as far as Python can tell."""
     site = tmp_path / "site"
     about = site / "regression-1.0.dist-info"
@@ -129,7 +128,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 @pytest.fixture
-def tune(tmp_path: Path) -> Path:
+def tune(tmp_path):
     path = tmp_path / "tune.mid"
     write_midi(melody(60, 64, 67), path)
     return path

@@ -57,7 +57,7 @@ class Acting:
 
 
 @pytest.fixture(params=TASKS)
-def task(request: pytest.FixtureRequest) -> PianoTask:
+def task(request):
     options, scene = TASKS[request.param]
     return PianoTask(SONGS, TaskConfig(**options), SceneConfig(**scene), num_envs=3)
 

@@ -191,7 +191,7 @@ class Both(NamedTuple):
 
 
 @pytest.fixture
-def both() -> Both:
+def both():
     config, num_envs = replace(CONFIG.task, n_steps_lookahead=3), 2
     task = PianoTask([SONGS[1]], config, ONE_HAND, num_envs)
     goals, ranges = GoalTable(task.spec), ranges_of(task)

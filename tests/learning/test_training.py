@@ -64,7 +64,7 @@ TIMES = {"seconds", "step", "eval/planning_seconds", "eval/playing_seconds"}
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _compiled_once() -> Iterator[None]:
+def _compiled_once():
     """A learner keeps nothing of a run, and runs of this module may share it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(DroQConfig, "make", functools.cache(DroQConfig.make))
@@ -72,7 +72,7 @@ def _compiled_once() -> Iterator[None]:
 
 
 @pytest.fixture
-def runs(tmp_path: Path) -> Callable[[], RunFolder]:
+def runs(tmp_path):
     def new() -> RunFolder:
         path = tmp_path / str(len(list(tmp_path.iterdir())))
         path.mkdir()

@@ -26,13 +26,13 @@ SHEET = """<?xml version="1.0"?><score-partwise version="3.1"><part-list><score-
 
 
 @pytest.fixture(autouse=True)
-def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def data(tmp_path, monkeypatch):
     monkeypatch.setenv("CADENZA_DATA", str(tmp_path / "data"))
     return tmp_path / "data"
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     place = tmp_path / "music"
     for name in ("a/01.mid", "b/01.MIDI", "Prélude: nº 1; $(rm).mid", "a/one.mid", "a/ONE.midi"):
         write_midi(TUNE, place / name)

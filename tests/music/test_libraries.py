@@ -20,7 +20,7 @@ TUNE = Score((Note(0.0, 0.5, 60), Note(0.5, 1.0, 64)), title="Of the file")
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """With an index of two of its three files."""
     place = tmp_path / "music"
     for name in ("midi/one.mid", "midi/Two.MID", "three.mid", ".hidden/no.mid", "midi/._one.mid"):

@@ -30,7 +30,7 @@ def hand(note: Note) -> int:
 
 
 @pytest.fixture(params=NAMES)
-def score(request) -> Score:
+def score(request):
     return load_score(request.param)
 
 

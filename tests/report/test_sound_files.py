@@ -40,7 +40,7 @@ def test_an_mp3_sounds_alike(tmp_path):
 
 class TestSoundFont:
     @pytest.fixture
-    def font(self, tmp_path: Path) -> Path:
+    def font(self, tmp_path):
         pytest.importorskip("symusic")
         path = tmp_path / "sine.sf2"
         path.write_bytes(sine_font())

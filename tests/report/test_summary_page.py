@@ -29,7 +29,7 @@ def written(bench: Path, folder: Path | None = None) -> Path:
 
 
 @pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def index(tmp_path_factory):
     bench = tmp_path_factory.mktemp("bench")
     write_bench(bench, pieces=24, agents=("planner", "ilqg"), seeds=3, libraries=2)
     (run,) = (bench / "runs").glob("000--ilqg--s0--*")

@@ -4,7 +4,7 @@ import html
 import json
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -60,7 +60,7 @@ def lines(page: str, title: str) -> dict[str, list[tuple[float, float]]]:
 
 
 @pytest.fixture
-def written(tmp_path: Path) -> Callable[..., str]:
+def written(tmp_path):
     def write(*runs: Curve, title: str = "A song", **more) -> str:
         path = tmp_path / "training.html"
         write_page(path, training_page(title, runs, more.pop("settings", {}), **more))

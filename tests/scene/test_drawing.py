@@ -22,7 +22,7 @@ SIZES = {"box": 3, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "sphere": 1}
 
 
 @pytest.fixture(scope="module", params=["both", "right", "left", "none"])
-def scene(request: pytest.FixtureRequest) -> Scene:
+def scene(request):
     return build_scene(SceneConfig(hands=request.param))
 
 

@@ -232,7 +232,7 @@ class TestPianoThatPlaysItself:
     """Deliberately not as published: there a key's control, not its angle, makes it sound."""
 
     @pytest.fixture(params=["published", "fast"])
-    def scene(self, request: pytest.FixtureRequest) -> Scene:
+    def scene(self, request):
         return build_scene(SceneConfig(hands="none", physics=request.param))
 
     def test_actions(self, scene):

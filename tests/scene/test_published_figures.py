@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import build_scene
 
 DATA = Path(__file__).parents[1] / "data"
 TOLERANCE = {"rtol": 1e-6, "atol": 2e-9}
@@ -18,7 +18,7 @@ HANDS = [(reduced, side) for reduced in ("full", "reduced") for side in ("right"
 
 
 @pytest.fixture(scope="module")
-def scenes() -> dict[str, Scene]:
+def scenes():
     return {
         "full": build_scene(SceneConfig(reduced_action_space=False)),
         "reduced": build_scene(SceneConfig(reduced_action_space=True)),

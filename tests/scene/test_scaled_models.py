@@ -17,7 +17,7 @@ KEPT = ("body_pos", "jnt_range", "geom_size", "actuator_ctrlrange", "actuator_fo
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return build_scene(SceneConfig(hands="right"))
 
 

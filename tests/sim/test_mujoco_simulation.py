@@ -15,7 +15,7 @@ from cadenza.sim.protocol import State
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return build_scene()
 
 

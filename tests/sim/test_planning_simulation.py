@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from random_controls import STEPS, assert_same, controls
 
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import Scene, build_scene, in_steps_of
+from cadenza.scene.scene import build_scene, in_steps_of
 from cadenza.sim.mujoco_simulation import PHYSICS_STATE
 from cadenza.sim.planning_simulation import PlanningSimulation
 
@@ -17,7 +17,7 @@ DATA = Path(__file__).parents[1] / "data"
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return build_scene()
 
 

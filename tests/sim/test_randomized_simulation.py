@@ -18,7 +18,7 @@ from cadenza.sim.protocol import HeldControls
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return build_scene()
 
 

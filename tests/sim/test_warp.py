@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.scene.randomization import shapes
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import build_scene
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.sim.protocol import HeldControls
 
@@ -23,12 +23,12 @@ STEPS = 40
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return build_scene()
 
 
 @pytest.fixture(scope="module")
-def ctrl() -> np.ndarray:
+def ctrl():
     with np.load(DATA / "episode_d.npz") as recorded:
         return recorded["action"][:STEPS, :-1]
 

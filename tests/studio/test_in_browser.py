@@ -46,18 +46,18 @@ def studio(folder: Path) -> AbstractContextManager[str]:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("studio")
 
 
 @pytest.fixture(scope="module")
-def address(folder: Path) -> Iterator[str]:
+def address(folder):
     with studio(folder) as address:
         yield address
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+def browser(tmp_path_factory):
     browser = Browser(tmp_path_factory.mktemp("profile"))
     yield browser
     browser.close()
@@ -106,7 +106,7 @@ def cancel(browser: Browser) -> None:
 
 
 @pytest.fixture(scope="module")
-def kept(browser: Browser, address: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+def kept(browser, address, tmp_path_factory):
     """A performance that is kept, and can be watched."""
     visit(browser, address)
     drop(browser, song(tmp_path_factory.mktemp("kept") / "kept.mid"), "kept.mid")

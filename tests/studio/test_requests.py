@@ -79,7 +79,7 @@ def test_what_cannot_be_asked_for_is_refused_in_a_line(content):
 
 
 @pytest.fixture
-def songs(tmp_path: Path) -> Storage:
+def songs(tmp_path):
     return Storage(tmp_path)
 
 

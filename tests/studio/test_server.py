@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from asyncio.subprocess import PIPE
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -50,7 +50,7 @@ SAME = {"origin": ADDRESS}
 
 
 @pytest.fixture
-def client(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClient]:
+def client(tmp_path, monkeypatch):
     async def nothing(self: Any) -> None:
         pass
 
@@ -576,7 +576,7 @@ Queue = Callable[[Start, Callable[[jobs.JobQueue], Awaitable[None]]], None]
 
 
 @pytest.fixture
-def queue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Queue:
+def queue(tmp_path, monkeypatch):
     """Does something with a queue whose players are started by a function."""
 
     def run_queue(start: Start, do: Callable[[jobs.JobQueue], Awaitable[None]]) -> None:

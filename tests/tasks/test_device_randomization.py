@@ -30,13 +30,13 @@ FACTORS: Any = dict.fromkeys(SCALED_FIELDS, (0.7, 1.4))
 
 
 @pytest.fixture(autouse=True)
-def _few_variants(monkeypatch: pytest.MonkeyPatch) -> None:
+def _few_variants(monkeypatch):
     """Models are computed for fewer seeds, to save time."""
     monkeypatch.setattr(device_randomization, "VARIANTS", 64)
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return build_scene()
 
 

@@ -47,7 +47,7 @@ class Recording:
 
 
 @pytest.fixture(scope="module", params="abcd")
-def recording(request: pytest.FixtureRequest) -> Recording:
+def recording(request):
     return Recording(request.param, sleeping_keys=True)
 
 

@@ -45,7 +45,7 @@ HANDS: tuple[Any, ...] = ("both", "right", "left", "none")
 
 
 @pytest.fixture(scope="module")
-def scenes() -> dict[str, Scene]:
+def scenes():
     return {hands: build_scene(SceneConfig(hands=hands)) for hands in HANDS}
 
 

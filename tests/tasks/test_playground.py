@@ -48,7 +48,7 @@ class Obedient:
 
 
 @pytest.fixture(scope="module")
-def env() -> PlaygroundPiano:
+def env():
     options = {"hands": "none", "n_steps_lookahead": 0, "initial_buffer_time": 0.0}
     return PlaygroundPiano([UP, ONE], Obedient, **options)
 

@@ -64,7 +64,7 @@ DRAWN = {
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return build_scene()
 
 
