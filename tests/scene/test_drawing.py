@@ -13,8 +13,7 @@ from cadenza.hands.body import Geom, Link
 from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.drawing import body_poses, drawing
-from cadenza.scene.drawn_model import drawn_model
+from cadenza.scene.drawing import body_poses, drawing, drawn_model
 from cadenza.scene.scene import Scene, build_scene
 
 EPISODE = Path(__file__).parents[1] / "data/episode_d.npz"

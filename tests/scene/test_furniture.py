@@ -7,7 +7,7 @@ import pytest
 from cadenza.keyboards.mini import MINI
 from cadenza.keyboards.piano import PIANO
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.drawn_model import drawn_model, key_geoms
+from cadenza.scene.drawing import drawn_model, key_geoms
 from cadenza.scene.furniture import furniture
 from cadenza.scene.scene import build_scene
 

@@ -15,10 +15,9 @@ from pathlib import Path
 
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import checked
-from cadenza.learning.checkpointed_run import LOCKED_OUT
+from cadenza.learning.checkpointed_run import LOCKED_OUT, MetricsLog
 from cadenza.learning.config import TrainingConfig, check
 from cadenza.learning.learner import learner_config, name_of
-from cadenza.learning.metrics_log import MetricsLog
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.score import Score
 from cadenza.resumable import ResumableFolder, installed_versions

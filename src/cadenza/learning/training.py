@@ -18,12 +18,11 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import checked
-from cadenza.learning.checkpointed_run import CheckpointedRun, Count, Row
+from cadenza.learning.checkpointed_run import CheckpointedRun, Count, Row, finite
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.experience import Chunk, Experience, ReplayExperience
 from cadenza.learning.learner import name_of
-from cadenza.learning.metrics_log import finite
 from cadenza.learning.policy import Perceptron
 from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
 from cadenza.learning.problem import Problem, problem_of

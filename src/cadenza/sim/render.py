@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError, quoted
 from cadenza.scene.cameras import CAMERAS, MAX_HEIGHT, MAX_WIDTH
-from cadenza.scene.drawn_model import drawn_model, key_geoms
+from cadenza.scene.drawing import drawn_model, key_geoms
 from cadenza.scene.scene import Scene
 
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
