@@ -12,6 +12,7 @@ import cadenza
 
 PACKAGE = Path(cadenza.__file__).parent
 EVERYWHERE = {
+    "cameras",
     "fingers",
     "errors",
     "files",

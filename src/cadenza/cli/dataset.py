@@ -229,8 +229,8 @@ class DatasetExport(RecordedParts):
     version: int = 0
     """For Minari: version in its id."""
     video_cameras: tuple[str, ...] = ()
-    """For LeRobot: cameras that film every episode, of player, closeup, left, right, back,
-    egocentric and topdown."""
+    """For LeRobot: cameras that film every episode, of player, close, top, audience and side, and
+    the published closeup, left, right, back, egocentric and topdown."""
     video_size: tuple[int, int] = (640, 360)
     """Width and height of the videos [px], even numbers up to 1920 1080."""
     quiet: Quiet = False

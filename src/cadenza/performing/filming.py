@@ -22,11 +22,11 @@ from urllib.parse import quote
 import av
 
 from cadenza.agents.agent import Progress, silent
+from cadenza.cameras import VIEWS
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError, quoted
 from cadenza.files import write_atomically
 from cadenza.music.performance import played_in
-from cadenza.report.cameras import VIEWS
 from cadenza.report.sound import (
     CODECS,
     SAMPLE_RATE,

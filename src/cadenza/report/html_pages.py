@@ -18,8 +18,8 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cadenza.cameras import VIEWS
 from cadenza.files import write_atomically
-from cadenza.report.cameras import VIEWS
 
 if TYPE_CHECKING:
     from jinja2 import Environment

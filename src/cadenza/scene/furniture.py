@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cadenza.hands.shell import TRIM, Material
 from cadenza.keyboards.keyboard import Keyboard
@@ -99,6 +100,17 @@ def furniture(keyboard: Keyboard) -> tuple[CasePiece, ...]:
         *_both(arm, board + arm, (back, slip + 0.004), (under, black + 0.006)),
         *_fall_board(keyboard),
     )
+
+
+def case_bounds(keyboard: Keyboard) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The lowest and the highest corner (3,) of a box around the case [m]."""
+    pieces = furniture(keyboard)
+    half, middle = (np.array([getattr(p, name) for p in pieces]) for name in ("half_size", "pos"))
+    cos, sin = (np.abs(turn([piece.slope for piece in pieces])) for turn in (np.cos, np.sin))
+    half[:, 0], half[:, 2] = (
+        cos * half[:, 0] + sin * half[:, 2], sin * half[:, 0] + cos * half[:, 2]
+    )  # fmt: skip
+    return (middle - half).min(0), (middle + half).max(0)
 
 
 def _box(x: Ends, y: Ends, z: Ends, material: Material = LACQUER) -> CasePiece:

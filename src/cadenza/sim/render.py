@@ -12,9 +12,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.cameras import FIELD_OF_VIEW, VIEWS, Camera, Points, Sight, outline_of, points_of_box
 from cadenza.errors import CadenzaError, quoted
 from cadenza.scene.cameras import CAMERAS, MAX_HEIGHT, MAX_WIDTH
 from cadenza.scene.drawing import drawn_model, key_geoms
+from cadenza.scene.furniture import case_bounds
 from cadenza.scene.scene import Scene
 
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
@@ -83,12 +85,15 @@ class Picture:
     width: int = 640
     height: int = 360
     camera: str = "back"
-    """One of the published scene's: closeup, left, right, back, egocentric, topdown."""
+    """One of `cadenza.cameras.VIEWS`, or of the published scene's `CAMERAS`, which stand still."""
 
     def __post_init__(self) -> None:
         """Check camera and size; raises CadenzaError if there is no such camera, or picture."""
-        if self.camera not in CAMERAS:
-            raise CadenzaError(f"no camera {quoted(self.camera)}: choose from {', '.join(CAMERAS)}")
+        if self.camera not in VIEWS | CAMERAS:
+            raise CadenzaError(
+                f"no camera {quoted(self.camera)}: choose from {', '.join(VIEWS)}, or from the "
+                f"published {', '.join(CAMERAS)}"
+            )
         if not (0 < self.width <= MAX_WIDTH and 0 < self.height <= MAX_HEIGHT):
             raise CadenzaError(
                 f"an image of {self.width} x {self.height}: choose up to {MAX_WIDTH} x {MAX_HEIGHT}"
@@ -102,7 +107,8 @@ class Renderer:
         """Open a graphics context for a picture of a scene, or raise CadenzaError."""
         picture = picture or Picture()
         model = drawn_model(scene)
-        self._camera = _fixed_camera(model, picture.camera)
+        self._view = _View(scene, picture) if picture.camera in VIEWS else None
+        self._camera = _free_camera(model) if self._view else _fixed_camera(model, picture.camera)
         model.vis.quality.offsamples = _SAMPLES
         self._scene, self._model, self._size = scene, model, (picture.width, picture.height)
         self._gl, self._context = _opened(model, *self._size)
@@ -131,6 +137,8 @@ class Renderer:
         data.qpos[self._scene.hand_qpos] = hand_qpos
         data.qpos[self._scene.key_qpos] = key_qpos
         mujoco.mj_kinematics(self._model, data)
+        if self._view:
+            self._view.aim(self._camera, data)
         mujoco.mj_camlight(self._model, data)
         mujoco.mjv_updateScene(
             self._model, data, self._options, None, self._camera,
@@ -156,3 +164,42 @@ def _fixed_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
     camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
     camera.fixedcamid = model.camera(name).id
     return camera
+
+
+def _free_camera(model: mujoco.MjModel) -> mujoco.MjvCamera:
+    model.vis.global_.fovy = FIELD_OF_VIEW
+    return mujoco.MjvCamera()
+
+
+_AROUND = 0.02 * np.concatenate([np.eye(3), -np.eye(3)])  # [m], of the middles of bodies of hands
+
+
+class _View:
+    """One of `VIEWS` of a scene."""
+
+    def __init__(self, scene: Scene, picture: Picture) -> None:
+        """Measure the piano, and the hands as an episode begins."""
+        self._camera = Camera(picture.camera, picture.width / picture.height)
+        model, data = scene.model, mujoco.MjData(scene.model)
+        data.qpos[scene.hand_qpos] = scene.hand_start
+        mujoco.mj_kinematics(model, data)
+        self._hands = np.union1d(model.site_bodyid[scene.fingertip_sites], scene.palm_bodies)
+        hung = ~np.isin(model.body_parentid[scene.hand_bodies], scene.hand_bodies)
+        self._roots = scene.hand_bodies[hung]
+        low, high = case_bounds(scene.keyboard)
+        self._case = outline_of(low, high)
+        near, far = scene.keyboard.bounds
+        ends = (near[0], low[1], near[2]), (far[0], high[1], far[2])
+        self._whole = Sight(points_of_box(*ends), self._around(data))
+
+    def _around(self, data: mujoco.MjData) -> Points:
+        ends = (data.xpos[self._roots, None] + _AROUND[2::3]).reshape(-1, 3)
+        return np.concatenate([self._case, ends])
+
+    def aim(self, camera: mujoco.MjvCamera, data: mujoco.MjData) -> None:
+        """Place a free camera as the hands are."""
+        shown = (data.xpos[self._hands, None] + _AROUND).reshape(-1, 3)
+        hands = Sight(shown, self._around(data))
+        camera.lookat[:], camera.distance = self._camera.place(self._whole, hands)
+        x, y, z = self._camera.axes[2]
+        camera.azimuth, camera.elevation = np.degrees([np.arctan2(-y, -x), -np.arcsin(z)])

@@ -22,7 +22,16 @@ from cadenza.report.html_pages import asset, rendered
 from cadenza.studio.address import Address, announce, read_address, write_address
 
 _SHARED = (  # scripts, of reports as well
-    *("elements.js", "recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "chart.js"),
+    *(
+        "elements.js",
+        "recording.js",
+        "rows.js",
+        "flat.js",
+        "falling.js",
+        "camera.js",
+        "stage.js",
+        "chart.js",
+    ),
     *("arrangement.js", "explanations.js", "roll.js", "controls.js", "score.js"),
 )
 _OWN = (

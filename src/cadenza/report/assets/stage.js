@@ -1,7 +1,7 @@
 // The performance in three dimensions. The world is the simulation's: x towards the player,
 // y to the player's right, z up, in metres.
 
-/** From where cameras look, by their names: as the buttons have it from `cadenza.report.cameras`. */
+/** From where cameras look, by their names: as the buttons have it from `cadenza.cameras`. */
 const VIEWS = Object.fromEntries([...document.querySelectorAll("[data-view]")].map(({ dataset: { view, from } }) => [view, from.split(" ").map(Number)]));
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 const FADED = 0.28; // opacity of a palm while it hides a key that sounds
@@ -25,7 +25,7 @@ const graphics = lazily(() => {
 function createStage(canvas, data, colours) {
   const { scene: parts, jointsAt, angles, states, dt, steps } = data;
   const scene = new THREE.Scene();
-  const camera = new THREE.PerspectiveCamera(28, 1, 0.05, 20);
+  const camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW, 1, 0.05, 20);
   camera.up.set(0, 0, 1);
   const drawnBy = graphics(), overlay = canvas.cloneNode();
   for (const name of ["id", "tabindex", "role", "aria-label"]) overlay.removeAttribute(name);
@@ -71,11 +71,13 @@ function createStage(canvas, data, colours) {
   scene.updateMatrixWorld();
   const keyboard = new THREE.Box3();
   for (const key of keys) keyboard.expandByObject(key.solid);
+  const piano = keyboard.clone();
   for (const piece of parts.furniture ?? []) { // earlier recordings have none
     const solid = mesh("box", piece.size, look(piece));
     solid.position.fromArray(piece.pos);
     solid.quaternion.copy(quaternion(piece.quat));
     scene.add(solid);
+    piano.expandByObject(solid);
   }
   scene.add(floor(keyboard.min.z - 0.026));
   const inUse = range(data).map((key, i) => Math.min(Math.max(key + (i ? 3 : -3), 0), parts.keys.length - 1));
@@ -93,38 +95,23 @@ function createStage(canvas, data, colours) {
   controls.addEventListener("change", () => { stale = true; });
   controls.addEventListener("start", () => { view = null; });
 
-  const follow = createFollower(data);
-  /** What a view has to keep in sight: sides of a box, [m]. */
-  function room() {
-    const { min, max } = keyboard;
-    const edges = view === "close" && follow(Math.max(shown, 0));
-    if (edges) return [min.x - 0.01, 0.1, edges.left - 0.03, edges.right + 0.03, min.z, 0.06];
+  const outline = outlineOf(piano), follow = createFollower(data), away = new THREE.Vector3();
+  /** What cameras look at from afar, the keys in use and all that hands reach, and close by, the hands now. */
+  function sights() {
+    const { left, right, rear, reach, height } = follow(Math.max(shown, 0)), whole = keyboard.clone().union(reach);
     const [low, high] = inUse.map((key) => parts.keys[key].pos[1]);
-    const box = [min.x - 0.03, 0.15, low - 0.015, high + 0.015, min.z, 0.06];
-    if (falling.track.visible) [box[0], box[5]] = [falling.track.position.x - falling.end[0], falling.track.position.z + falling.end[1]];
-    return box;
+    [whole.min.y, whole.max.y] = [Math.min(low - 0.015, reach.min.y), Math.max(high + 0.015, reach.max.y)];
+    if (falling.track.visible) whole.expandByPoint(new THREE.Vector3(falling.track.position.x - falling.end[0], 0, falling.track.position.z + falling.end[1]));
+    if (reach.isEmpty()) return [whole, whole].map((box) => ({ shown: pointsOf(box), around: outline }));
+    const hands = new THREE.Box3(reach.min.clone().setY(left), reach.max.clone().setY(right));
+    const ends = [left + HALF_HAND, right - HALF_HAND].flatMap((y) => [-THICK, THICK].map((z) => new THREE.Vector3(rear, y, height + z)));
+    return [whole, hands].map((box) => ({ shown: pointsOf(box), around: [...outline, ...ends] }));
   }
 
-  const [away, side, up, corner, target] = [0, 1, 2, 3, 4].map(() => new THREE.Vector3());
-  /** Looks from a named side, as near as keeps the box in sight. */
+  /** Looks from a named side, as near as keeps in sight what is looked at. */
   function place() {
-    const box = room(), slope = Math.tan((camera.fov * Math.PI) / 360);
-    target.set((box[0] + box[1]) / 2, (box[2] + box[3]) / 2, (box[4] + box[5]) / 2);
     away.set(...VIEWS[view]).normalize();
-    side.set(0, 0, 1).cross(away).normalize();
-    up.copy(away).cross(side);
-    let distance = 0.15;
-    for (let i = 0; i < 8; i++) {
-      corner.set(box[i & 1], box[2 + ((i >> 1) & 1)], box[4 + (i >> 2)]).sub(target);
-      const across = Math.abs(corner.dot(side)) / (0.97 * camera.aspect), upwards = Math.abs(corner.dot(up)) / 0.93;
-      distance = Math.max(distance, corner.dot(away) + Math.max(across, upwards) / slope);
-    }
-    if (Math.abs(side.y) > 0.9) { // across the keyboard: nothing beside it while a part of it is cut off
-      const farthest = distance + Math.abs(away.x) * (box[1] - box[0]) / 2;
-      const half = farthest * slope * camera.aspect, { min, max } = keyboard, middle = (min.y + max.y) / 2;
-      const play = Math.max((max.y - min.y) / 2 - half, 0);
-      target.y = Math.min(Math.max(target.y, middle - play), middle + play);
-    }
+    const { target, distance } = placed(away, camera.aspect, view === "close", ...sights());
     camera.position.copy(target).addScaledVector(away, distance);
     controls.target.copy(target);
     controls.update();
@@ -159,7 +146,7 @@ function createStage(canvas, data, colours) {
       key.solid.material.emissive.copy(key.colours[state]).multiplyScalar(state ? 0.4 : 0);
     }
     if (falling.track.visible) falling.move(time);
-    if (view === "close") place();
+    if (view) place();
   }
 
   const surface = ALONG_KEY.map(() => new THREE.Vector3());
@@ -239,28 +226,39 @@ const quaternion = ([w, x, y, z]) => new THREE.Quaternion(x, y, z, w);
 const SAMPLES = 0.2; // [s] between the poses of which a camera that follows the hands takes notice
 const REACTION = 0.4; // [s] over which it averages, before and after
 const FARTHEST = 6; // samples to either side; others would not count
+const HALF_HAND = 0.07, THICK = 0.02; // [m] half as wide as a hand; around the middles of fingers
 
 /**
- * Returns what says of a time [s] where the hands' left and right edges are along the keyboard [m],
- * smoothed; of a hand that has reached no key that sounds, nothing, if another has. Null without hands.
+ * Returns what says of a time [s] where the hands' `left` and `right` edges are along the keyboard [m]
+ * and where they end at the `rear`, smoothed; of a hand that has reached no key that sounds, nothing,
+ * if another has. Also the box that fingers and palms reach at any time, empty without hands, and the
+ * `height` of their rear end.
  */
 function createFollower(data) {
   const { scene, jointsAt, states, dt, steps } = data, hands = createHands(scene.skeleton), at = new THREE.Vector3();
-  const ofTips = [...new Set([...scene.geoms, ...(scene.shells ?? [])].filter(({ finger }) => finger !== null).map(({ body }) => body))];
-  const roots = ofTips.map((body) => rootOf(scene.skeleton, body));
-  const tips = [...new Set(roots)].map((root) => ofTips.filter((_, i) => roots[i] === root));
-  const edges = tips.map(() => ({ left: [], right: [], plays: false }));
-  let count = 0;
+  const solids = [...scene.geoms, ...(scene.shells ?? [])].filter(({ body }) => body >= 0);
+  const bodiesOf = (chosen) => [...new Set(solids.filter(chosen).map(({ body }) => body))];
+  const ofTips = bodiesOf(({ finger }) => finger !== null), palms = bodiesOf(({ palm }) => palm);
+  const rootOfBody = (body) => rootOf(scene.skeleton, body), roots = [...new Set(ofTips.map(rootOfBody))];
+  const tips = roots.map((root) => ofTips.filter((body) => rootOfBody(body) === root));
+  const edges = tips.map(() => ({ left: [], right: [], rear: [], plays: false }));
+  const reach = new THREE.Box3();
+  const place = (body) => at.setFromMatrixPosition(hands.bodies[body].matrixWorld);
+  let count = 0, height = 0;
   /** Takes notice of a pose. */
   function sample() {
-    const time = count++ * SAMPLES, { row } = rowAt(time, dt, steps);
+    const time = count++ * SAMPLES, { row } = rowAt(time, dt, steps), now = new THREE.Box3();
     hands.pose(jointsAt(time));
     hands.root.updateMatrixWorld();
+    for (const body of [...ofTips, ...palms]) now.expandByPoint(place(body));
+    reach.union(now.expandByScalar(THICK));
     tips.forEach((bodies, hand) => {
-      const y = bodies.map((body) => at.setFromMatrixPosition(hands.bodies[body].matrixWorld).y);
+      const y = bodies.map((body) => place(body).y);
       const left = Math.min(...y), right = Math.max(...y);
       edges[hand].left.push(left);
       edges[hand].right.push(right);
+      edges[hand].rear.push(place(roots[hand]).x);
+      height = at.z;
       const within = ({ pos }, key) => [HIT, WRONG, COMING].includes(states[row * scene.keys.length + key]) && pos[1] > left - 0.01 && pos[1] < right + 0.01;
       edges[hand].plays ||= scene.keys.some(within);
     });
@@ -279,13 +277,12 @@ function createFollower(data) {
     const end = Math.min(data.available ?? Infinity, steps * dt); // of what has come
     while (count * SAMPLES <= end) sample();
     const playing = edges.some(({ plays }) => plays) ? edges.filter(({ plays }) => plays) : edges;
-    if (!playing.length) return null;
     const { row, next, blend } = rowAt(time, SAMPLES, count);
     const edge = (side, choose) => {
       const [from, to] = [row, next].map((middle) => around(middle, side, choose, playing));
       return from + blend * (to - from);
     };
-    return { left: edge("left", Math.min), right: edge("right", Math.max) };
+    return { left: edge("left", Math.min) - THICK, right: edge("right", Math.max) + THICK, rear: edge("rear", Math.min), reach, height };
   };
 }
 

@@ -1,0 +1,124 @@
+"""The cameras of pages, films and pictures, and where each stands; `stage.js` places them alike."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Points = NDArray[np.float64]
+"""(N, 3) [m], x towards the player, y to the player's right, z up."""
+
+VIEWS = {
+    "player": (0.5, 0.0, 0.87),
+    "close": (0.45, 0.0, 0.9),
+    "top": (0.005, 0.0, 1.0),
+    "audience": (-0.66, 0.0, 0.75),
+    "side": (-0.55, -0.75, 0.6),
+}
+"""Name of each -> the direction in which it stands, of any length. `close` looks at the hands; the
+others at the whole keyboard, or at the hands where a picture is too tall to be filled by it."""
+FIELD_OF_VIEW = 28.0
+"""Of all of them, from the lower edge of the picture to the upper one [degree]."""
+
+_ROOM = np.array([1.0, 0.95])  # of width and height of the picture, that is for what it looks at
+_FILLED = 0.88  # of the height, at least, with what is around
+_ALONG = 65  # points of a long edge, of which some are beside the picture
+_CLOSEST = 0.05  # [m] in front of the camera that is seen
+_ROUNDS = 8  # of fitting, after which nothing moves by a pixel
+
+
+def points_of_box(low: Any, high: Any, along: int = 2) -> Points:
+    """Return so many points on each long edge of a box between two corners (3,)."""
+    x, y, z = (np.linspace(low[i], high[i], count) for i, count in enumerate((2, along, 2)))
+    return np.stack(np.meshgrid(x, y, z), axis=-1).reshape(-1, 3)
+
+
+def outline_of(low: Any, high: Any) -> Points:
+    """Return points of a case between two corners (3,), low at the front and high at the back."""
+    points = points_of_box(low, high, _ALONG)
+    return points[(points[:, 0] < high[0]) | (points[:, 2] < high[2])]
+
+
+class Sight(NamedTuple):
+    """What a camera sees."""
+
+    shown: Points
+    """What has to be in the picture."""
+    around: Points
+    """What may fill the rest of it."""
+
+
+class Camera:
+    """A camera of `VIEWS` in a picture of some shape."""
+
+    def __init__(self, view: str, aspect: float) -> None:
+        """Look from a side; `aspect` is the width of the picture over its height."""
+        away = np.array(VIEWS[view]) / np.linalg.norm(VIEWS[view])
+        side = np.cross([0.0, 0.0, 1.0], away)
+        side /= np.linalg.norm(side)
+        self.axes = np.array([side, np.cross(away, side), away])
+        """(3, 3) its directions to the right, up, and away from what it looks at."""
+        self._follows = view == "close"
+        self._slope = np.tan(np.radians(FIELD_OF_VIEW) / 2) * np.array([aspect, 1.0])
+
+    def place(self, whole: Sight, hands: Sight) -> tuple[Points, float]:
+        """Place the camera so that what it looks at fills the picture.
+
+        Args:
+            whole: what it looks at from afar.
+            hands: what it looks at close by, and has to show.
+
+        Returns:
+            The point (3,) in the middle of the picture [m], and how far it is [m].
+        """
+        sight = hands if self._follows else whole
+        target, distance = self._fit(sight.shown)
+        too_tall = not self._follows and self._height(sight, target, distance) < _FILLED
+        if too_tall:
+            sight = hands
+            target, nearest = self._fit(sight.shown)
+        for _ in range(_ROUNDS):
+            if too_tall:
+                filled = self._height(sight, target, distance)
+                distance = max(nearest, distance * filled / _FILLED)
+            target = target + self._shift(sight, target, distance)
+        return target, distance
+
+    def _shift(self, sight: Sight, target: Points, distance: float) -> Points:
+        """How far to move so that as little as can be is empty, at both edges the same."""
+        low, high = self._extent(sight, target, distance)
+        aside = np.minimum(high - 1, 0) + np.maximum(low + 1, 0)
+        shift = np.where(high - low < 2, (low + high) / 2, aside)
+        seen = self._seen(sight.shown, target, distance)
+        shift = np.clip(shift, np.minimum(seen.max(0) - 1, 0), np.maximum(seen.min(0) + 1, 0))
+        return (shift * self._slope * distance) @ self.axes[:2]
+
+    def _height(self, sight: Sight, target: Points, distance: float) -> float:
+        """How much of the height of the picture is filled."""
+        low, high = self._extent(sight, target, distance)
+        return float(high[1] - low[1]) / 2
+
+    def _seen(self, points: Points, target: Points, distance: float) -> Points:
+        """(N, 2) where points are in the picture, which reaches from -1 to 1 both ways."""
+        x, y, z = ((points - target) @ self.axes.T).T
+        return np.stack([x, y], axis=1) / np.maximum(distance - z, _CLOSEST)[:, None] / self._slope
+
+    def _fit(self, points: Points) -> tuple[Points, float]:
+        """Where points are in the middle, as large as there is room for."""
+        target, distance = (points.min(0) + points.max(0)) / 2, 1.0
+        for _ in range(_ROUNDS):
+            seen = self._seen(points, target, distance)
+            low, high = seen.min(0), seen.max(0)
+            target = target + ((low + high) / 2 * self._slope * distance) @ self.axes[:2]
+            distance *= float(((high - low) / 2 / _ROOM).max())
+        return target, distance
+
+    def _extent(self, sight: Sight, target: Points, distance: float) -> tuple[Any, Any]:
+        """From where to where something is seen, (2,) each; upwards, of what is not beside."""
+        seen = self._seen(np.concatenate(sight), target, distance)
+        low, high = seen.min(0), seen.max(0)
+        if (inside := np.abs(seen[:, 0]) <= 1).any():
+            low[1], high[1] = seen[inside, 1].min(), seen[inside, 1].max()
+        return low, high

@@ -1,0 +1,77 @@
+// Where a camera stands so that what it looks at fills the picture, as `cadenza.cameras` has it.
+
+const FIELD_OF_VIEW = 28; // [degree]
+const MARGINS = [1, 0.95]; // of width and height of the picture, that is for what it looks at
+const FILLED = 0.88; // of the height, at least, with what is around
+const CLOSEST = 0.05; // [m] in front of the camera that is seen
+const ROUNDS = 8; // of fitting, after which nothing moves by a pixel
+const ALONG = 65; // points of a long edge, of which some are beside the picture
+
+/** So many points on each long edge of a box. */
+function pointsOf({ min, max }, count = 2) {
+  const along = Array.from({ length: count }, (_, i) => min.y + ((max.y - min.y) * i) / (count - 1));
+  return [min.x, max.x].flatMap((x) => [min.z, max.z].flatMap((z) => along.map((y) => new THREE.Vector3(x, y, z))));
+}
+
+/** Points of a case in a box, which is low at the front, and high at the back. */
+const outlineOf = (box) => pointsOf(box, ALONG).filter(({ x, z }) => x < box.max.x || z < box.max.z);
+
+/**
+ * Places a camera that stands in the direction `away` in a picture of some aspect, and returns what
+ * is in the middle of the picture and how far it is [m]. It looks at the points `shown` of `whole`,
+ * or of `hands` if it is `close` or the picture would not be filled, also by the points `around`.
+ */
+function placed(away, aspect, close, whole, hands) {
+  const side = new THREE.Vector3(0, 0, 1).cross(away).normalize(), axes = [side, away.clone().cross(side)];
+  const slope = Math.tan((FIELD_OF_VIEW * Math.PI) / 360), slopes = [aspect * slope, slope];
+  const at = new THREE.Vector3(), target = new THREE.Vector3();
+  let distance = 1;
+  /** Where a point is in the picture, which reaches from -1 to 1 both ways. */
+  function seen(point) {
+    at.copy(point).sub(target);
+    const depth = Math.max(distance - at.dot(away), CLOSEST);
+    return axes.map((axis, i) => at.dot(axis) / depth / slopes[i]);
+  }
+  const between = (places, i) => [Math.min(...places.map((place) => place[i])), Math.max(...places.map((place) => place[i]))];
+  const move = (shift) => axes.forEach((axis, i) => target.addScaledVector(axis, shift[i] * slopes[i] * distance));
+  /** Has points in the middle, as large as there is room for. */
+  function fit(points) {
+    new THREE.Box3().setFromPoints(points).getCenter(target);
+    distance = 1;
+    for (let round = 0; round < ROUNDS; round++) {
+      const places = points.map(seen), ends = [0, 1].map((i) => between(places, i));
+      move(ends.map(([low, high]) => (low + high) / 2));
+      distance *= Math.max(...ends.map(([low, high], i) => (high - low) / 2 / MARGINS[i]));
+    }
+    return distance;
+  }
+  /** From where to where something is seen; upwards, of what is not beside the picture. */
+  function extent({ shown, around }) {
+    const places = [...shown, ...around].map(seen), inside = places.filter(([x]) => Math.abs(x) <= 1);
+    return [between(places, 0), between(inside.length ? inside : places, 1)];
+  }
+  function filled(sight) {
+    const [, [low, high]] = extent(sight);
+    return (high - low) / 2;
+  }
+  /** Moves so that as little as can be is empty, at both edges the same. */
+  function settle(sight) {
+    const places = sight.shown.map(seen);
+    move(extent(sight).map(([low, high], i) => {
+      const shift = high - low < 2 ? (low + high) / 2 : Math.min(high - 1, 0) + Math.max(low + 1, 0);
+      const [first, last] = between(places, i);
+      return Math.min(Math.max(shift, Math.min(last - 1, 0)), Math.max(first + 1, 0));
+    }));
+  }
+  let sight = close ? hands : whole;
+  fit(sight.shown);
+  const afar = distance, isTooTall = !close && filled(sight) < FILLED;
+  if (isTooTall) sight = hands;
+  const nearest = isTooTall ? fit(sight.shown) : distance;
+  distance = afar;
+  for (let round = 0; round < ROUNDS; round++) {
+    if (isTooTall) distance = Math.max(nearest, (distance * filled(sight)) / FILLED);
+    settle(sight);
+  }
+  return { target, distance };
+}
