@@ -1,7 +1,10 @@
+import base64
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from made_up_episode import DT, STEPS, make_episode
@@ -566,6 +569,35 @@ def test_a_recorded_performance_of_the_real_hands_is_drawn(browser, write):
     width = changed.shape[1]
     for half in (changed[:, : width // 2], changed[:, width // 2 :]):
         assert 0.01 < half.mean() < 0.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("encodes", [True, False], ids=["WebCodecs", "MediaRecorder"])
+def test_the_button_makes_a_film_with_sound(tmp_path, write, encodes):
+    browser = Browser(tmp_path / "profile", "--enable-unsafe-swiftshader")
+    if not encodes:
+        source = "delete globalThis.VideoEncoder"
+        browser.call("Page.addScriptToEvaluateOnNewDocument", source=source)
+    browser.open(write(make_episode(steps=20)))
+    browser.evaluate("""(() => {
+        const { createObjectURL } = URL;
+        URL.createObjectURL = (file) => createObjectURL(window.film = file);
+        document.getElementById("film").click();
+        document.getElementById("film-size").options[0].value = "128 72";
+        document.getElementById("film-make").click();
+    })()""")
+    browser.wait("/^(Saved|No film)/.test(document.getElementById('film-status').textContent)", 90)
+    content = browser.evaluate("""film.arrayBuffer().then((bytes) =>
+        btoa(String.fromCharCode(...new Uint8Array(bytes))))""")
+    assert browser.problems() == []
+    browser.close()
+    with av.open(io.BytesIO(base64.b64decode(content))) as film:
+        pictures = [(frame.time, frame.width, frame.height) for frame in film.decode(video=0)]
+    with av.open(io.BytesIO(base64.b64decode(content))) as film:
+        sound = np.concatenate([frame.to_ndarray() for frame in film.decode(audio=0)], axis=1)
+    assert all(size == [128, 72] for _, *size in pictures)
+    assert 0.8 < pictures[-1][0] < 2.5
+    assert np.abs(sound).max() > 0.01
 
 
 # The share of the picture that is empty at each edge: nothing is drawn, and the sky shows.

@@ -107,61 +107,100 @@ async function decodedSound() {
 }
 
 /**
- * Makes a film, and writes it to a `target` of Mediabunny as an MP4.
+ * A film of a performance that is to be drawn: `draw(time, seconds)` draws the picture at a time [s],
+ * some seconds after the one before, on `canvas`; from `start` to `end` [s].
  *
  * `look` has its size [px], `view`, whether notes fall (`falling`) and the score is below (`score`);
- * `start` and `end` [s], to the end of the performance without; and whether it has sound.
- * `progress(done, total)` is told about pictures, and returns whether to go on; returns whether it is whole.
+ * `start` and `end`, to the end of the performance without; and whether it has sound.
  */
-async function makeFilm(data, engraving, lines, look, target, progress) {
-  if (!globalThis.VideoEncoder) throw Error("this browser cannot encode films (WebCodecs): open the page in a newer Chrome, Edge, Firefox or Safari");
-  const { AudioBufferSource, CanvasSource, Mp4OutputFormat, Output, getFirstEncodableAudioCodec, getFirstEncodableVideoCodec } = Mediabunny;
+async function createFilm(data, engraving, lines, look) {
   const stage = createStage(make("canvas", [], { className: "view" }), data, VERDICTS.map((name) => css("--" + name)));
-  const rate = stage.byCard ? FILM_RATE : SLOW_RATE;
-  const { width, height, view, falling, start = 0 } = look, bitrate = Math.round(BITS_PER_PIXEL * width * height * rate);
-  // What plays everywhere, or else what plays in browsers
-  const codec = await getFirstEncodableVideoCodec(["avc", "vp9", "av1"], { width, height, bitrate });
-  if (!codec) throw Error(`this browser cannot encode films of ${width} x ${height} pixels: choose a smaller size`);
+  const { width, height, view, falling, start = 0 } = look, rate = stage.byCard ? FILM_RATE : SLOW_RATE;
   const sound = look.silent ? null : await decodedSound(), length = data.steps * data.dt;
   const end = Math.min(look.end ?? length + RINGING, sound && look.end === undefined ? Math.max(sound.seconds, length) : length);
   const canvas = make("canvas", [], { width, height }), context = canvas.getContext("2d", { alpha: false });
+  const band = look.score && engraving ? createScoreBand(engraving, data, width) : null, tall = height - (band?.height ?? 0);
+  stage.setFlat(false);
+  stage.fit(width, tall);
+  stage.move(start);
+  stage.showNotes(falling);
+  stage.look(view);
+  return {
+    canvas, start, end, rate, sound, width, height,
+    bitrate: Math.round(BITS_PER_PIXEL * width * height * rate),
+    count: Math.max(Math.round((end - start) * rate), 1),
+    async draw(time, seconds) {
+      stage.move(time);
+      stage.draw(seconds);
+      drawSky(context, width, tall);
+      context.drawImage(stage.picture, 0, 0, width, tall);
+      await band?.draw(context, Math.min(time, length), tall);
+      drawTitle(context, lines, time - start, width, tall);
+    },
+    /** Lets go of what draws it. */
+    close: stage.end,
+  };
+}
+
+/**
+ * Encodes a film picture by picture, and writes it to a `target` of Mediabunny as an MP4.
+ *
+ * `progress(done, total)` is told about pictures, and returns whether to go on; returns whether it is whole.
+ */
+async function encodeFilm({ canvas, start, rate, count, sound, width, height, bitrate, draw }, target, progress) {
+  const { AudioBufferSource, CanvasSource, Mp4OutputFormat, Output, getFirstEncodableAudioCodec, getFirstEncodableVideoCodec } = Mediabunny;
+  // What plays everywhere, or else what plays in browsers
+  const codec = await getFirstEncodableVideoCodec(["avc", "vp9", "av1"], { width, height, bitrate });
+  if (!codec) throw Error(`this browser cannot encode films of ${width} x ${height} pixels: choose a smaller size`);
   const output = new Output({ format: new Mp4OutputFormat(), target });
   const pictures = new CanvasSource(canvas, { codec, bitrate, keyFrameInterval: GROUP });
   output.addVideoTrack(pictures, { frameRate: rate });
   const heard = sound && new AudioBufferSource({ codec: await getFirstEncodableAudioCodec(["aac", "opus"], { numberOfChannels: 2, sampleRate: SOUND_RATE, bitrate: SOUND_BITS }), bitrate: SOUND_BITS });
   if (heard) output.addAudioTrack(heard);
   await output.start();
-
-  const band = look.score && engraving ? createScoreBand(engraving, data, width) : null, tall = height - (band?.height ?? 0);
-  const count = Math.max(Math.round((end - start) * rate), 1);
-  try {
-    stage.setFlat(false);
-    stage.fit(width, tall);
-    stage.move(start);
-    stage.showNotes(falling);
-    stage.look(view);
-    for (let i = 0; i < count; i++) {
-      if (!progress(i, count)) {
-        await output.cancel();
-        return false;
-      }
-      const time = start + i / rate;
-      if (heard && i % rate === 0) await heard.add(sound.part(time, Math.min(time + 1, start + count / rate)));
-      stage.move(time);
-      stage.draw(1 / rate);
-      drawSky(context, width, tall);
-      context.drawImage(stage.picture, 0, 0, width, tall);
-      await band?.draw(context, Math.min(time, length), tall);
-      drawTitle(context, lines, time - start, width, tall);
-      await pictures.add(i / rate, 1 / rate);
-      await breathe();
+  for (let i = 0; i < count; i++) {
+    if (!progress(i, count)) {
+      await output.cancel();
+      return false;
     }
-    await output.finalize();
-    progress(count, count);
-    return true;
-  } finally {
-    stage.end();
+    const time = start + i / rate;
+    if (heard && i % rate === 0) await heard.add(sound.part(time, Math.min(time + 1, start + count / rate)));
+    await draw(time, 1 / rate);
+    await pictures.add(i / rate, 1 / rate);
+    await breathe();
   }
+  await output.finalize();
+  progress(count, count);
+  return true;
+}
+
+/** Records a film while it plays, where a browser cannot encode single pictures; returns a file, null if `progress` stops it. */
+async function recordFilm({ canvas, start, end, rate, count, sound, bitrate, draw }, progress) {
+  const type = ["video/mp4", "video/webm"].find((each) => globalThis.MediaRecorder?.isTypeSupported(each));
+  if (!type) throw Error("this browser cannot encode films: open the page in a newer Chrome, Edge, Firefox or Safari");
+  const clock = new AudioContext(), heard = clock.createMediaStreamDestination(), source = clock.createBufferSource();
+  source.buffer = sound.part(start, end);
+  source.connect(heard);
+  const tracks = [canvas.captureStream(rate), heard.stream].flatMap((stream) => stream.getTracks());
+  const recorder = new MediaRecorder(new MediaStream(tracks), { mimeType: type, videoBitsPerSecond: bitrate }), pieces = [];
+  recorder.addEventListener("dataavailable", ({ data }) => pieces.push(data));
+  const stopped = new Promise((resolve) => recorder.addEventListener("stop", resolve));
+  await draw(start, 0);
+  await clock.resume();
+  recorder.start();
+  source.start();
+  const began = clock.currentTime, now = () => Math.min(start + clock.currentTime - began, end);
+  let time = start, isMaking = true;
+  while (time < end && (isMaking = progress(Math.round((time - start) * rate), count))) {
+    const next = now();
+    await draw(next, next - time);
+    time = next;
+    await new Promise((resolve) => setTimeout(resolve, 1000 / rate / 2));
+  }
+  recorder.stop();
+  await stopped;
+  await clock.close();
+  return isMaking ? new Blob(pieces, { type }) : null;
 }
 
 /** The dialog that asks how a film is to be, and makes it. */
@@ -173,24 +212,33 @@ function offerFilm(data, engraving, lines) {
   dialog.addEventListener("close", stop);
   $("film-stop").addEventListener("click", stop);
   $("film-make").addEventListener("click", async () => {
-    const [width, height] = $("film-size").value.split(" ").map(Number), target = new Mediabunny.BufferTarget();
+    const [width, height] = $("film-size").value.split(" ").map(Number);
     const look = { width, height, view: $("film-camera").value, falling: $("film-falling").checked, score: $("film-score")?.checked };
-    const began = performance.now();
+    const began = performance.now(), canEncode = "VideoEncoder" in globalThis;
+    const progress = (done, total) => {
+      Object.assign($("film-done"), { max: total, value: done });
+      const left = ((performance.now() - began) / 1000 / Math.max(done, 1)) * (total - done);
+      const how = canEncode ? "" : ", recorded as it plays";
+      say(`${Math.floor((100 * done) / total)} %${done > FILM_RATE ? `, ${minutes(left).split(".")[0]} left` : ""}${how}`);
+      return isMaking;
+    };
     show(true);
+    let film;
     try {
-      const isWhole = await makeFilm(data, engraving, lines, look, target, (done, total) => {
-        Object.assign($("film-done"), { max: total, value: done });
-        const left = ((performance.now() - began) / 1000 / Math.max(done, 1)) * (total - done);
-        say(`${Math.floor((100 * done) / total)} %${done > FILM_RATE ? `, ${minutes(left).split(".")[0]} left` : ""}`);
-        return isMaking;
-      });
-      if (!isWhole) return say("Stopped.");
-      const href = URL.createObjectURL(new Blob([target.buffer], { type: "video/mp4" }));
-      make("a", "", { href, download: `${document.querySelector("h1").textContent}.mp4` }).click();
-      say(`Saved: ${(target.buffer.byteLength / 1e6).toFixed(1)} MB.`);
+      film = await createFilm(data, engraving, lines, look);
+      let file;
+      if (canEncode) {
+        const target = new Mediabunny.BufferTarget();
+        file = (await encodeFilm(film, target, progress)) && new Blob([target.buffer], { type: "video/mp4" });
+      } else file = await recordFilm(film, progress);
+      if (!file) return say("Stopped.");
+      const name = `${document.querySelector("h1").textContent}.${file.type.slice("video/".length)}`;
+      make("a", "", { href: URL.createObjectURL(file), download: name }).click();
+      say(`Saved: ${(file.size / 1e6).toFixed(1)} MB.`);
     } catch (error) {
       say(`No film: ${error.message}.`);
     } finally {
+      film?.close();
       show(false);
     }
   });
@@ -208,7 +256,8 @@ async function sendFilm(data, engraving, lines, asked) {
   const send = (name, body) => fetch(name, { method: "POST", body }), PICTURES = 10; // between two reports
   const writable = new WritableStream({ write: ({ data: bytes, position }) => send(`film/${position}`, bytes) });
   try {
-    await makeFilm(data, engraving, lines, asked, new Mediabunny.StreamTarget(writable, { chunked: true }), (done, total) => {
+    const film = await createFilm(data, engraving, lines, asked);
+    await encodeFilm(film, new Mediabunny.StreamTarget(writable, { chunked: true }), (done, total) => {
       if (done % PICTURES === 0) send(`progress/${done}/${total}`);
       return true;
     });
