@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from cadenza.tasks.config import DomainRandomization
+
+Profile = Literal["gentle", "realistic", "harsh"]
 
 # Where figures come from:
 # [S] Robotis XH430 data sheet: play 0.25 degrees, 4096 counts a turn (0.0015 rad), 30 turns a
@@ -100,3 +104,9 @@ HARSH = DomainRandomization(
     touch_bias=0.2,  # [J]
     drift=0.5,  # [J]
 )
+PROFILES: dict[Profile, DomainRandomization] = {
+    "gentle": GENTLE,
+    "realistic": REALISTIC,
+    "harsh": HARSH,
+}
+"""The profiles by their names."""

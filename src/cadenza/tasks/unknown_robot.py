@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from cadenza.configs import MAX_COUNT, whole_number
 from cadenza.errors import CadenzaError
 from cadenza.tasks.env import Observation, PianoEnv, Song
-from cadenza.tasks.robots import REALISTIC
+from cadenza.tasks.robots import PROFILES, Profile
 
 PLAYS = 10  # how often a song may be played before the play that is scored
 _OWN = "randomization", "privileged", "task", "pixels"
 
 
 class UnknownRobotEnv(PianoEnv):
-    """A song, and a robot and a piano that are drawn from the profile `realistic` and hidden.
+    """A song, and a robot and a piano that are drawn from a profile and hidden.
 
     Observations have what sensors give: joints, late, off and noisy, and which keys sound, when
     they began to and how loud, late. `key_state` is 1 for a key that sounds, else 0. Rewards are 0
@@ -24,7 +24,13 @@ class UnknownRobotEnv(PianoEnv):
     `PianoEnv`, without what was drawn.
     """
 
-    def __init__(self, song: Song | None = None, robot: int = 0, **options: Any) -> None:
+    def __init__(
+        self,
+        song: Song | None = None,
+        robot: int = 0,
+        profile: Profile = "realistic",
+        **options: Any,
+    ) -> None:
         """Draw the robot of this seed.
 
         Raises CadenzaError if an option would show or change the robot, or makes no sense.
@@ -32,7 +38,9 @@ class UnknownRobotEnv(PianoEnv):
         if known := [name for name in _OWN if name in options]:
             raise CadenzaError(f"{known[0]}: an unknown robot has no such option; leave it out")
         seed = whole_number(robot, "robot", 0, MAX_COUNT)
-        super().__init__(song, randomization=replace(REALISTIC, robot=seed), **options)
+        if profile not in PROFILES:
+            raise CadenzaError(f"profile {profile!r}: choose from {', '.join(PROFILES)}")
+        super().__init__(song, randomization=replace(PROFILES[profile], robot=seed), **options)
         self._play = 0
 
     def reset(

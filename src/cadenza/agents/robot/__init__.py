@@ -1,0 +1,1 @@
+"""Practice with a robot that nobody knows, real or simulated."""

@@ -1,0 +1,286 @@
+"""Corrections of how a song is played, note by note, by what was heard of it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from cadenza.agents.agent import Array
+from cadenza.agents.planner.plan.presses import Press
+from cadenza.agents.planner.plan.song_plan import SongPlan
+from cadenza.agents.planner.plan.strike_model import strike_model
+from cadenza.agents.planner.search.fingertip_correction import servo_corrections
+from cadenza.agents.planner.search.strikes import UNIT, as_heard
+from cadenza.fingers import SIDES
+from cadenza.music.score import Note
+from cadenza.scene.kinematics import TIP, Kinematics
+from cadenza.scene.scene import hand_alone
+from cadenza.scene.servos import servos_of
+
+# How far one play corrects at most, and all of them together [m].
+_DEEPER, _DEEPEST = 0.0015, (-0.003, 0.006)  # of a key that is lost
+_BESIDE, _FARTHEST = 0.0015, 0.004  # of a finger that brushes the next key
+_RAISE = 0.003  # of an idle finger that sounds a key
+_LIFT, _LIFTS = (-0.002, 0.003), (-0.006, 0.012)  # at the end of a press
+_HAND, _HAND_MOST = 0.001, 0.003  # of a whole hand: the place of the keyboard
+_STRIKE, _STRIKE_MOST = np.array([0.004, 0.008]), np.array([0.02, 0.04])
+_SHARE = 0.6  # of the error of a strike that is corrected
+
+_MEANT = 0.15  # [s] early or late at most of the note that a press was to play
+_ERROR = np.array([0.06, 1.5])  # [s, octaves] by which strikes are corrected at most
+_UNIT = UNIT / [1.0, 0.4]  # errors of strikes that count as much: times matter more than loudness
+_DAMPING = 1e3  # [1/m^2] of the corrections of strikes, as in `StrikeRefinement`
+_END = 0.02  # [s] after the end of a press at which its key ceases to sound, so as not to be early
+_LIFT_SPEED = 0.06  # [m/s] of the correction of lifts
+_LOST = 0.06  # [s] by which a note that is too short was lost, and not let go of
+_NEAR = 5  # control steps from a press in which its key sounds by its finger
+_OFTEN = 2  # keys brushed on one side from which on it is the hand that is beside
+_ONE_SIDED = 0.6  # share of them
+_FEW = 0.05  # share of the time that keys should sound and do not, which is no fault of the hand
+_HIGHEST = 0.055  # [m] of fingertips from which on they sound no key
+
+
+@dataclass
+class Corrections:
+    """The corrections of N presses and H hands [m]."""
+
+    deeper: Array
+    """(N,) while a key is held."""
+    lift: Array
+    """(N,) at the end of the press."""
+    beside: Array
+    """(N,) to the player's right."""
+    strike: Array
+    """(N, 2) deeper by control before the strike, and in it."""
+    hands: Array
+    """(H, 3) of all fingertips of a hand."""
+    raised: list[tuple[int, int, int]] = field(default_factory=list)
+    """Fingers that are raised from one state up to another."""
+
+    @classmethod
+    def none(cls, presses: int, hands: int) -> Corrections:
+        """No corrections."""
+        deeper, lift, beside = np.zeros((3, presses))
+        return cls(deeper, lift, beside, np.zeros((presses, 2)), np.zeros((hands, 3)))
+
+
+class _Noted(NamedTuple):
+    """What became of a press."""
+
+    note: Note | None
+    """The note that it played."""
+    share: float
+    """The share of its time in which its key sounded."""
+
+
+class NoteCorrections:
+    """Corrects how a plan is played by the notes that were heard of it."""
+
+    def __init__(self, plan: SongPlan, postures: Array) -> None:
+        """Take the plan of a song, and the postures (T + 1, A) in which it is played."""
+        scene, dt = plan.scene, plan.track.config.control_timestep
+        self._scene, self._dt, self._postures = scene, dt, postures
+        self._kinematics = Kinematics(scene)
+        self._tips, self._jacobian = self._kinematics.fingertips(postures)
+        self._fingers = scene.fingers.per_hand
+        self._presses, self._lowering = plan.nominal.presses, plan.nominal.lowering
+        self._rows = [self._row(press) for press in self._presses]
+        self._model = strike_model(scene, dt)
+        self._steps = len(postures) - 1
+
+    def _row(self, press: Press) -> int:
+        """The row of a finger among those of the scene."""
+        first = self._scene.fingers.of_hand(SIDES.index(press.side)).start
+        return self._fingers * self._scene.sides.index(press.side) + press.finger - first
+
+    def none(self) -> Corrections:
+        """No corrections."""
+        return Corrections.none(len(self._presses), len(self._scene.sides))
+
+    # What corrections are in servos
+
+    def postures(self, corrections: Corrections) -> Array:
+        """(T + 1, A) the postures of the play with its corrections, but for strikes."""
+        error, postures = self._moved(corrections), self._postures.copy()
+        for hand, side in enumerate(self._scene.sides):
+            fingers = slice(hand * self._fingers, (hand + 1) * self._fingers)
+            alone, servos, _ = hand_alone(self._scene, side)
+            weight = np.ones((len(error), self._fingers))
+            jacobian = self._jacobian[:, fingers]
+            change = servo_corrections(error[:, fingers], weight, jacobian, servos_of(alone))
+            postures[:, servos] += change
+        return postures
+
+    def _moved(self, corrections: Corrections) -> Array:
+        """(T + 1, F, 3) by how much fingertips are to be moved [m]."""
+        moved = np.repeat(corrections.hands, self._fingers, axis=0)[None] + np.zeros_like(self._tips)
+        for i, (press, row) in enumerate(zip(self._presses, self._rows, strict=True)):
+            moved[press.first : press.last, row, 2] -= corrections.deeper[i]
+            moved[press.first - 1 : press.last, row, 1] += corrections.beside[i]
+            moved[press.last - 1, row, 2] += corrections.lift[i] / 2
+            moved[press.last : press.last + 1, row, 2] += corrections.lift[i]
+        for first, last, row in corrections.raised:
+            moved[first:last, row, 2] += _RAISE
+        return moved
+
+    def strikes(self, corrections: Corrections) -> Array:
+        """(T, A) changes of controls by which strikes are corrected."""
+        controls = np.zeros((self._steps, self._postures.shape[1]))
+        for press, row, (before, during) in zip(
+            self._presses, self._rows, corrections.strike, strict=True
+        ):
+            step, (hand, finger) = press.first - 1, divmod(row, self._fingers)
+            servos = self._scene.servos_on(self._scene.sides[hand])
+            own = servos_of(self._scene).finger[servos] == finger
+            lowering = self._lowering[step, servos] * own
+            controls[max(step - 1, 0), servos] += before * lowering * (step > 0)
+            controls[step, servos] += during * lowering
+        return controls
+
+    # What is heard
+
+    def corrected(
+        self, corrections: Corrections, notes: Sequence[Note], postures: Array, share: float
+    ) -> Corrections:
+        """Correct by a `share` of what was heard while the hands were in `postures` (T + 1, A)."""
+        new, by_key = deepcopy(corrections), defaultdict[int, list[Note]](list)
+        for note in notes:
+            by_key[note.pitch - self._scene.keyboard.lowest_pitch].append(note)
+        meant = self._meant(by_key)
+        shares = []
+        for i, (press, note) in enumerate(zip(self._presses, meant, strict=True)):
+            if note is None:
+                self._correct_missed(new, i, by_key[press.key], share)
+            else:
+                self._correct_strike(new, i, note, share)
+                self._correct_end(new, i, note, share)
+            shares.append(self._share(press, by_key[press.key]))
+        others = [note for note in notes if not any(note is each for each in meant)]
+        self._correct_hands(new, np.array(shares), self._correct_others(new, others, postures, share), share)
+        for name, (low, high) in {
+            "deeper": _DEEPEST,
+            "lift": _LIFTS,
+            "beside": (-_FARTHEST, _FARTHEST),
+            "strike": (-_STRIKE_MOST, _STRIKE_MOST),
+            "hands": (-_HAND_MOST, _HAND_MOST),
+        }.items():
+            setattr(new, name, getattr(new, name).clip(low, high))
+        return new
+
+    def _due(self, press: Press) -> tuple[float, float]:
+        """When the key of a press is to begin to sound, and to cease [s]."""
+        within = press.strike.time if press.strike else self._dt / 2
+        return (press.first - 1) * self._dt + within, (press.last - 1) * self._dt
+
+    def _meant(self, by_key: dict[int, list[Note]]) -> list[Note | None]:
+        """The note that each press has played."""
+        meant: list[Note | None] = []
+        for press in self._presses:
+            due, _ = self._due(press)
+            near = [n for n in by_key[press.key] if abs(n.start - due) < _MEANT]
+            near = [n for n in near if not any(n is each for each in meant)]
+            meant.append(min(near, key=lambda n: abs(n.start - due), default=None))
+        return meant
+
+    def _share(self, press: Press, notes: list[Note]) -> float:
+        """The share of a press in which its key sounds."""
+        begin, end = (press.first - 1) * self._dt, (press.last - 1) * self._dt
+        sounding = sum(max(min(n.end, end) - max(n.start, begin), 0.0) for n in notes)
+        return sounding / (end - begin)
+
+    def _correct_missed(self, new: Corrections, i: int, notes: list[Note], share: float) -> None:
+        """Correct a press that has begun no note: its key was held, or has not come down."""
+        press = self._presses[i]
+        due, _ = self._due(press)
+        if any(note.start < due < note.end for note in notes):
+            before = [j for j in range(i) if self._presses[j].key == press.key]
+            if before:
+                new.lift[before[-1]] += share * _LIFT[1]
+            return
+        new.deeper[i] += share * _DEEPER
+        new.strike[i, 1] += share * 2 * _DEEPER
+
+    def _correct_strike(self, new: Corrections, i: int, note: Note, share: float) -> None:
+        """Correct when a note began, and how loud, by a damped step of least squares."""
+        press, (due, _) = self._presses[i], self._due(self._presses[i])
+        if press.strike is None:
+            return
+        keyboard = self._scene.keyboard
+        lever = 2 * keyboard.white.half_size[0]  # nearly
+        heard = as_heard(keyboard.speed(max(note.velocity, 1)))
+        error = np.array([note.start - due, heard - np.log2(press.strike.speed)])
+        error = error.clip(-_ERROR, _ERROR) / _UNIT
+        depth = np.tan(keyboard.sounds_from[press.key]) * lever
+        response = self._model.response(*np.array([[press.strike.time], [press.strike.speed * lever], [depth]]))
+        response = response[0] / _UNIT[:, None]
+        damped = response.T @ response + _DAMPING * np.eye(2)
+        step = -np.linalg.solve(damped, response.T @ error).clip(-_STRIKE, _STRIKE)
+        new.strike[i] += share * _SHARE * step
+
+    def _correct_end(self, new: Corrections, i: int, note: Note, share: float) -> None:
+        """Correct when a note ended: its key was lost, or let go of early or late."""
+        _, end = self._due(self._presses[i])
+        if note.end < end - _LOST:
+            new.deeper[i] += share * _DEEPER
+        elif self._presses[i].last <= self._steps:  # the last notes end with the song
+            new.lift[i] += share * np.clip(_LIFT_SPEED * (note.end - end - _END), *_LIFT)
+
+    def _correct_others(
+        self, new: Corrections, notes: list[Note], postures: Array, share: float
+    ) -> Array:
+        """Correct what no press was to play.
+
+        Returns:
+            (H, 2) how many keys each hand has brushed to the left and to the right of its own.
+        """
+        tips = self._kinematics.points(postures)[:, :, TIP]
+        keyboard, brushed = self._scene.keyboard, np.zeros((len(self._scene.sides), 2))
+        for note in notes:
+            key = note.pitch - keyboard.lowest_pitch
+            state = min(int(note.start / self._dt) + 1, self._steps)
+            if own := self._pressing(state, _NEAR, key=key):
+                if note.start > self._due(self._presses[own[0]])[1]:
+                    new.lift[own[0]] += share * _LIFT[1]
+                continue
+            away = abs(tips[state, :, 1] - keyboard.centre[key, 1])
+            row = int(np.argmin(away + np.maximum(tips[state, :, 2] - _HIGHEST, 0.0)))
+            if pressing := self._pressing(state, 1, row=row):
+                left = key < self._presses[pressing[0]].key
+                new.beside[pressing[0]] += share * (_BESIDE if left else -_BESIDE)
+                brushed[row // self._fingers, 1 - left] += 1
+            else:
+                last = int(note.end / self._dt) + 2
+                new.raised.append((max(state - 2, 1), last, row))
+        return brushed
+
+    def _pressing(
+        self, state: int, near: int, *, key: int | None = None, row: int | None = None
+    ) -> list[int]:
+        """The presses of a key, or by a finger, some steps around a state."""
+        return [
+            i
+            for i, press in enumerate(self._presses)
+            if (press.key == key or self._rows[i] == row)
+            and press.first - near <= state <= press.last + near
+        ]
+
+    def _correct_hands(
+        self, new: Corrections, shares: Array, brushed: Array, share: float
+    ) -> None:
+        """Move hands away from the side on which they brush keys, and down if they lose keys."""
+        hand_of = np.array(self._rows, np.intp) // self._fingers
+        for hand, (left, right) in enumerate(brushed):
+            own, count = shares[hand_of == hand], left + right
+            if not len(own):
+                continue
+            if count >= _OFTEN and abs(left - right) >= _ONE_SIDED * count:
+                most = min(1.0, 4 * count / len(own))
+                new.hands[hand, 1] += share * _HAND * most * np.sign(left - right)
+            missing = float(np.mean(1.0 - own))
+            if missing > _FEW:
+                new.hands[hand, 2] -= share * _HAND * min(1.0, 3 * missing)

@@ -1,0 +1,61 @@
+"""The driver of a simulated robot, whose parameters are hidden."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from cadenza.agents.agent import Array
+from cadenza.agents.robot.protocol import Heard
+from cadenza.tasks.reward import midi_velocity
+from cadenza.tasks.unknown_robot import UnknownRobotEnv
+
+
+class SimulatedRobot:
+    """The driver of `cadenza/UnknownRobot-v0`: play n is the reset with the seed n, from 0 on.
+
+    Attributes:
+        scored: the metrics of the play that is scored; empty before.
+    """
+
+    def __init__(self, env: UnknownRobotEnv) -> None:
+        """Take an environment in which nothing has been played."""
+        self._env, self._spec = env, env.task.spec
+        self._plays, self._steps = 0, 0
+        self._messages: list[Heard] = []
+        self.scored: Mapping[str, Any] = {}
+
+    def start(self) -> None:
+        self._env.reset(seed=self._plays)
+        self._plays, self._steps, self._messages = self._plays + 1, 0, []
+
+    def send(self, action: Array) -> None:
+        *_, info = self._env.step(self._spec.unscale_action(action))
+        metrics = {n.partition("/")[2]: v for n, v in info.items() if n.startswith("metrics/")}
+        self.scored = self.scored or metrics
+        self._listen()
+        self._steps += 1
+
+    def read(self) -> Array:
+        return self._env.task.sensed.hand_qpos[0].copy()
+
+    def heard(self) -> list[Heard]:
+        messages, self._messages = self._messages, []
+        return messages
+
+    def stop(self) -> None:
+        """Nothing is to be done: the next play begins anew."""
+
+    def _listen(self) -> None:
+        """Take down what keys have done in the last step."""
+        onset, offset, speed = (values[0] for values in self._env.task.sensed.key_events)
+        keyboard = self._spec.scene.keyboard
+        began = self._steps * self._spec.config.control_timestep
+        loud = np.maximum(midi_velocity(speed, keyboard), 1)
+        for times, velocity in (onset, loud), (offset, np.zeros_like(loud)):
+            for key in np.flatnonzero(np.isfinite(times)):
+                time, pitch = began + times[key], int(key) + keyboard.lowest_pitch
+                self._messages.append(Heard(float(time), pitch, float(velocity[key])))
+        self._messages.sort()
