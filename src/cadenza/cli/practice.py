@@ -24,6 +24,7 @@ from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import describe_times
 from cadenza.scene.config import SceneConfig, check_modules
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.robots import Profile
 
 if TYPE_CHECKING:
     from cadenza.agents.planner.practice.practice import Practice
@@ -50,9 +51,15 @@ class PracticeCommand(Options):
     output: Output[Path | None] = None
     """Folder of practice and its results; played/SONG/practised by default."""
     effort: float | None = None
-    """Effort in all, 8 by default; 1 is 100 simulated steps for each step and hand."""
+    """Effort in all, 8 by default, 0 before practice with a robot; 1 is 100 simulated steps for
+    each step and hand."""
     minutes: float | None = None
     """Practise for so many minutes instead."""
+    robot: str | None = None
+    """Practise with a robot that nobody knows, in ten plays: the seed of a simulated one, or
+    module:Name of a driver."""
+    profile: Profile = "realistic"
+    """What a simulated robot is drawn from, or how late another is about."""
     seed: int = 0
     """Random seed."""
     video: bool = False
@@ -70,6 +77,9 @@ def run(command: PracticeCommand, read: Read[PracticeCommand]) -> None:
     if command.resume is not None:
         command = _resumed(command.resume, command, read)
     _check(command)
+    if command.robot is not None:
+        _with_robot(command, command.robot)
+        return
     player = find_player(PLANNER, configs=command.configs)
     effort = ENOUGH if command.effort is None else command.effort
     with setting_up(command, command.song, player, command.seed) as setup:
@@ -86,6 +96,32 @@ def run(command: PracticeCommand, read: Read[PracticeCommand]) -> None:
     if stopped:
         print(f"stopped; the same command goes on in {folder}", file=sys.stderr)
         raise KeyboardInterrupt
+
+
+def _with_robot(command: PracticeCommand, robot: str) -> None:
+    """Practise with a robot, print how each play was heard, and keep them all."""
+    from cadenza.performing.player import find_player
+    from cadenza.performing.with_robot import practise, save
+
+    planner = replace(command.configs[PLANNER], effort=command.effort or 0.0)
+    player = find_player(PLANNER, configs={PLANNER: planner})
+    with setting_up(command, command.song, player, command.seed) as setup:
+        name = f"robot-{command.profile}-{robot.replace(':', '-')}"
+        folder = command.output or default_folder(setup) / name
+        check_writable(folder)
+        count = iter(range(1, 1000))
+        plays, actions = practise(
+            setup,
+            robot,
+            command.profile,
+            lambda take: print(
+                f"play {next(count)}: F1 {take.f1:.3f}, note onsets {take.note_onset_f1:.3f}",
+                flush=True,
+            ),
+        )
+        save(folder, plays, actions)
+        print(f"scored: {_scores((0.0, plays.metrics['f1'], plays.metrics['note_onset_f1']))}")
+        print(f"wrote {folder}")
 
 
 def _resumed(
@@ -121,6 +157,10 @@ def _check(command: PracticeCommand) -> None:
 
     if command.effort is not None and command.minutes is not None:
         raise CadenzaError("--effort and --minutes: give one of them")
+    if command.robot is not None and (command.resume or command.minutes or command.video):
+        raise CadenzaError(
+            "--robot: plays a song ten times; leave out --resume, --minutes, --video"
+        )
     for name, most in ("effort", MAX_EFFORT), ("minutes", 1e6):
         value = getattr(command, name)
         if value is not None and not 0 <= value <= most:

@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,12 +22,19 @@ from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 
 # How far one play corrects at most, and all of them together [m].
-_DEEPER, _DEEPEST = 0.0015, (-0.003, 0.006)  # of a key that is lost
-_BESIDE, _FARTHEST = 0.0015, 0.004  # of a finger that brushes the next key
+_DEEPER = 0.0015  # of a key that is lost
+_BESIDE = 0.0015  # of a finger that brushes the next key
 _RAISE = 0.003  # of an idle finger that sounds a key
-_LIFT, _LIFTS = (-0.002, 0.003), (-0.006, 0.012)  # at the end of a press
-_HAND, _HAND_MOST = 0.001, 0.003  # of a whole hand: the place of the keyboard
-_STRIKE, _STRIKE_MOST = np.array([0.004, 0.008]), np.array([0.02, 0.04])
+_LIFT = (-0.002, 0.003)  # at the end of a press
+_HAND = 0.001  # of a whole hand: the place of the keyboard
+_STRIKE = np.array([0.004, 0.008])
+_MOST = {
+    "deeper": (-0.003, 0.006),
+    "lift": (-0.006, 0.012),
+    "beside": (-0.004, 0.004),
+    "strike": (np.array([-0.02, -0.04]), np.array([0.02, 0.04])),
+    "hands": (-0.003, 0.003),
+}
 _SHARE = 0.6  # of the error of a strike that is corrected
 
 _MEANT = 0.15  # [s] early or late at most of the note that a press was to play
@@ -68,14 +74,16 @@ class Corrections:
         deeper, lift, beside = np.zeros((3, presses))
         return cls(deeper, lift, beside, np.zeros((presses, 2)), np.zeros((hands, 3)))
 
-
-class _Noted(NamedTuple):
-    """What became of a press."""
-
-    note: Note | None
-    """The note that it played."""
-    share: float
-    """The share of its time in which its key sounded."""
+    def towards(self, other: Corrections, share: float) -> Corrections:
+        """These corrections, and a share of the way to others, within bounds."""
+        return Corrections(
+            **{
+                name: (old + share * (getattr(other, name) - old)).clip(*most)
+                for name, most in _MOST.items()
+                for old in [getattr(self, name)]
+            },
+            raised=other.raised,
+        )
 
 
 class NoteCorrections:
@@ -118,7 +126,9 @@ class NoteCorrections:
 
     def _moved(self, corrections: Corrections) -> Array:
         """(T + 1, F, 3) by how much fingertips are to be moved [m]."""
-        moved = np.repeat(corrections.hands, self._fingers, axis=0)[None] + np.zeros_like(self._tips)
+        moved = np.repeat(corrections.hands, self._fingers, axis=0)[None] + np.zeros_like(
+            self._tips
+        )
         for i, (press, row) in enumerate(zip(self._presses, self._rows, strict=True)):
             moved[press.first : press.last, row, 2] -= corrections.deeper[i]
             moved[press.first - 1 : press.last, row, 1] += corrections.beside[i]
@@ -151,26 +161,18 @@ class NoteCorrections:
         new, by_key = deepcopy(corrections), defaultdict[int, list[Note]](list)
         for note in notes:
             by_key[note.pitch - self._scene.keyboard.lowest_pitch].append(note)
-        meant = self._meant(by_key)
-        shares = []
-        for i, (press, note) in enumerate(zip(self._presses, meant, strict=True)):
-            if note is None:
-                self._correct_missed(new, i, by_key[press.key], share)
+        meant, shares = self._meant(by_key), list[float]()
+        for i, (press, played) in enumerate(zip(self._presses, meant, strict=True)):
+            if played is None:
+                self._correct_missed(new, i, by_key[press.key])
             else:
-                self._correct_strike(new, i, note, share)
-                self._correct_end(new, i, note, share)
+                self._correct_strike(new, i, played)
+                self._correct_end(new, i, played)
             shares.append(self._share(press, by_key[press.key]))
         others = [note for note in notes if not any(note is each for each in meant)]
-        self._correct_hands(new, np.array(shares), self._correct_others(new, others, postures, share), share)
-        for name, (low, high) in {
-            "deeper": _DEEPEST,
-            "lift": _LIFTS,
-            "beside": (-_FARTHEST, _FARTHEST),
-            "strike": (-_STRIKE_MOST, _STRIKE_MOST),
-            "hands": (-_HAND_MOST, _HAND_MOST),
-        }.items():
-            setattr(new, name, getattr(new, name).clip(low, high))
-        return new
+        brushed = self._correct_others(new, others, postures)
+        self._correct_hands(new, np.array(shares), brushed)
+        return corrections.towards(new, share)
 
     def _due(self, press: Press) -> tuple[float, float]:
         """When the key of a press is to begin to sound, and to cease [s]."""
@@ -193,19 +195,19 @@ class NoteCorrections:
         sounding = sum(max(min(n.end, end) - max(n.start, begin), 0.0) for n in notes)
         return sounding / (end - begin)
 
-    def _correct_missed(self, new: Corrections, i: int, notes: list[Note], share: float) -> None:
+    def _correct_missed(self, new: Corrections, i: int, notes: list[Note]) -> None:
         """Correct a press that has begun no note: its key was held, or has not come down."""
         press = self._presses[i]
         due, _ = self._due(press)
         if any(note.start < due < note.end for note in notes):
             before = [j for j in range(i) if self._presses[j].key == press.key]
             if before:
-                new.lift[before[-1]] += share * _LIFT[1]
+                new.lift[before[-1]] += _LIFT[1]
             return
-        new.deeper[i] += share * _DEEPER
-        new.strike[i, 1] += share * 2 * _DEEPER
+        new.deeper[i] += _DEEPER
+        new.strike[i, 1] += 2 * _DEEPER
 
-    def _correct_strike(self, new: Corrections, i: int, note: Note, share: float) -> None:
+    def _correct_strike(self, new: Corrections, i: int, note: Note) -> None:
         """Correct when a note began, and how loud, by a damped step of least squares."""
         press, (due, _) = self._presses[i], self._due(self._presses[i])
         if press.strike is None:
@@ -216,23 +218,23 @@ class NoteCorrections:
         error = np.array([note.start - due, heard - np.log2(press.strike.speed)])
         error = error.clip(-_ERROR, _ERROR) / _UNIT
         depth = np.tan(keyboard.sounds_from[press.key]) * lever
-        response = self._model.response(*np.array([[press.strike.time], [press.strike.speed * lever], [depth]]))
+        response = self._model.response(
+            *np.array([[press.strike.time], [press.strike.speed * lever], [depth]])
+        )
         response = response[0] / _UNIT[:, None]
         damped = response.T @ response + _DAMPING * np.eye(2)
         step = -np.linalg.solve(damped, response.T @ error).clip(-_STRIKE, _STRIKE)
-        new.strike[i] += share * _SHARE * step
+        new.strike[i] += _SHARE * step
 
-    def _correct_end(self, new: Corrections, i: int, note: Note, share: float) -> None:
+    def _correct_end(self, new: Corrections, i: int, note: Note) -> None:
         """Correct when a note ended: its key was lost, or let go of early or late."""
         _, end = self._due(self._presses[i])
         if note.end < end - _LOST:
-            new.deeper[i] += share * _DEEPER
+            new.deeper[i] += _DEEPER
         elif self._presses[i].last <= self._steps:  # the last notes end with the song
-            new.lift[i] += share * np.clip(_LIFT_SPEED * (note.end - end - _END), *_LIFT)
+            new.lift[i] += np.clip(_LIFT_SPEED * (note.end - end - _END), *_LIFT)
 
-    def _correct_others(
-        self, new: Corrections, notes: list[Note], postures: Array, share: float
-    ) -> Array:
+    def _correct_others(self, new: Corrections, notes: list[Note], postures: Array) -> Array:
         """Correct what no press was to play.
 
         Returns:
@@ -245,13 +247,13 @@ class NoteCorrections:
             state = min(int(note.start / self._dt) + 1, self._steps)
             if own := self._pressing(state, _NEAR, key=key):
                 if note.start > self._due(self._presses[own[0]])[1]:
-                    new.lift[own[0]] += share * _LIFT[1]
+                    new.lift[own[0]] += _LIFT[1]
                 continue
             away = abs(tips[state, :, 1] - keyboard.centre[key, 1])
             row = int(np.argmin(away + np.maximum(tips[state, :, 2] - _HIGHEST, 0.0)))
             if pressing := self._pressing(state, 1, row=row):
                 left = key < self._presses[pressing[0]].key
-                new.beside[pressing[0]] += share * (_BESIDE if left else -_BESIDE)
+                new.beside[pressing[0]] += _BESIDE if left else -_BESIDE
                 brushed[row // self._fingers, 1 - left] += 1
             else:
                 last = int(note.end / self._dt) + 2
@@ -269,9 +271,7 @@ class NoteCorrections:
             and press.first - near <= state <= press.last + near
         ]
 
-    def _correct_hands(
-        self, new: Corrections, shares: Array, brushed: Array, share: float
-    ) -> None:
+    def _correct_hands(self, new: Corrections, shares: Array, brushed: Array) -> None:
         """Move hands away from the side on which they brush keys, and down if they lose keys."""
         hand_of = np.array(self._rows, np.intp) // self._fingers
         for hand, (left, right) in enumerate(brushed):
@@ -280,7 +280,7 @@ class NoteCorrections:
                 continue
             if count >= _OFTEN and abs(left - right) >= _ONE_SIDED * count:
                 most = min(1.0, 4 * count / len(own))
-                new.hands[hand, 1] += share * _HAND * most * np.sign(left - right)
+                new.hands[hand, 1] += _HAND * most * np.sign(left - right)
             missing = float(np.mean(1.0 - own))
             if missing > _FEW:
-                new.hands[hand, 2] -= share * _HAND * min(1.0, 3 * missing)
+                new.hands[hand, 2] -= _HAND * min(1.0, 3 * missing)

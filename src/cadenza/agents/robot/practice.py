@@ -105,8 +105,8 @@ class RobotPractice:
 
     def learn(self, play: Play) -> Take:
         """Learn from a play of `actions`, and return how it was."""
-        late, song = self._delays.observations, self._track
-        notes = notes_heard(play.heard, len(play.actions) * self._dt, late)
+        seconds, late = len(play.actions) * self._dt, self._delays.observations
+        notes = notes_heard(play.heard, seconds, late)
         measured = play.joints @ self._servos.of_joints
         # The hands begin where they are put, so that sensors show there by how much they are off.
         measured += self._postures[0] - measured[0]

@@ -1,0 +1,120 @@
+"""Practice of a song with a robot that nobody knows: ten plays, and one more that is scored."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.robot.practice import Delays, RobotPractice, Take
+from cadenza.agents.robot.protocol import Robot, play
+from cadenza.agents.robot.simulated import SimulatedRobot
+from cadenza.agents.rollout import play_episode
+from cadenza.errors import CadenzaError, by_others
+from cadenza.files import write_json, write_tensors
+from cadenza.performing.setup import Setup
+from cadenza.registry import Registry
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.robots import PROFILES, Profile
+from cadenza.tasks.unknown_robot import PLAYS, UnknownRobotEnv
+
+ROBOTS = Registry("robot", "cadenza.robots", otherwise="a seed of a simulated one or module:Name")
+"""Drivers of robots: classes without arguments, see `cadenza.agents.robot.protocol.Robot`."""
+ABOUT, TENSORS = "robot.json", "plays.safetensors"
+
+
+@dataclass(frozen=True)
+class RobotPlays:
+    """What became of a song and a robot; content of robot.json."""
+
+    song: str
+    robot: str
+    """The seed of a simulated robot, or the driver of another."""
+    profile: Profile
+    """What it was drawn from, or is about like."""
+    heard: tuple[tuple[float, float], ...]
+    """F1 and note onset F1 of every play, by what was heard."""
+    metrics: dict[str, float]
+    """Of the last play, which is scored: of a simulated robot true, of others as heard."""
+    cpu_seconds: float
+    """CPU time of planning, practice and simulation."""
+
+
+def practise(
+    setup: Setup,
+    robot: str,
+    profile: Profile,
+    heard: Callable[[Take], None] = lambda _: None,
+) -> tuple[RobotPlays, NDArray[np.float64]]:
+    """Practise with a robot what the planner plays on the nominal one.
+
+    Args:
+        setup: the song, and the planner.
+        robot: the seed of a simulated robot, or a driver as `module:Name`.
+        profile: what it is drawn from; of other robots, how late they are about.
+        heard: is told of every play.
+
+    Returns:
+        What became of it, and the actions (P, T, A) of all plays.
+
+    Raises:
+        CadenzaError: there is no such robot.
+    """
+    began, known = time.process_time(), PROFILES[profile]
+    nominal = play_episode(setup.task, setup.agent, setup.seed)
+    if nominal.plan is None:
+        raise CadenzaError("a robot practises what the planner plays: choose no other agent")
+    late = (sum(known.latency) / 2, sum(known.observation_latency) / 2)
+    practice = RobotPractice(nominal.plan, nominal.episode, Delays(*late))
+    there = _simulated(setup, robot, profile) if robot.isdigit() else _driver(robot)
+    takes, actions = list[Take](), list[NDArray[np.float64]]()
+    for _ in range(PLAYS):
+        actions.append(practice.actions())
+        takes.append(practice.learn(play(there, actions[-1])))
+        heard(takes[-1])
+    assert practice.best is not None
+    actions.append(practice.best.actions)
+    takes.append(practice.learn(play(there, actions[-1])))
+    last = {"f1": takes[-1].f1, "note_onset_f1": takes[-1].note_onset_f1}
+    metrics = dict(there.scored) if isinstance(there, SimulatedRobot) else last
+    plays = RobotPlays(
+        song=str(setup.settings["song"]),
+        robot=robot,
+        profile=profile,
+        heard=tuple((take.f1, take.note_onset_f1) for take in takes),
+        metrics=metrics,
+        cpu_seconds=time.process_time() - began,
+    )
+    return plays, np.array(actions)
+
+
+def save(folder: Path, plays: RobotPlays, actions: NDArray[np.float64]) -> None:
+    """Write robot.json, and plays.safetensors with the actions (P, T, A) of all plays."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_tensors(folder / TENSORS, {"action": actions})
+    write_json(folder / ABOUT, asdict(plays))
+
+
+def _simulated(setup: Setup, robot: str, profile: Profile) -> SimulatedRobot:
+    """A robot of this seed, in the task of a setup."""
+    config, scene = setup.task.config, setup.task.scene.config
+    options = {f.name: getattr(config, f.name) for f in fields(TaskConfig)}
+    del options["randomization"]
+    env = UnknownRobotEnv(setup.score, int(robot), profile, scene=scene, **options)
+    return SimulatedRobot(env)
+
+
+def _driver(name: str) -> Robot:
+    """Somebody's driver.
+
+    Raises:
+        CadenzaError: there is none, or it cannot be made.
+    """
+    driver = ROBOTS.load(name, type)
+    with by_others(f"robot {name}: cannot be made"):
+        made: Robot = driver()
+    return made
