@@ -3,7 +3,9 @@
 import json
 import re
 import shutil
+import socket
 import sys
+import threading
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -12,8 +14,10 @@ import numpy as np
 import pytest
 
 import cadenza
+from cadenza.agents.robot.simulated import SimulatedRobot
 from cadenza.cli import main
 from cadenza.music.formats.midi import write_midi
+from cadenza.tasks.unknown_robot import PLAYS, UnknownRobotEnv
 
 PAGES = Path(__file__).parents[1] / "docs" / "how-to"
 TUNE = cadenza.Score((cadenza.Note(0.0, 0.25, 60), cadenza.Note(0.25, 0.5, 62)), title="Tune")
@@ -37,6 +41,9 @@ def follow(tmp_path, monkeypatch):
             with path.open("a") as file:
                 file.write(code + "\n\n")
         project = tomllib.loads("".join(re.findall(r"```toml\n(.*?)```", text, re.DOTALL)))
+        monkeypatch.syspath_prepend(site)
+        if not project:
+            return
         about = site / f"{project['project']['name']}-1.0.dist-info"
         about.mkdir()
         (about / "METADATA").write_text(
@@ -102,3 +109,31 @@ def test_a_learner(follow):
     main(["train", "--resume", "stopped", "--num-steps", "200", "--no-video"])
     last = [Path(run, "last/policy.safetensors").read_bytes() for run in ("run", "stopped")]
     assert last[0] == last[1]
+
+
+def test_a_robot(follow: Follow) -> None:
+    follow("robot")
+    robot = SimulatedRobot(UnknownRobotEnv(TUNE, robot=1))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other_end:
+        other_end.bind(("127.0.0.1", 9750))
+
+        def answer() -> None:
+            plays = 0
+            while plays <= PLAYS:
+                words, sender = other_end.recvfrom(65536)
+                message = json.loads(words)
+                if "start" in message:
+                    robot.start()
+                if "action" in message:
+                    robot.send(np.array(message["action"]))
+                plays += "stop" in message
+                state = {"joints": robot.read().tolist(), "heard": robot.heard()}
+                other_end.sendto(json.dumps(state).encode(), sender)
+
+        thread = threading.Thread(target=answer, daemon=True)
+        thread.start()
+        main(["practice", "tune.mid", "--robot", "udp_robot:Hands", "-o", "hands"])
+        thread.join(5.0)
+    heard = json.loads(Path("hands/robot.json").read_text())["heard"]
+    assert len(heard) == PLAYS + 1
+    assert max(sum(each) for each in heard) > sum(heard[0]) or sum(heard[0]) == 2.0

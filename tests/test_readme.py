@@ -34,7 +34,8 @@ def command_lines() -> list[str]:
 def shortened(arguments: list[str]) -> list[str]:
     """What to add, so that a command does not take long: video and bench have own tests."""
     added = ["--no-video"] if arguments[0] in ("play", "practice", "train") else []
-    added += ["--minutes", "0.02"] if arguments[0] == "practice" else []
+    if arguments[0] == "practice" and "--robot" not in arguments:
+        added += ["--minutes", "0.02"]
     added += ["--first-seconds", "1"] if SONGS & set(arguments) and arguments[0] in PLAYS else []
     added += ["--agents", "zero", "--seeds", "0"] if arguments[0] == "bench" else []
     learns = arguments[0] == "train" and "--resume" not in arguments

@@ -1,0 +1,131 @@
+"""Practice with a robot that nobody knows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import cadenza
+from cadenza import CadenzaError, Note, Score
+from cadenza.agents.planner.planner import Planner
+from cadenza.agents.robot.practice import Delays, RobotPractice
+from cadenza.agents.robot.protocol import Heard, notes_heard, play
+from cadenza.agents.robot.servo_response import ServoResponse
+from cadenza.agents.robot.simulated import SimulatedRobot
+from cadenza.agents.rollout import EpisodeResult, play_episode
+from cadenza.cli import main
+from cadenza.music.formats.midi import write_midi
+from cadenza.scene.scene import build_scene
+from cadenza.scene.servos import servos_of
+from cadenza.sim.planning_simulation import PlanningSimulation
+from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.unknown_robot import PLAYS, UnknownRobotEnv
+
+DT = 0.05
+TUNE = Score(
+    tuple(Note(0.3 * i, 0.3 * i + 0.25, p) for i, p in enumerate((60, 62, 64, 62, 60, 67)))
+)
+
+
+@pytest.fixture(scope="module")
+def nominal() -> EpisodeResult:
+    return play_episode(PianoTask([TUNE]), Planner(), 0)
+
+
+def test_practice_plays_better_than_at_first(nominal: EpisodeResult) -> None:
+    robot = SimulatedRobot(UnknownRobotEnv(TUNE, robot=4))
+    assert nominal.plan is not None
+    practice = RobotPractice(nominal.plan, nominal.episode, Delays(0.025, 0.01))
+    takes = [practice.learn(play(robot, practice.actions())) for _ in range(PLAYS)]
+    assert practice.best is not None
+    assert practice.best.score == max(take.score for take in takes)
+    play(robot, practice.best.actions)
+    first = takes[0]
+    assert robot.scored["f1"] + robot.scored["note_onset_f1"] > first.score + 0.05
+    assert robot.scored["note_onset_f1"] > 0.9
+
+
+def test_the_delay_is_found(nominal: EpisodeResult) -> None:
+    env = UnknownRobotEnv(TUNE, robot=3)
+    assert nominal.plan is not None
+    practice = RobotPractice(nominal.plan, nominal.episode, Delays(0.025, 0.01))
+    practice.learn(play(SimulatedRobot(env), practice.actions()))
+    drawn = env.task.drawn
+    true = drawn["latency"][0] + drawn["observation_latency"][0]
+    assert sum(practice.delays) == pytest.approx(true, abs=0.0051)
+
+
+def test_what_is_heard_is_scored_as_what_is_true(nominal: EpisodeResult) -> None:
+    env = UnknownRobotEnv(TUNE, robot=0)
+    assert nominal.plan is not None
+    late = 0.01
+    practice = RobotPractice(nominal.plan, nominal.episode, Delays(0.025, late))
+    take = practice.learn(play(SimulatedRobot(env), practice.actions()))
+    true = env.task.played(0).notes
+    assert [note.pitch for note in take.notes] == [note.pitch for note in true]
+    drawn = env.task.drawn["observation_latency"][0]
+    heard = [(note.start + late - drawn, note.velocity) for note in take.notes]
+    assert_allclose(heard, [(note.start, note.velocity) for note in true], atol=1e-6)
+
+
+def test_notes_that_bounce_go_on() -> None:
+    messages = [(0.1, 60, 70), (0.2, 60, 0), (0.21, 60, 50), (0.4, 60, 0), (0.5, 62, 40)]
+    notes = notes_heard([Heard(*message) for message in messages], 1.0, late=0.1)
+    assert [(n.start, n.end, n.pitch, n.velocity) for n in notes] == [
+        (0.0, pytest.approx(0.3), 60, 70),
+        (0.4, 1.0, 62, 40),
+    ]
+
+
+@pytest.mark.parametrize("late", [0.0, 0.02, 0.05, 0.065])
+def test_servos_respond_as_in_simulation_and_the_inverse_undoes_it(late: float) -> None:
+    scene = build_scene(cadenza.SceneConfig(hands="right"))
+    servos, steps = servos_of(scene), 40
+    response = ServoResponse(servos, DT, late)
+    one = np.zeros((steps, len(servos.low)))
+    one[3:9] = 0.05
+    assert_allclose(response.to(one), response.to(one / 2) * 2)
+    if not late:
+        simulation = PlanningSimulation(scene, 1, DT)
+        thumb = servos.names.index("THJ2")
+        start = simulation.state.hand_qpos[0] @ servos.of_joints
+        moved = []
+        for controls in one * (np.arange(len(servos.low)) == thumb):
+            simulation.step((start + controls)[None])
+            moved.append((simulation.state.hand_qpos[0] @ servos.of_joints - start)[thumb])
+        assert_allclose(moved, response.to(one)[:, thumb], atol=0.006)
+    wanted = response.to(one)
+    assert_allclose(response.to(response.inverse(wanted, 1e-9)), wanted, atol=1e-4)
+
+
+def test_the_command_keeps_what_was_played(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_midi(Score(TUNE.notes[:2]), tmp_path / "tune.mid")
+    out = tmp_path / "out"
+    main(["practice", str(tmp_path / "tune.mid"), "--robot", "1", "-o", str(out)])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line[:7] for line in lines[:PLAYS]] == [f"play {i}:"[:7] for i in range(1, PLAYS + 1)]
+    about = json.loads((out / "robot.json").read_text())
+    assert len(about["heard"]) == PLAYS + 1
+    assert about["metrics"]["note_onset_f1"] >= 0.5
+    assert (out / "plays.safetensors").is_file()
+
+
+def test_what_goes_with_no_robot_is_refused(tmp_path: Path) -> None:
+    write_midi(TUNE, tmp_path / "tune.mid")
+    for words in (["--robot", "1", "--minutes", "1"], ["--robot", "nobody"]):
+        with pytest.raises((CadenzaError, SystemExit)):
+            main(["practice", str(tmp_path / "tune.mid"), *words, "-o", str(tmp_path / "out")])
+
+
+def test_another_profile() -> None:
+    harsh = UnknownRobotEnv(TUNE, robot=2, profile="harsh")
+    harsh.reset(seed=0)
+    assert harsh.task.drawn["latency"][0] >= 0.03
+    with pytest.raises(CadenzaError, match="profile 'mild': choose from gentle, realistic, harsh"):
+        UnknownRobotEnv(TUNE, profile="mild")  # type: ignore[arg-type]
