@@ -42,6 +42,14 @@ def test_a_page_has_title_composer_and_the_finger_of_each_note(tmp_path):
     assert [text for text in texts if text in "12345"] == ["1", "2", "3", "4"] * 4
 
 
+@pytest.mark.parametrize("num_bars", range(8, 20))
+def test_no_bar_is_left_to_a_system_of_its_own(tmp_path, num_bars):
+    write_pdf(song(num_bars), tmp_path / "a.pdf")
+    (page,) = pages_of(tmp_path / "a.pdf")
+    *_, last = page.split(" cm\nq")
+    assert len(re.findall(r"Tm \([1-5]\) Tj", last)) > 4  # a finger for each note
+
+
 @pytest.mark.parametrize("num_bars", range(60, 90, 3))
 def test_pages_are_numbered_and_none_ends_with_a_system_by_itself(tmp_path, num_bars):
     write_pdf(song(num_bars), tmp_path / "a.pdf")

@@ -12,18 +12,20 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib import resources
+from itertools import chain
 from pathlib import Path
 from xml.etree.ElementTree import Element, fromstring
 
 from cadenza.files import write_atomically
-from cadenza.music.notation.sheet import sheet_of
+from cadenza.music.notation.sheet import Sheet, sheet_of
 from cadenza.music.score import Score
-from cadenza.report.engraving import System, engraved
+from cadenza.report.engraving import Engraving, System, engraved
 
-_STAVES = 2000  # width of a system in Verovio's pixels: a staff is then 6.5 mm high
+# Widths of a system in Verovio's pixels: with the first, a staff is 6.5 mm high. The others are for
+# music of which the first leaves a bar to a system of its own.
+_STAVES = 2000, 1900, 2100, 1800, 2200
 _WIDTH, _HEIGHT = 595, 842  # [pt] of a page, A4
 _MARGIN = 42  # [pt] at each edge
-_SCALE = (_WIDTH - 2 * _MARGIN) / (10 * _STAVES)  # points in a unit of a drawing
 _TITLE, _COMPOSER, _SMALL = 22, 12, 10  # [pt] of letters
 _HEAD = 62  # [pt] for title and composer, above the first system
 _GAP, _MAX_GAP = 18, 40  # [pt] between systems: at least, and where a page has room
@@ -43,20 +45,21 @@ def write_pdf(score: Score, path: str | Path, composer: str = "") -> tuple[str, 
         Remarks in plain words on what is not as in the score.
     """
     sheet = sheet_of(score)
-    engraving = engraved(sheet, _STAVES)
+    engraving = _without_lone_bar(sheet)
+    scale = (_WIDTH - 2 * _MARGIN) / engraving.systems[0].width  # points in a unit of a drawing
     glyphs = {
         glyph.attrib["id"]: _outline(glyph, float(_NUMBER.findall(glyph.attrib["transform"])[0]))
         for glyph in fromstring(f"<g>{engraving.glyphs}</g>")
     }
-    pages, drawn = _spread(engraving.systems), []
+    pages, drawn = _spread(engraving.systems, scale), []
     for number, systems in enumerate(pages, start=1):
-        heights = [system.height * _SCALE for system in systems]
+        heights = [system.height * scale for system in systems]
         top = _HEIGHT - _MARGIN - (_HEAD if number == 1 else 0.0)
         gap = min((top - _MARGIN - sum(heights)) / max(len(systems) - 1, 1), _MAX_GAP)
         parts = list(_heading(sheet.title, composer, number, len(pages)))
         for system, height in zip(systems, heights, strict=True):
             shapes = "\n".join(_drawn(fromstring(f"<g>{system.svg}</g>"), glyphs))
-            parts += [f"q {_SCALE:.6f} 0 0 {-_SCALE:.6f} {_MARGIN} {top:.2f} cm\n{shapes}\nQ"]
+            parts += [f"q {scale:.6f} 0 0 {-scale:.6f} {_MARGIN} {top:.2f} cm\n{shapes}\nQ"]
             top -= height + gap
         drawn.append("\n".join(parts).encode(_ENCODING))
     with write_atomically(Path(path)) as file:
@@ -64,16 +67,24 @@ def write_pdf(score: Score, path: str | Path, composer: str = "") -> tuple[str, 
     return sheet.remarks
 
 
-def _spread(systems: Sequence[System]) -> list[list[System]]:
+def _without_lone_bar(sheet: Sheet) -> Engraving:
+    """Engrave sheet music so that its last system has more than a bar, if it can."""
+    engravings = (engraved(sheet, width) for width in _STAVES)
+    first = next(engravings)
+    ends_well = (e for e in chain([first], engravings) if len(e.systems[-1].bars) > 1)
+    return first if len(first.systems) == 1 else next(ends_well, first)
+
+
+def _spread(systems: Sequence[System], scale: float) -> list[list[System]]:
     """Spread systems over pages; the last has more than one wherever the one before can give it."""
     pages: list[list[System]] = []
     room = 0.0
     for system in systems:
-        if system.height * _SCALE > room:
+        if system.height * scale > room:
             room = _HEIGHT - 2 * _MARGIN - (0 if pages else _HEAD)
             pages.append([])
         pages[-1].append(system)
-        room -= system.height * _SCALE + _GAP
+        room -= system.height * scale + _GAP
     if len(pages) > 1 and len(pages[-1]) == 1 and len(pages[-2]) > 2:
         pages[-1].insert(0, pages[-2].pop())
     return pages

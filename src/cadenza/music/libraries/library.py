@@ -100,9 +100,11 @@ def open_library(spec: str | Path) -> Library:
 
 
 def composer_of(song: str) -> str:
-    """Name who wrote a song; "" if no library that is here says so, as of a file."""
+    """Name who wrote a song; "" if no library that is here says so, nor its MusicXML file."""
+    from cadenza.music.formats.musicxml.reader import composer_in
+
     try:
-        return find_song(song).composer
+        return find_song(song).composer or composer_in(Path(song))
     except CadenzaError:
         return ""
 

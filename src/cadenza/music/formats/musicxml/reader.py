@@ -46,6 +46,11 @@ _AUDIBLE = Fraction(100)  # per cent of the volume
 _MAX_PARTS = 500  # an orchestra has some 50
 _TITLES = ("work/work-title", "movement-title", "credit[credit-type='title']/credit-words")
 
+_COMPOSERS = (
+    "identification/creator[@type='composer']",
+    "credit[credit-type='composer']/credit-words",
+)
+
 
 def read_musicxml(path: str | Path, tracks: Collection[int] = (), plain: bool = False) -> Score:
     """The piano score in a MusicXML file (.musicxml, .xml or, compressed, .mxl).
@@ -63,6 +68,12 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = (), plain: bool = 
     root = tree_of(path)
     with errors_in(path):
         return _score(root, tracks, plain, title_of(path))
+
+
+def composer_in(path: Path) -> str:
+    """Name who wrote what a MusicXML file has; raises CadenzaError as `read_musicxml` does."""
+    root = tree_of(path)
+    return next((text for each in _COMPOSERS if (text := printable(root.findtext(each, "")))), "")
 
 
 def _score(root: Element, tracks: Collection[int], plain: bool, title: str) -> Score:
