@@ -45,8 +45,6 @@ SECONDS = 8.0  # of each piece
 NOT_LEARNT = 8  # songs
 LAYERS = 3  # hidden ones, as the paper's actor has; its width is the default
 FIGURES = ("f1", "precision", "recall", "note_onset_f1")
-# Always the song itself, from somewhat different places and with strong noise.
-HOW = ["--no-mirror", "--random-stretch", "0", "--random-pitch-shift", "0", "--noise", "0.4"]
 
 
 class Policy(NamedTuple):
@@ -239,7 +237,7 @@ def main() -> None:
     # Named after how many there are of each song: with more, nothing that was learnt is kept.
     demonstrations = folder / f"demonstrations-{options.episodes}"
     collect = ["dataset", "collect", "--songs", str(folder / "songs/seen")]
-    cadenza([*collect, "-o", str(demonstrations), "--episodes", str(options.episodes), *HOW])
+    cadenza([*collect, "-o", str(demonstrations), "--episodes", str(options.episodes)])
     names = [song.stem for song in seen]
     policies = [
         train(

@@ -34,13 +34,16 @@ def jobs(
     return episodes(open_library(songs), who, range(count), least_f1)
 
 
+VARIED = {"random_stretch": 0.2, "random_pitch_shift": 3}
+
+
 def demonstrator(
     variation: Variation, scene: SceneConfig | None = None, **task: Any
 ) -> Demonstrator:
     return Demonstrator(
         agent="planner",
         config=PlannerConfig(method="none"),
-        task=replace(collecting_task(), **task),
+        task=replace(collecting_task(), **(VARIED | task)),
         scene=scene or SceneConfig(),
         arrangement=Arrangement(),
         variation=variation,

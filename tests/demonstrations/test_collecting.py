@@ -101,8 +101,9 @@ def test_what_is_transposed_afterwards_is_mirrored_only_where_there_are_keys(
 ) -> None:
     (job,) = jobs(tmp_path / "made", Variation(), 1, transpose=transpose)
     score = Score((Note(0.0, 0.5, 100),))  # its mirror image is 24, three keys from the lowest
+    variation = Variation(mirror=True)
     mirrored = {
-        Variation().draw(score, job.spec.pitches, np.random.default_rng(seed))[1]["mirrored"]
+        variation.draw(score, job.spec.pitches, np.random.default_rng(seed))[1]["mirrored"]
         for seed in range(20)
     }
     assert mirrored == ({False, True} if there else {False})
@@ -158,7 +159,7 @@ def test_why_there_is_no_episode(tmp_path: Path) -> None:
 def test_songs_are_mirrored_where_there_are_keys(highest: int) -> None:
     score = replace(SCORE, notes=(*SCORE.notes, Note(1.0, 1.2, highest)))
     rng = np.random.default_rng(0)
-    drawn = [Variation().draw(score, PIANO.pitches, rng) for _ in range(20)]
+    drawn = [Variation(mirror=True).draw(score, PIANO.pitches, rng) for _ in range(20)]
     mirrored = sum(how["mirrored"] for _, how in drawn)
     assert 3 < mirrored < 17 if highest == 103 else not mirrored
     for played, how in drawn:

@@ -120,11 +120,15 @@ def test_minari_recovers_the_task_that_was_recorded(tmp_path, monkeypatch, task)
 @pytest.mark.parametrize(
     ("variation", "task", "scene"),
     [
-        (Variation(), {"random_octave_shift": 1, "control_timestep": 0.04}, {}),
-        (Variation(noise=1.0, excerpt=1.0), {"stretch": 1.5, "transpose": 2}, {}),
-        (Variation(), {"randomization": RANDOM}, {}),
-        (Variation(student="zero"), {"sustain_term": True, "forearm_term": True}, {}),
-        (Variation(), {"fingering": "transport", "key_press": "graded"}, {"hands": "right"}),
+        (Variation(mirror=True), {"random_octave_shift": 1, "control_timestep": 0.04}, {}),
+        (Variation(noise=1.0, mirror=True, excerpt=1.0), {"stretch": 1.5, "transpose": 2}, {}),
+        (Variation(mirror=True), {"randomization": RANDOM}, {}),
+        (Variation(mirror=True, student="zero"), {"sustain_term": True, "forearm_term": True}, {}),
+        (
+            Variation(mirror=True),
+            {"fingering": "transport", "key_press": "graded"},
+            {"hands": "right"},
+        ),
     ],
     ids=["varied", "noisy excerpts", "randomized", "with a student", "one hand"],
 )

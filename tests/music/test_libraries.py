@@ -125,9 +125,14 @@ def test_etudes():
         load_score("etudes/scales-3-" + 5000 * "9")
 
 
+def test_a_song_is_a_library_of_one(folder):
+    (song,) = open_library("odetojoy").songs
+    assert song.name == "OdeToJoy"
+    (song,) = open_library(folder / "three.mid").songs
+    assert song.load().notes == TUNE.notes
+
+
 def test_libraries_that_there_are_not(folder):
-    with pytest.raises(CadenzaError, match="no song library 'OdeToJoy': that is a song"):
-        open_library("OdeToJoy")
     with pytest.raises(CadenzaError, match="no song library 'bundle': did you mean bundled"):
         open_library("bundle")
     with pytest.raises(CadenzaError, match="no song library '/nowhere:valid'"):

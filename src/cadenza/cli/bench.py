@@ -35,7 +35,7 @@ class Bench(Options):
     """
 
     songs: str = "debug"
-    """A song library, see "cadenza libraries", or a folder. LIBRARY:SPLIT is a split of it."""
+    """A song, a library, see "cadenza libraries", or a folder. LIBRARY:SPLIT is a split of it."""
     agents: tuple[str, ...] = ("planner",)
     """Agents of "cadenza play" but playback, with commas or spaces between; or train:fast,
     train:paper, train:published, train:fast-from-nothing: a policy trained on each song."""

@@ -33,14 +33,14 @@ class Collect(Options):
 
     Ctrl-C stops it. The same command continues it.
 
-    Example: cadenza dataset collect --songs bundled --episodes 4 -o demonstrations
+    Example: cadenza dataset collect --songs OdeToJoy -o demonstrations
     """
 
     songs: str = "bundled"
-    """A song library, see "cadenza libraries", or a folder. LIBRARY:SPLIT is a split of it."""
+    """A song, a library, see "cadenza libraries", or a folder. LIBRARY:SPLIT is a split of it."""
     agent: str = "planner"
     """Who plays: any agent of "cadenza play" but playback and policies."""
-    episodes: int = 1
+    episodes: int = 4
     """Episodes of each song. With more than before, the folder is extended."""
     output: Output[Path] = Path("demonstrations")
     """Folder of the episodes, which is extended if it holds some already."""

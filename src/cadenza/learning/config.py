@@ -164,7 +164,7 @@ class ImitationConfig:
     learner: CloningConfig = field(default_factory=CloningConfig)
     songs: tuple[str, ...] = ()
     """Learn from the demonstrations of these songs only; of all by default."""
-    num_updates: int = 20_000
+    num_updates: int = 5_000
     """Updates of the run."""
     held_out: int = 1
     """Demonstrations of each song that are not learnt from, for the error on them."""

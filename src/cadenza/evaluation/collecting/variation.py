@@ -17,11 +17,11 @@ _MIRRORED_SHARE = 0.5  # of the episodes whose mirror image can be played
 class Variation:
     """Ranges of what is drawn for each episode beside tempo, transposition and start."""
 
-    noise: float = 0.2
+    noise: float = 0.4
     """Maximum noise on what is played, where 1 is the noise of the planner's search. How much is
     drawn per episode. The recorded actions have none, and correct what the noise before them
     did."""
-    mirror: bool = True
+    mirror: bool = False
     """Mirror half of the episodes about D4: each hand plays what the other would."""
     excerpt: float | None = None
     """Length of an excerpt [s], which begins at a random note; the whole song if not given."""
@@ -67,8 +67,4 @@ def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
 
 def collecting_task() -> TaskConfig:
     """Return the task in which demonstrations are collected, unless another one is chosen."""
-    return TaskConfig(
-        random_stretch=0.2,  # times are scaled by 0.8 to 1.2
-        random_pitch_shift=3,  # [semitones] up or down
-        random_hand_position=0.05,  # [m] either way, about two white keys
-    )
+    return TaskConfig(random_hand_position=0.05)  # [m] either way, about two white keys

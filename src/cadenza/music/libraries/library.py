@@ -68,7 +68,8 @@ def open_library(spec: str | Path) -> Library:
     index is damaged.
 
     Args:
-        spec: the name of a library, see `libraries`, or the path of a folder of MIDI or MusicXML
+        spec: the name of a library, see `libraries`, that of a bundled song or the path of a music
+            file, of which the library is only that one, or the path of a folder of MIDI or MusicXML
             files, which may have an index (see `cadenza.music.libraries.index`). With `:SPLIT`
             after it, only the songs of that split, as in "repertoire:valid". `etudes:N` are N
             etudes, drawn from the seed 0 or from that of `etudes:N:SEED`. A folder that has the
@@ -86,11 +87,11 @@ def open_library(spec: str | Path) -> Library:
         library, colon = folder_library(Path(text)), ""
     elif os.path.isdir(path := text.rpartition(":")[0]):
         library, split = folder_library(Path(path)), text[len(path) + 1 :]
+    elif text.lower() in {song.name.lower() for song in songs()} or os.path.isfile(text):
+        library, colon = Library(text, (find_song(text),)), ""
     else:
         close = get_close_matches(name, list(libraries()), n=1)
         hint = f"did you mean {close[0]}? " if close else ""
-        if any(song.name == text for song in songs()):
-            hint = "that is a song. Libraries and folders hold several: "
         raise CadenzaError(
             f"no song library {quoted(text)}: {hint}run `cadenza libraries` for all "
             "names, or give the "
