@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 import cadenza
 from cadenza import CadenzaError, Note, Score
 from cadenza.agents.planner.planner import Planner
-from cadenza.agents.robot.practice import Delays, RobotPractice
+from cadenza.agents.robot.practice import RobotPractice
 from cadenza.agents.robot.protocol import Heard, notes_heard, play
 from cadenza.agents.robot.servo_response import ServoResponse
 from cadenza.agents.robot.simulated import SimulatedRobot
@@ -23,6 +23,7 @@ from cadenza.scene.scene import build_scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.robots import REALISTIC
 from cadenza.tasks.unknown_robot import PLAYS, UnknownRobotEnv
 
 DT = 0.05
@@ -39,7 +40,7 @@ def nominal() -> EpisodeResult:
 def test_practice_plays_better_than_at_first(nominal: EpisodeResult) -> None:
     robot = SimulatedRobot(UnknownRobotEnv(TUNE, robot=4))
     assert nominal.plan is not None
-    practice = RobotPractice(nominal.plan, nominal.episode, Delays(0.025, 0.01))
+    practice = RobotPractice(nominal.plan, nominal.episode, REALISTIC)
     takes = [practice.learn(play(robot, practice.actions())) for _ in range(PLAYS)]
     assert practice.best is not None
     assert practice.best.score == max(take.score for take in takes)
@@ -52,7 +53,7 @@ def test_practice_plays_better_than_at_first(nominal: EpisodeResult) -> None:
 def test_the_delay_is_found(nominal: EpisodeResult) -> None:
     env = UnknownRobotEnv(TUNE, robot=3)
     assert nominal.plan is not None
-    practice = RobotPractice(nominal.plan, nominal.episode, Delays(0.025, 0.01))
+    practice = RobotPractice(nominal.plan, nominal.episode, REALISTIC)
     practice.learn(play(SimulatedRobot(env), practice.actions()))
     drawn = env.task.drawn
     true = drawn["latency"][0] + drawn["observation_latency"][0]
@@ -62,13 +63,12 @@ def test_the_delay_is_found(nominal: EpisodeResult) -> None:
 def test_what_is_heard_is_scored_as_what_is_true(nominal: EpisodeResult) -> None:
     env = UnknownRobotEnv(TUNE, robot=0)
     assert nominal.plan is not None
-    late = 0.01
-    practice = RobotPractice(nominal.plan, nominal.episode, Delays(0.025, late))
+    practice = RobotPractice(nominal.plan, nominal.episode, REALISTIC)
     take = practice.learn(play(SimulatedRobot(env), practice.actions()))
     true = env.task.played(0).notes
     assert [note.pitch for note in take.notes] == [note.pitch for note in true]
     drawn = env.task.drawn["observation_latency"][0]
-    heard = [(note.start + late - drawn, note.velocity) for note in take.notes]
+    heard = [(note.start + 0.01 - drawn, note.velocity) for note in take.notes]
     assert_allclose(heard, [(note.start, note.velocity) for note in true], atol=1e-6)
 
 

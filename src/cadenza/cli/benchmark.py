@@ -31,6 +31,7 @@ class Benchmark:
 
 def benchmark(_command: Benchmark) -> None:
     from cadenza.evaluation.benchmark.definition import (
+        DEPLOYMENT,
         MUJOCO,
         PAPER_SETS,
         PUBLIC_SETS,
@@ -42,7 +43,10 @@ def benchmark(_command: Benchmark) -> None:
 
     print(f"Benchmark, version {VERSION}: scene {frozen().scene}, MuJoCo {MUJOCO}\n\nTracks")
     print(in_columns([["", name, about] for name, about in TRACKS.items()], "<<<"))
-    rows = [["", name, counted(len(open_set(name).songs), "song"), ""] for name in PUBLIC_SETS]
+    rows = [
+        ["", name, counted(len(open_set(name).songs), "song"), ""]
+        for name in (*PUBLIC_SETS, DEPLOYMENT)
+    ]
     for name, number in PAPER_SETS.items():
         rows.append(["", name, counted(number, "song"), "to be imported"])
     rows.append(["", "yours", "", "LIBRARY or LIBRARY:SPLIT that you imported"])
@@ -57,10 +61,10 @@ class Enter:
     """
 
     bench: tyro.conf.Positional[Path]
-    """Folder of the bench."""
+    """Folder of the bench; of the track deployment, of what "cadenza practice --robot" wrote."""
     songs: str
     """Set whose songs were played, see "cadenza benchmark"."""
-    track: Literal["one-song", "at-sight", "planning"]
+    track: Literal["one-song", "at-sight", "planning", "deployment"]
     """What the agent may know, see "cadenza benchmark"."""
     about: str
     """What it has learnt from, for how many steps, and where its code is."""

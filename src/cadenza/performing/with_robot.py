@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.robot.practice import Delays, RobotPractice, Take
+from cadenza.agents.robot.practice import RobotPractice, Take
 from cadenza.agents.robot.protocol import Robot, play
 from cadenza.agents.robot.simulated import SimulatedRobot
 from cadenza.agents.rollout import play_episode
@@ -24,7 +24,7 @@ from cadenza.tasks.unknown_robot import PLAYS, UnknownRobotEnv
 
 ROBOTS = Registry("robot", "cadenza.robots", otherwise="a seed of a simulated one or module:Name")
 """Drivers of robots: classes without arguments, see `cadenza.agents.robot.protocol.Robot`."""
-ABOUT, TENSORS = "robot.json", "plays.safetensors"
+ABOUT, PLAYS_FILE = "robot.json", "plays.safetensors"
 
 
 @dataclass(frozen=True)
@@ -64,13 +64,12 @@ def practise(
     Raises:
         CadenzaError: there is no such robot.
     """
-    began, known = time.process_time(), PROFILES[profile]
+    began = time.process_time()
     nominal = play_episode(setup.task, setup.agent, setup.seed)
     if nominal.plan is None:
         raise CadenzaError("a robot practises what the planner plays: choose no other agent")
-    late = (sum(known.latency) / 2, sum(known.observation_latency) / 2)
-    practice = RobotPractice(nominal.plan, nominal.episode, Delays(*late))
-    there = _simulated(setup, robot, profile) if robot.isdigit() else _driver(robot)
+    practice = RobotPractice(nominal.plan, nominal.episode, PROFILES[profile])
+    there = simulated(setup, int(robot), profile) if robot.isdigit() else _driver(robot)
     takes, actions = list[Take](), list[NDArray[np.float64]]()
     for _ in range(PLAYS):
         actions.append(practice.actions())
@@ -95,16 +94,16 @@ def practise(
 def save(folder: Path, plays: RobotPlays, actions: NDArray[np.float64]) -> None:
     """Write robot.json, and plays.safetensors with the actions (P, T, A) of all plays."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_tensors(folder / TENSORS, {"action": actions})
+    write_tensors(folder / PLAYS_FILE, {"action": actions})
     write_json(folder / ABOUT, asdict(plays))
 
 
-def _simulated(setup: Setup, robot: str, profile: Profile) -> SimulatedRobot:
+def simulated(setup: Setup, robot: int, profile: Profile) -> SimulatedRobot:
     """A robot of this seed, in the task of a setup."""
     config, scene = setup.task.config, setup.task.scene.config
     options = {f.name: getattr(config, f.name) for f in fields(TaskConfig)}
     del options["randomization"]
-    env = UnknownRobotEnv(setup.score, int(robot), profile, scene=scene, **options)
+    env = UnknownRobotEnv(setup.score, robot, profile, scene=scene, **options)
     return SimulatedRobot(env)
 
 

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -26,15 +27,16 @@ _DEEPER = 0.0015  # of a key that is lost
 _BESIDE = 0.0015  # of a finger that brushes the next key
 _RAISE = 0.003  # of an idle finger that sounds a key
 _LIFT = (-0.002, 0.003)  # at the end of a press
-_HAND = 0.001  # of a whole hand: the place of the keyboard
+_HAND = 1 / 3  # of how far the keyboard may be off: of a whole hand
 _STRIKE = np.array([0.004, 0.008])
-_MOST = {
-    "deeper": (-0.003, 0.006),
-    "lift": (-0.006, 0.012),
-    "beside": (-0.004, 0.004),
-    "strike": (np.array([-0.02, -0.04]), np.array([0.02, 0.04])),
-    "hands": (-0.003, 0.003),
+_MOST: dict[str, tuple[Any, Any]] = {
+    "deeper": (-1.0, 2.0),
+    "lift": (-2.0, 4.0),
+    "beside": (-4 / 3, 4 / 3),
+    "strike": (np.array([-20 / 3, -40 / 3]), np.array([20 / 3, 40 / 3])),
+    "hands": (-1.0, 1.0),
 }
+"""The bounds of corrections, as multiples of how far the keyboard may be off."""
 _SHARE = 0.6  # of the error of a strike that is corrected
 
 _MEANT = 0.15  # [s] early or late at most of the note that a press was to play
@@ -74,12 +76,15 @@ class Corrections:
         deeper, lift, beside = np.zeros((3, presses))
         return cls(deeper, lift, beside, np.zeros((presses, 2)), np.zeros((hands, 3)))
 
-    def towards(self, other: Corrections, share: float) -> Corrections:
-        """These corrections, and a share of the way to others, within bounds."""
+    def towards(self, other: Corrections, share: float, place: float) -> Corrections:
+        """These corrections, and a share of the way to others, within bounds.
+
+        The keyboard may be off by so much in its `place` [m].
+        """
         return Corrections(
             **{
-                name: (old + share * (getattr(other, name) - old)).clip(*most)
-                for name, most in _MOST.items()
+                name: (old + share * (getattr(other, name) - old)).clip(low * place, high * place)
+                for name, (low, high) in _MOST.items()
                 for old in [getattr(self, name)]
             },
             raised=other.raised,
@@ -89,10 +94,14 @@ class Corrections:
 class NoteCorrections:
     """Corrects how a plan is played by the notes that were heard of it."""
 
-    def __init__(self, plan: SongPlan, postures: Array) -> None:
-        """Take the plan of a song, and the postures (T + 1, A) in which it is played."""
+    def __init__(self, plan: SongPlan, postures: Array, place: float) -> None:
+        """Take the plan of a song, and the postures (T + 1, A) in which it is played.
+
+        The keyboard may be off by so much in its `place` [m].
+        """
         scene, dt = plan.scene, plan.track.config.control_timestep
         self._scene, self._dt, self._postures = scene, dt, postures
+        self._place = place
         self._kinematics = Kinematics(scene)
         self._tips, self._jacobian = self._kinematics.fingertips(postures)
         self._fingers = scene.fingers.per_hand
@@ -172,7 +181,7 @@ class NoteCorrections:
         others = [note for note in notes if not any(note is each for each in meant)]
         brushed = self._correct_others(new, others, postures)
         self._correct_hands(new, np.array(shares), brushed)
-        return corrections.towards(new, share)
+        return corrections.towards(new, share, self._place)
 
     def _due(self, press: Press) -> tuple[float, float]:
         """When the key of a press is to begin to sound, and to cease [s]."""
@@ -280,7 +289,7 @@ class NoteCorrections:
                 continue
             if count >= _OFTEN and abs(left - right) >= _ONE_SIDED * count:
                 most = min(1.0, 4 * count / len(own))
-                new.hands[hand, 1] += _HAND * most * np.sign(left - right)
+                new.hands[hand, 1] += _HAND * self._place * most * np.sign(left - right)
             missing = float(np.mean(1.0 - own))
             if missing > _FEW:
-                new.hands[hand, 2] -= _HAND * min(1.0, 3 * missing)
+                new.hands[hand, 2] -= _HAND * self._place * min(1.0, 3 * missing)

@@ -20,6 +20,7 @@ from cadenza.episode import Episode
 from cadenza.music.metrics import playing_metrics
 from cadenza.music.score import Note, Score
 from cadenza.scene.servos import servos_of
+from cadenza.tasks.config import DomainRandomization
 
 _DELAYS = np.arange(0.0, 0.15, 0.005)  # [s] among which that of actions and observations is found
 _GAIN = 0.7  # share of the errors of joints that is corrected
@@ -70,18 +71,24 @@ class RobotPractice:
         best: the best play so far, by what was heard; None before the first.
     """
 
-    def __init__(self, plan: SongPlan, nominal: Episode, delays: Delays) -> None:
-        """Take what was played on the nominal robot, by a plan, and about how late robots are."""
+    def __init__(self, plan: SongPlan, nominal: Episode, known: DomainRandomization) -> None:
+        """Take what was played on the nominal robot, by a plan, and how robots are drawn.
+
+        Of this it takes the middle of the delays, and how far keyboard and hands may be off.
+        """
         self._track, scene = plan.track, plan.scene
         self._dt, self._servos = self._track.config.control_timestep, servos_of(scene)
         joints = np.concatenate([nominal["hand_qpos0"][None], nominal["hand_qpos"]])
         self._postures, self._played = joints @ self._servos.of_joints, nominal["action"]
         self._controls = self._played[:, :-1] - self._postures[0]
-        self._notes = NoteCorrections(plan, self._postures)
+        self._notes = NoteCorrections(
+            plan, self._postures, known.keyboard_offset + known.mount_offset
+        )
         self._nominal = self._response(0.0)
-        self._delays, self._found = delays, False
-        self._actions = self._response(delays.actions)
-        self._sensed = self._response(sum(delays))
+        late = (known.latency, known.observation_latency)
+        self._delays, self._found = Delays(*(sum(each) / 2 for each in late)), False
+        self._actions = self._response(self._delays.actions)
+        self._sensed = self._response(sum(self._delays))
         self._learnt = _Learnt(self._notes.none(), np.zeros_like(self._controls))
         self._share = 1.0
         self.best: Take | None = None

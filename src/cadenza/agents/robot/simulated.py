@@ -17,29 +17,30 @@ class SimulatedRobot:
     """The driver of `cadenza/UnknownRobot-v0`: play n is the reset with the seed n, from 0 on.
 
     Attributes:
+        env: the environment.
         scored: the metrics of the play that is scored; empty before.
     """
 
     def __init__(self, env: UnknownRobotEnv) -> None:
         """Take an environment in which nothing has been played."""
-        self._env, self._spec = env, env.task.spec
+        self.env, self._spec = env, env.task.spec
         self._plays, self._steps = 0, 0
         self._messages: list[Heard] = []
         self.scored: Mapping[str, Any] = {}
 
     def start(self) -> None:
-        self._env.reset(seed=self._plays)
+        self.env.reset(seed=self._plays)
         self._plays, self._steps, self._messages = self._plays + 1, 0, []
 
     def send(self, action: Array) -> None:
-        *_, info = self._env.step(self._spec.unscale_action(action))
+        *_, info = self.env.step(self._spec.unscale_action(action))
         metrics = {n.partition("/")[2]: v for n, v in info.items() if n.startswith("metrics/")}
         self.scored = self.scored or metrics
         self._listen()
         self._steps += 1
 
     def read(self) -> Array:
-        return self._env.task.sensed.hand_qpos[0].copy()
+        return self.env.task.sensed.hand_qpos[0].copy()
 
     def heard(self) -> list[Heard]:
         messages, self._messages = self._messages, []
@@ -50,7 +51,7 @@ class SimulatedRobot:
 
     def _listen(self) -> None:
         """Take down what keys have done in the last step."""
-        onset, offset, speed = (values[0] for values in self._env.task.sensed.key_events)
+        onset, offset, speed = (values[0] for values in self.env.task.sensed.key_events)
         keyboard = self._spec.scene.keyboard
         began = self._steps * self._spec.config.control_timestep
         loud = np.maximum(midi_velocity(speed, keyboard), 1)

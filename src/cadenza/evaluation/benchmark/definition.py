@@ -23,7 +23,7 @@ from cadenza.fingers import NO_FINGER, Finger
 from cadenza.music.libraries.benchmark import BENCHMARK
 from cadenza.music.libraries.imported import is_imported
 from cadenza.music.libraries.library import LIBRARIES, open_library
-from cadenza.music.libraries.songs import Library, Song
+from cadenza.music.libraries.songs import Library, Song, song_named
 from cadenza.performing.player import find_player
 from cadenza.performing.setup import Setup, set_up
 from cadenza.scene.config import SceneConfig
@@ -53,6 +53,7 @@ TRACKS = {
     "one-song": "A policy or plan for each song, learnt or practised on that song itself.",
     "at-sight": "An agent that is finished before it meets the songs, and simulates nothing.",
     "planning": "An agent that plans with a model of hands and piano, with its time stated.",
+    "deployment": "Ten plays on each of ten robots that nobody knows; the eleventh counts.",
 }
 """What an agent may know -> what that means."""
 _OWN_TRACKS = {
@@ -105,6 +106,12 @@ PUBLIC_SETS = (
     ),
 )
 """Sets that everybody has."""
+DEPLOYMENT, ROBOTS = "deployment", 10
+"""The track of robots that nobody knows, and its set; the number of robots, which are its seeds."""
+_DEPLOYED = (
+    *("TwinkleTwinkleLittleStar", "OdeToJoy", "MinuetInG"),
+    *("BachPreludeInCMajor", "FurEliseOpening", "MoonlightOpening"),
+)  # bundled songs, from easy to hard
 PAPER_SETS = {"repertoire-150": 150, "etude-12": 12}
 """Sets of the paper, to be imported, and how many songs they have."""
 
@@ -116,17 +123,21 @@ def open_set(name: str) -> Library:
     CadenzaError if there is no such set, or it has not been imported.
     """
     library = name.partition(":")[0]
-    named = name in (*PUBLIC_SETS, *PAPER_SETS) or (
+    public = (*PUBLIC_SETS, DEPLOYMENT)
+    named = name in (*public, *PAPER_SETS) or (
         is_imported(library) and library not in LIBRARIES.own
     )
     if not named:
         raise CadenzaError(
             f"set {quoted(name)}: choose from "
-            f"{', '.join((*PUBLIC_SETS, *PAPER_SETS))}, or import a "
+            f"{', '.join((*public, *PAPER_SETS))}, or import a "
             "library of your own (cadenza import)"
         )
-    if name in PUBLIC_SETS and is_imported(library):
+    if name in public and is_imported(library):
         raise CadenzaError(f"set {name}: an imported library has its name; remove that library")
+    if name == DEPLOYMENT:
+        bundled = open_library("bundled")
+        return Library(name, tuple(song_named(each, bundled) for each in _DEPLOYED))
     songs = open_library(name)
     if len(songs.songs) != (full := PAPER_SETS.get(name, len(songs.songs))):
         raise CadenzaError(

@@ -10,7 +10,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cadenza.errors import CadenzaError, errors_in, quoted, shortened
-from cadenza.evaluation.benchmark.definition import BENCHMARK, METRICS, TRACKS, open_set, own_track
+from cadenza.evaluation.benchmark.definition import (
+    BENCHMARK,
+    DEPLOYMENT,
+    METRICS,
+    ROBOTS,
+    TRACKS,
+    open_set,
+    own_track,
+)
 from cadenza.files import TENSORS, content_of, folder_name, parsed_json
 from cadenza.music.libraries.songs import Song
 
@@ -83,6 +91,10 @@ def check_claims(entry: BenchmarkEntry) -> None:
         raise CadenzaError(f"track {track}: {shortened(entry.agent)} belongs to the track {own}")
     if track == "at-sight" and songs in (f"{BENCHMARK}:etudes-train", f"{BENCHMARK}:band-train"):
         raise CadenzaError(f"track at-sight: {songs} is there to learn from; choose another set")
+    if (track == DEPLOYMENT) != (songs == DEPLOYMENT):
+        raise CadenzaError(f"track {track}: {DEPLOYMENT} is a track and its songs; give it as both")
+    if track == DEPLOYMENT and seeds != list(range(ROBOTS)):
+        raise CadenzaError(f"seeds {quoted(seeds)}: they are the robots 0 to {ROBOTS - 1}")
     if seeds != list(range(len(seeds))) or not 0 < len(seeds) <= _MAX_SEEDS:
         raise CadenzaError(
             f"seeds {quoted(seeds)}: an entry has the seeds 0, 1 and so on, up to {_MAX_SEEDS} of "

@@ -15,6 +15,7 @@ from cadenza.agents.playback import Playback, load_plan
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.benchmark.definition import (
+    DEPLOYMENT,
     METRICS,
     SCENE,
     TASK,
@@ -23,6 +24,7 @@ from cadenza.evaluation.benchmark.definition import (
     open_set,
     set_up_song,
 )
+from cadenza.evaluation.benchmark.deployment import AGENT, played_on_robot, robot_runs
 from cadenza.evaluation.benchmark.entry import (
     ENTRY,
     BenchmarkEntry,
@@ -35,6 +37,7 @@ from cadenza.evaluation.benchmark.entry import (
     runs_by_song,
 )
 from cadenza.evaluation.results import Result, read_results
+from cadenza.evaluation.run_status import versions
 from cadenza.files import (
     FLOATS,
     ArrayOf,
@@ -84,7 +87,10 @@ def verify(folder: Path, progress: Progress = silent) -> PlayedAgain:
                         f"{where}: was recorded with other notes than the song has here ({digest})"
                     )
                 actions = _actions(actions_path(folder, run.song, run.seed), setup)
-                computed = _played(actions, run.seed, setup, where)
+                if entry.track == DEPLOYMENT:
+                    computed = played_on_robot(actions, run.seed, setup)
+                else:
+                    computed = _played(actions, run.seed, setup, where)
                 metrics[run.song, run.seed] = computed
                 seconds += len(actions) * setup.task.config.control_timestep
                 differences += [
@@ -149,9 +155,12 @@ def enter(
         progress: see `verify`.
     """
     library = open_set(songs)
-    results = _results(bench, {song.name for song in library.songs}, agent)
-    first = results[0]
-    hidden = first.job["task"]["fingering"] in _HIDES_FINGERS
+    deployed = track == DEPLOYMENT
+    results = [] if deployed else _results(bench, {song.name for song in library.songs}, agent)
+    hidden = not deployed and results[0].job["task"]["fingering"] in _HIDES_FINGERS
+    told: tuple[str, Any, dict[str, str]] = AGENT, {}, versions()
+    if not deployed:
+        told = results[0].agent, results[0].job["config"], results[0].versions
     fingering: Literal["given", "none"] = "none"
     runs = list[EnteredRun]()
     with new_folder(folder) as new:
@@ -160,19 +169,21 @@ def enter(
                 digest, spec = check_frozen(song, setup), setup.task.spec
                 if setup.score.has_fingering and not hidden:
                     fingering = "given"
+                if deployed:
+                    runs += robot_runs(bench, new, digest, setup)
             own = [result for result in results if result.song.name == song.name]
             runs += [_run(r, new, digest, spec.action_low, spec.action_high) for r in own]
         entry = BenchmarkEntry(
             benchmark=VERSION,
-            name=name or first.agent,
+            name=name or told[0],
             by=by,
             about=about,
-            agent=first.agent,
-            options=first.job["config"] if isinstance(first.job["config"], dict) else {},
+            agent=told[0],
+            options=told[1] if isinstance(told[1], dict) else {},
             track=track,
             songs=songs,
             fingering=fingering,
-            versions=first.versions,
+            versions=told[2],
             runs=tuple(runs),
         )
         check_claims(entry)

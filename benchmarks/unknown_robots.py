@@ -1,0 +1,120 @@
+"""Measures the planner on robots that nobody knows: at once, and after ten plays.
+
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.unknown_robots [SONG ...]
+        [--profiles P ...] [--robots N] [--seconds S] [-o docs/results]
+
+Plays the first seconds of each song on the robots 0 to N - 1. Writes robot-plays.csv, a row for
+each song and robot, from which it goes on, and robots.csv, with means and the 95 % intervals of the
+robots.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.arguments import one_or_more, parser_for
+from cadenza.agents.planner.planner import Planner
+from cadenza.agents.robot.practice import RobotPractice
+from cadenza.agents.robot.protocol import play
+from cadenza.agents.robot.simulated import SimulatedRobot
+from cadenza.agents.rollout import EpisodeResult, play_episode
+from cadenza.errors import errors_in_a_line
+from cadenza.evaluation.statistics import bootstrap_interval
+from cadenza.evaluation.tables import write_csv
+from cadenza.music.libraries.library import load_score
+from cadenza.music.score import Score
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.robots import PROFILES, Profile
+from cadenza.tasks.unknown_robot import PLAYS, UnknownRobotEnv
+
+SONGS = (
+    *("TwinkleTwinkleLittleStar", "OdeToJoy", "MinuetInG"),
+    *("BachPreludeInCMajor", "FurEliseOpening", "MoonlightOpening"),
+)
+"""From easy to hard."""
+METRICS = "f1", "note_onset_f1"
+
+
+def planner() -> Planner:
+    """The planner, in one thread."""
+    agent = Planner()
+    agent.num_threads = 1
+    return agent
+
+
+def rows_of(score: Score, nominal: EpisodeResult, profile: Profile, robot: int) -> dict[str, Any]:
+    """How a robot is played at once with feedback, at first without, and after ten plays."""
+    config = TaskConfig(randomization=replace(PROFILES[profile], robot=robot))
+    direct = play_episode(PianoTask([score], config), planner(), 0).metrics
+    there = SimulatedRobot(UnknownRobotEnv(score, robot, profile))
+    assert nominal.plan is not None
+    practice = RobotPractice(nominal.plan, nominal.episode, PROFILES[profile])
+    first = practice.learn(play(there, practice.actions()))
+    for _ in range(PLAYS - 1):
+        practice.learn(play(there, practice.actions()))
+    assert practice.best is not None
+    play(there, practice.best.actions)
+    heard = {"f1": first.f1, "note_onset_f1": first.note_onset_f1}
+    return {"direct": direct, "first of ten plays": heard, "after ten plays": there.scored}
+
+
+def summary(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Means with intervals, of robots that have played all songs."""
+    rows = []
+    for profile, how in dict.fromkeys((row["profile"], row["how"]) for row in plays):
+        own = [row for row in plays if (row["profile"], row["how"]) == (profile, how)]
+        songs = list(dict.fromkeys(row["song"] for row in own))
+        found = {(row["robot"], row["song"]): row for row in own}
+        every = list(dict.fromkeys(row["robot"] for row in own))
+        robots = [robot for robot in every if all((robot, song) in found for song in songs)]
+        if not robots:
+            continue
+        row = {"profile": profile, "how": how, "songs": len(songs), "robots": len(robots)}
+        for name in METRICS:
+            values = np.array([[float(found[r, s][name]) for s in songs] for r in robots])
+            low, high = bootstrap_interval(values)
+            row |= {name: values.mean(), f"{name}_low": low, f"{name}_high": high}
+        rows.append(row)
+    return rows
+
+
+@errors_in_a_line()
+def main() -> None:
+    """Plays, and writes after each song and robot."""
+    parser = parser_for(__doc__)
+    parser.add_argument("songs", nargs="*", default=SONGS, help="bundled pieces or MIDI files")
+    parser.add_argument("--profiles", nargs="+", choices=PROFILES, default=["realistic", "harsh"])
+    parser.add_argument("--robots", type=one_or_more, default=10)
+    parser.add_argument("--seconds", type=float, default=8.0)
+    parser.add_argument("-o", "--output", type=Path, default=Path("docs/results"))
+    options = parser.parse_args()
+    table, plays = options.output / "robot-plays.csv", list[dict[str, Any]]()
+    if table.exists():
+        with table.open(newline="") as file:
+            plays = list(csv.DictReader(file))
+    done = {(row["profile"], row["song"], str(row["robot"])) for row in plays}
+    scores = {song: load_score(song).until(options.seconds) for song in options.songs}
+    nominal = {s: play_episode(PianoTask([score]), planner(), 0) for s, score in scores.items()}
+    for robot in range(options.robots):
+        for profile in options.profiles:
+            for song, score in scores.items():
+                if (profile, song, str(robot)) in done:
+                    continue
+                for how, metrics in rows_of(score, nominal[song], profile, robot).items():
+                    row = {"profile": profile, "how": how, "song": song, "robot": str(robot)}
+                    plays.append(row | {name: metrics[name] for name in METRICS})
+                write_csv(table, plays)
+                print(
+                    profile, robot, song, *(f"{row[n]:.3f}" for row in plays[-3:] for n in METRICS)
+                )
+    write_csv(options.output / "robots.csv", summary(plays))
+
+
+if __name__ == "__main__":
+    main()
