@@ -15,6 +15,7 @@ from cadenza.agents.planner.search.fingertip_correction import servo_corrections
 from cadenza.agents.planner.search.hand_search import HandSearch
 from cadenza.agents.planner.search.horizon_cost import HorizonCost
 from cadenza.agents.planner.search.rollouts import Rollouts, start_rollouts
+from cadenza.agents.planner.search.search_ahead import RESTARTS_PER_WINDOW
 from cadenza.agents.rollout import play_episode
 from cadenza.fingers import Side
 from cadenza.keyboards.piano import PIANO
@@ -141,4 +142,6 @@ def test_hopeless_music_is_searched_within_bounds(monkeypatch):
     steps = play_episode(leaps, agent).metrics["steps"]
     share = sum(simulated) / steps / (5 * 8 * HORIZON)
     refined = (hand_search.REFINEMENTS + 1) * hand_search.REFINED_HORIZON / (5 * 8 * HORIZON)
-    assert 0.5 < share / hand_search.BUDGET_SHARE < 1.05 + refined / hand_search.BUDGET_SHARE
+    most = 1.05 + refined / hand_search.BUDGET_SHARE
+    restarted = 1 + 2 * RESTARTS_PER_WINDOW  # a restart plays two windows
+    assert 0.5 < share / hand_search.BUDGET_SHARE < restarted * most

@@ -13,6 +13,8 @@ touch, and takes a third of the time.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import copy
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +28,16 @@ from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.search.candidates import EscapeMotions, NetworkCandidate, crossover
 from cadenza.agents.planner.search.fingertip_correction import servo_corrections
 from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal
+from cadenza.agents.planner.search.horizon_cost import HorizonCost
 from cadenza.agents.planner.search.networks.inputs import sizes_of
 from cadenza.agents.planner.search.networks.weights import shipped
-from cadenza.agents.planner.search.rollouts import Rollout, Rollouts, roll_out, start_rollouts
+from cadenza.agents.planner.search.rollouts import (
+    Rollout,
+    Rollouts,
+    cost_from,
+    roll_out,
+    start_rollouts,
+)
 from cadenza.agents.planner.search.strike_refinement import StrikeRefinement
 from cadenza.agents.planner.search.strikes import HorizonStrikes
 from cadenza.fingers import Side
@@ -36,6 +45,7 @@ from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
+from cadenza.sim.protocol import Path, State
 
 Steps = NDArray[np.intp]
 
@@ -58,6 +68,33 @@ _REFINED = 2  # of these steps
 REFINEMENTS = 8
 """Rollouts at most for it, beside one of what was found by search."""
 _MAX_DRIFT = 1e-5  # [m, rad] between the model and the scene, above which the model is reset
+_PAUSE = 2  # steps without a search after one in vain, unless there are more mistakes
+
+
+# What changes as it plays, beside its model and its random numbers.
+_CHANGING = (
+    *("_step", "_in_sync", "_rehearsal", "_warm_start", "_refined", "_is_refined"),
+    *("_previous", "_vain"),
+)
+
+
+class PlayedStep(NamedTuple):
+    """A control step of a hand in its own model."""
+
+    ctrl: Array  # (A,)
+    hand_qpos: Array  # (J,) before the step [m, rad]
+    key_path: Array  # (S + 1, K) before the step and after each of its physics steps [rad]
+    fingertips: Array  # (F, 3) after the step [m]
+
+
+class Snapshot(NamedTuple):
+    """A hand's search before a step, and its model."""
+
+    step: int
+    state: State
+    model: Any
+    changing: dict[str, Any]
+    budget: int
 
 
 class HandSearch:
@@ -94,6 +131,8 @@ class HandSearch:
         # Budgets are whole numbers of control steps, so that sums are exact.
         self._income, self._granted = round(BUDGET_SHARE * full_search), 0
         self._rehearsed = 0
+        self._vain = -_PAUSE - 1, 0  # the step of the last search in vain, and the mistakes left
+        self._path = Path.still(self._model.state, self._model.num_substeps + 1)
         self._step, self._in_sync, self._rehearses = 0, True, self._searches
         weights = shipped().get(plan.scene.hand.name) if config.proposals == "learnt" else None
         fits = weights is not None and weights.sizes == sizes_of(plan.scene)
@@ -144,25 +183,65 @@ class HandSearch:
 
     def act(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> Array:
         """Controls (A,) of this hand for a step from its joints (J,) and all keys (K,)."""
-        self._synchronise(hand_qpos, hand_qvel, key_qpos)
+        self.synchronise(hand_qpos, hand_qvel, key_qpos)
+        return self.play().ctrl
+
+    def play(self) -> PlayedStep:
+        """Play the next step in the hand's own model."""
+        hand_qpos = self._model.state.hand_qpos[0]
         self._granted += self._income
         self._rehearse()
         ctrl = self._optimise()
-        self._advance(ctrl)
-        return ctrl
+        key_path = self._advance(ctrl)
+        fingertips = self._model.state.fingertip_xpos[0, self._goals.fingers]
+        return PlayedStep(ctrl, hand_qpos, key_path, fingertips)
 
-    def _synchronise(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
+    def synchronise(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
         """Put the model into the state of the scene, unless it is there."""
         drift = np.abs(self._model.state.hand_qpos[0] - hand_qpos).max()
         if not self._in_sync or drift > _MAX_DRIFT:
             self._model.set_joints(hand_qpos, hand_qvel, key_qpos)
             self._in_sync = True
 
-    def _advance(self, ctrl: Array) -> None:
+    def _advance(self, ctrl: Array) -> Array:
+        """Take a step in the model, and return the path (S + 1, K) of the keys through it [rad]."""
         _, nominal = self._nominal(1)
         self._previous = ctrl - self._servos.clip(nominal[0])
-        self._model.step(ctrl[None])
+        self._model.step(ctrl[None], path=self._path)
         self._step += 1
+        return self._path.key_qpos[0].copy()
+
+    # Restarts
+
+    @property
+    def steps_left(self) -> int:
+        """The number of steps that are still to be played, as far as the plan goes."""
+        return len(self._tracking.ctrl) - self._step
+
+    def save(self) -> Snapshot:
+        """Everything from which the hand goes on after `restore`, but for its random numbers."""
+        changing = {name: copy(getattr(self, name)) for name in _CHANGING}
+        model = self._model.save(0)
+        return Snapshot(self._step, self._model.state, model, changing, self._budget)
+
+    def restore(self, saved: Snapshot) -> None:
+        """Go to where `save` was called, with as much budget as then. Random numbers are new."""
+        self._granted = saved.budget + self._rollouts.simulated
+        for name, value in saved.changing.items():
+            setattr(self, name, copy(value))
+        self._model.restore(0, saved.model)
+
+    def go_back(self, step: int) -> None:
+        """Go on from `step`, at which the scene is in another state than the model was."""
+        self._step, self._in_sync, self._is_refined = step, False, False
+        self._warm_start[:] = 0.0
+        self._rehearsal.reset()
+
+    def cost(self, saved: Snapshot, num_steps: int) -> HorizonCost:
+        """The cost of steps from a snapshot on, of all keys; less than `num_steps` at the end."""
+        steps = np.arange(saved.step, min(saved.step + num_steps, len(self._tracking.ctrl)))
+        every = slice(0, self._keyboard.num_keys)
+        return cost_from(saved.state, self._goals, steps, self._keyboard, every)
 
     def _rehearse(self) -> None:
         """Rehearse the next steps, unless that has been done."""
@@ -191,7 +270,12 @@ class HandSearch:
         affordable = self._budget > 0
         if rollout.mistakes and affordable:
             caught = self._caught()
-            best = self._search(nominal, best, rollout, steps, caught)
+            since, left = self._vain
+            if self._step - since > _PAUSE or rollout.mistakes > left:
+                found = self._search(nominal, best, rollout, steps, caught)
+                if found is best:
+                    self._vain = self._step, rollout.mistakes
+                best = found
             if caught.any():
                 best = self._escape(best, fingertips)
         best = self._refine(best, steps)

@@ -12,6 +12,7 @@ from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.search.hand_search import HandSearch
+from cadenza.agents.planner.search.search_ahead import SearchAhead
 from cadenza.sim.protocol import State
 
 
@@ -34,6 +35,9 @@ class HandsInScene:
             HandSearch(plan, side, hand_rng, context)
             for side, hand_rng in zip(sides, rng.spawn(len(sides)), strict=True)
         ]
+        dt = plan.track.config.control_timestep
+        searches = context.config.method != "none"
+        self._ahead = [SearchAhead(hand, dt) for hand in self._hands] if searches else []
 
     def act(self, step: int, state: State) -> Array:
         """Controls (A,) of all hands in the next step."""
@@ -42,7 +46,8 @@ class HandsInScene:
         def act(i: int) -> None:
             hand = self._hands[i]
             qpos, qvel = state.hand_qpos[0, hand.joints], state.hand_qvel[0, hand.joints]
-            ctrl[hand.servos] = hand.act(qpos, qvel, state.key_qpos[0])
+            here = qpos, qvel, state.key_qpos[0]
+            ctrl[hand.servos] = self._ahead[i].act(step, *here) if self._ahead else hand.act(*here)
 
         self._threads.for_each(range(len(self._hands)), act)
         return ctrl
@@ -50,7 +55,7 @@ class HandsInScene:
     @property
     def lookahead(self) -> int:
         """Number of steps of the plan that are needed."""
-        return max(hand.lookahead for hand in self._hands)
+        return max(each.lookahead for each in self._ahead or self._hands)
 
     def follow(self, plan: SongPlan, step: int) -> None:
         """Continue from `step` on with a plan that goes further."""
@@ -66,8 +71,9 @@ class HandsInScene:
     ) -> None:
         """Follow what was played, from `step` on, and search where less of it would sound.
 
-        The goals of each hand are to hold the keys that sounded.
+        The goals of each hand are to hold the keys that sounded. No hand searches ahead any more.
         """
+        self._ahead = []
         for hand, part, rng in zip(self._hands, goals, rngs, strict=True):
             hand.restart(part, tracking.of(hand.servos), step, rng)
 

@@ -49,6 +49,8 @@ class KeyStates(NamedTuple):
     """Own keys whose notes were lost before it: nothing that the rollout does can mend them."""
     silent: Array
     """For how long keys have been silent [s], a multiple of the physics step, at least."""
+    wrong_notes: int = 0
+    """The number of notes that a listener would have missed, or heard too many, in the step."""
 
 
 class HorizonCost:
@@ -146,9 +148,11 @@ class HorizonCost:
         costs += _DEPTH * (depth * depth)
         mistakes = (wrong & self._mistakes[k]) + brushed + again + unheard
         mistakes += wrong_onsets & begins & wanted
+        heard = wrong_onsets & (begins | self._held[k]) & ~given_up
+        wrong_notes = int((brushed + again + unheard + heard).sum())
         given_up = given_up & ~sounding
         lost = late & (~sounding | lost) & ~given_up
-        return costs, int(mistakes.sum()), KeyStates(sounding, lost, given_up, silent)
+        return costs, int(mistakes.sum()), KeyStates(sounding, lost, given_up, silent, wrong_notes)
 
     def _silence(self, sounding: Mask, before: KeyStates) -> tuple[Mask, Array]:
         """Keys (K,) that sound too soon again to be heard, and for how long each is silent now [s].

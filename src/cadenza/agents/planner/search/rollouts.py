@@ -16,6 +16,7 @@ from cadenza.agents.planner.search.horizon_cost import HorizonCost
 from cadenza.keyboards.keyboard import Keyboard
 from cadenza.sim.hand_rollouts import NUM_SLOTS, HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
+from cadenza.sim.protocol import State
 from cadenza.sim.threads import Threads
 
 Keys = TypeVar("Keys")
@@ -96,10 +97,16 @@ def start_rollouts(
     y_now = simulation.state.fingertip_xpos[0, goals.fingers, 1]
     y = np.append(goals.fingertips[steps + 1, :, 1], y_now)
     simulator.start_from(simulation, float(y.min()), float(y.max()))
-    key_qpos = simulation.state.key_qpos[0, simulator.keys]
-    ceased = simulation.state.key_events[1][0, simulator.keys]
+    return cost_from(simulation.state, goals, steps, keyboard, simulator.keys)
+
+
+def cost_from(
+    state: State, goals: HandGoals, steps: NDArray[np.intp], keyboard: Keyboard, keys: slice
+) -> HorizonCost:
+    """The cost of these keys in `steps` (H,) that begin in a state of the hand on all keys."""
+    ceased = state.key_events[1][0, keys]
     silent = np.where(np.isnan(ceased), np.inf, goals.dt - ceased)
-    return HorizonCost(goals, steps, keyboard, simulator.keys, key_qpos, silent)
+    return HorizonCost(goals, steps, keyboard, keys, state.key_qpos[0, keys], silent)
 
 
 def roll_out(

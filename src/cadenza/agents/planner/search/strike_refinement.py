@@ -30,6 +30,7 @@ _DAMPING = 1e3  # [1/m^2] of Levenberg and Marquardt, to begin with
 _MORE, _LESS, _LEAST = 3.0, 1 / 3, 0.3  # factors of the damping after a failure, a success; bound
 _STUCK = 20.0  # factor of the damping from which on steps are random too: contacts are not smooth
 _NOISE = np.array([0.0006, 0.002])  # [m] of them
+_PATIENCE = 3  # rollouts in vain, one after the other, after which it ends
 _THUMB = 0
 _WRIST = 0.5  # weight of the wrist in what a thumb does, compared with its own servos
 _BROYDEN = 0.5  # share of Broyden's update that is taken, as contacts are not smooth
@@ -75,16 +76,17 @@ class StrikeRefinement:
             return Refined(ctrl, rollout, 0)
         directions = self._directions(strikes, jacobian(np.array(rollout.hand_qpos)[strikes.step]))
         search = _Search(strikes, self._model)
-        best, rollouts = (ctrl, rollout), 0
+        best, rollouts, in_vain = (ctrl, rollout), 0, 0
         for iteration in range(iterations + 1):
             search.update(strikes.outcome(rollout.key_paths), strikes.faults(rollout.key_paths))
-            if search.done or iteration == iterations:
+            if search.done or iteration == iterations or in_vain == _PATIENCE:
                 break
             last = iteration == iterations - 1
+            in_vain += 1
             tried = self._applied(ctrl, strikes, directions, search.best if last else search.next())
             rollout, rollouts = roll_out(tried), rollouts + 1
             if rollout.cost < best[1].cost and rollout.mistakes <= best[1].mistakes:
-                best = tried, rollout
+                best, in_vain = (tried, rollout), 0
         return Refined(*best, rollouts)
 
     def _directions(self, strikes: HorizonStrikes, jacobian: Array) -> Array:

@@ -1,0 +1,65 @@
+"""The search of one hand that plays ahead and restarts."""
+
+import numpy as np
+from one_hand import DT, OneHand
+
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.context import PlanningContext
+from cadenza.agents.planner.search import search_ahead
+from cadenza.agents.planner.search.hand_search import HandSearch
+from cadenza.agents.planner.search.search_ahead import SearchAhead
+from cadenza.keyboards.piano import PIANO
+from cadenza.music.score import Note, Score
+from cadenza.sim.threads import Threads
+
+SONG = Score(tuple(Note(0.4 * i, 0.4 * i + 0.4, p) for i, p in enumerate((60, 62, 64, 65))))
+STEPS = 40
+HELD = slice(37, 40)  # steps in which the last note sounds
+
+
+def search_of(hand: OneHand) -> HandSearch:
+    context = PlanningContext(PlannerConfig(), Threads(1))
+    return HandSearch(hand.plan, "right", np.random.default_rng(0), context)
+
+
+def play(hand: OneHand, ahead: SearchAhead, steps: range) -> np.ndarray:
+    """The keys (T, K) that sound after each step."""
+    sounding = []
+    for step in steps:
+        hand.simulation.step(ahead.act(step, *hand.joint_state)[None])
+        sounding.append(hand.simulation.state.key_qpos[0] >= PIANO.sounds_from)
+    return np.array(sounding)
+
+
+def test_where_no_note_goes_wrong_it_plays_as_step_by_step():
+    hand, alone = OneHand(SONG), OneHand(SONG)
+    search, ahead = search_of(alone), SearchAhead(search_of(hand), DT)
+    for step in range(STEPS):
+        ctrl, expected = ahead.act(step, *hand.joint_state), search.act(*alone.joint_state)
+        np.testing.assert_array_equal(ctrl, expected)
+        hand.simulation.step(ctrl[None])
+        alone.simulation.step(expected[None])
+
+
+def test_a_hand_that_is_pushed_goes_on_from_where_it_is():
+    hand = OneHand(SONG)
+    ahead = SearchAhead(search_of(hand), DT)
+    play(hand, ahead, range(13))
+    qpos, qvel, keys = hand.joint_state
+    hand.simulation.set_joints(qpos + 0.01, qvel, keys)
+    sounding = play(hand, ahead, range(13, STEPS))[-3:]
+    assert sounding[:, 65 - 21].all()
+    assert sounding.sum() == len(sounding)
+
+
+def test_it_goes_back_where_a_note_goes_wrong_and_no_more_often_than_it_may(monkeypatch):
+    out_of_reach = Score(
+        tuple(Note(0.2 * i, 0.2 * i + 0.2, (45, 88)[i % 2]) for i in range(8)),
+    )
+    hand, went_back = OneHand(out_of_reach), []
+    restore = HandSearch.restore
+    monkeypatch.setattr(HandSearch, "restore", lambda *a: went_back.append(1) or restore(*a))
+    play(hand, SearchAhead(search_of(hand), DT), range(STEPS))
+    windows = STEPS / 10
+    most = search_ahead.RESTARTS + windows * search_ahead.RESTARTS_PER_WINDOW
+    assert windows < len(went_back) <= windows + most  # once in each to where the window ends
