@@ -68,13 +68,11 @@ _REFINED = 2  # of these steps
 REFINEMENTS = 8
 """Rollouts at most for it, beside one of what was found by search."""
 _MAX_DRIFT = 1e-5  # [m, rad] between the model and the scene, above which the model is reset
-_PAUSE = 2  # steps without a search after one in vain, unless there are more mistakes
 
 
 # What changes as it plays, beside its model and its random numbers.
 _CHANGING = (
-    *("_step", "_in_sync", "_rehearsal", "_warm_start", "_refined", "_is_refined"),
-    *("_previous", "_vain"),
+    *("_step", "_in_sync", "_rehearsal", "_warm_start", "_refined", "_is_refined", "_previous"),
 )
 
 
@@ -131,7 +129,6 @@ class HandSearch:
         # Budgets are whole numbers of control steps, so that sums are exact.
         self._income, self._granted = round(BUDGET_SHARE * full_search), 0
         self._rehearsed = 0
-        self._vain = -_PAUSE - 1, 0  # the step of the last search in vain, and the mistakes left
         self._path = Path.still(self._model.state, self._model.num_substeps + 1)
         self._step, self._in_sync, self._rehearses = 0, True, self._searches
         weights = shipped().get(plan.scene.hand.name) if config.proposals == "learnt" else None
@@ -270,12 +267,7 @@ class HandSearch:
         affordable = self._budget > 0
         if rollout.mistakes and affordable:
             caught = self._caught()
-            since, left = self._vain
-            if self._step - since > _PAUSE or rollout.mistakes > left:
-                found = self._search(nominal, best, rollout, steps, caught)
-                if found is best:
-                    self._vain = self._step, rollout.mistakes
-                best = found
+            best = self._search(nominal, best, rollout, steps, caught)
             if caught.any():
                 best = self._escape(best, fingertips)
         best = self._refine(best, steps)
