@@ -53,9 +53,9 @@ test: $(ALL)
 	$(BIN)/python -m pytest -n 2
 
 # A minute on two cores, for each commit: quick tests of every folder, and what may differ from one Python to another.
-SMOKE := api configs registry layering docs release cards errors cli_options cli_etude tasks/env \
+SMOKE := api configs registry layering docs release cards errors cli_options tasks/env \
 	tasks/piano_task tasks/reward tasks/parity music/midi music/score music/goals music/playing_metrics \
-	music/tracks music/bars agents/misses agents/iterative_learning_control learning/networks learning/policy \
+	music/written_hands music/bars agents/misses learning/networks \
 	learning/replay_buffer demonstrations/dataset evaluation/statistics \
 	evaluation/results report/performance_page report/summary_page studio/requests
 SMOKE_TESTS := tests/hands tests/keyboards tests/scene tests/sim tests/fingering $(foreach name,$(SMOKE),$(dir tests/$(name))test_$(notdir $(name)).py)

@@ -1,27 +1,31 @@
-"""Which music the commands play, as a person asks for it."""
+"""Which music the commands play, and which etudes they write, as a person asks for it."""
 
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
 from dataclasses import asdict
 
 import mido
+import numpy as np
 import pytest
 
 from cadenza import load_song
 from cadenza.cli import main
 from cadenza.music.arrangement import Arrangement
+from cadenza.music.etudes import KINDS, make_etude
 from cadenza.music.expression import performed
 from cadenza.music.expression_rules import ExpressionRules
 from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.formats.reading import name_without_ending
+from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.performing.arranging import arrange, arrange_song
 from cadenza.performing.loaded_song import load
 from cadenza.scene.scene import build_scene
-from refusals import refused
+from refusals import refused, refused_in_a_line
 
 QUICK = ("--agent", "zero", "--no-video")
 
@@ -290,3 +294,45 @@ def test_a_pedal_that_is_hardly_lifted_is_told(tmp_path, capsys):
     main(["play", str(song), *options])
     assert "pedal" not in capsys.readouterr().err
     assert "pedal within" not in (tmp_path / "out" / "report.html").read_text()
+
+
+def check_same(read: Score, made: Score) -> None:
+    """To half a tick of the file."""
+    table = [[(n.start, n.end, n.pitch, n.velocity) for n in s.notes] for s in (read, made)]
+    np.testing.assert_allclose(*table, atol=2e-5, rtol=0)
+
+
+def test_an_etude_is_written_and_read_back(tmp_path, capsys):
+    path = tmp_path / "new" / "etude.mid"
+    main(["etude", "--kind", "arpeggios", "--difficulty", "3", "--seed", "7", "-o", str(path)])
+    wanted = make_etude("arpeggios", 3, 7)
+    said = capsys.readouterr().out
+    assert f"{path}: {wanted.title} (" in said
+    name = said.split("cadenza play ")[1].strip()
+    assert load_score(name).notes == wanted.notes
+    assert load_score(path).title == wanted.title
+    check_same(load_score(path), wanted)
+
+
+def test_what_is_not_given_is_drawn_and_said(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    main(["etude"])
+    found = re.match(r"([a-z-]+)-3-(\d+)\.mid: ", capsys.readouterr().out)
+    assert found
+    kind, seed = found[1], found[2]
+    check_same(load_score(f"{kind}-3-{seed}.mid"), make_etude(kind, 3, int(seed)))
+    main(["etude", "--seed", seed])
+    assert capsys.readouterr().out.startswith(f"{kind}-3-{seed}.mid: ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--kind", "waltz"], f"no etudes of kind 'waltz': choose from {', '.join(KINDS)}"),
+        (["--difficulty", "11"], "difficulty 11: choose 1 to 10"),
+        (["--seed", "-1"], "seed -1: choose 0 or more"),
+        (["-o", "etude.mp3"], "etude.mp3: an etude is a .mid file"),
+    ],
+)
+def test_what_cannot_be_made_is_said_in_a_line(arguments, said, capsys):
+    assert said in refused_in_a_line(capsys, "etude", *arguments)

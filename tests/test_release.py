@@ -1,11 +1,22 @@
-"""What of a release can be checked at any time; `make release-check` has the rest."""
+"""What of a release can be checked at any time, and what people type to install it."""
 
+import json
+import os
 import re
 import runpy
+import shutil
+import subprocess
+import sys
 import tomllib
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
+
+from cadenza import installing
+from cadenza.installing import install_line
 
 ROOT = Path(__file__).parents[1]
 CHECK = runpy.run_path(str(ROOT / "tools" / "release_check.py"))
@@ -93,3 +104,136 @@ def test_the_licences_of_all_that_is_installed_are_listed():
 def canonical(name: str) -> str:
     """The name of a package as lock files write it."""
     return re.sub(r"[-_.]+", "-", name).lower()
+
+
+SONGS = (
+    "song.mid",
+    "my song.mid",
+    "a  (live) [take 2] {x}.mid",
+    "it's.mid",
+    'the "best" one.mid',
+    "5$ and $HOME $(id) `id`.mid",
+    "a;b|c&d>e*?#!\\.mid",
+    "-v.mid",
+    "Für Elise, № 1.mid",
+)
+
+
+@pytest.fixture
+def installed(tmp_path):
+    """A virtual environment, as make takes it, in which `cadenza` prints its arguments."""
+    if shutil.which("make") is None:
+        pytest.skip("there is no make")
+    stub = tmp_path / "bin" / "cadenza"
+    stub.parent.mkdir()
+    stub.write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')
+    stub.chmod(0o755)
+    (tmp_path / "plays").touch()
+    return tmp_path
+
+
+def make(*arguments: str, **environment: str) -> str:
+    env = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
+    command = ["make", "--silent", "--no-print-directory", "-C", str(ROOT), *arguments]
+    done = subprocess.run(command, env=env | environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("song", SONGS)
+def test_a_song_may_have_any_name(installed, song):
+    there = f"VENV={installed}"
+    assert make("play", there, f"SONG={song}").splitlines() == ["play", "--", song]
+    assert make("play", there, SONG=song).splitlines() == ["play", "--", song]
+    assert f"SONG={song}," in make("help", f"SONG={song}")
+
+
+def test_a_song_is_played_if_none_is_named(installed):
+    *_, song = make("play", f"VENV={installed}").split()
+    assert song == "TwinkleTwinkleLittleStar"
+
+
+def pins(name: str) -> dict[str, str]:
+    lines = re.findall(r"^([\w.-]+)==(.+)$", (ROOT / name).read_text(), re.MULTILINE)
+    versions: dict[str, str] = {}
+    for package, version in lines:  # a package may have one for each Python
+        versions[package] = versions.get(package, "") + version
+    return versions
+
+
+def test_playing_installs_little_and_the_lock_files_agree():
+    playing, everything = pins("requirements.lock"), pins("requirements-dev.lock")
+    assert playing.items() <= everything.items()
+    assert {"mujoco", "gymnasium", "starlette", "uvicorn"} <= playing.keys()
+    assert not {"jax", "jaxlib", "flax", "pyarrow", "sphinx", "mypy"} & playing.keys()
+
+
+def test_the_quick_tests_are_there(installed):
+    (installed / "installed").touch()
+    named = re.findall(r"\btests/\S+", make("--dry-run", "smoke", f"VENV={installed}"))
+    assert len(named) > 20
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+CLONE = {"url": "file:///home/me/my%20clone", "dir_info": {"editable": True}}
+GIT = {"url": "https://host/cadenza", "vcs_info": {"vcs": "git", "commit_id": "0a1b"}}
+
+
+def said(
+    monkeypatch: pytest.MonkeyPatch,
+    origin: dict[str, Any] | None,
+    extra: str,
+    installer: str = "pip",
+) -> str:
+    texts = {"INSTALLER": installer, "direct_url.json": origin and json.dumps(origin)}
+    found = SimpleNamespace(read_text=texts.get)
+    monkeypatch.setattr(installing, "distribution", lambda _: found)
+    return install_line(extra)
+
+
+@pytest.mark.parametrize(
+    ("origin", "line"),
+    [
+        (None, "pip install 'cadenza[hub]'"),  # of an index
+        (
+            {"url": "file:///a.whl", "archive_info": {}},
+            "pip install 'cadenza[hub] @ file:///a.whl'",
+        ),
+        ({"url": "file:///clone", "dir_info": {}}, "pip install 'cadenza[hub] @ file:///clone'"),
+        (GIT, "pip install 'cadenza[hub] @ git+https://host/cadenza@0a1b'"),
+        (CLONE, "pip install --editable '/home/me/my clone[hub]'"),
+    ],
+)
+def test_an_extra_comes_from_where_cadenza_came_from(monkeypatch, origin, line):
+    monkeypatch.setattr("shutil.which", lambda _: str(Path(sys.executable).with_name("pip")))
+    assert said(monkeypatch, origin, "hub") == line
+    monkeypatch.setattr("shutil.which", lambda _: "/usr/bin/pip")  # of another environment
+    assert said(monkeypatch, origin, "hub") == line.replace("pip", f"{sys.executable} -m pip")
+    uv = line.replace("pip install", f"uv pip install --python {sys.prefix}")
+    assert said(monkeypatch, origin, "hub", "uv\n") == uv
+
+
+def test_in_the_environment_of_a_clone_make_installs(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / ".venv"))
+    clone = CLONE | {"url": tmp_path.as_uri()}
+    assert said(monkeypatch, clone, "hub") == f"make -C {tmp_path} install"
+    monkeypatch.chdir(tmp_path)
+    assert said(monkeypatch, clone, "hub") == "make install"
+    assert said(monkeypatch, clone, "gpu").endswith(f" --editable '{tmp_path}[gpu]'")
+
+
+def test_make_installs_all_that_its_line_is_told_for():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    locked = (ROOT / "requirements-dev.lock").read_text().replace("-", "_").lower()
+    for extra, wanted in project["optional-dependencies"].items():
+        names = [name.split(">=")[0].replace("-", "_").lower() for name in wanted]
+        there = all(f"\n{name}==" in locked for name in names)
+        assert there == (extra not in ("brax", "gpu", "wandb")), extra
+
+
+def test_without_an_installation_the_sources_are_named(monkeypatch):
+    def none(_: str) -> None:
+        raise PackageNotFoundError
+
+    monkeypatch.setattr(installing, "distribution", none)
+    assert install_line("hub").endswith(f" --editable '{ROOT}[hub]'")

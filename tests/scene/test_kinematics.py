@@ -3,12 +3,14 @@
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
+from threadpoolctl import threadpool_limits
 
 from cadenza.hands.body import prefix
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.scene.scene import build_scene
-from cadenza.scene.servos import Reaction, servos_of
+from cadenza.scene.servos import Reaction, Servos, servos_of
 
 CONFIGS = [SceneConfig(), SceneConfig(hands="left"), SceneConfig(reduced_action_space=False)]
 
@@ -117,3 +119,13 @@ def test_reaction_is_what_inverse_dynamics_say(moving):
     expected = needed[scene.hand_qvel] @ servos.joints.T - servos.inertia * change / dt**2
     found = Reaction(scene, servos).along(postures, dt)[2]
     np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_coordinates_of_joints_do_not_depend_on_the_threads_of_linear_algebra():
+    servos = servos_of(build_scene(SceneConfig(reduced_action_space=False)))
+    maps = []
+    for threads in (1, 2):
+        with threadpool_limits(threads):
+            fresh = Servos(**{name: getattr(servos, name) for name in servos.__dataclass_fields__})
+            maps.append(fresh.of_joints)
+    assert_array_equal(*maps)

@@ -1,0 +1,220 @@
+"""What the benches count: planners, drills, disturbances, what a song holds, the headline."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from benchmarks import headline, limits, planners
+from benchmarks.drills import succeeds
+from benchmarks.robustness import (
+    DISTURBANCES,
+    SCALED,
+    Disturbance,
+    disturbed_task,
+    played_with,
+    rows,
+)
+from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, ZeroAgent
+from cadenza.agents.playback import Playback
+from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import build_scene
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import View
+from evaluation.made_up import result, write_result
+from numbered import finger
+
+
+class Clock:
+    """Goes on only where somebody thinks."""
+
+    now = 0.0
+
+    def perf_counter(self) -> float:
+        return self.now
+
+
+class Thinker(PlannerPerEnv["Begun"]):
+    """Takes 10 s to begin, and 1 s for every action."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__()
+        self._clock = clock
+
+    def begin(self, view: View, rng: np.random.Generator) -> Begun:
+        self._clock.now += 10.0
+        return Begun(self._clock)
+
+
+class Begun(EpisodePlanner):
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+
+    def act(self, view: View) -> Array:
+        self._clock.now += 1.0
+        return np.zeros(view.task.action_size)
+
+
+def test_every_action_counts_and_a_beginning_by_its_share(monkeypatch):
+    monkeypatch.setattr(planners, "time", clock := Clock())
+    task = PianoTask(
+        [Score((Note(0.0, 0.95, 60),))],
+        TaskConfig(initial_buffer_time=0.0),
+        SceneConfig(hands="right"),
+    )
+    result = planners.perform(Thinker(clock), task, num_steps=5, seed=0)
+    assert task.goals.num_steps[0] == 20
+    assert result.ratio == pytest.approx((10 * 5 / 20 + 5 * 1) / (5 * 0.05))
+
+
+GOAL = np.zeros((12, 3), bool)
+GOAL[2:6, 0] = GOAL[7:11, 1] = True
+
+
+def sounding(*wrong: tuple[int, int]) -> np.ndarray:
+    """What should sound, but for these steps and keys."""
+    result = GOAL.copy()
+    for place in wrong:
+        result[place] = ~result[place]
+    return result
+
+
+@pytest.mark.parametrize(
+    ("wrong", "success"),
+    [
+        ((), True),
+        (((1, 0), (6, 0)), True),  # a step too early and too late
+        (((2, 0), (3, 0)), True),  # half of a note
+        (((2, 0), (3, 0), (4, 0)), False),
+        (((8, 0),), False),  # a key that was right before
+        (((3, 2),), False),
+    ],
+)
+def test_all_keys_have_to_be_right(wrong, success):
+    assert succeeds(GOAL, sounding(*wrong)) == success
+
+
+@pytest.fixture
+def benches(tmp_path):
+    metrics = {"f1": 0.9, "note_onset_f1": 0.8, "onset_error_median": 0.004}
+    for split, names in {"valid": ["a"], "train": ["b", "c"]}.items():
+        for name in names:
+            content = result(f"{split}/{name}.mid", "planner", 0, metrics)
+            write_result(tmp_path / f"bench-{split}", name, content)
+    return [str(tmp_path / f"bench-{split}") for split in ("valid", "train")]
+
+
+def draw(benches: list[str], folder: Path, pieces: str, patch: pytest.MonkeyPatch) -> None:
+    table = folder / "index.csv"
+    lines = [f"{name},Nocturne {name},Field,op. 1,CC BY 4.0,somewhere" for name in pieces]
+    table.write_text("\n".join(["id,title,composer,opus,licence,source", *lines]))
+    words = [*benches, "--index", str(table), "-o", str(folder / "out")]
+    patch.setattr(sys, "argv", ["headline", *words])
+    headline.main()
+
+
+def test_splits_are_drawn_apart_and_pieces_have_their_titles_and_sources(
+    benches, tmp_path, monkeypatch
+):
+    draw(benches, tmp_path, "abc", monkeypatch)
+    out = tmp_path / "out"
+    assert "Nocturne a" in (out / "headline-valid.svg").read_text()
+    assert "Nocturne b: F1 0.900" in (out / "headline-train.svg").read_text()
+    with (out / "headline.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    found = [(row["split"], row["title"], row["licence"], row["onset_error"]) for row in rows]
+    assert found == [
+        ("valid", "Nocturne a", "CC BY 4.0", "4.0"),
+        ("train", "Nocturne b", "CC BY 4.0", "4.0"),
+        ("train", "Nocturne c", "CC BY 4.0", "4.0"),
+    ]
+
+
+def test_a_piece_that_the_table_lacks_is_named(benches, tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit):
+        draw(benches, tmp_path, "ab", monkeypatch)
+    assert "c: is not in the table" in capsys.readouterr().err
+
+
+def test_no_hand_gets_there_before_one_that_need_not_stop():
+    """In MuJoCo, with the control at the end of its range all the way."""
+    scene = build_scene(SceneConfig(hands="right"))
+    least = dict(zip(limits.WAYS.round(3).tolist(), limits.least_seconds(scene), strict=True))
+    assert sorted(least.values()) == list(least.values())
+    model = scene.model
+    place = model.joint("rh_forearm_tx").qposadr[0]
+    servo = model.actuator("rh_A_forearm_tx").id
+    low, high = model.actuator_ctrlrange[servo]
+    for way in (0.05, 0.1, 0.2, 0.4):
+        fastest = np.inf
+        for start in np.linspace(low, high - way, 9, endpoint=False):
+            data = mujoco.MjData(model)
+            data.qpos[place], data.ctrl[servo] = start, high
+            while data.qpos[place] < start + way and data.time < 1.0:
+                mujoco.mj_step(model, data)
+            fastest = min(fastest, data.time)
+        assert fastest < least[way] < 2 * fastest
+
+
+def test_faster_jumps_and_better_fingers_hold_more(monkeypatch, capsys):
+    command = ["limits", "debug", "--first-seconds", "6", "--fingerings", "3"]
+    monkeypatch.setattr(sys, "argv", command)
+    limits.main()
+    rows = capsys.readouterr().out.splitlines()[2:]
+    f1 = np.array([[float(cell) for cell in row.split("|")[2:4]] for row in rows])
+    assert f1.shape == (3, 2)
+    assert (np.diff(f1, axis=0) >= 0).all()
+    assert (np.diff(f1, axis=1) >= 0).all()
+    assert (f1 > 0.9).all()
+    assert (f1 <= 1).all()
+
+
+TUNE = Score(
+    (Note(0.0, 0.3, 72, finger=finger(1)), Note(0.3, 3.0, 76, finger=finger(3))), (), "A tune"
+)
+
+
+def test_the_model_is_off_by_as_much_and_differs_by_seed():
+    task = disturbed_task(TUNE, TaskConfig(), Disturbance("", model=0.1))
+    masses = []
+    for seed in (0, 1):
+        task.reset([np.random.default_rng(seed)], [0])
+        assert task.drawn.keys() == {*SCALED, "seed"}
+        masses.append(task.drawn["mass"].copy())
+    assert 0.9 <= masses[0].min() < 0.92 < 1.08 < masses[0].max() <= 1.1
+    assert (masses[0] != masses[1]).all()
+
+
+def test_noise_alone_leaves_the_model():
+    task = disturbed_task(TUNE, TaskConfig(), Disturbance("", noise=0.05))
+    task.reset([np.random.default_rng(0)], [0])
+    assert task.drawn.keys() == {"seed"}
+
+
+def test_starts_differ_by_seed_and_recorded_plans_meet_them_unprepared():
+    disturbance = Disturbance("", start=0.05)
+    plan = played_with(TUNE, TaskConfig(), DISTURBANCES[0], ZeroAgent(), 0)[1]
+    starts = []
+    for seed in (0, 1):
+        task = disturbed_task(TUNE, TaskConfig(), disturbance)
+        task.reset([np.random.default_rng(seed)], [0])
+        starts.append(task.state.hand_qpos[0].copy())
+    assert np.abs(starts[0] - starts[1]).max() > 1e-3
+    _, replayed = played_with(TUNE, TaskConfig(), disturbance, Playback(plan), 0)
+    assert_array_equal(replayed, plan)
+
+
+def test_a_row_for_each_disturbance():
+    table = list(rows(TUNE, TaskConfig(), ZeroAgent, seeds=1))
+    assert [row.split(" | ")[0] for row in table] == [
+        disturbance.name for disturbance in DISTURBANCES
+    ]
+    assert all(row.count("|") == 5 for row in table)
