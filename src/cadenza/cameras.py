@@ -66,12 +66,11 @@ class Camera:
     def place(self, whole: Sight, hands: Sight) -> tuple[Points, float]:
         """Place the camera so that what it looks at fills the picture.
 
+        Returns the point (3,) in the middle of the picture [m], and how far it is [m].
+
         Args:
             whole: what it looks at from afar.
             hands: what it looks at close by, and has to show.
-
-        Returns:
-            The point (3,) in the middle of the picture [m], and how far it is [m].
         """
         sight = hands if self._follows else whole
         target, distance = self._fit(sight.shown)

@@ -43,10 +43,8 @@ def begin_episodes(task: PianoTask, seeds: Sequence[int]) -> list[np.random.Gene
     """Begin an episode in every environment of `task`.
 
     Everything random in the task and in the agent follows from the seed of each environment. Raises
-    CadenzaError if there are more or fewer seeds than environments, or one is negative.
-
-    Returns:
-        A generator for each environment, which the agent draws from.
+    CadenzaError if there are more or fewer seeds than environments, or one is negative. Returns a
+    generator for each environment, which the agent draws from.
     """
     if len(seeds) != task.num_envs:
         raise CadenzaError(

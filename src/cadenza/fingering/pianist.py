@@ -66,10 +66,8 @@ def pianist_fingering(
     Each hand plays what is written for it as far as it can, or what `find_fingering` gives to it.
 
     No fingers of the score are kept. `progress` receives the number of notes that are done, and of
-    all. Raises CadenzaError if the hands have more than five fingers.
-
-    Returns:
-        The score, and the dropped notes in their order.
+    all. Raises CadenzaError if the hands have more than five fingers. Returns the score, and the
+    dropped notes in their order.
     """
     if players.reach.num_fingers > _NUM_FINGERS:
         raise CadenzaError("a pianist has five fingers, these hands have more: leave out human")

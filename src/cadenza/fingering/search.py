@@ -74,9 +74,10 @@ def find_fingering(
 ) -> tuple[Score, tuple[Dropped, ...]]:
     """`score` with a finger on every note that the hands can play, none on those dropped.
 
-    Fingers that the score gives are kept, and the others found to go with them. Where given
-    fingers contradict each other or these hands, the others take no account of them. Given fingers
-    that hands of this kind do not have count as not given.
+    Fingers that the score gives are kept, and the others found to go with them. Where given fingers
+    contradict each other or these hands, the others take no account of them. Given fingers that
+    hands of this kind do not have count as not given. Returns the score, and the dropped notes in
+    their order.
 
     Args:
         score: a score with fingers or without.
@@ -84,9 +85,6 @@ def find_fingering(
         progress: receives the number of notes that are done, and of all.
         costs: weights of what a hand does from moment to moment.
         as_written: whether each hand plays what is written for it, as far as it can.
-
-    Returns:
-        The score, and the dropped notes in their order.
     """
     score = _without_missing_fingers(score, players.reach.num_fingers)
     if all(note.finger is not None for note in score.notes):
@@ -233,8 +231,7 @@ def backtrack(
 ) -> tuple[dict[int, Finger], list[tuple[int, int]]]:
     """The path to the least of the last costs (R, L).
 
-    Returns:
-        Index of each note played -> its finger, and the states of both hands in each moment.
+    Returns the finger of each note played by its index, and both hands' states in each moment.
     """
     fingers: dict[int, Finger] = {}
     states = []

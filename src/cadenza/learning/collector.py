@@ -73,8 +73,7 @@ class Collector:
     def collect(self, policy: Policy | None, steps: int) -> list[Finished]:
         """Take steps in every environment, uniformly at random without a policy.
 
-        Returns:
-            The episodes that ended.
+        Returns the episodes that ended.
         """
         finished = []
         for _ in range(steps):

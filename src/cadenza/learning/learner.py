@@ -76,8 +76,8 @@ class Learner(AnyLearner[State], Protocol[State]):
     def update(self, state: State, batches: Batch) -> tuple[State, dict[str, NDArray[Any]]]:
         """Make one update for each of the batches (U, B, ...); `state` may be used up.
 
-        Returns:
-            The new state, and by name metrics (U,) of each update, NaN where an update has none.
+        Returns the new state, and by name metrics (U,) of each update, NaN where an update has
+        none.
         """
 
 
@@ -98,10 +98,7 @@ class OnPolicyLearner(AnyLearner[State], Protocol[State]):
     ) -> tuple[State, dict[str, NDArray[Any]]]:
         """Make one update for each of `rows` (U, B) of the T * N transitions of a rollout.
 
-        Those of a step stand side by side. `state` may be used up.
-
-        Returns:
-            See `Learner.update`.
+        Those of a step stand side by side. `state` may be used up. Returns as `Learner.update`.
         """
 
 

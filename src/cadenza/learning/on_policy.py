@@ -33,8 +33,7 @@ class RolloutExperience(ABC):
     ) -> tuple[EnvRollout, list[Finished], dict[str, float]]:
         """Take steps in every environment, with the policy of a learner's `state`.
 
-        Returns:
-            The rollout; the episodes that ended in it; and metrics by name.
+        Returns the rollout; the episodes that ended in it; and metrics by name.
         """
 
     def round(self, learner: OnPolicyLearner[Any], state: Any, policy: Policy, step: int) -> Round:

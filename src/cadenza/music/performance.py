@@ -91,8 +91,8 @@ class SoundedNotes:
 def key_runs(roll: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """The runs of steps over which a key of `roll` (T, K) is on without a break.
 
-    Returns:
-        first step, step after the last, key; each (number of runs,), by key and then time.
+    Returns the first step, the step after the last and the key, each (number of runs,), by key and
+    then time.
     """
     silence = np.zeros((1, roll.shape[1]), np.int8)
     change = np.diff(roll.astype(bool), axis=0, prepend=silence, append=silence).T

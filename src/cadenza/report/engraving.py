@@ -225,10 +225,8 @@ def _shape(kind: str, element: Element) -> str:
 def write_svg(score: Score, path: str | Path) -> tuple[str, ...]:
     """Write a score as an SVG file of all its systems, engraved as `write_musicxml` writes it.
 
-    Raises CadenzaError if the score has no notes.
-
-    Returns:
-        Remarks in plain words on what is not as in the score.
+    Raises CadenzaError if the score has no notes. Returns remarks in plain words on what is not as
+    in the score.
     """
     sheet = sheet_of(score)
     with write_atomically(Path(path)) as file:

@@ -39,10 +39,8 @@ _COUNTS = {"h": 1, "v": 1, "m": 2, "l": 2, "s": 4, "c": 6}  # of numbers after a
 def write_pdf(score: Score, path: str | Path, composer: str = "") -> tuple[str, ...]:
     """Write a score as a PDF of A4 pages, engraved as `write_musicxml` writes it.
 
-    Raises CadenzaError if the score has no notes.
-
-    Returns:
-        Remarks in plain words on what is not as in the score.
+    Raises CadenzaError if the score has no notes. Returns remarks in plain words on what is not as
+    in the score.
     """
     sheet = sheet_of(score)
     engraving = _without_lone_bar(sheet)

@@ -57,11 +57,9 @@ def last_key_events(
 ) -> tuple[Array, Array, Array]:
     """What happened last to each key in each step, as `State.key_events`, (..., K) each.
 
-    The arguments are those of `key_crossings`.
-
-    Returns:
-        The times of the onsets and of the offsets [s], and the speeds of the onsets [rad/s]. They
-        are NaN for keys that did not begin or cease to sound.
+    The arguments are those of `key_crossings`. Returns the times of the onsets and of the offsets
+    [s], and the speeds of the onsets [rad/s]. They are NaN for keys that did not begin or cease to
+    sound.
     """
     crossings = key_crossings(key_paths, sounds_from, substep)
     onset, offset, speed = np.full((3, *key_paths[..., 0, :].shape), np.nan)

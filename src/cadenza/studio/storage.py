@@ -131,10 +131,8 @@ class Storage:
     def write_upload(self, content: bytes, name: str) -> tuple[Path, str, str, str]:
         """Write an upload; it is listed once `list_upload` says what it holds.
 
-        Raises CadenzaError if there are too many already.
-
-        Returns:
-            Where it lies, its id, its title and its ending.
+        Raises CadenzaError if there are too many already. Returns where it lies, its id, its title
+        and its ending.
         """
         ending, id = ending_of(content), hashlib.sha256(content).hexdigest()[:_ID_DIGITS]
         path = self.uploads / f"{id}{ending}"

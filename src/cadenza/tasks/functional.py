@@ -200,8 +200,7 @@ class FunctionalPianoTask:
     def begin(self, key: Array) -> tuple[Episodes, Array]:
         """Draw episodes of all environments.
 
-        Returns:
-            The episodes, and the joint positions (N, J) at which the hands start [m, rad].
+        Returns the episodes, and the joint positions (N, J) at which the hands start [m, rad].
         """
         of_song, of_hands, of_draws = jax.random.split(key, 3)
         shape, most = (self.num_envs,), self.config.random_hand_position

@@ -262,8 +262,8 @@ class EpisodeGoals:
     ) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
         """Goals of one environment in the steps from `first` to before `last`.
 
-        Returns:
-            (last - first, K + 1) keys and pedal, nothing past the end; (last - first, K) fingers.
+        Returns (last - first, K + 1) keys and pedal, nothing past the end; (last - first, K)
+        fingers.
         """
         steps, goals = np.arange(first, last), self._goals[env]
         keys, fingers = goals.at(steps)

@@ -48,7 +48,8 @@ def matched_onsets(
     A note may be played in the step in which it is due, in the one before and in the one after:
     nobody hears where steps end, and a note that is due at the beginning of one may well come a
     millisecond early. An onset plays the nearest note of its key that has not been played. So each
-    note is played once, by the first onset near it: to strike a key again earns nothing.
+    note is played once, by the first onset near it: to strike a key again earns nothing. Returns
+    the errors, and (N, 3, K) which notes have been played before the next step.
 
     Args:
         due: the notes as they were upcoming before the step.
@@ -57,9 +58,6 @@ def matched_onsets(
         sounded: (N, K) the keys that sounded before it.
         keyboard: the keys, which say how loud they are.
         control_timestep: time of a control step [s].
-
-    Returns:
-        The errors, and (N, 3, K) which notes have been played before the next step.
     """
     xp, onset = played.__array_namespace__(), state.key_onset[:, None]
     steps = xp.asarray(STEPS)[:, None]

@@ -155,8 +155,7 @@ class ILQGPlanner(EpisodePlanner):
     def line_search(self, law: FeedbackLaw, start: Array) -> tuple[Array, Array]:
         """Roll the law out with every step size; the first is 0, the nominal itself.
 
-        Returns:
-            Controls (N, K, A) in half ranges and their cost (N,).
+        Returns controls (N, K, A) in half ranges and their cost (N,).
         """
         sizes, rollouts = self._step_sizes[:, None], self._rollouts
         controls = np.empty((len(sizes), *self.nominal.shape))
@@ -274,10 +273,8 @@ def box_qp(
 ) -> tuple[Array, Mask]:
     """Minimise x'Hx / 2 + g'x over low <= x <= high by projected Newton steps (Tassa 2014, III-B).
 
-    The Hessian is (m, m), all others (m,); `start` is the initial guess.
-
-    Returns:
-        The solution (m,), and which of its elements are free (m,), not held at a limit.
+    The Hessian is (m, m), all others (m,); `start` is the initial guess. Returns the solution (m,),
+    and which of its elements are free (m,), not held at a limit.
 
     Raises:
         np.linalg.LinAlgError: the Hessian is not positive definite in the free directions.

@@ -31,9 +31,7 @@ def start_jax() -> int | None:
 
     The order in which XLA sums depends on its number of threads, and so do the last digits of
     everything learnt. The variable NPROC is the only way to set it, and XLA reads it as it starts.
-
-    Returns:
-        How many threads it has, None where the system does not tell.
+    Returns how many threads it has, None where the system does not tell.
     """
     before = os.environ.get("NPROC")
     os.environ["NPROC"] = str(NUM_THREADS)

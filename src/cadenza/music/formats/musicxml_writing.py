@@ -44,10 +44,8 @@ def write_musicxml(score: Score, path: str | Path) -> tuple[str, ...]:
     on the lower, with fingers numbered from 1; notes without a finger are put by the hand that they
     are written for, or by their pitch. Velocities are kept for playback and shown as dynamic marks;
     the pedal is either down or up. Read back, time 0 is the beginning of the bar of the first note.
-    Raises CadenzaError if the score has no notes.
-
-    Returns:
-        Remarks in plain words on what is not as in the score, which the file has, too.
+    Raises CadenzaError if the score has no notes. Returns remarks in plain words on what is not as
+    in the score, which the file has, too.
     """
     sheet = sheet_of(score)
     with write_atomically(Path(path)) as file:

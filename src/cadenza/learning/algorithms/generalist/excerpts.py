@@ -266,9 +266,8 @@ class ExcerptEnvs:
     def step(self, corrections: Array, touch: Array | None = None) -> tuple[State, Array, Array]:
         """Take a step with corrections (N, A), and touches (N, F, 2) of fingers that strike.
 
-        Returns:
-            The state after it, costs (N, F) of the fingers, and which excerpts (E,) are over. Other
-            excerpts then begin.
+        Returns the state after it, costs (N, F) of the fingers, and which excerpts (E,) are over.
+        Other excerpts then begin.
         """
         count = len(self.episodes)
         touches = [None] * count if touch is None else np.split(touch, count)
