@@ -30,6 +30,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "PLAYS", 1)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short")
 def test_what_was_practised_is_entered_and_verified(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -28,6 +28,7 @@ from cadenza.tasks.robots import Profile
 
 if TYPE_CHECKING:
     from cadenza.agents.planner.practice.practice import Practice
+    from cadenza.agents.robot.practice import Take
     from cadenza.music.score import Score
     from cadenza.performing.practising import Practising
     from cadenza.performing.setup import Setup
@@ -109,19 +110,14 @@ def _with_robot(command: PracticeCommand, robot: str) -> None:
         name = f"robot-{command.profile}-{robot.replace(':', '-')}"
         folder = command.output or default_folder(setup) / name
         check_writable(folder)
-        count = iter(range(1, 1000))
-        plays, actions = practise(
-            setup,
-            robot,
-            command.profile,
-            lambda take: print(
-                f"play {next(count)}: F1 {take.f1:.3f}, note onsets {take.note_onset_f1:.3f}",
-                flush=True,
-            ),
-        )
+        plays, actions = practise(setup, robot, command.profile, _print_take)
         save(folder, plays, actions)
         print(f"scored: {_scores((0.0, plays.metrics['f1'], plays.metrics['note_onset_f1']))}")
         print(f"wrote {folder}")
+
+
+def _print_take(number: int, take: Take) -> None:
+    print(f"play {number}: {_scores((0.0, take.f1, take.note_onset_f1))}", flush=True)
 
 
 def _resumed(

@@ -48,7 +48,7 @@ def practise(
     setup: Setup,
     robot: str,
     profile: Profile,
-    heard: Callable[[Take], None] = lambda _: None,
+    heard: Callable[[int, Take], None] = lambda _number, _take: None,
 ) -> tuple[RobotPlays, NDArray[np.float64]]:
     """Practise with a robot what the planner plays on the nominal one.
 
@@ -56,7 +56,7 @@ def practise(
         setup: the song, and the planner.
         robot: the seed of a simulated robot, or a driver as `module:Name`.
         profile: what it is drawn from; of other robots, how late they are about.
-        heard: is told of every play.
+        heard: is told of every play, by its number from 1 on.
 
     Returns:
         What became of it, and the actions (P, T, A) of all plays.
@@ -71,13 +71,13 @@ def practise(
     practice = RobotPractice(nominal.plan, nominal.episode, PROFILES[profile])
     there = simulated(setup, int(robot), profile) if robot.isdigit() else _driver(robot)
     takes, actions = list[Take](), list[NDArray[np.float64]]()
-    for _ in range(PLAYS):
-        actions.append(practice.actions())
-        takes.append(practice.learn(play(there, actions[-1])))
-        heard(takes[-1])
-    assert practice.best is not None
-    actions.append(practice.best.actions)
-    takes.append(practice.learn(play(there, actions[-1])))
+    for number in range(1, PLAYS + 2):
+        best = practice.best if number > PLAYS else None
+        actions.append(best.actions if best else practice.actions())
+        with by_others(f"robot {robot}: play {number} failed"):
+            played = play(there, actions[-1])
+        takes.append(practice.learn(played))
+        heard(number, takes[-1])
     last = {"f1": takes[-1].f1, "note_onset_f1": takes[-1].note_onset_f1}
     metrics = dict(there.scored) if isinstance(there, SimulatedRobot) else last
     plays = RobotPlays(

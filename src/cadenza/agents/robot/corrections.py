@@ -105,6 +105,7 @@ class NoteCorrections:
         self._kinematics = Kinematics(scene)
         self._tips, self._jacobian = self._kinematics.fingertips(postures)
         self._fingers = scene.fingers.per_hand
+        self._servos = [servos_of(hand_alone(scene, side).scene) for side in scene.sides]
         self._presses, self._lowering = plan.nominal.presses, plan.nominal.lowering
         self._rows = [self._row(press) for press in self._presses]
         self._model = strike_model(scene, dt)
@@ -126,18 +127,16 @@ class NoteCorrections:
         error, postures = self._moved(corrections), self._postures.copy()
         for hand, side in enumerate(self._scene.sides):
             fingers = slice(hand * self._fingers, (hand + 1) * self._fingers)
-            alone, servos, _ = hand_alone(self._scene, side)
             weight = np.ones((len(error), self._fingers))
             jacobian = self._jacobian[:, fingers]
-            change = servo_corrections(error[:, fingers], weight, jacobian, servos_of(alone))
-            postures[:, servos] += change
+            change = servo_corrections(error[:, fingers], weight, jacobian, self._servos[hand])
+            postures[:, self._scene.servos_on(side)] += change
         return postures
 
     def _moved(self, corrections: Corrections) -> Array:
         """(T + 1, F, 3) by how much fingertips are to be moved [m]."""
-        moved = np.repeat(corrections.hands, self._fingers, axis=0)[None] + np.zeros_like(
-            self._tips
-        )
+        moved = np.zeros_like(self._tips)
+        moved += np.repeat(corrections.hands, self._fingers, axis=0)
         for i, (press, row) in enumerate(zip(self._presses, self._rows, strict=True)):
             moved[press.first : press.last, row, 2] -= corrections.deeper[i]
             moved[press.first - 1 : press.last, row, 1] += corrections.beside[i]
@@ -155,7 +154,7 @@ class NoteCorrections:
         ):
             step, (hand, finger) = press.first - 1, divmod(row, self._fingers)
             servos = self._scene.servos_on(self._scene.sides[hand])
-            own = servos_of(self._scene).finger[servos] == finger
+            own = self._servos[hand].finger == finger
             lowering = self._lowering[step, servos] * own
             controls[max(step - 1, 0), servos] += before * lowering * (step > 0)
             controls[step, servos] += during * lowering
