@@ -59,7 +59,7 @@ def read(app: Sphinx, page: str, source: list[str]) -> None:
     if page == "index":
         readme, listed = README.read_text("utf-8"), app.outdir / GALLERY / "gallery.json"
         if listed.exists():  # what `gallery.py` has played takes the place of the picture
-            played = gallery(json.loads(listed.read_text("utf-8")))
+            played = gallery(json.loads(listed.read_text("utf-8")), listed.parent)
             readme = re.sub(PICTURE, lambda _: played, readme, count=1)
         text = re.sub(r"\]\((?!\w+:|#|docs/)", "](../", readme) + text
         text = text.replace("](docs/", "](")
@@ -68,31 +68,40 @@ def read(app: Sphinx, page: str, source: list[str]) -> None:
     source[0] = re.sub(r"\]\((\w+/)\)", rf"]({REPOSITORY}/tree/main/docs/\1)", text)
 
 
-def gallery(listed: list[dict[str, Any]]) -> str:
+def gallery(listed: list[dict[str, Any]], folder: Path) -> str:
     """Returns the first of what `gallery.py` has played, which plays here, and the others."""
     first, *others = listed
-    cards = "".join(
-        f'<a href="{GALLERY}/{each["name"]}.html">'
-        + f'<img src="{GALLERY}/{each["name"]}.webp" alt="">' * each["picture"]
-        + f"<b>{escape(each['who'])}</b><span>{about(each)}</span><span>{f1(each)}</span></a>"
-        for each in others
-    )
+    cards = "".join(card(each, folder) for each in others)
+    film = f" There is {film_of(first, folder, 'a film')}, too." * has_film(first, folder)
     return f"""```{{raw}} html
 <iframe class="plays" src="{GALLERY}/{first["name"]}.html" title="{about(first)}"></iframe>
-<p>{escape(first["who"])} plays {about(first)}, with an {f1(first)}. Drag to turn the picture, or
-scroll in it for more about the performance. Others play, too:</p>
+<p>{escape(first["who"])}, plays {about(first)}: {escape(first["verdict"])} Drag to turn the
+picture, or scroll in it for more about the performance.{film} Others play, too:</p>
 <div class="plays">{cards}</div>
 ```"""
+
+
+def card(played: dict[str, Any], folder: Path) -> str:
+    """Returns the picture of a performance, with what it is, which leads to its page."""
+    page, in_time = f"{GALLERY}/{played['name']}.html", played["verdict"].split(" (")[0]
+    picture = f'<img src="{page[:-5]}.webp" alt="">' * played["picture"]
+    words = f"<b>{about(played)}</b><span>{escape(played['who'])}</span><span>{in_time}</span>"
+    return f'<div><a href="{page}">{picture}{words}</a>{film_of(played, folder, "Film")}</div>'
+
+
+def has_film(played: dict[str, Any], folder: Path) -> bool:
+    """Whether `gallery.py films` has made a film of a performance."""
+    return (folder / f"{played['name']}.mp4").exists()
+
+
+def film_of(played: dict[str, Any], folder: Path, words: str) -> str:
+    """Returns what leads to the film of a performance; nothing where there is none."""
+    return f'<a href="{GALLERY}/{played["name"]}.mp4">{words}</a>' * has_film(played, folder)
 
 
 def about(played: dict[str, Any]) -> str:
     """Returns what was played."""
     return escape(f"{played['song']} ({played['composer']})")
-
-
-def f1(played: dict[str, Any]) -> str:
-    """Returns how well it was played."""
-    return f"F1 {played['f1']:.3f}"
 
 
 def parse(app: Sphinx, what: str, name: str, of: object, options: object, lines: list[str]) -> None:

@@ -1,6 +1,13 @@
 """Plays what the front page of the site shows: `python docs/gallery.py FOLDER`.
 
 `make docs` runs it when Cadenza has changed. It takes a minute and a half of one core.
+
+`python docs/gallery.py films build/docs/gallery` adds films of what was practised, where a Chrome
+or Chromium is. That takes minutes without a graphics card, so that `make docs` leaves it out.
+
+What was practised lies in `practised/`, made by `cadenza practice SONG --first-seconds 12 --effort
+2 --num-threads 1 -o FOLDER/SONG` and `python docs/gallery.py keep FOLDER/SONG`. It is only played
+back here, and plays as it did only in the physics that it was made in.
 """
 
 from __future__ import annotations
@@ -8,7 +15,7 @@ from __future__ import annotations
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,16 +24,19 @@ from typing import Any
 from PIL import Image
 
 import cadenza
-from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.playback import PLAN, Playback, load_plan
 from cadenza.errors import CadenzaError
-from cadenza.files import write_json
+from cadenza.files import TENSORS, read_tensors, write_json, write_tensors
 from cadenza.music.libraries.library import load_score
+from cadenza.performing.filming import Look, write_film
 from cadenza.performing.performance import Performance
 from cadenza.sim.render import Picture, Renderer
 from cadenza.sim.threads import available_cores
 
 LISTED = "gallery.json"
-_PICTURE = Picture(480, 270)
+PRACTISED = Path(__file__).with_name("practised")
+_PICTURE = Picture(480, 270, "close")
+_FILM, _FILMED = Look(960, 540), 8.0  # [s]; software draws a second of it in about ten
 _PICTURED = 5.0  # [s] of music at which it is taken
 
 
@@ -37,38 +47,51 @@ class Played:
     name: str
     who: str
     song: str
-    seconds: float = 60.0
-    """How much of the song is played [s]."""
-    effort: float = 0.0
-    """How long the planner practises it."""
     options: dict[str, Any] = field(default_factory=dict)
     """Arguments of `cadenza.play`."""
 
     def play(self) -> Performance:
-        options = self.options
-        if self.effort:
-            config = PlannerConfig(effort=self.effort)
-            options = options | {"agent": cadenza.make_agent("planner", config)}
-        return cadenza.play(load_score(self.song).until(self.seconds), **options)
+        return cadenza.play(load_score(self.song), **self.options)
+
+
+@dataclass(frozen=True)
+class Practised:
+    """A performance that practice has reached, which is played back."""
+
+    song: str
+    who: str = "The planner, after practice"
+
+    @property
+    def name(self) -> str:
+        return self.song
+
+    def play(self) -> Performance:
+        plan = load_plan(PRACTISED / (self.song + TENSORS))
+        performance = cadenza.play(plan.score, agent=Playback(plan.actions))
+        settings = performance.settings | {"agent": "planner, practised"}
+        return replace(performance, settings=settings)
 
 
 GALLERY = (
-    Played("planner", "The planner", "FurEliseOpening"),
-    Played("practised", "The planner, after practice", "MoonlightOpening", 14.4, 0.5),
-    Played("generalist", "The generalist", "Greensleeves", options={"agent": "generalist"}),
-    Played("allegro", "Allegro Hands", "MaryHadALittleLamb", options={"setup": "allegro"}),
-    Played("arms", "Hands on arms", "OdeToJoy", options={"setup": "arm-allegro"}),
+    Practised("FurEliseOpening"),
+    Practised("SonataFacileOpening"),
+    Practised("MinuetInG"),
+    Practised("BachPreludeInCMajor"),
+    Played("planner", "The planner, at first sight", "JingleBells"),
+    Played("generalist", "The generalist", "Greensleeves", {"agent": "generalist"}),
+    Played("allegro", "Allegro Hands", "MaryHadALittleLamb", {"setup": "allegro"}),
+    Played("arms", "Hands on arms", "OdeToJoy", {"setup": "arm-allegro"}),
     Played(
         "sampling",
         "Predictive sampling, to compare with",
         "FurEliseOpening",
-        options={"agent": "predictive-sampling"},
+        {"agent": "predictive-sampling"},
     ),
 )
 """In the order of the front page; the first plays there."""
 
 
-def add(played: Played, folder: Path) -> dict[str, Any]:
+def add(played: Played | Practised, folder: Path) -> dict[str, Any]:
     """Writes the page of a performance, NAME.html, and a picture, NAME.webp, where it can be drawn.
 
     Returns:
@@ -94,7 +117,7 @@ def add(played: Played, folder: Path) -> dict[str, Any]:
         "who": played.who,
         "song": song.title,
         "composer": song.composer,
-        "f1": performance.metrics["f1"],
+        "verdict": performance.verdict,
         "picture": (folder / f"{played.name}.webp").exists(),
     }
 
@@ -106,5 +129,23 @@ def main(folder: Path) -> None:
     write_json(folder / LISTED, listed)
 
 
+def films(folder: Path) -> None:
+    """Adds a film, NAME.mp4, of each performance that practice has reached."""
+    for played in GALLERY:
+        if isinstance(played, Practised):
+            with TemporaryDirectory() as results:
+                played.play().save(results)
+                film = folder / f"{played.name}.mp4"
+                write_film(Path(results), film, _FILM, seconds=_FILMED)
+
+
+def keep(folder: Path) -> None:
+    """Keeps the actions that practice has reached, of all that a practised plan holds."""
+    arrays, facts = read_tensors(folder / f"plan{TENSORS}", PLAN, 1 << 31)
+    kept = {name: arrays[name] for name in ("action", "fingering")}
+    write_tensors(PRACTISED / (folder.name + TENSORS), kept, facts)
+
+
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    *words, last = sys.argv[1:]
+    {(): main, ("films",): films, ("keep",): keep}[tuple(words)](Path(last))

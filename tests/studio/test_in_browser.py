@@ -290,6 +290,7 @@ def test_what_is_chosen_behind_more_is_played(browser, address, folder, tmp_path
     })()""")
     assert links == [
         ["Report", "", 200, "<!do"],
+        ["Film", "", 200, "<!do"],
         ["MIDI", "two.mid", 200, "MThd"],
         ["Wanted MIDI", "two, as wanted.mid", 200, "MThd"],
     ]
@@ -358,7 +359,7 @@ def test_cancel_ends_the_player_and_keeps_nothing(browser, address, folder, tmp_
     browser.evaluate("document.getElementById('agent').value = 'planner'")  # it takes its time
     for moment in "cadenza.live", "cadenza.time > 0.5":
         drop(browser, song(tmp_path / "c.mid", 300), "c.mid")
-        wait(browser, moment)
+        wait(browser, f"cadenza.state !== 'cancelled' && {moment}")  # not of the one before
         cancel(browser)
         assert browser.evaluate("cadenza.state") == "cancelled"
         assert text(browser, "doing") == "Cancelled."

@@ -50,8 +50,9 @@ _PRACTISED = {
     "expected": ArrayOf(FLOATS, ("states", "servos", 2), finite=True),
     "later": ArrayOf(INTEGERS, ("steps", "hands"), within=(0, np.inf)),
 }
-_PLAN = _ACTION | {"fingering": ArrayOf(FLOATS, ("notes", 3), needed=True, finite=True)}
-_PLAN |= _PRACTISED
+PLAN = _ACTION | {"fingering": ArrayOf(FLOATS, ("notes", 3), needed=True, finite=True)}
+PLAN |= _PRACTISED
+"""The arrays that the file of a plan may hold."""
 _MAX_BYTES = 2**31  # an hour of practice of both whole hands at 200 steps a second takes 60 %
 
 
@@ -164,7 +165,7 @@ def load_plan(path: Path) -> SavedPlan:
     """
     if path.suffix != TENSORS:
         return _recorded(path)
-    arrays, about = read_tensors(path, _PLAN, _MAX_BYTES)
+    arrays, about = read_tensors(path, PLAN, _MAX_BYTES)
     facts = checked(about, _PlanHeader, f"{path}, header")
     actions = arrays["action"].astype(np.float64)
     practised = _practised(arrays, actions, path) if arrays.keys() >= _PRACTISED.keys() else None

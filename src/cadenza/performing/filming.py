@@ -43,7 +43,7 @@ _ENDING = ".mp4"
 _MIN_SIDE, _MAX_SIDE = 64, 2160  # [px]
 _TALL = 1.2  # height over width from which the camera follows the hands by default
 _RINGING = 1.0  # [s] that the last notes of the whole may ring on
-_PATIENCE = 60.0  # [s] with a browser that sends nothing
+_PATIENCE = 120.0  # [s] with a browser that sends nothing
 _NAMES = (
     *("google-chrome", "google-chrome-stable", "chromium", "chromium-browser", "chrome"),
     *("microsoft-edge", "msedge"),
@@ -192,7 +192,7 @@ def _draw(
     """Have a browser draw the film that is asked for, and send it into a file, without sound.
 
     Raises:
-        CadenzaError: the browser ends, sends nothing for a minute, or cannot draw.
+        CadenzaError: the browser ends, sends nothing for two minutes, or cannot draw.
     """
     token, events = secrets.token_urlsafe(16), queue.Queue[tuple[str, ...]]()
     allowed = page.replace(_POLICY, f"{_POLICY} connect-src 'self';", 1)  # to send its film here

@@ -253,7 +253,7 @@ function offerFilm(data, engraving, lines) {
 
 /** Makes the film that `cadenza film` has asked for in the address of the page, and sends it there in pieces. */
 async function sendFilm(data, engraving, lines, asked) {
-  const send = (name, body) => fetch(name, { method: "POST", body }), PICTURES = 10; // between two reports
+  const send = (name, body) => fetch(name, { method: "POST", body }), PICTURES = 4; // between two reports
   const writable = new WritableStream({ write: ({ data: bytes, position }) => send(`film/${position}`, bytes) });
   try {
     const film = await createFilm(data, engraving, lines, asked);
