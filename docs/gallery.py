@@ -77,6 +77,7 @@ GALLERY = (
     Practised("SonataFacileOpening"),
     Practised("MinuetInG"),
     Practised("BachPreludeInCMajor"),
+    Practised("MoonlightOpening"),
     Played("planner", "The planner, at first sight", "JingleBells"),
     Played("generalist", "The generalist", "Greensleeves", {"agent": "generalist"}),
     Played("allegro", "Allegro Hands", "MaryHadALittleLamb", {"setup": "allegro"}),

@@ -28,7 +28,7 @@ def test_every_page_is_in_the_contents():
 
 
 def test_the_python_files_that_pages_name_exist():
-    places = ("src", "tests", "tools", "benchmarks", "examples")
+    places = ("src", "tests", "tools", "benchmarks", "examples", "docs")
     files = {
         f"/{path.relative_to(ROOT)}" for folder in places for path in (ROOT / folder).rglob("*.py")
     }
