@@ -6,8 +6,8 @@
 or Chromium is. That takes minutes without a graphics card, so that `make docs` leaves it out.
 
 What was practised lies in `practised/`, made by `cadenza practice SONG --first-seconds 12 --effort
-2 --num-threads 1 -o FOLDER/SONG` and `python docs/gallery.py keep FOLDER/SONG`. It is only played
-back here, and plays as it did only in the physics that it was made in.
+2 --num-threads 1 -o FOLDER/SONG` (the last two: 10 s, effort 0.8) and `python docs/gallery.py keep
+FOLDER/SONG`. It is only played back here; in other physics it would not play the same.
 """
 
 from __future__ import annotations
@@ -78,6 +78,7 @@ GALLERY = (
     Practised("MinuetInG"),
     Practised("BachPreludeInCMajor"),
     Practised("MoonlightOpening"),
+    Practised("InTheHallOfTheMountainKing"),
     Played("planner", "The planner, at first sight", "JingleBells"),
     Played("generalist", "The generalist", "Greensleeves", {"agent": "generalist"}),
     Played("allegro", "Allegro Hands", "MaryHadALittleLamb", {"setup": "allegro"}),
