@@ -1,14 +1,11 @@
 """The cameras of pages, films and pictures, and where each stands; `stage.js` places them alike."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-Points = NDArray[np.float64]
-"""(N, 3) [m], x towards the player, y to the player's right, z up."""
+Points = NDArray[np.float64]  # (N, 3) [m], x towards the player, y to the player's right, z up
 
 VIEWS = {
     "player": (0.5, 0.0, 0.87),
@@ -19,8 +16,7 @@ VIEWS = {
 }
 """Name of each -> the direction in which it stands, of any length. `close` looks at the hands; the
 others at the whole keyboard, or at the hands where a picture is too tall to be filled by it."""
-FIELD_OF_VIEW = 28.0
-"""Of all of them, from the lower edge of the picture to the upper one [degree]."""
+FIELD_OF_VIEW = 28.0  # of all of them, from the lower edge of the picture to the upper one [degree]
 
 _ROOM = np.array([1.0, 0.95])  # of width and height of the picture, that is for what it looks at
 _FILLED = 0.88  # of the height, at least, with what is around
@@ -44,10 +40,8 @@ def outline_of(low: Any, high: Any) -> Points:
 class Sight(NamedTuple):
     """What a camera sees."""
 
-    shown: Points
-    """What has to be in the picture."""
-    around: Points
-    """What may fill the rest of it."""
+    shown: Points  # what has to be in the picture
+    around: Points  # what may fill the rest of it
 
 
 class Camera:

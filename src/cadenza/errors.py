@@ -1,7 +1,5 @@
 """Errors whose message is meant for users rather than programmers."""
 
-from __future__ import annotations
-
 import errno
 import os
 import sys

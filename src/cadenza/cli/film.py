@@ -1,7 +1,5 @@
 """`cadenza film`: a film of a performance, or its sound, to share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -58,14 +58,13 @@ class Imitation(CheckpointedRun):
     def __init__(self, config: ImitationConfig, demonstrations: Path, folder: Path) -> None:
         """Go on with the run in `folder`, if there is one.
 
+        Raises CadenzaError if an option makes no sense, there are no such demonstrations or they do
+        not go together, or the folder holds a run with other options.
+
         Args:
             config: The options of the run.
             demonstrations: a folder of `cadenza dataset collect`.
             folder: The folder of the run; no other process works in it.
-
-        Raises:
-            CadenzaError: an option makes no sense, there are no such demonstrations or they do not
-                go together, or the folder holds a run with other options.
         """
         config.check()
         rng = np.random.default_rng(config.seed)
@@ -272,8 +271,7 @@ def _by_song(
 def _song_named(name: str, songs: Sequence[str]) -> str:
     """The song with this name, or with this last part of it.
 
-    Raises:
-        CadenzaError: there is none, or there are several.
+    Raises CadenzaError if there is none, or there are several.
     """
     called = [song for song in songs if name in (song, name_without_ending(song))]
     if name in called:

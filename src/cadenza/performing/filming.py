@@ -1,7 +1,5 @@
 """Films of a performance, drawn by its page in a browser, and its sound alone."""
 
-from __future__ import annotations
-
 import json
 import os
 import queue
@@ -37,8 +35,7 @@ from cadenza.report.sound import (
 )
 from cadenza.report.tone import Tone, tone
 
-FILM = "video.mp4"
-"""The name of the film in the folder of a performance."""
+FILM = "video.mp4"  # the name of the film in the folder of a performance
 _ENDING = ".mp4"
 _MIN_SIDE, _MAX_SIDE = 64, 2160  # [px]
 _TALL = 1.2  # height over width from which the camera follows the hands by default
@@ -76,9 +73,8 @@ class Look:
     def __post_init__(self) -> None:
         """Check size and camera.
 
-        Raises:
-            CadenzaError: the film is too small, too large or of an odd size, or there is no such
-                camera.
+        Raises CadenzaError if the film is too small, too large or of an odd size, or there is no
+        such camera.
         """
         sides = self.width, self.height
         if not (min(sides) >= _MIN_SIDE and max(sides) <= _MAX_SIDE) or any(s % 2 for s in sides):
@@ -98,8 +94,7 @@ class Look:
 def check_film(path: Path) -> None:
     """Check the name of a film or a sound before it is made.
 
-    Raises:
-        CadenzaError: it has another ending, or is a folder.
+    Raises CadenzaError if it has another ending, or is a folder.
     """
     if path.suffix.lower() not in (_ENDING, *CODECS):
         raise CadenzaError(
@@ -121,6 +116,9 @@ def write_film(
 ) -> Path:
     """Write the film of a performance, or its sound alone if the ending of the name says so.
 
+    Raises CadenzaError if the folder holds no performance, the file has another ending, there is
+    nothing to show, or no browser that can draw it. Returns the file.
+
     Args:
         folder: what `Performance.save` wrote.
         path: the file; `FILM` in the folder if there is none. See `check_film`.
@@ -129,13 +127,6 @@ def write_film(
         seconds: its length, to the end of the performance if there is none.
         voice: what makes the notes, see `synthesize`.
         progress: is told how many pictures are drawn.
-
-    Returns:
-        The file.
-
-    Raises:
-        CadenzaError: the folder holds no performance, the file has another ending, there is
-            nothing to show, or no browser that can draw it.
     """
     path, page = path or folder / FILM, folder / "report.html"
     check_film(path)
@@ -171,11 +162,7 @@ def write_film(
 def find_browser() -> str:
     """Find the Chrome, Chromium or Edge of this machine.
 
-    Returns:
-        Its path.
-
-    Raises:
-        CadenzaError: there is none.
+    Raises CadenzaError if there is none. Returns its path.
     """
     found = next(filter(None, map(shutil.which, (*_NAMES, *_PLACES))), None)
     if found is None:
@@ -191,8 +178,7 @@ def _draw(
 ) -> None:
     """Have a browser draw the film that is asked for, and send it into a file, without sound.
 
-    Raises:
-        CadenzaError: the browser ends, sends nothing for two minutes, or cannot draw.
+    Raises CadenzaError if the browser ends, sends nothing for two minutes, or cannot draw.
     """
     token, events = secrets.token_urlsafe(16), queue.Queue[tuple[str, ...]]()
     allowed = page.replace(_POLICY, f"{_POLICY} connect-src 'self';", 1)  # to send its film here

@@ -1,7 +1,5 @@
 """The summary of many runs: the values that its page, its figure and its tables are made of."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

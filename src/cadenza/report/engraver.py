@@ -4,8 +4,6 @@
 what `engraving_of` makes of it.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -4,8 +4,6 @@ Verovio engraves. Of its drawings remain shapes, glyphs and texts: glyphs are sh
 and only the groups of notes are kept, to be coloured.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """The page of a performance: in three dimensions, with sound, piano roll and scores."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence

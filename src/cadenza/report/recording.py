@@ -4,8 +4,6 @@ Arrays over time are differences from step to step, deflated. Of the hands there
 joints' positions: the page's scene puts the bodies where they belong.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterable, Mapping
 from typing import Any

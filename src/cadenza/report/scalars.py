@@ -1,7 +1,5 @@
 """Metrics of a training run for TensorBoard and Weights & Biases."""
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Mapping
 from pathlib import Path

@@ -4,8 +4,6 @@ What Verovio engraves is shapes, glyphs and a few texts, which PDF has operators
 Texts are in the Times that every reader of PDF has; accents that its encoding lacks are left out.
 """
 
-from __future__ import annotations
-
 import re
 import unicodedata
 import zlib

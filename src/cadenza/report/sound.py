@@ -4,8 +4,6 @@ Sound is made, levelled and encoded block by block, and lies in a file in betwee
 memory it takes does not grow with its length.
 """
 
-from __future__ import annotations
-
 import io
 import tempfile
 from bisect import bisect_right

@@ -1,7 +1,5 @@
 """The tones of a sound font (SF2 or SF3) in place of the built-in piano's."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

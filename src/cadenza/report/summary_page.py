@@ -1,7 +1,5 @@
 """The page that sums up many runs, and its chart of all pieces as an SVG picture."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterator, Sequence

@@ -7,8 +7,6 @@ decay, which gives the piano's fast first and slow second decay (Weinreich, "Cou
 JASA 62, 1977). The levels were set by ear and by common measurements of pianos.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

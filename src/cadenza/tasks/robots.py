@@ -1,7 +1,5 @@
 """Profiles of real robots and pianos for domain randomization; each is a setup, too."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from cadenza.tasks.config import DomainRandomization

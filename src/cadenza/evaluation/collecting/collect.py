@@ -1,7 +1,5 @@
 """Collects a demonstration: plays an episode, and records it if it is good enough."""
 
-from __future__ import annotations
-
 import hashlib
 import time
 from collections.abc import Callable, Sequence
@@ -60,8 +58,7 @@ class EpisodeSpec(JobSpec):
     """Everything that an episode depends on; `seed` is the number of the episode of its song."""
 
     variation: Variation = field(default_factory=Variation)
-    student_config: Any = None
-    """The options of the student, if there is one and it has any."""
+    student_config: Any = None  # the options of the student, if there is one and it has any
 
     @property
     def pitches(self) -> range:
@@ -77,8 +74,7 @@ class EpisodeJob(BenchJob):
     command: ClassVar[str] = "cadenza dataset collect"
     spec: EpisodeSpec
     page: bool = False
-    least_f1: float = 0.0
-    """Least F1 of an episode that is kept."""
+    least_f1: float = 0.0  # least F1 of an episode that is kept
 
 
 class Demonstrator(NamedTuple):

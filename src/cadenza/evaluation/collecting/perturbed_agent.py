@@ -1,7 +1,5 @@
 """An agent with noise on its actions, so that demonstrations show how to recover."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -22,12 +20,10 @@ _STUDENT_SHARE = 0.5  # share of the turns in which the student plays
 class Shown(NamedTuple):
     """What one environment shows that the recorded states do not tell."""
 
-    pedal: float
-    """How far the pedal is down, from 0 to 1: actions may arrive late."""
+    pedal: float  # how far the pedal is down, from 0 to 1: actions may arrive late
+    # (K,) when keys began to sound in the last step, see `observed_key_onsets`
     key_onset: NDArray[np.float32]
-    """(K,) when keys began to sound in the last step, see `observed_key_onsets`."""
-    key_velocity: NDArray[np.float32]
-    """(K,) how loud they did."""
+    key_velocity: NDArray[np.float32]  # (K,) how loud they did
 
 
 def shown_by(view: View) -> Shown:

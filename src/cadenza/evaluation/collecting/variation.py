@@ -1,7 +1,5 @@
 """Variation among the episodes of a song. Imports nothing heavy: the command line shows it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

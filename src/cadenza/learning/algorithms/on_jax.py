@@ -1,7 +1,5 @@
 """Functions for learners in JAX: its start, learning rate schedules, states as arrays."""
 
-from __future__ import annotations
-
 import os
 import sys
 from abc import ABC, abstractmethod

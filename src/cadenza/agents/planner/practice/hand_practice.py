@@ -5,8 +5,6 @@ itself and with the keys near it only. Whether the best of them is of use shows 
 where the other hand may be in the way.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -44,25 +42,18 @@ _REFINEMENTS_OF_ALL = 12  # the same of those that are refined for their own sak
 class ChangedControls(NamedTuple):
     """Other controls for a hand with A servos over L steps, and the servos' states with them."""
 
-    first: int
-    """The first of the steps."""
-    ctrl: Array
-    """(L, A)"""
-    expected: Array
-    """(L, A, 2) position and speed of each servo before each step."""
+    first: int  # the first of the steps
+    ctrl: Array  # (L, A)
+    expected: Array  # (L, A, 2) position and speed of each servo before each step
 
 
 class Attempt(NamedTuple):
     """An attempt of a hand to mend a fault, and its result."""
 
-    step: int
-    """The step with the loss."""
-    first: int
-    """The step at which perturbations began."""
-    change: ChangedControls | None
-    """The best of them, if one was better than the trajectory."""
-    simulated: int
-    """Control steps that were simulated."""
+    step: int  # the step with the loss
+    first: int  # the step at which perturbations began
+    change: ChangedControls | None  # the best of them, if one was better than the trajectory
+    simulated: int  # control steps that were simulated
 
 
 @dataclass
@@ -192,10 +183,8 @@ class HandPractice:
     ) -> ChangedControls | None:
         """Roll out `offsets` (N, L, A) and corrections from the step `first` up to `end`.
 
-        The strikes of the cheapest are refined.
-
-        Returns:
-            The controls of the cheapest rollout, None if the trajectory is as cheap.
+        The strikes of the cheapest are refined. Returns the controls of the cheapest rollout, None
+        if the trajectory is as cheap.
         """
         steps, changed = end - first, offsets.shape[1]
         as_it_is, unchanged = self._unchanged(trajectory, first, end)
@@ -262,8 +251,8 @@ class HandPractice:
     ) -> tuple[ChangedControls, Iterator[Array]]:
         """Other controls, with offsets (L + 1, A) to the positions of servos.
 
-        Returns:
-            The change, which a rollout in this slot fills in, and the controls for this rollout.
+        Returns the change, which a rollout in this slot fills in, and the controls for this
+        rollout.
         """
         first, ctrl, expected = base.first, base.ctrl.copy(), base.expected.copy()
         rows = slice(first, first + len(ctrl))

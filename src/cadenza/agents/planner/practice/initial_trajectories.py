@@ -4,8 +4,6 @@ In between, the best passages of all trajectories are spliced together, and the 
 result. The best trajectory of all is where practice begins.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
@@ -38,8 +36,7 @@ _MAX_DELAY = 0.1  # [s] by which hands delay their releases before a jump
 _ANY_VELOCITY = 64  # of notes that are compared by their onsets
 _MAX_ROLLOUTS = 4  # of each chunk, by hands that follow a spliced trajectory
 
-Parts = dict[str, dict[str, Any]]
-"""The arrays of a state by part and name."""
+Parts = dict[str, dict[str, Any]]  # the arrays of a state by part and name
 
 """The least and the greatest values by "part/name", of which `*` stands for any."""
 
@@ -49,8 +46,7 @@ class _Chunk(NamedTuple):
 
     played: Trajectory
     snapshots: Snapshots
-    simulated: int
-    """Control steps of a hand."""
+    simulated: int  # control steps of a hand
 
 
 class PlannedVariant:
@@ -75,10 +71,7 @@ class PlannedVariant:
         """Plan the whole song, from joint positions (J,) of the hands [m, rad].
 
         By default, the variant has the fingers of the song, or those that are found for it, and the
-        usual release times.
-
-        Raises:
-            CadenzaError: there are no hands in the scene.
+        usual release times. Raises CadenzaError if there are no hands in the scene.
         """
         track, delays = (variant.of(track), variant.release_delays) if variant else (track, 0)
         plan = self.plan = plan_song(track, start, context.progress, delays, strikes=True)
@@ -142,8 +135,7 @@ class InitialTrajectories:
     ) -> None:
         """Plan the first trajectory of a song, from joint positions (J,) of the hands [m, rad].
 
-        Raises:
-            CadenzaError: there are no hands in the scene.
+        Raises CadenzaError if there are no hands in the scene.
         """
         found = context.config.fingering == "found"
         if found:
@@ -194,8 +186,7 @@ class InitialTrajectories:
     def advance(self) -> int:
         """Play a chunk, or begin another trajectory.
 
-        Returns:
-            How many control steps of a hand were simulated.
+        Returns how many control steps of a hand were simulated.
         """
         if not self.is_playing:
             self._begin_next()

@@ -18,8 +18,7 @@ from cadenza.music.metrics import ONSET_TOLERANCE
 from cadenza.music.performance import BOUNCE
 from cadenza.tasks import reward
 
-NOTE_WEIGHT = 2.0
-"""The weight of note onset F1 beside that of F1, which is 1."""
+NOTE_WEIGHT = 2.0  # the weight of note onset F1 beside that of F1, which is 1
 _IN_TIME = ONSET_TOLERANCE + 5e-5  # [s] early or late: metrics round differences to 0.1 ms
 _RECENT = 0.2  # [s] after which nothing that a key did decides what is struck
 # All are small beside the loss of one key in one step, so that they only decide between rollouts
@@ -32,22 +31,18 @@ _STRIKE_WEIGHT = 0.01  # of the cost that the search gives strikes
 class KeyEvents(NamedTuple):
     """What K keys did in a step, each (K,); NaN for those that did not."""
 
-    onset: Array
-    """When each last began to sound, from the beginning of the step on [s]."""
-    offset: Array
-    """When it last ceased to sound [s]."""
-    speed: Array
-    """How fast it moved at its onset [rad/s]."""
+    onset: Array  # when each last began to sound, from the beginning of the step on [s]
+    offset: Array  # when it last ceased to sound [s]
+    speed: Array  # how fast it moved at its onset [rad/s]
 
 
 class KeyHistory(NamedTuple):
     """The state of K keys after a step, each (K,)."""
 
     sounding: Mask
-    ended: Array
-    """When the last note of each key ended, from the beginning of the song on [s]."""
+    ended: Array  # when the last note of each key ended, from the beginning of the song on [s]
+    # The number of written notes of each key that have been struck or missed
     decided: NDArray[np.intp]
-    """The number of written notes of each key that have been struck or missed."""
 
     def of(self, keys: slice) -> KeyHistory:
         """The history of some of the keys."""
@@ -57,16 +52,11 @@ class KeyHistory(NamedTuple):
 class NoteEvents(NamedTuple):
     """What became of notes in a step."""
 
-    missed: int
-    """The number of the hand's notes that were not struck and can no longer be."""
-    extra: Mask
-    """(K,) keys that began to sound, and no note is written there then."""
-    struck: NDArray[np.intp]
-    """(S,) keys whose written notes were struck in time."""
-    note: NDArray[np.intp]
-    """(S,) the numbers of these notes among those of their keys."""
-    history: KeyHistory
-    """The keys after the step."""
+    missed: int  # the number of the hand's notes that were not struck and can no longer be
+    extra: Mask  # (K,) keys that began to sound, and no note is written there then
+    struck: NDArray[np.intp]  # (S,) keys whose written notes were struck in time
+    note: NDArray[np.intp]  # (S,) the numbers of these notes among those of their keys
+    history: KeyHistory  # the keys after the step
 
 
 class WrittenNotes:
@@ -140,16 +130,11 @@ class WrittenNotes:
 class StepLoss(NamedTuple):
     """The evaluation of a step."""
 
-    loss: float
-    """The loss of notes and of F1."""
-    faults: int
-    """The number of notes that were missed, or struck and not written."""
-    strike_loss: float
-    """The loss by strikes that are out of time, or too loud or too soft."""
-    cost: float
-    """Both losses, and a little for what is nearly lost."""
-    history: KeyHistory
-    """The keys after the step."""
+    loss: float  # the loss of notes and of F1
+    faults: int  # the number of notes that were missed, or struck and not written
+    strike_loss: float  # the loss by strikes that are out of time, or too loud or too soft
+    cost: float  # both losses, and a little for what is nearly lost
+    history: KeyHistory  # the keys after the step
 
 
 class Losses:

@@ -35,17 +35,15 @@ _APART = _BEFORE + _AFTER  # [s] between passages, so that no step is judged twi
 _JUMP = 0.15  # [s] before a hand strikes in which a jump there begins
 _WINDOW = 1.0  # [s] in which each hand keeps the better trajectory if the fingers are the same
 
-Passage = tuple[slice, slice]
-"""Steps, and the hands that are judged by them."""
+Passage = tuple[slice, slice]  # steps, and the hands that are judged by them
 
 
 class Variant(NamedTuple):
     """A choice of fingers for N notes, and of release times for H hands over T steps."""
 
-    fingers: NDArray[np.int64]
-    """(N,) the finger of each note, as hands number their fingers."""
+    fingers: NDArray[np.int64]  # (N,) the finger of each note, as hands number their fingers
+    # (T, H) steps by which a hand delays its releases before what begins, see `MotionPlanner`
     release_delays: NDArray[np.int8]
-    """(T, H) steps by which a hand delays its releases before what begins, see `MotionPlanner`."""
 
     def equals(self, other: Variant) -> bool:
         """Whether both are the same."""
@@ -61,12 +59,9 @@ class Variant(NamedTuple):
 class SplicedTrajectory(NamedTuple):
     """The best passages of all trajectories, spliced together."""
 
-    track: GoalTrack
-    """The song, with any fingers."""
-    variant: Variant
-    """The fingers and release times of its passages."""
-    trajectory: Trajectory
-    """The passages, which no hands have played one after the other."""
+    track: GoalTrack  # the song, with any fingers
+    variant: Variant  # the fingers and release times of its passages
+    trajectory: Trajectory  # the passages, which no hands have played one after the other
 
     def with_fingers_by(self, costs: Costs) -> Variant:
         """The variant with the fingers that these `costs` choose where something is lost."""

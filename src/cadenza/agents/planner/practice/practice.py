@@ -14,8 +14,6 @@ Effort is counted in simulated control steps, so that the same effort comes to t
 machine, by however many threads it is made.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections import defaultdict
@@ -43,10 +41,8 @@ from cadenza.sim.protocol import State
 from cadenza.tasks.config import task_identity
 from cadenza.tasks.view import View
 
-EFFORT = 100
-"""Control steps that each hand simulates for each one of the song at effort 1."""
-MAX_EFFORT = 1e6
-"""The greatest effort that can be chosen."""
+EFFORT = 100  # control steps that each hand simulates for each one of the song at effort 1
+MAX_EFFORT = 1e6  # the greatest effort that can be chosen
 _FIRST_SWEEP, _SWEEP = 0.5, 1.0  # effort: the first one finds the easy faults, and is over sooner
 _APART = 0.5  # [s] between passages
 _INTERVAL = 0.5  # [s] between snapshots, at which rollouts can begin
@@ -60,14 +56,11 @@ _MAX_BYTES = 2**32  # of a file: hours of music
 class _Sweep(NamedTuple):
     """The progress of a sweep over the song."""
 
-    first: int
-    """The step at which the current window begins."""
-    refined: int
-    """The step up to which strikes have been refined."""
+    first: int  # the step at which the current window begins
+    refined: int  # the step up to which strikes have been refined
+    # (T,) simulated control steps after which a window is left that ends with each step
     until: Array
-    """(T,) simulated control steps after which a window is left that ends with each step."""
-    before: Trajectory
-    """The trajectory when the sweep began."""
+    before: Trajectory  # the trajectory when the sweep began
 
 
 class Practice:
@@ -85,8 +78,7 @@ class Practice:
     def __init__(self, view: View, rng: np.random.Generator, context: PlanningContext) -> None:
         """Plan the song, from the view before the first step of one environment.
 
-        Raises:
-            CadenzaError: there are no hands in the scene.
+        Raises CadenzaError if there are no hands in the scene.
         """
         (track,), start = view.tracks, view.state.hand_qpos[0]
         self._threads = context.threads
@@ -168,10 +160,8 @@ class Practice:
     def run(self, effort: float, goes_on: Callable[[], bool] = lambda: True) -> bool:
         """Practise until `effort` has been made, as long as `goes_on` returns true.
 
-        A sweep or a trajectory that has begun is finished first.
-
-        Returns:
-            Whether there is nothing more to do.
+        A sweep or a trajectory that has begun is finished first. Returns whether there is nothing
+        more to do.
         """
         while self._has_work(effort):
             if not goes_on():
@@ -395,8 +385,7 @@ class Practice:
     def restore(self, path: Path) -> None:
         """Go on from a state that the same practice has saved.
 
-        Raises:
-            CadenzaError: the file is of another practice, or damaged.
+        Raises CadenzaError if the file is of another practice, or damaged.
         """
         arrays, facts = read_tensors(path, ANY, _MAX_BYTES)
         if facts.get("practice") != self._identity:

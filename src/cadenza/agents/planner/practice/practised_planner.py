@@ -27,10 +27,8 @@ _PUSHED = 1e-4  # [m, rad] off the trajectory; feedback alone leads back from le
 class PractisedPlan(NamedTuple):
     """All that it takes to play a song as it was practised."""
 
-    tracking: Tracking
-    """The controls, and the feedback that leads the hands back to the trajectory."""
-    variant: Variant
-    """The fingers and the release times."""
+    tracking: Tracking  # the controls, and the feedback that leads the hands back to the trajectory
+    variant: Variant  # the fingers and the release times
 
 
 class PracticeResult(NamedTuple):
@@ -38,8 +36,7 @@ class PracticeResult(NamedTuple):
 
     practised: PractisedPlan
     f1: float
-    note_onset_f1: float
-    """At physics steps, as `cadenza play` counts it."""
+    note_onset_f1: float  # at physics steps, as `cadenza play` counts it
 
     @property
     def score(self) -> float:
@@ -68,10 +65,8 @@ class PractisedPlanner(EpisodePlanner):
     ) -> None:
         """Begin without a search, at the view before the first step of one environment.
 
-        `plan` is the plan of this variant before practice, if there is one already.
-
-        Raises:
-            CadenzaError: another song was practised, or with other hands.
+        `plan` is the plan of this variant before practice, if there is one already. Raises
+        CadenzaError if another song was practised, or with other hands.
         """
         (self._track,) = view.tracks
         self._tracking, self._variant = practised
@@ -127,8 +122,7 @@ class PractisedHands(PlannerPerEnv[PractisedPlanner]):
 def _check(practised: PractisedPlan, view: View) -> None:
     """Check that a plan fits the task.
 
-    Raises:
-        CadenzaError: another song was practised, or with other hands.
+    Raises CadenzaError if another song was practised, or with other hands.
     """
     steps, servos = practised.tracking.ctrl.shape
     check_planned_for(view, steps, servos + 1)

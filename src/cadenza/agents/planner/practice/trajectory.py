@@ -24,24 +24,17 @@ _UNSTABLE = 1000.0  # cost of a step that leaves the simulation unusable; no oth
 class Trajectory(NamedTuple):
     """Controls of H hands with A servos over T steps, and what came of them."""
 
-    ctrl: Array
-    """(T, A)"""
-    expected: Array
-    """(T, A, 2) position and speed of each servo before the step."""
-    sounding: Mask
-    """(T, K) whether each key sounds after the step."""
+    ctrl: Array  # (T, A)
+    expected: Array  # (T, A, 2) position and speed of each servo before the step
+    sounding: Mask  # (T, K) whether each key sounds after the step
+    # (T, K) when each key last began to sound in the step [s], in 32 bits; NaN if it did not
     onset: NDArray[Any]
-    """(T, K) when each key last began to sound in the step [s], in 32 bits; NaN if it did not."""
-    offset: NDArray[Any]
-    """(T, K) when it last ceased to sound in it [s]."""
-    loss: Array
-    """(T, H) the loss of each hand after the step, see `Losses`."""
+    offset: NDArray[Any]  # (T, K) when it last ceased to sound in it [s]
+    loss: Array  # (T, H) the loss of each hand after the step, see `Losses`
+    # (T, H) the notes that each hand missed, or struck though they are not written
     faults: NDArray[Any]
-    """(T, H) the notes that each hand missed, or struck though they are not written."""
-    strike_loss: Array
-    """(T, H) the loss of each hand by its strikes in the step, see `Losses`."""
-    cost: Array
-    """(T,) the cost of all hands after the step."""
+    strike_loss: Array  # (T, H) the loss of each hand by its strikes in the step, see `Losses`
+    cost: Array  # (T,) the cost of all hands after the step
 
     @classmethod
     def unplayed(cls, plan: SongPlan) -> Trajectory:
@@ -128,15 +121,14 @@ class WholeScene:
     ) -> tuple[Trajectory, Snapshots]:
         """Play the steps of a trajectory from `first` up to `last`, and evaluate them.
 
+        Returns what was played, and the snapshots.
+
         Args:
             trajectory: the trajectory, with what was played before these steps.
             known: the snapshots of its scene, one of them of the step `first` or before.
             every: steps between new snapshots; there is one at the end too if it falls there.
             act: returns the controls (A,) of a step in a state; by default those of the trajectory,
                 with feedback, are played.
-
-        Returns:
-            What was played, and the snapshots.
         """
         simulation = scene_before(first, trajectory, known)
         history = trajectory.key_history(first, self._losses[0].notes)

@@ -1,7 +1,5 @@
 """Candidates of a search that are not drawn: escape motions, crossover, and those of networks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

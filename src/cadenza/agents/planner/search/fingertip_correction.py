@@ -1,7 +1,5 @@
 """Changes of servos and of controls that take fingertips to their targets."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cadenza.agents.agent import Array

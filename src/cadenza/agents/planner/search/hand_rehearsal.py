@@ -4,8 +4,6 @@ Each iteration rolls the plan out in simulation, with feedback, and updates the 
 fingertip errors of this rollout. The cheapest rollout is kept. Nothing is random.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 

@@ -10,8 +10,6 @@ The model is the hand alone, on the keys near it. It moves as in the whole scene
 touch, and takes a third of the time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from copy import copy
 from typing import Any, NamedTuple
@@ -62,11 +60,9 @@ _HALF_LIFE = 1.0  # [s] of a warm start after which it is no longer needed
 # come on top.
 BUDGET_SHARE = 0.4
 _INITIAL_BUDGET = 1.0  # [s] for which it has been saved where a hand follows another trajectory
-REFINED_HORIZON = 5
-"""Steps that are simulated to refine what is struck in the first two."""
+REFINED_HORIZON = 5  # steps that are simulated to refine what is struck in the first two
 _REFINED = 2  # of these steps
-REFINEMENTS = 8
-"""Rollouts at most for it, beside one of what was found by search."""
+REFINEMENTS = 8  # rollouts at most for it, beside one of what was found by search
 _MAX_DRIFT = 1e-5  # [m, rad] between the model and the scene, above which the model is reset
 
 

@@ -1,7 +1,5 @@
 """The searches of all hands of a scene."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cost of a rollout over the look-ahead horizon of one hand."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -20,8 +18,7 @@ _WRONG_KEY = 3.0  # cost of a key that sounds and should not, or the other way r
 _WRONG_ONSET = 3.0  # of a note that has not begun in time, and of an onset where no note begins
 _BRUSHED = 1.5  # of a wrong key that only sounds within a step: for a moment, but it is heard
 _DEPTH = 3.0  # of a key's squared distance from its harmless range, in units of its travel
-HARMLESS_DEPTH = 0.3
-"""Share of its travel that a key may be down without any cost."""
+HARMLESS_DEPTH = 0.3  # share of its travel that a key may be down without any cost
 _AXES = np.array([0.55, 1.0, 1.0])  # fingertip errors along the key count less
 _ONES = np.ones(3)
 _TERMINAL = 1.5  # fingertip errors count this much more at the end of the horizon
@@ -199,14 +196,12 @@ class HorizonCost:
 
         A target is deeper where a key should have sounded and did not, unless its note was lost
         before. Where a key sounded that should not have, a fingertip that came down on it should be
-        higher, and one that presses its own key beside it farther away.
+        higher, and one that presses its own key beside it farther away. Returns (H, F, 3) errors
+        [m] and (H, F) weights, 1 for fingers that play.
 
         Args:
             fingertips: (H, F, 3) after each step [m].
             key_paths: (H, S + 1, K) before each step and after each of its physics steps [rad].
-
-        Returns:
-            (H, F, 3) errors [m] and (H, F) weights, 1 for fingers that play.
         """
         on_the_way = key_paths >= self._sounds_from
         error, weight = clipped(self._fingertips - fingertips), self._weight / TIP_WEIGHT

@@ -27,21 +27,15 @@ _EXPECTED = 0.8  # share of the least cost-to-go that was seen, which a rollout 
 class Rollout(NamedTuple):
     """A simulated control sequence, of the L steps that were simulated."""
 
-    cost: float
-    """The cost of all steps, infinite if the rollout was given up or diverged."""
-    mistakes: int
-    """The number of wrong keys, summed over the steps."""
+    cost: float  # the cost of all steps, infinite if the rollout was given up or diverged
+    mistakes: int  # the number of wrong keys, summed over the steps
     step_costs: list[float]
-    fingertips: list[Array]
-    """(F, 3) after each step [m]."""
-    hand_qpos: list[Array]
-    """(J,) after each step [m, rad]."""
-    key_qvel: list[Array]
-    """(K,) after each step [rad/s]."""
-    key_paths: list[Array]
-    """(S + 1, K) before each step and after each of its physics steps [rad]."""
+    fingertips: list[Array]  # (F, 3) after each step [m]
+    hand_qpos: list[Array]  # (J,) after each step [m, rad]
+    key_qvel: list[Array]  # (K,) after each step [rad/s]
+    key_paths: list[Array]  # (S + 1, K) before each step and after each of its physics steps [rad]
+    # Cost and mistakes so far, and the keys as far as they matter to the cost, after each step
     totals: list[tuple[float, int, Any]]
-    """Cost and mistakes so far, and the keys as far as they matter to the cost, after each step."""
 
     @property
     def key_qpos(self) -> list[Array]:
@@ -66,10 +60,8 @@ class Rollout(NamedTuple):
 class Cost(Protocol[Keys]):
     """The cost of rollouts of H steps."""
 
-    num_steps: int
-    """H, the number of steps."""
-    start: Keys
-    """The state of the keys before the first step, as far as it matters to the cost."""
+    num_steps: int  # H, the number of steps
+    start: Keys  # the state of the keys before the first step, as far as it matters to the cost
 
     def step_cost(
         self, k: int, key_path: Array, fingertips: Array, before: Keys
@@ -89,10 +81,8 @@ def start_rollouts(
 ) -> HorizonCost:
     """Make rollouts start where a hand is, on all keys on its path through `steps` (H,).
 
-    The simulation is of the hand on all keys, in its present state.
-
-    Returns:
-        The cost of rollouts over these steps.
+    The simulation is of the hand on all keys, in its present state. Returns the cost of rollouts
+    over these steps.
     """
     y_now = simulation.state.fingertip_xpos[0, goals.fingers, 1]
     y = np.append(goals.fingertips[steps + 1, :, 1], y_now)

@@ -6,8 +6,6 @@ kept. As the model moves as the whole scene does, the controls are then played a
 Where it does not, because the hands touch or something pushes them, the hand goes on step by step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -17,8 +15,7 @@ from cadenza.agents.agent import Array, steps_in
 from cadenza.agents.planner.search.hand_search import HandSearch, PlayedStep, Snapshot
 
 _WINDOW = 0.5  # [s], that of a rehearsal
-RESTARTS = 3
-"""The most restarts, one after the other."""
+RESTARTS = 3  # the most restarts, one after the other
 RESTARTS_PER_WINDOW = 0.5
 """What a hand may restart in the mean, which bounds its time; what it saves is for later ones."""
 _WRONG_NOTE = 3.0  # cost of a wrong note beyond that of its keys and onsets

@@ -6,8 +6,6 @@ taken for all strikes at once, which each rollout evaluates together. The Jacobi
 the inverse model and is updated by Broyden's rule.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -39,12 +37,9 @@ _BROYDEN = 0.5  # share of Broyden's update that is taken, as contacts are not s
 class Refined(NamedTuple):
     """Controls whose strikes have been refined."""
 
-    ctrl: Array
-    """(H, A)"""
-    rollout: Rollout
-    """The rollout of these controls."""
-    rollouts: int
-    """The number of rollouts that it took."""
+    ctrl: Array  # (H, A)
+    rollout: Rollout  # the rollout of these controls
+    rollouts: int  # the number of rollouts that it took
 
 
 class StrikeRefinement:

@@ -1,7 +1,5 @@
 """Strikes within the look-ahead horizon of a hand: when, and how fast, its keys begin to sound."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,10 +15,8 @@ UNIT = np.array([0.008, 0.4])
 """The errors that count as 1: of the time of an onset [s], and of the speed of its key [octaves].
 
 Speed counts by its logarithm, as it is heard."""
-WEIGHT = np.array([1.0, 1.5])
-"""The cost of these errors, squared."""
-TOLERANCE = np.array([0.003, 0.15])
-"""The errors that are good enough, hardly audible [s, octaves]."""
+WEIGHT = np.array([1.0, 1.5])  # the cost of these errors, squared
+TOLERANCE = np.array([0.003, 0.15])  # the errors that are good enough, hardly audible [s, octaves]
 _LARGE = 2.0  # error beyond which the cost grows by 1 for 1: a wrong onset costs anyway
 _NOT_STRUCK = np.array([8.0, 0.0])  # costs, as of an onset that is a control step of 50 ms late
 _AFTER = 3  # steps after that of a strike in which it may be at fault: its finger may bounce off

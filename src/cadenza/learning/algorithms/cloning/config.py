@@ -1,7 +1,5 @@
 """The hyperparameters of behaviour cloning. This module imports nothing heavy."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

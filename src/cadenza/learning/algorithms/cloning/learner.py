@@ -1,7 +1,5 @@
 """Behaviour cloning: regression of a demonstrator's actions on observations."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -26,8 +24,7 @@ from cadenza.learning.policy import Perceptron
 _LOG_STD = -20.0  # of a clone's actions, which are deterministic
 
 
-Examples = tuple[Any, Any]
-"""Observations (..., D), and the demonstrator's actions (..., A)."""
+Examples = tuple[Any, Any]  # observations (..., D), and the demonstrator's actions (..., A)
 
 
 class CloningState(NamedTuple):

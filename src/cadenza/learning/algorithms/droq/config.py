@@ -1,7 +1,5 @@
 """The hyperparameters of DroQ. This module imports nothing heavy: the command line shows them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 

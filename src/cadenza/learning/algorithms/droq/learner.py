@@ -6,8 +6,6 @@ RL". DroQ is Hiraoka et al., Dropout Q-Functions for Doubly Efficient Reinforcem
 2022. The hyperparameters are those of Zakka et al., RoboPianist, CoRL 2023.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """The actor and the critics: perceptrons."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import flax.linen as nn

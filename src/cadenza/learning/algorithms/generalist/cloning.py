@@ -8,8 +8,6 @@ RUN/examples/       examples of each episode, made once: 1 MB and 3 s of a core 
 RUN/weights.npz     the networks, once all are fitted
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict

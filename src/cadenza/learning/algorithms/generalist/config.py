@@ -1,7 +1,5 @@
 """The options of training a generalist. Imports nothing heavy: the command line shows them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

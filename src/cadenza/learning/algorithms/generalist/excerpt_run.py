@@ -3,8 +3,6 @@
 RUN/weights.npz     the networks
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import asdict

@@ -4,8 +4,6 @@ A network serves one or more parts of a hand that are alike: the hand as a whole
 other fingers. It is an ensemble of perceptrons whose outputs are averaged.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any

@@ -7,8 +7,6 @@ does, and the one of the wrist and the forearm from all fingers of the hand.
 RUN/weights.npz     the average of the networks of all rounds
 """
 
-from __future__ import annotations
-
 from typing import Any, ClassVar, NamedTuple
 
 import jax

@@ -9,8 +9,6 @@ gradient (Silver et al., Deterministic Policy Gradient Algorithms, 2014) of a si
 RUN/weights.npz     the networks of the generalist, with those for touches
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """The hyperparameters of PPO. This module imports nothing heavy: the command line shows them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar

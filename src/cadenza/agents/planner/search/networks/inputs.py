@@ -36,8 +36,7 @@ from cadenza.scene.servos import clip, servos_of
 
 Floats = NDArray[np.float32]
 
-FAR = 8
-"""Control steps ahead that inputs depend on."""
+FAR = 8  # control steps ahead that inputs depend on
 _POSTURE_STEPS = (1, 2, 3, 5)  # steps ahead of the planned postures
 _HELD_STEPS = 6  # steps ahead for which an input says whether a finger holds a key
 _PRESS_INPUTS = 9 + _HELD_STEPS  # per finger, of its press
@@ -65,10 +64,8 @@ _OFF_TARGET, _OVER_ITS_KEY, _HALF_DOWN, _LOW = 1.2, 0.5, 0.5, 0.3
 class Mirror(NamedTuple):
     """Signs, 1 or -1, that make right hands of H hands, whose forearms do not roll."""
 
-    y: Array
-    """(H,) signs of positions along the keyboard."""
-    servos: Array
-    """(H, A) signs of coordinates of servos."""
+    y: Array  # (H,) signs of positions along the keyboard
+    servos: Array  # (H, A) signs of coordinates of servos
 
     @classmethod
     def of(cls, sides: Sequence[Side], alone: Scene) -> Mirror:
@@ -82,14 +79,11 @@ class Mirror(NamedTuple):
 class InputLayout(NamedTuple):
     """The finger to which each of the D inputs of a hand belongs, and who needs it."""
 
-    finger: NDArray[np.intp]
-    """(D,) 0 for the thumb, or -1 for the whole hand."""
-    private: NDArray[np.bool_]
-    """(D,) whether the other fingers do not need it."""
-    previous: NDArray[np.bool_]
-    """(D,) whether it is an output of the step before."""
+    finger: NDArray[np.intp]  # (D,) 0 for the thumb, or -1 for the whole hand
+    private: NDArray[np.bool_]  # (D,) whether the other fingers do not need it
+    previous: NDArray[np.bool_]  # (D,) whether it is an output of the step before
+    # (F,) the inputs that are 1 if a finger strikes in the step, and otherwise 0
     striking: NDArray[np.intp]
-    """(F,) the inputs that are 1 if a finger strikes in the step, and otherwise 0."""
 
     @classmethod
     def of(cls, alone: Scene) -> InputLayout:
@@ -301,10 +295,8 @@ def _scaled(error: Array, scale: float) -> Array:
 class Corrections(NamedTuple):
     """Turns the outputs of networks into corrections of the controls of H hands, and back."""
 
-    sign: Array
-    """(H, A) 1, or -1 where a left hand is mirrored."""
-    scale: Array
-    """(A,) corrections with an output of 1 [m, rad]."""
+    sign: Array  # (H, A) 1, or -1 where a left hand is mirrored
+    scale: Array  # (A,) corrections with an output of 1 [m, rad]
 
     @classmethod
     def of(cls, sides: Sequence[Side], alone: Scene) -> Corrections:

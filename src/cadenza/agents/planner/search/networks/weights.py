@@ -22,8 +22,7 @@ NETWORKS = ("hand", "thumb", "fingers")
 STRIKING = ("striking thumb", "striking fingers")
 """The networks for the touch of fingers that strike, in files that have them."""
 _LAYERS = 3
-INPUT_LIMIT = 6.0
-"""Normalised inputs are clipped here: beyond it, there was no training data."""
+INPUT_LIMIT = 6.0  # normalised inputs are clipped here: beyond it, there was no training data
 CONSTANTS = np.array([0.0, 1.0], np.float32)
 """Inputs that follow those of the hand, for networks of fingers that lack some of these."""
 
@@ -51,18 +50,14 @@ class Network(NamedTuple):
     Their outputs are averaged.
     """
 
-    inputs: Ids
-    """(M, I) the inputs of each part, among those of the hand and `CONSTANTS`."""
+    inputs: Ids  # (M, I) the inputs of each part, among those of the hand and `CONSTANTS`
+    # (M, O) the servos of each part; of touches, the numbers among those of all fingers
     servos: Ids
-    """(M, O) the servos of each part; of touches, the numbers among those of all fingers."""
-    mean: Floats
-    """(I,) the mean of the inputs in training."""
+    mean: Floats  # (I,) the mean of the inputs in training
+    # (I,) the standard deviation of the inputs in training, by which they are normalised
     std: Floats
-    """(I,) the standard deviation of the inputs in training, by which they are normalised."""
-    kernels: tuple[Floats, ...]
-    """(N, I, H), ... (N, H, O)"""
-    biases: tuple[Floats, ...]
-    """(N, 1, H), ... (N, 1, O)"""
+    kernels: tuple[Floats, ...]  # (N, I, H), ... (N, H, O)
+    biases: tuple[Floats, ...]  # (N, 1, H), ... (N, 1, O)
 
     def __call__(self, inputs: Floats) -> Floats:
         """(H, M, O) the outputs for the inputs of H hands (H, D + 2), with `CONSTANTS`."""
@@ -77,18 +72,16 @@ class Network(NamedTuple):
 class Weights(NamedTuple):
     """Networks that map D inputs of a hand to A outputs, one for each servo."""
 
-    sizes: tuple[int, int]
-    """D and A."""
+    sizes: tuple[int, int]  # D and A
     networks: tuple[Network, ...]
+    # Networks for the touch of fingers that strike; may be missing
     striking: tuple[Network, ...] = ()
-    """Networks for the touch of fingers that strike; may be missing."""
 
     @classmethod
     def load(cls, path: Path) -> Weights:
         """Reads the networks of a file.
 
-        Raises:
-            CadenzaError: the file is not there, or is damaged.
+        Raises CadenzaError if the file is not there, or is damaged.
         """
         weights = cls.of(read_arrays(path, _expected()))
         (num_inputs, servos), networks, striking = weights
