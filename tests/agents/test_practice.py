@@ -1,7 +1,5 @@
 """Practice: the same effort comes to the same, stopped or not, and what comes out plays better."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import shutil
@@ -39,7 +37,7 @@ from cadenza.music.score import Note, Score
 from cadenza.performing import performance
 from cadenza.performing.practising import Practising
 from cadenza.report.sound import encode_opus
-from cadenza.scene.config import ForearmDof, Hands, SceneConfig
+from cadenza.scene.config import SceneConfig
 from cadenza.sim.threads import Threads
 from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -131,19 +129,19 @@ def assert_same(one: Practice, other: Practice) -> None:
 
 
 @pytest.fixture(scope="module")
-def practised() -> Practice:
+def practised():
     done = practice()
     assert done.run(EFFORT)
     return done
 
 
-def test_it_plays_better_than_at_first_sight(practised: Practice) -> None:
+def test_it_plays_better_than_at_first_sight(practised):
     (_, f1, onsets), *_, (effort, later_f1, later_onsets) = practised.history
     assert effort >= EFFORT
     assert later_f1 + 2 * later_onsets > f1 + 2 * onsets
 
 
-def test_the_first_take_is_what_the_planner_plays() -> None:
+def test_the_first_take_is_what_the_planner_plays():
     planner = Planner()
     planner.num_threads = 1
     played = play_episode(PianoTask([HARD], QUICK), planner, 0).episode["action"]
@@ -156,7 +154,7 @@ def test_the_first_take_is_what_the_planner_plays() -> None:
     np.testing.assert_array_equal(take.best().practised.tracking.ctrl, played[:, :-1])
 
 
-def test_more_practice_is_never_worse_and_plays_the_same_in_the_scene() -> None:
+def test_more_practice_is_never_worse_and_plays_the_same_in_the_scene():
     one = practice(score=CLOSE)
     before = 0.0
     for effort in 0.0, 0.3, 0.6:
@@ -183,7 +181,7 @@ def assert_plays_as_it_says(practised: Practice, score: Score) -> None:
     assert (metrics["f1"], metrics["note_onset_f1"]) == (best.f1, best.note_onset_f1)
 
 
-def test_it_plays_more_in_time_and_as_loud_as_written() -> None:
+def test_it_plays_more_in_time_and_as_loud_as_written():
     """Of a song of which no key is missed."""
     times = zip((0.0, 0.42, 0.83), (40, 90, 60), EASY.notes, strict=True)
     score = Score(tuple(replace(n, start=t, end=t + 0.3, velocity=v) for t, v, n in times))
@@ -200,15 +198,13 @@ def test_it_plays_more_in_time_and_as_loud_as_written() -> None:
     assert after["velocity_error"] < before["velocity_error"]
 
 
-def test_any_number_of_threads_comes_to_the_same(practised: Practice) -> None:
+def test_any_number_of_threads_comes_to_the_same(practised):
     shared = practice(num_threads=2)
     shared.run(EFFORT)
     assert_same(shared, practised)
 
 
-def test_it_goes_on_after_a_stop_as_if_there_had_been_none(
-    practised: Practice, tmp_path: Path
-) -> None:
+def test_it_goes_on_after_a_stop_as_if_there_had_been_none(practised, tmp_path):
     left = practice()
     for units in 1, 2, 4:  # in the first take, where a sweep begins, within one
         assert not left.run(EFFORT, on_and_off(units))
@@ -217,7 +213,7 @@ def test_it_goes_on_after_a_stop_as_if_there_had_been_none(
     assert_same(left, practised)
 
 
-def test_hands_that_were_pushed_search_for_what_sounded_before() -> None:
+def test_hands_that_were_pushed_search_for_what_sounded_before():
     one, rng = practice(config=PlannerConfig()), np.random.default_rng(0)
     one.run(0.0)
     task = PianoTask([HARD], QUICK)
@@ -246,7 +242,7 @@ def test_hands_that_were_pushed_search_for_what_sounded_before() -> None:
     assert planned.search.simulated > 0
 
 
-def test_a_hand_corrects_how_far_its_fingertips_are_off(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hand_corrects_how_far_its_fingertips_are_off(monkeypatch):
     def nothing(_: Perturbations, path: Any, first: int, last: int, count: int, *_rng: Any) -> Any:
         return np.zeros((count, last - first, path.shape[1]))
 
@@ -262,13 +258,8 @@ def test_a_hand_corrects_how_far_its_fingertips_are_off(monkeypatch: pytest.Monk
     [(WIDE, NO_SEARCH, 0.02, False), (JUMPS, GIVEN_FINGERS, 0.04, True)],
 )
 def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
-    score: Score,
-    config: PlannerConfig,
-    effort: float,
-    follows: bool,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    score, config, effort, follows, tmp_path, monkeypatch
+):
     straight = practice(score=score, config=config)
     at_sight = straight.plan
     straight.run(effort)
@@ -290,9 +281,7 @@ def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
 
 
 @pytest.mark.parametrize(("loss", "costs"), [(np.inf, [3.0, 1.0, 2.0, 4.0]), (0.0, [3.0])])
-def test_hands_that_follow_play_a_second_again_unless_it_is_as_good(
-    loss: float, costs: list[float], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_hands_that_follow_play_a_second_again_unless_it_is_as_good(loss, costs, monkeypatch):
     roll_out, follow, overwrite = WholeScene.roll_out, PlannedVariant.follow, Trajectory.overwrite
     made, follows, kept = list[float](), list[bool](), list[NDArray[Any]]()
 
@@ -321,8 +310,8 @@ def test_hands_that_follow_play_a_second_again_unless_it_is_as_good(
 
 @pytest.mark.slow
 def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_threads(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+    monkeypatch, tmp_path
+):
     for sweep in ("_FIRST_SWEEP", "_SWEEP"):
         monkeypatch.setattr(practice_of_hands, sweep, 0.2)
     with_search = PlannerConfig(  # a short one, which leaves something to practise
@@ -343,7 +332,7 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
     assert_same(left, straight)
 
 
-def test_practice_of_something_else_is_refused(practised: Practice, tmp_path: Path) -> None:
+def test_practice_of_something_else_is_refused(practised, tmp_path):
     with pytest.raises(CadenzaError, match=r"left\.safetensors: is the practice of another song"):
         restored(practice(seed=1), practised, tmp_path)
 
@@ -355,9 +344,7 @@ def test_practice_of_something_else_is_refused(practised: Practice, tmp_path: Pa
         (replace(QUICK, wrong_press_termination=True), SceneConfig()),
     ],
 )
-def test_practice_with_other_options_is_refused(
-    practised: Practice, config: TaskConfig, scene: SceneConfig, tmp_path: Path
-) -> None:
+def test_practice_with_other_options_is_refused(practised, config, scene, tmp_path):
     task = PianoTask([HARD], config, scene)
     task.reset([np.random.default_rng(0)], [0])
     other = Practice(
@@ -367,7 +354,7 @@ def test_practice_with_other_options_is_refused(
         restored(other, practised, tmp_path)
 
 
-def test_a_damaged_state_is_refused(practised: Practice, tmp_path: Path) -> None:
+def test_a_damaged_state_is_refused(practised, tmp_path):
     path = changed(practised, tmp_path)
     content = bytearray(path.read_bytes())
     content[-1] ^= 1
@@ -377,7 +364,7 @@ def test_a_damaged_state_is_refused(practised: Practice, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("lost", ["spliced/fingers", "practice/numbers", "best/ctrl"])
-def test_practice_with_parts_missing_is_refused(lost: str, tmp_path: Path) -> None:
+def test_practice_with_parts_missing_is_refused(lost, tmp_path):
     begun = practice()
     begun.run(EFFORT, on_and_off(1))
     assert lost in begun.state()
@@ -386,9 +373,7 @@ def test_practice_with_parts_missing_is_refused(lost: str, tmp_path: Path) -> No
         practice().restore(path)
 
 
-def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(monkeypatch, tmp_path):
     """Snapshots are whole simulations: none is made of the song before the window."""
     left = practice(score=LONG)
     while not left.state().get("sweep/first"):
@@ -408,7 +393,7 @@ def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(
 
 
 @pytest.mark.parametrize("forearm_dofs", [(), ("ty",)])
-def test_hands_that_do_not_slide_practise(forearm_dofs: tuple[ForearmDof, ...]) -> None:
+def test_hands_that_do_not_slide_practise(forearm_dofs):
     config = SceneConfig(hands="right", forearm_dofs=forearm_dofs)
     task = PianoTask([HARD], QUICK, config)
     task.reset([np.random.default_rng(0)], [0])
@@ -417,14 +402,14 @@ def test_hands_that_do_not_slide_practise(forearm_dofs: tuple[ForearmDof, ...]) 
     assert done.effort > EFFORT  # there was something to mend
 
 
-def test_a_song_with_a_long_rest_is_practised() -> None:
+def test_a_song_with_a_long_rest_is_practised():
     later = tuple(replace(n, start=n.start + 3.6, end=n.end + 3.6) for n in HARD.notes[:3])
     done = practice(score=Score((*EASY.notes[:1], *later)))
     done.run(0.2)
     assert done.best().score >= done.history[0][1] + 2 * done.history[0][2]
 
 
-def test_the_only_passage_of_a_short_song_is_told() -> None:
+def test_the_only_passage_of_a_short_song_is_told():
     done = practice(score=Score(HARD.notes[:1]))
     done.run(0.01)
     done.trajectory.loss[:] = 0.0
@@ -432,7 +417,7 @@ def test_the_only_passage_of_a_short_song_is_told() -> None:
     assert done.passages_with_loss() == [0]
 
 
-def test_the_planner_practises_before_it_plays() -> None:
+def test_the_planner_practises_before_it_plays():
     planner = Planner(replace(NO_SEARCH, effort=0.01))
     planner.num_threads = 1
     told = []
@@ -463,14 +448,14 @@ def off_plan_after_a_push(practised: Practice, score: Score) -> list[float]:
     return off
 
 
-def test_hands_that_are_pushed_find_back() -> None:
+def test_hands_that_are_pushed_find_back():
     easy = practice(score=EASY)
     easy.run(0.01)
     off = off_plan_after_a_push(easy, EASY)
     assert off[-1] < off[9] / 2
 
 
-def test_hands_that_are_pushed_find_back_before_a_finger_slips(practised: Practice) -> None:
+def test_hands_that_are_pushed_find_back_before_a_finger_slips(practised):
     off = off_plan_after_a_push(practised, HARD)
     assert off[13] < off[9] / 3
 
@@ -494,21 +479,19 @@ def folder_of(tmp_path: Path, *options: str) -> Path:
 
 
 @pytest.fixture(scope="module", params=["both", "apart"])
-def practised_folder(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Path, Hands]:
+def practised_folder(request, tmp_path_factory):
     """What practice has left, and with which hands."""
     folder = tmp_path_factory.mktemp(request.param)
     return folder_of(folder, "--effort", "0.1", "--hands", request.param), request.param
 
 
 @pytest.fixture(scope="module")
-def begun_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def begun_folder(tmp_path_factory):
     """What practice leaves that was played once."""
     return folder_of(tmp_path_factory.mktemp("begun"), "--effort", "0")
 
 
-def test_a_practised_plan_plays_again_bit_for_bit(practised_folder: tuple[Path, Hands]) -> None:
+def test_a_practised_plan_plays_again_bit_for_bit(practised_folder):
     folder, hands = practised_folder
     played = load_episode(folder / "episode.npz")
     with_feedback = cadenza.play(agent=folder)  # song and task are those of the folder
@@ -521,8 +504,8 @@ def test_a_practised_plan_plays_again_bit_for_bit(practised_folder: tuple[Path, 
 
 
 def test_practice_goes_on_from_elsewhere_and_after_something_else_was_played(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     write_midi(HARD, tmp_path / "hard.mid")
     quick = ("--no-video", "-q", "--planner.method", "none", "--initial-buffer-time", "0.4")
@@ -541,8 +524,8 @@ def test_practice_goes_on_from_elsewhere_and_after_something_else_was_played(
 
 @pytest.mark.parametrize("by_play", [False, True])
 def test_what_was_practised_is_scored_and_explained_alike_when_it_is_played(
-    by_play: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    by_play, tmp_path, capsys
+):
     """Other fingers than the task would find, and notes that no hand can reach."""
     apart = tuple(Note(t, t + 0.3, pitch, 80) for t in (0.0, 0.4) for pitch in (48, 60, 71, 84))
     write_midi(Score(apart), tmp_path / "apart.mid")
@@ -564,9 +547,7 @@ def test_what_was_practised_is_scored_and_explained_alike_when_it_is_played(
 
 
 @pytest.mark.parametrize("practised_folder", ["both"], indirect=True)
-def test_practised_hands_that_are_pushed_search_as_the_planner_does(
-    practised_folder: tuple[Path, Hands], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_practised_hands_that_are_pushed_search_as_the_planner_does(practised_folder, monkeypatch):
     def restarted(self: HandsInScene, *arguments: Any) -> None:
         searches.append(self)
         restart(self, *arguments)
@@ -588,7 +569,7 @@ def test_practised_hands_that_are_pushed_search_as_the_planner_does(
     assert pushed.metrics["f1"] > open_loop.metrics["f1"]
 
 
-def test_another_song_than_the_practised_one_is_told(practised: Practice) -> None:
+def test_another_song_than_the_practised_one_is_told(practised):
     hands = PractisedHands(practised.best().practised, NO_SEARCH)
     with pytest.raises(
         CadenzaError, match=r"has 2 hands and 6 notes, .* 2 and 3: was another song practised"
@@ -599,17 +580,13 @@ def test_another_song_than_the_practised_one_is_told(practised: Practice) -> Non
         play_episode(one_hand, hands)
 
 
-def test_effort_is_refused_for_what_was_practised(
-    begun_folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_effort_is_refused_for_what_was_practised(begun_folder, capsys):
     with pytest.raises(SystemExit):
         main(["play", "--agent", str(begun_folder), "--planner.effort", "1"])
     assert "leave out --planner.effort" in capsys.readouterr().err
 
 
-def test_the_planner_practises_in_the_folder_of_what_it_plays(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_planner_practises_in_the_folder_of_what_it_plays(tmp_path, capsys):
     folder = folder_of(tmp_path, "--effort", "0.01")
     said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("effort")]
     write_midi(HARD, tmp_path / "hard.mid")
@@ -628,15 +605,13 @@ def test_the_planner_practises_in_the_folder_of_what_it_plays(
             np.testing.assert_array_equal(ours[array], theirs[array])
 
 
-def test_practice_without_noise_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_practice_without_noise_only(tmp_path, capsys):
     with pytest.raises(SystemExit):
         folder_of(tmp_path, "--randomization.control-noise", "0.05")
     assert "hands practise with the nominal model" in capsys.readouterr().err
 
 
-def test_practice_that_was_killed_has_its_plan_after_the_first_take(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_practice_that_was_killed_has_its_plan_after_the_first_take(tmp_path, monkeypatch):
     class Killed(BaseException): ...
 
     def killed(self: Practice, effort: float, goes_on: Callable[[], bool]) -> bool:
@@ -659,12 +634,12 @@ A_SECOND = "--effort", "0.02", "--first-seconds", "1.1", "--seed", "3"
 
 
 @pytest.fixture(scope="module")
-def straight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def straight(tmp_path_factory):
     """What practice leaves that never stopped."""
     return folder_of(tmp_path_factory.mktemp("straight"), *A_SECOND, "--effort", "0.2")
 
 
-def test_practice_is_resumed_where_it_was_left(straight: Path, tmp_path: Path) -> None:
+def test_practice_is_resumed_where_it_was_left(straight, tmp_path):
     folder = folder_of(tmp_path, *A_SECOND)
     begun = read_tensors(folder / "practice.safetensors", ANY, 2**28)[0]
     before = json.loads((folder / "settings.json").read_text())
@@ -683,8 +658,8 @@ def test_practice_is_resumed_where_it_was_left(straight: Path, tmp_path: Path) -
 
 
 def test_the_time_of_the_first_take_says_nothing_of_how_long_practice_takes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, monkeypatch, capsys
+):
     seconds = itertools.count(0, 100)
     monkeypatch.setattr(time, "monotonic", lambda: float(next(seconds)))
     write_midi(HARD, tmp_path / "hard.mid")
@@ -697,7 +672,7 @@ def test_the_time_of_the_first_take_says_nothing_of_how_long_practice_takes(
     assert not any(line.startswith("first take") for line in shown[1:])
 
 
-def test_what_is_finished_after_the_effort_is_shown_until_its_end() -> None:
+def test_what_is_finished_after_the_effort_is_shown_until_its_end():
     done, told = practice(score=LONG), list[tuple[str, int, int]]()
 
     def goes_on() -> bool:
@@ -714,9 +689,7 @@ def test_what_is_finished_after_the_effort_is_shown_until_its_end() -> None:
     assert done.progress(0.002) == ("practising", 100, 100)
 
 
-def test_practice_is_saved_more_often_than_a_plan_that_takes_long_to_save(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_practice_is_saved_more_often_than_a_plan_that_takes_long_to_save(tmp_path, monkeypatch):
     clock, saved = [0.0], []
 
     def now() -> float:
@@ -741,9 +714,7 @@ def test_practice_is_saved_more_often_than_a_plan_that_takes_long_to_save(
     assert saved.count("save") > 4
 
 
-def test_a_folder_that_does_not_say_how_it_was_practised(
-    begun_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_that_does_not_say_how_it_was_practised(begun_folder, tmp_path, capsys):
     folder = shutil.copytree(begun_folder, tmp_path / "practised")
     for name in ("practice.json", "settings.json"):
         (folder / name).unlink()
@@ -752,32 +723,26 @@ def test_a_folder_that_does_not_say_how_it_was_practised(
     assert "run the same command again that practised there" in capsys.readouterr().err
 
 
-def test_episodes_that_end_early_cannot_be_practised(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_episodes_that_end_early_cannot_be_practised(tmp_path, capsys):
     with pytest.raises(SystemExit):
         folder_of(tmp_path, "--wrong-press-termination")
     assert "cadenza: --wrong-press-termination: a song that ends" in capsys.readouterr().err
 
 
-def test_another_song_in_the_folder_is_told(
-    begun_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_song_in_the_folder_is_told(begun_folder, tmp_path, capsys):
     write_midi(EASY, tmp_path / "easy.mid")
     with pytest.raises(SystemExit):
         main(["practice", str(tmp_path / "easy.mid"), "-o", str(begun_folder)])
     assert "is the practice of another song" in capsys.readouterr().err
 
 
-def test_one_practice_at_a_time_in_a_folder(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_practice_at_a_time_in_a_folder(tmp_path, capsys):
     with locked(tmp_path / "practised"), pytest.raises(SystemExit):
         folder_of(tmp_path)
     assert "somebody practises there" in capsys.readouterr().err
 
 
-def test_ctrl_c_keeps_the_best_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_keeps_the_best_so_far(tmp_path, monkeypatch):
     run = Practice.run
 
     def run_and_interrupt(self: Practice, _: float, goes_on: Callable[[], bool]) -> bool:
@@ -797,9 +762,7 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path: Path, monkeypatch: pytest.Monkey
     assert [len(history) for history in found] == [1]
 
 
-def test_ctrl_c_while_results_are_written_writes_them_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_while_results_are_written_writes_them_all(tmp_path, monkeypatch):
     def encode_and_interrupt(*arguments: Any, **options: Any) -> bytes:
         if not sounds:
             signal.raise_signal(signal.SIGINT)

@@ -1,10 +1,7 @@
 """What is recorded of an episode, and which are kept."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,13 +31,13 @@ from demonstrations.made import SCORE, collected, demonstrator, jobs
 BUT_STRIKES = 0.01  # [m, rad] of the median control, which strikes hardly change
 
 
-def test_what_was_played_is_played_again_bit_for_bit(made: Path) -> None:
+def test_what_was_played_is_played_again_bit_for_bit(made):
     scene = build_scene()
     for episode in kept(made):
         assert differences(episode, scene) == {}
 
 
-def test_randomized_episodes_are_played_again_bit_for_bit(tmp_path: Path) -> None:
+def test_randomized_episodes_are_played_again_bit_for_bit(tmp_path):
     randomization = DomainRandomization(
         mass=(0.8, 1.2), latency=(0.0, 0.02), control_noise=0.02, key_noise=0.1
     )
@@ -52,7 +49,7 @@ def test_randomized_episodes_are_played_again_bit_for_bit(tmp_path: Path) -> Non
         assert "hand_qpos" in differences(replace(episode, facts=facts), build_scene())
 
 
-def test_the_label_is_the_correction_and_not_the_noise(made: Path) -> None:
+def test_the_label_is_the_correction_and_not_the_noise(made):
     """Without search, the planner answers noise by its plan with feedback, and its strikes."""
     for episode in kept(made):
         steps = episode.steps
@@ -63,9 +60,7 @@ def test_the_label_is_the_correction_and_not_the_noise(made: Path) -> None:
         assert 0.1 * noise < np.abs(played - chosen).max() / 0.12 < 5 * noise
 
 
-def test_a_student_plays_half_of_the_time_and_is_told_what_the_planner_would_play(
-    tmp_path: Path,
-) -> None:
+def test_a_student_plays_half_of_the_time_and_is_told_what_the_planner_would_play(tmp_path):
     variation = Variation(noise=0.0, mirror=False, student="zero")
     folders = collected(tmp_path / "a", variation, 4)
     still = []
@@ -80,7 +75,7 @@ def test_a_student_plays_half_of_the_time_and_is_told_what_the_planner_would_pla
     assert 0.1 < np.mean(still) < 0.9
 
 
-def test_rewards_are_for_the_fingers_that_are_recorded(tmp_path: Path) -> None:
+def test_rewards_are_for_the_fingers_that_are_recorded(tmp_path):
     """The piece gives fingers, but the planner has found others."""
     who = demonstrator(Variation(noise=0.0, mirror=False, excerpt=1.5), random_hand_position=0.0)
     (song,) = (s for s in open_library("bundled").songs if s.name == "FurEliseOpening")
@@ -97,8 +92,8 @@ def test_rewards_are_for_the_fingers_that_are_recorded(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("transpose", "there"), [(-5, False), (0, True), (5, True)])
 def test_what_is_transposed_afterwards_is_mirrored_only_where_there_are_keys(
-    transpose: int, there: bool, tmp_path: Path
-) -> None:
+    transpose, there, tmp_path
+):
     (job,) = jobs(tmp_path / "made", Variation(), 1, transpose=transpose)
     score = Score((Note(0.0, 0.5, 100),))  # its mirror image is 24, three keys from the lowest
     variation = Variation(mirror=True)
@@ -109,7 +104,7 @@ def test_what_is_transposed_afterwards_is_mirrored_only_where_there_are_keys(
     assert mirrored == ({False, True} if there else {False})
 
 
-def test_episodes_differ_and_the_same_one_never_does(made: Path, tmp_path: Path) -> None:
+def test_episodes_differ_and_the_same_one_never_does(made, tmp_path):
     first, second = kept(made)
     assert first.score != second.score  # tempo and transposition
     assert first.facts.start != second.facts.start
@@ -118,7 +113,7 @@ def test_episodes_differ_and_the_same_one_never_does(made: Path, tmp_path: Path)
     assert sha256_of(again / STEPS) == sha256_of(same.folder / STEPS)
 
 
-def test_only_good_episodes_are_kept_and_finished_ones_never_made_again(tmp_path: Path) -> None:
+def test_only_good_episodes_are_kept_and_finished_ones_never_made_again(tmp_path):
     noisy = Variation(noise=5.0, mirror=False)
     (folder,) = collected(tmp_path / "a", noisy, least_f1=1.0)
     assert sorted(path.name for path in folder.iterdir()) == [
@@ -139,7 +134,7 @@ def test_only_good_episodes_are_kept_and_finished_ones_never_made_again(tmp_path
     assert (folder / RESULT).stat().st_mtime_ns == before
 
 
-def test_another_process_is_not_disturbed(tmp_path: Path) -> None:
+def test_another_process_is_not_disturbed(tmp_path):
     (job,) = jobs(tmp_path / "a", Variation(), 1)
     folder = tmp_path / "a" / RUNS / job.spec.name
     with locked(folder):
@@ -147,7 +142,7 @@ def test_another_process_is_not_disturbed(tmp_path: Path) -> None:
     assert [path.name for path in folder.iterdir()] == ["lock"]
 
 
-def test_why_there_is_no_episode(tmp_path: Path) -> None:
+def test_why_there_is_no_episode(tmp_path):
     (job,) = jobs(tmp_path / "a", Variation(), 1)
     (tmp_path / "a-songs" / "song.mid").write_bytes(b"")
     record(job, tmp_path / "run", num_threads=1)
@@ -156,7 +151,7 @@ def test_why_there_is_no_episode(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("highest", [103, 104])
-def test_songs_are_mirrored_where_there_are_keys(highest: int) -> None:
+def test_songs_are_mirrored_where_there_are_keys(highest):
     score = replace(SCORE, notes=(*SCORE.notes, Note(1.0, 1.2, highest)))
     rng = np.random.default_rng(0)
     drawn = [Variation(mirror=True).draw(score, PIANO.pitches, rng) for _ in range(20)]
@@ -167,7 +162,7 @@ def test_songs_are_mirrored_where_there_are_keys(highest: int) -> None:
     assert score.mirrored.mirrored == score
 
 
-def test_black_keys_stay_black() -> None:
+def test_black_keys_stay_black():
     for pitch in PIANO.pitches:
         image = 124 - pitch
         if image in PIANO.pitches:
@@ -175,7 +170,7 @@ def test_black_keys_stay_black() -> None:
             assert black[0] == black[1]
 
 
-def test_excerpts_begin_with_a_note_and_last_as_long_as_asked() -> None:
+def test_excerpts_begin_with_a_note_and_last_as_long_as_asked():
     score = Score(tuple(Note(float(i), i + 0.5, 60 + i) for i in range(20)))
     rng = np.random.default_rng(0)
     begin = set()
@@ -187,9 +182,7 @@ def test_excerpts_begin_with_a_note_and_last_as_long_as_asked() -> None:
     assert {0.0, 15.0} <= begin <= set(map(float, range(16)))
 
 
-def test_work_for_an_excerpt_is_proportional_to_the_length_of_the_song(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_work_for_an_excerpt_is_proportional_to_the_length_of_the_song(monkeypatch):
     """The number of passes over a score's notes does not depend on how many there are."""
     looks = 0
     last = Score.total_time.fget

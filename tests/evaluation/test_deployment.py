@@ -1,7 +1,6 @@
 """The benchmark's track of robots that nobody knows."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ ABOUT = {"songs": DEPLOYMENT, "track": DEPLOYMENT, "about": "learnt from nothing
 
 
 @pytest.fixture
-def short(monkeypatch: pytest.MonkeyPatch) -> None:
+def short(monkeypatch):
     """One song, one robot, one play before the one that counts."""
     monkeypatch.setattr(definition, "_DEPLOYED", (SONG,))
     for module in entry, deployment:
@@ -32,9 +31,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("short")
-def test_what_was_practised_is_entered_and_verified(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_was_practised_is_entered_and_verified(tmp_path, capsys):
     with pytest.raises(CadenzaError, match="was not played on robot 0; cadenza practice"):
         enter(tmp_path, tmp_path / "none", **ABOUT)
     main(["practice", SONG, "--robot", "0", "-o", str(tmp_path / "bench" / "0")])
@@ -51,7 +48,7 @@ def test_what_was_practised_is_entered_and_verified(
         main(["verify", str(folder)])
 
 
-def test_its_songs_are_bundled_and_its_seeds_are_all_robots(tmp_path: Path) -> None:
+def test_its_songs_are_bundled_and_its_seeds_are_all_robots(tmp_path):
     names = [song.name for song in open_set(DEPLOYMENT).songs]
     assert len(names) == 6
     assert set(names) <= frozen().songs.keys()

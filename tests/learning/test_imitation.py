@@ -1,13 +1,10 @@
 """A policy of many songs, learnt from demonstrations: stopped, resumed, and what it plays."""
 
-from __future__ import annotations
-
 import shutil
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +41,7 @@ OTHER = Score((Note(0.0, 0.3, 62), Note(0.3, 0.6, 50)), title="other")
 
 
 @pytest.fixture(scope="module")
-def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def demonstrations(tmp_path_factory):
     """Two episodes of a song."""
     folder = tmp_path_factory.mktemp("made") / "demonstrations"
     collected(folder, Variation(noise=0.2, mirror=False), episodes=2, **SAME)
@@ -52,7 +49,7 @@ def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def run(demonstrations: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(demonstrations, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "run"
     trained(CONFIG, demonstrations, folder)
     return folder
@@ -82,9 +79,7 @@ def times(count: int) -> Callable[[], bool]:
     return lambda: next(asked, None) is not None
 
 
-def test_an_error_that_is_no_longer_finite_stops_it_before_it_is_kept(
-    demonstrations: Path, tmp_path: Path
-) -> None:
+def test_an_error_that_is_no_longer_finite_stops_it_before_it_is_kept(demonstrations, tmp_path):
     overflows = replace(CONFIG.learner, learning_rate=1e30, hidden_sizes=(32, 32, 32))
     wild = replace(CONFIG, learner=overflows)
     with pytest.raises(CadenzaError, match="no longer finite; choose a smaller --learning-rate"):
@@ -92,14 +87,14 @@ def test_an_error_that_is_no_longer_finite_stops_it_before_it_is_kept(
     assert not (tmp_path / "run" / "checkpoint").exists()
 
 
-def test_the_error_falls(demonstrations: Path, tmp_path: Path) -> None:
+def test_the_error_falls(demonstrations, tmp_path):
     rows = trained(replace(CONFIG, log_interval=20), demonstrations, tmp_path / "run").rows
     assert [row["step"] for row in rows] == [20, 40, 60, 80, 100, 120]
     for error in "train/error", "held_out/error":
         assert rows[-1][error] < rows[0][error] / 2
 
 
-def test_observes_what_the_environments_show(demonstrations: Path) -> None:
+def test_observes_what_the_environments_show(demonstrations):
     dataset = open_dataset(demonstrations)
     shown = transitions(dataset, 0)
     count = len(shown.chosen)
@@ -113,9 +108,7 @@ def test_observes_what_the_environments_show(demonstrations: Path) -> None:
 
 
 @pytest.mark.parametrize("previous_action", [False, True])
-def test_sees_in_a_performance_what_it_has_learnt_from(
-    demonstrations: Path, tmp_path: Path, previous_action: bool
-) -> None:
+def test_sees_in_a_performance_what_it_has_learnt_from(demonstrations, tmp_path, previous_action):
     """Demonstrations begin in the state in which the performance does."""
     trained(replace(CONFIG, previous_action=previous_action), demonstrations, tmp_path / "run")
     learnt = load_policy(tmp_path / "run" / "last")
@@ -129,9 +122,7 @@ def test_sees_in_a_performance_what_it_has_learnt_from(
 
 
 @pytest.mark.parametrize("task", [{"fingering": "off"}, {"n_seconds_lookahead": 0.1}])
-def test_sees_the_same_however_the_recorded_task_shows_it(
-    tmp_path: Path, task: dict[str, Any]
-) -> None:
+def test_sees_the_same_however_the_recorded_task_shows_it(tmp_path, task):
     collected(tmp_path / "made", Variation(noise=0.0, mirror=False), **(SAME | task))
     run = Imitation(replace(CONFIG, held_out=0), tmp_path / "made", tmp_path / "run")
     run.run(times(1))
@@ -146,9 +137,7 @@ def test_sees_the_same_however_the_recorded_task_shows_it(
     assert_allclose(performance.episode["action"][:1, :-1], expected[:, :-1], atol=1e-5)
 
 
-def test_resumed_it_ends_with_the_same_bits(
-    demonstrations: Path, run: Path, tmp_path: Path
-) -> None:
+def test_resumed_it_ends_with_the_same_bits(demonstrations, run, tmp_path):
     other = tmp_path / "run"
     for asked in 2, 1, 100:  # stops between two rows of metrics, and twice
         ended = trained(CONFIG, demonstrations, other, times(asked))
@@ -162,15 +151,15 @@ def test_resumed_it_ends_with_the_same_bits(
 
 
 def test_what_does_not_fit_into_memory_is_learnt_with_the_same_bits(
-    demonstrations: Path, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    demonstrations, run, tmp_path, monkeypatch
+):
     monkeypatch.setattr("cadenza.learning.imitation._MAX_CACHED", 1_000)
     trained(CONFIG, demonstrations, tmp_path / "too-large")
     arrays = Path("last") / POLICY_FILE
     assert (tmp_path / "too-large" / arrays).read_bytes() == (run / arrays).read_bytes()
 
 
-def test_what_cannot_begin_leaves_nothing_in_the_way(demonstrations: Path, tmp_path: Path) -> None:
+def test_what_cannot_begin_leaves_nothing_in_the_way(demonstrations, tmp_path):
     growing = tmp_path / "growing"
     (growing / "runs").mkdir(parents=True)
     with pytest.raises(CadenzaError, match="no demonstrations: none was kept"):
@@ -179,9 +168,7 @@ def test_what_cannot_begin_leaves_nothing_in_the_way(demonstrations: Path, tmp_p
     assert Imitation(CONFIG, growing, tmp_path / "run").songs
 
 
-def test_episodes_held_out_go_together_with_the_others(
-    demonstrations: Path, tmp_path: Path
-) -> None:
+def test_episodes_held_out_go_together_with_the_others(demonstrations, tmp_path):
     mixed = tmp_path / "mixed"
     shutil.copytree(demonstrations, mixed)
     last = max((mixed / "runs").iterdir())
@@ -191,7 +178,7 @@ def test_episodes_held_out_go_together_with_the_others(
         Imitation(CONFIG, mixed, tmp_path / "run")
 
 
-def test_a_name_that_several_songs_have_is_told(demonstrations: Path, tmp_path: Path) -> None:
+def test_a_name_that_several_songs_have_is_told(demonstrations, tmp_path):
     mixed = tmp_path / "mixed"
     shutil.copytree(demonstrations, mixed)
     for folder, song in zip(sorted((mixed / "runs").iterdir()), ("a/song", "b/song"), strict=True):
@@ -204,7 +191,7 @@ def test_a_name_that_several_songs_have_is_told(demonstrations: Path, tmp_path: 
     )
 
 
-def test_a_policy_of_many_songs_plays_any(run: Path) -> None:
+def test_a_policy_of_many_songs_plays_any(run):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         performance = cadenza.play(OTHER, run / "last")
@@ -212,42 +199,38 @@ def test_a_policy_of_many_songs_plays_any(run: Path) -> None:
     assert np.isfinite(performance.episode["action"]).all()
 
 
-def test_it_cannot_play_with_another_hand(run: Path) -> None:
+def test_it_cannot_play_with_another_hand(run):
     with pytest.raises(CadenzaError, match=r"trained with hand shadow, .* allegro") as error:
         cadenza.play(OTHER, run / "last", scene=SceneConfig(hand="allegro"))
     assert "\n" not in str(error.value)
 
 
-def test_its_folder_names_no_song(run: Path) -> None:
+def test_its_folder_names_no_song(run):
     with pytest.raises(CadenzaError, match="is no song; give a piece"):
         cadenza.play(run / "last")
     with pytest.raises(CadenzaError, match=r"its latest policy is .*last"):
         cadenza.play("OdeToJoy", run)
 
 
-def test_another_run_in_its_folder_is_refused(demonstrations: Path, run: Path) -> None:
+def test_another_run_in_its_folder_is_refused(demonstrations, run):
     with pytest.raises(CadenzaError, match="holds a run with other options"):
         Imitation(replace(CONFIG, seed=1), demonstrations, run)
 
 
-def test_a_run_of_another_command_in_its_folder_is_refused(
-    demonstrations: Path, tmp_path: Path
-) -> None:
+def test_a_run_of_another_command_in_its_folder_is_refused(demonstrations, tmp_path):
     (tmp_path / "run.json").write_text('{"command": "cadenza train"}')
     with pytest.raises(CadenzaError, match=r"holds a run of cadenza train, .*another folder"):
         Imitation(CONFIG, demonstrations, tmp_path)
 
 
-def test_songs_are_chosen_by_name(demonstrations: Path, tmp_path: Path) -> None:
+def test_songs_are_chosen_by_name(demonstrations, tmp_path):
     chosen = Imitation(replace(CONFIG, songs=("song",)), demonstrations, tmp_path / "run")
     assert [Path(song).stem for song in chosen.songs] == ["song"]
     with pytest.raises(CadenzaError, match="no demonstration of nothing; there is song"):
         Imitation(replace(CONFIG, songs=("nothing",)), demonstrations, tmp_path / "other")
 
 
-def test_the_command_trains_and_says_how_to_play(
-    demonstrations: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_trains_and_says_how_to_play(demonstrations, tmp_path, capsys):
     small = ["--num-updates", "20", "--hidden-sizes", "8", "--batch-size", "8"]
     main(["clone", str(demonstrations), "-o", str(tmp_path / "run"), *small])
     assert f"--agent {tmp_path / 'run' / 'last'}" in capsys.readouterr().out
@@ -262,12 +245,6 @@ def test_the_command_trains_and_says_how_to_play(
         (("nothing", "--hidden-sizes", "0"), "hidden_sizes (0,)"),
     ],
 )
-def test_what_cannot_be_is_told_in_a_line(
-    words: tuple[str, ...],
-    what: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_what_cannot_be_is_told_in_a_line(words, what, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert what in refused_in_a_line(capsys, "clone", *words)

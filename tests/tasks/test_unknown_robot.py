@@ -26,7 +26,7 @@ def played(env: gym.Env) -> tuple[np.ndarray, list[float], dict]:
     return np.array(seen), rewards, info
 
 
-def test_ten_plays_to_learn_and_one_that_is_scored() -> None:
+def test_ten_plays_to_learn_and_one_that_is_scored():
     env = gym.make(ID, song=TUNE, robot=1)
     for play in range(1, PLAYS + 1):
         _, rewards, info = played(env)
@@ -40,7 +40,7 @@ def test_ten_plays_to_learn_and_one_that_is_scored() -> None:
         env.reset()
 
 
-def test_keys_sound_or_do_not_and_joints_are_off() -> None:
+def test_keys_sound_or_do_not_and_joints_are_off():
     env = gym.make(ID, song=TUNE, robot=1)
     seen, *_ = played(env)
     layout = env.unwrapped.observation_layout  # type: ignore[attr-defined]
@@ -50,7 +50,7 @@ def test_keys_sound_or_do_not_and_joints_are_off() -> None:
     assert 0.002 < np.abs(off).mean() < 0.1
 
 
-def test_a_robot_stays_what_it_is_and_its_noise_does_not() -> None:
+def test_a_robot_stays_what_it_is_and_its_noise_does_not():
     env = gym.make(ID, song=TUNE, robot=1).unwrapped
     drawn, seen = [], []
     for seed in (0, 1):
@@ -65,12 +65,12 @@ def test_a_robot_stays_what_it_is_and_its_noise_does_not() -> None:
 
 
 @pytest.mark.parametrize("option", [{"privileged": True}, {"randomization": {"mass": (1, 2)}}])
-def test_options_that_would_show_or_change_the_robot_are_refused(option: dict) -> None:
+def test_options_that_would_show_or_change_the_robot_are_refused(option):
     with pytest.raises(CadenzaError, match="an unknown robot has no such option"):
         gym.make(ID, song=TUNE, **option)
 
 
-def test_nothing_goes_back() -> None:
+def test_nothing_goes_back():
     env = gym.make(ID, song=TUNE).unwrapped
     env.reset(seed=0)
     with pytest.raises(CadenzaError, match="cannot go back"):
