@@ -71,6 +71,15 @@ def test_the_fast_preset_learns_the_default_task():
     assert (preset("fast").task, preset("fast").scene) == (TaskConfig(), SceneConfig())
 
 
+def test_from_nothing_the_fast_preset_changes_rewards_only():
+    from_nothing = preset("fast", residual=False)
+    given, usual = asdict(from_nothing.task), asdict(TaskConfig())
+    changed = {name for name in usual if given[name] != usual[name]}
+    assert changed == {"key_press", "fingering_margin", "energy_coefficient"}
+    published = setup_named("published")
+    assert published.applied_to(from_nothing).task == published.applied_to(TrainingConfig()).task
+
+
 @pytest.mark.parametrize("name", ["fast", "paper", "published"])
 def test_comes_back_from_the_folder_of_a_run(name, tmp_path):
     config = replace(

@@ -89,6 +89,9 @@ _AS_PUBLISHED = {
     "onset_timing_coefficient": 0.0,
     "loudness_coefficient": 0.0,
     "sleeping_keys": False,
+    "key_press": "published",
+    "fingering_margin": TaskConfig.fingering_margin,
+    "energy_coefficient": TaskConfig.energy_coefficient,
 }
 PAPER = NamedSetup(_AS_PUBLISHED)
 PUBLISHED = NamedSetup(_AS_PUBLISHED | {"sustain_term": True, "forearm_term": True})
