@@ -55,6 +55,7 @@ _PLACES = (
 _FLAGS = (
     *("--headless", "--no-first-run", "--mute-audio", "--disable-dev-shm-usage"),
     *("--enable-unsafe-swiftshader", "--force-color-profile=srgb"),  # draws where there is no card
+    "--disable-gpu-watchdog",  # which ends what draws on a busy machine, and the film with it
 )
 _POLICY = "default-src 'none';"
 _REENCODED = {"crf": "19", "preset": "veryfast"}  # where the browser cannot encode H.264
