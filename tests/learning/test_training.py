@@ -55,7 +55,9 @@ CONFIG = TrainingConfig(
 WAYS = {
     "in turn": CONFIG,
     "parallel": replace(CONFIG, parallel=True, song_range=True),
-    "residual": replace(CONFIG, parallel=True, residual=True),
+    "residual": replace(
+        CONFIG, parallel=True, residual=True, learner=replace(TINY, initial_mean=0.0)
+    ),
     # Its score is drawn anew every time.
     "stretched": replace(CONFIG, task=replace(CONFIG.task, random_stretch=0.3)),
 }
