@@ -28,7 +28,6 @@ from cadenza.tasks.robots import Profile
 
 if TYPE_CHECKING:
     from cadenza.agents.planner.practice.practice import Practice
-    from cadenza.agents.robot.practice import Take
     from cadenza.music.score import Score
     from cadenza.performing.practising import Practising
     from cadenza.performing.setup import Setup
@@ -110,14 +109,11 @@ def _with_robot(command: PracticeCommand, robot: str) -> None:
         name = f"robot-{command.profile}-{robot.replace(':', '-')}"
         folder = command.output or default_folder(setup) / name
         check_writable(folder)
-        plays, actions = practise(setup, robot, command.profile, _print_take)
-        save(folder, plays, actions)
+        for plays, actions in practise(setup, robot, command.profile):
+            save(folder, plays, actions)
+            print(f"play {len(plays.heard)}: {_scores((0.0, *plays.heard[-1]))}", flush=True)
         print(f"scored: {_scores((0.0, plays.metrics['f1'], plays.metrics['note_onset_f1']))}")
         print(f"wrote {folder}")
-
-
-def _print_take(number: int, take: Take) -> None:
-    print(f"play {number}: {_scores((0.0, take.f1, take.note_onset_f1))}", flush=True)
 
 
 def _resumed(

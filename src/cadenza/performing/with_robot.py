@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
@@ -45,21 +45,17 @@ class RobotPlays:
 
 
 def practise(
-    setup: Setup,
-    robot: str,
-    profile: Profile,
-    heard: Callable[[int, Take], None] = lambda _number, _take: None,
-) -> tuple[RobotPlays, NDArray[np.float64]]:
+    setup: Setup, robot: str, profile: Profile
+) -> Iterator[tuple[RobotPlays, NDArray[np.float64]]]:
     """Practise with a robot what the planner plays on the nominal one.
 
     Args:
         setup: the song, and the planner.
         robot: the seed of a simulated robot, or a driver as `module:Name`.
         profile: what it is drawn from; of other robots, how late they are about.
-        heard: is told of every play, by its number from 1 on.
 
-    Returns:
-        What became of it, and the actions (P, T, A) of all plays.
+    Yields:
+        After each play, what became of all so far, and their actions (P, T, A).
 
     Raises:
         CadenzaError: there is no such robot.
@@ -77,18 +73,11 @@ def practise(
         with by_others(f"robot {robot}: play {number} failed"):
             played = play(there, actions[-1])
         takes.append(practice.learn(played))
-        heard(number, takes[-1])
-    last = {"f1": takes[-1].f1, "note_onset_f1": takes[-1].note_onset_f1}
-    metrics = dict(there.scored) if isinstance(there, SimulatedRobot) else last
-    plays = RobotPlays(
-        song=str(setup.settings["song"]),
-        robot=robot,
-        profile=profile,
-        heard=tuple((take.f1, take.note_onset_f1) for take in takes),
-        metrics=metrics,
-        cpu_seconds=time.process_time() - began,
-    )
-    return plays, np.array(actions)
+        heard = tuple((take.f1, take.note_onset_f1) for take in takes)
+        scored = there.scored if isinstance(there, SimulatedRobot) else {}
+        metrics = dict(scored) or dict(zip(("f1", "note_onset_f1"), heard[-1], strict=True))
+        song, seconds = str(setup.settings["song"]), time.process_time() - began
+        yield RobotPlays(song, robot, profile, heard, metrics, seconds), np.array(actions)
 
 
 def save(folder: Path, plays: RobotPlays, actions: NDArray[np.float64]) -> None:
