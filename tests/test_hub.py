@@ -134,9 +134,9 @@ def test_a_dataset_is_published_and_read(hub, tmp_path, capsys):
     main(["dataset", "collect", "--songs", "songs", "-o", "mine", "--quiet"])
     assert "/datasets/" in printed(capsys, "publish", "mine", "someone/scales")
     (kept,) = hub.commits["datasets", "someone/scales"].values()
-    assert "1 episode of 1 song kept" in kept["README.md"].decode()
+    assert "4 episodes of 1 song kept" in kept["README.md"].decode()
     place = "hub:someone/scales"
-    assert printed(capsys, "dataset", "info", place).startswith("1 episode of 1 song kept")
+    assert printed(capsys, "dataset", "info", place).startswith("4 episodes of 1 song kept")
     assert "nothing is wrong" in printed(capsys, "dataset", "check", place, "--replays", "1")
     why = "there is no such policy on the hub"
     assert why in refused_in_a_line(capsys, "play", "--agent", place)
