@@ -20,7 +20,6 @@ RESTARTS_PER_WINDOW = 0.5
 """What a hand may restart in the mean, which bounds its time; what it saves is for later ones."""
 _WRONG_NOTE = 3.0  # cost of a wrong note beyond that of its keys and onsets
 _MAX_DRIFT = 1e-3  # [m, rad] between the model and the scene up to which controls are played
-_LONGEST_WAIT = 8  # windows at most that are played step by step before it plays ahead again
 
 
 class _Branch(NamedTuple):
@@ -41,7 +40,7 @@ class SearchAhead:
         self._search, self._window = search, steps_in(_WINDOW, dt)
         self._found, self._second = list[PlayedStep](), list[PlayedStep]()
         self._affordable = float(RESTARTS)  # restarts
-        self._one_by_one = self._wait = 0  # steps still to be played so, and how many at last
+        self._one_by_one = 0  # steps that are still to be played so
 
     @property
     def lookahead(self) -> int:
@@ -53,8 +52,7 @@ class SearchAhead:
         ahead = self._found or self._second
         if ahead and np.abs(ahead[0].hand_qpos - hand_qpos).max() > _MAX_DRIFT:
             self._found, self._second = [], []
-            self._wait = min(max(2 * self._wait, self._window), _LONGEST_WAIT * self._window)
-            self._one_by_one = self._wait
+            self._one_by_one = self._window
             self._search.go_back(step)
         if self._one_by_one:
             self._one_by_one -= 1
@@ -85,7 +83,6 @@ class SearchAhead:
         self._search.restore(branch.end)
         self._start, self._middle = branch.middle, branch.end
         self._found, self._second = branch.played[: self._window], branch.played[self._window :]
-        self._wait = 0
 
     def _play(self, played: Sequence[PlayedStep], limit: float) -> _Branch | None:
         """Play two windows, of which the first may have been `played`; None if it costs `limit`."""
