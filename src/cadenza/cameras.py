@@ -1,4 +1,4 @@
-"""The cameras of pages, films and pictures, and where each stands; `stage.js` places them alike."""
+"""The cameras of pages, films and pictures, and their places, as `camera.js` has them, too."""
 
 from typing import Any, NamedTuple
 
@@ -109,7 +109,7 @@ class Camera:
         return target, distance
 
     def _extent(self, sight: Sight, target: Points, distance: float) -> tuple[Any, Any]:
-        """From where to where something is seen, (2,) each; upwards, of what is not beside."""
+        """Return the bounds (2,) of what is seen; those of heights leave out what is beside."""
         seen = self._seen(np.concatenate(sight), target, distance)
         low, high = seen.min(0), seen.max(0)
         if (inside := np.abs(seen[:, 0]) <= 1).any():

@@ -39,7 +39,7 @@ class RobotPlays:
     heard: tuple[tuple[float, float], ...]
     """F1 and note onset F1 of every play, by what was heard."""
     metrics: dict[str, float]
-    """Of the last play, which is scored: of a simulated robot true, of others as heard."""
+    """Metrics of the last play, which is scored: true ones of simulated robots, else as heard."""
     cpu_seconds: float
     """CPU time of planning, practice and simulation."""
 

@@ -140,7 +140,7 @@ class Simulation(Protocol):
         """
 
     def push(self, env_id: int, force: Array) -> None:
-        """From now until its reset, push a simulation's bodies with only these (bodies, 3) [N]."""
+        """Push bodies of a simulation with these forces (bodies, 3) [N] alone, until its reset."""
 
     def step(
         self,

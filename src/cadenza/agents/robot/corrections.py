@@ -54,7 +54,7 @@ _HIGHEST = 0.055  # [m] of fingertips from which on they sound no key
 
 
 @dataclass
-class Corrections:
+class PressCorrections:
     """The corrections of N presses and H hands [m]."""
 
     deeper: Array
@@ -71,17 +71,17 @@ class Corrections:
     """Fingers that are raised from one state up to another."""
 
     @classmethod
-    def none(cls, presses: int, hands: int) -> Corrections:
+    def none(cls, presses: int, hands: int) -> PressCorrections:
         """No corrections."""
         deeper, lift, beside = np.zeros((3, presses))
         return cls(deeper, lift, beside, np.zeros((presses, 2)), np.zeros((hands, 3)))
 
-    def towards(self, other: Corrections, share: float, place: float) -> Corrections:
+    def towards(self, other: PressCorrections, share: float, place: float) -> PressCorrections:
         """These corrections, and a share of the way to others, within bounds.
 
         The keyboard may be off by so much in its `place` [m].
         """
-        return Corrections(
+        return PressCorrections(
             **{
                 name: (old + share * (getattr(other, name) - old)).clip(low * place, high * place)
                 for name, (low, high) in _MOST.items()
@@ -116,13 +116,13 @@ class NoteCorrections:
         first = self._scene.fingers.of_hand(SIDES.index(press.side)).start
         return self._fingers * self._scene.sides.index(press.side) + press.finger - first
 
-    def none(self) -> Corrections:
+    def none(self) -> PressCorrections:
         """No corrections."""
-        return Corrections.none(len(self._presses), len(self._scene.sides))
+        return PressCorrections.none(len(self._presses), len(self._scene.sides))
 
     # What corrections are in servos
 
-    def postures(self, corrections: Corrections) -> Array:
+    def postures(self, corrections: PressCorrections) -> Array:
         """(T + 1, A) the postures of the play with its corrections, but for strikes."""
         error, postures = self._moved(corrections), self._postures.copy()
         for hand, side in enumerate(self._scene.sides):
@@ -133,7 +133,7 @@ class NoteCorrections:
             postures[:, self._scene.servos_on(side)] += change
         return postures
 
-    def _moved(self, corrections: Corrections) -> Array:
+    def _moved(self, corrections: PressCorrections) -> Array:
         """(T + 1, F, 3) by how much fingertips are to be moved [m]."""
         moved = np.zeros_like(self._tips)
         moved += np.repeat(corrections.hands, self._fingers, axis=0)
@@ -146,7 +146,7 @@ class NoteCorrections:
             moved[first:last, row, 2] += _RAISE
         return moved
 
-    def strikes(self, corrections: Corrections) -> Array:
+    def strikes(self, corrections: PressCorrections) -> Array:
         """(T, A) changes of controls by which strikes are corrected."""
         controls = np.zeros((self._steps, self._postures.shape[1]))
         for press, row, (before, during) in zip(
@@ -163,8 +163,8 @@ class NoteCorrections:
     # What is heard
 
     def corrected(
-        self, corrections: Corrections, notes: Sequence[Note], postures: Array, share: float
-    ) -> Corrections:
+        self, corrections: PressCorrections, notes: Sequence[Note], postures: Array, share: float
+    ) -> PressCorrections:
         """Correct by a `share` of what was heard while the hands were in `postures` (T + 1, A)."""
         new, by_key = deepcopy(corrections), defaultdict[int, list[Note]](list)
         for note in notes:
@@ -203,7 +203,7 @@ class NoteCorrections:
         sounding = sum(max(min(n.end, end) - max(n.start, begin), 0.0) for n in notes)
         return sounding / (end - begin)
 
-    def _correct_missed(self, new: Corrections, i: int, notes: list[Note]) -> None:
+    def _correct_missed(self, new: PressCorrections, i: int, notes: list[Note]) -> None:
         """Correct a press that has begun no note: its key was held, or has not come down."""
         press = self._presses[i]
         due, _ = self._due(press)
@@ -215,7 +215,7 @@ class NoteCorrections:
         new.deeper[i] += _DEEPER
         new.strike[i, 1] += 2 * _DEEPER
 
-    def _correct_strike(self, new: Corrections, i: int, note: Note) -> None:
+    def _correct_strike(self, new: PressCorrections, i: int, note: Note) -> None:
         """Correct when a note began, and how loud, by a damped step of least squares."""
         press, (due, _) = self._presses[i], self._due(self._presses[i])
         if press.strike is None:
@@ -234,7 +234,7 @@ class NoteCorrections:
         step = -np.linalg.solve(damped, response.T @ error).clip(-_STRIKE, _STRIKE)
         new.strike[i] += _SHARE * step
 
-    def _correct_end(self, new: Corrections, i: int, note: Note) -> None:
+    def _correct_end(self, new: PressCorrections, i: int, note: Note) -> None:
         """Correct when a note ended: its key was lost, or let go of early or late."""
         _, end = self._due(self._presses[i])
         if note.end < end - _LOST:
@@ -242,7 +242,7 @@ class NoteCorrections:
         elif self._presses[i].last <= self._steps:  # the last notes end with the song
             new.lift[i] += np.clip(_LIFT_SPEED * (note.end - end - _END), *_LIFT)
 
-    def _correct_others(self, new: Corrections, notes: list[Note], postures: Array) -> Array:
+    def _correct_others(self, new: PressCorrections, notes: list[Note], postures: Array) -> Array:
         """Correct what no press was to play.
 
         Returns:
@@ -279,7 +279,7 @@ class NoteCorrections:
             and press.first - near <= state <= press.last + near
         ]
 
-    def _correct_hands(self, new: Corrections, shares: Array, brushed: Array) -> None:
+    def _correct_hands(self, new: PressCorrections, shares: Array, brushed: Array) -> None:
         """Move hands away from the side on which they brush keys, and down if they lose keys."""
         hand_of = np.array(self._rows, np.intp) // self._fingers
         for hand, (left, right) in enumerate(brushed):

@@ -13,7 +13,7 @@ import numpy as np
 
 from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.song_plan import SongPlan
-from cadenza.agents.robot.corrections import Corrections, NoteCorrections
+from cadenza.agents.robot.corrections import NoteCorrections, PressCorrections
 from cadenza.agents.robot.protocol import Play, notes_heard
 from cadenza.agents.robot.servo_response import ServoResponse
 from cadenza.episode import Episode
@@ -40,7 +40,7 @@ class Delays(NamedTuple):
 class _Learnt(NamedTuple):
     """What was learnt before a play."""
 
-    corrections: Corrections
+    corrections: PressCorrections
     joints: Array
     """(T, A) corrections of controls by what joints did."""
 

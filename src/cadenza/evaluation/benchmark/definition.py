@@ -48,7 +48,7 @@ METRICS = (
     *("f1", "precision", "recall", "pooled_f1", "note_onset_f1"),
     *("onset_delay", "onset_error_median", "velocity_error", "velocity_error_with_misses"),
 )
-"""Metrics of every run, see `cadenza.music.metrics` and `cadenza.music.metrics`."""
+"""Metrics of every run, see `cadenza.music.metrics`."""
 TRACKS = {
     "one-song": "A policy or plan for each song, learnt or practised on that song itself.",
     "at-sight": "An agent that is finished before it meets the songs, and simulates nothing.",

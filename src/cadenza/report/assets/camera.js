@@ -45,7 +45,7 @@ function placed(away, aspect, close, whole, hands) {
     }
     return distance;
   }
-  /** From where to where something is seen; upwards, of what is not beside the picture. */
+  /** Return the bounds of what is seen; those of heights leave out what is beside. */
   function extent({ shown, around }) {
     const places = [...shown, ...around].map(seen), inside = places.filter(([x]) => Math.abs(x) <= 1);
     return [between(places, 0), between(inside.length ? inside : places, 1)];

@@ -65,11 +65,8 @@ _REFINED = 2  # of these steps
 REFINEMENTS = 8  # rollouts at most for it, beside one of what was found by search
 _MAX_DRIFT = 1e-5  # [m, rad] between the model and the scene, above which the model is reset
 
-
 # What changes as it plays, beside its model and its random numbers.
-_CHANGING = (
-    *("_step", "_in_sync", "_rehearsal", "_warm_start", "_refined", "_is_refined", "_previous"),
-)
+_CHANGING = "_step", "_in_sync", "_rehearsal", "_warm_start", "_refined", "_is_refined", "_previous"
 
 
 class PlayedStep(NamedTuple):
@@ -152,9 +149,8 @@ class HandSearch:
         sounded.
         """
         self._goals, self._tracking, self._network = goals, tracking, None
-        self._step, self._in_sync, self._rehearses = step, False, False
-        self._rehearsal.reset()
-        self._warm_start[:], self._is_refined = 0.0, False
+        self._rehearses = False
+        self.go_back(step)
         self._granted = self._income * steps_in(_INITIAL_BUDGET, self._dt)
         self._rng, self._rehearsed, self._rollouts.simulated = rng, 0, 0
 
