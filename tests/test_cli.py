@@ -135,7 +135,7 @@ def test_help_says_what_it_does(command, capsys):
         (["play", "OdeToJoy", "--seed"], "Missing value for argument '--seed'"),
         (["play", "OdeToJoy", "--hands", "three"], "Expected one of ('both', 'apart', 'right'"),
         (["play", "OdeToJoy", "--no_vido"], "Perhaps you meant: --video, --no-video"),
-        (["play", "OdeToJoy", "--ilqg.horizon", "9"], "Unrecognized options: --ilqg.horizon"),
+        (["play", "OdeToJoy", "--icp.rehearse"], "Unrecognized options: --icp.rehearse"),
     ],
 )
 def test_a_command_line_that_cannot_be_read(arguments, message, capsys):
@@ -168,7 +168,7 @@ def test_info_on_the_installation(capsys):
     assert told["cadenza"] == cadenza.__version__
     assert int(told["cores"]) >= 1
     assert told["can draw pictures"].startswith(("yes", "no; "))
-    assert told["agent ilqg"] == "the paper's planner with derivatives"
+    assert told["agent predictive-sampling"] == "the paper's planner"
     assert told["hand allegro"] == "the Allegro Hand, four fingers"
     assert told["keyboard piano"] == "the 88 keys of a piano"
 
@@ -493,7 +493,7 @@ def test_the_planners_have_options_of_their_own(tune, tmp_path):
     main(["play", str(tune), *options, "--no-video", "-o", str(tmp_path)])
     settings = json.loads((tmp_path / "settings.json").read_text())
     assert settings["predictive_sampling"]["num_candidates"] == 3
-    assert not settings.keys() & {"planner", "ilqg"}  # of who plays only
+    assert not settings.keys() & {"planner", "icp"}  # of who plays only
     assert not (tmp_path / "misses.json").exists()  # they do not say what they had in mind
 
 
@@ -628,51 +628,7 @@ def test_a_baseline_plays_and_says_what_it_misses(tmp_path, capsys):
     assert "of 2 notes" in capsys.readouterr().out
 
 
-# Comparing
-
-
-def test_comparing(tune, tmp_path, capsys):
-    options = ["--agents", "planner", "zero", "--seeds", "0", "1", "--planner.method", "none"]
-    main(["compare", str(tune), *options, "-o", str(tmp_path)])
-    heading, planner, zero, *_ = capsys.readouterr().out.splitlines()
-    assert heading.split()[:5] == ["pieces", "runs", "Note", "onset", "F1"]
-    assert (planner.split()[0], zero.split()[0]) == ("planner", "zero")
-    found = json.loads((tmp_path / "compare.json").read_text())
-    runs = [(run["agent"], run["seed"]) for run in found["runs"]]
-    assert runs == [("planner", 0), ("planner", 1), ("zero", 0), ("zero", 1)]
-    f1 = [run["f1"] for run in found["runs"]]
-    assert found["means"]["planner"]["f1"] == pytest.approx((f1[0] + f1[1]) / 2)
-    onsets, frames = (found["means"]["planner"][name] for name in ("note_onset_f1", "f1"))
-    assert planner.split()[1:3] == ["1", "2"]
-    assert {f"{onsets:.3f}", f"{frames:.3f}"} < set(planner.split())
-    assert found["means"]["planner"]["power"] > found["means"]["zero"]["power"]
-    assert found["means"]["zero"]["onset_error"] is None
-    assert 'href="planner--s1/report.html"' in (tmp_path / "compare.html").read_text()
-    played = [tmp_path / f"{agent}--s{seed}" / "metrics.json" for agent, seed in runs]
-    assert [json.loads(path.read_text())["f1"] for path in played] == f1
-
-
 # MIDI files as they come
-
-
-def test_what_was_compared_is_kept_where_an_agent_fails(tune, tmp_path, monkeypatch):
-    (tmp_path / "fails.py").write_text(
-        "from cadenza import Agent\n\nclass Fails(Agent):\n"
-        "    def act(self, view):\n        raise KeyboardInterrupt\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    options = ["--agents", "zero", "fails:Fails", "-o", str(tmp_path / "out")]
-    with pytest.raises(SystemExit) as stop:
-        main(["compare", str(tune), *options])
-    assert stop.value.code == 130
-    assert list(json.loads((tmp_path / "out" / "compare.json").read_text())["means"]) == ["zero"]
-    assert (tmp_path / "out" / "compare.html").exists()
-
-
-@pytest.mark.parametrize("options", [["--agents"], ["--seeds"]])
-def test_comparing_nothing(options, tune, tmp_path, capsys):
-    message = refused_in_a_line(capsys, "compare", tune, *options, "-o", tmp_path)
-    assert "nothing to compare" in message
 
 
 def test_tracks_tempo_changes_and_notes_off_the_keyboard(tmp_path, capsys):
@@ -710,7 +666,7 @@ def test_tracks_tempo_changes_and_notes_off_the_keyboard(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("notes", [[], [5, 120]])
-@pytest.mark.parametrize("command", ["info", "play", "plan", "compare"])
+@pytest.mark.parametrize("command", ["info", "play", "plan"])
 def test_a_file_without_a_note_to_play(command, notes, tmp_path, capsys):
     track = mido.MidiTrack()
     for note in notes:
@@ -723,7 +679,7 @@ def test_a_file_without_a_note_to_play(command, notes, tmp_path, capsys):
 # What is wrong is said in a line
 
 
-@pytest.mark.parametrize("command", ["info", "play", "plan", "compare"])
+@pytest.mark.parametrize("command", ["info", "play", "plan"])
 def test_songs_that_there_are_not(command, tmp_path, capsys):
     message = refused_in_a_line(capsys, command, "OdeToJoi")
     assert "did you mean OdeToJoy" in message

@@ -102,7 +102,7 @@ def test_who_has_learnt_no_song_wants_one(capsys):
     assert "choose from MinuetInG, OdeToJoy" in line
 
 
-@pytest.mark.parametrize("command", ["play", "practice", "info", "plan", "compare", "train"])
+@pytest.mark.parametrize("command", ["play", "practice", "info", "plan", "train"])
 def test_a_folder_is_no_song(command, here, capsys):
     policy(here / "run")
     line = refused(capsys, command, "run")
@@ -184,21 +184,6 @@ def test_a_plan_is_played_in_its_physics_unless_told_otherwise(here, capsys):
     assert said == "a/episode.npz: made in the fast physics, played in the published physics\n"
 
 
-def test_each_agent_is_compared_in_its_own_task(here, capsys):
-    policy(here / "run", task={"stretch": 2.0, "repeats": "shortened"}, scene={"physics": "fast"})
-    agents = ["--agents", "zero", "run"]
-    main(["compare", "tune.mid", *agents, "-o", "own"])
-    remark = "run plays with stretch 2.0 instead of 1.0, physics fast instead of published"
-    assert remark in capsys.readouterr().out
-    assert remark in (here / "own" / "compare.html").read_text()
-    main(["compare", "tune.mid", *agents, "--stretch", "1", "--physics", "published", "-o", "same"])
-    assert "instead of" not in capsys.readouterr().out
-    own, same = (json.loads((here / n / "compare.json").read_text()) for n in ("own", "same"))
-    assert own["means"]["zero"]["f1"] == same["means"]["zero"]["f1"]
-    assert own["means"]["run"]["f1"] != same["means"]["run"]["f1"]
-    assert (len(own["remarks"]), len(same["remarks"])) == (1, 0)
-
-
 @pytest.mark.parametrize(
     ("option", "value", "said"),
     [
@@ -210,18 +195,6 @@ def test_what_a_policy_cannot_observe(option, value, said, here, capsys):
     policy(here / "run")
     assert said in refused(capsys, "play", "--agent", "run", option, value)
     main(["play", "--agent", "run", "--n-seconds-lookahead", "0.5", "--no-video"])  # as many steps
-
-
-def test_plans_are_not_compared(tmp_path, capsys):
-    line = refused(capsys, "compare", "OdeToJoy", "--agents", "playback", "-o", tmp_path)
-    assert line == "cadenza: playback plays a single file: name other agents"
-
-
-def test_who_cannot_play_is_told_before_anyone_has_played(here, capsys):
-    policy(here / "run")
-    line = refused(capsys, "compare", "tune.mid", "--agents", "zero", "run", "--hands", "right")
-    assert line.startswith("cadenza: run: was trained with hands both")
-    assert not (here / "played").exists()
 
 
 # Songs and folders
@@ -296,9 +269,8 @@ def test_a_planner_needs_a_thread(capsys):
     ("words", "option"),
     [
         (["play", "tune.mid", "--agent", "generalist", "--planner.effort", "1"], "planner.effort"),
-        (["play", "tune.mid", "--ilqg.iterations", "2"], "ilqg.iterations"),
+        (["play", "tune.mid", "--icp.rehearse"], "icp.rehearse"),
         (["play", "--agent", ".", "--planner.effort", "1"], "planner.effort"),
-        (["compare", "tune.mid", "--agents", "zero", "--planner.method=none"], "planner.method"),
         (["bench", "--agents", "zero", "--planner.horizon", "0.5"], "planner.horizon"),
         (["dataset", "collect", "--generalist.rehearsals", "2"], "generalist.rehearsals"),
     ],

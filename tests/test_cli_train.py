@@ -109,11 +109,6 @@ def test_a_policy_learns_when_notes_begin_and_how_loud_and_plays(tune, tmp_path,
     )
 
 
-def test_compare_takes_policies(run, tune, tmp_path):
-    main(["compare", str(tune), "--agents", "zero", str(run), "-o", str(tmp_path)])
-    assert len(json.loads((tmp_path / "compare.json").read_text())["runs"]) == 2
-
-
 def test_help_shows_the_named_preset(capsys):
     shown = {}
     for name in ("paper", "published", "fast"):

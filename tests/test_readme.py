@@ -15,7 +15,7 @@ SONGS = {
     *("OdeToJoy", "FurEliseOpening", "MinuetInG", "CMajorChordProgressionTwoHands"),
     *("CMajorScaleOneHand", "etudes/notes-6-0", "debug"),
 }
-PLAYS = "play", "plan", "practice", "compare", "bench"
+PLAYS = "play", "plan", "practice", "bench"
 COMMANDS = (ROOT / "docs" / "command-line.md").read_text()
 
 

@@ -188,8 +188,8 @@ def beating(install, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def play(*words: str, command: str = "play") -> None:
-    main([command, "tune.mid", *words, *["--no-video"] * (command == "play"), "-o", "out"])
+def play(*words: str) -> None:
+    main(["play", "tune.mid", *words, "--no-video", "-o", "out"])
 
 
 def result(name: str) -> Any:
@@ -216,8 +216,6 @@ def test_an_agent_of_another_package_has_options(agent, capsys):
     assert result("settings.json")["slow_beat"] == config
     share = action_share(cadenza.load_episode(Path("out/episode.npz")))
     np.testing.assert_allclose(share, 0.09, atol=1e-6)
-    play("--agents", "zero", agent, *options, command="compare")
-    assert result("compare.json")["settings"]["slow_beat"] == config
 
 
 @pytest.mark.usefixtures("beating")
@@ -258,7 +256,7 @@ def test_options_of_agents_that_make_no_sense(words, said, capsys):
 @pytest.mark.usefixtures("beating")
 def test_two_agents_with_options_of_one_name(capsys):
     with pytest.raises(SystemExit):
-        play("--agents", "slow-beat", "beating:SlowBeat", command="compare")
+        main(["bench", "--agents", "slow-beat,beating:SlowBeat", "-o", "out"])
     assert "its options cannot be called --slow-beat" in capsys.readouterr().err
 
 

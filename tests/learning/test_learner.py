@@ -185,8 +185,6 @@ def test_a_learner_may_make_policies_of_another_kind(package, tune, tmp_path, ca
     best = max(row["eval/f1"] for row in rows if "eval/f1" in row)
     main(["play", "--agent", str(whole / "best"), "--no-video", "-o", str(tmp_path / "out")])
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["f1"] == best
-    agents = ["--agents", "zero", str(whole / "best")]
-    main(["compare", str(tune), *agents, "-o", str(tmp_path / "compared")])
 
     wrong = arrays | {"policy/kernel": np.zeros(3)}
     write_tensors(whole / "last" / POLICY_FILE, wrong, facts)
@@ -209,7 +207,6 @@ def test_a_learner_need_not_be_installed(package, tune, tmp_path, capsys):
     again = (
         ["train", "--resume", run, "--num-steps", "112", "--no-video"],
         ["play", "--agent", run, "--no-video", "-o", tmp_path / "out"],
-        ["compare", tune, "--agents", "zero", run / "best", "-o", tmp_path / "compared"],
         ["curves", run, "-o", page],
     )
     for command in again:

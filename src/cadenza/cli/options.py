@@ -22,7 +22,6 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.setups import NamedSetup, setup_named
 
 if TYPE_CHECKING:
-    from cadenza.performing.loaded_song import LoadedSong
     from cadenza.performing.player import Player
     from cadenza.performing.setup import Setup
 
@@ -39,7 +38,6 @@ AGENTS_HELP = (
 SONG = tyro.conf.arg(
     metavar="SONG", help='A song by its name (see "cadenza songs"), or a MIDI or MusicXML file.'
 )
-LEARNER = tyro.conf.arg(help="Learner of a policy, if it was given as module:NAME.")
 SETUP_HELP = 'Options by one name, such as allegro, see "cadenza info". Others override it.'
 
 
@@ -146,9 +144,7 @@ def split_agents(words: Sequence[str]) -> list[str]:
 
 
 @contextmanager
-def setting_up(
-    command: Options, song: str | LoadedSong | None, player: Player, seed: int
-) -> Iterator[Setup]:
+def setting_up(command: Options, song: str | None, player: Player, seed: int) -> Iterator[Setup]:
     """`set_up` with the options of a command; shows how far the search for fingers is."""
     from cadenza.performing.setup import set_up
 

@@ -13,7 +13,7 @@ import tyro
 
 from cadenza.cli.arguments import Output, Quiet, SoundFont, Verbose
 from cadenza.cli.console import stop_on_signal
-from cadenza.cli.options import AGENTS_HELP, LEARNER, Options, Read, setting_up
+from cadenza.cli.options import AGENTS_HELP, Options, Read, setting_up
 from cadenza.cli.practice import practised
 from cadenza.cli.progress import stages
 from cadenza.cli.saving import agent_folder, check_writable, save
@@ -42,7 +42,8 @@ class PlayCommand(Options):
     video: bool = False
     """Make a film, too, as "cadenza film" does."""
     sound_font: SoundFont = None
-    learner: Annotated[str | None, LEARNER] = None
+    learner: str | None = None
+    """Learner of a policy, if it was given as module:NAME."""
     verbose: Verbose = False
     quiet: Quiet = False
 

@@ -27,7 +27,6 @@ _MS_PER_SECOND = 1000
 
 AllScores = Mapping[str, Mapping[str, Scores]]
 """Agent -> metric -> scores (runs, pieces), NaN where a piece has fewer runs."""
-Caveat = tuple[str, Sequence[str]]  # a line, and its cases
 
 
 def summarize(bench: BenchResults, title: str) -> BenchSummary:
@@ -39,16 +38,6 @@ def summarize(bench: BenchResults, title: str) -> BenchSummary:
     index = {name: i for i, name in enumerate(pieces)}
     names = _agent_names([result.agent for result in results])
     runs = [_run(result, names, index[result.song.name]) for result in results]
-    return summary_of(title, list(pieces.values()), runs, list(caveats(bench)))
-
-
-def summary_of(
-    title: str,
-    pieces: Sequence[PieceSummary],
-    runs: Sequence[RunSummary],
-    remarks: Sequence[Caveat] = (),
-) -> BenchSummary:
-    """Return the summary of one or more runs of these pieces."""
     of_agent = {
         agent: {
             name: _scores([r for r in runs if r.agent == agent], name, len(pieces))
@@ -60,12 +49,12 @@ def summary_of(
     scores = {agent: of_agent[agent] for agent in agents}
     return BenchSummary(
         title=title,
-        pieces=pieces,
+        pieces=list(pieces.values()),
         agents=agents,
         runs=runs,
         by_piece={name: _by_piece(scores, name) for name in METRICS},
-        groups=list(_groups(pieces, scores)),
-        caveats=remarks,
+        groups=list(_groups(list(pieces.values()), scores)),
+        caveats=list(caveats(bench)),
     )
 
 

@@ -89,22 +89,22 @@ def _address(page: Path, folder: Path) -> str:
 
 
 def write_figure(path: Path, summary: BenchSummary) -> None:
-    """Draw the F1 of all pieces with its intervals, a chart an agent, in the order of the best.
+    """Draw the note onset F1 of all pieces with its intervals, a chart an agent, the best first.
 
-    A dot is the note onset F1. Of a single piece there is one chart with a bar an agent.
+    A dot is the F1. Of a single piece there is one chart with a bar an agent.
     """
     write_page(path, render("figure.svg", **_figure(summary)))
 
 
 def _figure(summary: BenchSummary) -> dict[str, Any]:
     """Return what `figure.svg` draws: a chart for each row, and a bar in it for each column."""
-    tables = [*summary.by_piece["f1"], summary.by_piece["note_onset_f1"].value]
+    tables = [*summary.by_piece["note_onset_f1"], summary.by_piece["f1"].value]
     rows, columns = list(summary.agents), [piece.title for piece in summary.pieces]
     legends = [_means_text(summary, agent) for agent in rows]
     if len(columns) == 1:
-        rows, columns, legends = columns, rows, ["F1 (bars), note onset F1 (dots)"]
+        rows, columns, legends = columns, rows, ["note onset F1 (bars), F1 (dots)"]
         tables = [table.T for table in tables]
-    order = np.argsort(-tables[0][0], kind="stable").tolist()  # what has no F1 comes last
+    order = np.argsort(-tables[0][0], kind="stable").tolist()  # what has none comes last
     chart_width = _WIDTH - _LEFT - _RIGHT
     column = chart_width / len(order)
     names = [_shortened(columns[i]) for i in order] if column >= _MIN_NAMED_COLUMN else []
@@ -114,7 +114,7 @@ def _figure(summary: BenchSummary) -> dict[str, Any]:
     bar_width = min(_BAR_SHARE * column, _MAX_BAR)
     agents = ", ".join(summary.agents)
     return {
-        "caption": f"F1 and note onset F1 of {counted(len(summary.pieces), 'piece')} by {agents}",
+        "caption": f"Note onset F1 and F1 of {counted(len(summary.pieces), 'piece')} by {agents}",
         "width": _WIDTH,
         "height": below + _GAP + round(longest if is_turned else _LINE),
         "left": _LEFT,
@@ -144,7 +144,7 @@ def _figure(summary: BenchSummary) -> dict[str, Any]:
 def _means_text(summary: BenchSummary, agent: str) -> str:
     """Return the means of an agent over all of its pieces."""
     parts = []
-    for name, mark in (("f1", "bars"), ("note_onset_f1", "dots")):
+    for name, mark in (("note_onset_f1", "bars"), ("f1", "dots")):
         mean = summary.groups[0].agents[agent].mean[name]
         value, interval = metric_text(name, mean.value), interval_text(name, mean)
         text = f"{METRICS[name].title} ({mark}) {value}"
