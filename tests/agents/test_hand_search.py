@@ -117,7 +117,8 @@ def test_giving_candidates_up_early_changes_no_cost_that_counts():
     hand = OneHand(melody(60, 72, 61, length=0.2))
     rollouts, _, nominal = rollouts_of(hand, 8)
     noise = np.random.default_rng(0).standard_normal((10, 1, nominal.shape[1]))
-    candidates = hand.servos.clip(nominal + hand.servos.noise * noise)
+    spread = np.linspace(0.5, 10.0, len(noise))[:, None, None]  # some are soon far off
+    candidates = hand.servos.clip(nominal + spread * hand.servos.noise * noise)
     whole = [rollouts.simulate(ctrl) for ctrl in candidates]
     cutoff = float(np.median([rollout.cost for rollout in whole]))
     cut = [rollouts.simulate(ctrl, cutoff) for ctrl in candidates]

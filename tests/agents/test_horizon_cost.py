@@ -24,30 +24,46 @@ class Chord:
         self.horizon = HorizonCost(self.goals, self.steps, PIANO, slice(None), np.zeros(88))
         self.wanted = keys[self.steps]
 
-    def by_finger(self, depth: Array) -> Array:
-        paths = np.repeat((depth * PIANO.travel)[:, None], 2, axis=1)  # keys that do not move
-        return self.horizon.by_finger(paths, self.tips)
+    def by_finger(self, depth: Array) -> tuple[Array, list[float]]:
+        """Costs by finger, and of the steps, if keys do not move within one."""
+        paths = np.repeat((depth * PIANO.travel)[:, None], 2, axis=1)
+        costs, _, keys = zip(
+            *self.horizon.costs(0, paths, self.tips, self.horizon.start), strict=True
+        )
+        return self.horizon.by_finger(np.array([each.costs for each in keys]), self.tips), costs
 
 
 def test_costs_of_fingers_are_those_of_the_steps():
     chord = Chord()
     for seed in range(10):
         depth = np.random.default_rng(seed).uniform(0.0, 1.2, chord.wanted.shape)
-        keys, costs = chord.horizon.start, []
-        for k, (qpos, tips) in enumerate(zip(depth * PIANO.travel, chord.tips, strict=True)):
-            cost, _, keys = chord.horizon.step_cost(k, np.stack([qpos, qpos]), tips, keys)
-            costs.append(cost)
-        by_finger = chord.by_finger(depth)
+        by_finger, costs = chord.by_finger(depth)
         assert by_finger.shape == chord.tips.shape[:2]
         np.testing.assert_allclose(by_finger.sum(axis=1), costs)
+
+
+def test_steps_cost_the_same_one_by_one_and_all_at_once():
+    chord = Chord()
+    for seed in range(10):
+        depth = np.random.default_rng(seed).uniform(0.0, 1.2, (len(chord.steps), 4, 1))
+        paths = np.where(chord.wanted[:, None], depth, 0.3 * depth) * PIANO.travel
+        horizon, one_by_one = chord.horizon, []
+        keys = horizon.start
+        for k, path in enumerate(paths):
+            one_by_one += horizon.costs(k, path[None], chord.tips[k : k + 1], keys)
+            keys = one_by_one[-1][2]
+        at_once = horizon.costs(0, paths, chord.tips, horizon.start)
+        for one, other in zip(one_by_one, at_once, strict=True):
+            assert one[:2] == pytest.approx(other[:2])
+            assert all(map(np.array_equal, one[2], other[2]))
 
 
 def test_a_silent_key_is_the_fault_of_the_finger_that_should_press_it():
     chord, key = Chord(), CHORD[1] - PIANO.lowest_pitch
     depth = chord.wanted.astype(float)
-    fine = chord.by_finger(depth)
+    fine, _ = chord.by_finger(depth)
     depth[:, key] = 0.0
-    worse = chord.by_finger(depth) > fine
+    worse = chord.by_finger(depth)[0] > fine
     finger = chord.goals.finger[chord.steps[0], key]
     assert (worse == (np.arange(worse.shape[1]) == finger)).all()
 
@@ -55,10 +71,10 @@ def test_a_silent_key_is_the_fault_of_the_finger_that_should_press_it():
 def test_a_wrong_key_is_the_fault_of_the_finger_over_it():
     chord, finger = Chord(), 4
     depth = chord.wanted.astype(float)
-    fine = chord.by_finger(depth)
+    fine, _ = chord.by_finger(depth)
     chord.tips[:, finger] = PIANO.centre[CHORD[-1] - PIANO.lowest_pitch + 4]
     depth[:, CHORD[-1] - PIANO.lowest_pitch + 4] = 1.0
-    worse = chord.by_finger(depth) > fine + 2.0
+    worse = chord.by_finger(depth)[0] > fine + 2.0
     assert (worse == (np.arange(worse.shape[1]) == finger)).all()
 
 
@@ -71,14 +87,10 @@ def test_notes_that_do_not_begin_in_time_and_keys_struck_again_cost_more():
 
     def cost(key: int, sounds: str) -> float:
         """Cost of a key of its own, or a wrong one, that sounds where the text has an x."""
-        before, total = horizon.start, 0.0
-        for k, down in enumerate(sounds):
-            key_qpos = np.zeros(88)
-            key_qpos[key] = PIANO.travel[key] * (down == "x")
-            tips = hand.goals.fingertips[steps[k] + 1]
-            more, _, before = horizon.step_cost(k, np.stack([key_qpos, key_qpos]), tips, before)
-            total += more
-        return total
+        paths = np.zeros((len(sounds), 2, 88))
+        paths[:, :, key] = PIANO.travel[key] * (np.array(list(sounds)) == "x")[:, None]
+        tips = hand.goals.fingertips[steps + 1]
+        return sum(cost for cost, _, _ in horizon.costs(0, paths, tips, horizon.start))
 
     in_time = cost(key, "xxxxxxxxxx")
     lost = cost(key, ".xxxxxxxxx") - in_time
@@ -92,9 +104,9 @@ def test_a_wrong_key_that_is_only_brushed_is_a_mistake():
     chord, beside = Chord(), CHORD[0] + 1 - PIANO.lowest_pitch
     path = np.repeat(chord.wanted[1:2] * PIANO.travel, 4, axis=0)
     before, tips = chord.horizon.start._replace(sounding=chord.wanted[1]), chord.tips[1]
-    clean, none, _ = chord.horizon.step_cost(1, path, tips, before)
+    [(clean, none, _)] = chord.horizon.costs(1, path[None], tips[None], before)
     path[1:3, beside] = PIANO.travel[beside]
-    brushed, mistakes, _ = chord.horizon.step_cost(1, path, tips, before)
+    [(brushed, mistakes, _)] = chord.horizon.costs(1, path[None], tips[None], before)
     assert brushed > clean + 1.0
     assert (none, mistakes) == (0, 1)
 
@@ -107,13 +119,10 @@ def test_a_note_that_is_lost_is_not_struck_again_unless_much_of_it_is_left(end, 
     tips = hand.goals.fingertips[steps + 1]
 
     def cost(sounds: str) -> tuple[float, int]:
-        keys, total, mistakes = horizon.start, 0.0, 0
-        for k, down in enumerate(sounds):
-            path = np.zeros((2, 88))
-            path[:, key] = PIANO.travel[key] * (down == "x")
-            more, wrong, keys = horizon.step_cost(k, path, tips[k], keys)
-            total, mistakes = total + more, mistakes + wrong
-        return total, mistakes
+        paths = np.zeros((len(sounds), 2, 88))
+        paths[:, :, key] = PIANO.travel[key] * (np.array(list(sounds)) == "x")[:, None]
+        costs, mistakes, _ = zip(*horizon.costs(0, paths, tips, horizon.start), strict=True)
+        return sum(costs), sum(mistakes)
 
     (silent, mistakes), (struck, _) = cost("......"), cost(".xxxxx")
     assert (silent < struck) == is_lost == (mistakes == 0)
@@ -176,9 +185,9 @@ def test_a_key_that_is_struck_again_within_a_step_costs_as_a_wrong_onset():
     chord, key = Chord(), CHORD[0] - PIANO.lowest_pitch
     path = np.repeat(chord.wanted[1:2] * PIANO.travel, 4, axis=0)
     before, tips = chord.horizon.start._replace(sounding=chord.wanted[1]), chord.tips[1]
-    held, none, _ = chord.horizon.step_cost(1, path, tips, before)
+    [(held, none, _)] = chord.horizon.costs(1, path[None], tips[None], before)
     path[1, key] = 0.0
-    struck_again, mistakes, _ = chord.horizon.step_cost(1, path, tips, before)
+    [(struck_again, mistakes, _)] = chord.horizon.costs(1, path[None], tips[None], before)
     assert struck_again > held
     assert (none, mistakes) == (0, 1)
 

@@ -68,15 +68,17 @@ class _PracticeCost:
     sounds_from: Array
     dt: float
 
-    def step_cost(
-        self, k: int, key_path: Array, fingertips: Array, before: KeyHistory
-    ) -> tuple[float, int, KeyHistory]:
-        substep = self.dt / (len(key_path) - 1)
-        events = KeyEvents(*last_key_events(key_path, self.sounds_from, substep))
-        evaluation = self.losses.after(
-            self.first + k, key_path[-1], events, fingertips, before, self.keys
-        )
-        return evaluation.cost, 0, evaluation.history
+    def costs(
+        self, first: int, key_paths: Array, fingertips: Array, before: KeyHistory
+    ) -> list[tuple[float, int, KeyHistory]]:
+        costs, substep = [], self.dt / (key_paths.shape[1] - 1)
+        events = map(KeyEvents, *last_key_events(key_paths, self.sounds_from, substep))
+        steps = zip(key_paths, events, fingertips, strict=True)
+        for step, (key_path, happened, tips) in enumerate(steps, self.first + first):
+            evaluation = self.losses.after(step, key_path[-1], happened, tips, before, self.keys)
+            before = evaluation.history
+            costs.append((evaluation.cost, 0, before))
+        return costs
 
 
 class HandPractice:

@@ -433,8 +433,12 @@ class HandSearch:
         best = min(range(len(rollouts)), key=lambda i: rollouts[i].cost)
         if not rollouts[best].mistakes:
             return candidates[:0]
-        by_finger = self._cost.by_finger
-        costs = [by_finger(r.key_paths, np.array(r.fingertips)) for r in rollouts]
+        costs = [
+            self._cost.by_finger(
+                np.array([keys.costs for _, _, keys in each.totals]), np.array(each.fingertips)
+            )
+            for each in rollouts
+        ]
         return crossover(candidates, costs, best, self._servos.finger)
 
     # Fingers that are caught between keys

@@ -1,6 +1,5 @@
 """Cost of a rollout over the look-ahead horizon of one hand."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -46,7 +45,9 @@ class KeyStates(NamedTuple):
     """Own keys whose notes were lost before it: nothing that the rollout does can mend them."""
     silent: Array
     """For how long keys have been silent [s], a multiple of the physics step, at least."""
-    wrong_notes: int = 0
+    costs: Array
+    """What they have cost in the step."""
+    wrong_notes: int
     """The number of notes that a listener would have missed, or heard too many, in the step."""
 
 
@@ -86,7 +87,8 @@ class HorizonCost:
         self._late = wanted & self._onset_wrong & ~_goes_on(goals, steps, keys)
         given_up = self._late[0] & ~sounding
         silent = np.where(sounding, 0.0, silent)
-        self.start = KeyStates(sounding, np.zeros_like(given_up), given_up, silent)
+        free = np.zeros(len(sounding))
+        self.start = KeyStates(sounding, np.zeros_like(given_up), given_up, silent, free, 0)
         self._dt = goals.dt
         # A key's distance from its harmless range, in units of its travel: factor * angle + offset.
         sign = wrong.astype(np.float64) - wanted
@@ -101,82 +103,86 @@ class HorizonCost:
         self._cost_weight[-1] *= _TERMINAL
         self.strikes = HorizonStrikes(goals, steps, keyboard, keys, silent=silent)
 
-    def step_cost(
-        self, k: int, key_path: Array, fingertips: Array, before: KeyStates
-    ) -> tuple[float, int, KeyStates]:
-        """The cost and the mistakes of the state after the k-th step, and the keys then.
+    def costs(
+        self, first: int, key_paths: Array, fingertips: Array, before: KeyStates
+    ) -> list[tuple[float, int, KeyStates]]:
+        """Cost and mistakes of L steps, from the `first` on, each with the keys after it.
 
         A key that the plan lets go early is no mistake to search for, though it costs.
 
         Args:
-            k: the number of the step, from 0.
-            key_path: (S + 1, K) before the step and after each of its physics steps [rad].
-            fingertips: (F, 3) after the step [m].
-            before: the keys before the step.
+            first: the number of the first of these steps, from 0.
+            key_paths: (L, S + 1, K) before each step and after each of its physics steps [rad].
+            fingertips: (L, F, 3) after each step [m].
+            before: the keys before the first of these steps.
         """
-        costs, mistakes, keys = self._key_costs(k, key_path, before)
-        error = (fingertips - self._fingertips[k]) * _AXES
-        tips = np.minimum((error * error) @ _ONES, MAX_ERROR**2) @ self._cost_weight[k]
-        return float(costs.sum() + tips) + self.strikes.cost(k, key_path), mistakes, keys
+        rows = slice(first, first + len(key_paths))
+        of_keys, mistakes, keys = self._key_costs(rows, key_paths, before)
+        error = (fingertips - self._fingertips[rows]) * _AXES
+        squared = np.minimum((error * error) @ _ONES, MAX_ERROR**2)
+        costs = of_keys.sum(axis=1) + (squared * self._cost_weight[rows]).sum(axis=1)
+        strikes = [self.strikes.cost(k, path) for k, path in enumerate(key_paths, first)]
+        return list(zip((costs + strikes).tolist(), mistakes.tolist(), keys, strict=True))
 
     def _key_costs(
-        self, k: int, key_path: Array, before: KeyStates
-    ) -> tuple[Array, int, KeyStates]:
-        """Costs (K,) of the keys in the k-th step, the number of mistakes, and the keys then."""
-        key_qpos, wanted, late = key_path[-1], self._wanted[k], self._late[k]
-        on_the_way = key_path >= self._sounds_from
-        sounding, begins = on_the_way[-1], on_the_way[-1] & ~before.sounding
-        lost, given_up = before.lost & late, before.given_up & late
-        wrong = ((sounding ^ wanted) & self._counts[k] | lost) & ~given_up
-        wrong_onsets = np.where(sounding, self._onset_wrong[k] & begins, self._onset_due[k])
+        self, rows: slice, key_paths: Array, before: KeyStates
+    ) -> tuple[Array, NDArray[np.intp], list[KeyStates]]:
+        """Costs (L, K) of the keys, the numbers (L,) of mistakes, and the keys after each step."""
+        wanted, late, onset_wrong = self._wanted[rows], self._late[rows], self._onset_wrong[rows]
+        on_the_way = key_paths >= self._sounds_from
+        sounding, heard = on_the_way[:, -1], on_the_way[:, 1:]
+        sounded = np.concatenate([before.sounding[None], sounding[:-1]])
+        begins = sounding & ~sounded
+        lost, given_up = _lost_notes(late, sounding, before)
+        is_lost, is_given_up = lost[:-1] & late, given_up[:-1] & late
+        wrong = ((sounding ^ wanted) & self._counts[rows] | is_lost) & ~is_given_up
+        wrong_onsets = np.where(sounding, onset_wrong & begins, self._onset_due[rows])
         # An own key may be struck again within the step.
-        onsets = np.count_nonzero((on_the_way[1:] > on_the_way[:-1]) & wanted, axis=0)
+        onsets = ((heard > on_the_way[:, :-1]) & wanted[:, None]).sum(axis=1)
         again = np.maximum(onsets - begins, 0)
-        unheard, silent = self._silence(on_the_way[1:], before)
-        unheard &= wanted & ~self._onset_wrong[k]
-        brushed = on_the_way[1:].any(axis=0) & self._wrong[k] & ~sounding & ~before.sounding
-        depth = np.maximum(self._factor[k] * key_qpos + self._offset[k], 0.0)
-        depth[lost | given_up] = 0.0
-        costs = (
-            _WRONG_KEY * wrong
-            + _WRONG_ONSET * (wrong_onsets + again + unheard)
-            + _BRUSHED * brushed
-        )
+        any_sound = np.logical_or.reduce(heard, axis=1)
+        silent, so_far = self._silence(heard, any_sound, before)
+        unheard = any_sound & ~sounded & (so_far < BOUNCE) & wanted & ~onset_wrong
+        brushed = any_sound & self._wrong[rows] & ~sounding & ~sounded
+        depth = np.maximum(self._factor[rows] * key_paths[:, -1] + self._offset[rows], 0.0)
+        depth[is_lost | is_given_up] = 0.0
+        struck_wrong = wrong_onsets + again + unheard
+        costs = _WRONG_KEY * wrong + _WRONG_ONSET * struck_wrong + _BRUSHED * brushed
         costs += _DEPTH * (depth * depth)
-        mistakes = (wrong & self._mistakes[k]) + brushed + again + unheard
+        mistakes = (wrong & self._mistakes[rows]) + brushed + again + unheard
         mistakes += wrong_onsets & begins & wanted
-        heard = wrong_onsets & (begins | self._held[k]) & ~given_up
-        wrong_notes = int((brushed + again + unheard + heard).sum())
-        given_up = given_up & ~sounding
-        lost = late & (~sounding | lost) & ~given_up
-        return costs, int(mistakes.sum()), KeyStates(sounding, lost, given_up, silent, wrong_notes)
+        wrong_notes = brushed + again + unheard
+        wrong_notes += wrong_onsets & (begins | self._held[rows]) & ~is_given_up
+        counts = wrong_notes.sum(axis=1).tolist()
+        after = map(KeyStates, sounding, lost[1:], given_up[1:], silent, costs, counts)
+        return costs, mistakes.sum(axis=1), list(after)
 
-    def _silence(self, sounding: Mask, before: KeyStates) -> tuple[Mask, Array]:
-        """Keys (K,) that sound too soon again to be heard, and for how long each is silent now [s].
+    def _silence(self, heard: Mask, any_sound: Mask, before: KeyStates) -> tuple[Array, Array]:
+        """For how long keys have been silent after each of L steps, and before they sounded in it.
 
-        `sounding` (S, K) are the keys after each physics step.
+        Both are (L, K) [s]. Keys are `heard` (L, S, K) after each physics step, and `any_sound`
+        (L, K) is whether they are in a step.
         """
-        substep, any_sound = self._dt / len(sounding), sounding.any(axis=0)
-        until = before.silent + substep * sounding.argmax(axis=0)
-        silent = substep * sounding[::-1].argmax(axis=0)
-        unheard = any_sound & ~before.sounding & (until < BOUNCE)
-        return unheard, np.where(any_sound, silent, before.silent + self._dt)
+        substep = self._dt / heard.shape[1]
+        silent = substep * heard[:, ::-1].argmax(axis=1)
+        start, earlier = np.empty_like(silent), before.silent
+        for k, sounds in enumerate(any_sound):
+            start[k] = earlier
+            earlier = silent[k] = np.where(sounds, silent[k], earlier + self._dt)
+        return silent, start + substep * heard.argmax(axis=1)
 
-    def by_finger(self, key_paths: Sequence[Array], fingertips: Array) -> Array:
+    def by_finger(self, of_keys: Array, fingertips: Array) -> Array:
         """The cost (L, F) of each of the first L steps, by finger.
 
         The cost of a key goes to the finger that should press it, or to the nearest one.
 
         Args:
-            key_paths: (S + 1, K) before each step and after each of its physics steps [rad].
+            of_keys: (L, K) the costs of the keys.
             fingertips: (L, F, 3) after each step [m].
         """
         error = (fingertips - self._fingertips[: len(fingertips)]) * _AXES
         costs = np.minimum((error * error) @ _ONES, MAX_ERROR**2)
         costs *= self._cost_weight[: len(fingertips)]
-        keys, of_keys = self.start, np.zeros((len(fingertips), len(self._centre)))
-        for k, key_path in enumerate(key_paths):
-            of_keys[k], _, keys = self._key_costs(k, key_path, keys)
         step, key = np.nonzero(of_keys)
         offset = fingertips[step] - self._centre[key, None]
         nearest = np.hypot(offset[..., 1], offset[..., 2]).argmin(axis=1)
@@ -249,6 +255,20 @@ class HorizonCost:
         beside[..., 0] = np.maximum(beside[..., 0] - self._half_size[key, None, 0], 0.0)
         distance = beside.sum(axis=2)
         return distance.argmin(axis=1), distance.min(axis=1) < _OVER_A_KEY
+
+
+def _lost_notes(late: Mask, sounding: Mask, before: KeyStates) -> tuple[Mask, Mask]:
+    """Own keys whose notes are lost, and given up, before L steps and after each (L + 1, K).
+
+    Notes are `late` (L, K) that would be struck too late, and keys `sounding` (L, K) after a step.
+    """
+    given_up = np.concatenate([before.given_up[None], late & ~sounding])
+    given_up = np.logical_and.accumulate(given_up)
+    lost, may_be = np.empty_like(given_up), late & ~given_up[1:]
+    lost[0] = before.lost
+    for k, silent in enumerate(~sounding):
+        lost[k + 1] = may_be[k] & (silent | lost[k])
+    return lost, given_up
 
 
 def _goes_on(goals: HandGoals, steps: NDArray[np.intp], keys: slice) -> Mask:

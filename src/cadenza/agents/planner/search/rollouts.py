@@ -21,6 +21,7 @@ from cadenza.sim.threads import Threads
 
 Keys = TypeVar("Keys")
 
+_EVALUATED = 4  # steps at a time, as one by one it takes about as long as to simulate them
 _EXPECTED = 0.8  # share of the least cost-to-go that was seen, which a rollout is expected to have
 
 
@@ -63,12 +64,13 @@ class Cost(Protocol[Keys]):
     num_steps: int  # H, the number of steps
     start: Keys  # the state of the keys before the first step, as far as it matters to the cost
 
-    def step_cost(
-        self, k: int, key_path: Array, fingertips: Array, before: Keys
-    ) -> tuple[float, int, Keys]:
-        """The cost and the mistakes of the k-th step, and the keys after it.
+    def costs(
+        self, first: int, key_paths: Array, fingertips: Array, before: Keys
+    ) -> list[tuple[float, int, Keys]]:
+        """Cost and mistakes of L steps, from the `first` on, each with the keys after it.
 
-        Keys are at `key_path` (S + 1, K) before the step and after each of its physics steps.
+        Keys are at `key_paths` (L, S + 1, K) before each step and after each of its physics steps
+        [rad], and fingertips (L, F, 3) after each [m].
         """
 
 
@@ -115,30 +117,41 @@ def roll_out(
     """Simulate controls (H, A), whose rows may depend on the state that was reached.
 
     The first `cost_steps` count in the cost and the mistakes, all by default. With `cost_to_go`
-    (H,), which is expected after each step, a rollout that is to cost `cutoff` is given up. A
-    rollout that has `begun` as another one takes over its steps before the `first` of its own, to
-    which `ctrl` then belongs; see `HandRollouts.run`.
+    (H,), which is expected after each step, a rollout that is to cost `cutoff` is given up, as soon
+    as it is evaluated. A rollout that has `begun` as another one takes over its steps before the
+    `first` of its own, to which `ctrl` then belongs; see `HandRollouts.run`.
     """
     so_far = Rollout(0.0, 0, [], [], [], [], [], []) if begun is None else begun.until(first)
-    cost, mistakes, keys = so_far.totals[-1] if first else (0.0, 0, horizon.start)
-    given_up = False
     cost_steps = horizon.num_steps if cost_steps is None else cost_steps
-    ctrl = islice(ctrl, horizon.num_steps - first)
-    for k, state in enumerate(simulator.run(ctrl, slot, first, kept), first):
-        more, wrong, keys = horizon.step_cost(k, state[0], state[1], keys)
-        if k < cost_steps:
-            cost, mistakes = cost + more, mistakes + wrong
-        so_far.step_costs.append(more)
-        so_far.fingertips.append(state[1])
+    ctrl, given_up = islice(ctrl, horizon.num_steps - first), False
+    for step, (key_path, fingertips) in enumerate(simulator.run(ctrl, slot, first, kept), first):
+        so_far.fingertips.append(fingertips)
         so_far.hand_qpos.append(simulator.hand_joints(slot)[0].copy())
-        so_far.key_paths.append(state[0])
+        so_far.key_paths.append(key_path)
         so_far.key_qvel.append(simulator.key_qvel(slot).copy())
-        so_far.totals.append((cost, mistakes, keys))
-        if cost_to_go is not None and cost + cost_to_go[k] >= cutoff:
-            given_up = True
-            break
+        if cost_to_go is not None and (step + 1) % _EVALUATED == 0:
+            _evaluate(so_far, horizon, cost_steps)
+            if given_up := bool(so_far.totals[-1][0] + cost_to_go[step] >= cutoff):
+                break
+    _evaluate(so_far, horizon, cost_steps)
+    cost, mistakes, _ = so_far.totals[-1]
     useless = given_up or simulator.unstable(slot)
     return so_far._replace(cost=np.inf if useless else cost, mistakes=mistakes)
+
+
+def _evaluate(rollout: Rollout, horizon: Cost[Keys], cost_steps: int) -> None:
+    """Add what the last steps of a rollout cost, of which the first `cost_steps` count."""
+    first = len(rollout.totals)
+    if first == len(rollout.key_paths):
+        return
+    cost, mistakes, before = rollout.totals[-1] if first else (0.0, 0, horizon.start)
+    paths, fingertips = np.array(rollout.key_paths[first:]), np.array(rollout.fingertips[first:])
+    costs = horizon.costs(first, paths, fingertips, before)
+    for step, (more, wrong, keys) in enumerate(costs, first):
+        if step < cost_steps:
+            cost, mistakes = cost + more, mistakes + wrong
+        rollout.step_costs.append(more)
+        rollout.totals.append((cost, mistakes, keys))
 
 
 class Rollouts:

@@ -20,6 +20,7 @@ RESTARTS_PER_WINDOW = 0.5
 """What a hand may restart in the mean, which bounds its time; what it saves is for later ones."""
 _WRONG_NOTE = 3.0  # cost of a wrong note beyond that of its keys and onsets
 _MAX_DRIFT = 1e-3  # [m, rad] between the model and the scene up to which controls are played
+_MAX_WAIT = 8  # windows that a hand plays step by step at most before it plays ahead again
 
 
 class _Branch(NamedTuple):
@@ -38,9 +39,10 @@ class SearchAhead:
     def __init__(self, search: HandSearch, dt: float) -> None:
         """Take over a search that has not begun, of a hand in control steps of `dt` [s]."""
         self._search, self._window = search, steps_in(_WINDOW, dt)
+        self._max_wait = _MAX_WAIT * self._window
         self._found, self._second = list[PlayedStep](), list[PlayedStep]()
         self._affordable = float(RESTARTS)  # restarts
-        self._one_by_one = 0  # steps that are still to be played so
+        self._one_by_one, self._wait = 0, self._window  # steps still to be played so, and next time
 
     @property
     def lookahead(self) -> int:
@@ -51,14 +53,16 @@ class SearchAhead:
         """Controls (A,) of a step from the hand's joints (J,) and all keys (K,)."""
         ahead = self._found or self._second
         if ahead and np.abs(ahead[0].hand_qpos - hand_qpos).max() > _MAX_DRIFT:
-            self._found, self._second = [], []
-            self._one_by_one = self._window
+            self._found, self._second, self._affordable = [], [], 0.0
+            self._one_by_one, self._wait = self._wait, min(2 * self._wait, self._max_wait)
             self._search.go_back(step)
         if self._one_by_one:
             self._one_by_one -= 1
             return self._search.act(hand_qpos, hand_qvel, key_qpos)
         if not self._found:
-            if not self._second:
+            if self._second:  # a window has been played through
+                self._wait = self._window
+            else:
                 self._search.synchronise(hand_qpos, hand_qvel, key_qpos)
                 self._begin()
             self._find_window()
@@ -94,7 +98,8 @@ class SearchAhead:
                 if k == self._window:
                     middle = self._search.save()
                 steps.append(self._search.play())
-            more, _, keys = horizon.step_cost(k, steps[k].key_path, steps[k].fingertips, keys)
+            path, fingertips = steps[k].key_path[None], steps[k].fingertips[None]
+            [(more, _, keys)] = horizon.costs(k, path, fingertips, keys)
             cost += more + _WRONG_NOTE * keys.wrong_notes
             wrong_notes += keys.wrong_notes * (k < self._window)
             if cost >= limit:
