@@ -14,7 +14,7 @@ from cadenza import CadenzaError, Note, Score
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.robot.practice import RobotPractice
 from cadenza.agents.robot.protocol import Heard, notes_heard, play
-from cadenza.agents.robot.servo_response import ServoResponse
+from cadenza.agents.robot.servo_response import Response, ServoResponse, identified
 from cadenza.agents.robot.simulated import SimulatedRobot
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.cli import main
@@ -57,7 +57,7 @@ def test_the_delay_is_found(nominal: EpisodeResult) -> None:
     practice.learn(play(SimulatedRobot(env), practice.actions()))
     drawn = env.task.drawn
     true = drawn["latency"][0] + drawn["observation_latency"][0]
-    assert sum(practice.delays) == pytest.approx(true, abs=0.0051)
+    assert practice.response.late + practice.sensors_late == pytest.approx(true, abs=0.0051)
 
 
 def test_what_is_heard_is_scored_as_what_is_true(nominal: EpisodeResult) -> None:
@@ -82,10 +82,11 @@ def test_notes_that_bounce_go_on() -> None:
 
 
 @pytest.mark.parametrize("late", [0.0, 0.02, 0.05, 0.065])
-def test_servos_respond_as_in_simulation_and_the_inverse_undoes_it(late: float) -> None:
+def test_servos_respond_as_in_simulation_and_controls_undo_it(late: float) -> None:
     scene = build_scene(cadenza.SceneConfig(hands="right"))
     servos, steps = servos_of(scene), 40
-    response = ServoResponse(servos, DT, late)
+    same = np.ones(len(servos.low))
+    response = ServoResponse(servos, DT, Response(late, same, np.inf * same))
     one = np.zeros((steps, len(servos.low)))
     one[3:9] = 0.05
     assert_allclose(response.to(one), response.to(one / 2) * 2)
@@ -99,7 +100,33 @@ def test_servos_respond_as_in_simulation_and_the_inverse_undoes_it(late: float) 
             moved.append((simulation.state.hand_qpos[0] @ servos.of_joints - start)[thumb])
         assert_allclose(moved, response.to(one)[:, thumb], atol=0.006)
     wanted = response.to(one)
-    assert_allclose(response.to(response.inverse(wanted, 1e-9)), wanted, atol=1e-4)
+    found = response.controls(np.zeros_like(one), wanted, 1e-6)
+    assert_allclose(response.to(found), wanted, atol=1e-3)
+
+
+def test_slow_servos_begin_earlier() -> None:
+    servos = servos_of(build_scene(cadenza.SceneConfig(hands="right")))
+    same = np.ones(len(servos.low))
+    slow = ServoResponse(servos, DT, Response(0.0, same, 0.02 * same))
+    wanted = np.zeros((60, len(same)))
+    wanted[30:] = 0.2
+    controls = slow.controls(np.zeros_like(wanted), wanted, 0.01)
+    assert abs(np.diff(controls, axis=0, prepend=0.0)).max() <= 0.02 + 1e-9
+    at_once = slow.limited(wanted)
+    error, late = (np.square(slow.to(each) - wanted).sum(axis=0) for each in (controls, at_once))
+    assert (error < 0.5 * late).all()
+
+
+def test_it_is_found_how_late_and_slow_servos_are() -> None:
+    servos = servos_of(build_scene(cadenza.SceneConfig(hands="right")))
+    rng, same = np.random.default_rng(0), np.ones(len(servos.low))
+    sent = 0.3 * rng.standard_normal((80, len(same))).cumsum(axis=0)
+    true = Response(0.065, rng.choice([0.6, 1.0, 1.7], len(same)), 0.085 * same)
+    response = ServoResponse(servos, DT, true)
+    moved = response.to(response.limited(sent)) + 0.001 * rng.standard_normal(sent.shape)
+    found = identified(servos, DT, sent, moved, 0.1 * same)
+    assert found.late == pytest.approx(true.late, abs=0.011)
+    assert_allclose(found.fastest, true.fastest)
 
 
 def test_the_command_keeps_what_was_played(

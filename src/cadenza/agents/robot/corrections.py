@@ -33,6 +33,7 @@ _MOST: dict[str, tuple[Any, Any]] = {
     "deeper": (-1.0, 2.0),
     "lift": (-2.0, 4.0),
     "beside": (-4 / 3, 4 / 3),
+    "reach": (-3.0, 3.0),
     "strike": (np.array([-20 / 3, -40 / 3]), np.array([20 / 3, 40 / 3])),
     "hands": (-1.0, 1.0),
 }
@@ -49,7 +50,13 @@ _LOST = 0.06  # [s] by which a note that is too short was lost, and not let go o
 _NEAR = 5  # control steps from a press in which its key sounds by its finger
 _OFTEN = 2  # keys brushed on one side from which on it is the hand that is beside
 _ONE_SIDED = 0.6  # share of them
-_FEW = 0.05  # share of the time that keys should sound and do not, which is no fault of the hand
+_FEW = 0.1  # share of keys that are lost, which is no fault of the hand
+_BEFORE = 3  # control steps before a press in which its finger moves to where it is to strike
+_STRIKING = 4  # control steps after it begins, by which it is seen where its finger struck
+_REACH = 0.5  # share of how far it was beside that which is corrected
+_SILENT = 0.2  # share of a press in which its key sounds, below which its finger did not get there
+_LATEST = 3  # a finger that does not strikes late, by an n-th of the press at most
+_AWAY = 0.012  # [m] above where it is to be, at which a finger that is to strike late waits
 _HIGHEST = 0.055  # [m] of fingertips from which on they sound no key
 
 
@@ -63,6 +70,10 @@ class PressCorrections:
     """(N,) at the end of the press."""
     beside: Array
     """(N,) to the player's right."""
+    reach: Array
+    """(N, 2) along the key and across it, as the finger did not come so far."""
+    wait: Array
+    """(N,) control steps by which a finger strikes late, as it does not get there in time."""
     strike: Array
     """(N, 2) deeper by control before the strike, and in it."""
     hands: Array
@@ -73,8 +84,9 @@ class PressCorrections:
     @classmethod
     def none(cls, presses: int, hands: int) -> PressCorrections:
         """No corrections."""
-        deeper, lift, beside = np.zeros((3, presses))
-        return cls(deeper, lift, beside, np.zeros((presses, 2)), np.zeros((hands, 3)))
+        deeper, lift, beside, wait = np.zeros((4, presses))
+        reach, strike = np.zeros((2, presses, 2))
+        return cls(deeper, lift, beside, reach, wait, strike, np.zeros((hands, 3)))
 
     def towards(self, other: PressCorrections, share: float, place: float) -> PressCorrections:
         """These corrections, and a share of the way to others, within bounds.
@@ -87,6 +99,7 @@ class PressCorrections:
                 for name, (low, high) in _MOST.items()
                 for old in [getattr(self, name)]
             },
+            wait=other.wait,
             raised=other.raised,
         )
 
@@ -125,6 +138,8 @@ class NoteCorrections:
     def postures(self, corrections: PressCorrections) -> Array:
         """(T + 1, A) the postures of the play with its corrections, but for strikes."""
         error, postures = self._moved(corrections), self._postures.copy()
+        for i, (press, row) in enumerate(zip(self._presses, self._rows, strict=True)):
+            error[max(press.first - _BEFORE, 0) : press.last, row, :2] += corrections.reach[i]
         for hand, side in enumerate(self._scene.sides):
             fingers = slice(hand * self._fingers, (hand + 1) * self._fingers)
             weight = np.ones((len(error), self._fingers))
@@ -140,6 +155,8 @@ class NoteCorrections:
         for i, (press, row) in enumerate(zip(self._presses, self._rows, strict=True)):
             moved[press.first : press.last, row, 2] -= corrections.deeper[i]
             moved[press.first - 1 : press.last, row, 1] += corrections.beside[i]
+            if wait := int(corrections.wait[i]):
+                moved[max(press.first - _BEFORE, 0) : press.first + wait, row, 2] += _AWAY
             moved[press.last - 1, row, 2] += corrections.lift[i] / 2
             moved[press.last : press.last + 1, row, 2] += corrections.lift[i]
         for first, last, row in corrections.raised:
@@ -177,6 +194,11 @@ class NoteCorrections:
                 self._correct_strike(new, i, played)
                 self._correct_end(new, i, played)
             shares.append(self._share(press, by_key[press.key]))
+            if shares[-1] < _SILENT and press.last - press.first >= _LATEST * (
+                new.wait[i] + _STRIKING
+            ):
+                new.wait[i] += _STRIKING
+        new.reach += _REACH * self._short(corrections, postures)
         others = [note for note in notes if not any(note is each for each in meant)]
         brushed = self._correct_others(new, others, postures)
         self._correct_hands(new, np.array(shares), brushed)
@@ -202,6 +224,13 @@ class NoteCorrections:
         begin, end = (press.first - 1) * self._dt, (press.last - 1) * self._dt
         sounding = sum(max(min(n.end, end) - max(n.start, begin), 0.0) for n in notes)
         return sounding / (end - begin)
+
+    def _short(self, corrections: PressCorrections, postures: Array) -> Array:
+        """(N, 2) by how much fingers were off, along and across keys, when they struck [m]."""
+        tips = self._kinematics.points(postures)[:, :, TIP]
+        away = (self._tips + self._moved(corrections) - tips)[:, :, :2]
+        struck = zip(self._presses, self._rows, strict=True)
+        return np.array([away[p.first : p.last, row][:_STRIKING].mean(axis=0) for p, row in struck])
 
     def _correct_missed(self, new: PressCorrections, i: int, notes: list[Note]) -> None:
         """Correct a press that has begun no note: its key was held, or has not come down."""
@@ -289,6 +318,6 @@ class NoteCorrections:
             if count >= _OFTEN and abs(left - right) >= _ONE_SIDED * count:
                 most = min(1.0, 4 * count / len(own))
                 new.hands[hand, 1] += _HAND * self._place * most * np.sign(left - right)
-            missing = float(np.mean(1.0 - own))
+            missing = float(np.mean(own < 0.5))
             if missing > _FEW:
                 new.hands[hand, 2] -= _HAND * self._place * min(1.0, 3 * missing)

@@ -15,34 +15,28 @@ from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.robot.corrections import NoteCorrections, PressCorrections
 from cadenza.agents.robot.protocol import Play, notes_heard
-from cadenza.agents.robot.servo_response import ServoResponse
+from cadenza.agents.robot.servo_response import Response, ServoResponse, identified
 from cadenza.episode import Episode
 from cadenza.music.metrics import playing_metrics
 from cadenza.music.score import Note, Score
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import DomainRandomization
 
-_DELAYS = np.arange(0.0, 0.15, 0.005)  # [s] among which that of actions and observations is found
-_GAIN = 0.7  # share of the errors of joints that is corrected
-_COST = 0.6  # of squared corrections beside squared errors of joints
-_COST_OF_PLAN = 0.2  # the same of what is known beforehand
+_GAIN = 0.8  # share of the errors of joints that is corrected
+# Of squared changes of controls beside squared errors of joints, times the number of plays: the
+# later, the more of what is measured is noise.
+_COST = 0.1
+_COST_OF_PLAN = 0.2  # the same before the first play
 _WORSE = 0.02  # below the best score, from which on practice goes back to it
 _LESS = 0.5  # share of corrections after a play that was worse
-
-
-class Delays(NamedTuple):
-    """For how long actions are on their way to a robot, and what it measures back [s]."""
-
-    actions: float
-    observations: float
 
 
 class _Learnt(NamedTuple):
     """What was learnt before a play."""
 
     corrections: PressCorrections
-    joints: Array
-    """(T, A) corrections of controls by what joints did."""
+    controls: Array
+    """(T, A) differences from where servos are at the beginning [m, rad]."""
 
 
 class Take(NamedTuple):
@@ -69,58 +63,57 @@ class RobotPractice:
 
     Attributes:
         best: the best play so far, by what was heard; None before the first.
+        response: how servos respond, as far as it is known.
+        sensors_late: for how long what is measured is on its way [s].
     """
 
     def __init__(self, plan: SongPlan, nominal: Episode, known: DomainRandomization) -> None:
         """Take what was played on the nominal robot, by a plan, and how robots are drawn.
 
-        Of this it takes the middle of the delays, and how far keyboard and hands may be off.
+        Of this it takes the middle of delays and speeds, and how far keyboard and hands may be off.
         """
         self._track, scene = plan.track, plan.scene
         self._dt, self._servos = self._track.config.control_timestep, servos_of(scene)
         joints = np.concatenate([nominal["hand_qpos0"][None], nominal["hand_qpos"]])
         self._postures, self._played = joints @ self._servos.of_joints, nominal["action"]
-        self._controls = self._played[:, :-1] - self._postures[0]
-        self._notes = NoteCorrections(
-            plan, self._postures, known.keyboard_offset + known.mount_offset
-        )
-        self._nominal = self._response(0.0)
-        late = (known.latency, known.observation_latency)
-        self._delays, self._found = Delays(*(sum(each) / 2 for each in late)), False
-        self._actions = self._response(self._delays.actions)
-        self._sensed = self._response(sum(self._delays))
-        self._learnt = _Learnt(self._notes.none(), np.zeros_like(self._controls))
-        self._share = 1.0
+        place = known.keyboard_offset + known.mount_offset
+        self._notes = NoteCorrections(plan, self._postures, place)
+        planned = self._played[:, :-1] - self._postures[0]
+        same = np.ones(planned.shape[1])
+        self._nominal = self._responding(Response(0.0, same, np.inf * same))
+        self._moved = self._nominal.to(planned)
+        sweep = sum(known.sweep_time) / 2
+        fastest = (self._servos.high - self._servos.low) * self._dt / sweep if sweep else np.inf
+        self.response = Response(sum(known.latency) / 2, same, fastest * same)
+        self.sensors_late = sum(known.observation_latency) / 2
+        self._robot = self._responding(self.response)
+        before = self._robot.limited(planned)
+        change = self._moved - self._robot.to(before)
+        controls = self._robot.controls(before, change, _COST_OF_PLAN)
+        self._learnt, self._share = _Learnt(self._notes.none(), controls), 1.0
         self.best: Take | None = None
+        self._plays = 0
 
-    @property
-    def delays(self) -> Delays:
-        """The delays as far as they are known."""
-        return self._delays
-
-    def _response(self, late: float) -> ServoResponse:
-        return ServoResponse(self._servos, self._dt, late)
+    def _responding(self, known: Response) -> ServoResponse:
+        return ServoResponse(self._servos, self._dt, known)
 
     def actions(self) -> Array:
         """(T, A) the actions of the next play."""
-        corrections, joints = self._learnt
-        controls = self._controls + self._notes.strikes(corrections)
-        wanted = self._nominal.to(controls) - self._actions.to(self._controls)
-        wanted += (self._notes.postures(corrections) - self._postures)[1:]
-        controls = self._actions.inverse(wanted, _COST_OF_PLAN) + joints + self._played[:, :-1]
-        return np.column_stack([self._servos.clip(controls), self._played[:, -1]])
+        controls = self._servos.clip(self._postures[0] + self._learnt.controls)
+        return np.column_stack([controls, self._played[:, -1]])
 
     def learn(self, play: Play) -> Take:
         """Learn from a play of `actions`, and return how it was."""
-        seconds, late = len(play.actions) * self._dt, self._delays.observations
+        seconds, late = len(play.actions) * self._dt, self.sensors_late
         notes = notes_heard(play.heard, seconds, late)
         measured = play.joints @ self._servos.of_joints
         # The hands begin where they are put, so that sensors show there by how much they are off.
         measured += self._postures[0] - measured[0]
         f1, onsets = self._scores(notes)
         take = Take(play.actions, f1, onsets, notes, measured, self._learnt)
-        if not self._found:
-            self._find_delays(take)
+        self._plays += 1
+        if self.best is None:
+            self._identify(take)
         if self.best is None or take.score >= self.best.score:
             self.best, self._share = take, 1.0
         learn_from = take
@@ -143,30 +136,28 @@ class RobotPractice:
         )
         return metrics["f1"], metrics["note_onset_f1"]
 
-    def _find_delays(self, take: Take) -> None:
-        """Find the delay of actions and observations together with which joints moved so late."""
+    def _identify(self, take: Take) -> None:
+        """Find how servos respond, by which response joints have moved so late and so slowly."""
         sent = take.actions[:, :-1] - self._postures[0]
-        nominal = self._postures[1:] - self._nominal.to(self._controls)
-        errors = [
-            np.square(take.measured[1:] - nominal - self._response(late).to(sent)).mean()
-            for late in _DELAYS
-        ]
-        both = float(_DELAYS[np.argmin(errors)])
-        late = self._delays.observations
-        self._delays, self._found = Delays(max(both - late, 0.0), min(late, both)), True
-        self._actions = self._response(self._delays.actions)
-        self._sensed = self._response(both)
+        moved = take.measured[1:] - self._postures[1:] + self._moved
+        found = identified(self._servos, self._dt, sent, moved, self.response.fastest)
+        self.sensors_late = min(self.sensors_late, found.late)
+        self.response = found._replace(late=found.late - self.sensors_late)
+        self._robot = self._responding(self.response)
+
+    def _wanted(self, corrections: PressCorrections) -> Array:
+        """(T, A) the postures after each step of a play with its corrections."""
+        strikes = self._nominal.to(self._notes.strikes(corrections))
+        return self._notes.postures(corrections)[1:] + strikes
 
     def _corrected(self, take: Take) -> _Learnt:
         """What is learnt from a play, and from what was learnt before it."""
-        corrections, joints = take.learnt
-        strikes = self._nominal.to(self._notes.strikes(corrections))
-        wanted = self._notes.postures(corrections)
-        wanted[1:] += strikes
-        back = self._delays.observations / self._dt  # sensors show what was then
-        wanted[1:] = (1 - back) * wanted[1:] + back * wanted[:-1]
-        error = (wanted - take.measured)[1:]
-        joints = joints + self._share * _GAIN * self._sensed.inverse(error, _COST)
-        return _Learnt(
-            self._notes.corrected(corrections, take.notes, take.measured, self._share), joints
-        )
+        before = take.learnt.corrections
+        corrections = self._notes.corrected(before, take.notes, take.measured, self._share)
+        wanted, measured = self._wanted(before), take.measured
+        late = self.sensors_late / self._dt  # sensors show what was then
+        after = np.concatenate([measured[2:], measured[-1:]])
+        error = wanted - (1 - late) * measured[1:] - late * after
+        change = self._share * _GAIN * error + self._wanted(corrections) - wanted
+        sent = take.actions[:, :-1] - self._postures[0]
+        return _Learnt(corrections, self._robot.controls(sent, change, _COST * self._plays))

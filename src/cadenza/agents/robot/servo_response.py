@@ -2,25 +2,49 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
 import numpy as np
-from scipy.linalg import solve_toeplitz
+from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.tracking import discretised
 from cadenza.scene.servos import Servos
 
 _SETTLED = 2.0  # [s] after which nothing is left of the response to a control step
+_ITERATIONS = 100  # of the optimisation of controls
+_PENALTY = 0.3  # of controls that a servo is too slow for, which decides how fast it converges
+
+# Among what those of a robot are found: delays, and factors of the damping and the speed of servos.
+_DELAYS = np.arange(0.0, 0.15, 0.005)  # [s]
+_DAMPING = 0.4, 0.6, 0.8, 1.0, 1.3, 1.7, 2.3, 3.0
+_SPEEDS = 0.75, 0.85, 1.0, 1.2, 1.5
+
+
+class Response(NamedTuple):
+    """What is known of how A servos respond."""
+
+    late: float
+    """For how long controls are on their way [s]."""
+    damping: Array
+    """(A,) factors of their damping."""
+    fastest: Array
+    """(A,) by how much setpoints change at most in a control step [m, rad]."""
 
 
 class ServoResponse:
     """The response of A servos, each by itself and without load, to controls that arrive late.
 
-    Everything is linear: controls and responses are differences from others.
+    Controls and positions are differences from others, or from where servos are at the beginning.
     """
 
-    def __init__(self, servos: Servos, dt: float, late: float) -> None:
-        """Compute the response to one control step of `dt` [s] that is `late` [s]."""
-        whole, part = divmod(round(late, 9), dt)
+    def __init__(self, servos: Servos, dt: float, known: Response) -> None:
+        """Compute the response to one control step of `dt` [s]."""
+        self._fastest = known.fastest
+        servos = replace(servos, damping=servos.damping * known.damping)
+        whole, part = divmod(round(known.late, 9), dt)
         step, push = discretised(servos, dt)
         state, rows = discretised(servos, dt - part)[1], [np.zeros(len(push))] * int(whole)
         for _ in range(round(_SETTLED / dt)):
@@ -33,20 +57,63 @@ class ServoResponse:
         pairs = zip(controls.T, self._impulse, strict=True)
         return np.stack([np.convolve(*pair)[: len(controls)] for pair in pairs], axis=1)
 
-    def inverse(self, wanted: Array, cost: float) -> Array:
-        """(T, A) controls to which the response is as `wanted` (T, A), in least squares.
+    def limited(self, controls: Array) -> Array:
+        """(T, A) setpoints that follow controls (T, A) from the beginning as fast as they can."""
+        setpoints = np.concatenate([np.zeros_like(controls[:1]), controls])
+        for before, now in pairwise(setpoints):
+            now[:] = before + (now - before).clip(-self._fastest, self._fastest)
+        return setpoints[1:]
 
-        Squared controls cost so much beside squared errors: norm-optimal iterative learning control
-        (Amann, Owens & Rogers 1996), of a song that ends in silence.
+    def controls(self, before: Array, change: Array, cost: float) -> Array:
+        """(T, A) controls near those `before` that change the response by `change` (T, A).
+
+        Squared errors are least together with squared changes of controls, which cost so much,
+        among controls that no servo is too slow for: norm-optimal iterative learning control with
+        constraints (Chu & Owens 2010), of a song that ends in silence, by the alternating direction
+        method of multipliers (Boyd et al. 2011).
         """
-        steps = len(wanted)
-        controls = np.zeros_like(wanted)
-        for servo, impulse in enumerate(self._impulse):
-            size = len(impulse)
-            row = np.zeros(steps)
-            correlation = np.correlate(impulse, impulse, "full")[size - 1 :][:steps]
-            row[: len(correlation)] = correlation
-            row[0] += cost
-            right = np.correlate(np.pad(wanted[:, servo], (0, size - 1)), impulse, "valid")
-            controls[:, servo] = solve_toeplitz(row, right)
-        return controls
+        steps, size = len(before), self._impulse.shape[1]
+        band = np.zeros((min(size, steps), before.shape[1], steps))
+        for k, diagonal in enumerate(band):
+            pairs = self._impulse[:, : size - k] * self._impulse[:, k:]
+            diagonal[:, : steps - k] = pairs.sum(axis=1)[:, None]
+        band[0] += cost + 2 * _PENALTY
+        band[0, :, -1] -= _PENALTY
+        band[1, :, :-1] -= _PENALTY
+        factors = cholesky_banded(band.reshape(len(band), -1), lower=True)
+        padded = np.pad(change.T, ((0, 0), (0, size - 1)))
+        pairs = zip(padded, self._impulse, strict=True)
+        wanted = np.array([np.correlate(*pair, "valid") for pair in pairs])
+        begin, most = np.diff(before.T, prepend=0.0), self._fastest[:, None]
+        feasible, dual = begin.clip(-most, most), np.zeros_like(begin)
+        for _ in range(_ITERATIONS):
+            right = wanted - _PENALTY * np.diff(feasible - dual - begin, append=0.0)
+            found = cho_solve_banded((factors, True), right.ravel()).reshape(begin.shape)
+            moved = begin + np.diff(found, prepend=0.0)
+            feasible = (moved + dual).clip(-most, most)
+            dual += moved - feasible
+        return self.limited(before + found.T)
+
+
+def identified(servos: Servos, dt: float, sent: Array, moved: Array, usual: Array) -> Response:
+    """How servos respond that were `sent` controls (T, A) and have `moved` so (T, A).
+
+    The delay is the same for all, and contains that of sensors. `usual` (A,) is by how much
+    setpoints change at most in a control step, about.
+    """
+
+    def errors(late: float, damping: float) -> Array:
+        known = Response(late, np.full_like(usual, damping), usual)
+        response = ServoResponse(servos, dt, known)
+        return np.array([np.square(moved - response.to(slow)).mean(axis=0) for slow in limited])
+
+    ones = np.ones_like(usual)
+    limited = [
+        ServoResponse(servos, dt, Response(0.0, ones, usual * speed)).limited(sent)
+        for speed in _SPEEDS
+    ]
+    late = min(_DELAYS, key=lambda late: errors(late, 1.0).min(axis=0).sum())
+    found = np.array([errors(late, damping) for damping in _DAMPING])
+    best = found.reshape(-1, len(usual)).argmin(axis=0)
+    damping, speed = np.take(_DAMPING, best // len(_SPEEDS)), np.take(_SPEEDS, best % len(_SPEEDS))
+    return Response(float(late), damping, usual * speed)
