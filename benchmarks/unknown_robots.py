@@ -11,7 +11,10 @@ robots.
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -48,10 +51,16 @@ def planner() -> Planner:
     return agent
 
 
-def rows_of(score: Score, nominal: EpisodeResult, profile: Profile, robot: int) -> dict[str, Any]:
-    """How a robot is played at once with feedback, at first without, and after ten plays."""
+def directly(score: Score, profile: Profile, robot: int) -> Mapping[str, Any]:
+    """How a robot is played at once, with feedback."""
     config = TaskConfig(randomization=replace(PROFILES[profile], robot=robot))
-    direct = play_episode(PianoTask([score], config), planner(), 0).metrics
+    return play_episode(PianoTask([score], config), planner(), 0).metrics
+
+
+def practised(
+    score: Score, nominal: EpisodeResult, profile: Profile, robot: int
+) -> dict[str, Mapping[str, Any]]:
+    """How a robot is played without feedback at first, and after ten plays."""
     there = SimulatedRobot(UnknownRobotEnv(score, robot, profile))
     assert nominal.plan is not None
     practice = RobotPractice(nominal.plan, nominal.episode, PROFILES[profile])
@@ -61,7 +70,7 @@ def rows_of(score: Score, nominal: EpisodeResult, profile: Profile, robot: int) 
     assert practice.best is not None
     play(there, practice.best.actions)
     heard = {"f1": first.f1, "note_onset_f1": first.note_onset_f1}
-    return {"direct": direct, "first of ten plays": heard, "after ten plays": there.scored}
+    return {"first of ten plays": heard, "after ten plays": there.scored}
 
 
 def summary(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -98,21 +107,21 @@ def main() -> None:
     if table.exists():
         with table.open(newline="") as file:
             plays = list(csv.DictReader(file))
-    done = {(row["profile"], row["song"], str(row["robot"])) for row in plays}
+    done = {(row["profile"], row["song"], str(row["robot"]), row["how"]) for row in plays}
     scores = {song: load_score(song).until(options.seconds) for song in options.songs}
-    nominal = {s: play_episode(PianoTask([score]), planner(), 0) for s, score in scores.items()}
-    for robot in range(options.robots):
-        for profile in options.profiles:
-            for song, score in scores.items():
-                if (profile, song, str(robot)) in done:
-                    continue
-                for how, metrics in rows_of(score, nominal[song], profile, robot).items():
-                    row = {"profile": profile, "how": how, "song": song, "robot": str(robot)}
-                    plays.append(row | {name: metrics[name] for name in METRICS})
-                write_csv(table, plays)
-                print(
-                    profile, robot, song, *(f"{row[n]:.3f}" for row in plays[-3:] for n in METRICS)
-                )
+    nominal = cache(lambda song: play_episode(PianoTask([scores[song]]), planner(), 0))
+    for robot, profile, song in product(range(options.robots), options.profiles, scores):
+        measured = dict[str, Mapping[str, Any]]()
+        if (profile, song, str(robot), "direct") not in done:
+            measured["direct"] = directly(scores[song], profile, robot)
+        if (profile, song, str(robot), "after ten plays") not in done:
+            measured |= practised(scores[song], nominal(song), profile, robot)
+        for how, metrics in measured.items():
+            row = {"profile": profile, "how": how, "song": song, "robot": str(robot)}
+            plays.append(row | {name: metrics[name] for name in METRICS})
+            print(*row.values(), *(f"{metrics[name]:.3f}" for name in METRICS), flush=True)
+        if measured:
+            write_csv(table, plays)
     write_csv(options.output / "robots.csv", summary(plays))
 
 
