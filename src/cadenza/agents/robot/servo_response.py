@@ -82,8 +82,8 @@ class ServoResponse:
         band[1, :, :-1] -= _PENALTY
         factors = cholesky_banded(band.reshape(len(band), -1), lower=True)
         padded = np.pad(change.T, ((0, 0), (0, size - 1)))
-        pairs = zip(padded, self._impulse, strict=True)
-        wanted = np.array([np.correlate(*pair, "valid") for pair in pairs])
+        errors = zip(padded, self._impulse, strict=True)
+        wanted = np.array([np.correlate(error, row, "valid") for error, row in errors])
         begin, most = np.diff(before.T, prepend=0.0), self._fastest[:, None]
         feasible, dual = begin.clip(-most, most), np.zeros_like(begin)
         for _ in range(_ITERATIONS):
