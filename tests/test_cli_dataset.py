@@ -96,7 +96,7 @@ def test_an_episode_is_played_again_to_a_page(folder, capsys):
         (("collect", "--agent", "nobody"), "no agent 'nobody'"),
         (("collect", "--agent", "playback"), "does not plan, nor play any song; choose"),
         (("collect", "--agent", "songs"), "does not plan, nor play any song; choose"),
-        (("collect", "--student", "songs"), "policies cannot be students"),
+        (("collect", "--student", "songs"), "so it is no policy"),
         (("collect", "--randomization.mass", "2", "1"), "randomization.mass 2.0 1.0: give"),
         (("collect", "--setup", "arm-allegro"), "needs hands that slide along the keyboard"),
         (("collect", "--hands", "none"), "no hands"),

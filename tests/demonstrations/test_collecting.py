@@ -16,7 +16,7 @@ from cadenza.demonstrations.recorded_episode import (
     read_facts,
 )
 from cadenza.demonstrations.replay import differences
-from cadenza.evaluation.collecting.collect import episodes, is_complete, record
+from cadenza.evaluation.collecting.collect import PERFORMANCES, episodes, is_complete, record
 from cadenza.evaluation.collecting.variation import Variation, excerpt
 from cadenza.evaluation.results import FAILED, RUNS
 from cadenza.files import locked, sha256_of
@@ -58,6 +58,17 @@ def test_the_label_is_the_correction_and_not_the_noise(made):
         noise = episode.facts.drawn["noise"]
         assert 0 < noise < 0.2
         assert 0.1 * noise < np.abs(played - chosen).max() / 0.12 < 5 * noise
+
+
+def test_all_episodes_of_a_song_go_back_to_one_performance(tmp_path):
+    variation = Variation(noise=0.4, mirror=False)
+    collected(tmp_path / "a", variation, 2, random_stretch=0.0, random_pitch_shift=0)
+    (file,) = (tmp_path / "a" / PERFORMANCES).iterdir()
+    with np.load(file) as performance:
+        action = performance["action"]
+    for episode in kept(tmp_path / "a"):
+        off = np.abs(episode.steps["action"][:-1] - action)
+        assert np.median(off) < BUT_STRIKES < off.max()
 
 
 def test_a_student_plays_half_of_the_time_and_is_told_what_the_planner_would_play(tmp_path):

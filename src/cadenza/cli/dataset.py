@@ -94,6 +94,7 @@ def _check(command: Collect) -> None:
 def _demonstrator(command: Collect) -> Demonstrator:
     from cadenza.agents.registry import make_agent
     from cadenza.evaluation.collecting.collect import Demonstrator
+    from cadenza.learning.policy_folder import load_policy
 
     agent = command.agent
     if command.arrangement.asks_for_hands:
@@ -101,17 +102,15 @@ def _demonstrator(command: Collect) -> Demonstrator:
     if agent in (PLAYBACK, PRETRAINED) or is_folder(agent):
         raise CadenzaError(f"--agent {agent}: does not plan, nor play any song; choose the planner")
     student = command.variation.student
-    if student is not None and is_folder(student):
-        raise CadenzaError(
-            f"--student {student}: policies cannot be students; choose an agent with a name, such "
-            "as generalist"
-        )
-    playing = [agent] if student is None else [agent, student]
+    learnt = student is not None and is_folder(student)
+    if learnt and load_policy(Path(str(student))).score is not None:
+        raise CadenzaError(f"--student {student}: has learnt one song; give a policy for many")
+    playing = [agent] if student is None or learnt else [agent, student]
     configs = {name: command.configs.get(name) for name in playing}
     for name, config in configs.items():
         make_agent(name, config)  # an unknown agent is an error before any plays
     how = command.task, command.scene, command.arrangement, command.variation
-    return Demonstrator(agent, configs[agent], *how, None if student is None else configs[student])
+    return Demonstrator(agent, configs[agent], *how, configs.get(student or ""))
 
 
 def _outcome(folder: Path, _job: BenchJob) -> str:

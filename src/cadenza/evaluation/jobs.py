@@ -150,12 +150,12 @@ def key_of(content: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:_HASH]
 
 
-def digest_of_files(*configs: Any) -> str:
-    """Return a hash of the files that these options name; nothing if they name none.
+def digest_of_files(*configs: Any, others: Sequence[Path] = ()) -> str:
+    """Return a hash of the files that these options name, and of others; nothing if none is.
 
     Raises CadenzaError if a file is not there, or cannot be read.
     """
-    paths = [Path(path) for config in configs for path in files_named(config)]
+    paths = [*(Path(path) for config in configs for path in files_named(config)), *others]
     return sha256_of(*paths)[:_HASH] if paths else ""
 
 

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress
+from cadenza.agents.lateness import Lateness
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
-from cadenza.agents.registry import make_agent
+from cadenza.agents.registry import is_folder
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.demonstrations.recorded_episode import (
     FORMAT,
@@ -27,8 +28,9 @@ from cadenza.demonstrations.recorded_episode import (
     write,
     write_facts,
 )
+from cadenza.evaluation.collecting.performed_agent import PerformedAgent
 from cadenza.evaluation.collecting.perturbed_agent import PerturbedAgent, Shown, shown_by
-from cadenza.evaluation.collecting.variation import Variation
+from cadenza.evaluation.collecting.variation import Variation, as_drawn
 from cadenza.evaluation.jobs import BenchJob, JobSpec, digest_of_files, songs_of
 from cadenza.evaluation.run_status import (
     check_song,
@@ -38,6 +40,7 @@ from cadenza.evaluation.run_status import (
     versions,
 )
 from cadenza.keyboards.registry import keyboard_named
+from cadenza.learning.policy_folder import POLICY_FILE
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.libraries.songs import Library
 from cadenza.music.score import Score
@@ -51,6 +54,8 @@ from cadenza.tasks.reward import key_state
 from cadenza.tasks.view import View
 
 Array = NDArray[Any]
+
+PERFORMANCES = "performances"  # beside the folder of the episodes' folders
 
 
 @dataclass(frozen=True)
@@ -94,7 +99,9 @@ def episodes(
 ) -> list[EpisodeJob]:
     """Return all episodes to be collected: the first of every song, then the second and so on."""
     songs = songs_of(library)
-    files = digest_of_files(demonstrator.config, demonstrator.student_config)
+    student = demonstrator.variation.student
+    policy = [Path(student) / POLICY_FILE] if student is not None and is_folder(student) else []
+    files = digest_of_files(demonstrator.config, demonstrator.student_config, others=policy)
     return [
         EpisodeJob(
             EpisodeSpec(
@@ -150,7 +157,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
             num_threads=num_threads,
             progress=progress,
         ) as setup,
-        closing(_perturbed_agent(setup, drawn["noise"], spec)) as perturbed,
+        closing(_perturbed_agent(setup, drawn["noise"], spec, folder)) as perturbed,
     ):
         result = play_episode(setup.task, perturbed, seed, progress)
         kept = _is_good(result.metrics, job)
@@ -178,12 +185,15 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
         )
 
 
-def _perturbed_agent(setup: Setup, noise: float, spec: EpisodeSpec) -> PerturbedAgent:
-    name = spec.variation.student
-    student = None if name is None else make_agent(name, spec.student_config)
+def _perturbed_agent(setup: Setup, noise: float, spec: EpisodeSpec, folder: Path) -> PerturbedAgent:
+    name, agent = spec.variation.student, setup.agent
+    student = None if name is None else find_player(name, configs={name: spec.student_config}).agent
     if student is not None:
-        student.num_threads = setup.agent.num_threads
-    return PerturbedAgent(setup.agent, setup.task.scene, noise, student)
+        student.num_threads = agent.num_threads
+    if Lateness.known(spec.task.randomization) is None:  # else it plays early, or filters
+        of = spec.agent, spec.as_json()["config"], digest_of_files(spec.config)
+        agent = PerformedAgent(agent, folder.parent.parent / PERFORMANCES, of)
+    return PerturbedAgent(agent, setup.task.scene, noise, student)
 
 
 def _is_good(metrics: dict[str, Any], job: EpisodeJob) -> bool:
@@ -220,23 +230,13 @@ def _fingered_score(setup: Setup, plan: SongPlan) -> Score:
 
 
 def _without_randomness(task: TaskConfig, result: EpisodeResult) -> TaskConfig:
-    """Return the task for a score that has been trimmed, stretched and transposed already.
+    """Return the task of a replay.
 
     What `DomainRandomization` drew follows from the seed that this gives.
     """
     seed = result.episode.arrays.get("randomization_seed")
     drawn = replace(task.randomization, seed=None if seed is None else int(seed))
-    return replace(
-        task,
-        randomization=drawn,
-        trim_silence=False,
-        stretch=1.0,
-        transpose=0,
-        random_hand_position=0.0,
-        random_stretch=0.0,
-        random_pitch_shift=0,
-        random_octave_shift=0,
-    )
+    return replace(as_drawn(task), randomization=drawn)
 
 
 def _arrays(

@@ -17,15 +17,15 @@ class Variation:
 
     noise: float = 0.4
     """Maximum noise on what is played, where 1 is the noise of the planner's search. How much is
-    drawn per episode. The recorded actions have none, and correct what the noise before them
-    did."""
+    drawn per episode. The recorded actions have none, and lead back from where the noise before
+    them has led."""
     mirror: bool = False
     """Mirror half of the episodes about D4: each hand plays what the other would."""
     excerpt: float | None = None
     """Length of an excerpt [s], which begins at a random note; the whole song if not given."""
     student: str | None = None
-    """Another agent, which plays half of the time, in stretches of about a second. What is recorded
-    is what the first agent would have played in its place."""
+    """Another agent or a policy, which plays half of the time, in stretches of about a second. What
+    is recorded leads from there back to what the first agent performs."""
 
     def draw(
         self, score: Score, pitches: range, rng: np.random.Generator
@@ -66,3 +66,17 @@ def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
 def collecting_task() -> TaskConfig:
     """Return the task in which demonstrations are collected, unless another one is chosen."""
     return TaskConfig(random_hand_position=0.05)  # [m] either way, about two white keys
+
+
+def as_drawn(task: TaskConfig) -> TaskConfig:
+    """Return the task for a score that has been trimmed, stretched and transposed already."""
+    return replace(
+        task,
+        trim_silence=False,
+        stretch=1.0,
+        transpose=0,
+        random_hand_position=0.0,
+        random_stretch=0.0,
+        random_pitch_shift=0,
+        random_octave_shift=0,
+    )
