@@ -135,7 +135,7 @@ def test_help_says_what_it_does(command, capsys):
         (["play", "OdeToJoy", "--seed"], "Missing value for argument '--seed'"),
         (["play", "OdeToJoy", "--hands", "three"], "Expected one of ('both', 'apart', 'right'"),
         (["play", "OdeToJoy", "--no_vido"], "Perhaps you meant: --video, --no-video"),
-        (["play", "OdeToJoy", "--icp.rehearse"], "Unrecognized options: --icp.rehearse"),
+        (["play", "OdeToJoy", "--ilqg.horizon", "9"], "Unrecognized options: --ilqg.horizon"),
     ],
 )
 def test_a_command_line_that_cannot_be_read(arguments, message, capsys):
@@ -168,7 +168,7 @@ def test_info_on_the_installation(capsys):
     assert told["cadenza"] == cadenza.__version__
     assert int(told["cores"]) >= 1
     assert told["can draw pictures"].startswith(("yes", "no; "))
-    assert told["agent predictive-sampling"] == "the paper's planner"
+    assert told["agent ilqg"] == "the paper's planner with derivatives"
     assert told["hand allegro"] == "the Allegro Hand, four fingers"
     assert told["keyboard piano"] == "the 88 keys of a piano"
 
@@ -493,7 +493,7 @@ def test_the_planners_have_options_of_their_own(tune, tmp_path):
     main(["play", str(tune), *options, "--no-video", "-o", str(tmp_path)])
     settings = json.loads((tmp_path / "settings.json").read_text())
     assert settings["predictive_sampling"]["num_candidates"] == 3
-    assert not settings.keys() & {"planner", "icp"}  # of who plays only
+    assert not settings.keys() & {"planner", "ilqg"}  # of who plays only
     assert not (tmp_path / "misses.json").exists()  # they do not say what they had in mind
 
 

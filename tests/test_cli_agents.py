@@ -269,7 +269,7 @@ def test_a_planner_needs_a_thread(capsys):
     ("words", "option"),
     [
         (["play", "tune.mid", "--agent", "generalist", "--planner.effort", "1"], "planner.effort"),
-        (["play", "tune.mid", "--icp.rehearse"], "icp.rehearse"),
+        (["play", "tune.mid", "--ilqg.iterations", "2"], "ilqg.iterations"),
         (["play", "--agent", ".", "--planner.effort", "1"], "planner.effort"),
         (["bench", "--agents", "zero", "--planner.horizon", "0.5"], "planner.horizon"),
         (["dataset", "collect", "--generalist.rehearsals", "2"], "generalist.rehearsals"),

@@ -284,7 +284,7 @@ def test_rows_of_the_table_tell_runs_apart(folder, monkeypatch, capsys):
 
 @pytest.fixture
 def bench(tmp_path):
-    write_bench(tmp_path / "bench", pieces=3, agents=("planner", "icp"), seeds=2)
+    write_bench(tmp_path / "bench", pieces=3, agents=("planner", "ilqg"), seeds=2)
     return tmp_path / "bench"
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from cadenza.agents.planner.config import PredictiveSamplingConfig
+from cadenza.agents.planner.config import ILQGConfig, PredictiveSamplingConfig
 from cadenza.agents.registry import AGENTS, PLAYBACK, PRETRAINED, make_agent
 from cadenza.agents.rollout import play_episode
 from cadenza.music.score import Note, PedalEvent, Score
@@ -22,6 +22,7 @@ STEPS = 19
 NAMES = sorted(AGENTS.own.keys() - {PLAYBACK, PRETRAINED})  # which depend on the song
 QUICK: dict[str, Any] = {
     "predictive-sampling": PredictiveSamplingConfig(num_candidates=3),
+    "ilqg": ILQGConfig(horizon=0.1, planning_timestep=0.05, num_step_sizes=2),
 }
 DRAWS = {"random", "predictive-sampling"}
 MAY_DRAW = {"planner"}  # where a note is hard

@@ -9,8 +9,9 @@ from numpy.testing import assert_allclose
 
 from cadenza.agents.agent import Agent
 from cadenza.agents.baselines import predictive_sampling
+from cadenza.agents.baselines.ilqg import ILQG, ILQGPlanner
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling, SamplingPlanner
-from cadenza.agents.planner.config import PredictiveSamplingConfig
+from cadenza.agents.planner.config import ILQGConfig, PredictiveSamplingConfig
 from cadenza.errors import CadenzaError
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
@@ -21,6 +22,7 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from numbered import finger
 
+STEP = 0.05  # [s]
 CHORD = Score(tuple(Note(0.0, 1.0, 72 + 2 * i, finger=finger(i)) for i in range(1, 4)))
 
 
@@ -78,8 +80,8 @@ def test_a_plan_costs_the_distance_of_keys_and_the_mean_distance_of_fingers(
     assert_allclose(costs, [cost_of(states, i, right_hand) for i in range(2)])
 
 
-def cost_of(states: State, i: int, scene: Scene) -> float:
-    """The cost of a rollout of the chord."""
+def cost_of(states: State, i: int, scene: Scene, smooth: tuple[float, float] = (0, 0)) -> float:
+    """The cost of a rollout of the chord; norms of keys and fingers are smooth over these radii."""
     cost, keyboard = 0.0, scene.keyboard
     for k in range(states.key_qpos.shape[1]):
         wanted = np.zeros(88)
@@ -91,14 +93,35 @@ def cost_of(states: State, i: int, scene: Scene) -> float:
             point[0] += 0.35 * keyboard.half_size[key, 0]
             point[2] += 0.5 * keyboard.half_size[key, 2]
             tip = states.fingertip_xpos[i, k, note.finger.index]
-            distances.append(np.linalg.norm(tip - point))
+            distances.append(np.hypot(np.linalg.norm(tip - point), smooth[1]) - smooth[1])
         depth = np.clip(states.key_qpos[i, k] / keyboard.travel, 0, 1)
-        cost += np.linalg.norm(depth - wanted) + sum(distances) / len(distances)
+        cost += np.hypot(np.linalg.norm(depth - wanted), smooth[0]) - smooth[0]
+        cost += sum(distances) / len(distances)
     return cost
 
 
-def test_plans_in_physics_steps_of_10_ms(right_hand, monkeypatch):
-    tried, agent = Rollouts(monkeypatch), PredictiveSampling()
+def test_ilqg_has_the_same_cost_with_smooth_norms_and_a_little_for_controls(
+    right_hand, monkeypatch
+):
+    tried, costs, search = Rollouts(monkeypatch), [], ILQGPlanner.line_search
+
+    def searched(planner: ILQGPlanner, *args: Any) -> Any:
+        controls, cost = search(planner, *args)
+        costs.append(cost - 1e-9 / 2 * ((controls - planner.rest) ** 2).sum(axis=(1, 2)))
+        return controls, cost
+
+    monkeypatch.setattr(ILQGPlanner, "line_search", searched)
+    agent = ILQG(ILQGConfig(horizon=STEP, num_step_sizes=2, control_weight=1e-9))
+    agent.act(begun(agent, right_hand).view())
+    (states,) = tried.states
+    assert_allclose(costs[0], [cost_of(states, i, right_hand, (0.1, 0.01)) for i in range(3)])
+
+
+@pytest.mark.parametrize(
+    "agent", [PredictiveSampling(), ILQG(ILQGConfig(horizon=STEP, num_step_sizes=2))]
+)
+def test_plans_in_physics_steps_of_10_ms(right_hand, agent, monkeypatch):
+    tried = Rollouts(monkeypatch)
     agent.act(begun(agent, right_hand).view())
     assert tried.timesteps == {0.01}
     assert right_hand.model.opt.timestep == 0.005  # of the performance

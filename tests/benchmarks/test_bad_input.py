@@ -18,6 +18,7 @@ BAD = {
     "benchmarks/learning.py": ["Nope"],
     "benchmarks/multitask.py": ["--songs", "100"],
     "benchmarks/physics.py": ["nowhere.npz"],
+    "benchmarks/planners.py": ["Nope"],
     "benchmarks/related.py": ["--settings", "Nope"],
     "benchmarks/repertoire.py": ["Nope"],
     "benchmarks/robustness.py": ["Nope"],
@@ -30,6 +31,7 @@ BAD = {
 WRONG = {
     ("benchmarks/repertoire.py", "--seeds", "0"): "'0' is no number of 1 or more",
     ("benchmarks/repertoire.py", "--method", "magic"): "invalid choice: 'magic'",
+    ("benchmarks/planners.py", "Nope", "--steps", "0"): "'0' is no number of 1 or more",
     ("benchmarks/physics.py", "plan.npz"): "plan.npz: no recorded episode, but a plan",
     ("tools/fit_jumps.py", "fit", "cut.jsonl"): "cut.jsonl, line 2: not JSON",
     ("tools/fit_jumps.py", "fit", "empty.jsonl"): "empty.jsonl: holds no jumps",

@@ -127,7 +127,7 @@ def test_splits_are_drawn_apart_and_pieces_have_their_titles_and_sources(
     draw(benches, tmp_path, "abc", monkeypatch)
     out = tmp_path / "out"
     assert "Nocturne a" in (out / "headline-valid.svg").read_text()
-    assert "Nocturne b: F1 0.900" in (out / "headline-train.svg").read_text()
+    assert "Nocturne b: note onset F1 0.800, F1 0.900" in (out / "headline-train.svg").read_text()
     with (out / "headline.csv").open() as file:
         rows = list(csv.DictReader(file))
     found = [(row["split"], row["title"], row["licence"], row["onset_error"]) for row in rows]

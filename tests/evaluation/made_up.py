@@ -9,7 +9,7 @@ import numpy as np
 
 from cadenza.evaluation.jobs import key_of
 
-AGENTS = ("planner", "predictive-sampling", "icp", "train:fast", "stitched")
+AGENTS = ("planner", "predictive-sampling", "ilqg", "train:fast", "stitched")
 TITLES = ("Für Elise", "Nocturne", "Invention", "Sonata in C, first movement", "Étude", "Minuet")
 COMPOSERS = ("Beethoven", "Chopin", "Bach", "Mozart", "Debussy", "Petzold")
 

@@ -158,7 +158,7 @@ def test_every_library_and_split_is_summed_up(tmp_path):
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench")
-    write_bench(folder, pieces=7, agents=("planner", "icp"), seeds=3, libraries=2)
+    write_bench(folder, pieces=7, agents=("planner", "ilqg"), seeds=3, libraries=2)
     return folder
 
 
@@ -186,8 +186,10 @@ def test_the_tables_have_the_same_figures(bench, tmp_path):
     )
     assert len(runs) == 42
     assert (tmp_path / runs[0]["folder"] / "result.json").exists()
-    of_one = [float(r["f1"]) for r in runs if (r["piece"], r["agent"]) == ("repertoire/003", "icp")]
-    (row,) = (r for r in pieces if (r["piece"], r["agent"]) == ("repertoire/003", "icp"))
+    of_one = [
+        float(r["f1"]) for r in runs if (r["piece"], r["agent"]) == ("repertoire/003", "ilqg")
+    ]
+    (row,) = (r for r in pieces if (r["piece"], r["agent"]) == ("repertoire/003", "ilqg"))
     assert float(row["f1"]) == pytest.approx(statistics.fmean(of_one))
     assert float(row["f1_low"]) < float(row["f1"]) < float(row["f1_high"])
     assert row["runs"] == "3"

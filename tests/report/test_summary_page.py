@@ -31,8 +31,8 @@ def written(bench: Path, folder: Path | None = None) -> Path:
 @pytest.fixture(scope="module")
 def index(tmp_path_factory):
     bench = tmp_path_factory.mktemp("bench")
-    write_bench(bench, pieces=24, agents=("planner", "icp"), seeds=3, libraries=2)
-    (run,) = (bench / "runs").glob("000--icp--s0--*")
+    write_bench(bench, pieces=24, agents=("planner", "ilqg"), seeds=3, libraries=2)
+    (run,) = (bench / "runs").glob("000--ilqg--s0--*")
     (run / "result.json").write_text("{")
     return written(bench)
 
@@ -110,7 +110,7 @@ def test_the_figure_has_a_bar_for_every_piece_and_agent(index, tmp_path):
     assert len(bars) == 48
     heights = [float(bar.get("height", "")) for bar in bars[:24]]
     assert heights == sorted(heights, reverse=True)
-    assert {"planner", "icp"} <= {text.text for text in picture.iter() if text.text}
+    assert {"planner", "ilqg"} <= {text.text for text in picture.iter() if text.text}
 
 
 def test_the_figure_of_one_piece_has_a_bar_for_every_agent(tmp_path):

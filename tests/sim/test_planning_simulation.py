@@ -5,7 +5,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 from random_controls import STEPS, assert_same, controls
 
 from cadenza.scene.config import SceneConfig
@@ -73,6 +73,22 @@ def test_looks_ahead_in_coarser_steps():
         mujoco.mj_step(coarse.model, data)
     assert_array_equal(ahead.state.key_qpos[0], data.qpos[scene.key_qpos])
     assert scene.model.opt.timestep == 0.005
+
+
+@pytest.mark.parametrize("sleeping", [False, True])
+def test_another_scene_goes_on_from_a_physics_state(sleeping):
+    """To the bit where keys never sleep, and closely where they did."""
+    waking = build_scene(SceneConfig(sleeping_keys=False))
+    original = PlanningSimulation(build_scene(SceneConfig(sleeping_keys=sleeping)))
+    for ctrl in controls(waking, 1):
+        original.step(ctrl)
+    others = PlanningSimulation(waking, 2)
+    others.set_physics_state(original.physics_state(0))
+    for ctrl in list(controls(waking, 1, seed=5))[:2]:
+        original.step(ctrl)
+        others.step(np.tile(ctrl, (2, 1)))
+    for expected, found in zip(original.state, others.state, strict=True):
+        assert_allclose(found[1], expected[0], rtol=0, atol=1e-3 * sleeping)
 
 
 def test_coordinates_are_those_of_keys_and_hands(scene):

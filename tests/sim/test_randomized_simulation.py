@@ -74,12 +74,14 @@ def test_a_planner_takes_over_the_state_and_not_the_model(scene):
     simulation = randomized(scene, [1])
     for ctrl in controls(scene, 1):
         simulation.step(ctrl)
-    taken = PlanningSimulation(scene)
+    taken, put = PlanningSimulation(scene), PlanningSimulation(scene)
     taken.copy_from(simulation, 0)
+    put.set_physics_state(simulation.physics_state(0))
     assert_array_equal(taken.state.hand_qpos, simulation.state.hand_qpos)
     ctrl = next(controls(scene, 1, seed=1))
-    taken.step(ctrl)
-    simulation.step(ctrl)
+    for each in (taken, put, simulation):
+        each.step(ctrl)
+    assert_allclose(taken.state.hand_qpos, put.state.hand_qpos, atol=1e-12)
     assert np.abs(taken.state.hand_qpos - simulation.state.hand_qpos).max() > 1e-4
 
 

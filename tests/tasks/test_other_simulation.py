@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from cadenza.agents.baselines.ilqg import ILQG
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
 from cadenza.errors import CadenzaError
 from cadenza.music.score import Note, Score
@@ -83,8 +84,8 @@ def test_a_wrong_key_and_a_diverged_simulation_end_it():
     assert_array_equal(task.step(np.zeros((2, 89))).terminated, [False, True])
 
 
-def test_a_planner_that_takes_over_a_physical_state_says_that_it_cannot():
-    planner = PredictiveSampling()
+@pytest.mark.parametrize("planner", [PredictiveSampling(), ILQG()])
+def test_planners_that_take_over_a_physical_state_say_that_they_cannot(planner):
     task = make_task()
     task.reset([np.random.default_rng(0)], [0])
     planner.reset([0], [np.random.default_rng(0)])
@@ -92,8 +93,8 @@ def test_a_planner_that_takes_over_a_physical_state_says_that_it_cannot():
         planner.act(task.view())
 
 
-def test_a_planner_of_one_scene_does_not_play_with_hands_apart():
-    planner = PredictiveSampling()
+@pytest.mark.parametrize("planner", [PredictiveSampling(), ILQG()])
+def test_planners_of_one_scene_do_not_play_with_hands_apart(planner):
     task = PianoTask([SONG], TaskConfig(), SceneConfig(hands="apart"))
     task.reset([np.random.default_rng(0)], [0])
     planner.reset([0], [np.random.default_rng(0)])

@@ -12,7 +12,12 @@ from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from cadenza.agents.generalist.config import GeneralistConfig
-from cadenza.agents.planner.config import ICPConfig, PlannerConfig, PredictiveSamplingConfig
+from cadenza.agents.planner.config import (
+    ICPConfig,
+    ILQGConfig,
+    PlannerConfig,
+    PredictiveSamplingConfig,
+)
 from cadenza.configs import as_config, check_kind
 from cadenza.errors import CadenzaError, by_others, quoted
 from cadenza.files import TENSORS
@@ -42,8 +47,11 @@ AGENTS = Registry(
         ),
         "predictive-sampling": Entry(
             f"{_BASELINES}.predictive_sampling:PredictiveSampling",
-            "the paper's planner",
+            "the paper's planner without derivatives",
             PredictiveSamplingConfig,
+        ),
+        "ilqg": Entry(
+            f"{_BASELINES}.ilqg:ILQG", "the paper's planner with derivatives", ILQGConfig
         ),
         "stitched": Entry(
             f"{_BASELINES}.stitched:Stitched",

@@ -270,11 +270,13 @@ class MujocoSimulation:
 
 
 def physics_steps(control_timestep: float, physics_timestep: float) -> int:
-    """The number of physics steps in a control step; raises CadenzaError if it is not whole."""
-    steps = round(control_timestep / physics_timestep)
-    if steps < 1 or abs(steps * physics_timestep - control_timestep) > 1e-9:
-        raise CadenzaError(
-            f"control_timestep {control_timestep} s is not a multiple of the physics step "
-            f"{physics_timestep} s"
-        )
+    """The number of physics steps in a control step, see `steps_of`."""
+    return steps_of(control_timestep, physics_timestep, "control_timestep", "the physics step")
+
+
+def steps_of(whole: float, part: float, name: str, part_name: str) -> int:
+    """The number of steps of length `part` in a time [s]; raises CadenzaError if not whole."""
+    steps = round(whole / part)
+    if steps < 1 or abs(steps * part - whole) > 1e-9:
+        raise CadenzaError(f"{name} {whole} s is not a multiple of {part_name} {part} s")
     return steps

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.sim.hands_apart import HandsApart
-from cadenza.sim.mujoco_simulation import MujocoSimulation
+from cadenza.sim.mujoco_simulation import PHYSICS_STATE, MujocoSimulation
 from cadenza.sim.protocol import Simulation, State
 
 Array = NDArray[np.float64]
@@ -86,6 +86,18 @@ class PlanningSimulation(MujocoSimulation):
             data.qvel[self.scene.hand_qvel] = hand_qvel
             data.qpos[self.scene.key_qpos] = key_qpos
             data.qvel[self.scene.key_qpos] = key_qvel  # each key is one hinge
+
+        self._change(change)
+
+    def set_physics_state(self, state: Array) -> None:
+        """Put every simulation of this batch into a state (S,) that `physics_state` returned.
+
+        The state may come from another scene, which differs from this one in sleeping keys only.
+        """
+
+        def change(_: int, data: mujoco.MjData) -> None:
+            mujoco.mj_resetData(self.scene.model, data)
+            mujoco.mj_setState(self.scene.model, data, state, PHYSICS_STATE)
 
         self._change(change)
 

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv
+from cadenza.agents.baselines.residuals import residuals_of
 from cadenza.agents.planner.config import PLANNING_TIMESTEPS, PredictiveSamplingConfig
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.scene.scene import in_steps_of
 from cadenza.sim.planning_simulation import PlanningSimulation, as_mujoco
 from cadenza.sim.protocol import State
-from cadenza.tasks.reward import key_state, keys_by_transport, press_offset
 from cadenza.tasks.view import View
 
 
@@ -133,27 +133,10 @@ class SamplingPlanner(EpisodePlanner):
     def cost(self, states: State, rows: NDArray[np.intp]) -> Array:
         """Distances of keys from goals, plus mean distances of fingers from their keys (N, K).
 
-        The states (N, K) are of K planning steps, which belong to control steps `rows` (K,). The
-        score says which keys fingers have, or optimal transport if the task is so configured.
+        The states (N, K) are of K planning steps, which belong to control steps `rows` (K,).
         """
-        task, shape = self._task, states.key_qpos.shape[:2]
-        keyboard, tips = task.scene.keyboard, _flattened(states.fingertip_xpos)
-        centres, press = _flattened(states.key_xpos), press_offset(keyboard.half_size)
-        goal, fingers = self._goals.at(np.tile(rows, shape[0]))
-        if task.config.fingering == "transport":
-            present = task.scene.present_fingers
-            key_of_finger = keys_by_transport(tips, centres, press, goal, present)
-            row, finger = (key_of_finger >= 0).nonzero()
-            key = key_of_finger[row, finger]
-        else:
-            row, key = (fingers >= 0).nonzero()
-            finger = fingers[row, key].astype(np.intp)
-        depth = key_state(_flattened(states.key_qpos), keyboard.travel)
-        away = np.linalg.norm(tips[row, finger] - centres[row, key] - press[key], axis=1)
-        mean = np.bincount(row, 1.0 / np.bincount(row)[row] * away, len(goal))
-        return (np.linalg.norm(depth - goal, axis=1) + mean).reshape(shape)
-
-
-def _flattened(values: Array) -> Array:
-    """Reshape (N, K, ...) to (N K, ...)."""
-    return values.reshape(-1, *values.shape[2:])
+        shape = states.key_qpos.shape[:2]
+        keys, fingers = self._goals.at(np.tile(rows, shape[0]))
+        residuals = residuals_of(self._task, states, keys, fingers)
+        norms = (np.linalg.norm(each, axis=1) for each in (residuals.keys, residuals.offset))
+        return residuals.cost(*norms).reshape(shape)

@@ -33,6 +33,25 @@ class PredictiveSamplingConfig:
     the paper's. The actions then depend on how fast the machine is, not on the seed alone."""
 
 
+@dataclass(frozen=True)
+class ILQGConfig:
+    """iLQG, the derivative-based planner. The defaults are the paper's where it states any."""
+
+    horizon: float = 0.2
+    """Planning horizon [s]: a whole number of control steps."""
+    planning_timestep: float = 0.01
+    """Physics timestep of a plan [s], after each of which the cost is evaluated. It must divide the
+    control timestep."""
+    iterations: int = 1
+    """Iterations of optimisation per control step."""
+    num_step_sizes: int = 10
+    """Step sizes in the line search, spaced logarithmically from 1 to 0.001."""
+    control_weight: float = 1e-2
+    """Weight of the squared control cost. Controls count from rest, in half ranges."""
+    centred: bool = False
+    """Use centred finite differences. They take twice as long as forward differences."""
+
+
 Refinement = Literal["predictive-sampling", "none"]
 
 

@@ -59,7 +59,7 @@ TRACKS = {
 _OWN_TRACKS = {
     "generalist": "at-sight",
     "pretrained": "one-song",
-    **dict.fromkeys(("planner", "predictive-sampling", "stitched", "icp"), "planning"),
+    **dict.fromkeys(("planner", "predictive-sampling", "ilqg", "stitched", "icp"), "planning"),
 }
 _TRAINED = "train:"  # what the names of agents begin with that are trained on each song
 _HASH = 16  # hexadecimal digits
