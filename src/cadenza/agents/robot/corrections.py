@@ -55,7 +55,8 @@ _BEFORE = 3  # control steps before a press in which its finger moves to where i
 _STRIKING = 4  # control steps after it begins, by which it is seen where its finger struck
 _REACH = 0.5  # share of how far it was beside that which is corrected
 _SILENT = 0.2  # share of a press in which its key sounds, below which its finger did not get there
-_LATEST = 3  # a finger that does not strikes late, by an n-th of the press at most
+_LONG = 40  # control steps of a press from which on it then strikes late, rather than never
+_LATEST = 3  # by an n-th of the press at most
 _AWAY = 0.012  # [m] above where it is to be, at which a finger that is to strike late waits
 _HIGHEST = 0.055  # [m] of fingertips from which on they sound no key
 
@@ -194,13 +195,13 @@ class NoteCorrections:
                 self._correct_strike(new, i, played)
                 self._correct_end(new, i, played)
             shares.append(self._share(press, by_key[press.key]))
-            if shares[-1] < _SILENT and press.last - press.first >= _LATEST * (
-                new.wait[i] + _STRIKING
-            ):
+            long = press.last - press.first >= max(_LONG, _LATEST * (new.wait[i] + _STRIKING))
+            if long and shares[-1] < _SILENT:
                 new.wait[i] += _STRIKING
-        new.reach += _REACH * self._short(corrections, postures)
+        tips = self._kinematics.points(postures)[:, :, TIP]
+        new.reach += _REACH * self._short(corrections, tips)
         others = [note for note in notes if not any(note is each for each in meant)]
-        brushed = self._correct_others(new, others, postures)
+        brushed = self._correct_others(new, others, tips)
         self._correct_hands(new, np.array(shares), brushed)
         return corrections.towards(new, share, self._place)
 
@@ -225,9 +226,8 @@ class NoteCorrections:
         sounding = sum(max(min(n.end, end) - max(n.start, begin), 0.0) for n in notes)
         return sounding / (end - begin)
 
-    def _short(self, corrections: PressCorrections, postures: Array) -> Array:
+    def _short(self, corrections: PressCorrections, tips: Array) -> Array:
         """(N, 2) by how much fingers were off, along and across keys, when they struck [m]."""
-        tips = self._kinematics.points(postures)[:, :, TIP]
         away = (self._tips + self._moved(corrections) - tips)[:, :, :2]
         struck = zip(self._presses, self._rows, strict=True)
         return np.array([away[p.first : p.last, row][:_STRIKING].mean(axis=0) for p, row in struck])
@@ -271,13 +271,12 @@ class NoteCorrections:
         elif self._presses[i].last <= self._steps:  # the last notes end with the song
             new.lift[i] += np.clip(_LIFT_SPEED * (note.end - end - _END), *_LIFT)
 
-    def _correct_others(self, new: PressCorrections, notes: list[Note], postures: Array) -> Array:
-        """Correct what no press was to play.
+    def _correct_others(self, new: PressCorrections, notes: list[Note], tips: Array) -> Array:
+        """Correct what no press was to play, by where fingertips (T + 1, F, 3) were.
 
         Returns:
             (H, 2) how many keys each hand has brushed to the left and to the right of its own.
         """
-        tips = self._kinematics.points(postures)[:, :, TIP]
         keyboard, brushed = self._scene.keyboard, np.zeros((len(self._scene.sides), 2))
         for note in notes:
             key = note.pitch - keyboard.lowest_pitch

@@ -19,7 +19,7 @@ _PENALTY = 0.3  # of controls that a servo is too slow for, which decides how fa
 
 # Among what those of a robot are found: delays, and factors of the damping and the speed of servos.
 _DELAYS = np.arange(0.0, 0.15, 0.005)  # [s]
-_DAMPING = 0.4, 0.6, 0.8, 1.0, 1.3, 1.7, 2.3, 3.0
+_DAMPING = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
 _SPEEDS = 0.75, 0.85, 1.0, 1.2, 1.5
 
 
@@ -113,7 +113,8 @@ def identified(servos: Servos, dt: float, sent: Array, moved: Array, usual: Arra
         for speed in _SPEEDS
     ]
     late = min(_DELAYS, key=lambda late: errors(late, 1.0).min(axis=0).sum())
-    found = np.array([errors(late, damping) for damping in _DAMPING])
+    # What is far from nominal has to explain more, as a hand that is caught looks slow, too.
+    found = np.array([errors(late, d) * (1.0 + np.log(d) ** 2) for d in _DAMPING])
     best = found.reshape(-1, len(usual)).argmin(axis=0)
     damping, speed = np.take(_DAMPING, best // len(_SPEEDS)), np.take(_SPEEDS, best % len(_SPEEDS))
     return Response(float(late), damping, usual * speed)
