@@ -173,6 +173,13 @@ def test_training_with_brax(run):
     assert all(re.fullmatch(r"\d+ steps: return -?[\d.]+, F1 [\d.]+", line) for line in said)
 
 
+@pytest.mark.slow
+def test_training_with_rsl_rl(run):
+    pytest.importorskip("rsl_rl")
+    run("train_with_rsl_rl", "Up.mid", "2", "4")
+    assert Path("run/model_1.pt").exists()
+
+
 def test_a_dataset(run):
     said = run("make_dataset", "songs.npz", "Up.mid", "Down.mid")
     data = np.load("songs.npz")

@@ -56,7 +56,7 @@ LIBRARIES: dict[str, set[str]] = {
     "fingering": {"numpy"},
     "arranging": {"numpy"},
     "sim": {"numpy", "mujoco", "jax", "mujoco_warp", "warp"},
-    "tasks": {"numpy", "scipy", "gymnasium", "dm_env", "jax"},
+    "tasks": {"numpy", "scipy", "gymnasium", "dm_env", "jax", "rsl_rl", "tensordict", "torch"},
     "agents": {"numpy", "scipy", "threadpoolctl"},
     "demonstrations": {"numpy", "av", "gymnasium", "minari", "pyarrow"},
     "learning": {

@@ -1,6 +1,7 @@
 """A hand from an MJCF: its parts are those of the file, and faults are said in a line."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -116,3 +117,67 @@ def test_a_hand_is_measured_before_it_plays(tmp_path):
     path.write_text(TOML + "# changed\n")
     with pytest.raises(CadenzaError, match="changed since; run cadenza hand measure"):
         from_mjcf(path)
+
+
+def left_mjcf() -> str:
+    """The mirror image of the hand, with other names, other frames, and a thumb that turns back."""
+    text = re.sub(r"(fromto|pos)=\"(-?[\d.]+) ", lambda m: f'{m[1]}="{-float(m[2]):g} ', mjcf())
+    text = text.replace('euler="0 0.7 0"', 'euler="0 -0.7 0"').replace('"0 -1 0"', '"0 1 0"')
+    text = text.replace('axis="1 0 0" range="-0.6 1.2"', 'axis="-1 0 0" range="-1.2 0.6"')
+    text = text.replace('<body name="palm">', '<body name="palm" quat="0.5 0.5 0.5 0.5">')
+    return re.sub(r"\b(palm|thumb|index|middle|ring)", r"left_\1", text)
+
+
+LEFT = TOML + (
+    '[left]\nfile = "left.xml"\npalm = "left_palm"\nkp = 2.0\n[left.fingers]\n'
+    + "".join(f'{name} = "left_{name}_tip"\n' for name in ("thumb", "index", "middle", "ring"))
+)
+
+
+def write_both(folder: Path, left: str = "", described: str = LEFT) -> Path:
+    path = write_to(folder)
+    path.write_text(described)
+    (folder / "left.xml").write_text(left or left_mjcf())
+    return path
+
+
+def test_a_left_hand_of_a_second_file_plays_as_the_mirror_image(tmp_path):
+    two = build_scene(SceneConfig(), HandFile(write_both(tmp_path)).hand(UPRIGHT))
+    one = build_scene(SceneConfig(), HandFile(write_to(tmp_path)).hand(UPRIGHT))
+    assert two.hand_joint_names == one.hand_joint_names
+    assert two.actuator_names == one.actuator_names
+    np.testing.assert_allclose(two.model.actuator_ctrlrange, one.model.actuator_ctrlrange)
+    np.testing.assert_allclose(two.model.dof_M0, one.model.dof_M0, rtol=1e-6)
+    rng, data = np.random.default_rng(0), [mujoco.MjData(each.model) for each in (one, two)]
+    low, high = one.model.jnt_range[one.model.dof_jntid[one.hand_qvel]].T
+    for _ in range(5):
+        posture, tips = rng.uniform(low, high), []
+        for scene, each in zip((one, two), data, strict=True):
+            each.qpos[scene.hand_qpos] = posture
+            mujoco.mj_kinematics(scene.model, each)
+            tips.append(each.site_xpos[scene.fingertip_sites].copy())
+        np.testing.assert_allclose(*tips, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("left", "description", "message"),
+    [
+        ("", LEFT.replace('thumb = "left_thumb_tip"\n', ""), "left: fingers: give the same"),
+        ("", LEFT.replace('"left_palm"', '"palm"'), "palm: no body of left.xml is named 'palm'"),
+        (
+            left_mjcf().replace('pos="-0.034 0 0.1"', 'pos="-0.034 0 0.16"'),
+            LEFT,
+            "left: finger index ends 45 mm from the mirror image",
+        ),
+        (
+            left_mjcf().replace('axis="1 0 0" range="-0.2 1.9"', 'axis="0 1 0" range="0 1"', 1),
+            LEFT,
+            "left: joint left_index_2 moves another way than index_2",
+        ),
+        (mjcf(), LEFT.replace("left_", ""), "left: finger thumb ends"),
+    ],
+)
+def test_faults_of_a_second_file_are_said_in_a_line(tmp_path, left, description, message):
+    with pytest.raises(CadenzaError, match=message) as error:
+        HandFile(write_both(tmp_path, left, description)).hand(UPRIGHT)
+    assert "\n" not in str(error.value)

@@ -1,12 +1,12 @@
 """The body of a hand as tables of links, joints and servos, and its builder for MuJoCo.
 
-The tables are the right hand's; the left hand is their mirror image in the plane x = 0 of the palm,
-but for the few figures that are given for it. Lengths in [m], masses in [kg], angles in [rad],
-quaternions w, x, y, z.
+The tables are the right hand's; the left hand is mostly its mirror image in the planes x = 0 of all
+links, but for the few figures that are given for it. Lengths in [m], masses in [kg], angles in
+[rad], quaternions w, x, y, z.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import mujoco
@@ -194,7 +194,7 @@ _CONTACT_BITS: dict[Side, int] = {"right": 8, "left": 16}  # bits of contype and
 
 
 class BodyBuilder:
-    """The builder of the body of one hand in a scene."""
+    """The builder of the body of one hand in a scene, whose tables are of its side."""
 
     def __init__(self, body: Body, spec: mujoco.MjSpec, side: Side, options: HandOptions) -> None:
         self._body, self._spec, self._side, self._options = body, spec, side, options
@@ -233,18 +233,14 @@ class BodyBuilder:
             parent = self._spec.worldbody.add_body(name=f"{self._side}_hand")
         else:
             parent = self._spec.body(self._prefix + link.parent)
-        quat = _mirror_quat(link.quat, self._side)
-        if self._side == "left" and link.left_quat:
-            quat = link.left_quat
-        mass_side = self._side if self._body.mirrored_masses else "right"
         return parent.add_body(
             name=self._prefix + link.name,
-            pos=mirrored(link.pos, self._side),
-            quat=quat,
+            pos=link.pos,
+            quat=link.quat,
             mass=link.mass,
-            ipos=mirrored(link.com, mass_side),
+            ipos=link.com,
             inertia=link.inertia,
-            iquat=_mirror_quat(link.inertia_quat, mass_side),
+            iquat=link.inertia_quat,
             explicitinertial=True,
             gravcomp=float(self._options.gravity_compensation),
         )
@@ -278,13 +274,10 @@ class BodyBuilder:
         return forearm.joint_range(name, self._mount_y, self._options.keyboard_half_length)
 
     def _add_joint(self, body: mujoco.MjsBody, joint: Joint) -> None:
-        axis = (mirrored if joint.slide else _mirror_axis)(joint.axis, self._side)
-        if self._side == "left" and joint.left_axis:
-            axis = joint.left_axis
         body.add_joint(
             name=self._prefix + joint.name,
             type=mujoco.mjtJoint.mjJNT_SLIDE if joint.slide else mujoco.mjtJoint.mjJNT_HINGE,
-            axis=axis,
+            axis=joint.axis,
             range=self._joint_range(joint),
             damping=joint.damping,
             armature=self._body.armature if joint.armature is None else joint.armature,
@@ -306,14 +299,10 @@ class BodyBuilder:
             )  # fmt: skip
 
     def _add_geom(self, body: mujoco.MjsBody, geom: Geom, **attributes: Any) -> None:
-        pos, quat, size = geom.pos, geom.quat, geom.size
-        if self._side == "left" and geom.mirrored:
-            pos, quat = mirrored(pos, self._side), geom.left_quat or _mirror_quat(quat, self._side)
-            size = geom.left_size or size
         padded = np.zeros(3)
-        padded[: len(size)] = size
+        padded[: len(geom.size)] = geom.size
         kind, _ = GEOM_TYPES[geom.type]
-        body.add_geom(type=kind, pos=pos, quat=quat, size=padded, **attributes)
+        body.add_geom(type=kind, pos=geom.pos, quat=geom.quat, size=padded, **attributes)
 
     def _add_actuators(self) -> None:
         ranges = {
@@ -374,17 +363,46 @@ class BodyBuilder:
             actuator.forcerange = (-force, force)
 
 
-def mirrored(vector: Vector, side: Side) -> Vector:
-    """A vector of the right hand, or its mirror image for the left."""
+def mirror_image(body: Body) -> Body:
+    """The left hand's body, from the right hand's."""
+    return replace(body, links=tuple(_mirrored_link(each, body) for each in body.links))
+
+
+def mirrored(vector: Vector) -> Vector:
+    """A vector of the right hand as the left hand has it."""
     x, y, z = vector
-    return vector if side == "right" else (-x, y, z)
+    return -x, y, z
 
 
-def _mirror_axis(axis: Vector, side: Side) -> Vector:
-    x, y, z = axis
-    return axis if side == "right" else (x, -y, -z)
+def _mirrored_link(link: Link, body: Body) -> Link:
+    com, inertia_quat = link.com, link.inertia_quat
+    if body.mirrored_masses:
+        com, inertia_quat = mirrored(com), _mirror_quat(inertia_quat)
+    return replace(
+        link,
+        pos=mirrored(link.pos),
+        quat=link.left_quat or _mirror_quat(link.quat),
+        com=com,
+        inertia_quat=inertia_quat,
+        joint=link.joint and _mirrored_joint(link.joint),
+        geoms=tuple(map(_mirrored_geom, link.geoms)),
+        round_geoms=tuple(map(_mirrored_geom, link.round_geoms)),
+    )
 
 
-def _mirror_quat(quat: Quaternion, side: Side) -> Quaternion:
+def _mirrored_joint(joint: Joint) -> Joint:
+    x, y, z = joint.axis
+    turned = mirrored(joint.axis) if joint.slide else (x, -y, -z)
+    return replace(joint, axis=joint.left_axis or turned)
+
+
+def _mirrored_geom(geom: Geom) -> Geom:
+    if not geom.mirrored:
+        return geom
+    quat, size = geom.left_quat or _mirror_quat(geom.quat), geom.left_size or geom.size
+    return replace(geom, pos=mirrored(geom.pos), quat=quat, size=size)
+
+
+def _mirror_quat(quat: Quaternion) -> Quaternion:
     w, x, y, z = quat
-    return quat if side == "right" else (w, x, -y, -z)
+    return w, x, -y, -z

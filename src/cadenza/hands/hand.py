@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain, pairwise
 
 import mujoco
@@ -12,7 +12,7 @@ from cadenza.configs import Positive, wrong_types
 from cadenza.errors import CadenzaError, quoted
 from cadenza.fingers import Side
 from cadenza.hands import forearm
-from cadenza.hands.body import Body, BodyBuilder, HandOptions, mirrored, prefix
+from cadenza.hands.body import Body, BodyBuilder, HandOptions, mirror_image, mirrored, prefix
 from cadenza.hands.reach import JumpTimes, Reach
 from cadenza.hands.servo import Servo
 
@@ -47,7 +47,7 @@ class FingerChain:
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """A hand on a forearm. All figures are the right hand's; the left one is its mirror image."""
+    """A hand on a forearm. All figures are the right hand's, whose mirror image the left one is."""
 
     name: str
     body: Body
@@ -64,6 +64,8 @@ class Hand:
     """Positions of joints when an episode begins [m, rad]; 0 for all others."""
     kept_apart: tuple[str, ...] = (forearm.FOREARM,)
     """The links that the reward for forearms wants to keep from those of the other hand."""
+    left: "Hand | None" = None
+    """The left hand as it is, if it is not the mirror image, with the names of the right one."""
 
     def __post_init__(self) -> None:
         """Check that the parts go together; raises CadenzaError if they do not."""
@@ -77,8 +79,13 @@ class Hand:
 
     def add_to(self, spec: mujoco.MjSpec, side: Side, options: HandOptions) -> tuple[str, ...]:
         """Add the hand of one side to a scene; return the names of its fingertips' sites."""
-        BodyBuilder(self.body, spec, side, options).build()
-        return tuple(_add_fingertip(spec, side, each, options.touch) for each in self.fingers)
+        hand = self if side == "right" else self.left or self._mirror_image()
+        BodyBuilder(hand.body, spec, side, options).build()
+        return tuple(_add_fingertip(spec, side, each, options.touch) for each in hand.fingers)
+
+    def _mirror_image(self) -> "Hand":
+        fingers = tuple(replace(each, tip=mirrored(each.tip)) for each in self.fingers)
+        return replace(self, body=mirror_image(self.body), fingers=fingers)
 
     def servo(self, name: str) -> Servo:
         """The servo of the hand or of its forearm with a name such as "FFJ3" or "forearm_tx"."""
@@ -94,7 +101,7 @@ def _add_fingertip(spec: mujoco.MjSpec, side: Side, finger: FingerChain, touch: 
     name = f"{prefix(side)}{finger.name}tip"
     spec.body(prefix(side) + finger.links[-1]).add_site(
         name=name,
-        pos=mirrored(finger.tip, side),
+        pos=finger.tip,
         size=np.full(3, _TOUCH_RADIUS * finger.tip_radius if touch else _SITE_RADIUS),
         group=_SITE_GROUP,
     )

@@ -6,7 +6,7 @@ Beside `NAME.toml` lies `NAME.measured.json`, which `cadenza hand measure` write
 import math
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError, quoted
 from cadenza.files import checked, content_of, read_json, sha256_of
+from cadenza.fingers import Side
 from cadenza.hands import forearm
 from cadenza.hands.body import (
     GEOM_TYPES,
@@ -33,6 +34,7 @@ from cadenza.hands.body import (
 )
 from cadenza.hands.hand import FingerChain, Hand
 from cadenza.hands.reach import Reach
+from cadenza.hands.second_file import FlatHand, SecondFile, Section
 from cadenza.hands.servo import Servo
 
 Array = NDArray[np.float64]
@@ -65,10 +67,10 @@ class Tip:
 
 
 @dataclass(frozen=True)
-class Description:
-    """The content of the TOML of a hand."""
+class FileDescription:
+    """What is what in the MJCF or URDF of a hand."""
 
-    file: str  # the MJCF or URDF of a right hand, beside the TOML
+    file: str  # the MJCF or URDF, beside the TOML
     palm: str  # the body that the forearm carries, with all that hangs from it
     # Finger -> tip, the thumb first, then its neighbours in their order
     fingers: dict[str, str | Tip]
@@ -81,6 +83,13 @@ class Description:
     force: float | None = None  # their largest torque [N m]
     damping: float | None = None  # damping of all joints [N m s/rad]
     armature: float | None = None  # rotor inertia of all joints [kg m^2]
+
+
+@dataclass(frozen=True)
+class Description(FileDescription):
+    """The content of the TOML of a right hand."""
+
+    left: FileDescription | None = None  # the left hand, if it is not the mirror image
 
 
 @dataclass(frozen=True)
@@ -126,26 +135,34 @@ def _read(path: Path, measured: Path, *_times: int) -> Hand:
     return file.hand(measurement)
 
 
+def description_of(path: Path) -> Description:
+    """The content of a TOML; raises CadenzaError if it is missing or wrong."""
+    try:
+        content = tomllib.loads(content_of(path).decode())
+    except ValueError as error:
+        raise CadenzaError(f"{path}: {error}") from None
+    return checked(content, Description, path)
+
+
 class HandFile:
     """The files of a hand, before it is measured.
 
     Attributes:
-        description: the content of the TOML.
-        sha256: the digest of both files.
+        description: the part of the TOML that describes the hand of this side.
+        sha256: the digest of all files.
         flat: (3, 3) rotation from the palm's frame into the forearm's while the hand is flat.
+        left: the second file, if there is one and this is the first.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, side: Side = "right") -> None:
         """Read and compile the files; raises CadenzaError if they are missing, or do not fit."""
-        self._path = path
-        try:
-            content = tomllib.loads(content_of(path).decode())
-        except ValueError as error:
-            raise CadenzaError(f"{path}: {error}") from None
-        self.description = checked(content, Description, path)
+        self._path, self._side = path, side
+        content = description_of(path)
+        self.left = HandFile(path, "left") if side == "right" and content.left else None
+        self.description = content.left if side == "left" and content.left else content
         file = path.parent / self.description.file
-        self.sha256 = sha256_of(path, file)
-        self._model = _compiled(file)
+        self.sha256 = sha256_of(path, file, *([self.left.file] if self.left else []))
+        self.file, self._model = file, _compiled(file)
         self._root = self._id("palm", mujoco.mjtObj.mjOBJ_BODY, self.description.palm)
         self._fixed = {
             self._id("fixed", mujoco.mjtObj.mjOBJ_JOINT, name): angle
@@ -181,7 +198,7 @@ class HandFile:
             **{name: np.zeros((count, count)) for name in ("least", "most")},
             **{name: np.array(values) for name, values in measurement.reach.items()},
         }
-        return Hand(
+        hand = Hand(
             name=self._path.stem,
             body=Body(
                 links=(_FOREARM, *links),
@@ -196,18 +213,48 @@ class HandFile:
             reach=Reach(**reach, forearm_width=forearm.WIDTH),
             start={joint: start[joint] for joint in self._joints.values()},
         )
+        return hand if self.left is None else replace(hand, left=self._left_hand(hand, measurement))
+
+    def _left_hand(self, hand: Hand, measurement: Measurement) -> Hand:
+        """The hand of the second file, where the mirror image of this one would be."""
+        assert self.left is not None
+        second = SecondFile(self.flat_hand(), self.left.flat_hand(), self.left.error)
+        pos, rotation = second.place(np.array(measurement.pos), _matrix(measurement.quat))
+        quat, rest = _quat(rotation), second.rest(measurement.rest)
+        x, y, z = pos.tolist()
+        theirs = self.left.hand(Measurement((x, y, z), quat, rest))
+        return second.renamed(theirs, hand)
+
+    def flat_hand(self) -> FlatHand:
+        """The links and fingertips while all joints are at 0."""
+        palm, joints = self._data.xmat[self._root].reshape(3, 3), self._model.body_jntadr
+        tips = [self._in_frame(self._root, tip) for _, tip, _ in self._tips.values()]
+        fingers = {
+            finger: [
+                Section(
+                    self._name(body),
+                    self._joints.get(int(joints[body])),
+                    bool(self._model.jnt_type[joints[body]] == mujoco.mjtJoint.mjJNT_SLIDE),
+                    palm.T @ self._data.xaxis[joints[body]],
+                )
+                for body in self._line(tip)[: self._line(tip).index(self._root) + 1]
+            ]
+            for finger, (tip, _, _) in self._tips.items()
+        }
+        return FlatHand(self.flat, fingers, np.array(tips))
 
     # What is in the file
 
-    def _error(self, text: str) -> CadenzaError:
-        return CadenzaError(f"{self._path}: {text}")
+    def error(self, text: str) -> CadenzaError:
+        """An error in what the TOML says of this file."""
+        return CadenzaError(f"{self._path}: {'left: ' if self._side == 'left' else ''}{text}")
 
     def _id(self, of: str, kind: mujoco.mjtObj, name: str) -> int:
         """The id of what a name of the TOML stands for."""
         found = int(mujoco.mj_name2id(self._model, kind, name))
         if found < 0:
             what = kind.name.removeprefix("mjOBJ_").lower()
-            raise self._error(f"{of}: no {what} of {self.description.file} is named {quoted(name)}")
+            raise self.error(f"{of}: no {what} of {self.description.file} is named {quoted(name)}")
         return found
 
     def _line(self, body: int) -> list[int]:
@@ -231,14 +278,14 @@ class HandFile:
                 continue
             name = model.joint(joint).name or f"{self._name(body)}_joint"
             if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-                raise self._error(f"joint {name} is neither a hinge nor a slide")
+                raise self.error(f"joint {name} is neither a hinge nor a slide")
             if body == before:
-                raise self._error(f"body {self._name(body)} has two joints; make it two bodies")
+                raise self.error(f"body {self._name(body)} has two joints; make it two bodies")
             before = body
             yield joint, name
 
     def _rotation(self) -> Array:
-        """The rotation of a flat palm: the first of its neighbouring fingers is to the left."""
+        """The rotation of a flat palm: of a right hand's fingers the first is to the left."""
         fingers = list(self._own.values())[-max(len(self._own) - 1, 1) :]  # without the thumb
         bases = np.array([self._in_frame(self._root, self._origin(own[-1])) for own in fingers])
         tips = np.array(
@@ -250,6 +297,7 @@ class HandFile:
             along = np.eye(3)["xyz".index(axis)] * (-1.0 if sign else 1.0)
         # A hand of one finger has no sides: any will do.
         left = bases[0] - bases[-1] if len(bases) > 1 else np.roll(along, 1)
+        left *= 1.0 if self._side == "right" else -1.0
         left = _axis(left * (along == 0))
         return np.stack([left, np.cross(along, left), along])
 
@@ -282,15 +330,13 @@ class HandFile:
         else:
             body, centre = self._id(f"finger {finger}", mujoco.mjtObj.mjOBJ_BODY, tip.tip), None
         if body not in self._bodies:
-            raise self._error(f"finger {finger}: {tip.tip} does not hang from the palm")
+            raise self.error(f"finger {finger}: {tip.tip} does not hang from the palm")
         ends = [end for geom in self._shapes(body) for end in self._ends(geom)]
         if tip.at is not None:
             centre = self._data.xpos[body] + self._data.xmat[body].reshape(3, 3) @ np.array(tip.at)
         elif centre is None:
             if not ends:
-                raise self._error(
-                    f"finger {finger} has no tip: {tip.tip} has no shape; give a site"
-                )
+                raise self.error(f"finger {finger} has no tip: {tip.tip} has no shape; give a site")
             centre = max(ends, key=lambda end: float(np.linalg.norm(end[0] - self._origin(body))))[
                 0
             ]
@@ -325,7 +371,7 @@ class HandFile:
             if names.get(joint, joint) in given or not {joint, leader} <= names.keys():
                 continue
             if abs(offset) > 0 or np.any(bent):
-                raise self._error(f"joint {names[joint]} follows by more than a ratio; use follows")
+                raise self.error(f"joint {names[joint]} follows by more than a ratio; use follows")
             given.add(names[joint])
             yield Follower(names[joint], names[leader], float(ratio))
         for tendon in range(model.ntendon):
@@ -366,7 +412,7 @@ class HandFile:
             if self._pulls(a):
                 name, (low, high) = model.tendon(target).name, model.actuator_ctrlrange[a]
                 if set(shares) != {1.0}:
-                    raise self._error(f"tendon {name}: its actuator needs coefficients of 1")
+                    raise self.error(f"tendon {name}: its actuator needs coefficients of 1")
                 pulled = tuple(self._joints[j] for j in joints)
                 self._couplings[name] = Coupling(name, pulled, (float(low), float(high)))
             kp, kv = -model.actuator_biasprm[a, 1:3] * gear**2
@@ -376,7 +422,7 @@ class HandFile:
             if joint in moved | following:
                 continue
             if model.nu:
-                raise self._error(
+                raise self.error(
                     f"joint {name} has no actuator; give it one, or name it in follows or fixed"
                 )
             yield self._actuator(name, 0.0, 0.0, float(model.jnt_actfrcrange[joint, 1]))
@@ -384,7 +430,7 @@ class HandFile:
     def _actuator(self, name: str, kp: float, kv: float, force: float) -> Actuator:
         kp = self.description.kp or kp
         if kp <= 0:
-            raise self._error(f"{name} has no position servo; give kp [N m/rad]")
+            raise self.error(f"{name} has no position servo; give kp [N m/rad]")
         return Actuator(name, kp, self.description.force or force or math.pi * kp, max(kv, 0.0))
 
     # The parts of the hand
@@ -445,7 +491,7 @@ class HandFile:
             while own[name] and own[name][-1] not in moving:
                 own[name].pop()
             if not own[name]:
-                raise self._error(f"finger {name} has no joint of its own; give another tip")
+                raise self.error(f"finger {name} has no joint of its own; give another tip")
         return own
 
     def _chains(self, measurement: Measurement) -> Iterator[FingerChain]:
@@ -547,6 +593,19 @@ def _axis(direction: Array) -> Array:
 def _product(a: Array, b: Array) -> Quaternion:
     quat = np.zeros(4)
     mujoco.mju_mulQuat(quat, a, b)
+    w, x, y, z = quat.tolist()
+    return w, x, y, z
+
+
+def _matrix(quat: Quaternion) -> Array:
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, np.array(quat))
+    return matrix.reshape(3, 3)
+
+
+def _quat(rotation: Array) -> Quaternion:
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, rotation.ravel())
     w, x, y, z = quat.tolist()
     return w, x, y, z
 

@@ -21,6 +21,8 @@ ONSET_TOLERANCE = 0.05  # [s]
 _OFFSET_RATIO = 0.2  # of a note's length by which its end may be off
 _DECIMALS = 4  # to which differences in time [s] are rounded
 
+STEP_METRICS = "precision", "recall", "f1"
+
 
 def step_metrics(
     played: NDArray[Any], goal: NDArray[Any]
@@ -38,8 +40,9 @@ def step_metrics(
 def _pooled(played: NDArray[Any], goal: NDArray[Any]) -> dict[str, float]:
     """Precision, recall and F1 of the hits of all steps together."""
     pooled = step_metrics(played.reshape(1, -1), goal.reshape(1, -1))
-    names = ("pooled_precision", "pooled_recall", "pooled_f1")
-    return {name: float(value[0]) for name, value in zip(names, pooled, strict=True)}
+    return {
+        f"pooled_{name}": float(value[0]) for name, value in zip(STEP_METRICS, pooled, strict=True)
+    }
 
 
 def playing_metrics(

@@ -14,7 +14,7 @@ import numpy as np
 from cadenza.configs import as_config
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.music.goals import Goals
-from cadenza.music.metrics import step_metrics
+from cadenza.music.metrics import STEP_METRICS, step_metrics
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
@@ -35,8 +35,6 @@ with extra_packages("gpu", "the engine warp"):
     from cadenza.sim.rows import where
 
 Array = Any  # of JAX
-
-METRICS = "precision", "recall", "f1"
 
 
 class SongGoals(NamedTuple):
@@ -161,7 +159,7 @@ class FunctionalPianoTask:
         nothing = jnp.zeros(self.num_envs)
         no_action = jnp.zeros((self.num_envs, self.spec.action_size))
         _, result = jax.eval_shape(self.advance, episodes, state, no_action)
-        names = [*(f"reward/{name}" for name in result.terms), *METRICS]
+        names = [*(f"reward/{name}" for name in result.terms), *STEP_METRICS]
         no, none = jnp.zeros(self.num_envs, bool), jnp.zeros((), jnp.int32)
         info = {"state": state, "final_obs": observation, "truncation": no, "unstable": no}
         info |= {"overflow": data.overflow, "unstable_count": none, "overflow_count": none}
@@ -183,7 +181,7 @@ class FunctionalPianoTask:
         done = result.terminated | result.truncated
         means = (episodes.sums / episodes.steps_done[:, None]).T
         metrics = {f"reward/{name}": values for name, values in result.terms.items()}
-        metrics |= dict(zip(METRICS, means, strict=True))
+        metrics |= dict(zip(STEP_METRICS, means, strict=True))
         overflow = data.overflow
 
         fresh, start = self.begin(of_begin)
@@ -210,7 +208,7 @@ class FunctionalPianoTask:
             start = start.at[:, self._offset_joints].set(offset[:, None])
         zeros = jnp.zeros(shape, jnp.int32)
         song = jax.random.randint(of_song, shape, 0, len(self.tracks), jnp.int32)
-        sums = jnp.zeros((*shape, len(METRICS)))
+        sums = jnp.zeros((*shape, len(STEP_METRICS)))
         random = self._randomization
         draws = None if random is None else random.begin(of_draws, start)
         keys = self.scene.keyboard.num_keys

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from cadenza.errors import CadenzaError, extra_packages
+from cadenza.music.metrics import STEP_METRICS
 from cadenza.sim.render import Picture, Renderer
 from cadenza.tasks.env import scores_of
-from cadenza.tasks.functional import METRICS, FunctionalPianoTask, PianoState
+from cadenza.tasks.functional import FunctionalPianoTask, PianoState
 from cadenza.tasks.reward import key_activation
 from cadenza.tasks.setups import configure
 
@@ -136,7 +137,7 @@ class PlaygroundPiano:
 
 def _worlds(state: PianoState, num_worlds: int) -> WorldState:
     """Worlds (N,) of a batch, each with a random key of its own."""
-    ends = {name: jnp.where(state.done, state.metrics[name], 0.0) for name in METRICS}
+    ends = {name: jnp.where(state.done, state.metrics[name], 0.0) for name in STEP_METRICS}
     keys = jax.random.key_data(jax.random.split(state.key, num_worlds))
     info, done = {"key": keys, "song": state.info["song"]}, state.done.astype(jnp.float32)
     data, reward = (state.data, state.episodes), state.reward.astype(jnp.float32)

@@ -35,8 +35,9 @@ _SIDE_BY_SIDE = 0.0115  # [m] between a white key and the black one beside it
 # Of a hand over the keys; lengths in [m], angles in [rad]. Behind each is the error that costs 1.
 _HOVER, _HOVER_OFF = 0.01, 0.0005  # of fingertips above white keys
 _PRESSES_AT, _AT_OFF = 0.047, 0.02  # from the middle of white keys
-_NEAREST, _FARTHEST, _BEYOND_OFF = 0.025, 0.068, 0.001  # at least and at most, likewise
+_CLEAR_OF_BLACK, _FARTHEST, _BEYOND_OFF = 0.017, 0.071, 0.001  # edges of tips, and their middles
 _KEY, _GAP, _APART_OFF = 0.0235, 0.0015, 0.004  # from a white key to the next; between fingers
+_ALONG_OFF = 0.003  # along and across the key, from above it to where the finger presses
 _ROOM, _ROOM_OFF = 0.024, 0.003  # of all else above white keys, so that it is over black ones
 _STEEP, _STEEP_THUMB, _STEEP_OFF = 0.85, 0.3, 0.3  # how far last links point down, of 1
 _ASIDE_OFF = 0.6  # how far they point to a side
@@ -51,7 +52,8 @@ _TO_WORLD = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]])  # from the forearm'
 def place(path: Path) -> tuple[HandFile, Measurement]:
     """Find how a hand from a file sits on its forearm, all fingertips just above white keys.
 
-    Least squares over the place and the tilt of the palm and all servos, from several starts.
+    Least squares over the place and the tilt of the palm, and over all servos above the keys and
+    pressing them, from several starts.
     Raises CadenzaError if a file is wrong, or there is no such posture.
     """
     file = HandFile(path)
@@ -62,80 +64,106 @@ def place(path: Path) -> tuple[HandFile, Measurement]:
         start = over.middle.copy()
         if attempt:
             start[:4] = rng.uniform(-_ROAM, _ROAM) / 2
-            start[4:] = rng.uniform(over.low[4:], over.high[4:])
+            start[4:] = np.tile(rng.uniform(*over.ranges), 2)
         found = least_squares(over.residual, start, bounds=(over.low, over.high), max_nfev=200)
         best = found if best is None or found.cost < best.cost else best
     assert best is not None
-    tips = over.points(best.x)[:, -1]
+    above, pressing = over.halves(best.x)
+    tips, pressed = over.points(above)[:, -1], over.points(pressing)[:, -1]
     if not (np.diff(tips[:, 1]) > 0).all():
         raise CadenzaError(
             f"{path}: the fingers do not lie from left to right; give a right hand, thumb first"
         )
-    for finger, error in zip(hand.fingers, over.errors(tips), strict=True):
+    for finger, error in zip(hand.fingers, over.errors(best.x), strict=True):
         if error > _TOLERANCE:
             raise CadenzaError(
-                f"{path}: finger {finger.name} does not come over white keys with the others: it "
+                f"{path}: finger {finger.name} does not come to white keys with the others: it "
                 f"stays {1000 * error:.0f} mm off; see the order of fingers, and along"
             )
-    palm, tilt, angles = best.x[:3], best.x[3], best.x[4:].round(4).tolist()
+    palm, tilt, angles = above[:3], above[3], above[4:].round(4).tolist()
     return file, Measurement(
         pos=_vector(_PALM_AT + palm),
         quat=_quat(_tilted(tilt) @ file.flat),
         rest=dict(zip(over.names, angles, strict=True)),
-        lift=over.lifts(best.x),
+        lift=over.lifts(above),
         on_white={
             finger.name: round(float(tip[0]), 4)
-            for finger, tip in zip(hand.fingers, tips, strict=True)
+            for finger, tip in zip(hand.fingers, pressed, strict=True)
         },
         sha256=file.sha256,
     )
 
 
 class _OverKeys:
-    """The residual of a right hand over white keys, of its palm's place and tilt, and servos."""
+    """The residual of a right hand over white keys: of place and tilt of its palm, and S servos.
+
+    The variables u (4 + 2 S,) are place, tilt, servos above the keys, and servos while all press.
+    """
 
     def __init__(self, hand: Hand) -> None:
         scene = build_scene(SceneConfig(hands="right"), hand)
         self._kinematics = Kinematics(scene)
-        servos, self._top = self._kinematics.servos, scene.keyboard.white.top
+        servos, white = self._kinematics.servos, scene.keyboard.white
+        self._top, self._half_length, self._travel = white.top, white.half_size[0], white.travel
         self._own = np.array([name in hand.servos for name in servos.names])
         self.names = [name for name in servos.names if name in hand.servos]
-        low, high = servos.low[self._own], servos.high[self._own]
-        self.low, self.high = np.array([*-_ROAM, *low]), np.array([*_ROAM, *high])
+        self.ranges = low, high = servos.low[self._own], servos.high[self._own]
+        self.low, self.high = np.array([*-_ROAM, *low, *low]), np.array([*_ROAM, *high, *high])
         third = (high - low) / 3  # of a finger that is neither straight nor a fist
-        self.middle = np.array([0.0, 0.0, 0.0, 0.0, *np.clip(0.0, low + third, high - third)])
+        bent = np.clip(0.0, low + third, high - third)
+        self.middle = np.array([0.0, 0.0, 0.0, 0.0, *bent, *bent])
         self._rest = rest_posture(servos)
         self._finger = servos.finger[self._own]
         mount = scene.model.body(prefix("right") + FOREARM).pos
         forwards = SERVOS[FORWARDS].rest
         self._palm = mount + _TO_WORLD @ (_PALM_AT + np.array([0.0, 0.0, forwards]))
         self._radii = np.array([finger.tip_radius for finger in hand.fingers])
+        self._nearest = _CLEAR_OF_BLACK + self._radii
         wide = np.array([max(finger.radii) for finger in hand.fingers])
         self._apart = np.maximum(_KEY, wide[1:] + wide[:-1] + _GAP)
 
+    def halves(self, u: Array) -> tuple[Array, Array]:
+        """(4 + S,) place, tilt and servos above the keys, and of the same hand while all press."""
+        count = len(self.names)
+        return u[: 4 + count], np.concatenate([u[:4], u[4 + count :]])
+
     def points(self, u: Array) -> Array:
-        """(F, P, 3) the points of the fingers in the world [m]."""
+        """(F, P, 3) the points of the fingers in the world [m], of one half of the variables."""
         self._rest[self._own] = u[4:]
         flat = self._kinematics.links(self._rest[None]).points[0, 0] - self._palm
         turn = _TO_WORLD @ _tilted(u[3]) @ _TO_WORLD.T
         turned: Array = flat @ turn.T + self._palm + _TO_WORLD @ u[:3]
         return turned
 
-    def errors(self, tips: Array) -> Array:
-        """(F,) how far fingertips (F, 3) are from where they may hover over white keys [m]."""
-        high = tips[:, 2] - self._top - self._radii - _HOVER
-        return np.maximum(np.abs(high), np.abs(_beyond(tips[:, 0], _NEAREST, _FARTHEST)))
+    def errors(self, u: Array) -> Array:
+        """(F,) how far fingertips are from where they may hover over white keys and press [m]."""
+        tips, pressed = (self.points(half)[:, -1] for half in self.halves(u))
+        off = (
+            tips[:, 2] - self._top - self._radii - _HOVER,
+            self._deep(pressed),
+            _beyond(pressed[:, 0], self._nearest, _FARTHEST),
+        )
+        return np.abs(off).max(axis=0)
+
+    def _deep(self, tips: Array) -> Array:
+        """(F,) how far tips (F, 3) are above where they hold down white keys [m]."""
+        fall = (self._half_length + tips[:, 0]) * np.tan(self._travel)
+        above: Array = tips[:, 2] - self._top - self._radii + fall
+        return above
 
     def residual(self, u: Array) -> Array:
-        chains = self.points(u)
+        above, pressing = self.halves(u)
+        chains, pressed = self.points(above), self.points(pressing)[:, -1]
         tips, joints = chains[:, -1], chains[:, :-1]
         down = tips - joints[:, -1]
         down /= np.linalg.norm(down, axis=1, keepdims=True)
-        share = (u[4:] - self.low[4:]) / (self.high - self.low)[4:]
+        share = (u - self.low)[4:] / (self.high - self.low)[4:]
         return np.concatenate([
             (tips[:, 2] - self._top - self._radii - _HOVER) / _HOVER_OFF,
             (tips[:, 0] - _PRESSES_AT) / _AT_OFF,
-            _beyond(tips[:, 0], _NEAREST, _FARTHEST) / _BEYOND_OFF,
+            self._deep(pressed) / _HOVER_OFF,
+            _beyond(pressed[:, 0], self._nearest, _FARTHEST) / _BEYOND_OFF,
+            (pressed - tips)[:, :2].ravel() / _ALONG_OFF,
             (np.diff(tips[:, 1]) - self._apart) / _APART_OFF,
             [tips[:, 1].mean() - self._palm[1]],
             np.maximum(self._top + _ROOM - joints[..., 2], 0).ravel() / _ROOM_OFF,
