@@ -79,6 +79,11 @@ def test_minari_loads_what_was_recorded(made, tmp_path, monkeypatch):
     assert minari.load_dataset(f"cadenza/{made.name}-v3").total_episodes == 2
     loaded, dataset = minari.load_dataset("cadenza/demonstrations-v0"), open_dataset(made)
     assert (loaded.total_episodes, loaded.total_steps) == (2, dataset.num_steps)
+    names, first = loaded.storage.metadata, transitions(dataset, 0)
+    assert len(names["action_names"]) == first.chosen.shape[1]
+    begin, end = names["observation_layout"]["joints"]
+    assert end - begin == len(names["joint_names"])
+    assert names["joint_names"][0].startswith("rh_")
     for number, episode in enumerate(loaded.iterate_episodes()):
         ours = transitions(dataset, number)
         assert loaded.observation_space.contains(episode.observations[5])

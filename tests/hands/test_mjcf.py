@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from cadenza import CadenzaError, SceneConfig
+from cadenza.agents.planner.plan.rest_poses import rest_posture
 from cadenza.hands.mjcf import HandFile, Measurement, from_mjcf, measurement_of
 from cadenza.hands.registry import hand_named
 from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import build_scene
+from cadenza.scene.servos import servos_of
 from hands.leap_like import TOML, mjcf, write_to
 
 UPRIGHT = Measurement((0.0, 0.0, 0.2), (1.0, 0.0, 0.0, 0.0))
@@ -93,6 +95,7 @@ def drawn(old: str, new: str) -> Callable[[Path], None]:
             "joint index_2 is neither a hinge nor a slide",
         ),
         (drawn("<mujoco", "<mujoko"), "MuJoCo cannot read it"),
+        (drawn('damping="0.08"', ""), "joint thumb_0 has no damping; give damping"),
         (
             described("[fingers]", "follows = {ring_3={ring_9=1.0}}\n[fingers]"),
             "followers: there is no joint 'ring_9'",
@@ -181,3 +184,22 @@ def test_faults_of_a_second_file_are_said_in_a_line(tmp_path, left, description,
     with pytest.raises(CadenzaError, match=message) as error:
         HandFile(write_both(tmp_path, left, description)).hand(UPRIGHT)
     assert "\n" not in str(error.value)
+
+
+def test_a_hand_on_an_arm_is_at_rest_where_a_forearm_would_bring_it(tmp_path):
+    path, tips = write_to(tmp_path), []
+    for mount in "forearm", "arm":
+        path.write_text(f'mount = "{mount}"\n{TOML}')
+        measured = {"pos": UPRIGHT.pos, "quat": (0.98, 0.2, 0, 0), "sha256": HandFile(path).sha256}
+        measurement_of(path).write_text(json.dumps(measured))
+        scene = build_scene(SceneConfig(), from_mjcf(path))
+        tips.append(Kinematics(scene).fingertips(rest_posture(servos_of(scene))[None])[0][0])
+    forearm, arm = tips
+    apart = [[0, 0.05, 0]] * 4 + [[0, -0.05, 0]] * 4  # arms stand farther apart
+    np.testing.assert_allclose(arm - forearm, apart, atol=1e-4)
+
+
+def test_a_left_hand_of_its_own_hangs_on_no_arm(tmp_path):
+    path = write_both(tmp_path, described=f'mount = "arm"\n{LEFT}')
+    with pytest.raises(CadenzaError, match="left: a hand on an arm is mirrored; leave it out"):
+        HandFile(path)

@@ -39,6 +39,7 @@ def measure(command: MeasureHand) -> None:
     file, measurement = place(path)
     reach = ReachMeasurement(file.hand(measurement))
     print("fingertips at rest:", *reach.at_rest(), sep="\n    ", flush=True)
+    print(*reach.slow(), sep="\n", flush=True)
     measured = {name: values.tolist() for name, values in reach.measure().items()}
     write_json(measurement_of(path), asdict(replace(measurement, reach=measured)))
     print(f"{measurement_of(path)}: measured")

@@ -89,6 +89,7 @@ def write_minari(
                 [_buffer(EpisodeBuffer, transitions(dataset, i), dataset.episodes[i]) for i in some]
             )
             advance(some[-1] + 1, count)
+        made.storage.update_metadata(_names(dataset))
         made.storage.update_episode_metadata(_metadata(e.facts) for e in dataset.episodes)
         for part in (folder / id_).iterdir():
             part.rename(folder / part.name)
@@ -98,6 +99,16 @@ def write_minari(
 def _task_spec(dataset: Dataset) -> TaskSpec:
     """The constants of the environment."""
     return task_spec(replace(dataset.episodes[0].facts.task, **_SHOWN), dataset.scene)
+
+
+def _names(dataset: Dataset) -> dict[str, Any]:
+    """What the numbers of observations and actions are called."""
+    layout = _task_spec(dataset).observation_layout
+    return {
+        "observation_layout": {name: [part.start, part.stop] for name, part in layout.items()},
+        "joint_names": list(dataset.scene.hand_joint_names),
+        "action_names": [*dataset.scene.actuator_names, "sustain_pedal"],
+    }
 
 
 def _environment(dataset: Dataset) -> EnvSpec:

@@ -1,4 +1,4 @@
-"""The Allegro Hand on a seven-joint arm, a KUKA LBR iiwa 7 R800, beside the keyboard.
+"""Hands on a seven-joint arm, as the Allegro Hand, a KUKA LBR iiwa 7 R800, beside the keyboard.
 
 Figures of the arm from `iiwa7_allegro.urdf` in the PyPI package differentiable-robot-model 0.2.3
 (copyright Facebook, Inc. and its affiliates, MIT License): links, masses, inertias, joint limits,
@@ -18,7 +18,6 @@ from cadenza.hands.allegro import ALLEGRO
 from cadenza.hands.body import (
     IDENTITY,
     Actuator,
-    Body,
     Geom,
     Joint,
     Link,
@@ -26,6 +25,7 @@ from cadenza.hands.body import (
     Quaternion,
     Vector,
 )
+from cadenza.hands.hand import Hand
 from cadenza.hands.servo import Servo
 from cadenza.hands.shell import SLEEVE, Shell, ring
 
@@ -167,31 +167,6 @@ def _principal(moments: Vector, products: Vector) -> tuple[Vector, Quaternion]:
     return (a, b, c), (w, x, y, z)
 
 
-_HAND = [link for link in ALLEGRO.body.links if link.name != forearm.FOREARM]
-
-_BODY = Body(
-    links=(
-        *_arm(),
-        *(
-            replace(link, pos=_FLANGE_TO_PALM, quat=IDENTITY) if link.name == "palm" else link
-            for link in _HAND
-        ),
-    ),
-    actuators=(
-        *(
-            Actuator(joint, part.kp, _TORQUE, part.kv)
-            for joint, part in zip(_JOINTS, _PARTS, strict=True)
-        ),
-        *ALLEGRO.body.actuators,
-    ),
-    excluded=((_BASE, _LINKS[0]), *ALLEGRO.body.excluded),
-    mount=_MOUNT,
-    mirrored_masses=True,
-    armature=ALLEGRO.body.armature,
-    friction_loss=ALLEGRO.body.friction_loss,
-)
-
-
 # What the search for fingers, planners and learners need to know
 
 # The palm where that of a forearm at rest is: 13 cm above the table, fingers 11 degrees down.
@@ -199,16 +174,51 @@ _HOME = (1.5708, 1.0006, 0.0, -1.8316, 0.0, -1.0614, 0.0)
 # Which acceleration of a joint moves the hand by about 3 m/s^2.
 _ACCELERATION = (5.0, 5.0, 8.0, 8.0, 12.0, 12.0, 12.0)
 
-ARM_ALLEGRO = replace(
-    ALLEGRO,
-    name="arm-allegro",
-    body=_BODY,
-    servos={
+
+def on_arm(hand: Hand, pos: Vector, quat: Quaternion) -> Hand:
+    """A hand on the arm instead of a forearm, its palm on the flange at `pos` [m], turned."""
+    body = hand.body
+    links = [
+        replace(link, pos=pos, quat=quat) if link.parent == forearm.FOREARM else link
+        for link in body.links[1:]
+    ]
+    motors = [
+        Actuator(joint, part.kp, _TORQUE, part.kv)
+        for joint, part in zip(_JOINTS, _PARTS, strict=True)
+    ]
+    servos = {
         joint: Servo(
             rest, ease=0.15, acceleration=acceleration, stride=0.1, noise=0.005, correction=0.03
         )
         for joint, rest, acceleration in zip(_JOINTS, _HOME, _ACCELERATION, strict=True)
     }
-    | dict(ALLEGRO.servos),
-    start=dict(ALLEGRO.start) | dict(zip(_JOINTS, _HOME, strict=True)),
-)
+    return replace(
+        hand,
+        name=f"arm-{hand.name}",
+        body=replace(
+            body,
+            links=(*_arm(), *links),
+            actuators=(*motors, *body.actuators),
+            excluded=((_BASE, _LINKS[0]), *body.excluded),
+            mount=_MOUNT,
+            mirrored_masses=True,
+        ),
+        servos=servos | dict(hand.servos),
+        start=dict(hand.start) | dict(zip(_JOINTS, _HOME, strict=True)),
+    )
+
+
+def on_arm_as_on_forearm(hand: Hand) -> Hand:
+    """A hand on the arm that is at rest where a forearm would bring it."""
+    palms = [link for each in (ALLEGRO, hand) for link in each.body.links]
+    allegro, palm = (link for link in palms if link.parent == forearm.FOREARM)
+    back, turned, pos = np.zeros(4), np.zeros(4), np.zeros(3)
+    mujoco.mju_negQuat(back, np.array(allegro.quat))
+    mujoco.mju_mulQuat(turned, back, np.array(palm.quat))
+    mujoco.mju_rotVecQuat(pos, np.subtract(palm.pos, allegro.pos), back)
+    x, y, z = (pos + _FLANGE_TO_PALM).tolist()
+    w, i, j, k = turned.tolist()
+    return on_arm(hand, (x, y, z), (w, i, j, k))
+
+
+ARM_ALLEGRO = on_arm(ALLEGRO, _FLANGE_TO_PALM, IDENTITY)

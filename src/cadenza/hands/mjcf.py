@@ -20,6 +20,7 @@ from cadenza.errors import CadenzaError, quoted
 from cadenza.files import checked, content_of, read_json, sha256_of
 from cadenza.fingers import Side
 from cadenza.hands import forearm
+from cadenza.hands.arm_allegro import on_arm_as_on_forearm
 from cadenza.hands.body import (
     GEOM_TYPES,
     Actuator,
@@ -90,6 +91,7 @@ class Description(FileDescription):
     """The content of the TOML of a right hand."""
 
     left: FileDescription | None = None  # the left hand, if it is not the mirror image
+    mount: Literal["forearm", "arm"] = "forearm"  # what carries the palm
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,8 @@ def _read(path: Path, measured: Path, *_times: int) -> Hand:
     measurement, file = read_json(measured, Measurement), HandFile(path)
     if measurement.sha256 != file.sha256:
         raise CadenzaError(f"{path}: changed since; run cadenza hand measure {path}")
-    return file.hand(measurement)
+    hand = file.hand(measurement)
+    return on_arm_as_on_forearm(hand) if description_of(path).mount == "arm" else hand
 
 
 def description_of(path: Path) -> Description:
@@ -158,11 +161,13 @@ class HandFile:
         """Read and compile the files; raises CadenzaError if they are missing, or do not fit."""
         self._path, self._side = path, side
         content = description_of(path)
-        self.left = HandFile(path, "left") if side == "right" and content.left else None
+        if content.left and content.mount == "arm":
+            raise self.error("left: a hand on an arm is mirrored; leave it out")
         self.description = content.left if side == "left" and content.left else content
-        file = path.parent / self.description.file
-        self.sha256 = sha256_of(path, file, *([self.left.file] if self.left else []))
-        self.file, self._model = file, _compiled(file)
+        self.file = path.parent / self.description.file
+        self.left = HandFile(path, "left") if side == "right" and content.left else None
+        self.sha256 = sha256_of(path, self.file, *([self.left.file] if self.left else []))
+        self._model = _compiled(self.file)
         self._root = self._id("palm", mujoco.mjtObj.mjOBJ_BODY, self.description.palm)
         self._fixed = {
             self._id("fixed", mujoco.mjtObj.mjOBJ_JOINT, name): angle
@@ -417,6 +422,7 @@ class HandFile:
                 self._couplings[name] = Coupling(name, pulled, (float(low), float(high)))
             kp, kv = -model.actuator_biasprm[a, 1:3] * gear**2
             force = gear * model.actuator_forcerange[a, 1] if model.actuator_forcelimited[a] else 0
+            self._check_damped(joints, kv)
             yield self._actuator(name, float(kp), float(kv), float(force))
         for joint, name in self._joints.items():
             if joint in moved | following:
@@ -425,7 +431,16 @@ class HandFile:
                 raise self.error(
                     f"joint {name} has no actuator; give it one, or name it in follows or fixed"
                 )
+            self._check_damped([joint], 0.0)
             yield self._actuator(name, 0.0, 0.0, float(model.jnt_actfrcrange[joint, 1]))
+
+    def _check_damped(self, joints: list[int], kv: float) -> None:
+        damping = self._model.dof_damping[self._model.jnt_dofadr[joints]]
+        if self.description.damping is None and kv <= 0 and not damping.all():
+            name = self._joints[joints[0]]
+            raise self.error(
+                f"joint {name} has no damping; give damping [N m s/rad], kp / 25 or so"
+            )
 
     def _actuator(self, name: str, kp: float, kv: float, force: float) -> Actuator:
         kp = self.description.kp or kp

@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 _ABOVE = 0.003  # [m] that fingers stay above the keys if they do not press
 _TOLERANCE = 0.003  # [m]
+_SLOW = 0.07  # [s] damping by stiffness, from which the planner times no strikes
 _STEP = 0.0025  # [m] between the distances that are tried
 _STARTS = 3
 _LIGHT, _LIGHTEST = 3e-3, 3e-4  # [m] off for a servo that is at its ease from rest
@@ -227,6 +228,15 @@ class ReachMeasurement:
                 f"{1000 * towards:.0f} mm towards the player (presses at {1000 * aim:.0f})"
             )
 
+    def slow(self) -> Iterator[str]:
+        """Yield a line on each servo of a finger that keeps it from striking in time."""
+        servos = self._kinematics.servos
+        for name, finger, lag in zip(
+            servos.names, servos.finger, servos.damping / servos.stiffness, strict=True
+        ):
+            if finger >= 0 and lag > _SLOW:
+                yield f"{name} lags by {1000 * lag:.0f} ms, and strikes late; see damping and kp"
+
     def measure(self) -> dict[ReachField, Array]:
         """The fields of `Reach` that are measured.
 
@@ -355,7 +365,7 @@ class ReachMeasurement:
         return f"hand {self._name}: the fingers cannot all press at once: {'; '.join(off)}"
 
 
-def _beyond(values: Array, low: float, high: float) -> Array:
+def _beyond(values: Array, low: Array | float, high: float) -> Array:
     """How far values are beyond a range, below 0 under its lower end."""
     return values - np.clip(values, low, high)
 
