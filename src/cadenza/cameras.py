@@ -18,11 +18,14 @@ VIEWS = {
 others at the whole keyboard, or at the hands where a picture is too tall to be filled by it."""
 FIELD_OF_VIEW = 28.0  # of all of them, from the lower edge of the picture to the upper one [degree]
 
-_ROOM = np.array([1.0, 0.95])  # of width and height of the picture, that is for what it looks at
+_ROOM = np.array([0.97, 0.95])  # of width and height of the picture, that is for what it looks at
 _FILLED = 0.88  # of the height, at least, with what is around
+_LEAST_FILLED = 0.85  # or it turns
 _ALONG = 65  # points of a long edge, of which some are beside the picture
 _CLOSEST = 0.05  # [m] in front of the camera that is seen
 _ROUNDS = 8  # of fitting, after which nothing moves by a pixel
+_MAX_TURN = np.radians(70)  # around hands that are too far apart to fill a tall picture
+_HALVINGS = 11  # of it, down to .03 degrees
 
 
 def points_of_box(low: Any, high: Any, along: int = 2) -> Points:
@@ -49,34 +52,57 @@ class Camera:
 
     def __init__(self, view: str, aspect: float) -> None:
         """Look from a side; `aspect` is the width of the picture over its height."""
-        away = np.array(VIEWS[view]) / np.linalg.norm(VIEWS[view])
-        side = np.cross([0.0, 0.0, 1.0], away)
-        side /= np.linalg.norm(side)
-        self.axes = np.array([side, np.cross(away, side), away])
-        """(3, 3) its directions to the right, up, and away from what it looks at."""
+        self._from = np.array(VIEWS[view]) / np.linalg.norm(VIEWS[view])
         self._follows = view == "close"
         self._slope = np.tan(np.radians(FIELD_OF_VIEW) / 2) * np.array([aspect, 1.0])
+        self._turn(0.0)
+
+    def _turn(self, angle: float) -> None:
+        """Turn from the side of its view around what it looks at, by so much [rad]."""
+        (x, y, z), cos, sin = self._from, np.cos(angle), np.sin(angle)
+        away = np.array([cos * x - sin * y, sin * x + cos * y, z])
+        side = np.array([-away[1], away[0], 0.0]) / np.hypot(away[0], away[1])
+        self.axes = np.array([side, np.cross(away, side), away])
+        """(3, 3) its directions to the right, up, and away from what it looks at."""
 
     def place(self, whole: Sight, hands: Sight) -> tuple[Points, float]:
         """Place the camera so that what it looks at fills the picture.
 
-        Returns the point (3,) in the middle of the picture [m], and how far it is [m].
+        Where hands are too far apart to fill a tall one, it turns as far as it has to. Returns the
+        point (3,) in the middle of the picture [m], and how far it is [m].
 
         Args:
             whole: what it looks at from afar.
             hands: what it looks at close by, and has to show.
         """
-        sight = hands if self._follows else whole
-        target, distance = self._fit(sight.shown)
-        too_tall = not self._follows and self._height(sight, target, distance) < _FILLED
-        if too_tall:
-            sight = hands
-            target, nearest = self._fit(sight.shown)
+        self._turn(0.0)
+        sight, (target, distance) = whole, self._fit(whole.shown)
+        nearest = distance
+        if self._follows or self._height(whole, target, distance) < _FILLED:
+            sight, (target, nearest) = hands, self._fit_turning(hands)
+        if self._follows:
+            distance = nearest
         for _ in range(_ROUNDS):
-            if too_tall:
+            if distance > nearest:
                 filled = self._height(sight, target, distance)
                 distance = max(nearest, distance * filled / _FILLED)
             target = target + self._shift(sight, target, distance)
+        return target, distance
+
+    def _fit_turning(self, sight: Sight) -> tuple[Points, float]:
+        """Fit what is seen, turned as little as fills the height of the picture."""
+        target, distance = self._fit(sight.shown)
+        if self._height(sight, target, distance) >= _LEAST_FILLED:
+            return target, distance
+        low, high = 0.0, _MAX_TURN
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            self._turn(middle)
+            target, distance = self._fit(sight.shown)
+            if self._height(sight, target, distance) < _LEAST_FILLED:
+                low = middle
+            else:
+                high = middle
         return target, distance
 
     def _shift(self, sight: Sight, target: Points, distance: float) -> Points:

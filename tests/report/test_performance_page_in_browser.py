@@ -23,7 +23,6 @@ from cadenza.scene.scene import build_scene
 from headless import Browser, needs_chromium
 
 pytestmark = needs_chromium
-NEARER = -0.05, 0.05  # [m] of hands that are far apart
 DATA = Path(__file__).parents[1] / "data"
 
 
@@ -543,14 +542,15 @@ def test_on_a_narrow_screen_settings_break_at_separators(browser, tmp_path, epis
     assert browser.evaluate("document.querySelector('tr').offsetHeight") < 2 * 21  # one line
 
 
-def recorded_scale() -> Episode:
+def recorded_scale(apart: float = 0.0) -> Episode:
+    """Each hand is moved so far away from the other [m]."""
     scene = build_scene(SceneConfig(reduced_action_space=True))
     recorded = np.load(DATA / "episode_d.npz", allow_pickle=False)
     steps = len(recorded["action"])
     wanted = ("action", "hand_qpos", "key_qpos", "key_activation", "sustain_activation")
     arrays = {name: recorded[name] for name in (*wanted, "reward_total")}
     arrays |= {"goal_keys": recorded["key_activation"], "goal_sustain": np.zeros(steps, bool)}
-    arrays["hand_qpos"][:, scene.slide_joints] += NEARER
+    arrays["hand_qpos"][:, scene.slide_joints] += apart, -apart
     return Episode("scale", 0.05, arrays, drawing(scene))
 
 
@@ -626,8 +626,9 @@ EMPTY = """(([view, width, height, time, falling]) => {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("falling", [False, True])
-def test_piano_or_hands_fill_a_picture_of_any_shape(browser, write, falling):
-    browser.open(write(recorded_scale()))
+@pytest.mark.parametrize("apart", [-0.05, 0.1])
+def test_piano_or_hands_fill_a_picture_of_any_shape(browser, write, falling, apart):
+    browser.open(write(recorded_scale(apart)))
     for view in VIEWS:
         for shape in ((320, 180), (180, 320), (240, 180), (240, 240)):
             for time in (0.2, 5):

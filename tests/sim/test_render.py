@@ -1,5 +1,6 @@
 """Pictures of the scene, where this machine can draw."""
 
+import itertools
 from contextlib import closing
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from cadenza.scene.scene import build_scene
 from cadenza.sim.render import Picture, Renderer
 
 SHAPES = (160, 90), (90, 160), (160, 120), (120, 120)
-NEARER = -0.05, 0.05  # [m] of hands that are far apart
+APART = -0.05, 0.05  # [m] that each hand is moved away from the other
 DATA = Path(__file__).parents[1] / "data"
 
 
@@ -36,13 +37,13 @@ def test_pictures_that_make_no_sense_are_refused(picture, problem):
 def test_piano_or_hands_fill_a_picture_of_any_shape(view, shape):
     scene = build_scene(SceneConfig(reduced_action_space=True))
     recorded = np.load(DATA / "episode_d.npz", allow_pickle=False)
-    hands = recorded["hand_qpos"].copy()
-    hands[:, scene.slide_joints] += NEARER
     tips = scene.model.site_bodyid[scene.fingertip_sites]
     with closing(Renderer(scene, Picture(*shape, view))) as renderer:
-        for row in (0, 70, 140):
+        for row, apart in itertools.product((0, 70, 140), APART):
             keys, silent = recorded["key_qpos"][row], np.zeros(88, bool)
-            renderer.frame(hands[row], keys, silent, silent)
+            hands = recorded["hand_qpos"][row].copy()
+            hands[scene.slide_joints] += apart, -apart
+            renderer.frame(hands, keys, silent, silent)
             bodies, is_floor = bodies_seen(renderer)
             for across in (0, 1):
                 filled = np.flatnonzero(~is_floor.all(axis=across))

@@ -40,7 +40,7 @@ _ENDING = ".mp4"
 _MIN_SIDE, _MAX_SIDE = 64, 2160  # [px]
 _TALL = 1.2  # height over width from which the camera follows the hands by default
 _RINGING = 1.0  # [s] that the last notes of the whole may ring on
-_PATIENCE = 120.0  # [s] with a browser that sends nothing
+_PATIENCE = 300.0  # [s] with a browser that sends nothing
 _NAMES = (
     *("google-chrome", "google-chrome-stable", "chromium", "chromium-browser", "chrome"),
     *("microsoft-edge", "msedge"),
@@ -179,7 +179,7 @@ def _draw(
 ) -> None:
     """Have a browser draw the film that is asked for, and send it into a file, without sound.
 
-    Raises CadenzaError if the browser ends, sends nothing for two minutes, or cannot draw.
+    Raises CadenzaError if the browser ends, sends nothing for five minutes, or cannot draw.
     """
     token, events = secrets.token_urlsafe(16), queue.Queue[tuple[str, ...]]()
     allowed = page.replace(_POLICY, f"{_POLICY} connect-src 'self';", 1)  # to send its film here

@@ -171,7 +171,8 @@ def _free_camera(model: mujoco.MjModel) -> mujoco.MjvCamera:
     return mujoco.MjvCamera()
 
 
-_AROUND = 0.02 * np.concatenate([np.eye(3), -np.eye(3)])  # [m], of the middles of bodies of hands
+_AROUND = np.concatenate([np.eye(3), -np.eye(3)])
+_PALM, _TIP = 0.035, 0.02  # [m] from the middles of bodies of hands to their edges, about
 
 
 class _View:
@@ -184,6 +185,7 @@ class _View:
         data.qpos[scene.hand_qpos] = scene.hand_start
         mujoco.mj_kinematics(model, data)
         self._hands = np.union1d(model.site_bodyid[scene.fingertip_sites], scene.palm_bodies)
+        self._sizes = np.where(np.isin(self._hands, scene.palm_bodies), _PALM, _TIP)
         hung = ~np.isin(model.body_parentid[scene.hand_bodies], scene.hand_bodies)
         self._roots = scene.hand_bodies[hung]
         low, high = case_bounds(scene.keyboard)
@@ -192,14 +194,17 @@ class _View:
         ends = (near[0], low[1], near[2]), (far[0], high[1], far[2])
         self._whole = Sight(points_of_box(*ends), self._around(data))
 
+    def _shown(self, data: mujoco.MjData) -> Points:
+        bodies = data.xpos[self._hands, None] + self._sizes[:, None, None] * _AROUND
+        return bodies.reshape(-1, 3)
+
     def _around(self, data: mujoco.MjData) -> Points:
-        ends = (data.xpos[self._roots, None] + _AROUND[2::3]).reshape(-1, 3)
+        ends = (data.xpos[self._roots, None] + _TIP * _AROUND[2::3]).reshape(-1, 3)
         return np.concatenate([self._case, ends])
 
     def aim(self, camera: mujoco.MjvCamera, data: mujoco.MjData) -> None:
         """Place a free camera as the hands are."""
-        shown = (data.xpos[self._hands, None] + _AROUND).reshape(-1, 3)
-        hands = Sight(shown, self._around(data))
+        hands = Sight(self._shown(data), self._around(data))
         camera.lookat[:], camera.distance = self._camera.place(self._whole, hands)
         x, y, z = self._camera.axes[2]
         camera.azimuth, camera.elevation = np.degrees([np.arctan2(-y, -x), -np.arcsin(z)])

@@ -1,10 +1,13 @@
 // Where a camera stands so that what it looks at fills the picture, as `cadenza.cameras` has it.
 
 const FIELD_OF_VIEW = 28; // [degree]
-const MARGINS = [1, 0.95]; // of width and height of the picture, that is for what it looks at
+const MARGINS = [0.97, 0.95]; // of width and height of the picture, that is for what it looks at
 const FILLED = 0.88; // of the height, at least, with what is around
+const LEAST_FILLED = 0.85; // or it turns
 const CLOSEST = 0.05; // [m] in front of the camera that is seen
 const ROUNDS = 8; // of fitting, after which nothing moves by a pixel
+const MAX_TURN = (70 * Math.PI) / 180; // around hands that are too far apart to fill a tall picture
+const HALVINGS = 11; // of it, down to .03 degrees
 const ALONG = 65; // points of a long edge, of which some are beside the picture
 
 /** So many points on each long edge of a box. */
@@ -18,18 +21,24 @@ const outlineOf = (box) => pointsOf(box, ALONG).filter(({ x, z }) => x < box.max
 
 /**
  * Places a camera that stands in the direction `away` in a picture of some aspect, and returns what
- * is in the middle of the picture and how far it is [m]. It looks at the points `shown` of `whole`,
- * or of `hands` if it is `close` or the picture would not be filled, also by the points `around`.
+ * is in the middle of the picture, how far it is [m], and the direction: turned, where hands would
+ * not fill a tall picture while they are farthest apart (`widest`). It looks at the points `shown`
+ * of `whole`, or of `hands` if it is `close` or the picture would not be filled, also by the points
+ * `around`.
  */
-function placed(away, aspect, close, whole, hands) {
-  const side = new THREE.Vector3(0, 0, 1).cross(away).normalize(), axes = [side, away.clone().cross(side)];
-  const slope = Math.tan((FIELD_OF_VIEW * Math.PI) / 360), slopes = [aspect * slope, slope];
-  const at = new THREE.Vector3(), target = new THREE.Vector3();
-  let distance = 1;
+function placed(away, aspect, close, whole, hands, widest) {
+  const slope = Math.tan((FIELD_OF_VIEW * Math.PI) / 360), slopes = [aspect * slope, slope], up = new THREE.Vector3(0, 0, 1);
+  const at = new THREE.Vector3(), target = new THREE.Vector3(), towards = new THREE.Vector3();
+  let distance = 1, axes;
+  function turn(angle) {
+    towards.copy(away).applyAxisAngle(up, angle);
+    const side = up.clone().cross(towards).normalize();
+    axes = [side, towards.clone().cross(side)];
+  }
   /** Where a point is in the picture, which reaches from -1 to 1 both ways. */
   function seen(point) {
     at.copy(point).sub(target);
-    const depth = Math.max(distance - at.dot(away), CLOSEST);
+    const depth = Math.max(distance - at.dot(towards), CLOSEST);
     return axes.map((axis, i) => at.dot(axis) / depth / slopes[i]);
   }
   const between = (places, i) => [Math.min(...places.map((place) => place[i])), Math.max(...places.map((place) => place[i]))];
@@ -63,15 +72,29 @@ function placed(away, aspect, close, whole, hands) {
       return Math.min(Math.max(shift, Math.min(last - 1, 0)), Math.max(first + 1, 0));
     }));
   }
-  let sight = close ? hands : whole;
-  fit(sight.shown);
-  const afar = distance, isTooTall = !close && filled(sight) < FILLED;
-  if (isTooTall) sight = hands;
-  const nearest = isTooTall ? fit(sight.shown) : distance;
-  distance = afar;
+  /** Turns as little as fills the height of the picture. */
+  function turnToFill(sight) {
+    let low = 0, high = MAX_TURN;
+    const isFilled = (angle) => (turn(angle), fit(sight.shown), filled(sight) >= LEAST_FILLED);
+    if (isFilled(0)) return;
+    for (let halving = 0; halving < HALVINGS; halving++) {
+      const middle = (low + high) / 2;
+      if (isFilled(middle)) high = middle;
+      else low = middle;
+    }
+  }
+  turn(0);
+  let sight = whole;
+  const afar = fit(whole.shown);
+  if (close || filled(whole) < FILLED) {
+    sight = hands;
+    turnToFill(widest);
+  }
+  const nearest = sight === hands ? fit(hands.shown) : afar;
+  distance = close ? nearest : afar;
   for (let round = 0; round < ROUNDS; round++) {
-    if (isTooTall) distance = Math.max(nearest, (distance * filled(sight)) / FILLED);
+    if (distance > nearest) distance = Math.max(nearest, (distance * filled(sight)) / FILLED);
     settle(sight);
   }
-  return { target, distance };
+  return { target, distance, towards };
 }

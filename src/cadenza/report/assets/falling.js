@@ -2,8 +2,8 @@
 // arrive in the colour of their hand and with the number of their finger, or grey if these are not
 // known; then in the colour of what became of them.
 
-const TRACK = { ahead: 2.4, past: 0.35, speed: 0.075, slope: 0.5 }; // [s], [s], [m/s], [rad]
-const TRACK_LENGTH = (TRACK.ahead + TRACK.past) * TRACK.speed;
+const TRACK = { ahead: 2.4, past: 0.35, slope: 0.5 }; // [s], [s], [rad]
+const SHORTEST_TRACK = 0.2, LONGEST_TRACK = 2; // [m]; in tall pictures it is longer, and notes are faster
 // Of notes on white and on black keys: of the right hand, of the left, of an unknown one.
 const COMING_NOTES = [[0x9db8f5, 0x6f8fe0], [0xf0b0d4, 0xc777a9], [0xcdd4e0, 0x8d97a8]];
 // Numbers from 1 on, made of strokes: the middle upwards and to the right, the length, whether it stands.
@@ -31,16 +31,19 @@ function createFallingNotes(data, keys, keyboard, colours) {
   const track = new THREE.Group();
   track.position.set(keyboard.min.x - 0.012, 0, keyboard.max.z + 0.016);
   track.quaternion.setFromAxisAngle(new THREE.Vector3(0, 1, 0), Math.PI + TRACK.slope); // x is away
+  let speed, length; // [m/s], [m]
   const [left, right] = [keyboard.min.y - 0.015, keyboard.max.y + 0.015];
-  const strip = (from, length, colour, height) => {
-    const solid = mesh("box", [length / 2, (right - left) / 2, 0.001], { colour: new THREE.Color(colour), roughness: 0.8 });
-    solid.position.set(from + length / 2, (left + right) / 2, height);
+  const [ground, line] = [0x15171b, 0xd5dbe6].map((colour) => {
+    const solid = mesh("box", [0.5, (right - left) / 2, 0.001], { colour: new THREE.Color(colour), roughness: 0.8 });
     solid.castShadow = false;
     solid.userData.order = 0.5;
     track.add(solid);
-  };
-  strip(0, TRACK_LENGTH, 0x15171b, 0.004);
-  strip(TRACK.past * TRACK.speed - 0.001, 0.002, 0xd5dbe6, 0.0025);
+    return solid;
+  });
+  function lay(solid, from, long, height) {
+    solid.scale.x = long;
+    solid.position.set(from + long / 2, (left + right) / 2, height);
+  }
 
   const coming = COMING_NOTES.map((colours) => colours.map((colour) => new THREE.Color(colour)));
   const ink = new THREE.Color(0x10141c);
@@ -67,7 +70,7 @@ function createFallingNotes(data, keys, keyboard, colours) {
   const solids = pool(0.6), strokes = pool(0.7);
 
   function put({ key, from, to }, start, end, now, colour) {
-    const solid = solids.next(), x = (time) => (time - now + TRACK.past) * TRACK.speed;
+    const solid = solids.next(), x = (time) => (time - now + TRACK.past) * speed;
     const near = x(Math.max(from, start)), far = x(Math.min(to, end));
     solid.scale.set(Math.max(far - near - 0.001, 5e-4), keys[key].black ? 0.009 : 0.013, 0.003);
     solid.position.set((near + far) / 2, keys[key].pos[1], keys[key].black ? -0.001 : 0);
@@ -91,8 +94,14 @@ function createFallingNotes(data, keys, keyboard, colours) {
   let numbered = null; // the fingers that notes have; in the studio they come later
   return {
     track,
-    /** How far the track goes back and up [m]. */
-    end: [TRACK_LENGTH * Math.cos(TRACK.slope), TRACK_LENGTH * Math.sin(TRACK.slope)],
+    /** Has the track be so long [m], if it may; returns how far it goes back and up [m]. */
+    extend(wished) {
+      length = Math.min(Math.max(wished, SHORTEST_TRACK), LONGEST_TRACK);
+      speed = length / (TRACK.ahead + TRACK.past);
+      lay(ground, 0, length, 0.004);
+      lay(line, TRACK.past * speed - 0.001, 0.002, 0.0025);
+      return [length * Math.cos(TRACK.slope), length * Math.sin(TRACK.slope)];
+    },
     move(time) {
       if (numbered !== data.fingers) addFingers(goal, data);
       numbered = data.fingers;

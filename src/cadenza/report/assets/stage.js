@@ -4,6 +4,7 @@
 /** From where cameras look, by their names: as the buttons have it from `cadenza.cameras`. */
 const VIEWS = Object.fromEntries([...document.querySelectorAll("[data-view]")].map(({ dataset: { view, from } }) => [view, from.split(" ").map(Number)]));
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
+const DEPTH = 0.4; // [m] of keyboard and forearms as cameras see them, about; a picture may leave more to falling notes
 const FADED = 0.28; // opacity of a palm while it hides a key that sounds
 const ALONG_KEY = [-0.4, 0, 0.4, 0.8]; // halves of a key's length from its middle; half of these are to be seen
 const FADING = 0.15, APPEARING = 0.8; // [s] that a palm takes to fade, and to be solid again
@@ -96,23 +97,30 @@ function createStage(canvas, data, colours) {
   controls.addEventListener("start", () => { view = null; });
 
   const outline = outlineOf(piano), follow = createFollower(data), away = new THREE.Vector3();
-  /** What cameras look at from afar, the keys in use and all that hands reach, and close by, the hands now. */
+  /** What cameras look at: from afar, the keys in use and all that hands reach; close by, the hands now; and these as far apart as they get. */
   function sights() {
-    const { left, right, rear, reach, height } = follow(Math.max(shown, 0)), whole = keyboard.clone().union(reach);
+    const { left, right, rear, reach, height, widest } = follow(Math.max(shown, 0)), whole = keyboard.clone().union(reach);
     const [low, high] = inUse.map((key) => parts.keys[key].pos[1]);
     [whole.min.y, whole.max.y] = [Math.min(low - 0.015, reach.min.y), Math.max(high + 0.015, reach.max.y)];
-    if (falling.track.visible) whole.expandByPoint(new THREE.Vector3(falling.track.position.x - falling.end[0], 0, falling.track.position.z + falling.end[1]));
-    if (reach.isEmpty()) return [whole, whole].map((box) => ({ shown: pointsOf(box), around: outline }));
-    const hands = new THREE.Box3(reach.min.clone().setY(left), reach.max.clone().setY(right));
+    const around = [...outline];
+    if (falling.track.visible) {
+      const wide = view === "close" ? widest : whole.max.y - whole.min.y, { x, z } = falling.track.position;
+      const [back, up] = falling.extend(VIEWS[view][0] > 0 ? wide / camera.aspect - DEPTH : 0), end = new THREE.Vector3(x - back, 0, z + up);
+      whole.expandByPoint(end);
+      around.push(...pointsOf({ min: end.clone().setY(keyboard.min.y), max: end.clone().setY(keyboard.max.y) }, ALONG));
+    }
+    if (reach.isEmpty()) return [whole, whole, whole].map((box) => ({ shown: pointsOf(box), around }));
+    const between = (from, to) => new THREE.Box3(reach.min.clone().setY(from), reach.max.clone().setY(to));
+    const middle = (left + right) / 2, farthest = between(middle - widest / 2, middle + widest / 2);
     const ends = [left + HALF_HAND, right - HALF_HAND].flatMap((y) => [-THICK, THICK].map((z) => new THREE.Vector3(rear, y, height + z)));
-    return [whole, hands].map((box) => ({ shown: pointsOf(box), around: [...outline, ...ends] }));
+    return [whole, between(left, right), farthest].map((box) => ({ shown: pointsOf(box), around: [...around, ...ends] }));
   }
 
   /** Looks from a named side, as near as keeps in sight what is looked at. */
   function place() {
     away.set(...VIEWS[view]).normalize();
-    const { target, distance } = placed(away, camera.aspect, view === "close", ...sights());
-    camera.position.copy(target).addScaledVector(away, distance);
+    const { target, distance, towards } = placed(away, camera.aspect, view === "close", ...sights());
+    camera.position.copy(target).addScaledVector(towards, distance);
     controls.target.copy(target);
     controls.update();
     stale = true;
@@ -231,8 +239,8 @@ const HALF_HAND = 0.07, THICK = 0.02; // [m] half as wide as a hand; around the 
 /**
  * Returns what says of a time [s] where the hands' `left` and `right` edges are along the keyboard [m]
  * and where they end at the `rear`, smoothed; of a hand that has reached no key that sounds, nothing,
- * if another has. Also the box that fingers and palms reach at any time, empty without hands, and the
- * `height` of their rear end.
+ * if another has. Also the box that fingers and palms reach at any time, empty without hands, how far
+ * the edges are from each other at the `widest`, and the `height` of their rear end.
  */
 function createFollower(data) {
   const { scene, jointsAt, states, dt, steps } = data, hands = createHands(scene.skeleton), at = new THREE.Vector3();
@@ -244,7 +252,7 @@ function createFollower(data) {
   const edges = tips.map(() => ({ left: [], right: [], rear: [], plays: false }));
   const reach = new THREE.Box3();
   const place = (body) => at.setFromMatrixPosition(hands.bodies[body].matrixWorld);
-  let count = 0, height = 0;
+  let count = 0, height = 0, widest = 0;
   /** Takes notice of a pose. */
   function sample() {
     const time = count++ * SAMPLES, { row } = rowAt(time, dt, steps), now = new THREE.Box3();
@@ -275,14 +283,16 @@ function createFollower(data) {
   }
   return (time) => {
     const end = Math.min(data.available ?? Infinity, steps * dt); // of what has come
+    const isNew = count * SAMPLES <= end;
     while (count * SAMPLES <= end) sample();
     const playing = edges.some(({ plays }) => plays) ? edges.filter(({ plays }) => plays) : edges;
+    if (isNew) widest = Math.max(...Array.from({ length: count }, (_, i) => Math.max(...playing.map(({ right }) => right[i])) - Math.min(...playing.map(({ left }) => left[i]))));
     const { row, next, blend } = rowAt(time, SAMPLES, count);
     const edge = (side, choose) => {
       const [from, to] = [row, next].map((middle) => around(middle, side, choose, playing));
       return from + blend * (to - from);
     };
-    return { left: edge("left", Math.min) - THICK, right: edge("right", Math.max) + THICK, rear: edge("rear", Math.min), reach, height };
+    return { left: edge("left", Math.min) - THICK, right: edge("right", Math.max) + THICK, rear: edge("rear", Math.min), reach, height, widest: widest + 2 * THICK };
   };
 }
 
