@@ -68,7 +68,6 @@ def test_killed_and_resumed_and_two_at_once(folder):
     assert before.items() <= after.items()
     assert len(kept(folder / "out")) == 8
     assert not list((folder / "out").rglob(f"{TEMPORARY}*"))
-    main(["dataset", "check", "out", "--replays", "2"])
 
 
 @pytest.mark.slow
@@ -101,7 +100,6 @@ def test_an_episode_is_played_again_to_a_page(folder, capsys):
         (("collect", "--setup", "arm-allegro"), "needs hands that slide along the keyboard"),
         (("collect", "--hands", "none"), "no hands"),
         (("info", "songs"), "holds no demonstrations"),
-        (("check", "songs"), "holds no demonstrations"),
         (("play", "songs", "0"), "holds no demonstrations"),
         (("export", "songs", "-o", "new"), "holds no demonstrations"),
     ],

@@ -15,7 +15,6 @@ from cadenza.demonstrations.recorded_episode import (
     played_actions,
     read_facts,
 )
-from cadenza.demonstrations.replay import differences
 from cadenza.evaluation.collecting.collect import PERFORMANCES, episodes, is_complete, record
 from cadenza.evaluation.collecting.variation import Variation, excerpt
 from cadenza.evaluation.results import FAILED, RUNS
@@ -26,7 +25,7 @@ from cadenza.music.score import Note, Score
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import DomainRandomization
 from cadenza.tasks.piano_task import PianoTask
-from demonstrations.made import SCORE, collected, demonstrator, jobs
+from demonstrations.made import SCORE, collected, demonstrator, differences, jobs
 
 BUT_STRIKES = 0.01  # [m, rad] of the median control, which strikes hardly change
 
@@ -34,7 +33,7 @@ BUT_STRIKES = 0.01  # [m, rad] of the median control, which strikes hardly chang
 def test_what_was_played_is_played_again_bit_for_bit(made):
     scene = build_scene()
     for episode in kept(made):
-        assert differences(episode, scene) == {}
+        assert differences(episode, scene) == set()
 
 
 def test_randomized_episodes_are_played_again_bit_for_bit(tmp_path):
@@ -43,7 +42,7 @@ def test_randomized_episodes_are_played_again_bit_for_bit(tmp_path):
     )
     collected(tmp_path / "a", Variation(), 2, randomization=randomization)
     for episode in kept(tmp_path / "a"):
-        assert differences(episode, build_scene()) == {}
+        assert differences(episode, build_scene()) == set()
         other = replace(episode.facts.task.randomization, seed=1)
         facts = replace(episode.facts, task=replace(episode.facts.task, randomization=other))
         assert "hand_qpos" in differences(replace(episode, facts=facts), build_scene())

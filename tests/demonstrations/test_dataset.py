@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cadenza.demonstrations.checking import summarize
 from cadenza.demonstrations.dataset import Dataset, kept, open_dataset
 from cadenza.demonstrations.recorded_episode import played_actions
+from cadenza.demonstrations.summary import summarize
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.collecting.variation import Variation
 from demonstrations.made import collected

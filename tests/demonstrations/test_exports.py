@@ -15,12 +15,12 @@ from cadenza.cli import main
 from cadenza.demonstrations import lerobot_export, minari_export
 from cadenza.demonstrations.dataset import Dataset, open_dataset
 from cadenza.demonstrations.recorded_episode import played_actions
-from cadenza.demonstrations.replay import task_of
 from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.collecting.variation import Variation
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
+from cadenza.performing.replaying import task_of
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.render import Picture
 from cadenza.tasks.config import DomainRandomization

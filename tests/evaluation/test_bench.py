@@ -1,6 +1,5 @@
 """Tests of runs of a bench that finish, fail, crash, end early, or belong to others."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -202,33 +201,3 @@ def test_a_song_that_has_changed_since_is_told(jobs, tmp_path):
     write_midi(Score((Note(0.0, 0.2, 62),)), tmp_path / "songs" / "song.mid")
     state, _ = carried_out(planned, tmp_path)
     assert "has other notes here and now" in next(iter(state.failed.values()))
-
-
-def test_pages_of_finished_runs_are_made_from_their_files(jobs, tmp_path):
-    (job,) = jobs("random", random_stretch=0.5)
-    paged = replace(job, page=True)
-    carried_out([job], tmp_path / "a")
-    (result,) = read_results(tmp_path / "a").results
-    files = {path.name: path.read_bytes() for path in result.folder.iterdir()}
-    assert carried_out([paged], tmp_path / "a")[0].finished == 1
-    assert carried_out([paged], tmp_path / "a")[1] == []
-    (again,) = read_results(tmp_path / "a").results
-    assert (again.folder / "report.html").exists()
-    assert (again.metrics, again.timing) == (result.metrics, result.timing)
-    assert {name: (result.folder / name).read_bytes() for name in files} == files
-
-    carry_out(paged, tmp_path / "b", num_threads=1)
-    pages = [(run / "report.html").read_text() for run in (result.folder, tmp_path / "b")]
-    assert len(pages[0]) > 300_000
-    made, saved = (re.sub(r"<th[^>]*>(Planning|Playing)</th><td>.*?</td>", "", p) for p in pages)
-    assert made == saved
-
-
-def test_a_run_of_which_no_page_can_be_made_keeps_its_result(jobs, tmp_path):
-    (job,) = jobs("zero")
-    carried_out([job], tmp_path)
-    run = tmp_path / "runs" / job.spec.name
-    (run / "episode.npz").write_text("")
-    assert carried_out([replace(job, page=True)], tmp_path)[0].finished == 1
-    assert "episode.npz" in (run / "log.txt").read_text()
-    assert len(read_results(tmp_path).results) == 1

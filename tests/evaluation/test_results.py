@@ -7,8 +7,8 @@ import pytest
 
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.jobs import BenchJob, Contender, JobSpec, bench_jobs, songs_of
-from cadenza.evaluation.results import read_results, write_plan
-from cadenza.evaluation.run import carry_out, is_complete
+from cadenza.evaluation.results import is_finished, read_results, write_plan
+from cadenza.evaluation.run import carry_out
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.libraries.library import find_song
 from cadenza.music.libraries.songs import Library
@@ -81,9 +81,9 @@ def test_a_run_whose_result_is_corrupt_is_carried_out_again(tmp_path, text):
     run = tmp_path / job().spec.name
     run.mkdir()
     (run / "result.json").write_text(text)
-    assert not is_complete(job(), run)
+    assert not is_finished(run)
     carry_out(job(), run, num_threads=1)
-    assert is_complete(job(), run)
+    assert is_finished(run)
 
 
 def test_what_is_not_of_this_format_is_told(tmp_path, finished):

@@ -64,7 +64,6 @@ COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
     "hand measure": (hand.MeasureHand, hand.measure),
     "dataset collect": (dataset.Collect, dataset.collect),
     "dataset info": (dataset.DatasetInfo, dataset.info),
-    "dataset check": (dataset.DatasetCheck, dataset.check),
     "dataset play": (dataset.DatasetPlay, dataset.play),
     "dataset export": (dataset.DatasetExport, dataset.export),
     "generalist clone": (generalist.CloneGeneralist, generalist.clone),

@@ -48,14 +48,15 @@ class Bench(Options):
     num_steps: int | None = None
     """Environment steps of train:PRESET. By default those of the preset."""
     pages: Literal["first-seed", "all", "none"] = "first-seed"
-    """Which runs leave a page to watch and hear; made later too, without playing again."""
+    """Which runs leave a page to watch and hear."""
     execution: Flat[Execution] = field(default_factory=Execution)
     quiet: Quiet = False
 
 
 def run(command: Bench, read: Read[Bench]) -> None:
     from cadenza.evaluation.jobs import bench_jobs
-    from cadenza.evaluation.run import carry_out, is_complete
+    from cadenza.evaluation.results import is_finished
+    from cadenza.evaluation.run import carry_out
     from cadenza.music.libraries.library import open_library
 
     agents, seeds = _agents(command), _seeds(command.seeds)
@@ -75,7 +76,8 @@ def run(command: Bench, read: Read[Bench]) -> None:
     trains = any(job.spec.training is not None for job in jobs)
     until = "a checkpoint of the runs that train" if trains else "ending the runs under way"
     results = ["cadenza", "results", str(command.output)]
-    run_all(command, jobs, Work(carry_out, is_complete, _result, until, results))
+    work = Work(carry_out, lambda _, folder: is_finished(folder), _result, until, results)
+    run_all(command, jobs, work)
 
 
 def _agents(command: Bench) -> list[str]:
@@ -185,12 +187,10 @@ def _trained(command: Bench, read: Read[Bench], agent: str) -> Contender:
     return Contender(agent, own.task, own.scene, config)
 
 
-def _result(folder: Path, job: BenchJob) -> str:
+def _result(folder: Path, _: BenchJob) -> str:
     """Return a line on a run that has finished."""
-    from cadenza.evaluation.results import PAGE, read_result
+    from cadenza.evaluation.results import read_result
 
     result = read_result(folder)
-    lacks_page = job.page and not (result.folder / PAGE).exists()
-    no_page = "; no page, see log.txt" if lacks_page else ""
     f1, onsets = (result.metrics.get(name) for name in ("f1", "note_onset_f1"))
-    return f"F1 {f1:.3f}, note onsets F1 {onsets:.3f}, {result.timing.wall_seconds:.0f} s{no_page}"
+    return f"F1 {f1:.3f}, note onsets F1 {onsets:.3f}, {result.timing.wall_seconds:.0f} s"

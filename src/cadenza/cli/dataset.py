@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -135,40 +134,9 @@ class DatasetInfo:
 
 
 def info(command: DatasetInfo) -> None:
-    from cadenza.demonstrations.checking import summarize
+    from cadenza.demonstrations.summary import summarize
 
     print(*summarize(command.folder), sep="\n")
-
-
-@dataclass(frozen=True)
-class DatasetCheck(RecordedParts):
-    """Look for damage in a folder of demonstrations, and play some episodes again.
-
-    Example: cadenza dataset check demonstrations
-    """
-
-    folder: tyro.conf.Positional[Path]
-    """Folder of the demonstrations."""
-    replays: int = 3
-    """How many episodes are played again and compared with what was recorded."""
-    quiet: Quiet = False
-
-
-def check(command: DatasetCheck) -> None:
-    """Print what is wrong with a dataset, and raise a CadenzaError if anything is."""
-    from tqdm import tqdm
-
-    from cadenza.demonstrations.checking import problems
-
-    whole_number(command.replays, "replays", 0, _MAX_EPISODES)
-    count = 0
-    with progress("checking", "episodes") as advance:
-        for problem in problems(command.folder, command.replays, advance):
-            tqdm.write(problem, file=sys.stderr)  # at once: the rest may be stopped
-            count += 1
-    if count:
-        raise CadenzaError(f"{command.folder}: {counted(count, 'problem')}")
-    print(f"{command.folder}: nothing is wrong")
 
 
 @dataclass(frozen=True)

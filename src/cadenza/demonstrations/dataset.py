@@ -6,7 +6,7 @@ dataset = open_dataset("demonstrations")
 batch = dataset.batch(dataset.sample(np.random.default_rng(0), 256), lookahead=10)
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
@@ -287,11 +287,9 @@ def check_rows(episode: RecordedEpisode, name: str, array: Array, kind: np.dtype
         )
 
 
-def wrong_values(episode: RecordedEpisode, scene: Scene) -> Iterator[str]:
-    """Yield a line for each array of an episode with impossible values.
-
-    Raises CadenzaError if an array has other rows than it should have.
-    """
+def check_values(episode: RecordedEpisode, scene: Scene) -> None:
+    """Read all of an episode's arrays; raises CadenzaError if one is not as it was written."""
+    episode.check_files((STEPS, PLAN))
     for name, array, kind in (
         (STEPS, episode.steps, steps_type(scene)),
         (PLAN, episode.plan, plan_type(scene)),
@@ -299,7 +297,7 @@ def wrong_values(episode: RecordedEpisode, scene: Scene) -> Iterator[str]:
         check_rows(episode, name, array, kind)
         for field in array.dtype.names or ():
             if not np.isfinite(array[field]).all():
-                yield f"{episode.folder / name}: {field} is not finite; {MAKE_AGAIN}"
+                raise CadenzaError(f"{episode.folder / name}: {field} is not finite; {MAKE_AGAIN}")
     chosen, played = episode.steps["action"][:-1], episode.steps["played"][1:]
     low, high = scene.action_low - _ROUNDING, scene.action_high + _ROUNDING
     for field, beyond in (
@@ -307,14 +305,9 @@ def wrong_values(episode: RecordedEpisode, scene: Scene) -> Iterator[str]:
         ("played", np.abs(played) > 1),
     ):
         if beyond.any():
-            yield f"{episode.folder / STEPS}: {field} beyond the actions' limits; {MAKE_AGAIN}"
-
-
-def check_values(episode: RecordedEpisode, scene: Scene) -> None:
-    """Read all of an episode's arrays; raises CadenzaError if one is not as it was written."""
-    episode.check_files((STEPS, PLAN))
-    for what in wrong_values(episode, scene):
-        raise CadenzaError(what)
+            raise CadenzaError(
+                f"{episode.folder / STEPS}: {field} beyond the actions' limits; {MAKE_AGAIN}"
+            )
 
 
 def _gathered(rows: Sequence[_Rows], episode: Ids, within: Ids) -> Array:
@@ -366,15 +359,7 @@ def finished(folder: str | Path) -> list[tuple[Path, EpisodeFacts]]:
         raise CadenzaError(
             f"{folder}: holds no demonstrations; make some with: cadenza dataset collect"
         )
-    return [(path.parent, read_facts(path.parent)) for path in results_in(runs)]
-
-
-def results_in(runs: Path) -> list[Path]:
-    """The result.json of each episode that is finished, by name.
-
-    Raises OSError if a folder cannot be read, which `Path.glob` would not say.
-    """
-    return [path for at in sorted(runs.iterdir()) if (path := at / RESULT).exists()]
+    return [(at, read_facts(at)) for at in sorted(runs.iterdir()) if (at / RESULT).exists()]
 
 
 def open_dataset(

@@ -14,7 +14,7 @@ import hashlib
 import io
 import json
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -189,20 +189,18 @@ class RecordedEpisode:
             raise CadenzaError(f"{message}; or {MAKE_AGAIN}") from error
 
     def check_files(self, names: Collection[str]) -> None:
-        """Compare files with their checksums; raises CadenzaError if one was changed."""
-        for what in self.wrong_files(names):
-            raise CadenzaError(what)
+        """Compare files with their checksums.
 
-    def wrong_files(self, names: Collection[str] = (STEPS, PLAN, SCORE, SONG)) -> Iterator[str]:
-        """Yield a line for each file that is not there, or not as it was written."""
+        Raises CadenzaError if one is not there, or not as it was written.
+        """
         for name in names:
             path = self.path(name)
             if name not in self.facts.files:
-                yield f"{self.folder / RESULT}: does not name {name}; {MAKE_AGAIN}"
-            elif not path.is_file():
-                yield f"{path}: missing; {MAKE_AGAIN}"
-            elif sha256_of(path) != self.facts.files[name]:
-                yield f"{path}: damaged, its checksum is another; {MAKE_AGAIN}"
+                raise CadenzaError(f"{self.folder / RESULT}: does not name {name}; {MAKE_AGAIN}")
+            if not path.is_file():
+                raise CadenzaError(f"{path}: missing; {MAKE_AGAIN}")
+            if sha256_of(path) != self.facts.files[name]:
+                raise CadenzaError(f"{path}: damaged, its checksum is another; {MAKE_AGAIN}")
 
     def goals(self, scene: Scene) -> Goals:
         """Keys, fingers and pedal per control step, rebuilt from the score.

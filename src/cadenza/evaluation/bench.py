@@ -10,8 +10,7 @@ from typing import Any
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.jobs import BenchJob
 from cadenza.evaluation.processes import ProcessExecutor
-from cadenza.evaluation.results import FAILED, RESULT, RUNS, failure
-from cadenza.evaluation.run import is_complete
+from cadenza.evaluation.results import FAILED, RUNS, failure, is_finished
 from cadenza.evaluation.run_status import folder_of, write_failure
 
 _POLL_INTERVAL = 0.5  # [s]
@@ -24,8 +23,7 @@ class BenchState:
 
     folder: Path  # the folder of all runs
     total: int
-    # Tells whether nothing is left to do for a run in its folder
-    is_complete: Callable[[Any, Path], bool] = is_complete
+    is_complete: Callable[[BenchJob, Path], bool]  # whether nothing is left to do in its folder
     todo: deque[BenchJob] = field(default_factory=deque)
     running: dict[str, BenchJob] = field(default_factory=dict)
     elsewhere: list[BenchJob] = field(default_factory=list)  # runs that another process works on
@@ -47,7 +45,7 @@ def bench(
     ended: Callable[[BenchState, BenchJob], None],
     should_continue: Callable[[BenchState], bool],
     retry: bool = False,
-    is_complete: Callable[[Any, Path], bool] = is_complete,
+    is_complete: Callable[[Any, Path], bool] = lambda _, folder: is_finished(folder),
 ) -> BenchState:
     """Carry out what is not complete yet.
 
@@ -71,7 +69,7 @@ def bench(
         if not should_continue(state):
             executor.stop()
             for job in state.running.values():
-                _is_finished(state, job, "stopped")  # before it was
+                _is_finished(state, job)  # before it was
             break
         while state.todo and len(state.running) < executor.capacity:
             job = state.todo.popleft()
@@ -89,12 +87,10 @@ def bench(
     return state
 
 
-def _is_finished(state: BenchState, job: BenchJob, crash: str = "") -> bool:
-    """Return whether a run has ended well; a result of an earlier attempt may lack its page."""
+def _is_finished(state: BenchState, job: BenchJob) -> bool:
+    """Return whether a run has ended well."""
     folder = state.folder / job.spec.name
-    pageless = job.page and not crash and (folder / RESULT).exists()  # as none can be made of it
-    ended = state.is_complete(job, folder) or pageless
-    finished = ended and not (folder / FAILED).exists()
+    finished = state.is_complete(job, folder) and not (folder / FAILED).exists()
     state.finished += finished
     return finished
 
@@ -112,7 +108,7 @@ def _has_failed(state: BenchState, job: BenchJob) -> bool:
 def _process_ended(state: BenchState, job: BenchJob, crash: str) -> bool:
     """Record how a run ended; return False where another process works on it."""
     name, folder = job.spec.name, state.folder / job.spec.name
-    if _is_finished(state, job, crash):
+    if _is_finished(state, job):
         return True
     with folder_of(job, folder).claimed() as ours:
         if not ours:

@@ -3,18 +3,15 @@
 NAME/job.json         what the run is
 NAME/training/        the run of training, of a policy that is trained first
 NAME/episode.npz      and the other files of `cadenza play`, report.html where a page is wanted
-NAME/score.json       what was to be played, with fingers, where no page is wanted yet
 NAME/result.json      how well it went; written last, so that a run with it is finished
 NAME/failed.json      or why there is none; and what `cadenza.evaluation.run_status` leaves
 
 A run that is killed leaves no result. Carried out again, a performance begins anew, and training
-goes on from its last checkpoint. If a page is wanted of a run that was finished without one, it is
-made from these files.
+goes on from its last checkpoint.
 """
 
 import shutil
 import time
-import traceback
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, replace
@@ -24,7 +21,6 @@ from cadenza.agents.agent import Progress
 from cadenza.evaluation.jobs import BenchJob, JobSpec
 from cadenza.evaluation.results import (
     FORMAT,
-    PAGE,
     RESULT,
     ResultFile,
     Timing,
@@ -38,16 +34,13 @@ from cadenza.evaluation.run_status import (
     progress_writer,
     versions,
 )
-from cadenza.files import read_json, write_json
+from cadenza.files import write_json
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.cpu_affinity import claimed_cores
 from cadenza.learning.run_folder import RunFolder
-from cadenza.music.formats.written_score import WrittenScore
-from cadenza.performing.performance import add_page, perform
+from cadenza.performing.performance import perform
 from cadenza.performing.player import find_player
 from cadenza.performing.setup import set_up
-
-_SCORE = "score.json"
 
 
 def carry_out(
@@ -55,19 +48,14 @@ def carry_out(
 ) -> None:
     """Leave a result, or why there is none, in `folder`, unless another process works on it.
 
-    Of a run that is finished, leaves the page if one is wanted.
-
     Args:
         job: The run to carry out.
         folder: The folder of the run.
         num_threads: The number of threads that a planner or training may use.
         stop: The function that is asked now and then whether training is to end, with a checkpoint.
     """
-    with claimed_run(job, folder, lambda: is_complete(job, folder)) as ours:
+    with claimed_run(job, folder, lambda: is_finished(folder)) as ours:
         if not ours:
-            return
-        if is_finished(folder):
-            _add_page(folder)
             return
         with failure_recorded(folder):
             result = _result(job, folder, num_threads, stop)
@@ -76,19 +64,6 @@ def carry_out(
                 training = RunFolder(folder / "training")
                 training.checkpoint.unlink(missing_ok=True)
                 shutil.rmtree(training.replay, ignore_errors=True)  # most of what training wrote
-
-
-def is_complete(job: BenchJob, folder: Path) -> bool:
-    """Return whether the run is finished, and has the page that is wanted."""
-    return is_finished(folder) and (not job.page or (folder / PAGE).exists())
-
-
-def _add_page(folder: Path) -> None:
-    """Make the page of a finished run; where that fails, the run keeps its result."""
-    try:
-        add_page(folder, read_json(folder / _SCORE, WrittenScore).score)
-    except Exception:
-        traceback.print_exc()
 
 
 def _result(
@@ -119,8 +94,6 @@ def _result(
     else:
         seconds, cpu_seconds = trained.seconds, None
     performance.save(folder, progress=progress, page=job.page)
-    if not job.page:  # one may be made later, without looking for fingers again
-        write_json(folder / _SCORE, asdict(WrittenScore.of(performance.fingered_goal)))
     return ResultFile(
         format=FORMAT,
         job=spec.as_json(),

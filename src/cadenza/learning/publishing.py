@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from cadenza.demonstrations.checking import summarize
 from cadenza.demonstrations.dataset import DATASET, EPISODES, open_dataset
+from cadenza.demonstrations.summary import summarize
 from cadenza.errors import extra_packages
 from cadenza.hub import upload
 from cadenza.learning.policy_folder import (

@@ -1,7 +1,7 @@
 """A performance of a song by an agent, and the files that it leaves."""
 
 import html
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,9 +13,9 @@ from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planner.misses import Miss, misses_of
 from cadenza.agents.rollout import play_episode
 from cadenza.arranging.fidelity import Fate
-from cadenza.episode import KEY_EVENTS, Episode, load_episode
+from cadenza.episode import KEY_EVENTS, Episode
 from cadenza.errors import CadenzaError
-from cadenza.files import content_of, read_json, write_json
+from cadenza.files import content_of, plain, read_json, write_json
 from cadenza.fingers import NO_FINGER, SIDES, Side
 from cadenza.music.formats.finger_numbers import finger_number
 from cadenza.music.formats.midi import write_midi
@@ -27,7 +27,7 @@ from cadenza.performing.setup import Setup, set_up
 from cadenza.performing.verdict import Advice, advice, verdict
 from cadenza.report.html_pages import write_page
 from cadenza.report.performance_page import performance_page
-from cadenza.report.sound import Sound, bit_rate_of, encode_opus, synthesize
+from cadenza.report.sound import bit_rate_of, encode_opus, synthesize
 from cadenza.report.tone import Tone, tone
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import body_poses, drawing
@@ -143,7 +143,28 @@ class Performance:
         write_midi(self.goal, folder / "wanted.mid")
         if page:
             progress("making the sound", 0, 1)
-            add_page(folder, self.fingered_goal, synthesize(played, voice=voice), voice)
+            write_page(folder / "report.html", self._page(folder, voice))
+
+    def _page(self, folder: Path, voice: Tone) -> Iterator[str]:
+        """Return the page, see `performance_page`, with the MIDI files that lie in the folder."""
+        played, seconds = self.played, self.seconds
+        written = self.fingered_goal.until(seconds)
+        sound = synthesize(written, voice=voice)
+        return performance_page(
+            self.episode,
+            plain(self.metrics),
+            plain(self.settings),
+            synthesize(played, voice=voice),
+            verdict=verdict(played, written, self.metrics),
+            misses=plain(self.losses),
+            arrangement=[plain(fate.as_json) for fate in self.fates or ()],
+            goal_sound=encode_opus(
+                sound, bit_rate=bit_rate_of(seconds, mono=True), mono=True, seconds=seconds
+            ),
+            midi=content_of(folder / "played.mid"),
+            wanted_midi=content_of(folder / "wanted.mid"),
+            written=self.fingered_goal,
+        )
 
 
 def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
@@ -171,45 +192,6 @@ def _are_results(folder: Path) -> bool:
     except CadenzaError:
         return False
     return {"song", "agent", "task", "scene"} <= settings.keys()
-
-
-def add_page(folder: Path, goal: Score, audio: Sound | None = None, voice: Tone = tone) -> None:
-    """Make the page of a performance from its files.
-
-    Raises CadenzaError if a file is not there, or cannot be read.
-
-    Args:
-        folder: of the performance.
-        goal: see `Performance`; what the page compares the sound with.
-        audio: the sound of the performance; None synthesizes it.
-        voice: what makes the notes of what is synthesized.
-    """
-    episode = load_episode(folder / "episode.npz")
-    seconds = episode.num_steps * episode.dt
-    played, written = played_in(episode), goal.until(seconds)
-    metrics = read_json(folder / "metrics.json", dict[str, Any])
-    sound = synthesize(written, voice=voice)
-    page = performance_page(
-        episode,
-        metrics,
-        read_json(folder / "settings.json", dict[str, Any]),
-        synthesize(played, voice=voice) if audio is None else audio,
-        verdict=verdict(played, written, metrics),
-        misses=_listed(folder / "misses.json"),
-        arrangement=_listed(folder / "arrangement.json"),
-        goal_sound=encode_opus(
-            sound, bit_rate=bit_rate_of(seconds, mono=True), mono=True, seconds=seconds
-        ),
-        midi=content_of(folder / "played.mid"),
-        wanted_midi=content_of(folder / "wanted.mid"),
-        written=goal,
-    )
-    write_page(folder / "report.html", page)
-
-
-def _listed(path: Path) -> list[dict[str, Any]]:
-    """The list in a file of a performance; an empty one if there is no such file."""
-    return read_json(path, list[dict[str, Any]]) if path.exists() else []
 
 
 def play(
