@@ -90,6 +90,7 @@ def with_joint(joint: str, **changes: Any) -> Body:
         ({"fingers": with_thumb(tip=(0, 0))}, "finger th: tip: Expected .* length 3"),
         ({"body": with_joint("FFJ3", axis=(1, 0))}, "link ffproximal: joint: .* length 3"),
         ({"body": with_joint("FFJ3", range=(1.5, -0.3))}, "rest is 0.75, outside its range"),
+        ({"body": with_palm(quat=(0, 0, 0, 0))}, "link palm: quat 0 0 0 0 is no rotation"),
         ({"body": with_palm(pos=(0, 0))}, "link palm: pos: Expected .* length 3"),
         ({"body": with_palm(pos=(0, 0, np.nan))}, "link palm: pos: Expected .float., got .null."),
         ({"body": with_palm(geoms=(Geom("cube", (1,)),))}, "palm: .* enum value 'cube'"),

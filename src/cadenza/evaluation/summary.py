@@ -12,6 +12,7 @@ from cadenza.errors import CadenzaError
 from cadenza.evaluation.caveats import caveats, usable
 from cadenza.evaluation.results import PAGE, BenchResults, Result, Timing
 from cadenza.evaluation.statistics import Scores, bootstrap_interval, mean, mean_interval
+from cadenza.music.score import MS_PER_SECOND
 from cadenza.report.bench_summary import (
     METRICS,
     SHARES,
@@ -22,8 +23,6 @@ from cadenza.report.bench_summary import (
     PieceSummary,
     RunSummary,
 )
-
-_MS_PER_SECOND = 1000
 
 AllScores = Mapping[str, Mapping[str, Scores]]
 """Agent -> metric -> scores (runs, pieces), NaN where a piece has fewer runs."""
@@ -99,7 +98,7 @@ def run_metrics(metrics: Mapping[str, Any], timing: Timing) -> dict[str, float]:
     return shares | {
         "extra_notes": _number(metrics.get("extra_notes_per_100")),
         "missed_notes": _number(metrics.get("missed_notes_per_100")),
-        "onset_error": _MS_PER_SECOND * _number(metrics.get("onset_error_median")),
+        "onset_error": MS_PER_SECOND * _number(metrics.get("onset_error_median")),
         "velocity_error": _number(metrics.get("velocity_error")),
         "wall_per_music": timing.wall_seconds / music,
         "cpu_per_music": _number(timing.cpu_seconds) / music,

@@ -122,6 +122,8 @@ def _faults(hand: Hand) -> Iterator[str]:
     """
     for link in hand.body.links:
         yield from (f"link {link.name}: {fault}" for fault in wrong_types(link))
+        if not any(link.quat):
+            yield f"link {link.name}: quat 0 0 0 0 is no rotation; leave it out to turn nothing"
     yield from wrong_types(hand.body)
     yield from _faults_of_body(hand.body)
     count = len(hand.fingers)

@@ -27,6 +27,7 @@ PEDAL_DOWN = 64  # the least value of a pedal that is down
 MIRROR = 124  # sum of a pitch and its mirror image: twice D4, about which black keys are symmetric
 MAX_SECONDS = 3600.0  # of music that is played; a longer song is taken for a mistake
 MAX_SCORE_LENGTH = 4 * 3600.0  # [s]; a part may be played, and bars of days would fill memory
+MS_PER_SECOND = 1000  # times are in seconds, and shown to people in milliseconds
 CHORD_TOLERANCE = 0.03  # [s] within which notes begin together
 RELEASE_TIME = 0.05  # [s] a note with less left than this does not keep its finger from the next
 BEAT_TYPES = frozenset(1 << k for k in range(7))  # whole notes to 64ths

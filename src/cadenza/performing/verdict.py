@@ -8,9 +8,8 @@ from cadenza.errors import counted
 from cadenza.fingers import SIDES
 from cadenza.music.arrangement import HARDEST
 from cadenza.music.metrics import ONSET_TOLERANCE, note_errors
-from cadenza.music.score import Score
+from cadenza.music.score import MS_PER_SECOND, Score
 
-_MS_PER_SECOND = 1000
 _AUDIBLE = 0.02  # [s], a delay or unevenness that is heard
 _STEP = 16  # MIDI velocities between two dynamics such as mp and mf
 _BAD = 0.9  # F1 below which a song is lost in part: the mean of whole pieces is 0.92
@@ -67,7 +66,7 @@ def _expression(metrics: Mapping[str, Any]) -> list[str]:
 
 
 def _ms(seconds: float) -> str:
-    return f"{seconds * _MS_PER_SECOND:.0f} ms"
+    return f"{seconds * MS_PER_SECOND:.0f} ms"
 
 
 def advice(

@@ -15,10 +15,9 @@ from cadenza.episode import Episode
 from cadenza.music.formats.finger_numbers import finger_from
 from cadenza.music.metrics import matched_notes
 from cadenza.music.performance import SAME_NOTE, played_in
-from cadenza.music.score import Note, Score
+from cadenza.music.score import MS_PER_SECOND, Note, Score
 from cadenza.report.html_pages import in_base64
 
-_MS_PER_SECOND = 1000
 _UNIT = 5e-5  # [m, rad] of a joint's position; a fingertip is then less than 0.1 mm off
 
 
@@ -65,11 +64,11 @@ def recording_of(
         "written": [[note.start, note.velocity] for note in target],
         "fingers": finger_numbers(target, episode.lowest_pitch),
         "onsetErrors": [
-            [note.start, round(_MS_PER_SECOND * (own.start - note.start), 2)]
+            [note.start, round(MS_PER_SECOND * (own.start - note.start), 2)]
             for note, own in matched_notes(target, played.notes, SAME_NOTE)
         ],
-        "states": packed(verdict(episode["goal_keys"], episode["key_activation"])),
-        "pedal": packed(verdict(episode["goal_sustain"], episode["sustain_activation"])),
+        "states": packed(key_verdicts(episode["goal_keys"], episode["key_activation"])),
+        "pedal": packed(key_verdicts(episode["goal_sustain"], episode["sustain_activation"])),
         "misses": lost_notes(misses),
         "arrangement": arranged_notes(arrangement, episode.lowest_pitch),
         "rewards": dict(sorted(rewards.items(), key=lambda item: item[0] != "total")),
@@ -120,10 +119,7 @@ def arranged_notes(fates: Iterable[Mapping[str, Any]], lowest: int) -> list[list
     ]
 
 
-VERDICTS = ("hit", "wrong", "missed")  # names of what `verdict` returns, from 1 on
-
-
-def verdict(goal: NDArray[np.bool_], played: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def key_verdicts(goal: NDArray[np.bool_], played: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Return for each key and step, of any shape: 0 rightly silent, 1 hit, 2 wrong, 3 missed."""
     return np.select([goal & played, played, goal], [1, 2, 3], 0).astype(np.uint8)
 

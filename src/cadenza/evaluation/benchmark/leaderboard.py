@@ -19,10 +19,10 @@ from cadenza.evaluation.benchmark.verification import PlayedAgain, verify
 from cadenza.evaluation.statistics import bootstrap_interval, mean
 from cadenza.evaluation.tables import write_csv
 from cadenza.files import write_atomically
+from cadenza.music.score import MS_PER_SECOND
 
 VERIFIED, UNVERIFIED, REFUSED = "verified", "unverified", "refused"
 _ORDER = (VERIFIED, UNVERIFIED, REFUSED)  # whatever is claimed, what holds stands above it
-_MS_PER_SECOND = 1000
 _DECIMALS = {"onset_error_ms": 1, "velocity_error": 1, "cpu_per_music": 2}  # of others three
 _COLUMNS = {
     "status": "status",
@@ -113,7 +113,7 @@ def means(played: PlayedAgain) -> Row:
         "note_onset_f1_low": low,
         "note_onset_f1_high": high,
         **{n: float(mean(scores(n))) for n in _SHARES},
-        "onset_error_ms": _MS_PER_SECOND * _mean_of_known(scores("onset_error_median")),
+        "onset_error_ms": MS_PER_SECOND * _mean_of_known(scores("onset_error_median")),
         "velocity_error": _mean_of_known(scores("velocity_error")),
         "cpu_per_music": math.fsum(cpu) / played.seconds,
     }
