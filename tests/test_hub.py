@@ -137,6 +137,5 @@ def test_a_dataset_is_published_and_read(hub, tmp_path, capsys):
     assert "4 episodes of 1 song kept" in kept["README.md"].decode()
     place = "hub:someone/scales"
     assert printed(capsys, "dataset", "info", place).startswith("4 episodes of 1 song kept")
-    assert "nothing is wrong" in printed(capsys, "dataset", "check", place, "--replays", "1")
     why = "there is no such policy on the hub"
     assert why in refused_in_a_line(capsys, "play", "--agent", place)

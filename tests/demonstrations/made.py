@@ -84,5 +84,5 @@ def differences(recorded: RecordedEpisode, scene: Scene) -> set[str]:
     return {
         name
         for name in ("hand_qpos", "hand_qvel", "fingertip_xpos", "key_state")
-        if (seen[name].astype(np.float32) != recorded.steps[name][1:]).any()
+        if (seen[name].astype(recorded.steps[name].dtype) != recorded.steps[name][1:]).any()
     } | ({"f1"} if result.metrics["f1"] != recorded.facts.f1 else set())

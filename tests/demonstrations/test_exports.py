@@ -149,7 +149,6 @@ def test_minari_plays_every_episode_again_to_the_bit_wherever_it_is(
     Path("elsewhere").mkdir()
     Path("made").rename("elsewhere/moved")
     monkeypatch.chdir("elsewhere")
-    main(["dataset", "check", "moved"])
     main(["dataset", "export", "moved", "-o", "minari"])
     monkeypatch.setenv("MINARI_DATASETS_PATH", "minari")
     loaded = minari.load_dataset("cadenza/moved-v0")
