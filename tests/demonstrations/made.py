@@ -4,8 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
