@@ -53,7 +53,8 @@ _ONE_SIDED = 0.6  # share of them
 _FEW = 0.1  # share of keys that are lost, which is no fault of the hand
 _BEFORE = 3  # control steps before a press in which its finger moves to where it is to strike
 _STRIKING = 4  # control steps after it begins, by which it is seen where its finger struck
-_REACH = 0.5  # share of how far it was beside that which is corrected
+_OFF = 0.005  # [m] off that at most, it hits its key all the same
+_REACH = 0.5  # share of how much further it was off that is corrected
 _SILENT = 0.2  # share of a press in which its key sounds, below which its finger did not get there
 _LONG = 40  # control steps of a press from which on it then strikes late, rather than never
 _LATEST = 3  # by an n-th of the press at most
@@ -139,8 +140,10 @@ class NoteCorrections:
     def postures(self, corrections: PressCorrections) -> Array:
         """(T + 1, A) the postures of the play with its corrections, but for strikes."""
         error, postures = self._moved(corrections), self._postures.copy()
-        for i, (press, row) in enumerate(zip(self._presses, self._rows, strict=True)):
-            error[max(press.first - _BEFORE, 0) : press.last, row, :2] += corrections.reach[i]
+        reach = np.zeros_like(error[..., :2])
+        for press, row, way in zip(self._presses, self._rows, corrections.reach, strict=True):
+            reach[max(press.first - _BEFORE, 0) : press.last, row] = way
+        error[..., :2] += reach
         for hand, side in enumerate(self._scene.sides):
             fingers = slice(hand * self._fingers, (hand + 1) * self._fingers)
             weight = np.ones((len(error), self._fingers))
@@ -199,7 +202,8 @@ class NoteCorrections:
             if long and shares[-1] < _SILENT:
                 new.wait[i] += _STRIKING
         tips = self._kinematics.points(postures)[:, :, TIP]
-        new.reach += _REACH * self._short(corrections, tips)
+        short = self._short(corrections, tips)
+        new.reach += _REACH * (short - short.clip(-_OFF, _OFF))
         others = [note for note in notes if not any(note is each for each in meant)]
         brushed = self._correct_others(new, others, tips)
         self._correct_hands(new, np.array(shares), brushed)
