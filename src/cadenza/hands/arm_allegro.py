@@ -1,4 +1,4 @@
-"""Hands on a seven-joint arm, as the Allegro Hand, a KUKA LBR iiwa 7 R800, beside the keyboard.
+"""Hands on a seven-joint arm, a KUKA LBR iiwa 7 R800, beside the keyboard; one is the Allegro Hand.
 
 Figures of the arm from `iiwa7_allegro.urdf` in the PyPI package differentiable-robot-model 0.2.3
 (copyright Facebook, Inc. and its affiliates, MIT License): links, masses, inertias, joint limits,
@@ -24,6 +24,8 @@ from cadenza.hands.body import (
     Mount,
     Quaternion,
     Vector,
+    product,
+    quaternion_of,
 )
 from cadenza.hands.hand import Hand
 from cadenza.hands.servo import Servo
@@ -160,11 +162,8 @@ def _principal(moments: Vector, products: Vector) -> tuple[Vector, Quaternion]:
     tensor[[0, 0, 1], [1, 2, 2]] = tensor[[1, 2, 2], [0, 0, 1]] = products
     values, axes = np.linalg.eigh(tensor)
     axes[:, 2] *= np.linalg.det(axes)
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, axes.ravel())
     a, b, c = values.tolist()
-    w, x, y, z = quat.tolist()
-    return (a, b, c), (w, x, y, z)
+    return (a, b, c), quaternion_of(axes)
 
 
 # What the search for fingers, planners and learners need to know
@@ -210,15 +209,17 @@ def on_arm(hand: Hand, pos: Vector, quat: Quaternion) -> Hand:
 
 def on_arm_as_on_forearm(hand: Hand) -> Hand:
     """A hand on the arm that is at rest where a forearm would bring it."""
-    palms = [link for each in (ALLEGRO, hand) for link in each.body.links]
-    allegro, palm = (link for link in palms if link.parent == forearm.FOREARM)
-    back, turned, pos = np.zeros(4), np.zeros(4), np.zeros(3)
+    allegro, palm = (
+        link
+        for each in (ALLEGRO, hand)
+        for link in each.body.links
+        if link.parent == forearm.FOREARM
+    )
+    back, pos = np.zeros(4), np.zeros(3)
     mujoco.mju_negQuat(back, np.array(allegro.quat))
-    mujoco.mju_mulQuat(turned, back, np.array(palm.quat))
     mujoco.mju_rotVecQuat(pos, np.subtract(palm.pos, allegro.pos), back)
     x, y, z = (pos + _FLANGE_TO_PALM).tolist()
-    w, i, j, k = turned.tolist()
-    return on_arm(hand, (x, y, z), (w, i, j, k))
+    return on_arm(hand, (x, y, z), product(back, np.array(palm.quat)))
 
 
 ARM_ALLEGRO = on_arm(ALLEGRO, _FLANGE_TO_PALM, IDENTITY)

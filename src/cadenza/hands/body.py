@@ -11,12 +11,14 @@ from typing import Any, Literal
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from cadenza.configs import NotNegative, Positive
 from cadenza.fingers import Side
 from cadenza.hands import forearm
 from cadenza.hands.shell import Shell
 
+Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 Colour = tuple[float, float, float, float]
@@ -254,10 +256,9 @@ class BodyBuilder:
             return
         x, z = forearm.MOUNT_XZ
         yaw = sign * np.deg2rad(self._options.attachment_yaw)
-        turn, final = np.zeros(4), np.zeros(4)
+        turn = np.zeros(4)
         mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0, 1]), yaw)
-        mujoco.mju_mulQuat(final, turn, np.array(forearm.MOUNT_QUAT))
-        body.pos, body.quat = (x, self._mount_y, z), final
+        body.pos, body.quat = (x, self._mount_y, z), product(turn, np.array(forearm.MOUNT_QUAT))
         for name in self._forearm_dofs:
             dof = forearm.JOINTS[name]
             mirrored = dof.mirrored and self._side == "left"
@@ -406,3 +407,19 @@ def _mirrored_geom(geom: Geom) -> Geom:
 def _mirror_quat(quat: Quaternion) -> Quaternion:
     w, x, y, z = quat
     return w, x, -y, -z
+
+
+def product(first: Array, second: Array) -> Quaternion:
+    """The product of two quaternions (4,)."""
+    quat = np.zeros(4)
+    mujoco.mju_mulQuat(quat, first, second)
+    w, x, y, z = quat.tolist()
+    return w, x, y, z
+
+
+def quaternion_of(rotation: Array) -> Quaternion:
+    """The quaternion of a rotation (3, 3)."""
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, rotation.ravel())
+    w, x, y, z = quat.tolist()
+    return w, x, y, z

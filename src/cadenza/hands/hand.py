@@ -47,7 +47,7 @@ class FingerChain:
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """A hand on a forearm. All figures are the right hand's, whose mirror image the left one is."""
+    """A hand on a forearm or an arm. All figures are the right hand's, but those of `left`."""
 
     name: str
     body: Body
@@ -65,7 +65,7 @@ class Hand:
     kept_apart: tuple[str, ...] = (forearm.FOREARM,)
     """The links that the reward for forearms wants to keep from those of the other hand."""
     left: "Hand | None" = None
-    """The left hand as it is, if it is not the mirror image, with the names of the right one."""
+    """The left hand, with the names of the right one; None if it is its mirror image."""
 
     def __post_init__(self) -> None:
         """Check that the parts go together; raises CadenzaError if they do not."""

@@ -32,6 +32,8 @@ from cadenza.hands.body import (
     Link,
     Quaternion,
     Vector,
+    product,
+    quaternion_of,
 )
 from cadenza.hands.hand import FingerChain, Hand
 from cadenza.hands.reach import Reach
@@ -197,12 +199,6 @@ class HandFile:
             start |= dict.fromkeys(coupling.joints, share)
         for each in self._followers.values():
             start[each.joint] = each.ratio * start.get(each.leader, 0.0)
-        count = len(self._tips)
-        reach: dict[str, Any] = {
-            **{name: np.zeros(count) for name in ("rest", "outward", "inward")},
-            **{name: np.zeros((count, count)) for name in ("least", "most")},
-            **{name: np.array(values) for name, values in measurement.reach.items()},
-        }
         hand = Hand(
             name=self._path.stem,
             body=Body(
@@ -215,24 +211,35 @@ class HandFile:
             ),
             fingers=tuple(self._chains(measurement)),
             servos={each.target: self._servo(each, rest, measurement) for each in self._actuators},
-            reach=Reach(**reach, forearm_width=forearm.WIDTH),
+            reach=self._reach(measurement),
             start={joint: start[joint] for joint in self._joints.values()},
         )
         return hand if self.left is None else replace(hand, left=self._left_hand(hand, measurement))
+
+    def _reach(self, measurement: Measurement) -> Reach:
+        """How far fingers reach; all zeros before that is measured."""
+        count = len(self._tips)
+        reach: dict[str, Any] = {
+            **{name: np.zeros(count) for name in ("rest", "outward", "inward")},
+            **{name: np.zeros((count, count)) for name in ("least", "most")},
+            **{name: np.array(values) for name, values in measurement.reach.items()},
+        }
+        return Reach(**reach, forearm_width=forearm.WIDTH)
 
     def _left_hand(self, hand: Hand, measurement: Measurement) -> Hand:
         """The hand of the second file, where the mirror image of this one would be."""
         assert self.left is not None
         second = SecondFile(self.flat_hand(), self.left.flat_hand(), self.left.error)
-        pos, rotation = second.place(np.array(measurement.pos), _matrix(measurement.quat))
-        quat, rest = _quat(rotation), second.rest(measurement.rest)
-        x, y, z = pos.tolist()
-        theirs = self.left.hand(Measurement((x, y, z), quat, rest))
+        at, rotation = second.place(np.array(measurement.pos), _matrix(measurement.quat))
+        x, y, z = at.tolist()
+        rest = second.rest(measurement.rest)
+        theirs = self.left.hand(Measurement((x, y, z), quaternion_of(rotation), rest))
         return second.renamed(theirs, hand)
 
     def flat_hand(self) -> FlatHand:
-        """The links and fingertips while all joints are at 0."""
+        """The links and fingertips while all joints but those in `fixed` are at 0."""
         palm, joints = self._data.xmat[self._root].reshape(3, 3), self._model.body_jntadr
+        lines = {finger: self._line(tip) for finger, (tip, _, _) in self._tips.items()}
         tips = [self._in_frame(self._root, tip) for _, tip, _ in self._tips.values()]
         fingers = {
             finger: [
@@ -242,9 +249,9 @@ class HandFile:
                     bool(self._model.jnt_type[joints[body]] == mujoco.mjtJoint.mjJNT_SLIDE),
                     palm.T @ self._data.xaxis[joints[body]],
                 )
-                for body in self._line(tip)[: self._line(tip).index(self._root) + 1]
+                for body in line[: line.index(self._root) + 1]
             ]
-            for finger, (tip, _, _) in self._tips.items()
+            for finger, line in lines.items()
         }
         return FlatHand(self.flat, fingers, np.array(tips))
 
@@ -457,7 +464,7 @@ class HandFile:
             pos, quat, above = measurement.pos, measurement.quat, forearm.FOREARM
         else:
             pos, above = self._in_frame(parent, self._origin(body)), self._name(parent)
-            quat = _product(data.xquat[parent] * (1, -1, -1, -1), data.xquat[body])
+            quat = product(data.xquat[parent] * (1, -1, -1, -1), data.xquat[body])
         joint = int(model.body_jntadr[body])
         return Link(
             self._name(body),
@@ -605,24 +612,10 @@ def _axis(direction: Array) -> Array:
     return unit
 
 
-def _product(a: Array, b: Array) -> Quaternion:
-    quat = np.zeros(4)
-    mujoco.mju_mulQuat(quat, a, b)
-    w, x, y, z = quat.tolist()
-    return w, x, y, z
-
-
 def _matrix(quat: Quaternion) -> Array:
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, np.array(quat))
     return matrix.reshape(3, 3)
-
-
-def _quat(rotation: Array) -> Quaternion:
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, rotation.ravel())
-    w, x, y, z = quat.tolist()
-    return w, x, y, z
 
 
 def _radius(name: str, size: Array) -> float:

@@ -44,7 +44,7 @@ class SecondFile:
     def __init__(
         self, right: FlatHand, left: FlatHand, error: Callable[[str], CadenzaError]
     ) -> None:
-        """Pair the links and joints of each finger in their order, by an `error` if they differ."""
+        """Pair links and joints of each finger in their order; raises an `error` if they differ."""
         self._right, self._left, self._error = right, left, error
         self._called = dict[str, str]()  # link or joint of the left hand -> of the right one
         self._sign = dict[str, float]()  # joint of the left hand -> 1, or -1 if turned around
@@ -115,7 +115,7 @@ class SecondFile:
         return replace(right, name=f"{right.name}, left", body=body, fingers=fingers, left=None)
 
     def _name(self, name: str) -> str:
-        """What the right hand calls a link, or what it calls none."""
+        """What the right hand calls a link; one that it lacks has a name that it does not use."""
         ours = self._called.values()
         return self._called.get(name, f"{name}_of_left" if name in ours else name)
 
