@@ -19,8 +19,9 @@ from strike_offsets import strike_offsets
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.music.formats.midi import read_midi
-from cadenza.music.metrics import BRUSHED, note_errors
+from cadenza.music.metrics import note_errors
 
+BRUSHED = 0.06  # [s] than which the note of a key that a finger brushes in passing is shorter
 IN_THE_MIDDLE = 0.003  # [m] from the middle of a key
 ROWS = {
     "extra": "extra",

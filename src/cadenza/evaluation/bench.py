@@ -69,7 +69,7 @@ def bench(
         if not should_continue(state):
             executor.stop()
             for job in state.running.values():
-                _is_finished(state, job)  # before it was
+                _is_finished(state, job)  # counts what had ended before it could be stopped
             break
         while state.todo and len(state.running) < executor.capacity:
             job = state.todo.popleft()
@@ -88,7 +88,7 @@ def bench(
 
 
 def _is_finished(state: BenchState, job: BenchJob) -> bool:
-    """Return whether a run has ended well."""
+    """Return whether a run has ended well, and count it if it has."""
     folder = state.folder / job.spec.name
     finished = state.is_complete(job, folder) and not (folder / FAILED).exists()
     state.finished += finished

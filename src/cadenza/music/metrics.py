@@ -345,7 +345,6 @@ def _percentile(values: NDArray[np.float64], percent: float) -> float | None:
     return float(np.percentile(values, percent)) if len(values) else None
 
 
-BRUSHED = 0.06  # [s] than which the note of a key that a finger brushes in passing is shorter
 _BESIDE = 2  # semitones from a key up to which others lie beside it
 # Of a written note, how much earlier or later than it another key may sound by mistake for it [s].
 _BEFORE, _AFTER = 0.15, 0.1

@@ -50,6 +50,7 @@ _LOST = 0.06  # [s] by which a note that is too short was lost, and not let go o
 _NEAR = 5  # control steps from a press in which its key sounds by its finger
 _OFTEN = 2  # keys brushed on one side from which on it is the hand that is beside
 _ONE_SIDED = 0.6  # share of them
+_HEARD = 0.5  # share of a press in which its key sounds, below which the key is lost
 _FEW = 0.1  # share of keys that are lost, which is no fault of the hand
 _BEFORE = 3  # control steps before a press in which its finger moves to where it is to strike
 _STRIKING = 4  # control steps after it begins, by which it is seen where its finger struck
@@ -321,6 +322,6 @@ class NoteCorrections:
             if count >= _OFTEN and abs(left - right) >= _ONE_SIDED * count:
                 most = min(1.0, 4 * count / len(own))
                 new.hands[hand, 1] += _HAND * self._place * most * np.sign(left - right)
-            missing = float(np.mean(own < 0.5))
+            missing = float(np.mean(own < _HEARD))
             if missing > _FEW:
                 new.hands[hand, 2] -= _HAND * self._place * min(1.0, 3 * missing)

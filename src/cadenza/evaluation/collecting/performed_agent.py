@@ -30,14 +30,14 @@ _ARRAYS = {
 }
 
 
-class Performance(NamedTuple):
+class ReferencePerformance(NamedTuple):
     """What an agent played where nothing was random, T steps with A servos."""
 
     action: Array  # (T, A + 1) in actuator units, the pedal last
     expected: Array  # (T + 1, A, 2) position and speed of each servo
 
     @classmethod
-    def of(cls, agent: Agent, track: GoalTrack) -> Performance:
+    def of(cls, agent: Agent, track: GoalTrack) -> ReferencePerformance:
         """Have the agent play a track as it was drawn."""
         score = track.score if agent.keeps_fingering else track.score.without_fingers()
         with closing(PianoTask([score], _undisturbed(track.config), track.scene.config)) as task:
@@ -48,7 +48,7 @@ class Performance(NamedTuple):
 
 
 class _PerformedEpisode(EpisodePlanner):
-    def __init__(self, performance: Performance, track: GoalTrack, view: View) -> None:
+    def __init__(self, performance: ReferencePerformance, track: GoalTrack, view: View) -> None:
         self.plan = plan_song(track, view.state.hand_qpos[0])
         self._servos, self._pedal = servos_of(track.scene), performance.action[:, -1]
         gain = self.plan.nominal.tracking.gain
@@ -76,14 +76,14 @@ class PerformedAgent(PlannerPerEnv[_PerformedEpisode]):
         (track,) = view.tracks
         return _PerformedEpisode(self._performance(track), track, view)
 
-    def _performance(self, track: GoalTrack) -> Performance:
+    def _performance(self, track: GoalTrack) -> ReferencePerformance:
         task, score = _undisturbed(track.config), WrittenScore.of(track.score)
         played = [self._facts, asdict(task), asdict(track.scene.config), asdict(score)]
         path = self._folder / f"{key_of(played)}.npz"
         if path.exists():
-            return Performance(**read_arrays(path, _ARRAYS))
+            return ReferencePerformance(**read_arrays(path, _ARRAYS))
         self._agent.progress = self.progress
-        performance = Performance.of(self._agent, track)
+        performance = ReferencePerformance.of(self._agent, track)
         with write_atomically(path) as file:
             np.savez(file, allow_pickle=False, **performance._asdict())
         return performance
