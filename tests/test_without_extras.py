@@ -20,7 +20,6 @@ for words in (
     "film played -o tune.mp3",
     "arrange songs/tune.mid -o tune.musicxml",
     "practice songs/tune.mid --effort 0.01 -o practised",
-    "compare songs/tune.mid --agents planner zero -o compared",
     "bench --songs songs --agents zero -o bench",
     "results bench",
     "dataset collect --songs songs --agent zero -o demonstrations",

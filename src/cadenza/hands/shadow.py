@@ -289,7 +289,7 @@ _REACH = Reach(
     inward=np.array([0.030, 0.081, 0.108, 0.135, 0.150]),
     forearm_width=forearm.WIDTH,
     effort=np.array([0.0, 0.0, 0.0, 0.1, 0.1]),
-    effort_on_black=np.array([3.0, 0.0, 0.0, 0.0, 0.2]),
+    effort_on_black=np.array([0.5, 0.0, 0.0, 0.0, 0.2]),
 )
 
 # RoboPianist compares the names of shapes by how they begin, and so means more than the forearms.
