@@ -137,7 +137,7 @@ def test_a_policy_plays_as_it_was_trained_unless_told_otherwise(folder, monkeypa
 
     def plan(jobs: list[BenchJob], *_: object) -> BenchState:
         planned.update({job.spec.agent: job.spec for job in jobs})
-        return BenchState(folder, 0, lambda *_: False)
+        return BenchState(folder, 0)
 
     monkeypatch.setattr("cadenza.evaluation.bench.bench", plan)
     policy = str(pretrained_folder("OdeToJoy"))
@@ -160,7 +160,7 @@ def test_other_weights_in_the_same_file_are_another_run(folder, monkeypatch, tmp
 
     def plan(jobs: list[BenchJob], *_: object) -> BenchState:
         planned.append(jobs[0].spec)
-        return BenchState(folder, 0, lambda *_: False)
+        return BenchState(folder, 0)
 
     monkeypatch.setattr("cadenza.evaluation.bench.bench", plan)
     for content in b"one", b"other", b"one":
@@ -270,9 +270,7 @@ def test_rows_of_the_table_tell_runs_apart(folder, monkeypatch, capsys):
     (folder / "songs" / "60.mid").rename(folder / "songs" / f"{'long-' * 20}60.mid")
 
     def watched(jobs: list[BenchJob], *others: Any) -> BenchState:
-        state = BenchState(
-            folder, 0, lambda *_: False, running={job.spec.name: job for job in jobs}
-        )
+        state = BenchState(folder, 0, running={job.spec.name: job for job in jobs})
         others[3](state)
         return state
 

@@ -48,14 +48,14 @@ class Bench(Options):
     num_steps: int | None = None
     """Environment steps of train:PRESET. By default those of the preset."""
     pages: Literal["first-seed", "all", "none"] = "first-seed"
-    """Which runs leave a page to watch and hear."""
+    """Runs leave a page to watch and hear: the first of each song and agent, all, or none."""
     execution: Flat[Execution] = field(default_factory=Execution)
     quiet: Quiet = False
 
 
 def run(command: Bench, read: Read[Bench]) -> None:
+    from cadenza.evaluation.bench import has_result
     from cadenza.evaluation.jobs import bench_jobs
-    from cadenza.evaluation.results import is_finished
     from cadenza.evaluation.run import carry_out
     from cadenza.music.libraries.library import open_library
 
@@ -76,7 +76,7 @@ def run(command: Bench, read: Read[Bench]) -> None:
     trains = any(job.spec.training is not None for job in jobs)
     until = "a checkpoint of the runs that train" if trains else "ending the runs under way"
     results = ["cadenza", "results", str(command.output)]
-    work = Work(carry_out, lambda _, folder: is_finished(folder), _result, until, results)
+    work = Work(carry_out, has_result, _result, until, results)
     run_all(command, jobs, work)
 
 

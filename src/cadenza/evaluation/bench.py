@@ -17,13 +17,19 @@ _POLL_INTERVAL = 0.5  # [s]
 _MAX_ATTEMPTS = 3  # at a run whose process dies
 
 
+def has_result(_job: Any, folder: Path) -> bool:
+    """Return whether a run has left its result in its folder."""
+    return is_finished(folder)
+
+
 @dataclass
 class BenchState:
     """State of a bench; runs have the names of their folders."""
 
     folder: Path  # the folder of all runs
     total: int
-    is_complete: Callable[[BenchJob, Path], bool]  # whether nothing is left to do in its folder
+    # Whether nothing is left to do for a run in its folder
+    is_complete: Callable[[Any, Path], bool] = has_result
     todo: deque[BenchJob] = field(default_factory=deque)
     running: dict[str, BenchJob] = field(default_factory=dict)
     elsewhere: list[BenchJob] = field(default_factory=list)  # runs that another process works on
@@ -45,7 +51,7 @@ def bench(
     ended: Callable[[BenchState, BenchJob], None],
     should_continue: Callable[[BenchState], bool],
     retry: bool = False,
-    is_complete: Callable[[Any, Path], bool] = lambda _, folder: is_finished(folder),
+    is_complete: Callable[[Any, Path], bool] = has_result,
 ) -> BenchState:
     """Carry out what is not complete yet.
 
