@@ -19,8 +19,7 @@ others at the whole keyboard, or at the hands where a picture is too tall to be 
 FIELD_OF_VIEW = 28.0  # of all of them, from the lower edge of the picture to the upper one [degree]
 
 _ROOM = np.array([0.97, 0.95])  # of width and height of the picture, that is for what it looks at
-_FILLED = 0.88  # of the height, at least, with what is around
-_MIN_FILLED = 0.85  # or it turns
+_FILLED = 0.88  # of the height, at least, with what is around; or it turns
 _ALONG = 65  # points of a long edge, of which some are beside the picture
 _CLOSEST = 0.05  # [m] in front of the camera that is seen
 _ROUNDS = 8  # of fitting, after which nothing moves by a pixel
@@ -92,14 +91,14 @@ class Camera:
     def _fit_turning(self, sight: Sight) -> tuple[Points, float]:
         """Fit what is seen, turned as little as fills the height of the picture."""
         target, distance = self._fit(sight.shown)
-        if self._height(sight, target, distance) >= _MIN_FILLED:
+        if self._height(sight, target, distance) >= _FILLED:
             return target, distance
         low, high = 0.0, _MAX_TURN
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
             self._turn(middle)
             target, distance = self._fit(sight.shown)
-            if self._height(sight, target, distance) < _MIN_FILLED:
+            if self._height(sight, target, distance) < _FILLED:
                 low = middle
             else:
                 high = middle

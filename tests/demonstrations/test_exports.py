@@ -233,6 +233,19 @@ def test_lerobot_files_hold_what_cameras_see(made, tmp_path, monkeypatch):
     assert len(list((tmp_path / "several").rglob("*.mp4"))) == 4
 
 
+def test_minari_has_what_cameras_see(made, tmp_path, monkeypatch):
+    export = ["dataset", "export", str(made), "--video-size", "64", "48", "--name", "seen"]
+    main([*export, "--video-cameras", "player", "left", "-o", str(tmp_path)])
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    for number, episode in enumerate(minari.load_dataset("seen-v0").iterate_episodes()):
+        shown = pictures_of(open_dataset(made), number)
+        assert episode.infos["left"].shape == episode.infos["player"].shape
+        assert episode.infos["player"].dtype == np.uint8
+        assert len(episode.infos["player"]) == len(shown) + 1
+        seen = episode.infos["player"][:-1].astype(float)
+        assert np.abs(seen - shown).mean() < 1  # of 255: keys are recorded in single precision
+
+
 def pictures_of(dataset: Dataset, number: int) -> np.ndarray:
     """(T, height, width, 3) what the environment shows before each step."""
     episode = dataset.episodes[number]
@@ -260,7 +273,7 @@ def frames_of(folder: Path, info: dict[str, Any], row: dict[str, Any]) -> np.nda
 @pytest.mark.parametrize(
     ("words", "what"),
     [
-        (["--video-cameras", "back"], "--video-cameras: only LeRobot holds videos"),
+        (["--video-cameras", "front"], "no camera 'front': choose from"),
         (["--format", "lerobot", "--video-cameras", "front"], "no camera 'front': choose from"),
         (
             ["--format", "lerobot", "--video-cameras", "back", "--video-size", "65", "48"],

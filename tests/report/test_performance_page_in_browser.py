@@ -596,7 +596,7 @@ def test_the_button_makes_a_film_with_sound(tmp_path, write, encodes):
     with av.open(io.BytesIO(base64.b64decode(content))) as film:
         sound = np.concatenate([frame.to_ndarray() for frame in film.decode(audio=0)], axis=1)
     assert all(size == [128, 72] for _, *size in pictures)
-    assert 0.8 < pictures[-1][0] < 2.5
+    assert 0.5 < pictures[-1][0] < 2.5  # of 1 s, of which a slow machine records fewer pictures
     assert np.abs(sound).max() > 0.01
 
 

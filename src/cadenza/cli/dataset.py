@@ -196,10 +196,11 @@ class DatasetExport(RecordedParts):
     version: int = 0
     """For Minari: version in its id."""
     video_cameras: tuple[str, ...] = ()
-    """For LeRobot: cameras that film every episode, of player, close, top, audience and side, and
-    the published closeup, left, right, back, egocentric and topdown."""
+    """Cameras that see every step, of player, close, top, audience and side, and the published
+    closeup, left, right, back, egocentric and topdown. LeRobot has videos, and Minari pictures as
+    infos, which take much space."""
     video_size: tuple[int, int] = (640, 360)
-    """Width and height of the videos [px], even numbers up to 1920 1080."""
+    """Width and height of what they see [px], up to 1920 1080; of videos even numbers."""
     quiet: Quiet = False
 
 
@@ -210,15 +211,13 @@ def export(command: DatasetExport) -> None:
     from cadenza.sim.render import Picture
 
     pictures = [Picture(*command.video_size, name) for name in dict.fromkeys(command.video_cameras)]
-    if pictures and command.format != "lerobot":
-        raise CadenzaError("--video-cameras: only LeRobot holds videos; add --format lerobot")
     if command.format != "minari" and (command.name, command.version) != (None, 0):
         raise CadenzaError("--name, --version: only Minari has them; leave them out")
     id_ = minari_id(command.folder, command.name, command.version)
     dataset = open_dataset(command.folder)
     with progress("exporting", "episodes") as advance:
         if command.format == "minari":
-            write_minari(dataset, command.output, id_, advance)
+            write_minari(dataset, command.output, id_, advance, pictures)
         else:
             write_lerobot(dataset, command.output, advance, pictures)
     what = f"the dataset {id_}" if command.format == "minari" else "a LeRobot dataset"

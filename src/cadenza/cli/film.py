@@ -29,8 +29,8 @@ class Film:
     """Length; to the end by default."""
     size: tuple[int, int] = (1920, 1080)
     """Width and height [px], up to 2160."""
-    camera: str | None = None
-    """player, close, top, audience or side; by default player, and close for a tall film."""
+    camera: str = "player"
+    """player, close, top, audience or side."""
     score: bool = False
     """Show the score below the hands."""
     sound_font: SoundFont = None

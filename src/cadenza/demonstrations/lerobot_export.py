@@ -14,9 +14,10 @@ frame's `observation.previous_action`.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from functools import reduce
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import Dataset
-from cadenza.demonstrations.transitions import transitions
+from cadenza.demonstrations.transitions import pictures_of, transitions
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import new_folder, write_json
 from cadenza.scene.scene import Scene
@@ -372,7 +373,8 @@ class Video:
         if self._output is None or self._path.stat().st_size > FILE_BYTES:
             self._begin()
         first, pictures = self._frames, []
-        for pixels in self._pictures(number):
+        count = self._dataset.episodes[number].facts.num_steps
+        for pixels in islice(pictures_of(self._dataset, number, self._renderer), count):
             colours = Statistics.of(pixels.reshape(-1, 3) / _MAX_BRIGHTNESS)
             pictures.append(colours._replace(rows=1))  # LeRobot counts pictures
             self._encode(av.VideoFrame.from_ndarray(pixels, format="rgb24"))
@@ -391,16 +393,6 @@ class Video:
         """End the last file, and frees graphics."""
         self._end()
         self._renderer.close()
-
-    def _pictures(self, number: int) -> Iterator[NDArray[np.uint8]]:
-        episode, keyboard = self._dataset.episodes[number], self._dataset.scene.keyboard
-        steps, count = episode.steps, episode.facts.num_steps
-        sounding = np.unpackbits(steps["sounding"], axis=1, count=keyboard.num_keys).view(bool)
-        goal_keys = np.pad(self._dataset.goals(number).keys, [(1, 0), (0, 0)])
-        depth = steps["key_state"] * keyboard.travel
-        for t in range(count):
-            frame = self._renderer.frame(steps["hand_qpos"][t], depth[t], sounding[t], goal_keys[t])
-            yield np.ascontiguousarray(frame)
 
     @property
     def _path(self) -> Path:

@@ -2,7 +2,7 @@
 
 Observations and actions are those of the environment `cadenza/Piano-v0`; the actions are those that
 were played, noise and all, since they led to the next observation. What the demonstrator chose
-stands beside them, as the info `chosen_action`.
+stands beside them, as the info `chosen_action`, and what cameras see as infos of their names.
 
 The dataset holds all that its environment plays: the songs, and as the options of each episode its
 score and where the hands began. Reset with these options, the environment that Minari recovers
@@ -15,7 +15,7 @@ import re
 import shutil
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from copy import deepcopy
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -28,10 +28,11 @@ from gymnasium.envs.registration import EnvSpec
 
 from cadenza.configs import MAX_COUNT, whole_number
 from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset
-from cadenza.demonstrations.recorded_episode import EpisodeFacts, RecordedEpisode, written
-from cadenza.demonstrations.transitions import Transitions, transitions
+from cadenza.demonstrations.recorded_episode import EpisodeFacts, written
+from cadenza.demonstrations.transitions import pictures_of, transitions
 from cadenza.errors import CadenzaError, extra_packages, quoted
 from cadenza.files import new_folder, plain
+from cadenza.sim.render import Picture, Renderer
 from cadenza.tasks.config import NOISE_ON_OBSERVATIONS
 from cadenza.tasks.env import state_space
 from cadenza.tasks.view import TaskSpec, task_spec
@@ -58,36 +59,53 @@ def minari_id(folder: Path, name: str | None = None, version: int = 0) -> str:
 
 
 def write_minari(
-    dataset: Dataset, path: Path, id_: str, advance: Callable[[int, int], None]
+    dataset: Dataset,
+    path: Path,
+    id_: str,
+    advance: Callable[[int, int], None],
+    pictures: Sequence[Picture] = (),
 ) -> None:
     """Write the dataset of that id to a folder, which MINARI_DATASETS_PATH has to name then.
 
-    Others may lie there. Raises CadenzaError if Minari is not installed, there is a dataset of that
-    id in the folder, or an episode is damaged.
+    Others may lie there. It has these `pictures` of every step, as they are: 0.7 MB each at 640 x
+    360. Raises CadenzaError if Minari is not installed, there is a dataset of that id in the
+    folder, an episode is damaged, or this machine cannot draw.
     """
     with extra_packages("export", "exporting"):
         import minari
         import pyarrow  # noqa: F401 - Minari's error would come late
         from minari.data_collector.episode_buffer import EpisodeBuffer
-    first = transitions(dataset, 0)
-    with new_folder(path / id_) as folder, _root(folder), warnings.catch_warnings():
+    with (
+        new_folder(path / id_) as folder,
+        _root(folder),
+        warnings.catch_warnings(),
+        ExitStack() as opened,
+    ):
         warnings.simplefilter("ignore", UserWarning)  # that it has no author
+        renderers = {
+            picture.camera: opened.enter_context(closing(Renderer(dataset.scene, picture)))
+            for picture in pictures
+        }
+
+        def buffer(number: int) -> Any:
+            return _buffer(EpisodeBuffer, dataset, number, renderers)
+
         made = minari.create_dataset_from_buffers(
             id_,
-            [_buffer(EpisodeBuffer, first, dataset.episodes[0])],
+            [buffer(0)],
             env=_environment(dataset),
             observation_space=state_space(_task_spec(dataset)),
-            action_space=spaces.Box(-1.0, 1.0, (first.chosen.shape[1],), np.float32),
+            action_space=spaces.Box(
+                -1.0, 1.0, (len(dataset.scene.actuator_names) + 1,), np.float32
+            ),
             algorithm_name=str(dataset.episodes[0].facts.job["agent"]),
             description="Two simulated robot hands play the piano.",
             requirements=["cadenza"],
             data_format="parquet",
         )
         count, lengths = len(dataset.episodes), [e.facts.num_steps for e in dataset.episodes]
-        for some in batched(range(1, count), lengths):
-            made.update_dataset_from_buffer(
-                [_buffer(EpisodeBuffer, transitions(dataset, i), dataset.episodes[i]) for i in some]
-            )
+        for some in batched(range(1, count), lengths, 1 if pictures else _MAX_BATCH):
+            made.update_dataset_from_buffer([buffer(number) for number in some])
             advance(some[-1] + 1, count)
         made.storage.update_metadata(_names(dataset))
         made.storage.update_episode_metadata(_metadata(e.facts) for e in dataset.episodes)
@@ -123,7 +141,8 @@ def _environment(dataset: Dataset) -> EnvSpec:
     return spec
 
 
-def _buffer(kind: Any, made: Transitions, episode: RecordedEpisode) -> Any:
+def _buffer(kind: Any, dataset: Dataset, number: int, renderers: dict[str, Renderer]) -> Any:
+    made, episode = transitions(dataset, number), dataset.episodes[number]
     count, facts = len(made.chosen), episode.facts
     drawn = facts.task.randomization.seed
     options = {"score": written(episode.score), "start": facts.start}
@@ -135,7 +154,8 @@ def _buffer(kind: Any, made: Transitions, episode: RecordedEpisode) -> Any:
         rewards=made.reward,
         terminations=np.zeros(count, bool),
         truncations=np.arange(count) == count - 1,
-        infos={"chosen_action": chosen},
+        infos={"chosen_action": chosen}
+        | {name: np.stack([*pictures_of(dataset, number, r)]) for name, r in renderers.items()},
         seed=facts.job["seed"],
         options=options if drawn is None else {**options, "randomization": drawn},
     )

@@ -1,11 +1,13 @@
 """Recorded episodes as transitions of the Gymnasium environments, for other libraries."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset, Floats, check_values
+from cadenza.sim.render import Renderer
 from cadenza.tasks.view import from_range
 
 
@@ -71,3 +73,13 @@ def transitions(dataset: Dataset, number: int) -> Transitions:
         played=steps["played"],
         reward=steps["previous_reward"][1:],
     )
+
+
+def pictures_of(dataset: Dataset, number: int, renderer: Renderer) -> Iterator[NDArray[np.uint8]]:
+    """Yield the pictures (height, width, 3) that environments show, T + 1 of an episode."""
+    steps, keyboard = dataset.episodes[number].steps, dataset.scene.keyboard
+    sounding = np.unpackbits(steps["sounding"], axis=1, count=keyboard.num_keys).view(bool)
+    goal = np.pad(dataset.goals(number).keys, [(1, 0), (0, 0)])
+    depth = steps["key_state"] * keyboard.travel
+    for seen in zip(steps["hand_qpos"], depth, sounding, goal, strict=True):
+        yield np.ascontiguousarray(renderer.frame(*seen))

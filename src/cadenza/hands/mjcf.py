@@ -11,6 +11,7 @@ from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
+from xml.etree.ElementTree import Element, SubElement, fromstring, tostring
 
 import mujoco
 import numpy as np
@@ -51,6 +52,7 @@ _NAMES: dict[int, tuple[Any, int]] = {
     kind: (name, count) for name, (kind, count) in GEOM_TYPES.items()
 }
 _APART = 0.001  # [m] between the origins of links, for a capsule between them
+_NO_MASS = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-9 1e-9 1e-9"}  # MuJoCo wants some
 _STIFF = 1.5  # [N m/rad] from which motions have to be gentle
 _SLACK = 0.3  # [rad] below which a tendon between two joints couples them
 # The forearm, which no file need have: as wide as that of the other hands.
@@ -282,7 +284,7 @@ class HandFile:
 
     def _moving_joints(self) -> Iterator[tuple[int, str]]:
         """Yield ids and names of the joints of the hand, without those that are fixed."""
-        model, before = self._model, -1
+        model = self._model
         for joint in range(model.njnt):
             body, kind = int(model.jnt_bodyid[joint]), mujoco.mjtJoint(model.jnt_type[joint])
             free = kind == mujoco.mjtJoint.mjJNT_FREE and body == self._root
@@ -291,9 +293,6 @@ class HandFile:
             name = model.joint(joint).name or f"{self._name(body)}_joint"
             if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
                 raise self.error(f"joint {name} is neither a hinge nor a slide")
-            if body == before:
-                raise self.error(f"body {self._name(body)} has two joints; make it two bodies")
-            before = body
             yield joint, name
 
     def _rotation(self) -> Array:
@@ -589,7 +588,7 @@ def _joints(links: list[Link]) -> list[Joint]:
 def _compiled(file: Path) -> mujoco.MjModel:
     """The model of a file, with a simple shape for each mesh, all of which collide."""
     try:
-        spec = mujoco.MjSpec.from_file(str(file))
+        spec = _one_joint_a_body(mujoco.MjSpec.from_file(str(file)), file)
         spec.compiler.fusestatic = False  # keeps the names of tips
         spec.compiler.balanceinertia = True  # of many a URDF
         for geom in spec.geoms:
@@ -603,6 +602,32 @@ def _compiled(file: Path) -> mujoco.MjModel:
         raise CadenzaError(
             f"{file}: MuJoCo cannot read it: {' '.join(str(error).split())}"
         ) from error
+
+
+def _one_joint_a_body(spec: mujoco.MjSpec, file: Path) -> mujoco.MjSpec:
+    """Hang each body that has several joints from bodies without shapes, one for each but the last.
+
+    What touched nothing before touches nothing now: MuJoCo leaves out parents and their children.
+    """
+    if not any(len(body.joints) > 1 for body in spec.bodies):
+        return spec
+    root = fromstring(spec.to_xml())
+    excluded = root.find("contact") or SubElement(root, "contact")
+    for parent in reversed([*root.iter("body")]):  # what hangs from a body before the body
+        for body in parent.findall("body"):
+            name, joints = body.get("name"), body.findall("joint")
+            for joint in joints[:-1]:
+                inner = Element("body")
+                inner.extend(part for part in body if part is not joint)
+                body[:] = [joint, Element("inertial", _NO_MASS), inner]
+                body.attrib.pop("name", None)
+                body = inner
+            if len(joints) > 1 and name and parent.get("name"):
+                body.set("name", name)
+                SubElement(excluded, "exclude", body1=parent.get("name", ""), body2=name)
+    again = mujoco.MjSpec.from_string(tostring(root, encoding="unicode"))
+    again.modelfiledir = str(file.parent)
+    return again
 
 
 def _axis(direction: Array) -> Array:

@@ -1,5 +1,6 @@
 """Films of a performance, drawn by its page in a browser, and its sound alone."""
 
+import io
 import json
 import os
 import queue
@@ -8,11 +9,11 @@ import shutil
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from subprocess import DEVNULL
 from tempfile import TemporaryDirectory
 from typing import IO, Any
 from urllib.parse import quote
@@ -25,40 +26,20 @@ from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError, quoted
 from cadenza.files import write_atomically
 from cadenza.music.performance import played_in
-from cadenza.report.sound import (
-    CODECS,
-    SAMPLE_RATE,
-    Samples,
-    synthesize,
-    write_audio,
-    write_sound,
-)
+from cadenza.report.sound import CODECS, SAMPLE_RATE, Samples, synthesize, write_audio, write_sound
 from cadenza.report.tone import Tone, tone
 
 FILM = "video.mp4"  # the name of the film in the folder of a performance
 _ENDING = ".mp4"
 _MIN_SIDE, _MAX_SIDE = 64, 2160  # [px]
-_TALL = 1.2  # height over width from which the camera follows the hands by default
-_RINGING = 1.0  # [s] that the last notes of the whole may ring on
 _PATIENCE = 300.0  # [s] with a browser that sends nothing
-_NAMES = (
-    *("google-chrome", "google-chrome-stable", "chromium", "chromium-browser", "chrome"),
-    *("microsoft-edge", "msedge"),
-)
-_PLACES = (
-    "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
-    "/Applications/Chromium.app/Contents/MacOS/Chromium",
-    "/Applications/Microsoft Edge.app/Contents/MacOS/Microsoft Edge",
-    r"C:\Program Files\Google\Chrome\Application\chrome.exe",
-    r"C:\Program Files (x86)\Microsoft\Edge\Application\msedge.exe",
-)
+_NAMES = "google-chrome", "google-chrome-stable", "chromium", "chromium-browser", "microsoft-edge"
 _FLAGS = (
     *("--headless", "--no-first-run", "--mute-audio", "--disable-dev-shm-usage"),
     *("--enable-unsafe-swiftshader", "--force-color-profile=srgb"),  # draws where there is no card
     "--disable-gpu-watchdog",  # which ends what draws on a busy machine, and the film with it
 )
 _POLICY = "default-src 'none';"
-_REENCODED = {"crf": "19", "preset": "veryfast"}  # where the browser cannot encode H.264
 
 
 @dataclass(frozen=True)
@@ -67,8 +48,7 @@ class Look:
 
     width: int = 1920
     height: int = 1080
-    camera: str | None = None
-    """The player's by default, and in a tall film the one that is close to the hands."""
+    camera: str = "player"
     score: bool = False
 
     def __post_init__(self) -> None:
@@ -83,13 +63,8 @@ class Look:
                 f"a film of {self.width} x {self.height} pixels: choose even numbers from "
                 f"{_MIN_SIDE} to {_MAX_SIDE} for each side"
             )
-        if self.camera is not None and self.camera not in VIEWS:
+        if self.camera not in VIEWS:
             raise CadenzaError(f"no camera {quoted(self.camera)}: choose from {', '.join(VIEWS)}")
-
-    @property
-    def view(self) -> str:
-        """The camera of `VIEWS`."""
-        return self.camera or ("close" if self.height > _TALL * self.width else "player")
 
 
 def check_film(path: Path) -> None:
@@ -143,20 +118,17 @@ def write_film(
         raise CadenzaError(
             f"nothing to show from {start:g} s to {end:g} s: what was played lasts {length:.1f} s"
         )
-    browser = None if path.suffix.lower() in CODECS else find_browser()
+    is_film = path.suffix.lower() == _ENDING
+    browser = find_browser() if is_film else ""
     whole = synthesize(played_in(episode), voice=voice)
-    if seconds is None:
-        end = min(max(len(whole) / SAMPLE_RATE, length), length + _RINGING)
-    audio = whole[round(start * SAMPLE_RATE) : round(end * SAMPLE_RATE)]
-    if browser is None:
+    last = None if seconds is None else round(end * SAMPLE_RATE)  # or it rings on
+    audio = whole[round(start * SAMPLE_RATE) : last]
+    if not is_film:
         write_sound(path, audio, seconds=end - start)
         return path
-    asked = asdict(look := look or Look()) | {"view": look.view, "start": start, "end": end}
-    with TemporaryDirectory() as temporary:
-        silent_film = Path(temporary) / FILM
-        with silent_film.open("wb") as file:
-            _draw(page.read_text("utf-8"), browser, asked, file, progress)
-        _add_sound(silent_film, audio, path)
+    asked = asdict(look or Look()) | {"start": start, "end": end, "silent": True}
+    drawn = _drawn(page.read_text("utf-8"), browser, asked, progress)
+    _add_sound(io.BytesIO(drawn), audio, path)
     return path
 
 
@@ -165,7 +137,7 @@ def find_browser() -> str:
 
     Raises CadenzaError if there is none. Returns its path.
     """
-    found = next(filter(None, map(shutil.which, (*_NAMES, *_PLACES))), None)
+    found = next(filter(None, map(shutil.which, _NAMES)), None)
     if found is None:
         raise CadenzaError(
             "a film is drawn by Chrome, Chromium or Edge, and none is here: install one (on Debian "
@@ -174,14 +146,12 @@ def find_browser() -> str:
     return found
 
 
-def _draw(
-    page: str, browser: str, asked: dict[str, Any], file: IO[bytes], progress: Progress
-) -> None:
-    """Have a browser draw the film that is asked for, and send it into a file, without sound.
+def _drawn(page: str, browser: str, asked: dict[str, Any], progress: Progress) -> bytes:
+    """Return the film that is asked for, without sound, as a browser draws and sends it.
 
     Raises CadenzaError if the browser ends, sends nothing for five minutes, or cannot draw.
     """
-    token, events = secrets.token_urlsafe(16), queue.Queue[tuple[str, ...]]()
+    token, events = secrets.token_urlsafe(16), queue.Queue[tuple[list[str], bytes]]()
     allowed = page.replace(_POLICY, f"{_POLICY} connect-src 'self';", 1)  # to send its film here
 
     class Handler(BaseHTTPRequestHandler):
@@ -194,11 +164,8 @@ def _draw(
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers.get("content-length", "0")))
             _, given, *words = self.path.split("/")
-            if given == token and words[0] == "film":
-                file.seek(int(words[1]))
-                file.write(body)
             if given == token:
-                events.put((*words, body.decode()) if words[0] == "error" else tuple(words))
+                events.put((words, body))
             self._answer(b"" if given == token else None)
 
         def _answer(self, content: bytes | None) -> None:
@@ -213,78 +180,42 @@ def _draw(
     with (
         ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server,
         TemporaryDirectory(ignore_cleanup_errors=True) as profile,
+        ExitStack() as ends,
     ):
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        address = f"http://127.0.0.1:{server.server_port}/{token}/"
-        asked |= {"falling": True, "silent": True}
-        with _opened(browser, profile, f"{address}?film={quote(json.dumps(asked))}") as process:
+        ends.callback(server.shutdown)
+        flags = [*_FLAGS, f"--user-data-dir={profile}"]
+        if sys.platform == "linux" and os.geteuid() == 0:
+            flags.append("--no-sandbox")  # it refuses to run as root otherwise; the page is our own
+        address = f"http://127.0.0.1:{server.server_port}/{token}/?film={quote(json.dumps(asked))}"
+        process = subprocess.Popen([browser, *flags, address], stdout=DEVNULL, stderr=DEVNULL)
+        ends.callback(process.wait)
+        ends.callback(process.terminate)
+        while True:
             try:
-                _wait(events, process, progress)
-            finally:
-                server.shutdown()
+                (kind, *words), body = events.get(timeout=_PATIENCE)
+            except queue.Empty:
+                how = "has ended" if process.poll() is not None else "sends nothing"
+                raise CadenzaError(f"the browser that draws the film {how}") from None
+            if kind == "film":
+                return body
+            if kind == "error":
+                raise CadenzaError(f"the browser cannot draw the film: {body.decode()}")
+            progress("drawing", *map(int, words))
 
 
-def _wait(
-    events: queue.Queue[tuple[str, ...]], process: subprocess.Popen[bytes], progress: Progress
-) -> None:
-    """Wait for the end of a film."""
-    while True:
-        try:
-            kind, *words = events.get(timeout=_PATIENCE)
-        except queue.Empty:
-            how = "has ended" if process.poll() is not None else "sends nothing"
-            raise CadenzaError(f"the browser that draws the film {how}") from None
-        if kind == "progress":
-            progress("drawing", int(words[0]), int(words[1]))
-        elif kind == "error":
-            raise CadenzaError(f"the browser cannot draw the film: {words[0]}")
-        elif kind == "end":
-            return
-
-
-@contextmanager
-def _opened(browser: str, profile: str, address: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Open an address in a browser without a window, with a profile of its own."""
-    flags = [*_FLAGS, f"--user-data-dir={profile}"]
-    if sys.platform == "linux" and os.geteuid() == 0:
-        flags.append("--no-sandbox")  # it refuses to run as root otherwise; the page is our own
-    process = subprocess.Popen(
-        [browser, *flags, address], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    try:
-        yield process
-    finally:
-        process.terminate()
-        process.wait()
-
-
-def _add_sound(film: Path, audio: Samples, path: Path) -> None:
-    """Write a film with AAC sound and H.264 pictures, which any player plays."""
+def _add_sound(film: IO[bytes], audio: Samples, path: Path) -> None:
+    """Write a film with AAC sound, which any player plays, and the pictures as they are."""
     with (
         write_atomically(path) as file,
         av.open(film) as drawn,
         av.open(file, "w", format="mp4", options={"movflags": "faststart"}) as container,
     ):
-        pictures = drawn.streams.video[0]
-        is_known = pictures.codec_context.name == "h264"
-        if is_known:
-            copy = container.add_stream_from_template(pictures)
-        else:
-            encoded = container.add_stream(
-                "libx264", rate=pictures.average_rate, options=_REENCODED
-            )
-            encoded.width, encoded.height, encoded.pix_fmt = (
-                *(pictures.width, pictures.height),
-                "yuv420p",
-            )
+        (pictures,) = drawn.streams.video
+        copy = container.add_stream_from_template(pictures)
         sound = container.add_stream("aac", rate=SAMPLE_RATE, layout="stereo")
-        if is_known:
-            for packet in drawn.demux(pictures):
-                if packet.dts is not None:
-                    packet.stream = copy
-                    container.mux(packet)
-        else:
-            for picture in drawn.decode(pictures):
-                container.mux(encoded.encode(picture))
-            container.mux(encoded.encode(None))
+        for packet in drawn.demux(pictures):
+            if packet.dts is not None:
+                packet.stream = copy
+                container.mux(packet)
         write_audio(container, sound, audio, len(audio))

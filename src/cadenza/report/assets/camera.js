@@ -2,8 +2,7 @@
 
 const FIELD_OF_VIEW = 28; // [degree]
 const MARGINS = [0.97, 0.95]; // of width and height of the picture, that is for what it looks at
-const FILLED = 0.88; // of the height, at least, with what is around
-const LEAST_FILLED = 0.85; // or it turns
+const FILLED = 0.88; // of the height, at least, with what is around; or it turns
 const CLOSEST = 0.05; // [m] in front of the camera that is seen
 const ROUNDS = 8; // of fitting, after which nothing moves by a pixel
 const MAX_TURN = (70 * Math.PI) / 180; // around hands that are too far apart to fill a tall picture
@@ -75,7 +74,7 @@ function placed(away, aspect, close, whole, hands, widest) {
   /** Turns as little as fills the height of the picture. */
   function turnToFill(sight) {
     let low = 0, high = MAX_TURN;
-    const isFilled = (angle) => (turn(angle), fit(sight.shown), filled(sight) >= LEAST_FILLED);
+    const isFilled = (angle) => (turn(angle), fit(sight.shown), filled(sight) >= FILLED);
     if (isFilled(0)) return;
     for (let halving = 0; halving < HALVINGS; halving++) {
       const middle = (low + high) / 2;

@@ -139,8 +139,7 @@ fitToWindow();
 redraw();
 frame();
 
-const about = [document.querySelector("h1").textContent, $("player")?.textContent ?? ""].filter(Boolean);
 const asked = new URLSearchParams(location.search).get("film");
 if (!stage) $("film").hidden = true;
-else if (asked) sendFilm(data, engraving, about, JSON.parse(asked));
-else offerFilm(data, engraving, about);
+else if (asked) sendFilm(data, engraving, JSON.parse(asked));
+else offerFilm(data, engraving);

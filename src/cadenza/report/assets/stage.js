@@ -84,6 +84,7 @@ function createStage(canvas, data, colours) {
   const inUse = range(data).map((key, i) => Math.min(Math.max(key + (i ? 3 : -3), 0), parts.keys.length - 1));
   const falling = createFallingNotes(data, parts.keys, keyboard, colours.map((c) => new THREE.Color(c)));
   falling.track.visible = false;
+  falling.extend(0); // until there is a camera that leaves it more
   scene.add(falling.track);
 
   const controls = new THREE.OrbitControls(camera, canvas);
@@ -116,14 +117,17 @@ function createStage(canvas, data, colours) {
     return [whole, between(left, right), farthest].map((box) => ({ shown: pointsOf(box), around: [...around, ...ends] }));
   }
 
-  /** Looks from a named side, as near as keeps in sight what is looked at. */
+  /** Looks from a named side, if there is one, as near as keeps in sight what is looked at; falling notes have a track as long as that leaves. */
   function place() {
-    away.set(...VIEWS[view]).normalize();
-    const { target, distance, towards } = placed(away, camera.aspect, view === "close", ...sights());
-    camera.position.copy(target).addScaledVector(towards, distance);
-    controls.target.copy(target);
-    controls.update();
     stale = true;
+    if (view) {
+      away.set(...VIEWS[view]).normalize();
+      const { target, distance, towards } = placed(away, camera.aspect, view === "close", ...sights());
+      camera.position.copy(target).addScaledVector(towards, distance);
+      controls.target.copy(target);
+      controls.update();
+    }
+    if (falling.track.visible) falling.move(Math.max(shown, 0));
   }
 
   function fit(width = canvas.clientWidth, height = canvas.clientHeight, ratio = Math.min(devicePixelRatio, 2)) {
@@ -132,8 +136,7 @@ function createStage(canvas, data, colours) {
     renderer.setSize(width, height, false);
     camera.aspect = width / height;
     camera.updateProjectionMatrix();
-    if (view) place();
-    stale = true;
+    place();
   }
   const resized = new ResizeObserver(() => fit());
   resized.observe(canvas);
@@ -141,7 +144,6 @@ function createStage(canvas, data, colours) {
   function move(time) {
     if (time === shown) return;
     shown = time;
-    stale = true;
     const { row } = rowAt(time, dt, steps), { row: from, next, blend } = stateAt(time, dt, steps);
     hands.pose(jointsAt(time));
     for (let k = 0; k < keys.length; k++) {
@@ -153,8 +155,7 @@ function createStage(canvas, data, colours) {
       key.solid.material.color.copy(key.colours[state]);
       key.solid.material.emissive.copy(key.colours[state]).multiplyScalar(state ? 0.4 : 0);
     }
-    if (falling.track.visible) falling.move(time);
-    if (view) place();
+    place();
   }
 
   const surface = ALONG_KEY.map(() => new THREE.Vector3());
@@ -196,9 +197,7 @@ function createStage(canvas, data, colours) {
     },
     showNotes(visible) {
       falling.track.visible = visible;
-      if (visible) falling.move(Math.max(shown, 0));
-      if (view) place();
-      stale = true;
+      place();
     },
     /** Has a picture that is in no page this size [px]. */
     fit: (width, height) => fit(width, height, 1),
