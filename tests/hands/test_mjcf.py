@@ -27,10 +27,18 @@ def in_palm(scene_data: mujoco.MjData, palm: str, point: np.ndarray) -> np.ndarr
     return body.xmat.reshape(3, 3).T @ (point - body.xpos)
 
 
-def test_fingertips_are_where_mujoco_has_those_of_the_file(tmp_path):
-    hand = HandFile(write_to(tmp_path)).hand(UPRIGHT)
+@pytest.mark.parametrize("joints", [1, 2])
+def test_fingertips_are_where_mujoco_has_those_of_the_file(joints, tmp_path):
+    path = write_to(tmp_path)
+    if joints == 2:  # of a body, the first of which turns the finger about its length
+        twist = '<joint name="twist" axis="0 0 1" range="-1 1"/><joint name="index_1"'
+        text = mjcf().replace('<joint name="index_1"', twist)
+        text = text.replace("</actuator>", '<position joint="twist" kp="1"/></actuator>')
+        (tmp_path / "leap.xml").write_text(text)
+    hand = HandFile(path).hand(UPRIGHT)
     scene = build_scene(SceneConfig(), hand)
-    file, rng = mujoco.MjModel.from_xml_string(mjcf()), np.random.default_rng(0)
+    file = mujoco.MjModel.from_xml_path(str(tmp_path / "leap.xml"))
+    rng = np.random.default_rng(0)
     theirs, ours = mujoco.MjData(file), mujoco.MjData(scene.model)
     for joint in range(file.njnt):
         angle = rng.uniform(*file.jnt_range[joint])
@@ -43,11 +51,13 @@ def test_fingertips_are_where_mujoco_has_those_of_the_file(tmp_path):
         expected = in_palm(theirs, "palm", theirs.site(f"{finger}_tip").xpos)
         for side, mirror in ("rh_", np.eye(3)), ("lh_", TURN):
             tip = in_palm(ours, f"{side}palm", ours.site(f"{side}{finger}tip").xpos)
-            np.testing.assert_allclose(mirror @ tip, expected, atol=1e-9)
+            np.testing.assert_allclose(mirror @ tip, expected, atol=1e-7)
     np.testing.assert_allclose(
         sum(scene.model.body(f"rh_{file.body(b).name}").mass for b in range(1, file.nbody)),
         file.body_mass.sum(),
     )
+    excluded = {excluded for excluded in hand.body.excluded if "index1" in excluded}
+    assert excluded == ({("index0", "index1")} if joints == 2 else set())
 
 
 def test_a_joint_that_follows_moves_with_its_leader(tmp_path):

@@ -208,7 +208,7 @@ def _add_sound(film: IO[bytes], audio: Samples, path: Path) -> None:
     """Write a film with AAC sound, which any player plays, and the pictures as they are."""
     with (
         write_atomically(path) as file,
-        av.open(film) as drawn,
+        av.open(film, "r") as drawn,
         av.open(file, "w", format="mp4", options={"movflags": "faststart"}) as container,
     ):
         (pictures,) = drawn.streams.video
