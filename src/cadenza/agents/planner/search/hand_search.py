@@ -74,6 +74,7 @@ class PlayedStep(NamedTuple):
 
     ctrl: Array  # (A,)
     hand_qpos: Array  # (J,) before the step [m, rad]
+    hand_qvel: Array  # (J,) before the step [m/s, rad/s]
     key_path: Array  # (S + 1, K) before the step and after each of its physics steps [rad]
     fingertips: Array  # (F, 3) after the step [m]
 
@@ -86,6 +87,14 @@ class Snapshot(NamedTuple):
     model: Any
     changing: dict[str, Any]
     budget: int
+    randomness: Any  # the state of its random numbers
+    rolled_out: int  # control steps in rollouts
+    rehearsed: int  # control steps in rehearsals
+
+    @property
+    def simulated(self) -> int:
+        """Control steps in rollouts and rehearsals."""
+        return self.rolled_out + self.rehearsed
 
 
 class HandSearch:
@@ -134,7 +143,7 @@ class HandSearch:
 
         Where the plan ends within the horizon, the song is taken to end.
         """
-        self._goals = HandGoals(plan, self._side)
+        self._goals, self._plan_is_complete = HandGoals(plan, self._side), plan.complete
         self._tracking = plan.nominal.tracking.of(self.servos)
         self._network = (
             NetworkCandidate(plan, self._side, self._weights, step) if self._weights else None
@@ -177,13 +186,19 @@ class HandSearch:
 
     def play(self) -> PlayedStep:
         """Play the next step in the hand's own model."""
-        hand_qpos = self._model.state.hand_qpos[0]
+        before = self._model.state
         self._granted += self._income
         self._rehearse()
         ctrl = self._optimise()
         key_path = self._advance(ctrl)
         fingertips = self._model.state.fingertip_xpos[0, self._goals.fingers]
-        return PlayedStep(ctrl, hand_qpos, key_path, fingertips)
+        return PlayedStep(ctrl, before.hand_qpos[0], before.hand_qvel[0], key_path, fingertips)
+
+    def tracked(self, step: int, played: PlayedStep, hand_qpos: Array, hand_qvel: Array) -> Array:
+        """Controls (A,) of a step that was played, with feedback from joints (J,) as they are."""
+        off = np.stack([hand_qpos - played.hand_qpos, hand_qvel - played.hand_qvel], axis=1)
+        feedback = (self._tracking.gain[step] * (self._servos.of_joints.T @ off)).sum(axis=1)
+        return self._servos.clip(played.ctrl - feedback)
 
     def synchronise(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
         """Put the model into the state of the scene, unless it is there."""
@@ -207,11 +222,22 @@ class HandSearch:
         """The number of steps that are still to be played, as far as the plan goes."""
         return len(self._tracking.ctrl) - self._step
 
+    def has_planned(self, steps: int) -> bool:
+        """Whether the plan goes far enough to play so many steps."""
+        return self._plan_is_complete or self.steps_left >= steps + self.lookahead
+
     def save(self) -> Snapshot:
-        """Everything from which the hand goes on after `restore`, but for its random numbers."""
+        """Everything from which the hand goes on after `restore` or `rewind`."""
         changing = {name: copy(getattr(self, name)) for name in _CHANGING}
-        model = self._model.save(0)
-        return Snapshot(self._step, self._model.state, model, changing, self._budget)
+        state, model = self._model.state, self._model.save(0)
+        spent = self._rng.bit_generator.state, self._rollouts.simulated, self._rehearsed
+        return Snapshot(self._step, state, model, changing, self._budget, *spent)
+
+    def rewind(self, saved: Snapshot) -> None:
+        """Go to where `save` was called, as if nothing had been simulated since."""
+        self._rng.bit_generator.state = saved.randomness
+        self._rollouts.simulated, self._rehearsed = saved.rolled_out, saved.rehearsed
+        self.restore(saved)
 
     def restore(self, saved: Snapshot) -> None:
         """Go to where `save` was called, with as much budget as then. Random numbers are new."""
