@@ -6,7 +6,7 @@ SONG ?= TwinkleTwinkleLittleStar
 # The shell takes it from its environment: make and the shell change nothing, whatever its characters.
 override export SONG := $(value SONG)
 
-.PHONY: play studio install test smoke check docs tables bench sb3 lock licences release-check clean
+.PHONY: play studio install test smoke check docs films tables bench sb3 lock licences release-check clean
 .DEFAULT_GOAL := help
 
 .PHONY: help
@@ -18,6 +18,7 @@ help:
 	@echo "make smoke   a minute of them, and the linter, before each commit"
 	@echo "make check   lint, formatting, types"
 	@echo "make docs    the documentation as a site, with the reference"
+	@echo "make films   the same with films of what was practised; half an hour without a graphics card"
 	@echo "make tables  write the tables of the documentation anew from docs/results"
 	@echo "make bench   measure speed, as ratios in one run"
 	@echo "make release-check  all that must hold before a release; half an hour, and needs uv"
@@ -79,6 +80,10 @@ $(PLAYED): docs/gallery.py $(shell find src/cadenza -type f -not -path '*/__pyca
 docs: $(ALL) $(PLAYED)
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/docs
 	@echo "open build/docs/index.html"
+
+films: $(PLAYED)
+	$(BIN)/python docs/gallery.py films $(dir $(PLAYED))
+	$(MAKE) docs
 
 tables: $(ALL)
 	$(BIN)/python tools/write_tables.py

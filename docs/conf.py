@@ -118,6 +118,7 @@ def sign(*event: Any) -> tuple[str | None, str | None]:
 
 
 def setup(app: Sphinx) -> None:
+    app.connect("env-get-outdated", lambda *_: ["index"])  # it holds README and what has films
     app.connect("source-read", read)
     app.connect("autodoc-process-docstring", parse)
     app.connect("autodoc-process-signature", sign)

@@ -2,8 +2,8 @@
 
 `make docs` runs it when Cadenza has changed. It takes a minute and a half of one core.
 
-`python docs/gallery.py films build/docs/gallery` adds films of what was practised, where a Chrome
-or Chromium is. That takes minutes without a graphics card, so that `make docs` leaves it out.
+`make films` adds films of what was practised, where a Chrome or Chromium is. That takes three
+minutes a film without a graphics card, so that `make docs` leaves it out.
 
 What was practised lies in `practised/`, made by `cadenza practice SONG --first-seconds 12 --effort
 2 --num-threads 1 -o FOLDER/SONG` (the last two: 10 s, effort 0.8) and `python docs/gallery.py keep

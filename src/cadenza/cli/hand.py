@@ -22,6 +22,7 @@ def measure(command: MeasureHand) -> None:
     from pathlib import Path
 
     from cadenza.agents.planner.hand_measurement import ReachMeasurement, place
+    from cadenza.cli.progress import progress
     from cadenza.files import write_json
     from cadenza.hands.mjcf import TOML, measurement_of
     from cadenza.hands.registry import hand_named
@@ -30,16 +31,18 @@ def measure(command: MeasureHand) -> None:
     if path.suffix != TOML:
         reach = ReachMeasurement(hand_named(command.hand))
         print("fingertips at rest:", *reach.at_rest(), sep="\n    ")
-        found = reach.measure().items()
-        print(
-            "reach=Reach(", *(f"{name}=np.array({v.tolist()})," for name, v in found), sep="\n    "
-        )
+        with progress("measuring", "reaches") as advance:
+            found = reach.measure(advance).items()
+        arrays = (f"{name}=np.array({values.tolist()})," for name, values in found)
+        print("reach=Reach(", *arrays, sep="\n    ")
         print("    forearm_width=forearm.WIDTH,\n)")
         return
     file, measurement = place(path)
     reach = ReachMeasurement(file.hand(measurement))
     print("fingertips at rest:", *reach.at_rest(), sep="\n    ", flush=True)
-    print(*reach.slow(), sep="\n", flush=True)
-    measured = {name: values.tolist() for name, values in reach.measure().items()}
+    for line in reach.slow():
+        print(line, flush=True)
+    with progress("measuring", "reaches") as advance:
+        measured = {name: values.tolist() for name, values in reach.measure(advance).items()}
     write_json(measurement_of(path), asdict(replace(measurement, reach=measured)))
     print(f"{measurement_of(path)}: measured")

@@ -4,7 +4,7 @@ Postures come from `scipy.optimize.least_squares`, in which forearms slide where
 pass through each other, so that `least` is never less than between neighbouring keys.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import combinations
 from pathlib import Path
 
@@ -237,8 +237,8 @@ class ReachMeasurement:
             if finger >= 0 and lag > _SLOW:
                 yield f"{name} lags by {1000 * lag:.0f} ms, and strikes late; see damping and kp"
 
-    def measure(self) -> dict[ReachField, Array]:
-        """The fields of `Reach` that are measured.
+    def measure(self, advance: Callable[[int, int], None]) -> dict[ReachField, Array]:
+        """The fields of `Reach` that are measured; `advance` is told how many fingers and pairs.
 
         Raises CadenzaError if a finger cannot press with all others, or no two of them reach two
         keys.
@@ -255,10 +255,14 @@ class ReachMeasurement:
         rest = self._tips(q)[0][:, 1] - self._forearm_y(q)
         outward, inward, most = np.zeros(count), np.zeros(count), np.zeros((count, count))
         least = _SIDE_BY_SIDE * np.maximum(np.arange(count) - np.arange(count)[:, None], 0)
-        for fingers in [*combinations(everyone, 1), *combinations(everyone, 2)]:
+        chosen = [*combinations(everyone, 1), *combinations(everyone, 2)]
+        for number, fingers in enumerate(chosen):
+            advance(number, len(chosen))
             apart = self._distance(q, fingers)
             start = self._posture(fingers, apart, q, _LIGHTEST)
-            low, high = (self._extreme(fingers, start, apart, step) for step in (-_STEP, _STEP))
+            last = least[fingers] if len(fingers) > 1 else -np.inf
+            low = self._extreme(fingers, start, apart, -_STEP, last)
+            high = self._extreme(fingers, start, apart, _STEP, np.inf)
             if len(fingers) == 1:
                 outward[fingers], inward[fingers] = -low, high
             else:
@@ -338,10 +342,12 @@ class ReachMeasurement:
         clear = bool((tips[others, 2] > self._clear_z[others] - _TOLERANCE).all())
         return bool(np.abs(errors).max() < _TOLERANCE and off < _TOLERANCE and clear)
 
-    def _extreme(self, fingers: tuple[int, ...], q: Array, apart: float, step: float) -> float:
-        """The last distance from `apart` on, in steps, at which `fingers` press."""
+    def _extreme(
+        self, fingers: tuple[int, ...], q: Array, apart: float, step: float, last: float
+    ) -> float:
+        """The last distance from `apart` on, in steps, at which `fingers` press, or past `last`."""
         rng = np.random.default_rng(0)
-        while True:
+        while step * (last - apart) > 0:
             for attempt in range(_STARTS):
                 start = q if not attempt else rng.uniform(self._low, self._high)
                 found = self._posture(fingers, apart + step, start, _LIGHTEST)
@@ -349,7 +355,8 @@ class ReachMeasurement:
                     q, apart = found, apart + step
                     break
             else:
-                return apart
+                break
+        return apart
 
     def _misses(self, q: Array) -> str:
         """Say which fingers do not press where all should."""
