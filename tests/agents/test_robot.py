@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 import cadenza
 from cadenza import CadenzaError, Note, Score
 from cadenza.agents.planner.planner import Planner
+from cadenza.agents.robot.places import HandPlaces
 from cadenza.agents.robot.practice import RobotPractice
 from cadenza.agents.robot.protocol import Heard, notes_heard, play
 from cadenza.agents.robot.servo_response import Response, ServoResponse, identified
@@ -127,6 +128,21 @@ def test_it_is_found_how_late_and_slow_servos_are() -> None:
     found = identified(servos, DT, sent, moved, 0.1 * same)
     assert found.late == pytest.approx(true.late, abs=0.011)
     assert_allclose(found.fastest, true.fastest)
+
+
+@pytest.mark.parametrize("right", [-0.008, 0.0, 0.005])
+def test_keys_that_sound_tell_where_a_hand_is(right: float) -> None:
+    keyboard, rng = build_scene().keyboard, np.random.default_rng(0)
+    places = HandPlaces(keyboard, 2, usual=0.006)
+    front = keyboard.bounds[1, 0] - 0.02  # before all black keys
+    white = np.flatnonzero(~keyboard.is_black)
+    for key in rng.choice(white[5:-5], 30):
+        tip = np.array([front, keyboard.centre[key, 1] + 0.003 * rng.standard_normal(), 0.0])
+        away = abs(tip[1] + right - keyboard.centre[white, 1])
+        wide = keyboard.spacing / 2 + 0.004  # fingertips are some 8 mm wide
+        places.strike(0, key, tip, np.array([]), white[away < wide])
+    assert places.right[0] == pytest.approx(right, abs=0.002)
+    assert places.right[1] == pytest.approx(0.0, abs=1e-6)  # it has struck nothing
 
 
 def test_the_command_keeps_what_was_played(

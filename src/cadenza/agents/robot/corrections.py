@@ -16,6 +16,7 @@ from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.strike_model import strike_model
 from cadenza.agents.planner.search.fingertip_correction import servo_corrections
 from cadenza.agents.planner.search.strikes import UNIT, as_heard
+from cadenza.agents.robot.places import HandPlaces
 from cadenza.fingers import SIDES
 from cadenza.music.score import Note
 from cadenza.scene.kinematics import TIP, Kinematics
@@ -27,15 +28,15 @@ _DEEPER = 0.0015  # of a key that is lost
 _BESIDE = 0.0015  # of a finger that brushes the next key
 _RAISE = 0.003  # of an idle finger that sounds a key
 _LIFT = (-0.002, 0.003)  # at the end of a press
-_HAND = 1 / 3  # of how far the keyboard may be off: of a whole hand
+_HAND = 1 / 3  # of how far the keyboard may be off: of a whole hand, downwards
 _STRIKE = np.array([0.004, 0.008])
 _MOST: dict[str, tuple[Any, Any]] = {
     "deeper": (-1.0, 2.0),
     "lift": (-2.0, 4.0),
     "beside": (-4 / 3, 4 / 3),
-    "reach": (-3.0, 3.0),
+    "reach": (np.array([-3.0, -1.0]), np.array([3.0, 1.0])),  # further across is the next key
     "strike": (np.array([-20 / 3, -40 / 3]), np.array([20 / 3, 40 / 3])),
-    "hands": (-1.0, 1.0),
+    "hands": (-2.0, 2.0),
 }
 """The bounds of corrections, as multiples of how far the keyboard may be off."""
 _SHARE = 0.6  # of the error of a strike that is corrected
@@ -48,8 +49,6 @@ _END = 0.02  # [s] after the end of a press at which its key ceases to sound, so
 _LIFT_SPEED = 0.06  # [m/s] of the correction of lifts
 _LOST = 0.06  # [s] by which a note that is too short was lost, and not let go of
 _NEAR = 5  # control steps from a press in which its key sounds by its finger
-_OFTEN = 2  # keys brushed on one side from which on it is the hand that is beside
-_ONE_SIDED = 0.6  # share of them
 _HEARD = 0.5  # share of a press in which its key sounds, below which the key is lost
 _FEW = 0.1  # share of keys that are lost, which is no fault of the hand
 _BEFORE = 3  # control steps before a press in which its finger moves to where it is to strike
@@ -118,6 +117,7 @@ class NoteCorrections:
         scene, dt = plan.scene, plan.track.config.control_timestep
         self._scene, self._dt, self._postures = scene, dt, postures
         self._place = place
+        self._places = HandPlaces(scene.keyboard, len(scene.sides), place)
         self._kinematics = Kinematics(scene)
         self._tips, self._jacobian = self._kinematics.fingertips(postures)
         self._fingers = scene.fingers.per_hand
@@ -184,6 +184,18 @@ class NoteCorrections:
 
     # What is heard
 
+    def locate(self, notes: Sequence[Note], postures: Array) -> None:
+        """Learn where hands strike from a play, heard while they were in `postures` (T + 1, A)."""
+        tips = self._kinematics.points(postures)[:, :, TIP]
+        lowest = self._scene.keyboard.lowest_pitch
+        due = np.array([self._due(press)[0] for press in self._presses])
+        keys = np.array([press.key for press in self._presses])
+        for press, row, time in zip(self._presses, self._rows, due, strict=True):
+            tip = tips[press.first : press.last, row][:_STRIKING].mean(axis=0)
+            others = keys[(abs(due - time) < 2 * _MEANT) & (keys != press.key)]
+            heard = np.array([n.pitch - lowest for n in notes if abs(n.start - time) < _MEANT])
+            self._places.strike(row // self._fingers, press.key, tip, others, heard)
+
     def corrected(
         self, corrections: PressCorrections, notes: Sequence[Note], postures: Array, share: float
     ) -> PressCorrections:
@@ -206,8 +218,8 @@ class NoteCorrections:
         short = self._short(corrections, tips)
         new.reach += _REACH * (short - short.clip(-_OFF, _OFF))
         others = [note for note in notes if not any(note is each for each in meant)]
-        brushed = self._correct_others(new, others, tips)
-        self._correct_hands(new, np.array(shares), brushed)
+        self._correct_others(new, others, tips)
+        self._correct_hands(new, np.array(shares))
         return corrections.towards(new, share, self._place)
 
     def _due(self, press: Press) -> tuple[float, float]:
@@ -276,13 +288,9 @@ class NoteCorrections:
         elif self._presses[i].last <= self._steps:  # the last notes end with the song
             new.lift[i] += np.clip(_LIFT_SPEED * (note.end - end - _END), *_LIFT)
 
-    def _correct_others(self, new: PressCorrections, notes: list[Note], tips: Array) -> Array:
-        """Correct what no press was to play, by where fingertips (T + 1, F, 3) were.
-
-        Returns:
-            (H, 2) how many keys each hand has brushed to the left and to the right of its own.
-        """
-        keyboard, brushed = self._scene.keyboard, np.zeros((len(self._scene.sides), 2))
+    def _correct_others(self, new: PressCorrections, notes: list[Note], tips: Array) -> None:
+        """Correct what no press was to play, by where fingertips (T + 1, F, 3) were."""
+        keyboard, right = self._scene.keyboard, np.repeat(self._places.right, self._fingers)
         for note in notes:
             key = note.pitch - keyboard.lowest_pitch
             state = min(int(note.start / self._dt) + 1, self._steps)
@@ -290,16 +298,14 @@ class NoteCorrections:
                 if note.start > self._due(self._presses[own[0]])[1]:
                     new.lift[own[0]] += _LIFT[1]
                 continue
-            away = abs(tips[state, :, 1] - keyboard.centre[key, 1])
+            away = abs(tips[state, :, 1] + right - keyboard.centre[key, 1])
             row = int(np.argmin(away + np.maximum(tips[state, :, 2] - _HIGHEST, 0.0)))
             if pressing := self._pressing(state, 1, row=row):
                 left = key < self._presses[pressing[0]].key
                 new.beside[pressing[0]] += _BESIDE if left else -_BESIDE
-                brushed[row // self._fingers, 1 - left] += 1
             else:
                 last = int(note.end / self._dt) + 2
                 new.raised.append((max(state - 2, 1), last, row))
-        return brushed
 
     def _pressing(
         self, state: int, near: int, *, key: int | None = None, row: int | None = None
@@ -312,16 +318,11 @@ class NoteCorrections:
             and press.first - near <= state <= press.last + near
         ]
 
-    def _correct_hands(self, new: PressCorrections, shares: Array, brushed: Array) -> None:
-        """Move hands away from the side on which they brush keys, and down if they lose keys."""
+    def _correct_hands(self, new: PressCorrections, shares: Array) -> None:
+        """Move hands to where they strike their keys, and down if they lose keys."""
+        new.hands[:, 1] = -self._places.right
         hand_of = np.array(self._rows, np.intp) // self._fingers
-        for hand, (left, right) in enumerate(brushed):
-            own, count = shares[hand_of == hand], left + right
-            if not len(own):
-                continue
-            if count >= _OFTEN and abs(left - right) >= _ONE_SIDED * count:
-                most = min(1.0, 4 * count / len(own))
-                new.hands[hand, 1] += _HAND * self._place * most * np.sign(left - right)
-            missing = float(np.mean(own < _HEARD))
+        for hand in np.unique(hand_of):
+            missing = float(np.mean(shares[hand_of == hand] < _HEARD))
             if missing > _FEW:
                 new.hands[hand, 2] -= _HAND * self._place * min(1.0, 3 * missing)

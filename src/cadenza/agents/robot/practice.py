@@ -112,6 +112,7 @@ class RobotPractice:
         f1, onsets = self._scores(notes)
         take = Take(play.actions, f1, onsets, notes, measured, self._learnt)
         self._plays += 1
+        self._notes.locate(notes, measured)
         if self.best is None:
             self._identify(take)
         if self.best is None or take.score >= self.best.score:
