@@ -24,7 +24,7 @@ from numpy.testing import assert_array_equal
 from rl_examples import TINY, melody
 
 from cadenza.agents.planner.planner import Planner
-from cadenza.agents.rollout import play_episode
+from cadenza.agents.rollout import play_episode, play_episodes
 from cadenza.errors import CadenzaError
 from cadenza.files import ANY, read_tensors
 from cadenza.learning.algorithms.droq.config import DroQConfig
@@ -34,7 +34,7 @@ from cadenza.learning.problem import problem_of
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import Training
 from cadenza.scene.config import SceneConfig
-from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 SONG = melody(60, 64, 67)
@@ -166,6 +166,17 @@ def test_a_run_evaluates_and_keeps_the_best_and_the_last(way, undisturbed):
         assert metrics[name] == best[f"eval/{name}"]
 
 
+def test_where_chance_decides_an_evaluation_is_the_mean_of_several_episodes(runs):
+    noise = DomainRandomization(control_noise=0.05)
+    run = runs()
+    train(replace(CONFIG, task=replace(CONFIG.task, randomization=noise)), run)
+    learnt, about = load_policy(run.path / "best"), remarks_on(run.path / "best")
+    with closing(PianoTask([SONG], learnt.task, learnt.scene, 8)) as task:
+        played = [one.metrics["return"] for one in play_episodes(task, learnt.agent, range(8))]
+    assert len(set(played)) == 8
+    assert about["eval/return"] == pytest.approx(np.mean(played), rel=1e-6)
+
+
 def test_an_evaluation_that_ends_early_is_not_the_best_for_what_it_played(runs, monkeypatch):
     """Everything is right before the first note, and a wrong key may end an episode there.
 
@@ -174,11 +185,10 @@ def test_an_evaluation_that_ends_early_is_not_the_best_for_what_it_played(runs, 
     results = iter([(0.9, 0.9, 2), (0.6, 0.7, 13), (0.7, 0.7, 13), (0.9, 0.6, 14)])
 
     def played(*_: object) -> Any:
-        return SimpleNamespace(
-            metrics=dict(zip(("f1", "note_onset_f1", "steps"), next(results), strict=True))
-        )
+        metrics = dict(zip(("f1", "note_onset_f1", "steps"), next(results), strict=True))
+        return [SimpleNamespace(metrics=metrics)]
 
-    monkeypatch.setattr("cadenza.learning.training.play_episode", played)
+    monkeypatch.setattr("cadenza.learning.training.play_episodes", played)
     run = runs()
     train(CONFIG, run)
     about = remarks_on(run.path / "best")

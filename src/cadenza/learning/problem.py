@@ -45,9 +45,9 @@ class Problem:
         reference = self.mapping.reference
         return Observer(self.task.spec, self.goals, self.inputs, reference, self.ranges)
 
-    def alone(self, score: Score) -> PianoTask:
-        """One environment that plays one of the songs, for evaluations."""
-        return PianoTask([score], self.config.task, self.scene)
+    def alone(self, score: Score, num_envs: int) -> PianoTask:
+        """Environments that all play one of the songs, for evaluations."""
+        return PianoTask([score], self.config.task, self.scene, num_envs)
 
 
 def problem_of(config: TrainingConfig, scores: Sequence[Score]) -> Problem:

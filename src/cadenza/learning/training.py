@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from cadenza.agents.rollout import play_episode
+from cadenza.agents.rollout import play_episodes
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import checked
 from cadenza.learning.checkpointed_run import CheckpointedRun, Count, Row, finite
@@ -32,6 +32,7 @@ from cadenza.music.score import Score
 from cadenza.resumable import Arrays
 
 _EPISODES_AVERAGED = 100  # in a row of metrics
+_EPISODES_AT_RANDOM = 8  # of each song in an evaluation, where chance decides single ones
 
 
 @dataclass(frozen=True)
@@ -181,12 +182,14 @@ class Training(CheckpointedRun):
         self._evaluation = self._background.submit(self._play_episode, self.learnt(), self.step)
 
     def _play_episode(self, learnt: LearntPolicy, step: int) -> tuple[Row, LearntPolicy]:
-        """Play every song once; its row has the means over them."""
+        """Play every song; its row has the means over the episodes."""
         values = defaultdict[str, list[float]](list)
+        count = _EPISODES_AT_RANDOM if self.config.task.randomization.is_on else 1
+        seeds = range(self.config.seed, self.config.seed + count)
         for score in self._problem.scores:
-            with closing(self._problem.alone(score)) as task:
-                metrics = play_episode(task, learnt.agent, self.config.seed).metrics
-            for name, value in metrics.items():
+            with closing(self._problem.alone(score, count)) as task:
+                played = play_episodes(task, learnt.agent, seeds)
+            for name, value in (item for one in played for item in one.metrics.items()):
                 if isinstance(value, int | float) and not math.isnan(value):
                     values[name].append(float(value))
         row = {f"eval/{name}": float(np.mean(of_songs)) for name, of_songs in values.items()}
