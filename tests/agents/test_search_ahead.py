@@ -34,7 +34,7 @@ def play(hand: OneHand, ahead: SearchAhead, steps: range) -> np.ndarray:
 
 def test_where_no_note_goes_wrong_it_plays_as_step_by_step():
     hand, alone = OneHand(SONG), OneHand(SONG)
-    search, ahead = search_of(alone), SearchAhead(search_of(hand), DT, Threads(1))
+    search, ahead = search_of(alone), SearchAhead(search_of(hand), DT)
     for step in range(STEPS):
         ctrl, expected = ahead.act(step, *hand.joint_state), search.act(*alone.joint_state)
         np.testing.assert_array_equal(ctrl, expected)
@@ -42,32 +42,16 @@ def test_where_no_note_goes_wrong_it_plays_as_step_by_step():
         alone.simulation.step(expected[None])
 
 
-def play_pushed(push: float, num_threads: int) -> tuple[np.ndarray, np.ndarray]:
-    """The keys (T, K) that sound after each step, and where the hand is at the end.
-
-    All joints are pushed before a step.
-    """
-    hand, threads = OneHand(SONG), Threads(num_threads)
-    ahead = SearchAhead(search_of(hand), DT, threads)
-    before = play(hand, ahead, range(13))
-    qpos, qvel, keys = hand.joint_state
-    hand.simulation.set_joints(qpos + push, qvel, keys)
-    after = play(hand, ahead, range(13, STEPS))
-    threads.close()
-    return np.concatenate([before, after]), hand.joint_state[0]
-
-
 @pytest.mark.parametrize("push", [0.003, 0.03])
 def test_a_hand_that_is_pushed_comes_back_or_goes_on_from_where_it_is(push):
-    sounding = play_pushed(push, num_threads=1)[0][-3:]
+    hand = OneHand(SONG)
+    ahead = SearchAhead(search_of(hand), DT)
+    play(hand, ahead, range(13))
+    qpos, qvel, keys = hand.joint_state
+    hand.simulation.set_joints(qpos + push, qvel, keys)
+    sounding = play(hand, ahead, range(13, STEPS))[-3:]
     assert sounding[:, 65 - 21].all()
     assert sounding.sum() == len(sounding)
-
-
-def test_a_hand_that_is_pushed_plays_the_same_by_any_number_of_threads():
-    (keys, ends_at), (other_keys, other_ends_at) = (play_pushed(0.03, n) for n in (1, 2))
-    np.testing.assert_array_equal(keys, other_keys)
-    np.testing.assert_array_equal(ends_at, other_ends_at)
 
 
 def test_it_goes_back_where_a_note_goes_wrong_and_no_more_often_than_it_may(monkeypatch):
@@ -77,7 +61,7 @@ def test_it_goes_back_where_a_note_goes_wrong_and_no_more_often_than_it_may(monk
     hand, went_back = OneHand(out_of_reach), []
     restore = HandSearch.restore
     monkeypatch.setattr(HandSearch, "restore", lambda *a: went_back.append(1) or restore(*a))
-    play(hand, SearchAhead(search_of(hand), DT, Threads(1)), range(STEPS))
+    play(hand, SearchAhead(search_of(hand), DT), range(STEPS))
     windows = STEPS / 10
     most = search_ahead.RESTARTS + windows * search_ahead.RESTARTS_PER_WINDOW
     assert windows < len(went_back) <= windows + most  # once in each to where the window ends

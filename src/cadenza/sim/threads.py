@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TypeVar
 
 from cadenza.configs import whole_number
@@ -71,10 +71,6 @@ class Threads:
         except BaseException:
             wait([future for _, future in submitted if not future.cancel()])
             raise
-
-    def meanwhile(self, call: Callable[[], _T]) -> Future[_T] | None:
-        """Have an idle thread make a call; there is none where only one thread is allowed."""
-        return None if self._num_threads == 1 else self._running_pool().submit(call)
 
     def ahead(self, items: Iterator[_T]) -> Iterator[_T]:
         """Yield items, each made by an idle thread, if there is one, while that before is used.

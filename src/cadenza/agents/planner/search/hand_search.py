@@ -87,14 +87,6 @@ class Snapshot(NamedTuple):
     model: Any
     changing: dict[str, Any]
     budget: int
-    randomness: Any  # the state of its random numbers
-    rolled_out: int  # control steps in rollouts
-    rehearsed: int  # control steps in rehearsals
-
-    @property
-    def simulated(self) -> int:
-        """Control steps in rollouts and rehearsals."""
-        return self.rolled_out + self.rehearsed
 
 
 class HandSearch:
@@ -143,7 +135,7 @@ class HandSearch:
 
         Where the plan ends within the horizon, the song is taken to end.
         """
-        self._goals, self._plan_is_complete = HandGoals(plan, self._side), plan.complete
+        self._goals = HandGoals(plan, self._side)
         self._tracking = plan.nominal.tracking.of(self.servos)
         self._network = (
             NetworkCandidate(plan, self._side, self._weights, step) if self._weights else None
@@ -222,22 +214,11 @@ class HandSearch:
         """The number of steps that are still to be played, as far as the plan goes."""
         return len(self._tracking.ctrl) - self._step
 
-    def has_planned(self, steps: int) -> bool:
-        """Whether the plan goes far enough to play so many steps."""
-        return self._plan_is_complete or self.steps_left >= steps + self.lookahead
-
     def save(self) -> Snapshot:
-        """Everything from which the hand goes on after `restore` or `rewind`."""
+        """Everything from which the hand goes on after `restore`, but for its random numbers."""
         changing = {name: copy(getattr(self, name)) for name in _CHANGING}
-        state, model = self._model.state, self._model.save(0)
-        spent = self._rng.bit_generator.state, self._rollouts.simulated, self._rehearsed
-        return Snapshot(self._step, state, model, changing, self._budget, *spent)
-
-    def rewind(self, saved: Snapshot) -> None:
-        """Go to where `save` was called, as if nothing had been simulated since."""
-        self._rng.bit_generator.state = saved.randomness
-        self._rollouts.simulated, self._rehearsed = saved.rolled_out, saved.rehearsed
-        self.restore(saved)
+        model = self._model.save(0)
+        return Snapshot(self._step, self._model.state, model, changing, self._budget)
 
     def restore(self, saved: Snapshot) -> None:
         """Go to where `save` was called, with as much budget as then. Random numbers are new."""

@@ -35,26 +35,19 @@ class HandsInScene:
         ]
         dt = plan.track.config.control_timestep
         searches = context.config.method != "none"
-        ahead = [SearchAhead(hand, dt, context.threads) for hand in self._hands]
-        self._ahead = ahead if searches else []
+        self._ahead = [SearchAhead(hand, dt) for hand in self._hands] if searches else []
 
     def act(self, step: int, state: State) -> Array:
         """Controls (A,) of all hands in the next step."""
         ctrl = np.zeros(self._size)
 
         def act(i: int) -> None:
-            hand, (qpos, qvel) = self._hands[i], joints[i]
+            hand = self._hands[i]
+            qpos, qvel = state.hand_qpos[0, hand.joints], state.hand_qvel[0, hand.joints]
             here = qpos, qvel, state.key_qpos[0]
             ctrl[hand.servos] = self._ahead[i].act(step, *here) if self._ahead else hand.act(*here)
 
-        joints = [
-            (state.hand_qpos[0, hand.joints], state.hand_qvel[0, hand.joints])
-            for hand in self._hands
-        ]
-        at_once = [i for i, each in enumerate(self._ahead) if each.goes_on(joints[i][0])]
-        for i in at_once:
-            act(i)
-        self._threads.for_each([i for i in range(len(self._hands)) if i not in at_once], act)
+        self._threads.for_each(range(len(self._hands)), act)
         return ctrl
 
     @property
@@ -64,7 +57,7 @@ class HandsInScene:
 
     def follow(self, plan: SongPlan, step: int) -> None:
         """Continue from `step` on with a plan that goes further."""
-        for hand in self._ahead or self._hands:
+        for hand in self._hands:
             hand.follow(plan, step)
 
     def restart(
@@ -78,8 +71,6 @@ class HandsInScene:
 
         The goals of each hand are to hold the keys that sounded. No hand searches ahead any more.
         """
-        for each in self._ahead:
-            each.stop()
         self._ahead = []
         for hand, part, rng in zip(self._hands, goals, rngs, strict=True):
             hand.restart(part, tracking.of(hand.servos), step, rng)
@@ -87,4 +78,4 @@ class HandsInScene:
     @property
     def simulated(self) -> int:
         """Control steps in rollouts since the hands began or were restarted."""
-        return sum(hand.simulated for hand in self._ahead or self._hands)
+        return sum(hand.simulated for hand in self._hands)
