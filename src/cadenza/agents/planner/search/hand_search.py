@@ -188,9 +188,8 @@ class HandSearch:
 
     def tracked(self, step: int, played: PlayedStep, hand_qpos: Array, hand_qvel: Array) -> Array:
         """Controls (A,) of a step that was played, with feedback from joints (J,) as they are."""
-        off = np.stack([hand_qpos - played.hand_qpos, hand_qvel - played.hand_qvel], axis=1)
-        feedback = (self._tracking.gain[step] * (self._servos.of_joints.T @ off)).sum(axis=1)
-        return self._servos.clip(played.ctrl - feedback)
+        off = self._servos.state(hand_qpos - played.hand_qpos, hand_qvel - played.hand_qvel)
+        return self._servos.clip(played.ctrl - (self._tracking.gain[step] * off).sum(axis=1))
 
     def synchronise(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
         """Put the model into the state of the scene, unless it is there."""
