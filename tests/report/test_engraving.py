@@ -20,6 +20,8 @@ from cadenza.report.sheet_pdf import write_pdf
 
 SVG = "{http://www.w3.org/2000/svg}"
 BEAT = 0.5  # [s]
+SPACE = 180  # between two lines of a staff, in units of a drawing
+CLEAR = SPACE / 4  # of a stem, on either side
 
 
 def bars(count):
@@ -77,6 +79,39 @@ def test_fingers_stand_above_the_right_hand_and_below_the_left(score):
     below = [text.text for text in fingers if int(text.get("y")) > max(heads)]
     assert above == sorted([*(str(i % 5 + 1) for i in range(16)), "1"])
     assert below == ["5"] * 8
+
+
+def test_numbers_of_fingers_are_clear_of_heads_stems_and_each_other():
+    """Also beside stems that reach beyond a staff, and above two voices."""
+    notes = []
+    for i in range(64):
+        upper, lower = Finger(RIGHT, i % 5), Finger(LEFT, 3 * i % 5)
+        at = BEAT * i
+        notes.append(Note(at, at + BEAT, 60 + 7 * i % 23, finger=upper))
+        notes.append(Note(at, at + BEAT, 40 + 5 * i % 19, finger=lower))
+        if i % 3 == 0:  # a second voice, or a chord
+            notes.append(Note(at, at + BEAT / (1 + i % 2), 38 + i % 9, finger=Finger(LEFT, 4)))
+            notes.append(Note(at, at + BEAT / (1 + i % 2), 57 + i % 9, finger=Finger(RIGHT, 0)))
+    engraving = engraved(sheet_of(Score(tuple(notes), bars=bars(16))))
+    for drawing in drawings(engraving):
+        numbers = []
+        for text in drawing.iter("text"):
+            if text.get("class") == "fing":
+                x, y, size = (int(text.get(name)) for name in ("x", "y", "font-size"))
+                numbers.append((x - 0.21 * size, y - 0.68 * size, x + 0.21 * size, y))
+        assert len(numbers) > 10
+        obstacles = list(numbers)
+        for use in drawing.iterfind(".//g[@class='note']/use"):  # heads, and accidentals as tall
+            x, y = int(use.get("x")), int(use.get("y"))
+            obstacles.append((x, y - SPACE / 2, x + 1.2 * SPACE, y + SPACE / 2))
+        for line in drawing.iterfind(".//path"):
+            x, y, along, down = map(int, re.findall(r"-?\d+", line.get("d"))[:4])
+            if x == along:  # a stem or the line of a bar
+                obstacles.append((x - CLEAR, min(y, down), x + CLEAR, max(y, down)))
+        for i, (left, top, right, bottom) in enumerate(numbers):
+            others = np.array(obstacles[:i] + obstacles[i + 1 :])
+            beside = (others[:, 0] >= right) | (others[:, 2] <= left)
+            assert np.all(beside | (others[:, 1] >= bottom) | (others[:, 3] <= top))
 
 
 def test_bars_follow_each_other_in_place_and_time():

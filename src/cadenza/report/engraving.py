@@ -25,6 +25,9 @@ _WIDTH = 2600  # of a system, in Verovio's pixels: a staff is 72 high
 _MUSIC_FONT = "Leipzig"
 _MAX_PAGE_LENGTH = 60_000  # the greatest height of a page that Verovio takes
 _MARGIN = 400  # about the systems of a document and between them, in tenths of these
+# Verovio keeps a finger's number clear of what is above and below its own width, which is less than
+# that of a note's head: so it is told of wider ones, that stems beside them are kept clear of, too.
+_WIDE_FINGERS, _FINGERS = 0.95, 0.75  # parts of the size of other texts: as told, and as drawn
 _OPTIONS = {
     "pageWidth": _WIDTH,
     "pageHeight": _MAX_PAGE_LENGTH,
@@ -36,6 +39,7 @@ _OPTIONS = {
     "svgFormatRaw": True,
     "smuflTextFont": "none",
     "font": _MUSIC_FONT,
+    "fingeringScale": _WIDE_FINGERS,
     **{f"pageMargin{side}": 0 for side in ("Top", "Bottom", "Left", "Right")},
 }
 _SVG = "{http://www.w3.org/2000/svg}"
@@ -209,6 +213,8 @@ class _Drawer:
                     x = str(int(x) + _IN_TEXT[letter] * size // _EM)
                 else:
                     words += letter
+        if style == "fing":
+            size = round(size * _FINGERS / _WIDE_FINGERS)
         if words:
             place = f'x="{x}" y="{y}"{anchor}{named} font-size="{size}"'
             yield f'<text {place} xml:space="preserve">{escape(words)}</text>'
