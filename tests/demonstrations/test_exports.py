@@ -15,7 +15,7 @@ from cadenza.cli import main
 from cadenza.demonstrations import lerobot_export, minari_export
 from cadenza.demonstrations.dataset import Dataset, open_dataset
 from cadenza.demonstrations.recorded_episode import played_actions
-from cadenza.demonstrations.transitions import transitions
+from cadenza.demonstrations.transitions import shown_by, transitions
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.collecting.variation import Variation
 from cadenza.music.formats.midi import write_midi
@@ -189,6 +189,11 @@ def test_lerobot_files_hold_what_was_recorded(made, tmp_path, monkeypatch):
     features, scene = info["features"], dataset.scene
     assert features["action"]["names"] == [*scene.actuator_names, "sustain_pedal"]
     assert features["observation.state"]["names"] == list(scene.hand_joint_names)
+    layout, first = shown_by(dataset).observation_layout, transitions(dataset, 0)
+    named = features["observation.environment_state"]["names"]
+    parts = dict.fromkeys(name.split(".")[0] for name in named)
+    shown = np.concatenate([first.observation[:, layout[part]] for part in parts], axis=1)
+    np.testing.assert_array_equal(shown, first.environment)
     for of in features.values():
         assert of["names"] is None or len(of["names"]) == of["shape"][0]
     frames = pq.read_table(folder / info["data_path"].format(chunk_index=0, file_index=0))

@@ -26,10 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import Dataset
-from cadenza.demonstrations.transitions import pictures_of, transitions
+from cadenza.demonstrations.transitions import pictures_of, shown_by, transitions
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import new_folder, write_json
-from cadenza.scene.scene import Scene
 from cadenza.sim.render import Picture, Renderer
 
 _MAX_DATA_BYTES = 100 * 2**20  # of a file; then another is begun
@@ -65,7 +64,7 @@ def write_lerobot(
         files, rows = _FrameFiles(folder), _EpisodeTable(folder / _EPISODES)
         index, totals = 0, dict[str, Statistics]()
         features: dict[str, Any] = {}
-        names = _names(dataset.scene)
+        names = _names(dataset)
         for number, episode in enumerate(dataset.episodes):
             frames = _frames(dataset, number, index, tasks[episode.facts.song], fps)
             features = features or {n: _feature(of, names.get(n)) for n, of in frames.items()}
@@ -163,13 +162,16 @@ def _feature(values: NDArray[Any], names: Sequence[str] | None) -> dict[str, Any
     return {"dtype": values.dtype.name, "shape": shape, "names": names and list(names)}
 
 
-def _names(scene: Scene) -> dict[str, tuple[str, ...]]:
-    """What the numbers of features are called: by joint, or by actuator."""
+def _names(dataset: Dataset) -> dict[str, Sequence[str]]:
+    """What the numbers of features are called: by joint, by actuator, or by part and place."""
+    scene, layout = dataset.scene, shown_by(dataset).observation_layout
     joints, actions = scene.hand_joint_names, (*scene.actuator_names, "sustain_pedal")
+    parts = {name: part.stop - part.start for name, part in layout.items() if name != "joints"}
     return {
         "observation.state": joints,
         "observation.velocity": joints,
         "observation.previous_action": actions,
+        "observation.environment_state": [f"{n}.{i}" for n, d in parts.items() for i in range(d)],
         "action": actions,
     }
 

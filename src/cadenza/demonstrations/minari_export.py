@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from copy import deepcopy
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -27,20 +27,18 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 
 from cadenza.configs import MAX_COUNT, whole_number
-from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset
+from cadenza.demonstrations.dataset import Dataset
 from cadenza.demonstrations.recorded_episode import EpisodeFacts, written
-from cadenza.demonstrations.transitions import pictures_of, transitions
+from cadenza.demonstrations.transitions import SHOWN, pictures_of, shown_by, transitions
 from cadenza.errors import CadenzaError, extra_packages, quoted
 from cadenza.files import new_folder, plain
 from cadenza.sim.render import Picture, Renderer
 from cadenza.tasks.config import NOISE_ON_OBSERVATIONS
 from cadenza.tasks.env import state_space
-from cadenza.tasks.view import TaskSpec, task_spec
 
 _ROOT = "MINARI_DATASETS_PATH"  # where Minari looks for datasets
 _NAME = re.compile(r"([A-Za-z0-9_-]+/)*[A-Za-z0-9_-]+")  # of which Minari makes folders
 _UNNAMED = re.compile("[^A-Za-z0-9_-]+")
-_SHOWN: dict[str, Any] = {"n_steps_lookahead": LOOKAHEAD, "n_seconds_lookahead": None}
 _MAX_BATCH = 20_000  # steps that are written at once, or a longer episode
 
 
@@ -94,7 +92,7 @@ def write_minari(
             id_,
             [buffer(0)],
             env=_environment(dataset),
-            observation_space=state_space(_task_spec(dataset)),
+            observation_space=state_space(shown_by(dataset)),
             action_space=spaces.Box(
                 -1.0, 1.0, (len(dataset.scene.actuator_names) + 1,), np.float32
             ),
@@ -114,14 +112,9 @@ def write_minari(
         shutil.rmtree(folder / id_.split("/")[0])
 
 
-def _task_spec(dataset: Dataset) -> TaskSpec:
-    """The constants of the environment."""
-    return task_spec(replace(dataset.episodes[0].facts.task, **_SHOWN), dataset.scene)
-
-
 def _names(dataset: Dataset) -> dict[str, Any]:
     """What the numbers of observations and actions are called."""
-    layout = _task_spec(dataset).observation_layout
+    layout = shown_by(dataset).observation_layout
     return {
         "observation_layout": {name: [part.start, part.stop] for name, part in layout.items()},
         "joint_names": list(dataset.scene.hand_joint_names),
@@ -133,7 +126,7 @@ def _environment(dataset: Dataset) -> EnvSpec:
     """What `recover_environment` of Minari makes: it draws from all songs as was asked."""
     facts = dataset.episodes[0].facts
     spec = deepcopy(gymnasium.spec("cadenza/Piano-v0"))
-    task = asdict(facts.task) | facts.job["task"] | _SHOWN
+    task = asdict(facts.task) | facts.job["task"] | SHOWN
     randomization = task["randomization"] | dict.fromkeys(NOISE_ON_OBSERVATIONS, 0.0)
     task |= {"randomization": randomization}
     songs = dict.fromkeys(episode.song for episode in dataset.episodes)

@@ -1,14 +1,18 @@
 """Recorded episodes as transitions of the Gymnasium environments, for other libraries."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset, Floats, check_values
 from cadenza.sim.render import Renderer
-from cadenza.tasks.view import from_range
+from cadenza.tasks.view import TaskSpec, from_range, task_spec
+
+# Options of the environments whose transitions these are
+SHOWN: dict[str, Any] = {"n_steps_lookahead": LOOKAHEAD, "n_seconds_lookahead": None}
 
 
 class Transitions(NamedTuple):
@@ -43,6 +47,11 @@ class Transitions(NamedTuple):
     def environment(self) -> Floats:
         """The observations (T + 1, D - J) without the hands."""
         return self._replace(joints=self.joints[:, :0]).observation
+
+
+def shown_by(dataset: Dataset) -> TaskSpec:
+    """The constants of the environments, such as the layout of their observations."""
+    return task_spec(replace(dataset.episodes[0].facts.task, **SHOWN), dataset.scene)
 
 
 def transitions(dataset: Dataset, number: int) -> Transitions:
