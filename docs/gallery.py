@@ -81,8 +81,7 @@ GALLERY = (
     Practised("InTheHallOfTheMountainKing"),
     Played("planner", "The planner, at first sight", "JingleBells"),
     Played("generalist", "The generalist", "Greensleeves", {"agent": "generalist"}),
-    Played("allegro", "Allegro Hands", "MaryHadALittleLamb", {"setup": "allegro"}),
-    Played("arms", "Hands on arms", "OdeToJoy", {"setup": "arm-allegro"}),
+    Played("arms", "Allegro Hands on arms", "OdeToJoy", {"setup": "arm-allegro"}),
     Played(
         "sampling",
         "Predictive sampling, to compare with",
@@ -132,12 +131,16 @@ def main(folder: Path) -> None:
 
 
 def films(folder: Path) -> None:
-    """Adds a film, NAME.mp4, of each performance that practice has reached."""
+    """Adds a film, NAME.mp4, of each performance that practice has reached, newer than its page.
+
+    One that is there already stays, so that this goes on where it was stopped.
+    """
     for played in GALLERY:
-        if isinstance(played, Practised):
+        page, film = folder / f"{played.name}.html", folder / f"{played.name}.mp4"
+        is_there = film.exists() and film.stat().st_mtime > page.stat().st_mtime
+        if isinstance(played, Practised) and not is_there:
             with TemporaryDirectory() as results:
                 played.play().save(results)
-                film = folder / f"{played.name}.mp4"
                 write_film(Path(results), film, _FILM, seconds=_FILMED)
 
 

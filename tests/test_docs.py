@@ -112,7 +112,7 @@ def test_the_site_plays_is_built_without_warnings_and_its_links_lead_somewhere(t
     built = subprocess.run(command, capture_output=True, text=True)
     assert (built.returncode, built.stderr) == (0, "")
     played = set((tmp_path / "gallery").glob("*.html"))
-    assert len(played) == 5 + len(list((DOCS / "practised").iterdir()))
+    assert len(played) == 4 + len(list((DOCS / "practised").iterdir()))
     assert all(page.stat().st_size < 1_000_000 for page in played)
     shown = {(tmp_path / target).resolve() for target in Links(tmp_path / "index.html").targets}
     assert played <= shown

@@ -40,7 +40,7 @@ _ARRANGEMENT = {
     "notes_added": ("Notes added", "Struck again while they sound."),
 }
 """The same of a song that was arranged for the hands."""
-_PATIENCE = 10.0  # [s] with the engraving of a score
+_PATIENCE = 30.0  # [s] with the engraving of a score, also on a busy machine
 _IN_SECONDS = "timing_error", "onset_delay", "onset_error_", "ioi_", "chord_spread_", "duration_"
 """Beginnings of the names of metrics that are times."""
 
@@ -76,7 +76,7 @@ def performance_page(
         midi: a MIDI file of what was played, to download.
         wanted_midi: one of what was to be played.
         written: what was to be played, on the clock of the episode; with it, the page shows how
-            loudness and timing differ, and a score, see `engraving_of`, if it is made in 10 s.
+            loudness and timing differ, and a score, see `engraving_of`, if it is made in 30 s.
     """
     metrics, remarks = _shown_metrics(episode, metrics), settings.get("remarks") or ()
     notices = settings.get("notices") or ()

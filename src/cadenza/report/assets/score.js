@@ -143,14 +143,14 @@ function createScore(element, engraving, data, seek) {
   }
 
   function move(time) {
-    const jumped = Math.abs(time - now) > 0.5 || time < now;
+    const jumped = Math.abs(time - now) > 0.5 || time < now, isStill = time === now;
     now = time;
     if (jumped) notes.forEach(rest);
     colour(time);
     if (!width) return;
     const at = (moment) => systems.findLast(({ begin }) => begin <= moment + 1e-6) ?? systems[0];
     const placeOf = ({ place, anchors }) => place.left + place.scale * placeAt(anchors, time);
-    const system = at(time), next = at(time + (jumped ? 0 : AHEAD)), { place } = system, x = placeOf(system);
+    const system = at(time), next = at(time + (jumped || isStill ? 0 : AHEAD)), { place } = system, x = placeOf(system);
     cursor.style.transform = `translate(${x}px, ${place.top}px)`;
     cursor.style.height = `${place.height}px`;
     if (jumped || performance.now() - touchedAt > LOOKING_AROUND) turnTo(next, placeOf(next), jumped || !shown);
