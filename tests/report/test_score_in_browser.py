@@ -88,12 +88,14 @@ def test_only_whole_systems_are_shown(browser, tmp_path, episode):
         const window = box(document.querySelector('#score'));
         const cursor = box(document.querySelector('#score .cursor'));
         const shown = [...document.querySelectorAll('.system:not(.cut)')].map(box);
-        return shown.length === 3 && shown.some((s) => s.top <= cursor.top && cursor.top < s.bottom)
+        const isCurrent = (s) => s.top <= cursor.top && cursor.top < s.bottom;
+        return shown.length === 3 && shown.findIndex(isCurrent) === PLACE
             && shown.every((s) => s.top >= window.top - EDGE && s.bottom <= window.bottom + EDGE);
     })()"""
-    for moment in (0.1, 0.9, 1.75):
+    for moment, place in ((0.1, 0), (0.9, 1), (1.75, 2)):  # the current one in the middle
         browser.evaluate(f"cadenza.seek({moment})")
-        browser.wait(are_whole, 5)  # it may be scrolling
+        browser.settle()
+        browser.wait(are_whole.replace("PLACE", str(place)), 5)  # it may be scrolling
 
 
 def test_the_score_is_hidden_and_downloaded(page, tmp_path):
