@@ -96,7 +96,7 @@ bench: $(ALL)
 sb3:
 	$(PYTHON) -m venv .venv-sb3
 	.venv-sb3/bin/python -m pip install --quiet torch --index-url https://download.pytorch.org/whl/cpu
-	.venv-sb3/bin/python -m pip install --quiet --editable . 'stable-baselines3>=2.7,<3' 'pytest>=8,<10'
+	.venv-sb3/bin/python -m pip install --quiet --editable . 'stable-baselines3>=2.7,<3' 'pytest>=8,<10' 'pytest-xdist>=3.8,<4'
 	.venv-sb3/bin/python -m pytest -m slow tests/test_examples.py -k stable_baselines3
 
 lock:

@@ -14,6 +14,24 @@ def no_data_of_the_user(tmp_path_factory):
     patch.undo()
 
 
+LONGEST = (  # files that take tens of seconds, the longest first
+    "test_practice.py",
+    "test_readme.py",
+    "test_planner.py",
+    "test_training.py",
+    "test_cli_train.py",
+    "test_generalist.py",
+    "test_exports.py",
+    "test_cli_agents.py",
+    "test_cli.py",
+    "test_learner.py",
+    "test_droq.py",
+    "test_collecting.py",
+)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The file that takes longest begins first, so that several processes end at about one time."""
-    items.sort(key=lambda item: item.path.name != "test_readme.py")
+    """Files that take long begin first, so that several processes end at about one time."""
+    last = len(LONGEST)
+    places = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path.name, last))

@@ -16,9 +16,9 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 # Under the right hand where it starts.
-TUNE = Score((Note(0.0, 0.3, 72), Note(0.3, 0.6, 76)), (PedalEvent(0.2, 127),), "A tune")
-TASK = TaskConfig(initial_buffer_time=0.3)
-STEPS = 19
+TUNE = Score((Note(0.0, 0.2, 72), Note(0.2, 0.4, 76)), (PedalEvent(0.1, 127),), "A tune")
+TASK = TaskConfig(initial_buffer_time=0.1)
+STEPS = 11
 NAMES = sorted(AGENTS.own.keys() - {PLAYBACK, PRETRAINED})  # which depend on the song
 QUICK: dict[str, Any] = {
     "predictive-sampling": PredictiveSamplingConfig(num_candidates=3),

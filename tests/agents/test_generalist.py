@@ -265,7 +265,7 @@ def test_a_touch_moves_the_finger_that_strikes_and_spares_it_corrections():
 
 @pytest.mark.parametrize("look_ahead", [None, 0.5])
 def test_plays_loud_notes_louder(look_ahead):
-    song = load_score("OdeToJoy").beginning(4.0)
+    song = load_score("OdeToJoy").beginning(2.5)
     velocities = []
     for velocity in (40, 90):
         notes = tuple(replace(note, velocity=velocity) for note in song.notes)
@@ -328,7 +328,7 @@ def test_half_a_second_begins_with_what_the_one_before_found_for_it(monkeypatch)
         return rehearse(self, goals, tracking, steps, *others)
 
     monkeypatch.setattr(HandRehearsal, "rehearse", noted)
-    play(load_score("MoonlightOpening").beginning(3.0), Generalist(REHEARSED))
+    play(load_score("MoonlightOpening").beginning(2.0), Generalist(REHEARSED))
     assert found
 
 
@@ -365,7 +365,7 @@ def test_plays_on_where_a_window_of_the_plan_ends():
 
 
 def test_corrects_by_default_what_it_has_learnt_to_correct():
-    score = load_score("MoonlightOpening").beginning(3.0)
+    score = load_score("MoonlightOpening").beginning(1.0)
     played, corrected, rehearsed = (
         actions(score, config) for config in (GeneralistConfig(), CORRECTED, REHEARSED)
     )
@@ -374,7 +374,7 @@ def test_corrects_by_default_what_it_has_learnt_to_correct():
 
 
 def test_rehearses_with_hands_that_it_has_not_learnt_with():
-    task = PianoTask([load_score("OdeToJoy").beginning(3.0)], TASK, SceneConfig(hand="allegro"))
+    task = PianoTask([load_score("OdeToJoy").beginning(2.0)], TASK, SceneConfig(hand="allegro"))
     assert play_episode(task, Generalist(), 0).metrics["f1"] > 0.8
 
 
@@ -495,7 +495,7 @@ def test_plays_at_sight_with_long_control_steps():
 
 @pytest.mark.parametrize(("look_ahead", "least"), [(0.5, 0.9), (2.0, 0.9)])
 def test_plays_at_sight(look_ahead, least):
-    score = load_score("CanonInDOpening").beginning(6.0)
+    score = load_score("CanonInDOpening").beginning(4.0)
     assert play(score, Generalist(GeneralistConfig(look_ahead=look_ahead)))["f1"] > least
 
 

@@ -75,7 +75,7 @@ def proposed(monkeypatch):
 
 
 def test_search_begins_with_what_is_proposed(proposed):
-    score = load_score("CMajorChordProgressionTwoHands").beginning(2.0)
+    score = load_score("CMajorChordProgressionTwoHands").beginning(1.0)
     with_it = play_episode(PianoTask([score], TASK), Planner(), 0)
     assert proposed
     proposed.clear()
@@ -88,7 +88,7 @@ def test_search_begins_with_what_is_proposed(proposed):
     "scene", [SceneConfig(hand="allegro"), SceneConfig(reduced_action_space=False)]
 )
 def test_nothing_is_proposed_to_hands_that_it_was_not_learnt_with(scene, proposed):
-    score = load_score("OdeToJoy").beginning(1.0)
+    score = load_score("OdeToJoy").beginning(0.5)
     config = PlannerConfig(proposals="learnt")
     play_episode(PianoTask([score], TASK, scene), Planner(config), 0)
     assert not proposed

@@ -44,7 +44,7 @@ from cadenza.tasks.piano_task import PianoTask
 from players import find_fingering
 
 QUICK = TaskConfig(initial_buffer_time=0.4)
-EFFORT = 0.5
+EFFORT = 0.15
 BLACK_KEYS = (66, 68, 70, 73, 75, 78)  # at a tempo at which a plan without search misses some
 NO_SEARCH = PlannerConfig(method="none")
 GIVEN_FINGERS = replace(NO_SEARCH, fingering="score")  # there are no others to be tried
@@ -80,6 +80,16 @@ CLOSE = Score(
         for pitch, hand in enumerate((1, 0), start=(60, 62)[i % 2])
     )
 )
+
+
+@pytest.fixture(autouse=True, scope="module")
+def short_sweeps():
+    """What sweeps come to by chance takes less time."""
+    patch = pytest.MonkeyPatch()
+    for sweep in ("_FIRST_SWEEP", "_SWEEP"):
+        patch.setattr(practice_of_hands, sweep, 0.2)
+    yield
+    patch.undo()
 
 
 def practice(
@@ -142,12 +152,13 @@ def test_it_plays_better_than_at_first_sight(practised):
 
 
 def test_the_first_take_is_what_the_planner_plays():
+    score = Score(HARD.notes[:2])
     planner = Planner()
     planner.num_threads = 1
-    played = play_episode(PianoTask([HARD], QUICK), planner, 0).episode["action"]
+    played = play_episode(PianoTask([score], QUICK), planner, 0).episode["action"]
     task_rng, rng = np.random.default_rng(0).spawn(2)
     del task_rng
-    task = PianoTask([HARD], QUICK)
+    task = PianoTask([score], QUICK)
     task.reset([np.random.default_rng(0)], [0])
     take = Practice(task.view(), rng, PlanningContext(PlannerConfig(), Threads(1)))
     take.run(0.0)
@@ -157,7 +168,7 @@ def test_the_first_take_is_what_the_planner_plays():
 def test_more_practice_is_never_worse_and_plays_the_same_in_the_scene():
     one = practice(score=CLOSE)
     before = 0.0
-    for effort in 0.0, 0.3, 0.6:
+    for effort in 0.0, 0.1, 0.2:
         one.run(effort)
         assert worth(one) >= before
         before = worth(one)
@@ -186,7 +197,7 @@ def test_it_plays_more_in_time_and_as_loud_as_written():
     times = zip((0.0, 0.42, 0.83), (40, 90, 60), EASY.notes, strict=True)
     score = Score(tuple(replace(n, start=t, end=t + 0.3, velocity=v) for t, v, n in times))
     one, heard = practice(score=score), []
-    for effort in 0.0, 0.5:
+    for effort in 0.0, EFFORT:
         one.run(effort)
         best = one.best()
         assert (best.f1, best.note_onset_f1) == (1.0, 1.0)
@@ -213,6 +224,7 @@ def test_it_goes_on_after_a_stop_as_if_there_had_been_none(practised, tmp_path):
     assert_same(left, practised)
 
 
+@pytest.mark.slow
 def test_hands_that_were_pushed_search_for_what_sounded_before():
     one, rng = practice(config=PlannerConfig()), np.random.default_rng(0)
     one.run(0.0)
@@ -255,7 +267,10 @@ def test_a_hand_corrects_how_far_its_fingertips_are_off(monkeypatch):
 
 @pytest.mark.parametrize(
     ("score", "config", "effort", "follows"),
-    [(WIDE, NO_SEARCH, 0.02, False), (JUMPS, GIVEN_FINGERS, 0.04, True)],
+    [
+        (WIDE, NO_SEARCH, 0.02, False),
+        pytest.param(JUMPS, GIVEN_FINGERS, 0.04, True, marks=pytest.mark.slow),
+    ],
 )
 def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
     score, config, effort, follows, tmp_path, monkeypatch
@@ -302,7 +317,7 @@ def test_hands_that_follow_play_a_second_again_unless_it_is_as_good(loss, costs,
         "overwrite",
         lambda self, first, other: kept.append(other.cost) or overwrite(self, first, other),
     )
-    one = practice(score=JUMPS)
+    one = practice(score=Score(JUMPS.notes[:6]))
     one.run(np.inf, lambda: not made)
     assert made == costs
     np.testing.assert_array_equal(kept[-1], min(costs))
@@ -312,8 +327,6 @@ def test_hands_that_follow_play_a_second_again_unless_it_is_as_good(loss, costs,
 def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_threads(
     monkeypatch, tmp_path
 ):
-    for sweep in ("_FIRST_SWEEP", "_SWEEP"):
-        monkeypatch.setattr(practice_of_hands, sweep, 0.2)
     with_search = PlannerConfig(  # a short one, which leaves something to practise
         fingering="score", num_candidates=4, iterations=1, horizon=0.1, proposals="none"
     )
@@ -403,9 +416,9 @@ def test_hands_that_do_not_slide_practise(forearm_dofs):
 
 
 def test_a_song_with_a_long_rest_is_practised():
-    later = tuple(replace(n, start=n.start + 3.6, end=n.end + 3.6) for n in HARD.notes[:3])
+    later = tuple(replace(n, start=n.start + 2.6, end=n.end + 2.6) for n in HARD.notes[:3])
     done = practice(score=Score((*EASY.notes[:1], *later)))
-    done.run(0.2)
+    done.run(0.1)
     assert done.best().score >= done.history[0][1] + 2 * done.history[0][2]
 
 

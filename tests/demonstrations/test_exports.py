@@ -120,17 +120,19 @@ def test_minari_recovers_the_task_that_was_recorded(tmp_path, monkeypatch, task)
 @pytest.mark.parametrize(
     ("variation", "task", "scene"),
     [
-        (Variation(mirror=True), {"random_octave_shift": 1, "control_timestep": 0.04}, {}),
-        (Variation(noise=1.0, mirror=True, excerpt=1.0), {"stretch": 1.5, "transpose": 2}, {}),
-        (Variation(mirror=True), {"randomization": RANDOM}, {}),
-        (Variation(mirror=True, student="zero"), {"sustain_term": True, "forearm_term": True}, {}),
+        (
+            Variation(noise=1.0, mirror=True, excerpt=1.0, student="zero"),
+            {"stretch": 1.5, "transpose": 2, "sustain_term": True, "forearm_term": True},
+            {},
+        ),
+        (Variation(mirror=True), {"randomization": RANDOM, "control_timestep": 0.04}, {}),
         (
             Variation(mirror=True),
-            {"fingering": "transport", "key_press": "graded"},
+            {"fingering": "transport", "key_press": "graded", "random_octave_shift": 1},
             {"hands": "right"},
         ),
     ],
-    ids=["varied", "noisy excerpts", "randomized", "with a student", "one hand"],
+    ids=["excerpts with a student", "randomized", "one hand"],
 )
 def test_minari_plays_every_episode_again_to_the_bit_wherever_it_is(
     variation, task, scene, tmp_path, monkeypatch
@@ -139,7 +141,7 @@ def test_minari_plays_every_episode_again_to_the_bit_wherever_it_is(
     monkeypatch.chdir(tmp_path)
     write_midi(SCORE, Path("made-songs/song.mid"))
     write_midi(OTHER, Path("made-songs/other.mid"))
-    collected(Path("made"), variation, episodes=3, scene=SceneConfig(**scene), **task)
+    collected(Path("made"), variation, episodes=2, scene=SceneConfig(**scene), **task)
     shutil.rmtree("made-songs")
     Path("elsewhere").mkdir()
     Path("made").rename("elsewhere/moved")
@@ -148,7 +150,7 @@ def test_minari_plays_every_episode_again_to_the_bit_wherever_it_is(
     monkeypatch.setenv("MINARI_DATASETS_PATH", "minari")
     loaded = minari.load_dataset("cadenza/moved-v0")
     environment = loaded.recover_environment()
-    told = list(loaded.storage.get_episode_metadata(range(6)))
+    told = list(loaded.storage.get_episode_metadata(range(4)))
     assert {each["song"] for each in told} == {"made-songs/song.mid", "made-songs/other.mid"}
     assert {each["mirrored"] for each in told} == {False, True}
     for episode, each in zip(loaded.iterate_episodes(), told, strict=True):
