@@ -60,6 +60,16 @@ def test_fingertips_are_where_mujoco_has_those_of_the_file(joints, tmp_path):
     assert excluded == ({("index0", "index1")} if joints == 2 else set())
 
 
+def test_a_box_is_as_wide_as_it_reaches_to_the_side_of_its_link(tmp_path):
+    path, wide, text = write_to(tmp_path), (0.0098, 0.0134, 0.011), mjcf()
+    at = text.index('name="index_2"')
+    shape = re.compile(r"<geom [^>]*>").search(text, at)
+    box = '<geom type="box" size="{} {} {}" pos="0 0 0.011" mass="0.03"/>'.format(*wide)
+    path.with_name("leap.xml").write_text(text[: shape.start()] + box + text[shape.end() :])
+    finger = HandFile(path).hand(UPRIGHT).fingers[1]
+    assert finger.radii[finger.links.index("index2")] == wide[1]
+
+
 def test_a_joint_that_follows_moves_with_its_leader(tmp_path):
     path = write_to(tmp_path)
     path.write_text(TOML.replace("[fingers]", "follows = {index_3={index_2=-0.5}}\n[fingers]"))

@@ -537,8 +537,16 @@ class HandFile:
                 yield link
 
     def _thickness(self, body: int) -> float:
-        radii = [radius for geom in self._shapes(body) for _, radius in self._ends(geom)]
-        return max(radii, default=_THIN)
+        return max((self._half_width(body, geom) for geom in self._shapes(body)), default=_THIN)
+
+    def _half_width(self, body: int, geom: int) -> float:
+        """Half of how wide a shape is across its link [m]; a box may be wider than long."""
+        name, _ = _NAMES[mujoco.mjtGeom(self._model.geom_type[geom])]
+        size, turn = self._model.geom_size[geom], self._data.geom_xmat[geom].reshape(3, 3)
+        if name != "box":
+            return _radius(name, size)
+        along = turn.T @ (self._data.geom_xpos[geom] - self._origin(body))
+        return float(np.delete(size, np.argmax(np.abs(along))).max())
 
     def _servo(
         self, actuator: Actuator, rests: dict[str, float], measurement: Measurement
