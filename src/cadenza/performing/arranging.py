@@ -21,7 +21,7 @@ from cadenza.music.performance import played_in
 from cadenza.music.score import Note, Score
 from cadenza.performing.loaded_song import LoadedSong
 from cadenza.scene.scene import Scene
-from cadenza.tasks.augmentation import prepare_tracks
+from cadenza.tasks.augmentation import prepare_track
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack, players_of
 
@@ -111,22 +111,23 @@ class HandArrangement:
 
 def arranged_for(
     song: LoadedSong, scene: Scene, task: TaskConfig, progress: Progress = silent
-) -> HandArrangement | None:
-    """The arrangement of a song for the hands of a scene; None if it is to be played as written.
+) -> tuple[GoalTrack, HandArrangement | None]:
+    """What the hands of a scene play of a song, and its arrangement; None if it is as written.
 
     That is so with `arrange="off"`, and with "auto" and no level where the plan of what the `task`
     plays foresees few losses: 10 % of the notes are out of reach in music for one instrument, or 4
     % missed in other music, of whose melody and bass 1 % may be left out. `progress` is told of
-    "fingers". Raises CadenzaError if the song is to be arranged, and the scene has no hands.
+    "fingers". Raises CadenzaError if the song has no notes, or is to be arranged, and the scene has
+    no hands.
     """
-    score, arrangement = song.score, song.arrangement
-    if arrangement.arrange == "off" or not score.notes:
-        return None
-    if not arrangement.asks_for_hands and (
-        not scene.sides or _is_playable(score, scene, task, progress)
-    ):
-        return None
-    return arrange_song(song, scene)
+    fingers, arrangement = partial(progress, "fingers"), song.arrangement
+    as_written = arrangement.arrange == "off" or not song.score.notes
+    if as_written or not arrangement.asks_for_hands:
+        track = prepare_track(song.score, task, scene, fingers)
+        if as_written or not scene.sides or _is_playable(track, fingers):
+            return track, None
+    arranged = arrange_song(song, scene)
+    return prepare_track(arranged.arranged.score, task, scene, fingers), arranged
 
 
 def arrange_song(song: LoadedSong, scene: Scene) -> HandArrangement:
@@ -149,12 +150,11 @@ def arrange(score: Score, arrangement: Arrangement, scene: Scene) -> HandArrange
     return HandArrangement(score, arranged, players.description)
 
 
-def _is_playable(score: Score, scene: Scene, task: TaskConfig, progress: Progress) -> bool:
+def _is_playable(track: GoalTrack, progress: Callable[[int, int], None]) -> bool:
     """Whether hands miss few notes of a song, and leave out hardly any of its melody and bass."""
-    (track,) = prepare_tracks([score], task, scene)
-    track = track.fingered(partial(progress, "fingers"))
+    track = track.fingered(progress)
     dropped = track.dropped or ()
-    if not _is_for_several(score):
+    if not _is_for_several(track.score):
         return len(dropped) <= _MAX_OUT_OF_REACH * len(track.score.notes)
     lines = {
         (note.start, note.pitch) for note in sources_of(track.score) if note.melody or note.bass

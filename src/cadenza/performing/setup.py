@@ -21,6 +21,7 @@ from cadenza.performing.loaded_song import LoadedSong, SomeSong, load
 from cadenza.performing.player import Player
 from cadenza.scene.scene import build_scene
 from cadenza.sim.threads import MAX_THREADS
+from cadenza.tasks.augmentation import prepare_track
 from cadenza.tasks.config import task_identity
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
@@ -77,17 +78,17 @@ def set_up(
     if player.plan is not None:
         player.plan.check(options)
     scene, played, arranged = build_scene(player.scene), chosen, None
-    if not is_known:
+    if is_known:
+        track = prepare_track(chosen.score, player.task, scene, partial(progress, "fingers"))
+    else:
         played = chosen.written_for(player.scene.hands)
-        arranged = arranged_for(played, scene, player.task, progress)
+        track, arranged = arranged_for(played, scene, player.task, progress)
     score = played.score if arranged is None else arranged.arranged.score
-    searching = partial(progress, "fingers")
     with (
-        closing(PianoTask([score], player.task, scene, progress=searching)) as task,
+        closing(PianoTask([track], player.task, scene)) as task,
         _with_threads(player.agent, num_threads),
     ):
-        lost = [*_lost_between_steps(task.tracks[0])]
-        lost += _about_hands(task.tracks[0], chosen.score, played.score)
+        lost = [*_lost_between_steps(track), *_about_hands(track, chosen.score, played.score)]
         about = [] if arranged is None else [str(arranged)]  # it changes most
         for remark in (*lost, *(f"{each}; as written: --arrange off" for each in about)):
             warnings.warn(f"{chosen.name}: {remark}", CadenzaWarning, stacklevel=4)

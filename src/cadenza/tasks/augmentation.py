@@ -33,29 +33,37 @@ _MAXIMUM = {  # of options from 0 on, which no user needs to exceed
 
 
 def prepare_tracks(
-    scores: Sequence[Score],
+    songs: Sequence[Score | GoalTrack], config: TaskConfig, scene: Scene
+) -> tuple[GoalTrack, ...]:
+    """The tracks of songs, see `prepare_track`; those that have been prepared stay as they are.
+
+    Raises CadenzaError if there is no song, or one that cannot be prepared.
+    """
+    if not songs:
+        raise CadenzaError("no song to play: give at least one score")
+    return tuple(
+        prepare_track(song, config, scene) if isinstance(song, Score) else song for song in songs
+    )
+
+
+def prepare_track(
+    score: Score,
     config: TaskConfig,
     scene: Scene,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[GoalTrack, ...]:
-    """Trim, stretch and transpose the scores, and finger them for the hands of a `scene`.
+) -> GoalTrack:
+    """Trim, stretch and transpose a score, and finger it for the hands of a `scene`.
 
-    `progress` is called as by `find_fingering`. Raises CadenzaError if there is no score, or one
-    without notes, or an option makes no sense.
+    `progress` is called as by `find_fingering`. Raises CadenzaError if the score has no notes, or
+    an option makes no sense.
     """
-    if not scores:
-        raise CadenzaError("no song to play: give at least one score")
-    for score in scores:
-        _check_notes(score)
+    _check_notes(score)
     _check_options(config)
-    scores = [_arranged(score, config) for score in scores]
-    _check_duration(max(score.total_time for score in scores), config)
-    for score in scores:
-        check_pitches(score, scene.keyboard.pitches)
-    tracks = [GoalTrack(score, None, config, scene) for score in scores]
-    if _observes_fingers(config, scene):
-        tracks = [track.fingered(progress) for track in tracks]
-    return tuple(tracks)
+    score = _arranged(score, config)
+    _check_duration(score.total_time, config)
+    check_pitches(score, scene.keyboard.pitches)
+    track = GoalTrack(score, None, config, scene)
+    return track.fingered(progress) if _observes_fingers(config, scene) else track
 
 
 def unchanged_track(score: Score, config: TaskConfig, scene: Scene) -> GoalTrack:

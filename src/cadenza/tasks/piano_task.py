@@ -4,7 +4,7 @@ The Gymnasium classes, the adapters and the planners use this class. Its actions
 units, and its arrays are (num_envs, ...).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from typing import Any, NamedTuple
 
@@ -85,13 +85,12 @@ class PianoTask:
 
     def __init__(
         self,
-        scores: Sequence[Score],
+        scores: Sequence[Score | GoalTrack],
         config: TaskConfig | None = None,
         scene: SceneConfig | Scene | None = None,
         num_envs: int = 1,
         num_threads: int = 1,
         reward_terms: Mapping[str, RewardTerm] | None = None,
-        progress: Callable[[int, int], None] | None = None,
         make_simulation: MakeSimulation | None = None,
     ) -> None:
         """Make a task of songs, with N simulations to play them in.
@@ -99,18 +98,17 @@ class PianoTask:
         Raises CadenzaError if a score has no notes, or an option makes no sense.
 
         Args:
-            scores: the songs to draw from, one per episode.
+            scores: the songs to draw from, one per episode; or tracks of this task and scene.
             num_threads: threads that share the simulation.
             reward_terms: name -> function of a `cadenza.Outcome` that returns (N,); they are added
                 to the reward, and one of the same name takes the place of the task's own.
-            progress: is told for how many notes fingers have been looked for, and their number.
             make_simulation: makes the physics; by default the scene's engine, with one simulation
                 for each hand if they play apart.
         """
         self.config = as_config(config, TaskConfig)
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
         self.num_envs = num_envs = whole_number(num_envs, "num_envs", 1, MAX_ENVS)
-        self.draw_from(scores, progress)
+        self.draw_from(scores)
         self._offset_joints = offset_joints(self.config, self.scene)
         self.simulation = (make_simulation or _engine(self.scene.config))(
             scene=self.scene,
@@ -151,11 +149,9 @@ class PianoTask:
         """Name -> (N, ...) draws of domain randomization, see `Randomization.drawn`."""
         return self._randomization.drawn
 
-    def draw_from(
-        self, scores: Sequence[Score], progress: Callable[[int, int], None] | None = None
-    ) -> None:
+    def draw_from(self, scores: Sequence[Score | GoalTrack]) -> None:
         """Draw from these scores from the next reset on; see the constructor."""
-        self.tracks = augmentation.prepare_tracks(scores, self.config, self.scene, progress)
+        self.tracks = augmentation.prepare_tracks(scores, self.config, self.scene)
 
     def reset(
         self,
