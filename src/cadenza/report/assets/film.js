@@ -6,6 +6,7 @@ const SOUND_BITS = 160_000, SOUND_RATE = 48_000; // a second; [Hz]
 const GROUP = 2; // [s] between two pictures that stand alone, to which players can jump
 const TITLE = { seconds: 4, fade: 0.6, size: 0.05, halo: 0.2 }; // [s]; of the shorter side; of the size, around letters over anything
 const MARGIN_OF_SCORE = 0.02; // of its width, on either side
+const LEAST_STAFF = 0.045; // of the shorter side; a system that is then wider than the film moves along with the cursor
 const SCORE_STYLES = "text{font-family:Times,serif}.number,.mark{font-style:italic}.tempo,.fing{font-weight:bold}";
 
 /** The page's own background, of a picture of this size [px]. */
@@ -26,11 +27,12 @@ function drawTitle(context, time, width, height) {
   context.globalAlpha = 1;
 }
 
-/** The system of the score that is played, as wide as the film [px], below the stage. */
-function createScoreBand(engraving, data, width) {
+/** The system of the score that is played, below the stage of a film of this size [px]. */
+function createScoreBand(engraving, data, width, filmHeight) {
   const element = make("div"), systems = drawSystems(element, engraving), notes = drawnNotes(element, engraving, data.lowest), ink = css("--ink");
   placeAnchors(systems, notes);
-  const longest = longestOf(notes), margin = MARGIN_OF_SCORE * width, scale = (width - 2 * margin) / Math.max(...systems.map((each) => each.width));
+  const longest = longestOf(notes), margin = MARGIN_OF_SCORE * width, room = width - 2 * margin;
+  const scale = Math.max(room / Math.max(...systems.map((each) => each.width)), (LEAST_STAFF * Math.min(width, filmHeight)) / STAFF);
   const height = 2 * Math.ceil((scale * Math.max(...systems.map((each) => each.height)) + margin) / 2), image = new Image();
   let shown = null;
   async function turnTo(system) {
@@ -47,18 +49,19 @@ function createScoreBand(engraving, data, width) {
       if (next !== shown) await turnTo(next);
       context.fillStyle = css("--card");
       context.fillRect(0, top, width, height);
-      const { row } = rowAt(time, data.dt, data.steps), x = (units) => margin + scale * units, y = top + (height - scale * next.height) / 2;
+      const cursor = scale * placeAt(next.anchors, time), left = margin - Math.max(Math.min(cursor - BEFORE_THE_CURSOR * width, scale * next.width - room), 0);
+      const { row } = rowAt(time, data.dt, data.steps), y = top + (height - scale * next.height) / 2;
       within(notes, longest, time, time + 1e-6, ({ key, parts }) => {
         context.fillStyle = `${css(data.states[row * data.keys + key] === HIT ? "--hit" : "--missed")}70`;
         for (const spot of parts.filter((part) => next.drawing.contains(part)).map((part) => part.querySelector(".spot"))) {
           context.beginPath();
-          context.arc(x(spot.getAttribute("cx")), y + scale * spot.getAttribute("cy"), scale * SPOT, 0, 2 * Math.PI);
+          context.arc(left + scale * spot.getAttribute("cx"), y + scale * spot.getAttribute("cy"), scale * SPOT, 0, 2 * Math.PI);
           context.fill();
         }
       });
-      context.drawImage(image, margin, y);
+      context.drawImage(image, left, y);
       context.fillStyle = css("--accent");
-      context.fillRect(x(placeAt(next.anchors, time)) - 1, y, 2, scale * next.height);
+      context.fillRect(left + cursor - 1, y, 2, scale * next.height);
     },
   };
 }
@@ -72,7 +75,7 @@ function createScoreBand(engraving, data, width) {
 async function createFilm(data, engraving, { width, height, camera, falling = true, score, start = 0, end = Infinity, silent }) {
   const stage = createStage(make("canvas", [], { className: "view" }), data, VERDICTS.map((name) => css("--" + name)));
   const canvas = make("canvas", [], { width, height }), context = canvas.getContext("2d", { alpha: false });
-  const band = score && engraving ? createScoreBand(engraving, data, width) : null, tall = height - (band?.height ?? 0);
+  const band = score && engraving ? createScoreBand(engraving, data, width, height) : null, tall = height - (band?.height ?? 0);
   const rate = stage.byCard ? FILM_RATE : SLOW_RATE, length = data.steps * data.dt;
   stage.setFlat(false);
   stage.fit(width, tall);
