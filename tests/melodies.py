@@ -16,12 +16,8 @@ def melody(*pitches: int, length: float = 0.4) -> Score:
     return Score(tuple(Note(i * length, (i + 1) * length, p) for i, p in enumerate(pitches)))
 
 
-def whole_plan(
-    score: Score, delays: int | np.ndarray = 0, jump_acceleration: float = 1.0
-) -> SongPlan:
+def whole_plan(score: Score, delays: int | np.ndarray = 0) -> SongPlan:
     task = PianoTask([score], BUFFER, SceneConfig(hands="right"))
     task.reset([np.random.default_rng(0)], [0])
     start = task.state.hand_qpos[0]
-    return plan_song(
-        task.goals.tracks[0], start, release_delays=delays, jump_acceleration=jump_acceleration
-    )
+    return plan_song(task.goals.tracks[0], start, release_delays=delays)

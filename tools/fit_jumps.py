@@ -100,7 +100,7 @@ def jumps_in(path: Path, hand: str) -> list[Jump]:
 
 def play(path: Path, name: str, etudes: int) -> None:
     global HAND
-    at_once = JumpTimes(glide=np.inf, glide_of_chord=np.inf, descent=0.0, climb=0.0)
+    at_once = JumpTimes(glide=np.inf, glide_of_chord=np.inf, descent=0.0, next_key=0.0)
     HAND = replace(hand_named(name), jump_times=at_once)
     scene = SceneConfig(hand=f"{__name__}:HAND", hands="right")
     done = len(jumps_in(path, name)) if path.exists() else 0

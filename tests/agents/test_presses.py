@@ -14,11 +14,10 @@ from cadenza.fingers import SIDES
 from cadenza.hands.hand import Hand
 from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
-from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
-from melodies import FINER, whole_plan
-from numbered import FIVE, finger
+from melodies import FINER
+from numbered import FIVE
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -97,24 +96,40 @@ def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord():
     assert not any(press.jumps_to for press in landed)
 
 
-def test_a_finger_takes_longer_from_a_white_key_to_a_black_one():
+def last_before(
+    key: int, other: int, chord: bool = True, later: int = 0, first: int = 10, hand: Hand = SHADOW
+) -> int:
+    """The end of a press of `key`, before the same finger presses another one."""
+    there = places(np.array([0.0, 0.02, 0.05, 0.07, 0.1] * 2))
+    presses = [
+        Press("right", 1, key, first, 20),
+        Press("right", 1, other, 20, 30, release_delay=later),
+        Press("right", 3, other + 4, 20, 30, release_delay=later),
+    ]
+    return let_go(presses[: 2 + chord], there, hand=hand)[0].last
+
+
+def test_a_finger_takes_longer_to_a_chord_or_onto_a_black_key():
     white, black = 39, 40
+    assert (
+        last_before(white, white + 2, chord=False) == last_before(black, white, chord=False) == 19
+    )
+    assert last_before(white, white + 2) == last_before(white, white) == 18
+    assert last_before(white, black, chord=False) == last_before(white, black) == 18
+    assert [last_before(white, white + 2, later=later) for later in (1, 9)] == [19, 19]
+    assert [last_before(white, white + 2, first=first) for first in (16, 17, 18)] == [18, 18, 19]
+    hand = replace(SHADOW, jump_times=replace(SHADOW.jump_times, next_key=0.05))
+    assert last_before(white, black, hand=hand) == 19
 
-    def last(key: int, other: int, later: int = 0, first: int = 10, hand: Hand = SHADOW) -> int:
-        there = places(np.array([0.0, 0.02, 0.05, 0.07, 0.1] * 2))
-        presses = [
-            Press("right", 1, key, first, 20),
-            Press("right", 1, other, 20, 30, release_delay=later),
-            Press("right", 3, other + 4, 20, 30, release_delay=later),
-        ]
-        return let_go(presses, there, hand=hand)[0].last
 
-    assert last(white, white + 2) == last(black, black + 2) == last(black, white) == 19
-    assert last(white, black) == 18
-    assert [last(white, black, later) for later in (1, 9)] == [19, 19]
-    assert [last(white, black, first=first) for first in (16, 17, 18)] == [18, 19, 19]
-    times = replace(SHADOW.jump_times, climb=0.05)
-    assert last(white, black, hand=replace(SHADOW, jump_times=times)) == 19
+@pytest.mark.parametrize("finger", [1, 2])
+def test_a_chord_is_let_go_in_time_to_be_struck_again_unless_that_is_soon(finger):
+    def last(first: int) -> int:
+        again = [Press("right", finger, 39, 20, 30), Press("right", 4, 44, 20, 30)]
+        return let_go([Press("right", 1, 39, first, 19), *again], there)[0].last
+
+    there = places(np.concatenate([SHADOW.reach.rest, -SHADOW.reach.rest]))
+    assert [last(first) for first in (10, 15, 16)] == [18, 18, 19]
 
 
 def let_go_one_by_one(presses: list[Press], there: np.ndarray, dt: float) -> list[Press]:
@@ -157,13 +172,16 @@ def let_go_one_by_one(presses: list[Press], there: np.ndarray, dt: float) -> lis
                     last = min(last, max(head.first - states, press.first + 1))
         cut.append(press._replace(last=last))
     for i, press in enumerate(cut):
-        after = [p for p in cut[i + 1 :] if p.finger == press.finger]
-        if after and after[0].key != press.key:
-            climbs = PIANO.is_black[after[0].key] and not PIANO.is_black[press.key]
-            states = max(2 - after[0].release_delay, 1) if climbs else 1
-            states = max(min(states, after[0].first - press.first - 2), 1)
-            end = max(after[0].first - states, press.first + 1)
-            cut[i] = press._replace(last=min(press.last, end))
+        later = [p for p in cut[i + 1 :] if p.side == press.side]
+        moves = [p for p in later if p.finger == press.finger][:1]
+        again = [p for p in later if p.key == press.key][:1]
+        for after in [p for p in moves if p.key != press.key] + again:
+            climbs = PIANO.is_black[after.key] and not PIANO.is_black[press.key]
+            fast = after.key == press.key and after.first - press.first < 5
+            slow = climbs or (len(struck_with(after)) > 1 and not fast)
+            states = max(2 - after.release_delay, 1) if slow else 1
+            end = max(after.first - states, press.first + 1)
+            cut[i] = cut[i]._replace(last=min(cut[i].last, end))
     return cut
 
 
@@ -211,16 +229,13 @@ def test_fingertips_have_as_long_at_a_finer_control_step():
         np.testing.assert_allclose(other[::2], one)
 
 
-def test_hands_in_haste_let_go_later_and_land_as_soon():
-    notes = ((0.6, 1.0, 48), (1.0, 1.4, 72), (1.4, 1.8, 48))
-    score = Score(tuple(Note(*times, finger=finger(1)) for times in notes))
-    usual, hasty = (
-        whole_plan(score, jump_acceleration=jump_acceleration).nominal.presses
-        for jump_acceleration in (1.0, 4.0)
-    )
-    assert [press.first for press in hasty] == [press.first for press in usual]
-    assert [press.last for press in hasty[:2]] > [press.last for press in usual[:2]]
-    assert hasty[2].last == usual[2].last  # no jump
+def test_hands_in_haste_let_go_later_before_a_jump_only():
+    far = [Press("right", 1, 27, 10, 20), Press("right", 1, 51, 20, 30)]
+    near = [Press("right", 1, 27, 10, 20), Press("right", 1, 29, 20, 30)]
+    hasty = replace(SHADOW, jump_times=SHADOW.jump_times.accelerated(4.0))
+    there = places(np.zeros(10))
+    assert let_go(far, there, hand=hasty)[0].last > let_go(far, there)[0].last
+    assert let_go(near, there, hand=hasty) == let_go(near, there)
 
 
 def test_in_a_jump_only_heights_are_strict():

@@ -14,7 +14,7 @@ from cadenza.fingering.players import Players
 from cadenza.fingering.search import find_fingering
 from cadenza.fingers import LEFT, RIGHT, SIDES, Finger
 from cadenza.hands.reach import JumpTimes
-from cadenza.music.score import Note, Score, chords, is_black
+from cadenza.music.score import Note, Score, chords
 
 # [s] in which a key comes up before it is struck again, so that a repetition is heard as one; at
 # most a share of the note.
@@ -161,8 +161,7 @@ def _end_for_other_keys(notes: list[Note], own: Sequence[int], times: JumpTimes)
     for i in own:
         finger = _index(notes[i].finger)
         if (before := latest.get(finger)) is not None and notes[before].pitch != notes[i].pitch:
-            climbs = is_black(notes[i].pitch) and not is_black(notes[before].pitch)
-            _end(notes, before, notes[i].start - (times.climb if climbs else _RISE) - _SPARE)
+            _end(notes, before, notes[i].start - times.next_key - _SPARE)
         latest[finger] = i
 
 

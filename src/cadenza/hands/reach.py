@@ -60,13 +60,14 @@ class JumpTimes:
     """
 
     # Distance that fingers cover without the hand, from keys that are released [m]
-    within_reach: float = 0.05
+    within_reach: float = 0.035
     # Distance that fingers cover without the hand, from keys that stay held [m]
     while_holding: float = 0.06
-    glide: float = 80.0  # acceleration from a single key to a single key [m/s^2]
-    glide_of_chord: float = 50.0  # acceleration from or to a chord [m/s^2]
+    glide: float = 48.0  # acceleration from a single key to a single key [m/s^2]
+    glide_of_chord: float = 30.0  # acceleration from or to a chord [m/s^2]
     descent: float = 0.05  # time to come down on a chord [s]
-    climb: float = 0.1  # time in which a finger gets from a white key onto a black one [s]
+    # Time in which a finger gets from a key to the next one, or up and down on the same one [s]
+    next_key: float = 0.1
 
     def accelerated(self, factor: float) -> JumpTimes:
         """The times of the hand with `factor` times the acceleration."""

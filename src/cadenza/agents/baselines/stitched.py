@@ -28,9 +28,8 @@ from cadenza.scene.servos import servos_of
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.view import View
 
-# Shares of the acceleration with which the planner's hands jump, and of how far they reach without
-# a jump: the planner can correct landings that fail.
-_ACCELERATION, _REACH = 0.125, 0.7
+# Share of the acceleration with which the planner's hands jump: it can correct landings that fail.
+_ACCELERATION = 0.2
 # Times the force that a white key takes. A fingertip would slip off a black one.
 _WHITE_KEY_FORCE = 1.5
 
@@ -82,9 +81,7 @@ def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
 
 def _slower(times: JumpTimes) -> JumpTimes:
     """Jump times of hands that play open loop, given those of the planner's hands."""
-    slower = times.accelerated(_ACCELERATION)
-    # Onto black keys no sooner: that has cost more than it gained.
-    return replace(slower, within_reach=_REACH * slower.within_reach, climb=RISE)
+    return replace(times.accelerated(_ACCELERATION), next_key=RISE)
 
 
 Held = tuple[tuple[int, int], ...]  # pairs of finger and key, of each finger that is down

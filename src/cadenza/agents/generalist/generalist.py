@@ -37,9 +37,6 @@ from cadenza.sim.protocol import State
 from cadenza.tasks.goal_track import GoalTrack, players_of
 from cadenza.tasks.view import View
 
-JUMP_ACCELERATION = 2.0
-"""The factor of the acceleration with which hands jump where networks correct their landings."""
-
 _LEARNT = Path(__file__).parent
 _DEFAULT_REHEARSALS, _MAX_REHEARSALS = 4, 100
 
@@ -81,7 +78,6 @@ class Generalist(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
             track.with_found_fingers(),
             view.state.hand_qpos[0],
             self.progress,
-            jump_acceleration=1.0 if weights is None else JUMP_ACCELERATION,
             strikes=True,
         )
 
@@ -136,9 +132,7 @@ class SightReader(EpisodePlanner):
         self._ahead = np.arange(steps_in(look_ahead, dt) + 1)
         self._scene = planning_scene(track)
         self._strikes = planned_strikes(self._goals.onsets, self._scene, dt)
-        times = self._scene.hand.jump_times.accelerated(JUMP_ACCELERATION)
-        motion = MotionPlanner(self._scene, dt, times)
-        players = players_of(self._scene)
+        motion, players = MotionPlanner(self._scene, dt), players_of(self._scene)
         self._receding = RecedingPlanner(self._scene, motion, players, start.hand_qpos[0], dt)
         self._hands = CorrectedHands(self._plan_from(0, start), weights)
 

@@ -33,7 +33,7 @@ import numpy as np
 
 from cadenza.agents.agent import Array, Mask, steps_in
 from cadenza.agents.planner.plan.nominal_trajectory import MotionPlanner
-from cadenza.agents.planner.plan.presses import Press, steps_between
+from cadenza.agents.planner.plan.presses import Press
 from cadenza.agents.planner.plan.song_plan import SongPlan, planning_scene
 from cadenza.episode import Episode
 from cadenza.fingers import SIDES, Finger
@@ -45,7 +45,7 @@ from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.reward import key_state
 
 _IN_TIME = 0.05  # [s] that a note may begin late, or end early
-_SHORTEST = 0.1  # [s] that a key takes to go down
+_SHORTEST = 0.05  # [s] in which a key hardly goes down
 _BESIDE = 0.002  # [m] a fingertip further than this from a key's edge is not over it
 _ASTRAY = 0.01  # [m] off the plan, nearly half a key
 _TOUCHING = 0.003  # [m] between surfaces: they may have touched within the step
@@ -256,11 +256,9 @@ class _Diagnosis:
         """Reason why the plan lets a key go early."""
         later = (p for p in self._of_finger[press.finger] if p.first > press.first)
         following = next((p for p in later if p.key != press.key), None)
-        if following:
-            is_black = self._keyboard.is_black
-            steps = steps_between(press.key, following.key, is_black, self._times, self._dt)
-            if following.first - press.last <= steps:
-                return f"its finger had to press {self._name(following.key)}"
+        move = steps_in(self._times.next_key, self._dt)
+        if following and following.first - press.last <= move:
+            return f"its finger had to press {self._name(following.key)}"
         return "the hand had to jump"
 
     def _beside(self, tips: Array, key: int) -> Array:

@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Array, Ids, Mask, steps_in
 from cadenza.fingers import NO_FINGER, SIDES, Fingers, Side
 from cadenza.hands.hand import Hand
-from cadenza.hands.reach import JumpTimes
-
-Key = int | Ids
 
 RISE = 0.05  # time in which a finger gets off a key [s]
 
@@ -61,20 +58,9 @@ def presses_of(fingers: NDArray[np.int8], hands: Fingers) -> list[Press]:
     return [Press(SIDES[hands.hand_of(finger)], finger, *rest) for finger, *rest in rows]
 
 
-def steps_between(
-    key: Key, other: Key, is_black: NDArray[np.bool_], times: JumpTimes, dt: float
-) -> Ids:
-    """Control steps of `dt` [s] that a finger takes from one key to another, or from N keys.
-
-    `is_black` (K,) says whether keys are black, and `times` how long the hand takes to climb.
-    """
-    climbs = is_black[other] & ~is_black[key]
-    return np.where(climbs, steps_in(times.climb, dt), steps_in(RISE, dt))
-
-
 _JUMP_TIME = 0.1  # [s] between two presses that is spent on the way, if the hand has to jump
 _MIN_LENGTH = 0.05  # [s] that a press lasts
-_MIN_HEARD = 0.1  # [s] that it lasts if it can, so that its key sounds before its finger leaves it
+_FAST_REPEAT = 0.25  # [s] between notes of a key, below which they would become too short
 _DIGITS = 9  # to which times are rounded, so that whole steps are not rounded up to the next
 
 
@@ -93,7 +79,7 @@ def release_in_time(
         return []
     line = _TimeLine(presses, places, is_black, dt, hand)
     line.release_for_jumps()
-    line.release_for_other_keys()
+    line.release_for_next_keys()
     result = list(presses)
     for i, last, jumps_off, jumps_to in line.rows():
         result[i] = result[i]._replace(last=last, jumps_off=jumps_off, jumps_to=jumps_to)
@@ -157,21 +143,29 @@ class _TimeLine:
         """Control steps that last `seconds` at least."""
         return np.ceil(np.round(seconds / self._dt, _DIGITS)).astype(np.intp)
 
-    def release_for_other_keys(self) -> None:
-        """Cut presses whose finger presses another key next."""
-        order = np.lexsort((self._key, self._first, self._number))
+    def release_for_next_keys(self) -> None:
+        """Cut presses whose finger presses another key next, or whose key is pressed again."""
+        press, following = self._in_turn(self._number)
+        moves = self._key[press] != self._key[following]
+        self._release(press[moves], following[moves])
+        self._release(*self._in_turn(self._key))
+
+    def _in_turn(self, of: Ids) -> tuple[Ids, Ids]:
+        """The presses, and the next one of each, of the same finger or key `of` (P,)."""
+        order = np.lexsort((self._first, of))
         press, following = order[:-1], order[1:]
-        moves = self._number[press] == self._number[following]
-        moves &= self._key[press] != self._key[following]
-        press, following = press[moves], following[moves]
+        same = of[press] == of[following]
+        return press[same], following[same]
+
+    def _release(self, press: Ids, following: Ids) -> None:
+        """Cut presses (N,) in time for those that follow."""
         first, begins = self._first[press], self._first[following]
-        rise, delay = steps_in(RISE, self._dt), self._delay[self._chord[following]]
-        key, other = self._key[press], self._key[following]
-        steps = steps_between(key, other, self._is_black, self._times, self._dt)
-        spare = begins - first - steps_in(_MIN_HEARD, self._dt)
-        risen = begins - np.maximum(np.minimum(spare, steps - delay), rise)
-        in_time = np.maximum(risen, first + self._shortest)
-        self._last[press] = np.minimum(self._last[press], in_time)
+        key, other, chord = self._key[press], self._key[following], self._chord[following]
+        is_fast = (key == other) & (begins - first < steps_in(_FAST_REPEAT, self._dt))
+        slow = ~is_fast & (self._sizes[chord] > 1) | self._is_black[other] & ~self._is_black[key]
+        rise, usual = steps_in(RISE, self._dt), steps_in(self._times.next_key, self._dt)
+        needed = np.maximum(np.where(slow, usual - self._delay[chord], rise), rise)
+        np.minimum.at(self._last, press, np.maximum(begins - needed, first + self._shortest))
 
     def rows(self) -> Iterator[tuple[int, int, bool, bool]]:
         """Each press: its index, its end, and whether the hand jumps off it, and to it.

@@ -37,11 +37,10 @@ def plan_song(
     start: Array,
     progress: Progress = silent,
     release_delays: Delays = 0,
-    jump_acceleration: float = 1.0,
     strikes: bool = False,
 ) -> SongPlan:
     """Plan the whole song: the last of `song_plans`."""
-    *_, last = song_plans(track, start, progress, release_delays, jump_acceleration, strikes)
+    *_, last = song_plans(track, start, progress, release_delays, strikes)
     return last
 
 
@@ -50,7 +49,6 @@ def song_plans(
     start: Array,
     progress: Progress = silent,
     release_delays: Delays = 0,
-    jump_acceleration: float = 1.0,
     strikes: bool = False,
 ) -> Iterator[SongPlan]:
     """Plan what the hands of a task are to play.
@@ -62,7 +60,6 @@ def song_plans(
         start: (J,) joint positions of the hands where the song begins [m, rad].
         progress: receives the stages "fingers" and "postures".
         release_delays: see `MotionPlanner`.
-        jump_acceleration: factor of the acceleration with which the hands jump.
         strikes: whether keys are to sound at the times within control steps, and as loud, as the
             song has it; otherwise only in the right control steps.
 
@@ -72,10 +69,9 @@ def song_plans(
     """
     scene = planning_scene(track)
     track = track.fingered(partial(progress, "fingers"))
-    goals, times = track.goals, scene.hand.jump_times.accelerated(jump_acceleration)
-    dt = track.config.control_timestep
+    goals, dt = track.goals, track.config.control_timestep
     struck = planned_strikes(goals.onsets, scene, dt) if strikes else NO_STRIKES
-    planner = MotionPlanner(scene, dt, times)
+    planner = MotionPlanner(scene, dt)
     for nominal in planner.plans(goals.fingers, start, progress, release_delays, struck):
         yield SongPlan(scene, track, goals, nominal, struck)
 

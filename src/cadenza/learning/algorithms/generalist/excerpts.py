@@ -16,7 +16,6 @@ import numpy as np
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
-from cadenza.agents.generalist.generalist import JUMP_ACCELERATION
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
@@ -152,7 +151,7 @@ def planned_excerpts(scores: Sequence[Score], progress: Progress = silent) -> li
         with closing(PianoTask([score.without_fingers()], config)) as task:
             start = task.state.hand_qpos[0].copy()
             (track,) = task.tracks
-            plan = plan_song(track, start, jump_acceleration=JUMP_ACCELERATION, strikes=True)
+            plan = plan_song(track, start, strikes=True)
         excerpts.append(PlannedExcerpt(FingerCosts(plan), CorrectedHands(plan), start))
     return excerpts
 
