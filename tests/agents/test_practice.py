@@ -41,15 +41,19 @@ from cadenza.scene.config import SceneConfig
 from cadenza.sim.threads import Threads
 from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
-from players import find_fingering
 
 QUICK = TaskConfig(initial_buffer_time=0.4)
 EFFORT = 0.15
-BLACK_KEYS = (66, 68, 70, 73, 75, 78)  # at a tempo at which a plan without search misses some
+STAGES = "first take", "practising", "playing"
+# For one finger, at a tempo at which a plan without search misses some.
+BLACK_KEYS = (66, 70, 75, 68, 73, 78)
 NO_SEARCH = PlannerConfig(method="none")
 GIVEN_FINGERS = replace(NO_SEARCH, fingering="score")  # there are no others to be tried
-HARD, _ = find_fingering(
-    Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, pitch, 80) for i, pitch in enumerate(BLACK_KEYS)))
+HARD = Score(
+    tuple(
+        Note(0.2 * i, 0.2 * i + 0.2, pitch, 80, finger=Finger(0, 1))
+        for i, pitch in enumerate(BLACK_KEYS)
+    )
 )
 LONG = Score(
     tuple(replace(n, start=n.start + t, end=n.end + t) for t in (0.0, 1.2, 2.4) for n in HARD.notes)
@@ -437,8 +441,8 @@ def test_the_planner_practises_before_it_plays():
     result = play_episode(
         PianoTask([HARD], QUICK), planner, 0, lambda stage, *_: told.append(stage)
     )
-    stages = list(dict.fromkeys(told))
-    assert stages[-3:] == ["first take", "practising", "playing"]
+    stages = [stage for stage in dict.fromkeys(told) if stage in STAGES]
+    assert stages == list(STAGES)
     assert result.metrics["f1"] > 0.5
 
 
@@ -527,7 +531,7 @@ def test_practice_goes_on_from_elsewhere_and_after_something_else_was_played(
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     before = (tmp_path / "hard" / "practice.safetensors").read_bytes()
-    main(["practice", "--resume", "../hard", "--effort", "0.05", *quick[:2]])
+    main(["practice", "--resume", "../hard", "--effort", "0.5", *quick[:2]])
     assert (tmp_path / "hard" / "practice.safetensors").read_bytes() != before
     with pytest.raises(SystemExit):
         main(["play", "OdeToJoy", "--agent", "../hard"])
@@ -649,15 +653,15 @@ A_SECOND = "--effort", "0.02", "--first-seconds", "1.1", "--seed", "3"
 @pytest.fixture(scope="module")
 def straight(tmp_path_factory):
     """What practice leaves that never stopped."""
-    return folder_of(tmp_path_factory.mktemp("straight"), *A_SECOND, "--effort", "0.2")
+    return folder_of(tmp_path_factory.mktemp("straight"), *A_SECOND, "--effort", "0.5")
 
 
 def test_practice_is_resumed_where_it_was_left(straight, tmp_path):
     folder = folder_of(tmp_path, *A_SECOND)
     begun = read_tensors(folder / "practice.safetensors", ANY, 2**28)[0]
     before = json.loads((folder / "settings.json").read_text())
-    assert 0 < before["planner"]["effort"] < 0.09
-    main(["practice", "--resume", str(folder), "--effort", "0.2", "--no-video"])
+    assert 0 < before["planner"]["effort"] < 0.5
+    main(["practice", "--resume", str(folder), "--effort", "0.5", "--no-video"])
     one, other = ((f / "practice.safetensors").read_bytes() for f in (folder, straight))
     assert one == other
     done = read_tensors(folder / "practice.safetensors", ANY, 2**28)[0]
