@@ -58,7 +58,7 @@ def play(hand: OneHand, search: HandSearch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("side", "white", "black"), [("left", 59, 63), ("left", 62, 66), ("right", 59, 61)]
+    ("side", "white", "black"), [("left", 64, 66), ("right", 60, 61), ("right", 59, 61)]
 )
 def test_caught_fingers_get_free(side, white, black):
     hand = OneHand(octaves(side, white, black, 2.0), side)
@@ -114,7 +114,7 @@ def test_fingertips_off_their_targets_are_corrected():
 
 
 def test_giving_candidates_up_early_changes_no_cost_that_counts():
-    hand = OneHand(melody(60, 72, 61, length=0.2))
+    hand = OneHand(melody(60, 79, 61, length=0.2))
     rollouts, _, nominal = rollouts_of(hand, 8)
     noise = np.random.default_rng(0).standard_normal((10, 1, nominal.shape[1]))
     spread = np.linspace(0.5, 10.0, len(noise))[:, None, None]  # some are soon far off
