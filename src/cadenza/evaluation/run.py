@@ -41,6 +41,7 @@ from cadenza.learning.run_folder import RunFolder
 from cadenza.performing.performance import perform
 from cadenza.performing.player import find_player
 from cadenza.performing.setup import set_up
+from cadenza.sim.threads import cpu_seconds
 
 
 def carry_out(
@@ -73,7 +74,7 @@ def _result(
     spec, progress = job.spec, progress_writer(folder)
     progress("beginning", 0, 0)
     check_song(spec)
-    began, cpu_before, trained = time.perf_counter(), time.process_time(), None
+    began, cpu_before, trained = time.perf_counter(), cpu_seconds(), None
     if spec.training is not None:
         trained = _train(spec, spec.training, folder / "training", num_threads, progress, stop)
         if trained is None:
@@ -90,16 +91,16 @@ def _result(
     ) as setup:
         performance = perform(setup, progress)
     if trained is None:
-        seconds, cpu_seconds = time.perf_counter() - began, time.process_time() - cpu_before
+        seconds, cpu = time.perf_counter() - began, cpu_seconds() - cpu_before
     else:
-        seconds, cpu_seconds = trained.seconds, None
+        seconds, cpu = trained.seconds, None
     performance.save(folder, progress=progress, page=job.page)
     return ResultFile(
         format=FORMAT,
         job=spec.as_json(),
         song=replace(job.song, notes=len(performance.score.notes)),
         metrics=performance.metrics,
-        timing=Timing(seconds, performance.seconds, num_threads, cpu_seconds),
+        timing=Timing(seconds, performance.seconds, num_threads, cpu),
         versions=versions(),
         training=trained,
     )

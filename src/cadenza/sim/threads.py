@@ -24,6 +24,11 @@ def default_threads() -> int:
     return min(2, available_cores())
 
 
+def cpu_seconds() -> float:
+    """The CPU time of this process, and of those that it started and that have ended [s]."""
+    return sum(os.times()[:4])
+
+
 class Threads:
     """A pool that starts when it is first needed. A copy, and a forked child, starts its own."""
 

@@ -14,6 +14,7 @@ from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.song_plan import SongPlan, song_plans
 from cadenza.agents.planner.practice.practice import MAX_EFFORT, Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedPlanner
+from cadenza.agents.planner.search.hand_process import HandProcess
 from cadenza.agents.planner.search.hands_in_scene import HandsInScene
 from cadenza.configs import check_ranges
 from cadenza.sim.protocol import State
@@ -61,9 +62,10 @@ class Planner(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
                 if get_ident() == caller:  # plans that another thread makes meanwhile say nothing
                     progress(stage, done, total)
 
+            processes = self._processes(len(view.task.scene.sides))
             plans = song_plans(track, view.state.hand_qpos[0], report, strikes=True)
             plans = context.threads.ahead(plans)
-            return SongPlanner(plans, lambda plan: [HandsInScene(plan, rng, context)])
+            return SongPlanner(plans, lambda plan: [HandsInScene(plan, rng, context, processes)])
         practice = Practice(view, rng, context)
 
         def goes_on() -> bool:
@@ -73,6 +75,15 @@ class Planner(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
         practice.run(effort, goes_on)
         goes_on()
         return PractisedPlanner(view, practice.best().practised, rng, context, practice.plan)
+
+    def _processes(self, hands: int) -> list[HandProcess]:
+        """A process for the second hand of the first environment, where two threads may be used."""
+        if hands < 2 or self.threads < 2 or self.planners or self.config.method == "none":
+            return []
+        try:
+            return [HandProcess()]
+        except OSError:  # there is no room for it; this process searches for both hands
+            return []
 
 
 class PlanPlayer(Protocol):

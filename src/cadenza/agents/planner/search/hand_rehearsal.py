@@ -39,7 +39,7 @@ class RehearsalConfig(NamedTuple):
     """The time after the window whose controls are updated, too [s]."""
     iterations: int = 5
     """The maximum number of rollouts."""
-    refinements: int = 8
+    refinements: int = 16
     """The maximum number of rollouts in which strikes are refined."""
     max_mistakes: float = 0.5
     """The share of the plan's mistakes that a rollout may make to be kept. With more of them,
@@ -75,7 +75,7 @@ class HandRehearsal:
     def reset(self) -> None:
         """Forget what was rehearsed."""
         self._first, self._ctrl = 0, np.zeros((0, len(self._servos.noise)))
-        self._expected = np.zeros((0, 0))  # (N, J) after each step
+        self._expected = np.zeros((0, 0))  # (N, J) before each step
         self.tail = self._ctrl
         self.keys, self.keys_at_end = slice(0), np.zeros((2, 0))
 
@@ -91,9 +91,9 @@ class HandRehearsal:
     def goes_as_rehearsed(self, step: int, hand_qpos: Array) -> bool:
         """Whether a rollout without mistakes had the hand at (J,) before `step` [m, rad]."""
         played = step - self._first
-        if not 0 < played < len(self._expected):
+        if not 0 <= played < len(self._expected):
             return False
-        return bool(np.abs(hand_qpos - self._expected[played - 1]).max() < _SAME_POSTURE)
+        return bool(np.abs(hand_qpos - self._expected[played]).max() < _SAME_POSTURE)
 
     def rehearse(
         self,
@@ -150,12 +150,13 @@ class HandRehearsal:
             self._config.refinements,
         )
         simulated += refined.rollouts * len(seen)
-        self._keep(int(steps[0]), refined.ctrl, refined.rollout)
+        self._keep(int(steps[0]), simulation.state.hand_qpos[0], refined.ctrl, refined.rollout)
         return simulated
 
-    def _keep(self, first: int, ctrl: Array, rollout: Rollout) -> None:
+    def _keep(self, first: int, hand_qpos: Array, ctrl: Array, rollout: Rollout) -> None:
         window = self._window
-        self._expected = np.array(rollout.hand_qpos[: 0 if rollout.mistakes else window])
+        expected = [] if rollout.mistakes else [hand_qpos, *rollout.hand_qpos[: window - 1]]
+        self._expected = np.array(expected)
         self._first, self._ctrl, self.tail = first, ctrl[:window], ctrl[window:]
         last = min(window, len(ctrl)) - 1
         self.keys = self._simulator.keys

@@ -63,6 +63,7 @@ _INITIAL_BUDGET = 1.0  # [s] for which it has been saved where a hand follows an
 REFINED_HORIZON = 5  # steps that are simulated to refine what is struck in the first two
 _REFINED = 2  # of these steps
 REFINEMENTS = 8  # rollouts at most for it, beside one of what was found by search
+_SEEDS = 1 << 32  # of the random numbers from a step on
 _MAX_DRIFT = 1e-5  # [m, rad] between the model and the scene, above which the model is reset
 
 # What changes as it plays, beside its model and its random numbers.
@@ -75,6 +76,12 @@ class PlayedStep(NamedTuple):
     ctrl: Array  # (A,)
     hand_qpos: Array  # (J,) before the step [m, rad]
     hand_qvel: Array  # (J,) before the step [m/s, rad/s]
+
+
+class SimulatedStep(NamedTuple):
+    """A control step of a hand in its own model, and what came of it."""
+
+    played: PlayedStep
     key_path: Array  # (S + 1, K) before the step and after each of its physics steps [rad]
     fingertips: Array  # (F, 3) after the step [m]
 
@@ -104,6 +111,7 @@ class HandSearch:
         config, dt = context.config, plan.track.config.control_timestep
         scene, self.servos, self.joints = hand_alone(plan.scene, side)
         self._rng, self._dt, self._servos, self._side = rng, dt, servos_of(scene), side
+        self._seed = int(rng.spawn(1)[0].integers(_SEEDS))
         self._searches = config.method != "none"
         self._num_candidates, self._iterations = config.num_candidates, config.iterations
         self._horizon = max(1, round(config.horizon / dt))
@@ -151,9 +159,9 @@ class HandSearch:
         """
         self._goals, self._tracking, self._network = goals, tracking, None
         self._rehearses = False
+        self._rehearsed, self._rollouts.simulated = 0, 0
         self.go_back(step)
-        self._granted = self._income * steps_in(_INITIAL_BUDGET, self._dt)
-        self._rng, self._rehearsed, self._rollouts.simulated = rng, 0, 0
+        self._rng = rng
 
     @property
     def simulated(self) -> int:
@@ -174,9 +182,9 @@ class HandSearch:
     def act(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> Array:
         """Controls (A,) of this hand for a step from its joints (J,) and all keys (K,)."""
         self.synchronise(hand_qpos, hand_qvel, key_qpos)
-        return self.play().ctrl
+        return self.play().played.ctrl
 
-    def play(self) -> PlayedStep:
+    def play(self) -> SimulatedStep:
         """Play the next step in the hand's own model."""
         before = self._model.state
         self._granted += self._income
@@ -184,12 +192,8 @@ class HandSearch:
         ctrl = self._optimise()
         key_path = self._advance(ctrl)
         fingertips = self._model.state.fingertip_xpos[0, self._goals.fingers]
-        return PlayedStep(ctrl, before.hand_qpos[0], before.hand_qvel[0], key_path, fingertips)
-
-    def tracked(self, step: int, played: PlayedStep, hand_qpos: Array, hand_qvel: Array) -> Array:
-        """Controls (A,) of a step that was played, with feedback from joints (J,) as they are."""
-        off = self._servos.state(hand_qpos - played.hand_qpos, hand_qvel - played.hand_qvel)
-        return self._servos.clip(played.ctrl - (self._tracking.gain[step] * off).sum(axis=1))
+        played = PlayedStep(ctrl, before.hand_qpos[0], before.hand_qvel[0])
+        return SimulatedStep(played, key_path, fingertips)
 
     def synchronise(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
         """Put the model into the state of the scene, unless it is there."""
@@ -227,10 +231,16 @@ class HandSearch:
         self._model.restore(0, saved.model)
 
     def go_back(self, step: int) -> None:
-        """Go on from `step`, at which the scene is in another state than the model was."""
+        """Go on from `step`, at which the scene is in another state than the model was.
+
+        What follows does not depend on how far ahead the model was.
+        """
         self._step, self._in_sync, self._is_refined = step, False, False
-        self._warm_start[:] = 0.0
+        self._warm_start[:], self._previous[:] = 0.0, 0.0
         self._rehearsal.reset()
+        self._rng = np.random.default_rng([self._seed, step])
+        self._granted = self._rollouts.simulated
+        self._granted += self._income * steps_in(_INITIAL_BUDGET, self._dt)
 
     def cost(self, saved: Snapshot, num_steps: int) -> HorizonCost:
         """The cost of steps from a snapshot on, of all keys; less than `num_steps` at the end."""

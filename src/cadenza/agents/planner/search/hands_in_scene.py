@@ -9,9 +9,17 @@ from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.tracking import Tracking
+from cadenza.agents.planner.search.hand_process import HandProcess
 from cadenza.agents.planner.search.hand_search import HandSearch
-from cadenza.agents.planner.search.search_ahead import SearchAhead
+from cadenza.agents.planner.search.search_ahead import (
+    HandState,
+    RestartingSearch,
+    SearchAhead,
+    WindowSearch,
+)
+from cadenza.scene.scene import hand_alone
 from cadenza.sim.protocol import State
+from cadenza.sim.threads import Threads
 
 
 class HandsInScene:
@@ -21,44 +29,59 @@ class HandsInScene:
 
     Attributes:
         servos: the hands' servos among all of the scene, which are all.
+        lookahead: the number of steps of the plan that are needed.
     """
 
     servos = slice(None)
 
-    def __init__(self, plan: SongPlan, rng: np.random.Generator, context: PlanningContext) -> None:
-        """Follow a plan from its first step on, with the options and threads of `context`."""
-        sides = plan.scene.sides
+    def __init__(
+        self,
+        plan: SongPlan,
+        rng: np.random.Generator,
+        context: PlanningContext,
+        processes: Sequence[HandProcess] = (),
+    ) -> None:
+        """Follow a plan from its first step on, with the options and threads of `context`.
+
+        The `processes` search for the last hands.
+        """
+        sides, dt = plan.scene.sides, plan.track.config.control_timestep
+        rngs, here = rng.spawn(len(sides)), len(sides) - len(processes)
         self._threads, self._size = context.threads, plan.nominal.tracking.ctrl.shape[1]
+        if processes:  # each core has a hand of its own
+            context = context._replace(threads=Threads(1))
+        for process, side, hand_rng in zip(processes, sides[here:], rngs[here:], strict=True):
+            process.search(plan, side, hand_rng, context.config)
         self._hands = [
             HandSearch(plan, side, hand_rng, context)
-            for side, hand_rng in zip(sides, rng.spawn(len(sides)), strict=True)
+            for side, hand_rng in zip(sides[:here], rngs[:here], strict=True)
         ]
-        dt = plan.track.config.control_timestep
-        searches = context.config.method != "none"
-        self._ahead = [SearchAhead(hand, dt) for hand in self._hands] if searches else []
+        local = [RestartingSearch(hand, dt) for hand in self._hands]
+        self.lookahead = local[0].lookahead
+        self._alone = [hand_alone(plan.scene, side) for side in sides]
+        windows: list[WindowSearch] = [*local, *processes]
+        ahead = [SearchAhead(windows[i], plan, self._alone[i], dt) for i in range(len(sides))]
+        self._ahead = ahead if context.config.method != "none" else []
 
     def act(self, step: int, state: State) -> Array:
         """Controls (A,) of all hands in the next step."""
         ctrl = np.zeros(self._size)
 
         def act(i: int) -> None:
-            hand = self._hands[i]
-            qpos, qvel = state.hand_qpos[0, hand.joints], state.hand_qvel[0, hand.joints]
-            here = qpos, qvel, state.key_qpos[0]
-            ctrl[hand.servos] = self._ahead[i].act(step, *here) if self._ahead else hand.act(*here)
+            _, servos, joints = self._alone[i]
+            here = state.hand_qpos[0, joints], state.hand_qvel[0, joints], state.key_qpos[0]
+            if self._ahead:
+                ctrl[servos] = self._ahead[i].act(HandState(step, *here))
+            else:
+                ctrl[servos] = self._hands[i].act(*here)
 
-        self._threads.for_each(range(len(self._hands)), act)
+        self._threads.for_each(range(len(self._alone)), act)
         return ctrl
-
-    @property
-    def lookahead(self) -> int:
-        """Number of steps of the plan that are needed."""
-        return max(each.lookahead for each in self._ahead or self._hands)
 
     def follow(self, plan: SongPlan, step: int) -> None:
         """Continue from `step` on with a plan that goes further."""
-        for hand in self._hands:
-            hand.follow(plan, step)
+        for each in self._ahead or self._hands:
+            each.follow(plan, step)
 
     def restart(
         self,

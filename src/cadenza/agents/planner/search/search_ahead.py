@@ -7,13 +7,22 @@ found, with feedback to where the hand was in the model. Where it does not, beca
 or something pushes them, the hand goes on step by step.
 """
 
+from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from cadenza.agents.agent import Array, steps_in
-from cadenza.agents.planner.search.hand_search import HandSearch, PlayedStep, Snapshot
+from cadenza.agents.planner.plan.song_plan import SongPlan
+from cadenza.agents.planner.search.hand_search import (
+    HandSearch,
+    PlayedStep,
+    SimulatedStep,
+    Snapshot,
+)
+from cadenza.scene.scene import HandAlone
+from cadenza.scene.servos import servos_of
 
 _WINDOW = 0.5  # [s], that of a rehearsal
 RESTARTS = 3  # the most restarts, one after the other
@@ -24,85 +33,154 @@ _MAX_DRIFT = 0.01  # [m, rad] between the model and the scene up to which contro
 _MAX_WAIT = 8  # windows that a hand plays step by step at most before it plays ahead again
 
 
+class HandState(NamedTuple):
+    """A hand and the keys in the scene, before a step."""
+
+    step: int
+    hand_qpos: Array  # (J,) [m, rad]
+    hand_qvel: Array  # (J,) [m/s, rad/s]
+    key_qpos: Array  # (K,) [rad]
+
+
+class WindowSearch(Protocol):
+    """A search that finds controls of one hand window by window, here or in another process."""
+
+    def follow(self, plan: SongPlan, step: int) -> None:
+        """Continue from `step` on with a plan that goes further."""
+
+    def act(self, state: HandState) -> Array:
+        """Controls (A,) of the next step alone."""
+
+    def begin(self, state: HandState) -> None:
+        """Find windows from a state on."""
+
+    def next_window(self) -> list[PlayedStep]:
+        """The next window, as the hand played it in its own model; the last may be shorter."""
+
+
 class _Branch(NamedTuple):
     """Two windows as the hand played them in its own model."""
 
-    played: list[PlayedStep]
+    steps: list[SimulatedStep]
     cost: float
     wrong_notes: int  # in the first window
     middle: Snapshot
     end: Snapshot
 
 
-class SearchAhead:
-    """The controls of one hand, found a window ahead of where the scene is."""
+class RestartingSearch:
+    """A `WindowSearch` that restarts where notes go wrong.
+
+    Attributes:
+        search: the search step by step.
+    """
 
     def __init__(self, search: HandSearch, dt: float) -> None:
         """Take over a search that has not begun, of a hand in control steps of `dt` [s]."""
-        self._search, self._window = search, steps_in(_WINDOW, dt)
-        self._max_wait = _MAX_WAIT * self._window
-        self._found, self._second = list[PlayedStep](), list[PlayedStep]()
+        self.search, self._window = search, steps_in(_WINDOW, dt)
+        self._second = list[SimulatedStep]()  # of the two windows that were found last
+        self._is_ahead = False  # of the scene
         self._affordable = float(RESTARTS)  # restarts
-        self._one_by_one, self._wait = 0, self._window  # steps still to be played so, and next time
 
     @property
     def lookahead(self) -> int:
-        """Number of steps of the plan that are needed."""
-        return self._search.lookahead + 2 * self._window
+        """Number of steps of the plan that are needed from the first step of the next window on."""
+        return self.search.lookahead + 2 * self._window
 
-    def act(self, step: int, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> Array:
-        """Controls (A,) of a step from the hand's joints (J,) and all keys (K,)."""
-        ahead = self._found or self._second
-        if ahead and np.abs(ahead[0].hand_qpos - hand_qpos).max() > _MAX_DRIFT:
-            self._found, self._second, self._affordable = [], [], 0.0
-            self._one_by_one, self._wait = self._wait, min(2 * self._wait, self._max_wait)
-            self._search.go_back(step)
-        if self._one_by_one:
-            self._one_by_one -= 1
-            return self._search.act(hand_qpos, hand_qvel, key_qpos)
-        if not self._found:
-            if self._second:  # a window has been played through
-                self._wait = self._window
-            else:
-                self._search.synchronise(hand_qpos, hand_qvel, key_qpos)
-                self._begin()
-            self._find_window()
-        return self._search.tracked(step, self._found.pop(0), hand_qpos, hand_qvel)
+    def follow(self, plan: SongPlan, step: int) -> None:
+        self.search.follow(plan, step)
 
-    def _begin(self) -> None:
-        """Play the first window where the hand is."""
-        self._start = self._search.save()
-        steps = min(self._window, self._search.steps_left)
-        self._second = [self._search.play() for _ in range(steps)]
-        self._middle = self._search.save()
+    @property
+    def is_over(self) -> bool:
+        """Whether there is no further window."""
+        return not self._second
 
-    def _find_window(self) -> None:
-        """Find the controls of the next window, by restarts where notes go wrong in it."""
+    def act(self, state: HandState) -> Array:
+        if self._is_ahead:
+            self._is_ahead, self._second, self._affordable = False, [], 0.0
+            self.search.go_back(state.step)
+        return self.search.act(*state[1:])
+
+    def begin(self, state: HandState) -> None:
+        self.search.synchronise(*state[1:])
+        self._is_ahead = True
+        self._start = self.search.save()
+        steps = min(self._window, self.search.steps_left)
+        self._second = [self.search.play() for _ in range(steps)]
+        self._middle = self.search.save()
+
+    def next_window(self) -> list[PlayedStep]:
         branch = self._play(self._second, np.inf)
         assert branch is not None
         self._affordable = min(self._affordable + RESTARTS_PER_WINDOW, RESTARTS)
         while branch.wrong_notes and self._affordable >= 1.0:
             self._affordable -= 1.0
-            self._search.restore(self._start)
+            self.search.restore(self._start)
             branch = self._play([], branch.cost) or branch
-        self._search.restore(branch.end)
+        self.search.restore(branch.end)
         self._start, self._middle = branch.middle, branch.end
-        self._found, self._second = branch.played[: self._window], branch.played[self._window :]
+        self._second = branch.steps[self._window :]
+        return [step.played for step in branch.steps[: self._window]]
 
-    def _play(self, played: Sequence[PlayedStep], limit: float) -> _Branch | None:
+    def _play(self, played: Sequence[SimulatedStep], limit: float) -> _Branch | None:
         """Play two windows, of which the first may have been `played`; None if it costs `limit`."""
-        horizon = self._search.cost(self._start, 2 * self._window)
+        horizon = self.search.cost(self._start, 2 * self._window)
         steps, middle = list(played), self._middle
         keys, cost, wrong_notes = horizon.start, 0.0, 0
         for k in range(horizon.num_steps):
             if k == len(steps):
                 if k == self._window:
-                    middle = self._search.save()
-                steps.append(self._search.play())
+                    middle = self.search.save()
+                steps.append(self.search.play())
             path, fingertips = steps[k].key_path[None], steps[k].fingertips[None]
             [(more, _, keys)] = horizon.costs(k, path, fingertips, keys)
             cost += more + _WRONG_NOTE * keys.wrong_notes
             wrong_notes += keys.wrong_notes * (k < self._window)
             if cost >= limit:
                 return None
-        return _Branch(steps, cost, wrong_notes, middle, self._search.save())
+        return _Branch(steps, cost, wrong_notes, middle, self.search.save())
+
+
+class SearchAhead:
+    """The controls of one hand in the scene, found a window ahead of where that is."""
+
+    def __init__(self, windows: WindowSearch, plan: SongPlan, hand: HandAlone, dt: float) -> None:
+        """Play what `windows` finds for a hand of a plan, in control steps of `dt` [s]."""
+        self._windows, self._window = windows, steps_in(_WINDOW, dt)
+        self._servos, self._among_all = servos_of(hand.scene), hand.servos
+        self._max_wait = _MAX_WAIT * self._window
+        self._found = deque[PlayedStep]()
+        self._begun = False  # whether windows are being found
+        self._one_by_one, self._wait = 0, self._window  # steps still to be played so, and next time
+        self._tracking = plan.nominal.tracking.of(hand.servos)
+
+    def follow(self, plan: SongPlan, step: int) -> None:
+        """Continue from `step` on with a plan that goes further."""
+        self._windows.follow(plan, step)
+        self._tracking = plan.nominal.tracking.of(self._among_all)
+
+    def act(self, state: HandState) -> Array:
+        """Controls (A,) of a step."""
+        is_through = self._begun and not self._found
+        if is_through:
+            self._found.extend(self._windows.next_window())
+        if self._found and np.abs(self._found[0].hand_qpos - state.hand_qpos).max() > _MAX_DRIFT:
+            self._found.clear()
+            self._begun = False
+            self._one_by_one, self._wait = self._wait, min(2 * self._wait, self._max_wait)
+        elif is_through:
+            self._wait = self._window
+        if self._one_by_one:
+            self._one_by_one -= 1
+            return self._windows.act(state)
+        if not self._begun:
+            self._windows.begin(state)
+            self._begun = True
+            self._found.extend(self._windows.next_window())
+        return self._tracked(state, self._found.popleft())
+
+    def _tracked(self, state: HandState, played: PlayedStep) -> Array:
+        """Controls (A,) of a step that was played, with feedback to where the hand was."""
+        drift = state.hand_qpos - played.hand_qpos, state.hand_qvel - played.hand_qvel
+        feedback = self._tracking.gain[state.step] * self._servos.state(*drift)
+        return self._servos.clip(played.ctrl - feedback.sum(axis=1))
