@@ -8,7 +8,6 @@ import pytest
 from one_hand import OneHand
 
 from cadenza.agents.planner.config import PlannerConfig
-from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.search import hand_search
 from cadenza.agents.planner.search.fingertip_correction import servo_corrections
@@ -21,7 +20,6 @@ from cadenza.fingers import Side
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
-from cadenza.sim.threads import Threads
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from numbered import finger
@@ -47,9 +45,9 @@ def octaves(side: Side, white: int, black: int, length: float) -> Score:
 
 
 def search_of(hand: OneHand, **options: Any) -> HandSearch:
-    context = PlanningContext(PlannerConfig(proposals="none", **options), Threads(1))
+    config = PlannerConfig(proposals="none", **options)
     (side,) = hand.plan.scene.sides
-    return HandSearch(hand.plan, side, np.random.default_rng(0), context)
+    return HandSearch(hand.plan, side, np.random.default_rng(0), config)
 
 
 def play(hand: OneHand, search: HandSearch) -> None:
@@ -92,7 +90,7 @@ def rollouts_of(hand: OneHand, first: int) -> tuple[Rollouts, HorizonCost, np.nd
     as_planned = search_of(hand, method="none")
     for _ in range(first):
         play(hand, as_planned)
-    rollouts = Rollouts(hand.simulator, Threads(1))
+    rollouts = Rollouts(hand.simulator)
     steps = np.arange(first, first + HORIZON)
     horizon = start_rollouts(hand.simulator, hand.simulation, hand.goals, steps, PIANO)
     rollouts.start(horizon)

@@ -7,7 +7,6 @@ import pytest
 from one_hand import DT, OneHand
 
 from cadenza.agents.planner.config import PlannerConfig
-from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.search import search_ahead
 from cadenza.agents.planner.search.hand_process import HandProcess
 from cadenza.agents.planner.search.hand_search import HandSearch
@@ -16,7 +15,6 @@ from cadenza.errors import CadenzaError
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import Note, Score
 from cadenza.scene.scene import hand_alone
-from cadenza.sim.threads import Threads
 
 SONG = Score(tuple(Note(0.4 * i, 0.4 * i + 0.4, p) for i, p in enumerate((60, 62, 64, 65))))
 STEPS = 40
@@ -24,8 +22,7 @@ HELD = slice(37, 40)  # steps in which the last note sounds
 
 
 def search_of(hand: OneHand) -> HandSearch:
-    context = PlanningContext(PlannerConfig(), Threads(1))
-    return HandSearch(hand.plan, "right", np.random.default_rng(0), context)
+    return HandSearch(hand.plan, "right", np.random.default_rng(0), PlannerConfig())
 
 
 def ahead_of(hand: OneHand) -> SearchAhead:

@@ -28,14 +28,6 @@ def test_no_call_is_under_way_once_an_error_is_raised():
 
 
 @pytest.mark.parametrize("num_threads", [1, 2])
-def test_calls_together_return_in_order(num_threads):
-    threads = Threads(num_threads)
-    assert threads.together([]) == []
-    assert threads.together([lambda i=i: i for i in range(5)]) == [0, 1, 2, 3, 4]  # type: ignore[misc]
-    threads.close()
-
-
-@pytest.mark.parametrize("num_threads", [1, 2])
 def test_items_made_ahead_come_in_order_and_errors_where_they_belong(num_threads):
     made_by = list[int]()
 
@@ -51,28 +43,6 @@ def test_items_made_ahead_come_in_order_and_errors_where_they_belong(num_threads
     assert came == [0, 1, 2]
     assert made_by[0] == threading.get_ident()
     assert (made_by[2] == threading.get_ident()) == (num_threads == 1)
-    threads.close()
-
-
-def test_of_calls_together_none_is_under_way_once_an_error_is_raised():
-    begun, done = threading.Event(), []
-
-    def fails() -> None:
-        begun.wait()
-        raise ValueError("no")
-
-    def slow() -> None:
-        begun.set()
-        threading.Event().wait(0.05)
-        done.append("slow")
-
-    threads = Threads(2)
-    with pytest.raises(ValueError, match="no"):
-        threads.together([fails, slow, lambda: done.append("later")])
-    assert "slow" in done
-    count = len(done)
-    threading.Event().wait(0.05)
-    assert len(done) == count  # nothing comes after that
     threads.close()
 
 

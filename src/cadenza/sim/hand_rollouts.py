@@ -12,7 +12,6 @@ from cadenza.sim.mujoco_simulation import UNSTABLE, MujocoSimulation
 
 Array = NDArray[np.float64]
 
-NUM_SLOTS = 2  # rollouts that can be simulated at once
 _MARGIN = 0.05  # [m] of keys to each side of where fingertips should go
 _MAX_MODELS = 16  # of about 2 MB that are kept: memory must not grow with the length of a song
 _GRID = 6  # keys; a song needs few models where they begin and end at every sixth
@@ -20,10 +19,9 @@ _READY_TO_SLEEP = -1  # `tree_asleep` of a tree that is awake, and has been at r
 
 
 class HandRollouts:
-    """Rollouts of one hand, all from the same state, each in one of `NUM_SLOTS` slots.
+    """Rollouts of one hand, all from the same state, one after the other.
 
-    Rollouts in different slots may run in different threads. Methods with a slot return the state
-    that its rollout has reached; their arrays are valid until its next step.
+    What methods return of the state that a rollout has reached is valid until its next step.
 
     The hand moves as in the whole scene, to a few micrometres, unless it touches keys with more
     than the last two links of its fingers.
@@ -64,7 +62,7 @@ class HandRollouts:
         self._model.start_from(self._state)
 
     def run(
-        self, ctrl: Iterable[Array], slot: int = 0, first: int = 0, kept: Sequence[int] = ()
+        self, ctrl: Iterable[Array], first: int = 0, kept: Sequence[int] = ()
     ) -> Iterator[tuple[Array, Array]]:
         """Simulate a rollout: one control step for each row of `ctrl` (H, A).
 
@@ -76,7 +74,7 @@ class HandRollouts:
             and (F, 3) fingertips after it [m].
         """
         hand = self._model
-        model, data = hand.model, hand.data[slot]
+        model, data = hand.model, hand.data
         states = dict(zip(kept, hand.room_for(len(kept)), strict=True))
         mujoco.mj_copyData(data, model, states[first] if first else hand.start)
         for step, row in enumerate(ctrl, first):
@@ -87,30 +85,30 @@ class HandRollouts:
             mujoco.mj_kinematics(model, data)
             yield hand.key_path(data), data.site_xpos[hand.fingertips]
 
-    def hand_joints(self, slot: int = 0) -> tuple[Array, Array]:
+    def hand_joints(self) -> tuple[Array, Array]:
         """(J,) positions [m, rad] and velocities [m/s, rad/s] of the hand's joints."""
-        data, first = self._model.data[slot], self._model.keys.stop
+        data, first = self._model.data, self._model.keys.stop
         return data.qpos[first:], data.qvel[first:]
 
-    def servo_state(self, slot: int = 0) -> Array:
+    def servo_state(self) -> Array:
         """(A, 2) positions [m, rad] and velocities [m/s, rad/s] of the servos."""
-        return self._servos.of_joints.T @ np.stack(self.hand_joints(slot), axis=1)
+        return self._servos.of_joints.T @ np.stack(self.hand_joints(), axis=1)
 
-    def key_qpos(self, slot: int = 0) -> Array:
+    def key_qpos(self) -> Array:
         """(K,) angles of `keys` [rad]."""
-        return self._model.data[slot].qpos[self._model.keys]
+        return self._model.data.qpos[self._model.keys]
 
-    def key_qvel(self, slot: int = 0) -> Array:
+    def key_qvel(self) -> Array:
         """(K,) velocities of `keys` [rad/s]."""
-        return self._model.data[slot].qvel[self._model.keys]
+        return self._model.data.qvel[self._model.keys]
 
-    def fingertips(self, slot: int = 0) -> Array:
+    def fingertips(self) -> Array:
         """(F, 3) fingertips [m]."""
-        return self._model.data[slot].site_xpos[self._model.fingertips]
+        return self._model.data.site_xpos[self._model.fingertips]
 
-    def unstable(self, slot: int = 0) -> bool:
+    def unstable(self) -> bool:
         """Whether the rollout has diverged."""
-        return bool(self._model.data[slot].warning.number[UNSTABLE].any())
+        return bool(self._model.data.warning.number[UNSTABLE].any())
 
     def fingertip_jacobian(self, hand_qpos: Array) -> Array:
         """(N, F, 3, A) derivatives of fingertips by servos, at joint positions (N, J)."""
@@ -139,7 +137,7 @@ class _HandOnKeys:
     Attributes:
         model: see `reduced_model`.
         start: the state in which rollouts start.
-        data: the states of rollouts, one for each slot.
+        data: the state of the rollout.
         posed: a state whose posture alone counts.
         keys: where the keys are in qpos.
         fingertips: the sites of the fingertips.
@@ -151,7 +149,7 @@ class _HandOnKeys:
         self.model = reduced_model(scene, keys, parts, substeps)
         self._substeps = substeps
         self.start = mujoco.MjData(self.model)
-        self.data = [mujoco.MjData(self.model) for _ in range(NUM_SLOTS)]
+        self.data = mujoco.MjData(self.model)
         self.posed, self._room = mujoco.MjData(self.model), list[mujoco.MjData]()
         joints = [whole.model.joint(self.model.joint(j).name) for j in range(self.model.njnt)]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
@@ -179,8 +177,7 @@ class _HandOnKeys:
     def key_path(self, data: mujoco.MjData) -> Array:
         """(S + 1, K) the angles of the keys before and after each of the last S physics steps.
 
-        MuJoCo keeps them, which is faster than to stop after each physics step, and lets other
-        threads work meanwhile.
+        MuJoCo keeps them, which is faster than to stop after each physics step.
         """
         # Of each key: two numbers, then times and angles before each step. A control step replaces
         # all of them, so that the oldest is always the first.

@@ -60,23 +60,6 @@ class Threads:
         for future in futures:
             future.result()
 
-    def together(self, calls: Sequence[Callable[[], _T]]) -> list[_T]:
-        """The results of `calls`; idle threads make some of them.
-
-        May be called from within `for_each`. An exception of a call is raised when no other call is
-        running.
-        """
-        if self._num_threads == 1 or len(calls) < 2:
-            return [call() for call in calls]
-        pool = self._running_pool()
-        submitted = [(call, pool.submit(call)) for call in calls[1:]]
-        try:
-            first = calls[0]()
-            return [first, *(call() if f.cancel() else f.result() for call, f in submitted)]
-        except BaseException:
-            wait([future for _, future in submitted if not future.cancel()])
-            raise
-
     def ahead(self, items: Iterator[_T]) -> Iterator[_T]:
         """Yield items, each made by an idle thread, if there is one, while that before is used.
 

@@ -7,7 +7,6 @@ played with feedback of the joints' positions and speeds alone.
 
 from bisect import bisect_left
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,7 +16,6 @@ from scipy.optimize import linear_sum_assignment
 from cadenza.agents.agent import Array, PlannerPerEnv, Progress
 from cadenza.agents.baselines.plan_follower import PlanFollower
 from cadenza.agents.planner.config import ICPConfig, PlannerConfig
-from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.search.hand_search import HandSearch
@@ -29,7 +27,6 @@ from cadenza.music.score import Note, chords
 from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.mujoco_simulation import MujocoSimulation
-from cadenza.sim.threads import Threads
 from cadenza.tasks.goal_track import GoalTrack, players_of
 from cadenza.tasks.view import View
 
@@ -61,11 +58,11 @@ class ICP(PlannerPerEnv["PlanFollower"]):
         plan = plan_song(track, start, self.progress)
         if not self.config.rehearse:
             return PlanFollower(plan, plan.nominal.tracking)
-        return PlanFollower(plan, rehearsed(plan, start, rng, self.threads, self.progress))
+        return PlanFollower(plan, rehearsed(plan, start, rng, self.progress))
 
 
 def rehearsed(
-    plan: SongPlan, start: Array, rng: np.random.Generator, num_threads: int, progress: Progress
+    plan: SongPlan, start: Array, rng: np.random.Generator, progress: Progress
 ) -> Tracking:
     """Controls and states of a rehearsal, in which the planner's search refined the plan.
 
@@ -76,20 +73,19 @@ def rehearsed(
     ctrl, expected = tracking.ctrl.copy(), tracking.expected.copy()
     sides, dt = plan.scene.sides, plan.track.config.control_timestep
     steps = len(ctrl)
-    with closing(Threads(num_threads)) as threads:
-        for i, side in enumerate(sides):
-            search = HandSearch(plan, side, rng, PlanningContext(_REHEARSAL, threads))
-            scene, own, joints = hand_alone(plan.scene, side)
-            servos, simulation = servos_of(scene), MujocoSimulation(scene, 1, dt)
-            simulation.reset([0], start[None, joints])
-            for step in range(steps):
-                state = simulation.state
-                qpos, qvel, keys = state.hand_qpos[0], state.hand_qvel[0], state.key_qpos[0]
-                ctrl[step, own] = search.act(qpos, qvel, keys)
-                simulation.step(ctrl[step : step + 1, own])
-                state = simulation.state
-                expected[step + 1, own] = servos.state(state.hand_qpos, state.hand_qvel)[0]
-                progress("rehearsing", i * steps + step + 1, len(sides) * steps)
+    for i, side in enumerate(sides):
+        search = HandSearch(plan, side, rng, _REHEARSAL)
+        scene, own, joints = hand_alone(plan.scene, side)
+        servos, simulation = servos_of(scene), MujocoSimulation(scene, 1, dt)
+        simulation.reset([0], start[None, joints])
+        for step in range(steps):
+            state = simulation.state
+            qpos, qvel, keys = state.hand_qpos[0], state.hand_qvel[0], state.key_qpos[0]
+            ctrl[step, own] = search.act(qpos, qvel, keys)
+            simulation.step(ctrl[step : step + 1, own])
+            state = simulation.state
+            expected[step + 1, own] = servos.state(state.hand_qpos, state.hand_qvel)[0]
+            progress("rehearsing", i * steps + step + 1, len(sides) * steps)
     return tracking._replace(ctrl=ctrl, expected=expected)
 
 

@@ -11,5 +11,5 @@ class PlanningContext(NamedTuple):
     """The options of planning, and the resources that it uses."""
 
     config: PlannerConfig
-    threads: Threads  # the threads that share rollouts
+    threads: Threads  # the threads that plan ahead, and in which hands practise
     progress: Progress = silent  # the receiver of progress: the stages "fingers" and "postures"

@@ -24,10 +24,9 @@ from cadenza.agents.planner.search.strikes import HorizonStrikes
 from cadenza.fingers import Side
 from cadenza.scene.scene import Scene, hand_alone
 from cadenza.scene.servos import servos_of
-from cadenza.sim.hand_rollouts import NUM_SLOTS, HandRollouts
+from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.key_crossings import last_key_events
 from cadenza.sim.planning_simulation import PlanningSimulation
-from cadenza.sim.threads import Threads
 
 _CANDIDATES = 18  # perturbations that are drawn
 # Scales of the correction that takes fingertips to their targets; each is another candidate. The
@@ -88,8 +87,8 @@ class HandPractice:
         servos: the hand's servos among those of all hands.
     """
 
-    def __init__(self, plan: SongPlan, side: Side, goals: HandGoals, threads: Threads) -> None:
-        """Prepare practice by the plan of the whole song, with `threads` that share rollouts."""
+    def __init__(self, plan: SongPlan, side: Side, goals: HandGoals) -> None:
+        """Prepare practice by the plan of the whole song."""
         dt = plan.track.config.control_timestep
         alone, self.servos, _ = hand_alone(plan.scene, side)
         tracking = plan.nominal.tracking.of(self.servos)
@@ -97,7 +96,7 @@ class HandPractice:
         self._goals, self._losses = goals, Losses(plan, goals)
         self._perturbations = Perturbations(alone, tracking.expected[:, :, 0], dt)
         self._simulator = HandRollouts(alone, dt, plan.scene)
-        self._rollouts = Rollouts(self._simulator, threads)
+        self._rollouts = Rollouts(self._simulator)
         self._refinement = StrikeRefinement(self._servos, strike_model(alone, dt))
         self._keyboard, self._dt = plan.scene.keyboard, dt
         self._lead, self._horizon = steps_in(_LEAD, dt), steps_in(_HORIZON, dt)
@@ -193,10 +192,7 @@ class HandPractice:
         offsets = np.concatenate([self._corrections(unchanged, first, changed, rng), offsets])
         # How much each servo's target is moved before each step.
         offsets = np.pad(offsets, ((0, 0), (1, steps - changed), (0, 0)))
-        changes, controls = zip(
-            *(self._candidate(as_it_is, each, i % NUM_SLOTS) for i, each in enumerate(offsets)),
-            strict=True,
-        )
+        changes, controls = zip(*(self._candidate(as_it_is, each) for each in offsets), strict=True)
         rollouts = self._rollouts.simulate_all(controls, unchanged.cost)
         made = zip((as_it_is, *changes), (unchanged, *rollouts), strict=True)
         change, rollout = self._refined(*min(made, key=_cost), steps, _REFINEMENTS)
@@ -249,19 +245,18 @@ class HandPractice:
         return np.stack([scale * change * each for scale, each in scaled])
 
     def _candidate(
-        self, base: ChangedControls, offsets: Array, slot: int = 0
+        self, base: ChangedControls, offsets: Array
     ) -> tuple[ChangedControls, Iterator[Array]]:
         """Other controls, with offsets (L + 1, A) to the positions of servos.
 
-        Returns the change, which a rollout in this slot fills in, and the controls for this
-        rollout.
+        Returns the change, which a rollout fills in, and the controls for this rollout.
         """
         first, ctrl, expected = base.first, base.ctrl.copy(), base.expected.copy()
         rows = slice(first, first + len(ctrl))
 
         def controls() -> Iterator[Array]:
             for k, gain in enumerate(self._gain[rows]):
-                here = self._servos.state(*self._simulator.hand_joints(slot))
+                here = self._servos.state(*self._simulator.hand_joints())
                 off = here - expected[k]
                 off[:, 0] -= offsets[k]
                 expected[k] = here

@@ -80,13 +80,12 @@ class PlannedVariant:
         self.goals = [HandGoals(plan, side) for side in plan.scene.sides]
         self.search = HandsInScene(plan, rng, context)
         self.scene = WholeScene(plan, start, self.goals)
-        self._threads = context.threads
 
     @cached_property
     def hands(self) -> list[HandPractice]:
         """The hands that practise it; most variants are only played once."""
         return [
-            HandPractice(self.plan, side, goals, self._threads)
+            HandPractice(self.plan, side, goals)
             for side, goals in zip(self.plan.scene.sides, self.goals, strict=True)
         ]
 

@@ -105,7 +105,7 @@ class NetworkCandidate:
     def controls(
         self, simulator: HandRollouts, step: int, planned: Array, previous: Array, key_qpos: Array
     ) -> Iterator[Array]:
-        """Controls (A,) of each of H steps, for a rollout in slot 0 that is made with them.
+        """Controls (A,) of each of H steps, for a rollout that is made with them.
 
         They correct controls `planned` (H, A) from `step` on. The correction before was `previous`
         (A,), and all keys are at `key_qpos` (K,) [rad].

@@ -21,13 +21,11 @@ import numpy as np
 
 from cadenza.agents.agent import Array
 from cadenza.agents.planner.config import PlannerConfig
-from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.search.hand_search import HandSearch, PlayedStep
 from cadenza.agents.planner.search.search_ahead import HandState, RestartingSearch
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Side
-from cadenza.sim.threads import Threads
 
 _AHEAD = 2  # windows that are found before they are asked for
 _LOST = (
@@ -127,7 +125,7 @@ def _receive(calls: SimpleQueue[Any]) -> None:
 def _serve(calls: SimpleQueue[Any], answer: Callable[[Any], None]) -> None:
     """Carry out calls, and find windows ahead while there are none."""
     plan, side, rng, config = calls.get()
-    hand = HandSearch(plan, side, rng, PlanningContext(config, Threads(1)))
+    hand = HandSearch(plan, side, rng, config)
     search = RestartingSearch(hand, plan.track.config.control_timestep)
     step = begun = wanted = 0
     while True:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array, Mask, steps_in
-from cadenza.agents.planner.context import PlanningContext
+from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.plan.hand_goals import ABOUT_TO_PRESS, HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.strike_model import strike_model
@@ -105,10 +105,10 @@ class HandSearch:
     """
 
     def __init__(
-        self, plan: SongPlan, side: Side, rng: np.random.Generator, context: PlanningContext
+        self, plan: SongPlan, side: Side, rng: np.random.Generator, config: PlannerConfig
     ) -> None:
         """Follow a plan, as far as it goes, from its first step on."""
-        config, dt = context.config, plan.track.config.control_timestep
+        dt = plan.track.config.control_timestep
         scene, self.servos, self.joints = hand_alone(plan.scene, side)
         self._rng, self._dt, self._servos, self._side = rng, dt, servos_of(scene), side
         self._seed = int(rng.spawn(1)[0].integers(_SEEDS))
@@ -117,7 +117,7 @@ class HandSearch:
         self._horizon = max(1, round(config.horizon / dt))
         self._escape_horizon = max(self._horizon, steps_in(_ESCAPE_HORIZON, dt))
         self._model, self._simulator = PlanningSimulation(scene, 1, dt), HandRollouts(scene, dt)
-        self._rollouts = Rollouts(self._simulator, context.threads)
+        self._rollouts = Rollouts(self._simulator)
         self._keyboard = scene.keyboard
         self._escapes = EscapeMotions(self._servos, dt)
         self._rehearsal = HandRehearsal(scene, self._simulator, dt)

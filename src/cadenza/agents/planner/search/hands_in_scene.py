@@ -19,7 +19,6 @@ from cadenza.agents.planner.search.search_ahead import (
 )
 from cadenza.scene.scene import hand_alone
 from cadenza.sim.protocol import State
-from cadenza.sim.threads import Threads
 
 
 class HandsInScene:
@@ -48,12 +47,10 @@ class HandsInScene:
         sides, dt = plan.scene.sides, plan.track.config.control_timestep
         rngs, here = rng.spawn(len(sides)), len(sides) - len(processes)
         self._threads, self._size = context.threads, plan.nominal.tracking.ctrl.shape[1]
-        if processes:  # each core has a hand of its own
-            context = context._replace(threads=Threads(1))
         for process, side, hand_rng in zip(processes, sides[here:], rngs[here:], strict=True):
             process.search(plan, side, hand_rng, context.config)
         self._hands = [
-            HandSearch(plan, side, hand_rng, context)
+            HandSearch(plan, side, hand_rng, context.config)
             for side, hand_rng in zip(sides[:here], rngs[:here], strict=True)
         ]
         local = [RestartingSearch(hand, dt) for hand in self._hands]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import partial
 from itertools import islice
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -14,10 +13,9 @@ from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.search.horizon_cost import HorizonCost
 from cadenza.keyboards.keyboard import Keyboard
-from cadenza.sim.hand_rollouts import NUM_SLOTS, HandRollouts
+from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
-from cadenza.sim.threads import Threads
 
 Keys = TypeVar("Keys")
 
@@ -105,7 +103,6 @@ def roll_out(
     simulator: HandRollouts,
     horizon: Cost[Keys],
     ctrl: Iterable[Array],
-    slot: int = 0,
     *,
     cost_steps: int | None = None,
     cutoff: float = np.inf,
@@ -124,18 +121,18 @@ def roll_out(
     so_far = Rollout(0.0, 0, [], [], [], [], [], []) if begun is None else begun.until(first)
     cost_steps = horizon.num_steps if cost_steps is None else cost_steps
     ctrl, given_up = islice(ctrl, horizon.num_steps - first), False
-    for step, (key_path, fingertips) in enumerate(simulator.run(ctrl, slot, first, kept), first):
+    for step, (key_path, fingertips) in enumerate(simulator.run(ctrl, first, kept), first):
         so_far.fingertips.append(fingertips)
-        so_far.hand_qpos.append(simulator.hand_joints(slot)[0].copy())
+        so_far.hand_qpos.append(simulator.hand_joints()[0].copy())
         so_far.key_paths.append(key_path)
-        so_far.key_qvel.append(simulator.key_qvel(slot).copy())
+        so_far.key_qvel.append(simulator.key_qvel().copy())
         if cost_to_go is not None and (step + 1) % _EVALUATED == 0:
             _evaluate(so_far, horizon, cost_steps)
             if given_up := bool(so_far.totals[-1][0] + cost_to_go[step] >= cutoff):
                 break
     _evaluate(so_far, horizon, cost_steps)
     cost, mistakes, _ = so_far.totals[-1]
-    useless = given_up or simulator.unstable(slot)
+    useless = given_up or simulator.unstable()
     return so_far._replace(cost=np.inf if useless else cost, mistakes=mistakes)
 
 
@@ -161,9 +158,9 @@ class Rollouts:
         simulated: control steps in all rollouts so far.
     """
 
-    def __init__(self, simulator: HandRollouts, threads: Threads) -> None:
+    def __init__(self, simulator: HandRollouts) -> None:
         """Prepare rollouts, which begin with `start`."""
-        self._simulator, self._threads, self.simulated = simulator, threads, 0
+        self._simulator, self.simulated = simulator, 0
 
     def start(self, horizon: Cost[Any]) -> None:
         """Begin rollouts with this cost from the state that the simulator starts from."""
@@ -175,41 +172,23 @@ class Rollouts:
 
         The rollout is then given up before its end, at infinite cost.
         """
-        rollout = self._run(ctrl, cutoff)
-        self._record(rollout)
-        return rollout
-
-    def simulate_all(
-        self, candidates: Sequence[Iterable[Array]] | Array, cutoff: float = np.inf
-    ) -> list[Rollout]:
-        """Simulate candidates (N, H, A), and give up any that would cost more than `cutoff`.
-
-        They are simulated in pairs, so that an idle thread can take one of each: candidate i in
-        slot i modulo `NUM_SLOTS`. What is known of earlier pairs decides what is given up, so that
-        the result does not depend on the threads.
-        """
-        rollouts = list[Rollout]()
-        for first in range(0, len(candidates), NUM_SLOTS):
-            runs = [
-                partial(self._run, ctrl, cutoff, slot)
-                for slot, ctrl in enumerate(candidates[first : first + NUM_SLOTS])
-            ]
-            for rollout in self._threads.together(runs):
-                self._record(rollout)
-                rollouts.append(rollout)
-                cutoff = min(cutoff, rollout.cost)
-        return rollouts
-
-    def _run(self, ctrl: Iterable[Array], cutoff: float, slot: int = 0) -> Rollout:
         cost_to_go = None
         if cutoff < np.inf:
             cost_to_go = _EXPECTED * (self._min_costs.sum() - np.cumsum(self._min_costs))
-        return roll_out(
-            self._simulator, self._horizon, ctrl, slot, cutoff=cutoff, cost_to_go=cost_to_go
+        rollout = roll_out(
+            self._simulator, self._horizon, ctrl, cutoff=cutoff, cost_to_go=cost_to_go
         )
-
-    def _record(self, rollout: Rollout) -> None:
-        """Count the steps of a rollout, and lower the minimum costs that were seen."""
         steps = len(rollout.step_costs)
         self.simulated += steps
         self._min_costs[:steps] = np.minimum(self._min_costs[:steps], rollout.step_costs)
+        return rollout
+
+    def simulate_all(
+        self, candidates: Iterable[Iterable[Array]], cutoff: float = np.inf
+    ) -> list[Rollout]:
+        """Simulate candidates (N, H, A), and give up any that would cost more than the best."""
+        rollouts = list[Rollout]()
+        for ctrl in candidates:
+            rollouts.append(self.simulate(ctrl, cutoff))
+            cutoff = min(cutoff, rollouts[-1].cost)
+        return rollouts
