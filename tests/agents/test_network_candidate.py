@@ -75,8 +75,10 @@ def proposed(monkeypatch):
 
 
 def test_search_begins_with_what_is_proposed(proposed):
-    score = load_score("CMajorChordProgressionTwoHands").beginning(1.0)
-    with_it = play_episode(PianoTask([score], TASK), Planner(), 0)
+    score = load_score("CMajorChordProgressionTwoHands").beginning(2.0)
+    planner = Planner()
+    planner.num_threads = 1  # so that both hands search here
+    with_it = play_episode(PianoTask([score], TASK), planner, 0)
     assert proposed
     proposed.clear()
     without = play_episode(PianoTask([score], TASK), Planner(PlannerConfig(proposals="none")), 0)

@@ -54,11 +54,11 @@ class HandsInScene:
             for side, hand_rng in zip(sides[:here], rngs[:here], strict=True)
         ]
         local = [RestartingSearch(hand, dt) for hand in self._hands]
-        self.lookahead = local[0].lookahead
         self._alone = [hand_alone(plan.scene, side) for side in sides]
         windows: list[WindowSearch] = [*local, *processes]
         ahead = [SearchAhead(windows[i], plan, self._alone[i], dt) for i in range(len(sides))]
         self._ahead = ahead if context.config.method != "none" else []
+        self.lookahead = (local if self._ahead else self._hands)[0].lookahead
 
     def act(self, step: int, state: State) -> Array:
         """Controls (A,) of all hands in the next step."""
