@@ -1,8 +1,28 @@
 """For all tests."""
 
+import os
+import shutil
+import tempfile
+
 import pytest
 
 import cadenza  # noqa: F401 - before any test imports NumPy, and so as commands do
+
+# JAX compiles many programs here, each of which runs for moments: every one once, into a folder
+# that all processes of these tests share, and without optimizing it.
+COMPILED = "JAX_COMPILATION_CACHE_DIR"
+FOR_JAX = {
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    "JAX_DISABLE_MOST_OPTIMIZATIONS": "true",
+}
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Processes of xdist inherit the folder from the one that starts them."""
+    if COMPILED not in os.environ:
+        os.environ |= {COMPILED: tempfile.mkdtemp(prefix="cadenza-tests-"), **FOR_JAX}
+        config.add_cleanup(lambda: shutil.rmtree(os.environ.pop(COMPILED), ignore_errors=True))
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -253,12 +253,14 @@ def test_a_run_is_begun_by_one_process_alone(tune, tmp_path, capsys):
     assert not (tmp_path / "run" / "run.json").exists()
 
 
-def test_a_run_that_cannot_be_made_leaves_its_folder_free(tune, tmp_path, capsys):
-    train = "train", tune, "-o", tmp_path / "run", *SMALL, *SHORT
-    assert "not enough memory" in refused(capsys, *train, "--buffer-size", 10**14)
-    assert "control_timestep" in refused(capsys, *train, "--control-timestep", 0.0333)
-    main([str(argument) for argument in train])
-    assert (tmp_path / "run" / "best").is_dir()
+def test_a_run_that_cannot_be_made_leaves_its_folder_free(tune, tmp_path, capsys, monkeypatch):
+    command = "train", tune, "-o", tmp_path / "run", *SMALL, *SHORT
+    assert "not enough memory" in refused(capsys, *command, "--buffer-size", 10**14)
+    assert "control_timestep" in refused(capsys, *command, "--control-timestep", 0.0333)
+    monkeypatch.setattr(train, "stop_on_signal", at_once)
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in command])
+    assert stop.value.code == 130  # it had begun
 
 
 def test_what_makes_no_sense_is_said_in_a_line(run, tune, tmp_path, capsys):

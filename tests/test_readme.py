@@ -39,7 +39,7 @@ def shortened(arguments: list[str]) -> list[str]:
     added += ["--first-seconds", "1"] if SONGS & set(arguments) and arguments[0] in PLAYS else []
     added += ["--agents", "zero", "--seeds", "0"] if arguments[0] == "bench" else []
     learns = arguments[0] == "train" and "--resume" not in arguments
-    return [*added, *(["--num-steps", "600", "--learning-starts", "300"] if learns else [])]
+    return [*added, *(["--num-steps", "320", "--learning-starts", "300"] if learns else [])]
 
 
 def test_the_python_examples_run(tmp_path, monkeypatch, capsys):

@@ -172,7 +172,7 @@ def test_the_first_take_is_what_the_planner_plays():
 def test_more_practice_is_never_worse_and_plays_the_same_in_the_scene():
     one = practice(score=CLOSE)
     before = 0.0
-    for effort in 0.0, 0.1, 0.2:
+    for effort in 0.0, 0.05, 0.1:
         one.run(effort)
         assert worth(one) >= before
         before = worth(one)
@@ -531,7 +531,7 @@ def test_practice_goes_on_from_elsewhere_and_after_something_else_was_played(
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     before = (tmp_path / "hard" / "practice.safetensors").read_bytes()
-    main(["practice", "--resume", "../hard", "--effort", "0.5", *quick[:2]])
+    main(["practice", "--resume", "../hard", "--effort", "0.3", *quick[:2]])
     assert (tmp_path / "hard" / "practice.safetensors").read_bytes() != before
     with pytest.raises(SystemExit):
         main(["play", "OdeToJoy", "--agent", "../hard"])
@@ -653,15 +653,15 @@ A_SECOND = "--effort", "0.02", "--first-seconds", "1.1", "--seed", "3"
 @pytest.fixture(scope="module")
 def straight(tmp_path_factory):
     """What practice leaves that never stopped."""
-    return folder_of(tmp_path_factory.mktemp("straight"), *A_SECOND, "--effort", "0.5")
+    return folder_of(tmp_path_factory.mktemp("straight"), *A_SECOND, "--effort", "0.3")
 
 
 def test_practice_is_resumed_where_it_was_left(straight, tmp_path):
     folder = folder_of(tmp_path, *A_SECOND)
     begun = read_tensors(folder / "practice.safetensors", ANY, 2**28)[0]
     before = json.loads((folder / "settings.json").read_text())
-    assert 0 < before["planner"]["effort"] < 0.5
-    main(["practice", "--resume", str(folder), "--effort", "0.5", "--no-video"])
+    assert 0 < before["planner"]["effort"] < 0.3
+    main(["practice", "--resume", str(folder), "--effort", "0.3", "--no-video"])
     one, other = ((f / "practice.safetensors").read_bytes() for f in (folder, straight))
     assert one == other
     done = read_tensors(folder / "practice.safetensors", ANY, 2**28)[0]

@@ -418,15 +418,10 @@ PROGRAM = """
 import sys
 from contextlib import closing
 from pathlib import Path
-import jax
-jax.config.update("jax_disable_most_optimizations", True)
-jax.config.update("jax_compilation_cache_dir", sys.argv[1])
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
-jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 from cadenza.learning.problem import problem_of
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import Training
-run = RunFolder(Path(sys.argv[2]))
+run = RunFolder(Path(sys.argv[1]))
 config, score = run.settings()
 with run.locked(), closing(Training(problem_of(config, score), run)) as training:
     print("begins", training.step, flush=True)
@@ -434,9 +429,9 @@ with run.locked(), closing(Training(problem_of(config, score), run)) as training
 """
 
 
-def started(cache: Path, run: RunFolder) -> subprocess.Popen[str]:
+def started(run: RunFolder) -> subprocess.Popen[str]:
     """The process, once it has begun to train."""
-    command = [sys.executable, "-c", PROGRAM, str(cache), str(run.path)]
+    command = [sys.executable, "-c", PROGRAM, str(run.path)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline().startswith("begins")
@@ -445,19 +440,18 @@ def started(cache: Path, run: RunFolder) -> subprocess.Popen[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["in turn", "residual"])
-def test_a_run_that_is_killed_at_any_moment_goes_on(way, runs, tmp_path_factory):
+def test_a_run_that_is_killed_at_any_moment_goes_on(way, runs):
     """SIGKILL at random times, while there is a checkpoint at every round."""
-    cache = tmp_path_factory.mktemp("compiled")
     whole, killed = runs(), runs()
     config = replace(WAYS[way], num_steps=480, checkpoint_interval=0.0)
     for run in (whole, killed):
         run.begin(config, [SONG])
-    process, began = started(cache, whole), time.monotonic()
+    process, began = started(whole), time.monotonic()
     assert process.wait() == 0
     longest = (time.monotonic() - began) / 6  # of which some went into compiling
     rng, kills, code = random.Random(0), 0, None
     while code != 0:
-        process = started(cache, killed)
+        process = started(killed)
         timer = threading.Timer(rng.uniform(0, longest), process.kill)
         timer.start()
         code = process.wait()

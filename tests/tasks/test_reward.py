@@ -285,3 +285,13 @@ def test_onset_timing_and_loudness(data, n, coefficient):
         for env in range(n):
             near = [gaussian(abs(e), 0, bound, margin) for e in errors[env] if not math.isnan(e)]
             assert_allclose(ours[env], coefficient * sum(near), **CLOSE)
+
+
+def test_keys_are_as_far_down_in_double_precision_after_they_were_in_single():
+    """A program within another remembers what it met, and the keyboard outlives both."""
+    inner = jax.jit(lambda angles: reward.key_state(angles, PIANO.travel))
+    outer = jax.jit(lambda angles: inner(angles))
+    for double in (False, True):
+        with jax.enable_x64(double):
+            angles = jnp.asarray(PIANO.travel / 3)
+            assert_allclose(outer(angles), 1 / 3, rtol=1e-15 if double else 1e-6)

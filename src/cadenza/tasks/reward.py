@@ -83,12 +83,22 @@ def key_state(key_qpos: Array, travel: Array) -> Array:
     `travel` (K,) is from rest to stop [rad].
     """
     xp = key_qpos.__array_namespace__()
-    return xp.minimum(xp.maximum(key_qpos / travel, 0.0), 1.0)
+    return xp.minimum(xp.maximum(key_qpos / _alike(travel, key_qpos), 0.0), 1.0)
 
 
 def key_activation(key_qpos: Array, sounds_from: Array) -> Mask:
     """(..., K) which keys sound: those at an angle (K,), near their stop, or beyond it [rad]."""
-    return key_qpos >= sounds_from
+    return key_qpos >= _alike(sounds_from, key_qpos)
+
+
+def _alike(constant: Array, values: Array) -> Array:
+    """The constant as an array of the library of the values.
+
+    Without a type, JAX would take the one it gave to this array of NumPy when it first met it,
+    whatever `jax_enable_x64` says now, and a keyboard's arrays outlive that.
+    """
+    xp = values.__array_namespace__()
+    return xp.asarray(constant, dtype=xp.result_type(constant, values))
 
 
 def midi_velocity(key_speed: Array, keyboard: Keyboard) -> Array:
