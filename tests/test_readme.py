@@ -8,14 +8,16 @@ from pathlib import Path
 import pytest
 
 from cadenza.cli import main
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.score import Note, Score
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 SONGS = {
     *("OdeToJoy", "FurEliseOpening", "MinuetInG", "CMajorChordProgressionTwoHands"),
-    *("CMajorScaleOneHand", "etudes/notes-6-0", "debug"),
+    *("CMajorScaleOneHand", "etudes/notes-6-0", "benchmark/band-1007"),
 }
-PLAYS = "play", "plan", "practice", "bench"
+PLAYS = "play", "plan", "practice", "arrange"
 COMMANDS = (ROOT / "docs" / "command-line.md").read_text()
 
 
@@ -37,7 +39,7 @@ def shortened(arguments: list[str]) -> list[str]:
     if arguments[0] == "practice" and "--robot" not in arguments:
         added += ["--minutes", "0.02"]
     added += ["--first-seconds", "1"] if SONGS & set(arguments) and arguments[0] in PLAYS else []
-    added += ["--agents", "zero", "--seeds", "0"] if arguments[0] == "bench" else []
+    added += ["--agents", "zero", "--seeds", "0", "--songs", "songs"] if arguments[0] == "bench" else []
     learns = arguments[0] == "train" and "--resume" not in arguments
     return [*added, *(["--num-steps", "320", "--learning-starts", "300"] if learns else [])]
 
@@ -54,6 +56,7 @@ def test_the_python_examples_run(tmp_path, monkeypatch, capsys):
 
 def test_the_commands_run_one_after_another(tmp_path, monkeypatch, capsys):
     (tmp_path / "tests").symlink_to(ROOT / "tests")
+    write_midi(Score((Note(0.0, 0.2, 60),)), tmp_path / "songs" / "one.mid")
     monkeypatch.chdir(tmp_path)
     for line in command_lines():
         arguments = shlex.split(line)[1:]

@@ -392,7 +392,8 @@ def test_practice_with_parts_missing_is_refused(lost, tmp_path):
 
 def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(monkeypatch, tmp_path):
     """Snapshots are whole simulations: none is made of the song before the window."""
-    left = practice(score=LONG)
+    two_times = Score(LONG.notes[: 2 * len(HARD.notes)])
+    left = practice(score=two_times)
     while not left.state().get("sweep/first"):
         left.run(2.0, on_and_off(1))
     made: list[int] = []
@@ -403,7 +404,7 @@ def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(monkeypatch
         made.extend(snapshots)
         return played, snapshots
 
-    again = practice(score=LONG)
+    again = practice(score=two_times)
     monkeypatch.setattr(WholeScene, "roll_out", rolling_out)
     restored(again, left, tmp_path)
     assert min(made) == left.state()["sweep/first"]

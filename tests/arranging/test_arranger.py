@@ -64,7 +64,7 @@ def test_the_hands_can_play_all_of_it(song, arranger, scene):
 
 
 def test_an_easier_arrangement_has_fewer_notes(arranger):
-    score = load_score(EASY)
+    score = load_score(EASY).beginning(12.0)
     hard, easy = arranger.arrange(score), arranger.arrange(score, grade=4.0)
     assert easy.grade < hard.grade
     assert len(easy.score.notes) < len(hard.score.notes)

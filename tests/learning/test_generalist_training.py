@@ -110,7 +110,7 @@ def test_reinforcement_goes_on_where_it_was_stopped(cloned, library, tmp_path):
 def test_fingers_learn_to_strike_and_nothing_else_changes(tmp_path):
     library, folder = str(tmp_path / "songs"), tmp_path / "striking"
     write_midi(SCALE, tmp_path / "songs" / "scale.mid")
-    main(["generalist", "strike", library, "-o", str(folder), "--num-rounds", "2", *STRIKE])
+    main(["generalist", "strike", library, "-o", str(folder), "--num-rounds", "1", *STRIKE])
     learnt, before = Weights.load(folder / "weights.npz"), Weights.load(SHIPPED)
     assert len(learnt.striking) == 2
     assert same_networks(learnt, before)
