@@ -39,7 +39,9 @@ def shortened(arguments: list[str]) -> list[str]:
     if arguments[0] == "practice" and "--robot" not in arguments:
         added += ["--minutes", "0.02"]
     added += ["--first-seconds", "1"] if SONGS & set(arguments) and arguments[0] in PLAYS else []
-    added += ["--agents", "zero", "--seeds", "0", "--songs", "songs"] if arguments[0] == "bench" else []
+    added += (
+        ["--agents", "zero", "--seeds", "0", "--songs", "songs"] if arguments[0] == "bench" else []
+    )
     learns = arguments[0] == "train" and "--resume" not in arguments
     return [*added, *(["--num-steps", "320", "--learning-starts", "300"] if learns else [])]
 

@@ -212,13 +212,19 @@ def test_lerobot_files_hold_what_was_recorded(made, tmp_path, monkeypatch):
     assert stats["count"] == [dataset.num_steps]
 
 
-def test_lerobot_files_hold_what_cameras_see(made, tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def shown(made):
+    """What its camera sees of each episode."""
+    return [pictures_of(open_dataset(made), number) for number in range(2)]
+
+
+def test_lerobot_files_hold_what_cameras_see(made, shown, tmp_path, monkeypatch):
     export = ["dataset", "export", str(made), "--format", "lerobot", "--video-size", "64", "48"]
     main([*export, "--video-cameras", "player", "left", "-o", str(tmp_path / "one")])
     monkeypatch.setattr(lerobot_export, "FILE_BYTES", 0)
     main([*export, "--video-cameras", "player", "-o", str(tmp_path / "several")])
     dataset = open_dataset(made)
-    shown = np.concatenate([pictures_of(dataset, number) for number in range(2)])
+    shown = np.concatenate(shown)
     for folder, sides in ((tmp_path / "one", {"left"}), (tmp_path / "several", set[str]())):
         info = json.loads((folder / "meta/info.json").read_text())
         cameras = {name for name, of in info["features"].items() if of["dtype"] == "video"}
@@ -240,17 +246,18 @@ def test_lerobot_files_hold_what_cameras_see(made, tmp_path, monkeypatch):
     assert len(list((tmp_path / "several").rglob("*.mp4"))) == 2
 
 
-def test_minari_has_what_cameras_see(made, tmp_path, monkeypatch):
+def test_minari_has_what_cameras_see(made, shown, tmp_path, monkeypatch):
     export = ["dataset", "export", str(made), "--video-size", "64", "48", "--name", "seen"]
     main([*export, "--video-cameras", "player", "left", "-o", str(tmp_path)])
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    for number, episode in enumerate(minari.load_dataset("seen-v0").iterate_episodes()):
-        shown = pictures_of(open_dataset(made), number)
+    for shown_of, episode in zip(
+        shown, minari.load_dataset("seen-v0").iterate_episodes(), strict=True
+    ):
         assert episode.infos["left"].shape == episode.infos["player"].shape
         assert episode.infos["player"].dtype == np.uint8
-        assert len(episode.infos["player"]) == len(shown) + 1
+        assert len(episode.infos["player"]) == len(shown_of) + 1
         seen = episode.infos["player"][:-1].astype(float)
-        assert np.abs(seen - shown).mean() < 1  # of 255: keys are recorded in single precision
+        assert np.abs(seen - shown_of).mean() < 1  # of 255: keys are recorded in single precision
 
 
 def pictures_of(dataset: Dataset, number: int) -> np.ndarray:
