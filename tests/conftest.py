@@ -26,12 +26,15 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture(autouse=True, scope="session")
-def no_data_of_the_user(tmp_path_factory):
-    """What whoever runs the tests has imported plays no part in them."""
-    patch = pytest.MonkeyPatch()
-    patch.setenv("CADENZA_DATA", str(tmp_path_factory.mktemp("data")))
-    yield
-    patch.undo()
+def user_and_machine(tmp_path_factory):
+    """What whoever runs the tests has imported plays no part in them, nor have they many cores.
+
+    Agents take one thread where a test gives no number, and then start no process for a hand.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CADENZA_DATA", str(tmp_path_factory.mktemp("data")))
+        patch.setattr("cadenza.agents.agent.default_threads", lambda: 1)
+        yield
 
 
 LONGEST = (  # files that take tens of seconds, the longest first
