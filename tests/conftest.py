@@ -33,7 +33,7 @@ def user_and_machine(tmp_path_factory):
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CADENZA_DATA", str(tmp_path_factory.mktemp("data")))
-        patch.setattr("cadenza.agents.agent.default_threads", lambda: 1)
+        patch.setattr("cadenza.sim.threads.available_cores", lambda: 1)
         yield
 
 
