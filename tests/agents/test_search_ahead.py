@@ -102,5 +102,5 @@ def test_a_process_that_is_lost_is_told_in_one_line(monkeypatch):
         process.search(hand.plan, "right", np.random.default_rng(0), PlannerConfig())
         process.act(HandState(0, *hand.joint_state))
 
-    with pytest.raises(CadenzaError, match=r"right hand ended unexpectedly.*--threads 1"):
+    with pytest.raises(CadenzaError, match=r"right hand ended unexpectedly.*--num-threads 1"):
         ask()

@@ -30,7 +30,7 @@ from cadenza.fingers import Side
 _AHEAD = 2  # windows that are found before they are asked for
 _LOST = (
     "the process that searches for the {side} hand ended unexpectedly: is there enough memory? "
-    "--threads 1 does without it"
+    "--num-threads 1 does without it"
 )
 
 
