@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from cadenza.hands import forearm
-from cadenza.hands.body import Actuator, Body, Geom, Joint, Link, Quaternion, Vector
+from cadenza.hands.body import ROTOR, Actuator, Body, Geom, Joint, Link, Quaternion, Vector
 from cadenza.hands.hand import FingerChain, Hand
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
@@ -160,7 +160,7 @@ def _palm() -> Link:
 _FINGERS = ("ff", "mf", "rf", "th")
 
 
-def _body(finger_tip: Geom, thumb_tip: Geom) -> Body:
+def _body(finger_tip: Geom, thumb_tip: Geom, rotor: float) -> Body:
     return Body(
         links=(
             _FOREARM,
@@ -178,7 +178,7 @@ def _body(finger_tip: Geom, thumb_tip: Geom) -> Body:
             *(("palm", f"{finger}base") for finger in _FINGERS),
             ("palm", "thproximal"),
         ),
-        armature=0.0,
+        armature=rotor,
         friction_loss=0.0,
     )
 
@@ -186,10 +186,12 @@ def _body(finger_tip: Geom, thumb_tip: Geom) -> Body:
 _BODY = _body(
     finger_tip=Geom("capsule", (0.012, 0.01), (0, 0, 0.019)),
     thumb_tip=Geom("capsule", (0.012, 0.008), (0, 0, 0.035)),
+    rotor=ROTOR,
 )
 _NARROW_BODY = _body(  # as long, and half as wide
     finger_tip=Geom("capsule", (0.006, 0.016), (0, 0, 0.019)),
     thumb_tip=Geom("capsule", (0.006, 0.014), (0, 0, 0.035)),
+    rotor=0.0,  # with which the figures of docs/mini-piano.md were learnt
 )
 
 

@@ -26,6 +26,12 @@ Colour = tuple[float, float, float, float]
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 LINK_RGBA = (0.80, 0.82, 0.85, 1.0)
 
+ROTOR = 2e-4
+"""Inertia of a motor behind its gears [kg m^2], that of RoboPianist's hands (Zakka et al., 2023).
+
+Without it, finger links of a few grams chatter on keys, and slide off them.
+"""
+
 GEOM_TYPES = {
     "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, 1),
     "capsule": (mujoco.mjtGeom.mjGEOM_CAPSULE, 2),
@@ -184,7 +190,7 @@ class Body:
     """The mount of an arm; None for a forearm that slides."""
     mirrored_masses: bool = False
     """Whether the left hand's masses are mirrored. Those of the published hands are not."""
-    armature: float = 0.0002
+    armature: float = ROTOR
     """Rotor inertia of every joint [kg m^2], and of the forearm's slides [kg]."""
     friction_loss: float = 0.01
     """Dry friction of every joint [N m], and of the forearm's slides [N]."""

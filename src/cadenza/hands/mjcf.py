@@ -24,6 +24,7 @@ from cadenza.hands import forearm
 from cadenza.hands.arm_allegro import on_arm_as_on_forearm
 from cadenza.hands.body import (
     GEOM_TYPES,
+    ROTOR,
     Actuator,
     Body,
     Coupling,
@@ -489,7 +490,9 @@ class HandFile:
             range=(float(low) - zero, float(high) - zero),
             damping=float(model.dof_damping[dof]) if given.damping is None else given.damping,
             slide=bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE),
-            armature=float(model.dof_armature[dof]) if given.armature is None else given.armature,
+            armature=(float(model.dof_armature[dof]) or ROTOR)
+            if given.armature is None
+            else given.armature,
             friction_loss=float(model.dof_frictionloss[dof]),
         )
 
