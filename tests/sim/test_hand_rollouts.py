@@ -85,7 +85,7 @@ def test_a_rollout_continues_from_a_state_that_another_has_kept():
     whole = [path for path, _ in rollouts.run(actions, kept=kept)]
     list(rollouts.run(actions[:1]))  # of something else
     for first in (2, 5):
-        rest = [path for path, _ in rollouts.run(actions[first:], 0, first, kept)]
+        rest = [path for path, _ in rollouts.run(actions[first:], first, kept)]
         np.testing.assert_array_equal(rest, whole[first:])
 
 
