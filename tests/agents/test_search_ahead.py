@@ -1,6 +1,7 @@
 """The search of one hand that plays ahead and restarts."""
 
 import sys
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -80,6 +81,7 @@ def test_another_process_finds_the_same_bits(pushed):
     """Even where it has looked further ahead than the scene when that is pushed."""
     here, there, process = OneHand(SONG), OneHand(SONG), HandProcess()
     process.search(there.plan, "right", np.random.default_rng(0), PlannerConfig())
+    assert process.is_ready()
     alone = hand_alone(there.plan.scene, "right")
     ahead, elsewhere = ahead_of(here), SearchAhead(process, there.plan, alone, DT)
     for step in range(STEPS):
@@ -97,10 +99,25 @@ def test_another_process_finds_the_same_bits(pushed):
 def test_a_process_that_is_lost_is_told_in_one_line(monkeypatch):
     monkeypatch.setattr(sys, "executable", "true")  # a process that ends at once
     hand, process = OneHand(SONG), HandProcess()
-
-    def ask() -> None:
-        process.search(hand.plan, "right", np.random.default_rng(0), PlannerConfig())
+    process.search(hand.plan, "right", np.random.default_rng(0), PlannerConfig())
+    assert not process.is_ready()
+    with pytest.raises(CadenzaError, match=r"right hand ended unexpectedly.*--num-threads 1"):
         process.act(HandState(0, *hand.joint_state))
 
-    with pytest.raises(CadenzaError, match=r"right hand ended unexpectedly.*--num-threads 1"):
-        ask()
+
+class Unknown:
+    """Something of a module that only this process has."""
+
+
+@pytest.mark.parametrize("scene", [Unknown(), lambda: None])
+def test_what_only_this_process_knows_is_searched_for_here(scene, monkeypatch, capfd):
+    """Such as a hand of a notebook, or one that a script has registered."""
+    nowhere = ModuleType("nowhere")
+    monkeypatch.setattr(Unknown, "__module__", "nowhere")
+    monkeypatch.setattr(nowhere, "Unknown", Unknown, raising=False)
+    monkeypatch.setitem(sys.modules, "nowhere", nowhere)
+    hand, process = OneHand(SONG), HandProcess()
+    plan = hand.plan._replace(scene=scene)
+    process.search(plan, "right", np.random.default_rng(0), PlannerConfig())
+    assert not process.is_ready()
+    assert capfd.readouterr().err == ""

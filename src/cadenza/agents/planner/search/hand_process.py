@@ -41,7 +41,10 @@ class HandProcess:
         """Start the process, which loads all that it needs. Raises OSError if there is no room."""
         module = "cadenza.agents.planner.search.hand_process"
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", module], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            [sys.executable, "-P", "-m", module],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},  # modules of hands, too
         )
         weakref.finalize(self, _end, self._process)
         self._begun, self._side = 0, "other"
@@ -49,9 +52,18 @@ class HandProcess:
     def search(
         self, plan: SongPlan, side: Side, rng: np.random.Generator, config: PlannerConfig
     ) -> None:
-        """Begin to search for the hand on one side; see `HandSearch`."""
+        """Prepare to search for the hand on one side; see `HandSearch`."""
         self._side = side
-        self._call(plan, side, rng, config)
+        try:
+            self._call(plan, side, rng, config)
+        except (CadenzaError, pickle.PicklingError, AttributeError, TypeError):
+            self._process.kill()  # of what cannot be pickled, it is never told
+
+    def is_ready(self) -> bool:
+        """Whether it can search: not if it does not know the hand, which this process does."""
+        with suppress(CadenzaError):
+            return bool(self._answer())
+        return False
 
     def follow(self, plan: SongPlan, step: int) -> None:
         self._call("follow", plan, step)
@@ -75,8 +87,9 @@ class HandProcess:
 
     def _call(self, *message: Any) -> None:
         assert self._process.stdin is not None
+        pickled = pickle.dumps(message)
         try:
-            pickle.dump(message, self._process.stdin)
+            self._process.stdin.write(pickled)
             self._process.stdin.flush()
         except OSError:
             raise CadenzaError(_LOST.format(side=self._side)) from None
@@ -115,8 +128,11 @@ def main() -> None:
 
 
 def _receive(calls: SimpleQueue[Any]) -> None:
-    """Receive calls as they come, even while one is carried out, and end where nobody calls."""
-    with suppress(EOFError):
+    """Receive calls as they come, even while one is carried out, and end where nobody calls.
+
+    It also ends at what it does not know, such as a hand that its parent alone has registered.
+    """
+    with suppress(Exception):
         while True:
             calls.put(pickle.load(sys.stdin.buffer))
     os._exit(0)
@@ -125,7 +141,11 @@ def _receive(calls: SimpleQueue[Any]) -> None:
 def _serve(calls: SimpleQueue[Any], answer: Callable[[Any], None]) -> None:
     """Carry out calls, and find windows ahead while there are none."""
     plan, side, rng, config = calls.get()
-    hand = HandSearch(plan, side, rng, config)
+    try:
+        hand = HandSearch(plan, side, rng, config)
+    except (CadenzaError, ImportError):
+        return
+    answer(True)
     search = RestartingSearch(hand, plan.track.config.control_timestep)
     step = begun = wanted = 0
     while True:

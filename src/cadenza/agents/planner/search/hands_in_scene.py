@@ -42,20 +42,24 @@ class HandsInScene:
     ) -> None:
         """Follow a plan from its first step on, with the options and threads of `context`.
 
-        The `processes` search for the last hands.
+        The `processes` search for the last hands, if they can.
         """
         sides, dt = plan.scene.sides, plan.track.config.control_timestep
         rngs, here = rng.spawn(len(sides)), len(sides) - len(processes)
         self._threads, self._size = context.threads, plan.nominal.tracking.ctrl.shape[1]
         for process, side, hand_rng in zip(processes, sides[here:], rngs[here:], strict=True):
             process.search(plan, side, hand_rng, context.config)
-        self._hands = [
-            HandSearch(plan, side, hand_rng, context.config)
-            for side, hand_rng in zip(sides[:here], rngs[:here], strict=True)
-        ]
-        local = [RestartingSearch(hand, dt) for hand in self._hands]
+        self._hands, local = list[HandSearch](), list[RestartingSearch]()
+        windows = list[WindowSearch]()
+        elsewhere = [None] * here + [*processes]
+        for side, hand_rng, other in zip(sides, rngs, elsewhere, strict=True):
+            if other is not None and other.is_ready():
+                windows.append(other)
+            else:
+                self._hands.append(HandSearch(plan, side, hand_rng, context.config))
+                local.append(RestartingSearch(self._hands[-1], dt))
+                windows.append(local[-1])
         self._alone = [hand_alone(plan.scene, side) for side in sides]
-        windows: list[WindowSearch] = [*local, *processes]
         ahead = [SearchAhead(windows[i], plan, self._alone[i], dt) for i in range(len(sides))]
         self._ahead = ahead if context.config.method != "none" else []
         self.lookahead = (local if self._ahead else self._hands)[0].lookahead
