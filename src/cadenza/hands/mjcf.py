@@ -484,15 +484,14 @@ class HandFile:
         model, dof = self._model, int(self._model.jnt_dofadr[joint])
         low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-math.pi, math.pi)
         given, zero = self.description, float(model.qpos0[model.jnt_qposadr[joint]])
+        rotor = float(model.dof_armature[dof]) or ROTOR
         return Joint(
             self._joints[joint],
             axis=tuple(model.jnt_axis[joint].tolist()),
             range=(float(low) - zero, float(high) - zero),
             damping=float(model.dof_damping[dof]) if given.damping is None else given.damping,
             slide=bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE),
-            armature=(float(model.dof_armature[dof]) or ROTOR)
-            if given.armature is None
-            else given.armature,
+            armature=rotor if given.armature is None else given.armature,
             friction_loss=float(model.dof_frictionloss[dof]),
         )
 

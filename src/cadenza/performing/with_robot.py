@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -18,6 +17,7 @@ from cadenza.errors import CadenzaError, by_others
 from cadenza.files import write_json, write_tensors
 from cadenza.performing.setup import Setup
 from cadenza.registry import Registry
+from cadenza.sim.threads import cpu_seconds
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.robots import PROFILES, Profile
 from cadenza.tasks.unknown_robot import PLAYS, UnknownRobotEnv
@@ -60,8 +60,9 @@ def practise(
     Raises:
         CadenzaError: there is no such robot.
     """
-    began = time.process_time()
+    began = cpu_seconds()
     nominal = play_episode(setup.task, setup.agent, setup.seed)
+    setup.agent.close()  # it has played, and what it started has ended and counts
     if nominal.plan is None:
         raise CadenzaError("a robot practises what the planner plays: choose no other agent")
     practice = RobotPractice(nominal.plan, nominal.episode, PROFILES[profile])
@@ -76,7 +77,7 @@ def practise(
         heard = tuple((take.f1, take.note_onset_f1) for take in takes)
         scored = there.scored if isinstance(there, SimulatedRobot) else {}
         metrics = dict(scored) or dict(zip(("f1", "note_onset_f1"), heard[-1], strict=True))
-        song, seconds = str(setup.settings["song"]), time.process_time() - began
+        song, seconds = str(setup.settings["song"]), cpu_seconds() - began
         yield RobotPlays(song, robot, profile, heard, metrics, seconds), np.array(actions)
 
 

@@ -1,7 +1,6 @@
 """Collects a demonstration: plays an episode, and records it if it is good enough."""
 
 import hashlib
-import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -49,6 +48,7 @@ from cadenza.performing.player import find_player
 from cadenza.performing.setup import Setup, set_up
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.servos import servos_of
+from cadenza.sim.threads import cpu_seconds
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.reward import key_state
 from cadenza.tasks.view import View
@@ -138,7 +138,7 @@ def record(
 
 
 def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress) -> None:
-    spec, began = job.spec, time.process_time()
+    spec, began = job.spec, cpu_seconds()
     check_song(spec)
     seed, rng = _randomness(spec)
     configs = {spec.agent: spec.config}
@@ -173,7 +173,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
         task=_without_randomness(spec.task, result),
         scene=spec.scene,
         start=tuple(result.episode["hand_qpos0"].tolist()),
-        cpu_seconds=time.process_time() - began,
+        cpu_seconds=cpu_seconds() - began,
         versions=versions(),
         files={},
     )

@@ -98,7 +98,7 @@ class HandProcess:
         assert self._process.stdout is not None
         try:
             return pickle.load(self._process.stdout)
-        except EOFError:
+        except (EOFError, pickle.UnpicklingError):  # at once, or within an answer
             raise CadenzaError(_LOST.format(side=self._side)) from None
 
 
