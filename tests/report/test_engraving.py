@@ -114,6 +114,17 @@ def test_numbers_of_fingers_are_clear_of_heads_stems_and_each_other():
             assert np.all(beside | (others[:, 1] >= bottom) | (others[:, 3] <= top))
 
 
+def test_fingers_of_a_chord_stand_in_a_column_in_the_order_of_its_notes():
+    """Also where heads a second apart stand beside each other."""
+    upper = [Note(0, BEAT, 72 + 2 * i, finger=Finger(RIGHT, i)) for i in range(3)]
+    lower = [Note(0, BEAT, 48 + 2 * i, finger=Finger(LEFT, 2 - i)) for i in range(3)]
+    (drawing,) = drawings(engraved(sheet_of(Score((*upper, *lower), bars=bars(1)))))
+    numbers = [text for text in drawing.iter("text") if text.get("class") == "fing"]
+    numbers.sort(key=lambda text: int(text.get("y")))
+    assert [text.text for text in numbers] == ["3", "2", "1", "1", "2", "3"]
+    assert len({text.get("x") for text in numbers}) == 1
+
+
 def test_bars_follow_each_other_in_place_and_time():
     score = load_score("FurEliseOpening").with_initial_silence(0.5)
     sheet = sheet_of(score)

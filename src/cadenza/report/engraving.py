@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from xml.etree.ElementTree import Element, fromstring
+from xml.etree.ElementTree import Element, fromstring, tostring
 from xml.sax.saxutils import escape, quoteattr
 
 from cadenza.errors import CadenzaError
@@ -28,6 +28,7 @@ _MARGIN = 400  # about the systems of a document and between them, in tenths of 
 # Verovio keeps a finger's number clear of what is above and below its own width, which is less than
 # that of a note's head: so it is told of wider ones, that stems beside them are kept clear of, too.
 _WIDE_FINGERS, _FINGERS = 0.95, 0.75  # parts of the size of other texts: as told, and as drawn
+_DRAWN = {"fing": _FINGERS / _WIDE_FINGERS, "tempo": 0.85}  # parts of the room that they are given
 _OPTIONS = {
     "pageWidth": _WIDTH,
     "pageHeight": _MAX_PAGE_LENGTH,
@@ -122,12 +123,29 @@ def engraved(sheet: Sheet, width: int = _WIDTH) -> Engraving:
     verovio.enableLog(verovio.LOG_OFF)
     toolkit = verovio.toolkit()
     toolkit.setOptions(_OPTIONS | {"pageWidth": width})
-    if not toolkit.loadData(musicxml_of(sheet)):
+    if not toolkit.loadData(_with_columns(musicxml_of(sheet))):
         raise CadenzaError(f"{sheet.title}: the sheet music cannot be engraved")
     drawer = _Drawer(sheet)
     pages = range(1, toolkit.getPageCount() + 1)
     systems = tuple(drawer.system(fromstring(toolkit.renderToSVG(page))) for page in pages)
     return Engraving(systems, "".join(drawer.glyphs.values()))
+
+
+def _with_columns(musicxml: str) -> str:
+    """Put the fingers of a chord in one column, where Verovio would have one beside each head.
+
+    A thumb on D below a second finger on E would read as 12.
+    """
+    root, column = fromstring(musicxml), None
+    for note in root.iter("note"):
+        fingers = note.find("notations/technical")
+        if column is None or note.find("chord") is None:
+            column = fingers
+        elif fingers is not None:
+            (finger,) = fingers
+            fingers.remove(finger)  # the column begins beside the staff
+            column.insert(0 if finger.get("placement") == "below" else len(column), finger)
+    return tostring(root, "unicode")
 
 
 @dataclass
@@ -206,15 +224,14 @@ class _Drawer:
         named = f' class="{style}"' if style else ""
         words, size = "", 0
         for part in text.iter(f"{_SVG}tspan"):
-            size = int(part.get("font-size", "0px").removesuffix("px")) or size
+            told = int(part.get("font-size", "0px").removesuffix("px"))
+            size = round(told * _DRAWN.get(style, 1)) or size
             for letter in part.text or "":
                 if letter in _IN_TEXT:
                     yield self._placed(f"{ord(letter):X}", _outline(letter), size / _EM, x, y)
                     x = str(int(x) + _IN_TEXT[letter] * size // _EM)
                 else:
                     words += letter
-        if style == "fing":
-            size = round(size * _FINGERS / _WIDE_FINGERS)
         if words:
             place = f'x="{x}" y="{y}"{anchor}{named} font-size="{size}"'
             yield f'<text {place} xml:space="preserve">{escape(words)}</text>'
