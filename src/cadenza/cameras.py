@@ -20,7 +20,7 @@ FIELD_OF_VIEW = 28.0  # of all of them, from the lower edge of the picture to th
 
 _ROOM = np.array([0.97, 0.95])  # of width and height of the picture, that is for what it looks at
 _FILLED = 0.88  # of the height, at least, with what is around; or it turns
-_ALONG = 65  # points of a long edge, of which some are beside the picture
+_ALONG = 65  # points of a long edge; some are beside the picture
 _CLOSEST = 0.05  # [m] in front of the camera that is seen
 _ROUNDS = 8  # of fitting, after which nothing moves by a pixel
 _MAX_TURN = np.radians(70)  # around hands that are too far apart to fill a tall picture
@@ -28,7 +28,7 @@ _HALVINGS = 11  # of it, down to .03 degrees
 
 
 def points_of_box(low: Any, high: Any, along: int = 2) -> Points:
-    """Return so many points on each long edge of a box between two corners (3,)."""
+    """Return `along` points on each long edge of a box between two corners (3,)."""
     x, y, z = (np.linspace(low[i], high[i], count) for i, count in enumerate((2, along, 2)))
     return np.stack(np.meshgrid(x, y, z), axis=-1).reshape(-1, 3)
 

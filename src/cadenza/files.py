@@ -1,4 +1,4 @@
-"""Writing files so that nobody ever sees half of one, and reading those that may be broken.
+"""Writing files so that nobody ever sees half of one, and reading files that may be broken.
 
 Who reads a file says what it is to hold, as a type for JSON and as a table for arrays. Whatever
 else it holds is refused here, in one line.

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cadenza.errors import CadenzaError
 from cadenza.fingers import LEFT, RIGHT
 from cadenza.music.formats.musicxml.reader import read_musicxml
-from cadenza.music.formats.musicxml.tree import DEEPEST, MAX_NOTES, MAX_PARTS, MAX_XML_BYTES
+from cadenza.music.formats.musicxml.tree import MAX_DEPTH, MAX_NOTES, MAX_PARTS, MAX_XML_BYTES
 from cadenza.music.libraries.library import composer_of, load_score
 from cadenza.music.score import PedalEvent
 from musicxml_documents import (
@@ -366,7 +366,7 @@ def test_what_stands_in_comments_and_sections_of_text_is_not_counted(saved):
 def test_nested_changes_of_the_pedal_do_not_double(saved):
     change = direction('<pedal type="change"/>')
     inner = change
-    for _ in range((DEEPEST - 8) // 2):
+    for _ in range((MAX_DEPTH - 8) // 2):
         inner = f"<measure>{change[: -len('</direction>')]}{inner}</direction></measure>"
     assert pitches(load_score(saved(document([FOUR_QUARTERS + inner + note("C4", 16)])))) == [60]
 

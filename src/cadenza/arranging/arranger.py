@@ -110,7 +110,7 @@ _MAX_JUMP = 1.0  # [s]
 
 
 def held_as_possible(score: Score, players: Players, times: JumpTimes) -> Score:
-    """A score with fingers, of which notes end where their hand has to go to others.
+    """A score with fingers, whose notes end where their hand has to go to others.
 
     A hand leaves keys for those that it does not reach from there as early as the jump takes; a
     finger leaves its key for another. Notes without a finger stay as they are.

@@ -24,7 +24,7 @@ class Film:
     """The file; its ending says what it is: .mp4 a film, .wav, .flac or .mp3 the sound alone.
     video.mp4 in the folder by default."""
     start: float = 0.0
-    """Begin so many seconds into what was played."""
+    """Where in the performance the film begins [s]."""
     seconds: float | None = None
     """Length; to the end by default."""
     size: tuple[int, int] = (1920, 1080)

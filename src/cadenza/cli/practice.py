@@ -54,7 +54,7 @@ class PracticeCommand(Options):
     """Effort in all, 8 by default, 0 before practice with a robot; 1 is 100 simulated steps for
     each step and hand."""
     minutes: float | None = None
-    """Practise for so many minutes instead."""
+    """Practise for this long instead [min]."""
     robot: str | None = None
     """Practise with a robot that nobody knows, in ten plays: the seed of a simulated one, or
     module:Name of a driver."""

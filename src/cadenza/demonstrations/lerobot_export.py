@@ -1,6 +1,6 @@
 """Writes demonstrations as a dataset of LeRobot, format v3.0, which is Parquet and JSON.
 
-    meta/info.json                                what there is, and of which shapes
+    meta/info.json                                what there is, and its shapes
     meta/stats.json                               least, greatest, mean, deviation of each feature
     meta/tasks.parquet                            a task for each song
     meta/episodes/chunk-000/file-000.parquet      where each episode is
@@ -245,7 +245,7 @@ class _FrameFiles:
 
 
 class _EpisodeTable:
-    """The table of episodes, few rows of which are in memory at once."""
+    """The table of episodes; few rows are in memory at once."""
 
     def __init__(self, path: Path) -> None:
         path.parent.mkdir(parents=True)

@@ -37,7 +37,7 @@ from cadenza.tasks.config import NOISE_ON_OBSERVATIONS
 from cadenza.tasks.env import state_space
 
 _ROOT = "MINARI_DATASETS_PATH"  # where Minari looks for datasets
-_NAME = re.compile(r"([A-Za-z0-9_-]+/)*[A-Za-z0-9_-]+")  # of which Minari makes folders
+_NAME = re.compile(r"([A-Za-z0-9_-]+/)*[A-Za-z0-9_-]+")  # Minari makes folders of it
 _UNNAMED = re.compile("[^A-Za-z0-9_-]+")
 _MAX_BATCH = 20_000  # steps that are written at once, or a longer episode
 

@@ -173,7 +173,7 @@ class RecordedEpisode:
 
     @cached_property
     def song(self) -> Score:
-        """The song of which that is a part or a variation, as it was chosen to be played.
+        """The song that this is a part or a variation of, as it was chosen to be played.
 
         Raises CadenzaError if the file is not there, or is not as it was written.
         """
@@ -222,7 +222,7 @@ def played_actions(steps: Array, scene: Scene) -> NDArray[np.float64]:
 
 
 def mapped(path: Path) -> Array:
-    """The array of an .npy file, of which only what is read comes into memory.
+    """The array of an .npy file; only what is read comes into memory.
 
     Raises:
         CadenzaError: the file is not there, or is no such file.

@@ -77,7 +77,7 @@ FITTED = DifficultyModel(
 def grade(score: Score, players: Players | None = None) -> float:
     """The difficulty of `score`, from 1 to 10.
 
-    Fingers are those that the planner would find for `players` or, without these, those of the
+    Fingers are as the planner would find them for `players` or, without these, those of the
     score. Raises CadenzaError if there are no notes, or no fingers and no players.
     """
     if players is not None:

@@ -596,7 +596,7 @@ def _joints(links: list[Link]) -> list[Joint]:
 
 
 def _compiled(file: Path) -> mujoco.MjModel:
-    """The model of a file, with a simple shape for each mesh, all of which collide."""
+    """The model of a file, with a simple shape for each mesh; all of them collide."""
     try:
         spec = _one_joint_a_body(mujoco.MjSpec.from_file(str(file)), file)
         spec.compiler.fusestatic = False  # keeps the names of tips

@@ -55,7 +55,7 @@ class TrainingConfig:
     __repr__ = in_short
 
     def updates_by(self, step: int) -> int:
-        """Update that a run makes until it has done so many steps."""
+        """Updates that a run makes until it has done `step` steps."""
         rounds = (step - self.learning_starts) / (self.train_freq * self.num_envs)
         return max(math.ceil(rounds * self.gradient_steps), 0)
 

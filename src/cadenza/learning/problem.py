@@ -21,7 +21,7 @@ class Problem:
     """The songs of a run and the environments that play them."""
 
     config: TrainingConfig
-    scores: tuple[Score, ...]  # the songs, of which each episode draws one
+    scores: tuple[Score, ...]  # the songs; each episode draws one
     task: PianoTask  # the environments in C, or one of them where policies learn on a device
     goals: GoalTable
     observation: ObservationSpec

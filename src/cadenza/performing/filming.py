@@ -99,7 +99,7 @@ def write_film(
         folder: what `Performance.save` wrote.
         path: the file; `FILM` in the folder if there is none. See `check_film`.
         look: what the film shows; `Look()` if there is none.
-        start: the film begins so many seconds into the performance.
+        start: where in the performance the film begins [s].
         seconds: its length, to the end of the performance if there is none.
         voice: what makes the notes, see `synthesize`.
         progress: is told how many pictures are drawn.

@@ -170,7 +170,7 @@ class _HandOnKeys:
         mujoco.mj_kinematics(self.model, start)  # where fingertips are
 
     def room_for(self, count: int) -> list[mujoco.MjData]:
-        """Room for so many states, always the same: to make one takes as long as to simulate."""
+        """Room for `count` states, always the same: to make one takes as long as to simulate."""
         self._room += [mujoco.MjData(self.model) for _ in range(count - len(self._room))]
         return self._room[:count]
 

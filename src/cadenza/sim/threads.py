@@ -25,7 +25,7 @@ def default_threads() -> int:
 
 
 def cpu_seconds() -> float:
-    """The CPU time of this process, and of those that it started and that have ended [s]."""
+    """The CPU time of this process, and of its children that have ended [s]."""
     return sum(os.times()[:4])
 
 

@@ -28,7 +28,7 @@ from cadenza.studio.request import PRACTISED, Order, PlayRequest, unfinished_fol
 MAX_QUEUED = 8
 _WRITING = ("played", "writing")  # states
 _MAX_WRITING = 2  # jobs that write their files while others play
-_MAX_FAILED = 8  # jobs of which it is known that they failed or were cancelled
+_MAX_FAILED = 8  # jobs that are remembered as failed or cancelled
 _CANCEL_TIME = 2.0  # [s] that a process has to drop a song that is cancelled
 
 

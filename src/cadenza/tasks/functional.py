@@ -110,7 +110,7 @@ class FunctionalPianoTask:
         num_envs: int = 1,
         make_physics: Any = None,
     ) -> None:
-        """Make a task of songs, of which each of N episodes plays one.
+        """Make a task of songs; each of N episodes plays one of them.
 
         `make_physics` makes the simulation, by default `cadenza.sim.warp.WarpPhysics`. Raises
         CadenzaError if a song cannot be played, or an option makes no sense or is missing here.

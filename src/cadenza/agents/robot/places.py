@@ -21,7 +21,7 @@ class HandPlaces:
     """
 
     def __init__(self, keyboard: Keyboard, hands: int, usual: float) -> None:
-        """Begin with a normal distribution, of which `usual` [m] is the standard deviation."""
+        """Begin with a normal distribution whose standard deviation is `usual` [m]."""
         self._keyboard = keyboard
         self._log_likely = np.tile(-np.square(_PLACES / usual) / 2, (hands, 1))
 
@@ -35,7 +35,7 @@ class HandPlaces:
         """Learn from a strike.
 
         Args:
-            hand: of which hand.
+            hand: the number of the hand.
             key: which it was to sound.
             tip: (3,) where the fingertip seems to have been [m].
             others: keys that others were to sound then, and of which it says nothing.

@@ -1,6 +1,6 @@
 """The table of entries, as CSV and in Markdown.
 
-Its metrics are those that were computed here, from the actions; what entries claim is never shown.
+Its metrics are computed here, from the actions; what entries claim is never shown.
 """
 
 import math

@@ -7,7 +7,7 @@ MIDI has no place for fingers, so `song.mid` has its fingering in `song.fingerin
     0.5000 62 1    # a comment runs to the end of its line
 
 Fingers are 0..4 for the right hand's thumb to little finger, 5..9 for the left hand's thumb to
-little finger, and -1 where it is unknown; R6 is the sixth finger of a right hand that has so many.
+little finger, and -1 where it is unknown; R6 is the sixth finger of a right hand that has six.
 A line belongs to the note of its pitch that starts nearest to its time, at most 0.05 s away. Notes
 without a line stay as they are.
 """

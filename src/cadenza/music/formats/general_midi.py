@@ -4,7 +4,7 @@ LARGEST = 127  # the largest value of a controller
 BANK, VOLUME, EXPRESSION = 0, 7, 11
 SUSTAIN, SOSTENUTO, SOFT = 64, 66, 67  # the pedals of a piano
 AMOUNTS = frozenset((VOLUME, EXPRESSION, SUSTAIN, SOSTENUTO, SOFT))
-"""The controllers of which a value that is too large can only mean the largest."""
+"""The controllers whose values, where too large, can only mean the largest."""
 RESET = 121  # the controller that lifts the pedals of a channel, among others
 ALL_OFF = frozenset((120, *range(123, 128)))
 """The controllers that end all notes of a channel; the last four change its mode, too."""

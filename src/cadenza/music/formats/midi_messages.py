@@ -221,7 +221,7 @@ class _Track:
         return self._data[begin : self.end]
 
     def _number(self) -> int:
-        """The next number: seven bits a byte, of which the last has its highest bit unset."""
+        """The next number: seven bits a byte; the last byte has its highest bit unset."""
         number = 0
         for _ in range(_MAX_DIGITS):
             byte = self._bytes(1)[0]

@@ -53,7 +53,7 @@ def is_imported(name: str) -> bool:
 
 
 def imported(name: str) -> Library:
-    """The library imported under a name, of which only the index is read, or a CadenzaError."""
+    """The library imported under a name, whose files are not read, or a CadenzaError."""
     folder = _libraries_folder() / name
     songs = (
         Song(f"{name}/{Path(file).stem}", partial(read_score, folder / file), **facts)

@@ -77,7 +77,7 @@ class Role(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Tremolo:
-    """A tremolo with so many `marks`, the strokes through the stem; 0 is one without measure.
+    """A tremolo with a number of `marks`, the strokes through the stem; 0 is one without measure.
 
     Notes of a tremolo of two last as long as they take, which is half of what each of them shows.
     """

@@ -45,7 +45,7 @@ def neighbour(note: SignedNote, step: int, accidental: int | None = None) -> int
 
 
 def alteration(line: int, fifths: int) -> int:
-    """How many semitones a key with so many sharps, or flats if negative, alters a step.
+    """The semitones by which a key with some sharps, or flats if negative, alters a step.
 
     The step 0 is C. Keys beyond seven sharps or flats have double ones.
     """
@@ -100,7 +100,7 @@ def ornament_notes(sounding: SoundingNote) -> list[Played]:
 def _trill(
     sign: Ornament, pitches: Mapping[int, int], opening: int, seconds: float, last: list[int]
 ) -> list[int]:
-    """The pitches of a trill of so many seconds, which end on the main note and the `last`.
+    """The pitches of a trill of some seconds, which end on the main note and the `last`.
 
     There are as many as the sign says, or as have time. They begin on the upper neighbour (Bach),
     unless the sign says otherwise or a grace note leads to the note: the `opening` is one of
@@ -139,7 +139,7 @@ def _sequence(pitches: list[int], first: float, each: float, end: float) -> list
 _MAX_TAKEN = 0.5  # of the note before or after grace notes, which they take; a choice
 _MIN_SHARE = 0.01  # of a neighbour, as files give per cents
 _HALF, _TWO_THIRDS = Fraction(1, 2), Fraction(2, 3)
-_THREE = 3  # a dotted note has so many halves of the next smaller value
+_THREE = 3  # halves of its value without the dot that a dotted note lasts
 
 
 def place_graces(voice: Voice, tempo: TempoMap) -> None:

@@ -320,7 +320,7 @@ def _alternate(first: Chord, second: Chord) -> None:
 
 
 def _count(duration: Fraction, marks: int) -> int:
-    """How many notes a tremolo has that lasts so many quarters."""
+    """The number of notes of a tremolo, by how many quarters it lasts."""
     if duration <= 0:
         return 1
     shown = duration * _as_shown(duration)

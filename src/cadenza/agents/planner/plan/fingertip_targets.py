@@ -41,7 +41,7 @@ _MAX_HEIGHT_BEFORE = 0.012  # [m]
 _READY_ROOM, _READY_SIGMA = 0.0005, 0.0015  # [m]
 
 # The weight of a box: the distance from it [m] that counts as one standard deviation.
-_X_ON_BLACK = 0.5  # times as far on black keys, in front of which a fingertip is caught
+_X_ON_BLACK = 0.5  # times as far on black keys: in front of them a fingertip is caught
 # Closely along it as well: friction holds a fingertip that is to slide, and the hand is late.
 _AT_KEY = np.array([0.003, 0.0015, 0.001])
 _ABOVE_KEY = np.array([0.006, 0.0015, 0.003])

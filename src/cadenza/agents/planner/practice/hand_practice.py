@@ -214,7 +214,7 @@ class HandPractice:
     ) -> tuple[ChangedControls, Rollout]:
         """The change with its strikes refined, where that is cheaper, and the rollout of it.
 
-        Those of the first `struck` steps are refined, in so many `rollouts` at most.
+        Those of the first `struck` steps are refined, in `rollouts` rollouts at most.
         """
         made, still = [(change, rollout)], np.zeros((len(change.ctrl) + 1, change.ctrl.shape[1]))
 

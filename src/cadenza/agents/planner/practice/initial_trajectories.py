@@ -157,7 +157,7 @@ class InitialTrajectories:
         self._spliced = self._as_played()
 
     def _begin(self, planned: PlannedVariant) -> None:
-        """Go over to a variant of which nothing has been played."""
+        """Go over to a variant that has not been played yet."""
         self._planned, self._trajectory = planned, Trajectory.unplayed(planned.plan)
         self.num_played = 0
         self._snapshots = {0: planned.scene.at_start()}

@@ -218,9 +218,9 @@ def spliced(
 
 
 def better_windows(loss: Array, other: Array, excluded: Mask, window: int) -> Mask:
-    """(T, H) the windows of each hand, of so many steps, in which an `other` loss (T, H) is lower.
+    """(T, H) the windows of each hand in which an `other` loss (T, H) is lower.
 
-    Windows with steps that are `excluded` (T, H) are not among them.
+    A window is a number of steps. Those with steps that are `excluded` (T, H) are not among them.
     """
     begins = np.arange(0, len(loss), window)
     own, others = (np.add.reduceat(each, begins) for each in (loss, other))

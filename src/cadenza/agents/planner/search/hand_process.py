@@ -2,7 +2,7 @@
 
 `python -m cadenza.agents.planner.search.hand_process` is that process. It receives pickled calls of
 the methods of a `RestartingSearch` on stdin, and answers on stdout. It finds a few windows ahead
-of those that are asked for. The result is the same to the bit as in this process.
+of what is asked for. The result is the same to the bit as in this process.
 """
 
 import os

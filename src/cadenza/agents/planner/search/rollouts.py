@@ -137,7 +137,7 @@ def roll_out(
 
 
 def _evaluate(rollout: Rollout, horizon: Cost[Keys], cost_steps: int) -> None:
-    """Add what the last steps of a rollout cost, of which the first `cost_steps` count."""
+    """Add what the last steps of a rollout cost, as far as they are among its `cost_steps`."""
     first = len(rollout.totals)
     if first == len(rollout.key_paths):
         return

@@ -123,7 +123,7 @@ class RestartingSearch:
         return [step.played for step in branch.steps[: self._window]]
 
     def _play(self, played: Sequence[SimulatedStep], limit: float) -> _Branch | None:
-        """Play two windows, of which the first may have been `played`; None if it costs `limit`."""
+        """Play two windows; some of the first may have been `played`. None if they cost `limit`."""
         horizon = self.search.cost(self._start, 2 * self._window)
         steps, middle = list(played), self._middle
         keys, cost, wrong_notes = horizon.start, 0.0, 0

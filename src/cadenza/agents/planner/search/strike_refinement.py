@@ -65,7 +65,7 @@ class StrikeRefinement:
         """Finds the cheapest controls with no more mistakes than `ctrl` (H, A), and their rollout.
 
         `jacobian` gives derivatives (S, F, 3, A) of fingertips by servos at joints (S, J), and
-        `roll_out` simulates controls (H, A), in so many `iterations` at most.
+        `roll_out` simulates controls (H, A), at most `iterations` times.
         """
         if not len(strikes):
             return Refined(ctrl, rollout, 0)

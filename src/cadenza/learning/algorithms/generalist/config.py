@@ -26,7 +26,7 @@ class _RunConfig:
     checkpoint_interval: float = 60.0
     """Time between checkpoints [s]."""
     seed: int = 0
-    """Random seed, also of which songs are drawn."""
+    """Random seed, also for the songs that are drawn."""
 
     def check(self) -> None:
         """Check the options; raises a CadenzaError if one makes no sense."""

@@ -292,7 +292,7 @@ _MAX = 100_000  # notes or bars, with repeats
 class Passage:
     """A bar, by its index, as it is played on a pass through its section.
 
-    It is `later` by so many quarters than on the sheet, and `jumps` is whether the bar before it on
+    It is `later` quarters later than on the sheet, and `jumps` is whether the bar before it on
     the sheet is not the one that was played before. Where it `is_fine`, the music ends in it.
     """
 

@@ -30,8 +30,8 @@ _MAX_DOTS = 4
 class Placed(NamedTuple):
     """An element of a measure, counted from 0, and the quarter of the sheet where it begins.
 
-    A quarter has so many `divisions` there. Notes have a voice, others that of the note before. The
-    first element of each measure is itself.
+    `divisions` make a quarter there. Notes have a voice, others that of the note before. The first
+    element of each measure is itself.
     """
 
     measure: int

@@ -18,7 +18,7 @@ MAX_XML_BYTES = 16 * 2**20
 # A long sonata has a tenth of these.
 MAX_PARTS = 800_000  # elements and attributes
 MAX_NOTES = 40_000
-DEEPEST = 64  # elements within each other; MusicXML has a dozen
+MAX_DEPTH = 64  # elements within each other; MusicXML has a dozen
 _CONTENTS = "META-INF/container.xml"
 _MAX_CONTENTS = 2**16  # bytes
 _ENDINGS = (".xml", ".musicxml")
@@ -109,8 +109,8 @@ class _Tree:
             raise CadenzaError(f"over {MAX_PARTS} elements and attributes, too large for a song")
         if self._notes > MAX_NOTES:
             raise CadenzaError(f"over {MAX_NOTES} notes, too large for a song")
-        if len(self._open) == DEEPEST:
-            raise CadenzaError(f"over {DEEPEST} elements within each other, which no music has")
+        if len(self._open) == MAX_DEPTH:
+            raise CadenzaError(f"over {MAX_DEPTH} elements within each other, which no music has")
         self._open.append(name)
         plain = {n: v for n, v in attributes.items() if n != "xmlns" and ":" not in n}
         self._tree.start(name, plain)
