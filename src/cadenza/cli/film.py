@@ -15,7 +15,7 @@ class Film:
     Example: cadenza film played/OdeToJoy/planner --size 1080 1920 --seconds 20
 
     The film is the page of the performance, drawn by Chrome, Chromium or Edge: 60 pictures a
-    second with a graphics card, 30 without, which takes about a second for each at full size.
+    second with a graphics card, 30 without, each of which then takes seconds to draw.
     """
 
     folder: tyro.conf.Positional[Path]

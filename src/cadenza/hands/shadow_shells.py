@@ -94,15 +94,15 @@ _WRIST = (
 )
 
 _FOREARM = (
-    # A sleeve with a flat end, and its edge
+    # A sleeve with a round end, and bands about it
     Shell(
         (
-            *ring(0.0380, 0.0150, 0.0060, -0.003, 0.0110),
+            *ring(0.0380, 0.0390, 0.0300, -0.003, 0.0110),
             *ring(0.0290, 0.1480, 0.0040, -0.008, 0.0090),
         ),
         SLEEVE,
     ),
-    Shell(ring(0.0400, 0.0130, 0.0030, -0.003, 0.0110), METAL),
+    Shell(ring(0.0386, 0.0420, 0.0034, -0.003, 0.0110), METAL),
     Shell(ring(0.0312, 0.1490, 0.0034, -0.008, 0.0090), TRIM),
     Shell(
         (

@@ -28,7 +28,7 @@ _MARGIN = 400  # about the systems of a document and between them, in tenths of 
 # Verovio keeps a finger's number clear of what is above and below its own width, which is less than
 # that of a note's head: so it is told of wider ones, that stems beside them are kept clear of, too.
 _WIDE_FINGERS, _FINGERS = 0.95, 0.75  # parts of the size of other texts: as told, and as drawn
-_DRAWN = {"fing": _FINGERS / _WIDE_FINGERS, "tempo": 0.85}  # parts of the room that they are given
+_DRAWN = {"fing": _FINGERS / _WIDE_FINGERS, "tempo": 0.7}  # parts of the room that they are given
 _OPTIONS = {
     "pageWidth": _WIDTH,
     "pageHeight": _MAX_PAGE_LENGTH,
@@ -41,6 +41,7 @@ _OPTIONS = {
     "smuflTextFont": "none",
     "font": _MUSIC_FONT,
     "fingeringScale": _WIDE_FINGERS,
+    "minLastJustification": 0.4,  # of the width, from which on the last system is stretched to it
     **{f"pageMargin{side}": 0 for side in ("Top", "Bottom", "Left", "Right")},
 }
 _SVG = "{http://www.w3.org/2000/svg}"

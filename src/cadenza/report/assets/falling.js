@@ -14,7 +14,7 @@ const STROKES = [
   [[0.75, -0.5, 0.5, true], [0.5, 0.5, 1, true], [0.5, 0, 1]],
   [[1, 0, 1], [0.75, -0.5, 0.5, true], [0.5, 0, 1], [0.25, 0.5, 0.5, true], [0, 0, 1]],
 ];
-const NUMBER = { high: 0.0075, wide: 0.0042, stroke: 0.0011, edge: 0.0018 }; // [m]
+const NUMBER = { high: 0.0105, wide: 0.0055, stroke: 0.0015, edge: 0.002 }; // [m]
 
 /** Gives notes the finger [hand, number] that is to play them. */
 function addFingers(goal, { fingers = [], dt }) {

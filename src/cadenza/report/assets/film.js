@@ -4,8 +4,8 @@ const FILM_RATE = 60, SLOW_RATE = 30; // pictures a second; without a graphics c
 const BITS_PER_PIXEL = 0.1; // of a picture; 12 Mbit/s at 1080p
 const SOUND_BITS = 160_000, SOUND_RATE = 48_000; // a second; [Hz]
 const GROUP = 2; // [s] between two pictures that stand alone, to which players can jump
-const TITLE = { seconds: 4, fade: 0.6, size: 0.05, halo: 0.2 }; // [s]; of the shorter side; of the size, around letters over anything
-const MARGIN_OF_SCORE = 0.02; // of its width, on either side
+const TITLE = { seconds: 4, fade: 0.6, size: 0.045 }; // [s]; of the shorter side
+const MARGIN_OF_SCORE = 0.02, BRACE = 400; // of its width, on either side; what is before a system, in units of a drawing
 const LEAST_STAFF = 0.045; // of the shorter side; a system that is then wider than the film moves along with the cursor
 const SCORE_STYLES = "text{font-family:Times,serif}.number,.mark{font-style:italic}.tempo,.fing{font-weight:bold}";
 
@@ -18,12 +18,18 @@ function drawSky(context, width, height) {
   context.resetTransform();
 }
 
-/** The title as the film begins; smaller where it is too long. */
+/** The title as the film begins, on glass as the page's labels; smaller where it is too long. */
 function drawTitle(context, time, width, height) {
-  const size = TITLE.size * Math.min(width, height), globalAlpha = Math.min(Math.max((TITLE.seconds - time) / TITLE.fade, 0), 1);
-  Object.assign(context, { globalAlpha, fillStyle: css("--ink"), strokeStyle: css("--sky-light"), lineWidth: TITLE.halo * size, lineJoin: "round", textBaseline: "top" });
+  const size = TITLE.size * Math.min(width, height), title = document.querySelector("h1").textContent;
+  Object.assign(context, { globalAlpha: Math.min(Math.max((TITLE.seconds - time) / TITLE.fade, 0), 1), textBaseline: "middle" });
   context.font = `700 ${size}px ${getComputedStyle(document.body).fontFamily}`;
-  for (const draw of ["strokeText", "fillText"]) context[draw](document.querySelector("h1").textContent, size, size, width - 2 * size);
+  const wide = Math.min(context.measureText(title).width, width - 4 * size);
+  context.fillStyle = css("--glass");
+  context.beginPath();
+  context.roundRect(size, size, wide + 1.6 * size, 2 * size, 0.5 * size);
+  context.fill();
+  context.fillStyle = css("--ink");
+  context.fillText(title, 1.8 * size, 2.05 * size, wide);
   context.globalAlpha = 1;
 }
 
@@ -32,12 +38,12 @@ function createScoreBand(engraving, data, width, filmHeight) {
   const element = make("div"), systems = drawSystems(element, engraving), notes = drawnNotes(element, engraving, data.lowest), ink = css("--ink");
   placeAnchors(systems, notes);
   const longest = longestOf(notes), margin = MARGIN_OF_SCORE * width, room = width - 2 * margin;
-  const scale = Math.max(room / Math.max(...systems.map((each) => each.width)), (LEAST_STAFF * Math.min(width, filmHeight)) / STAFF);
+  const scale = Math.max(room / (BRACE + Math.max(...systems.map((each) => each.width))), (LEAST_STAFF * Math.min(width, filmHeight)) / STAFF);
   const height = 2 * Math.ceil((scale * Math.max(...systems.map((each) => each.height)) + margin) / 2), image = new Image();
   let shown = null;
   async function turnTo(system) {
     const { width: wide, height: high } = shown = system, { svg } = engraving.systems[systems.indexOf(system)];
-    const size = `width="${scale * wide}" height="${scale * high}" viewBox="0 0 ${wide} ${high}"`;
+    const size = `width="${scale * (BRACE + wide)}" height="${scale * high}" viewBox="${-BRACE} 0 ${BRACE + wide} ${high}"`;
     const text = `<svg xmlns="http://www.w3.org/2000/svg" ${size} fill="${ink}" stroke="${ink}" stroke-width="0"><style>${SCORE_STYLES}</style><defs>${engraving.glyphs}</defs>${svg}</svg>`;
     image.src = `data:image/svg+xml,${encodeURIComponent(text)}`;
     await image.decode();
@@ -49,7 +55,8 @@ function createScoreBand(engraving, data, width, filmHeight) {
       if (next !== shown) await turnTo(next);
       context.fillStyle = css("--card");
       context.fillRect(0, top, width, height);
-      const cursor = scale * placeAt(next.anchors, time), left = margin - Math.max(Math.min(cursor - BEFORE_THE_CURSOR * width, scale * next.width - room), 0);
+      const before = scale * BRACE, cursor = scale * placeAt(next.anchors, time);
+      const left = margin + before - Math.max(Math.min(cursor - BEFORE_THE_CURSOR * width, before + scale * next.width - room), 0);
       const { row } = rowAt(time, data.dt, data.steps), y = top + (height - scale * next.height) / 2;
       within(notes, longest, time, time + 1e-6, ({ key, parts }) => {
         context.fillStyle = `${css(data.states[row * data.keys + key] === HIT ? "--hit" : "--missed")}70`;
@@ -59,7 +66,7 @@ function createScoreBand(engraving, data, width, filmHeight) {
           context.fill();
         }
       });
-      context.drawImage(image, left, y);
+      context.drawImage(image, left - before, y);
       context.fillStyle = css("--accent");
       context.fillRect(left + cursor - 1, y, 2, scale * next.height);
     },
@@ -70,14 +77,15 @@ function createScoreBand(engraving, data, width, filmHeight) {
  * A film that is to be drawn: `draw(time)` draws what is to be seen at a time [s] of it on `canvas`.
  *
  * Of what is asked for: its size [px], a `camera`, the `score` below, from `start` to `end` [s]
- * of the performance, and whether it is `silent`.
+ * of the performance, whether it is `silent`, and whether it is drawn as it plays (`live`): flat
+ * without a graphics card, to keep up.
  */
-async function createFilm(data, engraving, { width, height, camera, falling = true, score, start = 0, end = Infinity, silent }) {
+async function createFilm(data, engraving, { width, height, camera, falling = true, score, start = 0, end = Infinity, silent, live }) {
   const stage = createStage(make("canvas", [], { className: "view" }), data, VERDICTS.map((name) => css("--" + name)));
   const canvas = make("canvas", [], { width, height }), context = canvas.getContext("2d", { alpha: false });
   const band = score && engraving ? createScoreBand(engraving, data, width, height) : null, tall = height - (band?.height ?? 0);
   const rate = stage.byCard ? FILM_RATE : SLOW_RATE, length = data.steps * data.dt;
-  stage.setFlat(false);
+  stage.setFlat(live && !stage.byCard);
   stage.fit(width, tall);
   stage.move(start);
   stage.showNotes(falling);
@@ -151,14 +159,13 @@ async function recordFilm({ canvas, rate, count, sound, bitrate, draw }, progres
   await clock.resume();
   recorder.start();
   source.start();
-  const began = clock.currentTime, done = () => Math.min(Math.round((clock.currentTime - began) * rate), count);
-  let isMaking, at;
-  do {
-    at = done();
+  const began = clock.currentTime;
+  let isMaking = true;
+  for (let at = 0; at < count && isMaking; at = Math.round((clock.currentTime - began) * rate)) {
     isMaking = progress(at, count);
     await draw(at / rate);
     await new Promise((resolve) => setTimeout(resolve, 1000 / rate));
-  } while (isMaking && at < count);
+  }
   recorder.stop();
   await stopped;
   await clock.close();
@@ -187,7 +194,7 @@ function offerFilm(data, engraving) {
     began = performance.now();
     show(true);
     try {
-      film = await createFilm(data, engraving, { width, height, camera: $("film-camera").value, falling: $("film-falling").checked, score: $("film-score")?.checked });
+      film = await createFilm(data, engraving, { width, height, camera: $("film-camera").value, falling: $("film-falling").checked, score: $("film-score")?.checked, live: encode === recordFilm });
       const file = await encode(film, progress);
       if (!file) return say("Stopped.");
       const download = `${document.querySelector("h1").textContent}.${file.type.slice("video/".length)}`;
