@@ -17,7 +17,7 @@ SONGS = {
     *("OdeToJoy", "FurEliseOpening", "MinuetInG", "CMajorChordProgressionTwoHands"),
     *("CMajorScaleOneHand", "etudes/notes-6-0", "benchmark/band-1007"),
 }
-PLAYS = "play", "plan", "practice", "arrange"
+PLAYS = "play", "plan", "practice", "arrange", "train"
 COMMANDS = (ROOT / "docs" / "command-line.md").read_text()
 
 

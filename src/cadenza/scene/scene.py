@@ -145,8 +145,15 @@ class HandAlone(NamedTuple):
 @lru_cache(maxsize=8)  # shared by all that play a plan, as it takes long to build
 def hand_alone(scene: Scene, side: Side) -> HandAlone:
     """The hand on one side in a scene of its own, which must not be changed."""
-    alone = build_scene(replace(scene.config, hands=side))
+    config = replace(scene.config, hands=side)
+    alone = _described(config, hand_named(config.hand), keyboard_named(config.keyboard))
     return HandAlone(alone, scene.servos_on(side), scene.joints_on(side))
+
+
+@lru_cache(maxsize=8)  # scenes of one song after another
+def _described(config: SceneConfig, hand: Hand, keyboard: Keyboard) -> Scene:
+    """The scene of `config`, whose `hand` and `keyboard` are what its names mean now."""
+    return build_scene(config)
 
 
 def in_steps_of(scene: Scene, seconds: float) -> Scene:
@@ -159,7 +166,8 @@ def in_steps_of(scene: Scene, seconds: float) -> Scene:
 Part = tuple[str, int]  # a geom of a hand: the name of its body, and its index in that body
 
 
-def colliding_parts(scene: Scene) -> set[Part]:
+@lru_cache(maxsize=8)  # it takes long
+def colliding_parts(scene: Scene) -> frozenset[Part]:
     """The parts of the hands that collide with each other in any of many random postures."""
     model = scene.model
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
@@ -173,7 +181,7 @@ def colliding_parts(scene: Scene) -> set[Part]:
         for geoms in data.contact.geom[np.isin(bodies, scene.hand_bodies).all(axis=1)]:
             for geom, body in zip(geoms, model.geom_bodyid[geoms], strict=True):
                 parts.add((model.body(body).name, int(geom - model.body_geomadr[body])))
-    return parts
+    return frozenset(parts)
 
 
 def reduced_model(
