@@ -37,6 +37,17 @@ def user_and_machine(tmp_path_factory):
         yield
 
 
+@pytest.fixture(autouse=True, scope="session")
+def engraves_here():
+    """Pages engrave their scores in this process: to start another takes longer than to engrave."""
+    from cadenza.report.engraving import engraving_of
+
+    with pytest.MonkeyPatch.context() as patch:
+        name = "cadenza.report.performance_page.engraving_within"
+        patch.setattr(name, lambda _, score: engraving_of(score))
+        yield
+
+
 LONGEST = (  # files that take tens of seconds, the longest first
     "test_practice.py",
     "test_readme.py",

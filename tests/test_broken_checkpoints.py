@@ -82,7 +82,7 @@ def change(rng: np.random.Generator, run: Path) -> None:
             chunk.write_bytes(mutations.other_bytes(rng, chunk.read_bytes()))
 
 
-@pytest.mark.parametrize("number", [6, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [3, pytest.param(200, marks=pytest.mark.slow)])
 def test_goes_on_or_says_what_is_wrong(number, begun, tmp_path):
     for seed in range(number):
         run = tmp_path / str(seed)

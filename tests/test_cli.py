@@ -510,7 +510,6 @@ def told_to_run(out: str) -> list[str]:
 @pytest.mark.parametrize(
     "options",
     [
-        [],
         ["--stretch", "1.3", "--hands", "right", "--no-reduced-action-space"],
         ["--random-pitch-shift", "5", "--seed", "3", "--physics", "fast"],
     ],
@@ -771,7 +770,7 @@ def without_graphics(backend: str, folder: Path, code: str, *arguments: object) 
     [
         ("bogus", "install EGL or OSMesa, or unset MUJOCO_GL"),
         ("egl", "install EGL, or unset MUJOCO_GL"),
-        ("osmesa", "install OSMesa, or unset MUJOCO_GL"),
+        pytest.param("osmesa", "install OSMesa, or unset MUJOCO_GL", marks=pytest.mark.slow),
         ("off", "disabled by MUJOCO_GL=off"),
     ],
 )

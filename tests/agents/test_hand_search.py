@@ -136,7 +136,7 @@ def test_hopeless_music_is_searched_within_bounds(monkeypatch):
             yield state
 
     monkeypatch.setattr(hand_search.HandRollouts, "run", counted)
-    leaps = PianoTask([melody(*[40, 90] * 4, length=0.1)], BUFFER, SceneConfig(hands="right"))
+    leaps = PianoTask([melody(*[40, 90] * 2, length=0.1)], BUFFER, SceneConfig(hands="right"))
     agent = Planner(PlannerConfig(num_candidates=8, iterations=5))
     steps = play_episode(leaps, agent).metrics["steps"]
     share = sum(simulated) / steps / (5 * 8 * HORIZON)

@@ -72,7 +72,7 @@ def test_the_pedal_follows_the_score():
 
 
 def test_same_bits_for_any_number_of_threads_and_of_environments():
-    score = Score((Note(0.0, 0.15, 60), Note(0.15, 1.3, 84)))  # too far, so that it samples
+    score = Score((Note(0.0, 0.15, 60), Note(0.15, 0.7, 84)))  # too far, so that it samples
     agent = Planner()
     agent.num_threads = 1
     scene = build_scene(SceneConfig(hands="right"))

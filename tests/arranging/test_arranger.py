@@ -36,6 +36,11 @@ def song(request):
     return str(request.param)
 
 
+@pytest.fixture(scope="module")
+def arranged(song, arranger):
+    return arranger.arrange(load_score(song))
+
+
 def share_found(wanted: tuple[Note, ...], score: Score, octaves: bool = False) -> float:
     """The share of notes of which one begins within 0.06 s in the score."""
     pitches = 12 if octaves else 128
@@ -47,8 +52,7 @@ def share_found(wanted: tuple[Note, ...], score: Score, octaves: bool = False) -
     return float(np.mean(found))
 
 
-def test_melody_and_bass_stay(song, arranger):
-    arranged = arranger.arrange(load_score(song))
+def test_melody_and_bass_stay(song, arranged):
     melody, bass = dict(bands())[song]
     assert share_found(melody, arranged.score) > 0.97
     assert share_found(bass, arranged.score, octaves=True) > 0.97
@@ -56,10 +60,9 @@ def test_melody_and_bass_stay(song, arranger):
     assert arranged.fidelity.pitch_classes_kept > 0.8
 
 
-def test_the_hands_can_play_all_of_it(song, arranger, scene):
-    arranged = arranger.arrange(load_score(song)).score
-    assert len(arranged.notes) < len(load_score(song).notes)
-    _, dropped = find_fingering(arranged, players_of(scene))
+def test_the_hands_can_play_all_of_it(song, arranged, scene):
+    assert len(arranged.score.notes) < len(load_score(song).notes)
+    _, dropped = find_fingering(arranged.score, players_of(scene))
     assert not dropped
 
 
@@ -92,8 +95,7 @@ def test_an_empty_score_stays_empty(arranger):
     assert not arranger.arrange(Score(())).score.notes
 
 
-def test_each_note_has_its_fate(song, arranger):
-    arranged = arranger.arrange(load_score(song))
+def test_each_note_has_its_fate(song, arranged):
     played = sorted(note.pitch for note in arranged.score.notes)
     assert sorted(fate.played for fate in arranged.fates if fate.played is not None) == played
     written = {(note.start, note.pitch) for note in load_score(song).notes}

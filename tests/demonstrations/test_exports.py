@@ -213,17 +213,26 @@ def test_lerobot_files_hold_what_was_recorded(made, tmp_path, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def shown(made):
+def short(tmp_path_factory):
+    """Two episodes of a note: pictures take long."""
+    folder = tmp_path_factory.mktemp("short") / "made"
+    write_midi(Score((Note(0.0, 0.2, 60),)), folder.parent / "made-songs" / "song.mid")
+    collected(folder, Variation(noise=0.2, mirror=False), episodes=2)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def shown(short):
     """What its camera sees of each episode."""
-    return [pictures_of(open_dataset(made), number) for number in range(2)]
+    return [pictures_of(open_dataset(short), number) for number in range(2)]
 
 
-def test_lerobot_files_hold_what_cameras_see(made, shown, tmp_path, monkeypatch):
-    export = ["dataset", "export", str(made), "--format", "lerobot", "--video-size", "64", "48"]
+def test_lerobot_files_hold_what_cameras_see(short, shown, tmp_path, monkeypatch):
+    export = ["dataset", "export", str(short), "--format", "lerobot", "--video-size", "64", "48"]
     main([*export, "--video-cameras", "player", "left", "-o", str(tmp_path / "one")])
     monkeypatch.setattr(lerobot_export, "FILE_BYTES", 0)
     main([*export, "--video-cameras", "player", "-o", str(tmp_path / "several")])
-    dataset = open_dataset(made)
+    dataset = open_dataset(short)
     shown = np.concatenate(shown)
     for folder, sides in ((tmp_path / "one", {"left"}), (tmp_path / "several", set[str]())):
         info = json.loads((folder / "meta/info.json").read_text())
@@ -246,8 +255,8 @@ def test_lerobot_files_hold_what_cameras_see(made, shown, tmp_path, monkeypatch)
     assert len(list((tmp_path / "several").rglob("*.mp4"))) == 2
 
 
-def test_minari_has_what_cameras_see(made, shown, tmp_path, monkeypatch):
-    export = ["dataset", "export", str(made), "--video-size", "64", "48", "--name", "seen"]
+def test_minari_has_what_cameras_see(short, shown, tmp_path, monkeypatch):
+    export = ["dataset", "export", str(short), "--video-size", "64", "48", "--name", "seen"]
     main([*export, "--video-cameras", "player", "left", "-o", str(tmp_path)])
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     for shown_of, episode in zip(

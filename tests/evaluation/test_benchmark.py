@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import mutations
+from cadenza.agents.planner.config import PlannerConfig
 from cadenza.cli import main
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.benchmark.definition import (
@@ -45,6 +46,7 @@ from cadenza.scene.scene import build_scene
 from refusals import refused
 
 MINE = "mine"
+QUICK = PlannerConfig(num_candidates=4, iterations=1)
 LEAP = 17  # semitones in a tenth of a second, which no hand plays without a fault
 PITCHES = {"low": 60, "high": 67}
 ABOUT = {"songs": MINE, "track": "planning", "about": "learnt from nothing", "by": "us"}
@@ -60,9 +62,10 @@ def import_songs(pitches: dict[str, int]) -> None:
             library.add(f"{name}.mid", score, {})
 
 
-def played(folder: Path, scene: SceneConfig = SCENE) -> Path:
+def played(folder: Path, scene: SceneConfig = SCENE, agent: str = "planner") -> Path:
     """A bench of the songs with two seeds, played in this process."""
-    contender = Contender("planner", TASK, scene)
+    config = QUICK if agent == "planner" else None
+    contender = Contender(agent, TASK, scene, config)
     jobs = bench_jobs(open_library(MINE), lambda _: [contender], [0, 1], Arrangement(), "none")
     for job in jobs:
         carry_out(job, folder / RUNS / job.spec.name, 1)
@@ -134,7 +137,15 @@ def test_a_key_that_is_easier_to_press_is_another_scene():
     assert scene_digest(scene) != frozen().scene
 
 
-@pytest.mark.parametrize("name", [name for name in PUBLIC_SETS if ":band" not in name])
+SLOW = "benchmark:etudes-train", "benchmark:band-train"  # others are of the same kinds
+
+
+def sets(kind: Callable[[str], bool]) -> list[Any]:
+    marks = {True: [pytest.mark.slow], False: []}
+    return [pytest.param(name, marks=marks[name in SLOW]) for name in PUBLIC_SETS if kind(name)]
+
+
+@pytest.mark.parametrize("name", sets(lambda name: ":band" not in name))
 def test_songs_have_the_notes_of_version_1(name):
     """Whoever changes a generator or a reader of files makes another benchmark."""
     for song in open_set(name).songs:
@@ -142,7 +153,7 @@ def test_songs_have_the_notes_of_version_1(name):
             assert song_digest(setup.task.tracks[0]) == frozen().songs[song.name], song.name
 
 
-@pytest.mark.parametrize("name", [name for name in PUBLIC_SETS if ":band" in name])
+@pytest.mark.parametrize("name", sets(lambda name: ":band" in name))
 def test_songs_for_a_band_are_arranged_as_in_version_1(name):
     """The shortest of each split; the slow test has all."""
     song = min(open_set(name).songs, key=lambda song: len(song.load().notes))
@@ -407,7 +418,7 @@ def test_runs_in_another_task_are_no_entry(bench, tmp_path, part, option, value,
 @pytest.mark.usefixtures("bench")
 def test_runs_that_hide_their_scene_are_found_out(tmp_path):
     published = json.loads(json.dumps(asdict(SCENE)))
-    fast = played(tmp_path / "fast", replace(SCENE, physics="fast"))
+    fast = played(tmp_path / "fast", replace(SCENE, physics="fast"), "random")
     hidden = rewritten(fast, tmp_path / "b", "*", lambda job: job.update(scene=published))
     with pytest.raises(CadenzaError, match="does not play as it was recorded"):
         enter(hidden, tmp_path / "entry", **ABOUT)

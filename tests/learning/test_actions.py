@@ -1,5 +1,6 @@
 """The performance that a residual policy corrects, against the planner, whose it is."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from cadenza.agents.agent import Agent
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
-from cadenza.learning.actions import ActionMapping, reference_of
+from cadenza.learning.actions import ActionMapping, Reference, reference_of
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.servos import servos_of
@@ -37,11 +38,18 @@ class Following(Agent):
         return self.mapping.ctrl(correction, view.steps, view.state, view.goal[:, 0, -1])
 
 
+@cache
+def reference(**options: Any) -> Reference:
+    """What the planner plays of the song; it takes long."""
+    scene = SceneConfig(hands=options.pop("hands", "both"))
+    return reference_of(PianoTask([SONG], TaskConfig(**BUFFER, **options), scene))
+
+
 def performance(agent: Any, score: Score = SONG, **options: Any) -> EpisodeResult:
+    if isinstance(agent, Following):
+        agent.reference = reference(**options)
     scene = SceneConfig(hands=options.pop("hands", "both"))
     task = PianoTask([score], TaskConfig(**BUFFER, **options), scene)
-    if isinstance(agent, Following):
-        agent.reference = reference_of(task)
     return play_episode(task, agent)
 
 
@@ -70,7 +78,7 @@ def test_it_begins_where_the_hands_do():
 def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal():
     task = PianoTask([SONG], TaskConfig(**BUFFER))
     task.reset([np.random.default_rng(0)], [0])
-    mapping = ActionMapping(task.spec, reference_of(task))
+    mapping = ActionMapping(task.spec, reference())
     plain, moved = (
         mapping.ctrl(
             np.full((1, task.spec.action_size), c, np.float32),
@@ -106,7 +114,7 @@ def test_the_pedal_is_as_written_unless_it_is_rewarded(rewarded):
 def test_the_actions_that_are_observed_are_what_is_done_but_for_corrections():
     played = performance(Following())
     task = PianoTask([SONG], TaskConfig(**BUFFER))
-    plan = task.spec.scale_action(ActionMapping(task.spec, reference_of(task)).reference)
+    plan = task.spec.scale_action(ActionMapping(task.spec, reference()).reference)
     done = played.episode.arrays["action"]
     assert plan.shape == done.shape
     size = task.spec.action_high - task.spec.action_low

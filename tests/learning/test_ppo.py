@@ -1,5 +1,6 @@
 """PPO: it learns, its runs go on to the bit, and both engines give it the same rollouts."""
 
+import functools
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -43,16 +44,24 @@ CONFIG = TrainingConfig(
     learner=TINY,
     task=TaskConfig(initial_buffer_time=0.1),
     scene=ONE_HAND,
-    num_steps=160,
+    num_steps=96,
     num_envs=2,
     learning_starts=0,
     train_freq=8,
     gradient_steps=3,
     song_range=True,
-    eval_interval=80,
+    eval_interval=48,
     log_interval=32,
 )
 SONGS = [melody(60, 64), melody(62, 67, pedal=True)]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_once():
+    """A learner keeps nothing of a run, and runs of this module may share it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(PPOConfig, "make", functools.cache(PPOConfig.make))
+        yield
 
 
 def train(config: TrainingConfig, songs: list[Score], folder: Path, *stops: int) -> RunFolder:
@@ -77,7 +86,7 @@ def figures(run: RunFolder) -> list[dict[str, Any]]:
 def test_a_run_that_is_resumed_ends_as_one_that_was_not(tmp_path, residual):
     config = replace(CONFIG, residual=residual, song_range=not residual)
     songs = SONGS[:1] if residual else SONGS
-    runs = [train(config, songs, tmp_path / "whole"), train(config, songs, tmp_path / "in", 3, 4)]
+    runs = [train(config, songs, tmp_path / "whole"), train(config, songs, tmp_path / "in", 2, 2)]
     whole, resumed = (load_policy(run.path / "last") for run in runs)
     for name, weights in whole.policy.state()[1].items():
         assert_array_equal(weights, resumed.policy.state()[1][name], err_msg=name)

@@ -248,13 +248,6 @@ def test_another_seed_is_another_run(runs, undisturbed):
 # Interrupted
 
 
-@pytest.mark.parametrize("way", ["in turn", "parallel"])
-def test_the_same_seed_gives_the_same_bits(way, runs, undisturbed):
-    again = runs()
-    train(WAYS[way], again)
-    assert_same_runs(again, undisturbed(way))
-
-
 @pytest.mark.parametrize(
     ("way", "stops"),
     [
@@ -271,7 +264,7 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(way, stops, runs, 
     assert_same_runs(stopped, undisturbed(way))
 
 
-@pytest.mark.parametrize("way", ["in turn", "parallel"])
+@pytest.mark.parametrize("way", [pytest.param("in turn", marks=pytest.mark.slow), "parallel"])
 def test_checkpoints_on_the_way_change_nothing(way, runs, undisturbed):
     """One after every round, the last of them right before the end's."""
     often = runs()

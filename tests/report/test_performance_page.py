@@ -10,6 +10,7 @@ from made_up_episode import make_episode
 
 from cadenza.episode import Episode
 from cadenza.music.score import Note, Score
+from cadenza.report.engraver import engraving_within
 from cadenza.report.html_pages import asset, write_page
 from cadenza.report.performance_page import performance_page
 
@@ -228,7 +229,9 @@ def test_colours_contrast_enough(scheme):
 
 
 def test_sheet_music_that_takes_too_long_is_left_out_and_told(monkeypatch):
-    monkeypatch.setattr("cadenza.report.performance_page._PATIENCE", 0.0)
+    page = "cadenza.report.performance_page"
+    monkeypatch.setattr(f"{page}._PATIENCE", 0.0)
+    monkeypatch.setattr(f"{page}.engraving_within", engraving_within)
     written = Score((Note(0.0, 1.0, 60),))
     page = "".join(performance_page(make_episode(), {}, {}, SILENCE, written=written))
     assert "no sheet music here: engraving took over 0 s" in page

@@ -32,8 +32,14 @@ def test_pictures_that_make_no_sense_are_refused(picture, problem):
         Picture(**picture)
 
 
-@pytest.mark.parametrize("view", VIEWS)
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(
+    ("view", "shape"),
+    [
+        pytest.param(view, shape, marks=[pytest.mark.slow] if (i + j) % 2 else [])
+        for i, view in enumerate(VIEWS)
+        for j, shape in enumerate(SHAPES)
+    ],
+)
 def test_piano_or_hands_fill_a_picture_of_any_shape(view, shape):
     scene = build_scene(SceneConfig(reduced_action_space=True))
     recorded = np.load(DATA / "episode_d.npz", allow_pickle=False)

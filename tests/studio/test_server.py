@@ -388,7 +388,13 @@ os.rename({told!r} + ".new", {told!r})
 """
 
 
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "end",
+    [
+        signal.SIGTERM,
+        *(pytest.param(n, marks=pytest.mark.slow) for n in (signal.SIGINT, signal.SIGHUP)),
+    ],
+)
 def test_the_token_is_in_no_list_of_processes(tmp_path, end):
     """A browser is opened by a file that only the user can read, and that is there for a while."""
     told, browser = tmp_path / "told", tmp_path / "browser"

@@ -111,17 +111,21 @@ def parse(kind: type[T], prog: str, words: Sequence[str], default: T | None = No
         args=["--help" if word == HELP_ALL else word for word in words],
         default=cast(Any, begun),
         config=SETTINGS,
-        registry=_registry(is_short_help="--help" in words or "-h" in words),
+        registry=_registry(
+            is_short_help=(asks := "--help" in words or "-h" in words),
+            is_help=asks or HELP_ALL in words,
+        ),
     )
 
 
-def _registry(is_short_help: bool = False) -> ConstructorRegistry:
+def _registry(is_short_help: bool = False, is_help: bool = True) -> ConstructorRegistry:
     """How tyro makes options of a dataclass: as it does, but for four things.
 
     Configurations of learning have a task, a scene and a learner, whose options are flat. The
     docstring of a field becomes a paragraph, as tyro does with that of a class. Where nothing is
     the default, the docstring says what that means, and help not that the default is None. Short
-    help has no options that are rarely set; tyro does not read what help does not list.
+    help has no options that are rarely set; tyro does not read what help does not list. What
+    stands above a group of options is left out where no help is asked for, as it takes long.
     """
     registry, asking = ConstructorRegistry(), False
 
@@ -136,6 +140,8 @@ def _registry(is_short_help: bool = False) -> ConstructorRegistry:
         hides = is_short_help and info.type in _RARELY_SET
         shown = () if info.type is DomainRandomization else _OFTEN_SET
         options = [_option(each, hides and each.name not in shown) for each in spec.fields]
+        if not is_help:
+            options = [replace(o, helptext="") if is_dataclass(o.default) else o for o in options]
         return replace(spec, fields=tuple(options))
 
     return registry

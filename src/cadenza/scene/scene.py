@@ -151,9 +151,9 @@ def hand_alone(scene: Scene, side: Side) -> HandAlone:
 
 
 @lru_cache(maxsize=8)  # scenes of one song after another
-def _described(config: SceneConfig, hand: Hand, keyboard: Keyboard) -> Scene:
+def _described(config: SceneConfig, hand: Hand, keyboard: Keyboard) -> Scene:  # noqa: ARG001
     """The scene of `config`, whose `hand` and `keyboard` are what its names mean now."""
-    return build_scene(config)
+    return build_scene(config, hand)
 
 
 def in_steps_of(scene: Scene, seconds: float) -> Scene:
