@@ -144,7 +144,7 @@ class _HandOnKeys:
     """
 
     def __init__(
-        self, scene: Scene, keys: range, parts: set[Part], whole: Scene, substeps: int
+        self, scene: Scene, keys: range, parts: frozenset[Part], whole: Scene, substeps: int
     ) -> None:
         self.model = reduced_model(scene, keys, parts, substeps)
         self._substeps = substeps
