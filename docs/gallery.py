@@ -36,7 +36,7 @@ from cadenza.sim.threads import available_cores
 LISTED = "gallery.json"
 PRACTISED = Path(__file__).with_name("practised")
 _PICTURE = Picture(480, 270, "close")
-_FILM, _FILMED = Look(960, 540), 8.0  # [s]; software draws a second of it in about ten
+_FILM = Look(960, 540, seconds=8.0)
 _PICTURED = 5.0  # [s] of music at which it is taken
 
 
@@ -141,7 +141,7 @@ def films(folder: Path) -> None:
         if isinstance(played, Practised) and not is_there:
             with TemporaryDirectory() as results:
                 played.play().save(results)
-                write_film(Path(results), film, _FILM, seconds=_FILMED)
+                write_film(Path(results), film, _FILM)
 
 
 def keep(folder: Path) -> None:

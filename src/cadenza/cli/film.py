@@ -42,6 +42,5 @@ def run(command: Film) -> None:
     from cadenza.performing.filming import Look
     from cadenza.report.sound_font import voice_of
 
-    look = Look(*command.size, command.camera, command.score)
-    voice = voice_of(command.sound_font)
-    film(command.folder, voice, command.output, look, command.start, command.seconds)
+    look = Look(*command.size, command.camera, command.score, command.start, command.seconds)
+    film(command.folder, voice_of(command.sound_font), command.output, look)

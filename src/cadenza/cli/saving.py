@@ -121,23 +121,12 @@ def save(
             print(f"no film: {error}", file=sys.stderr)
 
 
-def film(
-    folder: Path,
-    voice: Tone,
-    path: Path | None = None,
-    look: Look | None = None,
-    start: float = 0.0,
-    seconds: float | None = None,
-) -> None:
-    """Make the film of the performance in a folder as `write_film` does, with progress.
-
-    Raises:
-        CadenzaError: as `write_film` raises it.
-    """
+def film(folder: Path, voice: Tone, path: Path | None = None, look: Look | None = None) -> None:
+    """Make the film of the performance in a folder as `write_film` does, with progress."""
     from cadenza.performing.filming import write_film
 
     with stages("drawing") as progress:
-        written = write_film(folder, path, look, start, seconds, voice, progress)
+        written = write_film(folder, path, look, voice, progress)
     print(f"Written to {written}")
 
 

@@ -44,12 +44,17 @@ _POLICY = "default-src 'none';"
 
 @dataclass(frozen=True)
 class Look:
-    """What a film shows: its size [px], a camera of `VIEWS`, and the score below if `score`."""
+    """What a film shows: its size [px], a camera of `VIEWS`, and the score below if `score`.
+
+    It begins at `start` [s] of the performance, and lasts so many `seconds`, or to the end.
+    """
 
     width: int = 1920
     height: int = 1080
     camera: str = "player"
     score: bool = False
+    start: float = 0.0
+    seconds: float | None = None
 
     def __post_init__(self) -> None:
         """Check size and camera.
@@ -67,26 +72,10 @@ class Look:
             raise CadenzaError(f"no camera {quoted(self.camera)}: choose from {', '.join(VIEWS)}")
 
 
-def check_film(path: Path) -> None:
-    """Check the name of a film or a sound before it is made.
-
-    Raises CadenzaError if it has another ending, or is a folder.
-    """
-    if path.suffix.lower() not in (_ENDING, *CODECS):
-        raise CadenzaError(
-            f"{path}: a film is an {_ENDING}, and the sound alone a {', '.join(CODECS)} file; "
-            "choose a name with one of these endings"
-        )
-    if path.is_dir():
-        raise CadenzaError(f"{path}: is a folder; choose another name")
-
-
 def write_film(
     folder: Path,
     path: Path | None = None,
     look: Look | None = None,
-    start: float = 0.0,
-    seconds: float | None = None,
     voice: Tone = tone,
     progress: Progress = silent,
 ) -> Path:
@@ -97,38 +86,41 @@ def write_film(
 
     Args:
         folder: what `Performance.save` wrote.
-        path: the file; `FILM` in the folder if there is none. See `check_film`.
+        path: the file; `FILM` in the folder if there is none.
         look: what the film shows; `Look()` if there is none.
         start: where in the performance the film begins [s].
         seconds: its length, to the end of the performance if there is none.
         voice: what makes the notes, see `synthesize`.
         progress: is told how many pictures are drawn.
     """
-    path, page = path or folder / FILM, folder / "report.html"
-    check_film(path)
+    path, look, page = path or folder / FILM, look or Look(), folder / "report.html"
+    is_film = path.suffix.lower() == _ENDING
+    if path.is_dir() or not (is_film or path.suffix.lower() in CODECS):
+        raise CadenzaError(
+            f"{path}: a film is an {_ENDING}, and the sound alone a {', '.join(CODECS)} file; "
+            "choose a name with one of these endings"
+        )
     if not (page.is_file() and (folder / "episode.npz").is_file()):
         raise CadenzaError(
             f'{folder}: holds no performance (episode.npz); make one with "cadenza play SONG", and '
             "give the folder of its results, such as played/SONG/planner"
         )
     episode = load_episode(folder / "episode.npz")
-    length = episode.num_steps * episode.dt
-    end = length if seconds is None else min(start + seconds, length)
+    length, start = episode.num_steps * episode.dt, look.start
+    end = length if look.seconds is None else min(start + look.seconds, length)
     if not 0 <= start < end:
         raise CadenzaError(
             f"nothing to show from {start:g} s to {end:g} s: what was played lasts {length:.1f} s"
         )
-    is_film = path.suffix.lower() == _ENDING
     browser = find_browser() if is_film else ""
     whole = synthesize(played_in(episode), voice=voice)
-    last = None if seconds is None else round(end * SAMPLE_RATE)  # or it rings on
+    last = None if look.seconds is None else round(end * SAMPLE_RATE)  # or it rings on
     audio = whole[round(start * SAMPLE_RATE) : last]
     if not is_film:
         write_sound(path, audio, seconds=end - start)
         return path
-    asked = asdict(look or Look()) | {"start": start, "end": end, "silent": True}
-    drawn = _drawn(page.read_text("utf-8"), browser, asked, progress)
-    _add_sound(io.BytesIO(drawn), audio, path)
+    asked = asdict(look) | {"end": end, "silent": True}
+    _add_sound(_drawn(page.read_text("utf-8"), browser, asked, progress), audio, path)
     return path
 
 
@@ -146,7 +138,7 @@ def find_browser() -> str:
     return found
 
 
-def _drawn(page: str, browser: str, asked: dict[str, Any], progress: Progress) -> bytes:
+def _drawn(page: str, browser: str, asked: dict[str, Any], progress: Progress) -> IO[bytes]:
     """Return the film that is asked for, without sound, as a browser draws and sends it.
 
     Raises CadenzaError if the browser ends, sends nothing for five minutes, or cannot draw.
@@ -158,21 +150,18 @@ def _drawn(page: str, browser: str, asked: dict[str, Any], progress: Progress) -
         """Answers the page, and takes what it sends."""
 
         def do_GET(self) -> None:
-            known = self.path.startswith(f"/{token}/?")
-            self._answer(allowed.encode("utf-8", "replace") if known else None)
-
-        def do_POST(self) -> None:
-            body = self.rfile.read(int(self.headers.get("content-length", "0")))
             _, given, *words = self.path.split("/")
-            if given == token:
-                events.put((words, body))
-            self._answer(b"" if given == token else None)
-
-        def _answer(self, content: bytes | None) -> None:
-            self.send_response(404 if content is None else 200)
+            is_known, is_sent = given == token, self.command == "POST"
+            if is_known and is_sent:
+                events.put((words, self.rfile.read(int(self.headers["content-length"] or 0))))
+            self.send_response(200 if is_known else 404)
             self.send_header("content-type", "text/html; charset=utf-8")
             self.end_headers()
-            self.wfile.write(content or b"")
+            if is_known and not is_sent:
+                self.wfile.write(allowed.encode("utf-8", "replace"))
+
+        def do_POST(self) -> None:
+            self.do_GET()
 
         def log_message(self, *_: object) -> None:
             """Print nothing."""
@@ -198,7 +187,7 @@ def _drawn(page: str, browser: str, asked: dict[str, Any], progress: Progress) -
                 how = "has ended" if process.poll() is not None else "sends nothing"
                 raise CadenzaError(f"the browser that draws the film {how}") from None
             if kind == "film":
-                return body
+                return io.BytesIO(body)
             if kind == "error":
                 raise CadenzaError(f"the browser cannot draw the film: {body.decode()}")
             progress("drawing", *map(int, words))
