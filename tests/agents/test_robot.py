@@ -101,7 +101,7 @@ def test_servos_respond_as_in_simulation_and_controls_undo_it(late: float) -> No
             moved.append((simulation.state.hand_qpos[0] @ servos.of_joints - start)[thumb])
         assert_allclose(moved, response.to(one)[:, thumb], atol=0.006)
     wanted = response.to(one)
-    found = response.controls(np.zeros_like(one), wanted, 1e-6)
+    found = response.controls(np.zeros_like(one), wanted, 1e-6 * same)
     assert_allclose(response.to(found), wanted, atol=1e-3)
 
 
@@ -111,7 +111,7 @@ def test_slow_servos_begin_earlier() -> None:
     slow = ServoResponse(servos, DT, Response(0.0, same, 0.02 * same))
     wanted = np.zeros((60, len(same)))
     wanted[30:] = 0.2
-    controls = slow.controls(np.zeros_like(wanted), wanted, 0.01)
+    controls = slow.controls(np.zeros_like(wanted), wanted, 0.01 * same)
     assert abs(np.diff(controls, axis=0, prepend=0.0)).max() <= 0.02 + 1e-9
     at_once = slow.limited(wanted)
     error, late = (np.square(slow.to(each) - wanted).sum(axis=0) for each in (controls, at_once))
@@ -125,7 +125,7 @@ def test_it_is_found_how_late_and_slow_servos_are() -> None:
     true = Response(0.065, rng.choice([0.6, 1.0, 1.7], len(same)), 0.085 * same)
     response = ServoResponse(servos, DT, true)
     moved = response.to(response.limited(sent)) + 0.001 * rng.standard_normal(sent.shape)
-    found = identified(servos, DT, sent, moved, 0.1 * same)
+    found = identified(servos, DT, [(sent, moved)], 0.1 * same)
     assert found.late == pytest.approx(true.late, abs=0.011)
     assert_allclose(found.fastest, true.fastest)
 
@@ -143,6 +143,15 @@ def test_keys_that_sound_tell_where_a_hand_is(right: float) -> None:
         places.strike(0, key, tip, np.array([]), white[away < wide])
     assert places.right[0] == pytest.approx(right, abs=0.002)
     assert places.right[1] == pytest.approx(0.0, abs=1e-6)  # it has struck nothing
+
+
+def test_keys_that_are_held_tell_how_high_a_hand_is() -> None:
+    places = HandPlaces(build_scene().keyboard, 2, usual=0.006)
+    places.hold(0, 0.004)
+    assert 0.001 < places.up[0] < 0.002  # one may be caught elsewhere
+    for lower in (0.0038, 0.0042, 0.02, 0.004, 0.0041):
+        places.hold(0, lower)
+    assert places.up == pytest.approx([0.003, 0.0], abs=0.001)
 
 
 def test_the_command_keeps_what_was_played(

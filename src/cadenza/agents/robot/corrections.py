@@ -28,7 +28,6 @@ _DEEPER = 0.0015  # of a key that is lost
 _BESIDE = 0.0015  # of a finger that brushes the next key
 _RAISE = 0.003  # of an idle finger that sounds a key
 _LIFT = (-0.002, 0.003)  # at the end of a press
-_HAND = 1 / 3  # of how far the keyboard may be off: of a whole hand, downwards
 _STRIKE = np.array([0.004, 0.008])
 _MOST: dict[str, tuple[Any, Any]] = {
     "deeper": (-1.0, 2.0),
@@ -49,8 +48,6 @@ _END = 0.02  # [s] after the end of a press at which its key ceases to sound, so
 _LIFT_SPEED = 0.06  # [m/s] of the correction of lifts
 _LOST = 0.06  # [s] by which a note that is too short was lost, and not let go of
 _NEAR = 5  # control steps from a press in which its key sounds by its finger
-_HEARD = 0.5  # share of a press in which its key sounds, below which the key is lost
-_FEW = 0.1  # share of keys that are lost, which is no fault of the hand
 _BEFORE = 3  # control steps before a press in which its finger moves to where it is to strike
 _STRIKING = 4  # control steps after it begins, by which it is seen where its finger struck
 _OFF = 0.005  # [m] off that at most, it hits its key all the same
@@ -186,7 +183,9 @@ class NoteCorrections:
 
     def locate(self, notes: Sequence[Note], postures: Array) -> None:
         """Learn where hands strike from a play, heard while they were in `postures` (T + 1, A)."""
+        self._places.begin()
         tips = self._kinematics.points(postures)[:, :, TIP]
+        lower = (self._tips - tips)[:, :, 2]
         lowest = self._scene.keyboard.lowest_pitch
         due = np.array([self._due(press)[0] for press in self._presses])
         keys = np.array([press.key for press in self._presses])
@@ -195,6 +194,15 @@ class NoteCorrections:
             others = keys[(abs(due - time) < 2 * _MEANT) & (keys != press.key)]
             heard = np.array([n.pitch - lowest for n in notes if abs(n.start - time) < _MEANT])
             self._places.strike(row // self._fingers, press.key, tip, others, heard)
+            if down := self._down(press, notes):
+                self._places.hold(row // self._fingers, float(lower[down, row].mean()))
+
+    def _down(self, press: Press, notes: Sequence[Note]) -> list[int]:
+        """The states of a press, but for its first, in which its key has sounded for a step."""
+        pitch, dt = press.key + self._scene.keyboard.lowest_pitch, self._dt
+        own = [(note.start + dt, note.end + dt) for note in notes if note.pitch == pitch]
+        states = range(press.first + 1, press.last)
+        return [s for s in states if any(start < s * dt < end for start, end in own)]
 
     def corrected(
         self, corrections: PressCorrections, notes: Sequence[Note], postures: Array, share: float
@@ -203,23 +211,22 @@ class NoteCorrections:
         new, by_key = deepcopy(corrections), defaultdict[int, list[Note]](list)
         for note in notes:
             by_key[note.pitch - self._scene.keyboard.lowest_pitch].append(note)
-        meant, shares = self._meant(by_key), list[float]()
+        meant = self._meant(by_key)
         for i, (press, played) in enumerate(zip(self._presses, meant, strict=True)):
             if played is None:
                 self._correct_missed(new, i, by_key[press.key])
             else:
                 self._correct_strike(new, i, played)
                 self._correct_end(new, i, played)
-            shares.append(self._share(press, by_key[press.key]))
             long = press.last - press.first >= max(_LONG, _LATEST * (new.wait[i] + _STRIKING))
-            if long and shares[-1] < _SILENT:
+            if long and self._share(press, by_key[press.key]) < _SILENT:
                 new.wait[i] += _STRIKING
         tips = self._kinematics.points(postures)[:, :, TIP]
         short = self._short(corrections, tips)
         new.reach += _REACH * (short - short.clip(-_OFF, _OFF))
         others = [note for note in notes if not any(note is each for each in meant)]
         self._correct_others(new, others, tips)
-        self._correct_hands(new, np.array(shares))
+        new.hands[:, 1:] = -np.stack([self._places.right, self._places.up], axis=1)
         return corrections.towards(new, share, self._place)
 
     def _due(self, press: Press) -> tuple[float, float]:
@@ -317,12 +324,3 @@ class NoteCorrections:
             if (press.key == key or self._rows[i] == row)
             and press.first - near <= state <= press.last + near
         ]
-
-    def _correct_hands(self, new: PressCorrections, shares: Array) -> None:
-        """Move hands to where they strike their keys, and down if they lose keys."""
-        new.hands[:, 1] = -self._places.right
-        hand_of = np.array(self._rows, np.intp) // self._fingers
-        for hand in np.unique(hand_of):
-            missing = float(np.mean(shares[hand_of == hand] < _HEARD))
-            if missing > _FEW:
-                new.hands[hand, 2] -= _HAND * self._place * min(1.0, 3 * missing)

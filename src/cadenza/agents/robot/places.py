@@ -1,4 +1,4 @@
-"""Where the hands of a robot strike, by which keys they sound."""
+"""Where the hands of a robot strike, by which keys they sound, and where they hold them."""
 
 from __future__ import annotations
 
@@ -12,24 +12,44 @@ _AROUND = 4  # keys to either side of its own that a finger may sound
 _WIDTH = 0.004  # [m] from a key at which a finger sounds it in half of all cases
 _SOFT = 0.0015  # [m] within which that is uncertain
 _CHANCE = 0.05  # of a key to sound, or not, wherever the finger is
+_SHARE = 0.3  # of what strikes of a play say, as all fingers of a hand are off alike
+_UNSURE = 2  # presses at the nominal height that the measured heights are averaged with
 
 
 class HandPlaces:
-    """How far to the right of where they seem to be H hands strike, by all that was heard.
+    """How far to the right of, and above, where they seem to be H hands are, by all that was heard.
 
     A hand has one place in all plays. How likely each is, is multiplied strike by strike (Bayes).
+    The same strikes err in the same way in each play, so plays count as one.
     """
 
     def __init__(self, keyboard: Keyboard, hands: int, usual: float) -> None:
         """Begin with a normal distribution whose standard deviation is `usual` [m]."""
-        self._keyboard = keyboard
-        self._log_likely = np.tile(-np.square(_PLACES / usual) / 2, (hands, 1))
+        self._keyboard, self._plays = keyboard, 0
+        self._prior = -np.square(_PLACES / usual) / 2
+        self._log_likely = np.zeros((hands, len(_PLACES)))
+        self._heights: list[list[float]] = [[] for _ in range(hands)]
 
     @property
     def right(self) -> Array:
         """(H,) the means [m]."""
-        likely = np.exp(self._log_likely - self._log_likely.max(axis=1, keepdims=True))
+        log_likely = self._prior + _SHARE / max(self._plays, 1) * self._log_likely
+        likely = np.exp(log_likely - log_likely.max(axis=1, keepdims=True))
         return np.asarray(likely @ _PLACES / likely.sum(axis=1))
+
+    @property
+    def up(self) -> Array:
+        """(H,) the medians of what holds have told, nearer to 0 if they are few [m]."""
+        few = [len(each) / (len(each) + _UNSURE) for each in self._heights]
+        return np.array(few) * [np.median(each) if each else 0.0 for each in self._heights]
+
+    def begin(self) -> None:
+        """Begin with the next play."""
+        self._plays += 1
+
+    def hold(self, hand: int, lower: float) -> None:
+        """Learn from a key that sounds, so is down, while its finger seems so much `lower` [m]."""
+        self._heights[hand].append(lower)
 
     def strike(self, hand: int, key: int, tip: Array, others: Array, heard: Array) -> None:
         """Learn from a strike.

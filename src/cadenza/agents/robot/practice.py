@@ -19,15 +19,17 @@ from cadenza.agents.robot.servo_response import Response, ServoResponse, identif
 from cadenza.episode import Episode
 from cadenza.music.metrics import playing_metrics
 from cadenza.music.score import Note, Score
+from cadenza.scene.randomization import sliding
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import DomainRandomization
 
 _GAIN = 0.8  # share of the errors of joints that is corrected
 # Of squared changes of controls beside squared errors of joints, times the number of plays: the
-# later, the more of what is measured is noise.
-_COST = 0.1
+# later, the more of what is measured is noise, of which slides have little.
+_COST, _COST_OF_SLIDES = 0.1, 0.003
 _COST_OF_PLAN = 0.2  # the same before the first play
-_WORSE = 0.02  # below the best score, from which on practice goes back to it
+_WORSE = 0.15  # below the best score, from which on it is hardly chance, and practice goes back
+_RECENT = 4  # plays from which it is found how servos respond
 _LESS = 0.5  # share of corrections after a play that was worse
 
 
@@ -82,6 +84,8 @@ class RobotPractice:
         same = np.ones(planned.shape[1])
         self._nominal = self._responding(Response(0.0, same, np.inf * same))
         self._moved = self._nominal.to(planned)
+        slides = sliding(scene) @ self._servos.of_joints > 0
+        self._cost = np.where(slides, _COST_OF_SLIDES, _COST)
         sweep = sum(known.sweep_time) / 2
         fastest = (self._servos.high - self._servos.low) * self._dt / sweep if sweep else np.inf
         self.response = Response(sum(known.latency) / 2, same, fastest * same)
@@ -89,10 +93,11 @@ class RobotPractice:
         self._robot = self._responding(self.response)
         before = self._robot.limited(planned)
         change = self._moved - self._robot.to(before)
-        controls = self._robot.controls(before, change, _COST_OF_PLAN)
+        controls = self._robot.controls(before, change, _COST_OF_PLAN * same)
         self._learnt, self._share = _Learnt(self._notes.none(), controls), 1.0
         self.best: Take | None = None
         self._plays = 0
+        self._usual, self._tracked = fastest * same, list[tuple[Array, Array]]()
 
     def _responding(self, known: Response) -> ServoResponse:
         return ServoResponse(self._servos, self._dt, known)
@@ -113,8 +118,7 @@ class RobotPractice:
         take = Take(play.actions, f1, onsets, notes, measured, self._learnt)
         self._plays += 1
         self._notes.locate(notes, measured)
-        if self.best is None:
-            self._identify(take)
+        self._identify(take)
         if self.best is None or take.score >= self.best.score:
             self.best, self._share = take, 1.0
         learn_from = take
@@ -140,8 +144,10 @@ class RobotPractice:
     def _identify(self, take: Take) -> None:
         """Find how servos respond, by which response joints have moved so late and so slowly."""
         sent = take.actions[:, :-1] - self._postures[0]
-        moved = take.measured[1:] - self._postures[1:] + self._moved
-        found = identified(self._servos, self._dt, sent, moved, self.response.fastest)
+        self._tracked.append((sent, take.measured[1:] - self._postures[1:] + self._moved))
+        late = self.response.late + self.sensors_late if self.best else None
+        recent = self._tracked[-_RECENT:]
+        found = identified(self._servos, self._dt, recent, self._usual, late)
         self.sensors_late = min(self.sensors_late, found.late)
         self.response = found._replace(late=found.late - self.sensors_late)
         self._robot = self._responding(self.response)
@@ -161,4 +167,4 @@ class RobotPractice:
         error = wanted - (1 - late) * measured[1:] - late * after
         change = self._share * _GAIN * error + self._wanted(corrections) - wanted
         sent = take.actions[:, :-1] - self._postures[0]
-        return _Learnt(corrections, self._robot.controls(sent, change, _COST * self._plays))
+        return _Learnt(corrections, self._robot.controls(sent, change, self._cost * self._plays))

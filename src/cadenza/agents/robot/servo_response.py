@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -19,7 +20,7 @@ _PENALTY = 0.3  # of controls that a servo is too slow for, which decides how fa
 
 # Among what those of a robot are found: delays, and factors of the damping and the speed of servos.
 _DELAYS = np.arange(0.0, 0.15, 0.005)  # [s]
-_DAMPING = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
+_DAMPING = np.array([0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0])
 _SPEEDS = 0.75, 0.85, 1.0, 1.2, 1.5
 
 
@@ -64,10 +65,10 @@ class ServoResponse:
             now[:] = before + (now - before).clip(-self._fastest, self._fastest)
         return setpoints[1:]
 
-    def controls(self, before: Array, change: Array, cost: float) -> Array:
+    def controls(self, before: Array, change: Array, cost: Array) -> Array:
         """(T, A) controls near those `before` that change the response by `change` (T, A).
 
-        Squared errors are least together with squared changes of controls, which cost so much,
+        Squared errors are least together with squared changes of controls, which cost so much (A,),
         among controls that no servo is too slow for: norm-optimal iterative learning control with
         constraints (Chu & Owens 2010), of a song that ends in silence, by the alternating direction
         method of multipliers (Boyd et al. 2011).
@@ -77,7 +78,7 @@ class ServoResponse:
         for k, diagonal in enumerate(band):
             pairs = self._impulse[:, : size - k] * self._impulse[:, k:]
             diagonal[:, : steps - k] = pairs.sum(axis=1)[:, None]
-        band[0] += cost + 2 * _PENALTY
+        band[0] += np.reshape(cost, (-1, 1)) + 2 * _PENALTY
         band[0, :, -1] -= _PENALTY
         band[1, :, :-1] -= _PENALTY
         factors = cholesky_banded(band.reshape(len(band), -1), lower=True)
@@ -95,24 +96,30 @@ class ServoResponse:
         return self.limited(before + found.T)
 
 
-def identified(servos: Servos, dt: float, sent: Array, moved: Array, usual: Array) -> Response:
-    """How servos respond that were `sent` controls (T, A) and have `moved` so (T, A).
+def identified(
+    servos: Servos,
+    dt: float,
+    plays: Sequence[tuple[Array, Array]],
+    usual: Array,
+    late: float | None = None,
+) -> Response:
+    """How servos respond that were sent controls (T, A) in `plays`, and have moved so (T, A).
 
-    The delay is the same for all, and contains that of sensors. `usual` (A,) is by how much
-    setpoints change at most in a control step, about.
+    The delay is the same for all, and contains that of sensors; `late` tells it if it is known [s].
+    `usual` (A,) is by how much setpoints change at most in a control step, about.
     """
 
     def errors(late: float, damping: float) -> Array:
         known = Response(late, np.full_like(usual, damping), usual)
         response = ServoResponse(servos, dt, known)
-        return np.array([np.square(moved - response.to(slow)).mean(axis=0) for slow in limited])
+        off = [[play[1] - response.to(c) for play, c in zip(plays, s, strict=True)] for s in slow]
+        return np.square(off).mean(axis=(1, 2))
 
     ones = np.ones_like(usual)
-    limited = [
-        ServoResponse(servos, dt, Response(0.0, ones, usual * speed)).limited(sent)
-        for speed in _SPEEDS
-    ]
-    late = min(_DELAYS, key=lambda late: errors(late, 1.0).min(axis=0).sum())
+    speeds = [ServoResponse(servos, dt, Response(0.0, ones, usual * s)) for s in _SPEEDS]
+    slow = [[each.limited(sent) for sent, _ in plays] for each in speeds]
+    if late is None:
+        late = min(_DELAYS, key=lambda late: errors(late, 1.0).min(axis=0).sum())
     # What is far from nominal has to explain more, as a hand that is caught looks slow, too.
     found = np.array([errors(late, d) * (1.0 + np.log(d) ** 2) for d in _DAMPING])
     best = found.reshape(-1, len(usual)).argmin(axis=0)
