@@ -313,6 +313,11 @@ def test_a_film_that_cannot_be_is_refused_in_a_line(tune, tmp_path, capsys, monk
         assert file.duration / 1e6 == pytest.approx(0.5, abs=0.001)
     monkeypatch.setenv("PATH", str(tmp_path))
     assert "apt install chromium" in refused_in_a_line(capsys, *film)
+    broken = tmp_path / "google-chrome"
+    broken.write_text("#!/bin/sh\nexit 1\n")
+    broken.chmod(0o755)
+    assert "cannot draw the film: it has ended" in refused_in_a_line(capsys, *film)  # at once
+    broken.unlink()
     main(["play", str(tune), "--agent", "zero", "--video", "-o", str(tmp_path / "again")])
     assert capsys.readouterr().err.startswith("no film: ")  # what was played is there all the same
 

@@ -88,8 +88,6 @@ def write_film(
         folder: what `Performance.save` wrote.
         path: the file; `FILM` in the folder if there is none.
         look: what the film shows; `Look()` if there is none.
-        start: where in the performance the film begins [s].
-        seconds: its length, to the end of the performance if there is none.
         voice: what makes the notes, see `synthesize`.
         progress: is told how many pictures are drawn.
     """
@@ -178,14 +176,20 @@ def _drawn(page: str, browser: str, asked: dict[str, Any], progress: Progress) -
             flags.append("--no-sandbox")  # it refuses to run as root otherwise; the page is our own
         address = f"http://127.0.0.1:{server.server_port}/{token}/?film={quote(json.dumps(asked))}"
         process = subprocess.Popen([browser, *flags, address], stdout=DEVNULL, stderr=DEVNULL)
-        ends.callback(process.wait)
+
+        def watch() -> None:
+            process.wait()
+            events.put((["error"], b"it has ended"))
+
+        watching = threading.Thread(target=watch)
+        watching.start()
+        ends.callback(watching.join)
         ends.callback(process.terminate)
         while True:
             try:
                 (kind, *words), body = events.get(timeout=_PATIENCE)
             except queue.Empty:
-                how = "has ended" if process.poll() is not None else "sends nothing"
-                raise CadenzaError(f"the browser that draws the film {how}") from None
+                raise CadenzaError("the browser that draws the film sends nothing") from None
             if kind == "film":
                 return io.BytesIO(body)
             if kind == "error":
