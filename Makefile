@@ -61,7 +61,15 @@ SMOKE := api configs registry layering docs release cards errors cli_options tas
 	evaluation/results report/performance_page report/summary_page studio/requests
 SMOKE_TESTS := tests/hands tests/keyboards tests/scene tests/sim tests/fingering $(foreach name,$(SMOKE),$(dir tests/$(name))test_$(notdir $(name)).py)
 
-smoke: $(ALL)
+# Another Python than that of `make test` has only the packages that these need, of the same versions.
+SMOKES := $(VENV)/smokes
+SMOKE_NEEDS := flax hypothesis huggingface-hub jax mir_eval pytest pytest-xdist ruff
+
+$(SMOKES): $(PLAYS) requirements-dev.lock
+	test -e $(ALL) || $(PIP) --constraint requirements-dev.lock $(SMOKE_NEEDS)
+	@touch $@
+
+smoke: $(SMOKES)
 	$(BIN)/ruff check --quiet
 	$(BIN)/ruff format --check --quiet
 	$(BIN)/python -m pytest -n 2 $(SMOKE_TESTS)

@@ -89,8 +89,9 @@ def test_a_notebook_shows_a_page_with_sound(shown):
     assert Path("played/notebook/report.html").exists()
 
 
-def test_what_a_notebook_shows_is_bounded():
-    long = cadenza.Score((*UP.notes, Note(250.0, 250.5, 60)), title="<Long>")
+def test_what_a_notebook_shows_is_bounded(monkeypatch):
+    monkeypatch.setattr("cadenza.performing.performance._IN_A_NOTEBOOK", 2.0)
+    long = cadenza.Score((*UP.notes, Note(2.0, 2.5, 60)), title="<Long>")
     performance = cadenza.play(long, "zero", task=cadenza.TaskConfig(control_timestep=0.5))
     html = performance._repr_html_()
     assert len(html) < 300

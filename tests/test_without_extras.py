@@ -22,7 +22,7 @@ for words in (
     "practice songs/tune.mid --effort 0.01 -o practised",
     "bench --songs songs --agents zero -o bench",
     "results bench",
-    "dataset collect --songs songs --agent zero -o demonstrations",
+    "dataset collect --songs songs --agent zero --episodes 1 -o demonstrations",
 ):
     main(words.split())
 """

@@ -24,7 +24,7 @@ from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.libraries.library import songs
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
-from cadenza.sim.render import Renderer
+from cadenza.sim.render import Picture, Renderer
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.env import PianoEnv, PianoVectorEnv
 from cadenza.tasks.piano_task import PianoTask
@@ -261,12 +261,13 @@ def test_pixels():
     picture = observation["pixels"]
     assert picture.shape == (360, 640, 3)
     assert picture.std() > 20  # not an empty picture
-    envs = PianoVectorEnv(SHORT, num_envs=2, pixels=True, autoreset_mode=AutoresetMode.SAME_STEP)
+    small = {"picture": Picture(64, 36), "autoreset_mode": AutoresetMode.SAME_STEP}
+    envs = PianoVectorEnv(SHORT, num_envs=2, pixels=True, **small)
     observation, _ = envs.reset(seed=0)
     assert observation in envs.observation_space
     for _ in range(SHORT_STEPS):
         *_, info = envs.step(envs.action_space.sample())
-    assert info["final_obs"][0]["pixels"].shape == (360, 640, 3)
+    assert info["final_obs"][0]["pixels"].shape == (36, 64, 3)
 
 
 def test_rendered_keys_light_up():
