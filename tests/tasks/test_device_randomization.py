@@ -32,7 +32,7 @@ FACTORS: Any = dict.fromkeys(SCALED_FIELDS, (0.7, 1.4))
 @pytest.fixture(autouse=True)
 def _few_variants(monkeypatch):
     """Models are computed for fewer seeds, to save time."""
-    monkeypatch.setattr(device_randomization, "VARIANTS", 64)
+    monkeypatch.setattr(device_randomization, "VARIANTS", 16)
 
 
 @pytest.fixture(scope="module")
