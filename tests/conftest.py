@@ -61,6 +61,9 @@ LONGEST = (  # files that take tens of seconds, the longest first
     "test_learner.py",
     "test_droq.py",
     "test_collecting.py",
+    "test_benchmark.py",
+    "test_server.py",
+    "test_without_extras.py",  # a single test, which would be the last of all
 )
 
 
