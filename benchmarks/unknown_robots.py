@@ -1,9 +1,9 @@
 """Measures the planner on robots that nobody knows: at once, and after ten plays.
 
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.unknown_robots [SONG ...]
-        [--profiles P ...] [--robots N] [--seconds S] [-o docs/results]
+        [--profiles P ...] [--robots SEED ...] [--seconds S] [-o docs/results]
 
-Plays the first seconds of each song on the robots 0 to N - 1. Writes robot-plays.csv, a row for
+Plays the first seconds of each song on robots, by default 0 to 9. Writes robot-plays.csv, a row for
 each song and robot, from which it goes on, and robots.csv, with means and the 95 % intervals of the
 robots.
 """
@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.arguments import one_or_more, parser_for
+from benchmarks.arguments import parser_for
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.robot.practice import RobotPractice
 from cadenza.agents.robot.protocol import play
@@ -99,7 +99,7 @@ def main() -> None:
     parser = parser_for(__doc__)
     parser.add_argument("songs", nargs="*", default=SONGS, help="bundled pieces or MIDI files")
     parser.add_argument("--profiles", nargs="+", choices=PROFILES, default=["realistic", "harsh"])
-    parser.add_argument("--robots", type=one_or_more, default=10)
+    parser.add_argument("--robots", nargs="+", type=int, default=range(10), help="their seeds")
     parser.add_argument("--seconds", type=float, default=8.0)
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/results"))
     options = parser.parse_args()
@@ -110,7 +110,7 @@ def main() -> None:
     done = {(row["profile"], row["song"], str(row["robot"]), row["how"]) for row in plays}
     scores = {song: load_score(song).until(options.seconds) for song in options.songs}
     nominal = cache(lambda song: play_episode(PianoTask([scores[song]]), planner(), 0))
-    for robot, profile, song in product(range(options.robots), options.profiles, scores):
+    for robot, profile, song in product(options.robots, options.profiles, scores):
         measured = dict[str, Mapping[str, Any]]()
         if (profile, song, str(robot), "direct") not in done:
             measured["direct"] = directly(scores[song], profile, robot)
