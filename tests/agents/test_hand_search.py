@@ -126,6 +126,7 @@ def test_giving_candidates_up_early_changes_no_cost_that_counts():
     assert min(rollout.cost for rollout in whole) == min(rollout.cost for rollout in cut)
 
 
+@pytest.mark.slow
 def test_hopeless_music_is_searched_within_bounds(monkeypatch):
     simulated = []
     run = hand_search.HandRollouts.run

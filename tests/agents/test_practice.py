@@ -390,6 +390,7 @@ def test_practice_with_parts_missing_is_refused(lost, tmp_path):
         practice().restore(path)
 
 
+@pytest.mark.slow
 def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(monkeypatch, tmp_path):
     """Snapshots are whole simulations: none is made of the song before the window."""
     later = tuple(replace(n, start=n.start + 2.0, end=n.end + 2.0) for n in HARD.notes[:3])
@@ -421,6 +422,7 @@ def test_hands_that_do_not_slide_practise(forearm_dofs):
     assert done.effort > EFFORT / 2  # there was something to mend
 
 
+@pytest.mark.slow
 def test_a_song_with_a_long_rest_is_practised():
     later = tuple(replace(n, start=n.start + 2.6, end=n.end + 2.6) for n in HARD.notes[:3])
     done = practice(score=Score((*EASY.notes[:1], *later)))
@@ -676,6 +678,7 @@ def test_practice_is_resumed_where_it_was_left(straight, tmp_path):
     assert before["arrangement"]["first_seconds"] == 1.1
 
 
+@pytest.mark.slow
 def test_the_time_of_the_first_take_says_nothing_of_how_long_practice_takes(
     tmp_path, monkeypatch, capsys
 ):
@@ -708,6 +711,7 @@ def test_what_is_finished_after_the_effort_is_shown_until_its_end():
     assert done.progress(0.002) == ("practising", 100, 100)
 
 
+@pytest.mark.slow
 def test_practice_is_saved_more_often_than_a_plan_that_takes_long_to_save(tmp_path, monkeypatch):
     clock, saved = [0.0], []
 

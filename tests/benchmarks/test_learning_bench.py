@@ -90,9 +90,8 @@ def test_the_plain_learner_has_the_sizes_of_ours():
         assert number == number_plain, name
 
 
-@pytest.mark.parametrize(
-    ("stacked", "activation"), [(True, "relu"), pytest.param(False, "gelu", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("stacked", "activation"), [(True, "relu"), (False, "gelu")])
 def test_the_plain_learner_does_what_ours_does(monkeypatch, stacked, activation):
     noise = np.random.default_rng(1).standard_normal((BATCH, ACTION)).astype(np.float32)
     # They split their keys differently.

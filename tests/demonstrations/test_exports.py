@@ -227,6 +227,7 @@ def shown(short):
     return [pictures_of(open_dataset(short), number) for number in range(2)]
 
 
+@pytest.mark.slow
 def test_lerobot_files_hold_what_cameras_see(short, shown, tmp_path, monkeypatch):
     export = ["dataset", "export", str(short), "--format", "lerobot", "--video-size", "64", "48"]
     main([*export, "--video-cameras", "player", "left", "-o", str(tmp_path / "one")])

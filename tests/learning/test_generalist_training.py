@@ -85,6 +85,7 @@ def test_cloning_goes_on_where_it_was_stopped(demonstrations, cloned, tmp_path):
         GeneralistCloning(GeneralistCloningConfig(), [demonstrations], tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_reinforcement_changes_the_networks_and_they_play(cloned, library, tmp_path):
     weights, folder = cloned / "weights.npz", tmp_path / "reinforced"
     command = ["generalist", "reinforce", library, "--weights", str(weights), "-o", str(folder)]
@@ -107,6 +108,7 @@ def test_reinforcement_goes_on_where_it_was_stopped(cloned, library, tmp_path):
     assert same(folder / "weights.npz", tmp_path / "copy.npz")
 
 
+@pytest.mark.slow
 def test_fingers_learn_to_strike_and_nothing_else_changes(tmp_path):
     library, folder = str(tmp_path / "songs"), tmp_path / "striking"
     write_midi(SCALE, tmp_path / "songs" / "scale.mid")

@@ -82,7 +82,7 @@ def figures(run: RunFolder) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: "eval_step" in row)
 
 
-@pytest.mark.parametrize("residual", [False, True])
+@pytest.mark.parametrize("residual", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_run_that_is_resumed_ends_as_one_that_was_not(tmp_path, residual):
     config = replace(CONFIG, residual=residual, song_range=not residual)
     songs = SONGS[:1] if residual else SONGS

@@ -78,7 +78,12 @@ def seen(states: list[PianoState]) -> Any:
 
 @pytest.mark.parametrize(
     "on",
-    [{"mass": (0.7, 1.4)}, {"latency": (0.0, 0.3)}, {"joint_noise": 0.02}, {"control_noise": 0.02}],
+    [
+        {"mass": (0.7, 1.4)},
+        pytest.param({"latency": (0.0, 0.3)}, marks=pytest.mark.slow),
+        {"joint_noise": 0.02},
+        pytest.param({"control_noise": 0.02}, marks=pytest.mark.slow),
+    ],
     ids=str,
 )
 def test_worlds_and_episodes_differ_by_the_seed(on):
@@ -91,6 +96,7 @@ def test_worlds_and_episodes_differ_by_the_seed(on):
         assert (seeds[0] != seeds[-1]).all()  # of the next episode
 
 
+@pytest.mark.slow
 def test_ranges_without_width_change_no_bit():
     same: Any = dict.fromkeys(SCALED_FIELDS, (1.0, 1.0))
     (off,), (on,) = (
