@@ -63,7 +63,7 @@ SMOKE_TESTS := tests/hands tests/keyboards tests/scene tests/sim tests/fingering
 
 # Another Python than that of `make test` has only the packages that these need, of the same versions.
 SMOKES := $(VENV)/smokes
-SMOKE_NEEDS := flax hypothesis huggingface-hub jax mir_eval pytest pytest-xdist ruff
+SMOKE_NEEDS := flax hypothesis huggingface-hub jax mir_eval moviepy pytest pytest-xdist ruff
 
 $(SMOKES): $(PLAYS) requirements-dev.lock
 	test -e $(ALL) || $(PIP) --constraint requirements-dev.lock $(SMOKE_NEEDS)
