@@ -145,9 +145,13 @@ class HandAlone(NamedTuple):
 @lru_cache(maxsize=8)  # shared by all that play a plan, as it takes long to build
 def hand_alone(scene: Scene, side: Side) -> HandAlone:
     """The hand on one side in a scene of its own, which must not be changed."""
-    config = replace(scene.config, hands=side)
-    alone = _described(config, hand_named(config.hand), keyboard_named(config.keyboard))
+    alone = shared_scene(replace(scene.config, hands=side))
     return HandAlone(alone, scene.servos_on(side), scene.joints_on(side))
+
+
+def shared_scene(config: SceneConfig) -> Scene:
+    """The scene that `config` describes, one for all that ask, which must not be changed."""
+    return _described(config, hand_named(config.hand), keyboard_named(config.keyboard))
 
 
 @lru_cache(maxsize=8)  # scenes of one song after another

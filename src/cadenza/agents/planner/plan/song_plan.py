@@ -1,7 +1,7 @@
 """The plan of a song: its fingers, its goals, and the nominal trajectory."""
 
 from collections.abc import Iterator
-from functools import lru_cache, partial
+from functools import partial
 from typing import NamedTuple
 
 from cadenza.agents.agent import Array, Progress, silent
@@ -9,7 +9,7 @@ from cadenza.agents.planner.plan.nominal_trajectory import Delays, MotionPlanner
 from cadenza.agents.planner.plan.strike_model import NO_STRIKES, PlannedStrikes, planned_strikes
 from cadenza.errors import CadenzaError
 from cadenza.music.goals import Goals
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import Scene, shared_scene
 from cadenza.tasks.goal_track import GoalTrack
 
 
@@ -79,17 +79,12 @@ def song_plans(
 def planning_scene(track: GoalTrack) -> Scene:
     """Scene that a task's options describe, whatever was randomised in the task's own scene.
 
-    It is the same object for the same task, and must not be changed. Raises CadenzaError if there
-    are no hands in it.
+    It is the same object for the same options, and must not be changed. Raises CadenzaError if
+    there are no hands in it.
     """
     if not track.scene.sides:
         raise CadenzaError(
             "cannot plan: this scene has no hands; choose some, or an agent that needs none "
             "(zero, random)"
         )
-    return _as_described(track.scene)
-
-
-@lru_cache(maxsize=8)  # the same plan asks more than once, and other songs of the task do, too
-def _as_described(scene: Scene) -> Scene:
-    return build_scene(scene.config)
+    return shared_scene(track.scene.config)
