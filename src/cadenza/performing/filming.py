@@ -46,7 +46,7 @@ _POLICY = "default-src 'none';"
 class Look:
     """What a film shows: its size [px], a camera of `VIEWS`, and the score below if `score`.
 
-    It begins at `start` [s] of the performance, and lasts so many `seconds`, or to the end.
+    It begins at `start` [s] of the performance, and lasts `seconds` [s], or to the end.
     """
 
     width: int = 1920
@@ -93,7 +93,9 @@ def write_film(
     """
     path, look, page = path or folder / FILM, look or Look(), folder / "report.html"
     is_film = path.suffix.lower() == _ENDING
-    if path.is_dir() or not (is_film or path.suffix.lower() in CODECS):
+    if path.is_dir():
+        raise CadenzaError(f"{path}: is a folder; choose another name")
+    if not (is_film or path.suffix.lower() in CODECS):
         raise CadenzaError(
             f"{path}: a film is an {_ENDING}, and the sound alone a {', '.join(CODECS)} file; "
             "choose a name with one of these endings"
