@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from benchmarks.arguments import one_or_more, parser_for
 from cadenza.agents.rollout import EpisodeResult, play_episodes
 from cadenza.errors import CadenzaError, errors_in_a_line
-from cadenza.learning.policy_folder import LearntPolicy, load_policy
+from cadenza.learning.learnt_policy import LearntPolicy
+from cadenza.learning.policy_folder import load_policy
 from cadenza.music.performance import key_runs
 from cadenza.tasks.piano_task import PianoTask
 

@@ -26,7 +26,7 @@ from cadenza.agents.rollout import play_episode
 from cadenza.errors import errors_in_a_line
 from cadenza.evaluation.tables import write_csv
 from cadenza.learning.config import TrainingConfig, preset
-from cadenza.learning.policy_folder import LearntPolicy
+from cadenza.learning.learnt_policy import LearntPolicy
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import begin
 from cadenza.music.libraries.bundled import songs

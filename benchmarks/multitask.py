@@ -33,7 +33,8 @@ from cadenza.files import write_atomically
 from cadenza.learning.algorithms.cloning.config import CloningConfig
 from cadenza.learning.config import ImitationConfig
 from cadenza.learning.imitation import Imitation
-from cadenza.learning.policy_folder import LearntPolicy, load_policy
+from cadenza.learning.learnt_policy import LearntPolicy
+from cadenza.learning.policy_folder import load_policy
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.folder import unique

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from cadenza.learning.learnt_policy import LearntPolicy
 from cadenza.learning.observation import ObservationSpec
 from cadenza.learning.policy import Perceptron
-from cadenza.learning.policy_folder import LearntPolicy
 from cadenza.learning.ranges import ranges_of
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig

@@ -9,7 +9,7 @@ from cadenza.errors import CadenzaError as CadenzaError
 from cadenza.errors import CadenzaWarning as CadenzaWarning
 from cadenza.fingers import Finger as Finger
 from cadenza.learning.config import TrainingConfig as TrainingConfig
-from cadenza.learning.policy_folder import LearntPolicy as LearntPolicy
+from cadenza.learning.learnt_policy import LearntPolicy as LearntPolicy
 from cadenza.learning.policy_folder import load_policy as load_policy
 from cadenza.music.arrangement import Arrangement as Arrangement
 from cadenza.music.libraries.bundled import songs as songs

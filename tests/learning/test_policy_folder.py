@@ -23,9 +23,10 @@ from cadenza.learning.actions import reference_of
 from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.algorithms.droq.learner import actor_weights
 from cadenza.learning.algorithms.droq.networks import Actor
+from cadenza.learning.learnt_policy import LearntPolicy
 from cadenza.learning.observation import GoalTable, Inputs, ObservationSpec, pruned
 from cadenza.learning.policy import Perceptron
-from cadenza.learning.policy_folder import POLICY_FILE, LearntPolicy, load_policy, save_policy
+from cadenza.learning.policy_folder import POLICY_FILE, load_policy, save_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.music.libraries.library import songs
 from cadenza.music.score import Note, PedalEvent, Score
@@ -230,7 +231,7 @@ def test_weights_that_are_not_finite_are_refused(tmp_path):
 
 def test_a_task_that_shows_something_else_is_refused():
     learnt = some_policy()
-    with pytest.raises(CadenzaError, match="use the task and scene"):
+    with pytest.raises(CadenzaError, match="trained with hands right, but here it is both"):
         play_episode(PianoTask([SONG], learnt.task, SceneConfig()), learnt.agent)
 
 

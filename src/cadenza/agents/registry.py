@@ -65,7 +65,7 @@ AGENTS = Registry(
         "zero": Entry("cadenza.agents.agent:ZeroAgent", "hands that stay where they are"),
         "random": Entry("cadenza.agents.agent:RandomAgent", "uniformly random actions"),
         PRETRAINED: Entry(
-            "cadenza.learning.policy_agent:PolicyAgent", "the policy that comes with the song"
+            "cadenza.learning.learnt_policy:PolicyAgent", "the policy that comes with the song"
         ),
         PLAYBACK: Entry("cadenza.agents.playback:Playback", "the actions of a plan"),
     },

@@ -23,8 +23,9 @@ from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import checked
 from cadenza.learning.checkpointed_run import CheckpointedRun
 from cadenza.learning.config import ImitationConfig
+from cadenza.learning.learnt_policy import LearntPolicy
 from cadenza.learning.observation import Floats, Inputs, ObservationSpec, pruned
-from cadenza.learning.policy_folder import LearntPolicy, save_policy
+from cadenza.learning.policy_folder import save_policy
 from cadenza.learning.ranges import Ranges
 from cadenza.music.formats.reading import name_without_ending
 from cadenza.resumable import Arrays

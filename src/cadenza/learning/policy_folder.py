@@ -22,52 +22,20 @@ from cadenza.files import (
 from cadenza.hub import Kind, fetched
 from cadenza.learning.actions import Reference
 from cadenza.learning.learner import learner_config
+from cadenza.learning.learnt_policy import LearntPolicy
 from cadenza.learning.observation import Inputs, ObservationSpec
 from cadenza.learning.policy import Activation, Perceptron, Policy
-from cadenza.learning.policy_agent import PolicyAgent
 from cadenza.learning.ranges import Ranges
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig, check_modules
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.piano_task import PianoTask
 
 POLICY_FILE = f"policy{TENSORS}"  # the file of a policy: arrays, and facts as JSON in its header
 _MAX_BYTES = 2**30  # policies take a few million
 POLICY = Kind("policy", "model", (POLICY_FILE,), _MAX_BYTES)  # a policy as the hub keeps it
 _FORMAT = 3
 _REFERENCE, _RANGES, _POLICY = "reference/", "ranges/", "policy/"  # begin names of arrays
-_CHANGE_THE_REFERENCE = (
-    "control_timestep",
-    "trim_silence",
-    "stretch",
-    "transpose",
-    "initial_buffer_time",
-    "random_hand_position",
-    "random_stretch",
-    "random_pitch_shift",
-    "random_octave_shift",
-    "keyboard",
-    "hand",
-    "hands",
-    "reduced_action_space",
-    "forearm_dofs",
-    "hand_spacing",
-    "attachment_yaw",
-)
-_CHANGE_WHAT_IS_OBSERVED = (
-    "n_steps_lookahead",
-    "n_seconds_lookahead",
-    "control_timestep",
-    "fingering",
-    "onset_goals",
-    "keyboard",
-    "hand",
-    "hands",
-    "reduced_action_space",
-    "forearm_dofs",
-    "touch",
-)
 _EXPECTED_OF_ALL = {
     "reference/ctrl": ArrayOf(FLOATS, ("steps", "servos"), finite=True),
     "reference/gain": ArrayOf(FLOATS, ("steps", "servos", 2), finite=True),
@@ -111,56 +79,6 @@ class _PerceptronFacts(_PolicyFacts):
 class _OtherFacts(_PolicyFacts):
     learner: str  # the name of the learner that reads the policy
     policy: dict[str, Any]  # the facts of `Policy.state`
-
-
-@dataclass(frozen=True)
-class LearntPolicy:
-    """A policy and everything needed to play with it."""
-
-    policy: Policy
-    observation: ObservationSpec
-    inputs: Inputs
-    """The entries of the observation that it is given."""
-    reference: Reference | None
-    """The trajectory that a residual policy corrects."""
-    ranges: Ranges | None
-    """The scale of its joints and actions, if not the task's."""
-    task: TaskConfig
-    scene: SceneConfig
-    score: Score | None
-    """The song it was trained on, None for a policy of many."""
-    learner: str | None = None
-    """The name of the learner that reads the policy, None for a `Perceptron`."""
-
-    @property
-    def agent(self) -> PolicyAgent:
-        """The agent that plays it."""
-        return PolicyAgent(self.policy, self.observation, self.inputs, self.reference, self.ranges)
-
-    @property
-    def residual(self) -> bool:
-        """True if it corrects a reference, which is that of one song."""
-        return self.reference is not None
-
-    def check(self, name: str, task: PianoTask) -> None:
-        """Check that the policy can play a task.
-
-        Raises CadenzaError if the policy, which is called `name`, corrects another reference than
-        that of `task`, or observes something else.
-        """
-        options: tuple[str, ...] = _CHANGE_THE_REFERENCE if self.residual else ()
-        if self.observation != ObservationSpec.of(task.spec, self.residual):
-            options += _CHANGE_WHAT_IS_OBSERVED
-        learnt, here = (
-            vars(self.task) | vars(self.scene),
-            vars(task.config) | vars(task.scene.config),
-        )
-        for option in options:
-            if here[option] != learnt[option]:
-                raise CadenzaError(
-                    f"{name}: was trained with {option} {learnt[option]}, but here it is "
-                    f"{here[option]}; leave out that option, or train a new policy"
-                )
 
 
 def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> None:

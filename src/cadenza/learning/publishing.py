@@ -7,13 +7,8 @@ from cadenza.demonstrations.dataset import DATASET, EPISODES, open_dataset
 from cadenza.demonstrations.summary import summarize
 from cadenza.errors import extra_packages
 from cadenza.hub import upload
-from cadenza.learning.policy_folder import (
-    POLICY,
-    LearntPolicy,
-    load_policy,
-    policy_folder,
-    remarks_on,
-)
+from cadenza.learning.learnt_policy import LearntPolicy
+from cadenza.learning.policy_folder import POLICY, load_policy, policy_folder, remarks_on
 
 _TAGS = ["cadenza", "piano", "robotics", "mujoco"]
 _MEASURED = {"f1": "F1", "note_onset_f1": "note onset F1"}

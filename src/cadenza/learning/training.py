@@ -23,8 +23,9 @@ from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.experience import Chunk, Experience, ReplayExperience
 from cadenza.learning.learner import name_of
+from cadenza.learning.learnt_policy import LearntPolicy
 from cadenza.learning.policy import Perceptron
-from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
+from cadenza.learning.policy_folder import load_policy, save_policy
 from cadenza.learning.problem import Problem, problem_of
 from cadenza.learning.replay_buffer import ReplayBuffer
 from cadenza.learning.run_folder import RunFolder

@@ -22,7 +22,8 @@ from cadenza.agents.registry import (
 from cadenza.configs import as_config
 from cadenza.errors import CadenzaError, quoted
 from cadenza.files import TENSORS
-from cadenza.learning.policy_folder import LearntPolicy, load_policy
+from cadenza.learning.learnt_policy import LearntPolicy
+from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.arrangement import Arrangement
 from cadenza.performing.loaded_song import LoadedSong

@@ -93,7 +93,7 @@ def set_up(
         for remark in (*lost, *(f"{each}; as written: --arrange off" for each in about)):
             warnings.warn(f"{chosen.name}: {remark}", CadenzaWarning, stacklevel=4)
         if player.policy is not None:
-            player.policy.check(player.name, task)
+            player.policy.check(player.name, task.spec)
         settings: dict[str, Any] = {
             "song": chosen.name,
             "agent": player.name,

@@ -8,7 +8,8 @@ from typing import Any
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.learning.config import TrainingConfig, preset
-from cadenza.learning.policy_folder import LearntPolicy, load_policy
+from cadenza.learning.learnt_policy import LearntPolicy
+from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import begin
 from cadenza.music.libraries.songs import Song

@@ -7,7 +7,7 @@ from cadenza.scene.randomization import scaled_fields
 from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import HeldControls
 from cadenza.tasks.config import DomainRandomization
-from cadenza.tasks.draw_ranges import DrawRanges
+from cadenza.tasks.draw_ranges import LATENCY, DrawRanges
 
 with extra_packages("gpu", "the engine warp"):
     import jax
@@ -46,13 +46,13 @@ class DeviceRandomization:
         """
         self._ranges = ranges = DrawRanges(config, scene, control_timestep)
         ranges.refuse_on_device()
-        self._num_envs, self.scaled = num_envs, tuple(ranges.shapes)
+        self._num_envs, self.scaled = num_envs, ranges.of_model
         self._first, count = (0, VARIANTS) if config.seed is None else (config.seed, 1)
         self._count = count if self.scaled or ranges.has_latency else 1
         seeds = range(self._first, self._first + self._count)
         models = scaled_fields(scene, map(ranges.factors, seeds)) if self.scaled else {}
         self._models: dict[str, Any] = {n: jnp.asarray(values) for n, values in models.items()}
-        late = list(map(ranges.latency_steps, seeds))
+        late = [ranges.steps_of(ranges.draws(s)[LATENCY]) for s in seeds if ranges.has_latency]
         self._latency_steps: Any = jnp.asarray(late, jnp.int32)
 
     def begin(self, key: Array, start: Array) -> Draws:

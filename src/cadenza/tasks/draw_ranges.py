@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 _MIN_FACTOR = {"mass": 0.01, "key_travel": 0.5, KEY_SOUNDING: 0.1}  # 0 for all others
 _MAX_FACTOR = dict.fromkeys(SCALED_FIELDS, 100.0) | {"key_travel": 2.0, KEY_SOUNDING: 1.0}
 LATENCY, OBSERVATION_LATENCY, SEED = "latency", "observation_latency", "seed"
+BIAS, GRAVITY_TILT = "bias", "gravity_tilt"
 SERVO_RANGES = {"sweep_time": 10.0, "dead_band": 1.0, "backlash": 1.0}  # [s] and half ranges
 _MAX_TIME = {LATENCY: 1.0, OBSERVATION_LATENCY: 1.0, **SERVO_RANGES}
 _MAX_NUMBER = {
@@ -38,16 +39,16 @@ _MAX_NUMBER = {
     "push": 1000.0,  # [N]
 }
 _PREFIX = "randomization."  # the field of `TaskConfig`
-CONTROL, _OBSERVATION = "control", "observation"
+CONTROL, OBSERVATION, PUSH = "control", "observation", "push"
 _STREAMS = (
     *("mass", "friction", "joint_damping", "joint_friction", "armature", "servo_gain"),
-    *("key_spring", LATENCY, CONTROL, _OBSERVATION),
-    *("force_limit", "key_travel", KEY_SOUNDING, *POSE_FIELDS, "gravity_tilt", "push"),
-    *(*SERVO_RANGES, OBSERVATION_LATENCY, "bias"),
+    *("key_spring", LATENCY, CONTROL, OBSERVATION),
+    *("force_limit", "key_travel", KEY_SOUNDING, *POSE_FIELDS, GRAVITY_TILT, PUSH),
+    *(*SERVO_RANGES, OBSERVATION_LATENCY, BIAS),
 )
 """What has a generator of its own, in an order on which all draws depend."""
 ON_CPU_ONLY = (
-    *(KEY_SOUNDING, "gravity_tilt", "push", *SERVO_RANGES, OBSERVATION_LATENCY),
+    *(KEY_SOUNDING, GRAVITY_TILT, PUSH, *SERVO_RANGES, OBSERVATION_LATENCY),
     *("touch_noise", "joint_bias", "slide_bias", "touch_bias", "drift", "robot"),
 )
 """The fields that the engine warp does not have."""
@@ -60,7 +61,8 @@ class DrawRanges:
 
     Attributes:
         config: the ranges and standard deviations.
-        shapes: name -> shape of the factors, offsets and tilts of all that differs in the model.
+        shapes: name -> shape of all that is drawn for an episode, see `draws`.
+        of_model: the names among them of what differs in the model.
         control_noise: (A,) standard deviations of noise on controls, in actuator units.
         observation_noise: (J + K + F,) standard deviations of noise on observed joints [m, rad],
             then on key states, then on touch [N].
@@ -79,19 +81,19 @@ class DrawRanges:
         self.control_timestep = control_timestep
         self.physics_timestep = scene.model.opt.timestep
         self.substeps = round(control_timestep / self.physics_timestep)
-        nominal = DomainRandomization()
-        self.shapes = {
-            name: shape
-            for name, shape in shapes(scene).items()
-            if getattr(config, name) != getattr(nominal, name)
-        }
         self.low, self.high = scene.action_low[:-1], scene.action_high[:-1]
-        self.servo_ranges = [n for n, most in SERVO_RANGES.items() if getattr(config, n)[1]]
         self.control_noise = config.control_noise * (self.high - self.low) / 2
         self.observation_noise = self._of_senses(
             config.slide_noise, config.joint_noise, config.key_noise, config.touch_noise
         )
         self.bias = self._of_senses(config.slide_bias, config.joint_bias, 0.0, config.touch_bias)
+        own = {**dict.fromkeys(SERVO_RANGES, self.low.shape), GRAVITY_TILT: (2,), LATENCY: ()}
+        self.of_model = tuple(filter(self._is_on, shapes(scene)))
+        self.shapes = {n: s for n, s in (shapes(scene) | own).items() if self._is_on(n)}
+        if self.bias.any():
+            self.shapes[BIAS] = self.bias.shape
+        if self._is_on(OBSERVATION_LATENCY):
+            self.shapes[OBSERVATION_LATENCY] = ()
         self.has_latency = bool(config.latency[1])
         self.num_sent = self.steps_of(config.latency[1]) // self.substeps + 2
 
@@ -106,10 +108,13 @@ class DrawRanges:
 
         Raises CadenzaError if something of it is on.
         """
-        nominal = DomainRandomization()
         for name in ON_CPU_ONLY:
-            if getattr(self.config, name) != getattr(nominal, name):
+            if self._is_on(name):
                 raise CadenzaError(f"the engine warp has no {_PREFIX}{name}: choose the engine c")
+
+    def _is_on(self, name: str) -> bool:
+        """Whether a field of the configuration is not as by default."""
+        return bool(getattr(self.config, name) != getattr(DomainRandomization, name))
 
     def generator(self, seed: int, name: str) -> np.random.Generator:
         """The generator of a field, or of noise, in an episode with this seed."""
@@ -117,39 +122,29 @@ class DrawRanges:
 
     def factors(self, seed: int) -> dict[str, Array]:
         """The factors, offsets and tilts of all that differs in the model."""
-        drawn: dict[str, Array] = {}
-        for name, shape in self.shapes.items():
-            field = getattr(self.config, name)
-            low, high = (-field, field) if name in POSE_FIELDS else field
-            drawn[name] = np.asarray(self.generator(seed, name).uniform(low, high, shape))
-        return drawn
+        return {name: self._draw(seed, name) for name in self.of_model}
 
-    def of_servos(self, seed: int) -> dict[str, Array]:
-        """Name -> (A,) draws of the fields of servos that are on."""
-        drawn: dict[str, Array] = {}
-        for name in self.servo_ranges:
-            low, high = getattr(self.config, name)
-            drawn[name] = self.generator(seed, name).uniform(low, high, len(self.low))
-        return drawn
+    def draws(self, seed: int) -> dict[str, Array]:
+        """All that is drawn for an episode, by name.
 
-    def gravity_tilt(self, seed: int) -> Array:
-        """(2,) angles about the axes x and y by which gravity is off [rad]."""
-        most = self.config.gravity_tilt
-        return self.generator(seed, "gravity_tilt").uniform(-most, most, 2)
+        `factors`; what servos have of `SERVO_RANGES`, (A,) each; gravity_tilt, the angles (2,)
+        about the axes x and y by which gravity is off [rad]; bias, what each sensor is off at the
+        beginning (J + K + F,); latency and observation_latency, rounded to physics steps [s].
+        """
+        return {name: self._draw(seed, name) for name in self.shapes}
 
-    def sensor_bias(self, seed: int) -> Array:
-        """(J + K + F,) what each sensor is off at the beginning of an episode."""
-        return self.bias * self.generator(seed, "bias").standard_normal(len(self.bias))
+    def _draw(self, seed: int, name: str) -> Array:
+        rng, shape = self.generator(seed, name), self.shapes[name]
+        if name == BIAS:
+            return self.bias * rng.standard_normal(shape)
+        field = getattr(self.config, name)
+        low, high = field if isinstance(field, tuple) else (-field, field)
+        drawn = rng.uniform(low, high, shape)
+        if name in (LATENCY, OBSERVATION_LATENCY):
+            drawn = self.steps_of(drawn) * self.physics_timestep
+        return np.asarray(drawn)
 
-    def noise_generator(self, seed: int) -> np.random.Generator:
-        """The generator of all noise on observations in an episode with this seed."""
-        return self.generator(seed, _OBSERVATION)
-
-    def latency_steps(self, seed: int, name: str = LATENCY) -> int:
-        """After how many physics steps actions or observations arrive."""
-        return self.steps_of(self.generator(seed, name).uniform(*getattr(self.config, name)))
-
-    def steps_of(self, latency: float) -> int:
+    def steps_of(self, latency: Any) -> int:
         """The physics steps of a latency, rounded half to even."""
         return round(latency / self.physics_timestep)
 

@@ -12,7 +12,15 @@ from cadenza.scene.randomization import Factors
 from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import HeldControls, Simulation, State
 from cadenza.tasks.config import DomainRandomization
-from cadenza.tasks.draw_ranges import CONTROL, LATENCY, SEED, SERVO_RANGES, DrawRanges
+from cadenza.tasks.draw_ranges import (
+    CONTROL,
+    GRAVITY_TILT,
+    LATENCY,
+    PUSH,
+    SEED,
+    SERVO_RANGES,
+    DrawRanges,
+)
 from cadenza.tasks.senses import Senses
 
 Array = NDArray[np.float64]
@@ -28,11 +36,8 @@ class Randomization:
     see `DrawRanges`.
 
     Attributes:
-        drawn: name -> (N, ...) draws for the episode of each environment: "seed"; "latency" [s];
-            "observation_latency" [s]; factors, offsets and tilts, see
-            `cadenza.scene.randomization.shapes`; "gravity_tilt" (N, 2) [rad]; "sweep_time",
-            "dead_band" and "backlash" (N, A); and "bias" (N, J + K + F) of the sensors of joints,
-            keys and touch. Empty if nothing is on.
+        drawn: name -> (N, ...) draws for the episode of each environment, see `DrawRanges.draws`,
+            and "seed". Empty if nothing is on.
     """
 
     def __init__(
@@ -52,24 +57,20 @@ class Randomization:
             ranges.refuse_on_device()
         self._simulation = simulation
         self._env_ids = np.arange(num_envs)
-        self.drawn: dict[str, NDArray[np.float64] | NDArray[np.int64]] = {}
+        self.drawn: dict[str, NDArray[np.float64] | NDArray[np.int64]] = {
+            name: np.ones((num_envs, *shape)) for name, shape in ranges.shapes.items()
+        }
         if config.is_on:
-            self.drawn = {name: np.ones((num_envs, *s)) for name, s in ranges.shapes.items()}
             self.drawn[SEED] = np.zeros(num_envs, np.int64)
-        num_servos = len(ranges.low)
-        self.drawn |= {name: np.zeros((num_envs, num_servos)) for name in ranges.servo_ranges}
-        if config.gravity_tilt:
-            self.drawn["gravity_tilt"] = np.zeros((num_envs, 2))
+        self._moves_setpoints = not self.drawn.keys().isdisjoint(SERVO_RANGES)
         self._control_rngs = [np.random.default_rng(0)] * num_envs  # until episodes begin
         self._push_rngs = list(self._control_rngs)
         self._latency_steps = np.zeros(num_envs, np.intp)  # in physics steps
-        if ranges.has_latency:
-            self.drawn[LATENCY] = np.zeros(num_envs)
+        if LATENCY in self.drawn:
             self._sent = np.zeros((num_envs, ranges.num_sent, len(scene.action_low)))
         # Where each servo's motor and what it moves have been sent.
-        self._setpoint = np.zeros((num_envs, 2, num_servos))
+        self._setpoint = np.zeros((num_envs, 2, len(ranges.low)))
         self._senses = Senses(ranges, num_envs)
-        self.drawn |= self._senses.drawn
 
     # At the beginning of episodes
 
@@ -103,23 +104,16 @@ class Randomization:
             self._sent[list(env_ids), :, -1] = 0.0  # the pedal is up
 
     def _draw(self, env: int, seed: int) -> Factors:
-        noise, robot = seed, self._ranges.config.robot
-        seed = noise if robot is None else robot
-        factors = self._ranges.factors(seed)
-        for name, values in factors.items():
+        ranges, robot = self._ranges, self._ranges.config.robot
+        drawn = ranges.draws(seed if robot is None else robot)
+        for name, values in drawn.items():
             self.drawn[name][env] = values
-        self.drawn[SEED][env] = noise
-        if LATENCY in self.drawn:
-            self._latency_steps[env] = self._ranges.latency_steps(seed)
-            self.drawn[LATENCY][env] = self._latency_steps[env] * self._ranges.physics_timestep
-        self._control_rngs[env] = self._ranges.generator(noise, CONTROL)
-        self._push_rngs[env] = self._ranges.generator(noise, "push")
-        for name, values in self._ranges.of_servos(seed).items():
-            self.drawn[name][env] = values
-        if "gravity_tilt" in self.drawn:
-            self.drawn["gravity_tilt"][env] = self._ranges.gravity_tilt(seed)
-        self._senses.begin(env, seed, noise)
-        return factors
+        self.drawn[SEED][env] = seed
+        self._latency_steps[env] = ranges.steps_of(drawn.get(LATENCY, 0.0))
+        self._control_rngs[env] = ranges.generator(seed, CONTROL)
+        self._push_rngs[env] = ranges.generator(seed, PUSH)
+        self._senses.begin(env, seed, drawn)
+        return {name: drawn[name] for name in ranges.of_model}
 
     def start_sensing(self, env_ids: Sequence[int], state: State) -> None:
         """Sense the beginnings of episodes, whose simulations have been reset."""
@@ -146,7 +140,7 @@ class Randomization:
         config, path = self._ranges.config, self._senses.path
         if config.control_noise:
             ctrl = self._with_noise(ctrl, moving)
-        if self._ranges.servo_ranges:
+        if self._moves_setpoints:
             ctrl = self._moved(ctrl, moving)
         if config.gravity_tilt or config.push:
             self._push(moving)
@@ -182,7 +176,7 @@ class Randomization:
         for env in self._env_ids[moving].tolist():
             force = np.zeros((len(weight), 3))
             if ranges.config.gravity_tilt:
-                x, y = self.drawn["gravity_tilt"][env]
+                x, y = self.drawn[GRAVITY_TILT][env]
                 off = math.sin(y), -math.sin(x), math.cos(x) * math.cos(y) - 1
                 force += weight[:, None] * np.array(off)
             rng = self._push_rngs[env]

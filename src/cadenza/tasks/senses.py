@@ -1,5 +1,6 @@
 """What the sensors of robots have of their state: late, off, drifting and noisy."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.sim.protocol import Path, State
-from cadenza.tasks.draw_ranges import DrawRanges
+from cadenza.tasks.draw_ranges import BIAS, OBSERVATION, OBSERVATION_LATENCY, DrawRanges
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
@@ -19,7 +20,6 @@ class Senses:
     """The sensors of N environments.
 
     Attributes:
-        drawn: name -> (N, ...) draws: "observation_latency" [s] and "bias", if they are on.
         path: where the simulation is to write its way through each step; None if nothing is late.
     """
 
@@ -28,16 +28,12 @@ class Senses:
         self._ranges, config = ranges, ranges.config
         self._is_off = bool(ranges.observation_noise.any() or ranges.bias.any())
         self._offset = np.zeros((num_envs, len(ranges.bias)))
-        self._wandered = np.zeros_like(self._offset)
+        self._bias, self._wandered = np.zeros_like(self._offset), np.zeros_like(self._offset)
         self._rngs = [np.random.default_rng(0)] * num_envs  # until episodes begin
         self._late = np.zeros(num_envs, np.intp)  # in physics steps
-        self.drawn: dict[str, Any] = {}
-        if ranges.bias.any():
-            self.drawn["bias"] = np.zeros_like(self._offset)
         self.path: Path | None = None
         self._history, self._heard = Path(*[np.zeros((num_envs, 0))] * 4), np.zeros((num_envs, 0))
         if most := ranges.steps_of(config.observation_latency[1]):
-            self.drawn["observation_latency"] = np.zeros(num_envs)
             at_rest = State.at_rest(ranges.scene, num_envs)
             self.path = Path.still(at_rest, ranges.substeps + 1)
             self._history = Path.still(at_rest, most + 1)
@@ -47,19 +43,15 @@ class Senses:
 
     @property
     def per_env(self) -> list[Any]:
-        """Arrays and lists of what each environment has of its own, without `drawn`."""
-        own = [self._offset, self._wandered, self._rngs, self._late, self._heard]
+        """Arrays and lists of what each environment has of its own."""
+        own = [self._offset, self._bias, self._wandered, self._rngs, self._late, self._heard]
         return [*own, *self._history]
 
-    def begin(self, env: int, seed: int, noise: int) -> None:
-        """Draw for an episode, all but noise and drift by `seed`."""
-        ranges = self._ranges
-        self._rngs[env], self._wandered[env] = ranges.noise_generator(noise), 0.0
-        if "bias" in self.drawn:
-            self.drawn["bias"][env] = ranges.sensor_bias(seed)
-        if self.path is not None:
-            self._late[env] = ranges.latency_steps(seed, "observation_latency")
-            self.drawn["observation_latency"][env] = self._late[env] * ranges.physics_timestep
+    def begin(self, env: int, seed: int, drawn: Mapping[str, Array]) -> None:
+        """Begin an episode with what was `drawn` for it; noise and drift follow from `seed`."""
+        self._rngs[env] = self._ranges.generator(seed, OBSERVATION)
+        self._bias[env], self._wandered[env] = drawn.get(BIAS, 0.0), 0.0
+        self._late[env] = self._ranges.steps_of(drawn.get(OBSERVATION_LATENCY, 0.0))
 
     def start(self, env_ids: Ids, state: State) -> None:
         """Sense environments that have been reset."""
@@ -101,10 +93,10 @@ class Senses:
         for env in env_ids.tolist():
             rng, noise = self._rngs[env], ranges.observation_noise
             self._offset[env] = noise * rng.standard_normal(len(noise))
-            if "bias" in self.drawn:
+            if ranges.bias.any():
                 wander = drift * ranges.bias * np.sqrt(ranges.control_timestep / _MINUTE)
                 self._wandered[env] += wander * rng.standard_normal(len(noise))
-                self._offset[env] += self.drawn["bias"][env] + self._wandered[env]
+                self._offset[env] += self._bias[env] + self._wandered[env]
 
     def sensed(self, state: State) -> State:
         """The true `state` as sensors have it, which is the same if they are perfect.
