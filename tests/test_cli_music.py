@@ -22,7 +22,7 @@ from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.formats.reading import name_without_ending
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, PedalEvent, Score
-from cadenza.performing.arranging import arrange, arrange_song
+from cadenza.performing.arranging import arrange_song
 from cadenza.performing.loaded_song import load
 from cadenza.scene.scene import build_scene
 from refusals import refused, refused_in_a_line
@@ -194,7 +194,7 @@ def test_what_is_learnt_is_not_arranged(option, tmp_path, capsys):
 def test_expression_is_that_of_the_arrangement():
     how = Arrangement(expression=1.0, first_seconds=6.0)
     scene = build_scene()
-    written = arrange(load_song("benchmark/band-1007"), Arrangement(), scene)
+    written = arrange_song(load("benchmark/band-1007"), scene)
     played = arrange_song(load("benchmark/band-1007", how), scene)
     assert played.arranged.score == performed(written.arranged.score).beginning(6.0)
     assert played.original.total_time <= played.arranged.score.total_time

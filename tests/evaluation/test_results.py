@@ -81,9 +81,9 @@ def test_a_run_whose_result_is_corrupt_is_carried_out_again(tmp_path, text):
     run = tmp_path / job().spec.name
     run.mkdir()
     (run / "result.json").write_text(text)
-    assert not is_finished(run)
+    assert not is_finished(None, run)
     carry_out(job(), run, num_threads=1)
-    assert is_finished(run)
+    assert is_finished(None, run)
 
 
 def test_what_is_not_of_this_format_is_told(tmp_path, finished):

@@ -73,8 +73,7 @@ class Run:
     def __init__(self, config: TaskConfig, residual: bool = False, capacity: int = 5000) -> None:
         songs = [melody(60, 64), melody(50, 53, 72, pedal=True)][: 1 if residual else 2]
         self.task = Watched(songs, config, SceneConfig(), num_envs=3)
-        self.scores = GoalTable(self.task.spec)
-        self.scores.add_all(self.task)
+        self.scores = GoalTable(self.task.spec, self.task.tracks)
         reference = reference_of(PianoTask(songs, config)) if residual else None
         mapping = ActionMapping(self.task.spec, reference)
         self.observer = Observer(self.task.spec, self.scores, reference=mapping.reference)

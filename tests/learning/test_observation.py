@@ -75,8 +75,7 @@ def test_is_what_the_task_shows_at_every_step_and_past_the_end(task):
 
 
 def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task):
-    scores = GoalTable(task.spec)
-    scores.add_all(task)
+    scores = GoalTable(task.spec, task.tracks)
     inputs = pruned(ObservationSpec.of(task.spec), *scores.ever_wanted())
     observer = Observer(task.spec, scores, inputs)
     whole = Observer(task.spec, scores)
@@ -95,8 +94,7 @@ def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task):
 def test_every_input_that_is_kept_of_the_goal_is_used():
     """One song asks for a key in all steps ahead for which it is kept."""
     task = PianoTask([SONGS[0]])
-    scores = GoalTable(task.spec)
-    scores.add_all(task)
+    scores = GoalTable(task.spec, task.tracks)
     inputs = pruned(ObservationSpec.of(task.spec), *scores.ever_wanted())
     acting = Acting(task, scores)
     seen = np.zeros(task.spec.observation_size, bool)
@@ -133,8 +131,7 @@ def test_the_previous_action_and_reward_follow_as_the_published_wrappers_put_the
 
 def test_with_a_reference_its_next_action_comes_last():
     task = PianoTask(SONGS[:1])
-    scores = GoalTable(task.spec)
-    scores.add_all(task)
+    scores = GoalTable(task.spec, task.tracks)
     reset(task)
     steps = int(task.goals.num_steps[0])
     reference = (
@@ -150,8 +147,7 @@ def test_with_a_reference_its_next_action_comes_last():
 
 def test_a_score_that_comes_again_takes_no_room():
     task = PianoTask(SONGS, num_envs=4)
-    scores = GoalTable(task.spec)
-    scores.add_all(task)
+    scores = GoalTable(task.spec, task.tracks)
     room = scores.arrays()["rows"].nbytes
     for seed in range(4):
         Acting(task, scores, seed)  # adds what is drawn
@@ -189,8 +185,7 @@ def test_scores_are_restored_with_their_rows(onset_goals):
 def test_scores_of_many_rows_are_looked_up_together():
     """A batch of rows gives for each what it gives alone."""
     task = PianoTask(SONGS)
-    scores = GoalTable(task.spec)
-    scores.add_all(task)
+    scores = GoalTable(task.spec, task.tracks)
     observer = Observer(
         task.spec, scores, pruned(ObservationSpec.of(task.spec), *scores.ever_wanted())
     )

@@ -54,8 +54,7 @@ def some_policy(
     config = TaskConfig(initial_buffer_time=0.1, **task)
     scene = SceneConfig(hands="right", forearm_dofs=("tx", "ty"))
     shown = PianoTask([SONG], config, scene)
-    scores = GoalTable(shown.spec)
-    scores.add_all(shown)
+    scores = GoalTable(shown.spec, shown.tracks)
     observation = ObservationSpec.of(shown.spec, residual)
     inputs = pruned(observation, *scores.ever_wanted()) if prune else observation.inputs
     rng = np.random.default_rng(0)

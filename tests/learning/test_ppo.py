@@ -203,8 +203,7 @@ class Both(NamedTuple):
 def both():
     config, num_envs = replace(CONFIG.task, n_steps_lookahead=3), 2
     task = PianoTask([SONGS[1]], config, ONE_HAND, num_envs)
-    goals, ranges = GoalTable(task.spec), ranges_of(task)
-    goals.add_all(task)
+    goals, ranges = GoalTable(task.spec, task.tracks), ranges_of(task)
     spec = ObservationSpec.of(task.spec)
     inputs = Inputs(tuple(range(spec.layout["previous_action"].start)), spec.size)
     observer = Observer(task.spec, goals, inputs, ranges=ranges)

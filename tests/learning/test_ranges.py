@@ -114,8 +114,7 @@ def test_the_plan_of_a_hand_that_stays_near_its_rest_is_within_reach(drill):
 
 def test_acts_and_sees_on_that_scale():
     task = PianoTask([SONG], num_envs=2)
-    scores, ranges = GoalTable(task.spec), ranges_of(task)
-    scores.add_all(task)
+    scores, ranges = GoalTable(task.spec, task.tracks), ranges_of(task)
     observer = Observer(task.spec, scores, ranges=ranges)
     for end, rows in ((-1.0, ranges.actions[0]), (1.0, ranges.actions[1])):
         assert_allclose(

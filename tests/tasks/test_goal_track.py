@@ -39,7 +39,7 @@ def test_all_share_the_goals_of_a_song(monkeypatch):
     )
     task = begun(SONG, hands="right")
     plan = plan_song(task.view().tracks[1], task.state.hand_qpos[1])
-    GoalTable(task.spec).add_all(task)
+    GoalTable(task.spec, task.tracks)
     task.reset(np.random.default_rng(1).spawn(3), range(3))
     assert plan.goals is task.view().tracks[2].goals
     assert len(made) == 1

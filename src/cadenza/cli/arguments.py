@@ -95,11 +95,7 @@ def choose(prog: str, words: Sequence[str]) -> Chosen:
 def parse(kind: type[T], prog: str, words: Sequence[str], default: T | None = None) -> T:
     """Read a command of the type `kind`, or print its help or an error and exit.
 
-    Args:
-        kind: the dataclass of the command.
-        prog: the program and the command, as in "cadenza play".
-        words: the words after them; `HELP_ALL` among them lists all options.
-        default: where the options begin, if not with the defaults of `kind`.
+    `words` stand after `prog`, as "cadenza play"; options begin with those of `default`.
     """
     about, begun = getdoc(kind) or "", tyro.MISSING_NONPROP if default is None else default
     if any(field.name in ("scene", "training") for field in fields(cast(Any, kind))):
@@ -173,12 +169,7 @@ def print_commands(
 ) -> NoReturn:
     """Print what commands there are, what completes them, or why `words` are none, and exit.
 
-    Args:
-        commands: name -> the dataclass of a command; a name may begin with a group.
-        groups: name -> what the commands of a group are for.
-        prog: what stands before the name of a command.
-        about: what the help says first.
-        words: the command line, which begins with no command.
+    Names of commands may begin with one of `groups` (name -> what its commands are for).
     """
     several = dict(commands)
     for group, purpose in groups.items():

@@ -54,8 +54,8 @@ class Bench(Options):
 
 
 def run(command: Bench, read: Read[Bench]) -> None:
-    from cadenza.evaluation.bench import has_result
     from cadenza.evaluation.jobs import bench_jobs
+    from cadenza.evaluation.results import is_finished
     from cadenza.evaluation.run import carry_out
     from cadenza.music.libraries.library import open_library
 
@@ -76,7 +76,7 @@ def run(command: Bench, read: Read[Bench]) -> None:
     trains = any(job.spec.training is not None for job in jobs)
     until = "a checkpoint of the runs that train" if trains else "ending the runs under way"
     results = ["cadenza", "results", str(command.output)]
-    work = Work(carry_out, has_result, _result, until, results)
+    work = Work(carry_out, is_finished, _result, until, results)
     run_all(command, jobs, work)
 
 

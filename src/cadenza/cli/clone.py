@@ -52,13 +52,8 @@ def clone(command: Clone) -> None:
 def train_until_stopped(run: CheckpointedRun, stage: str, unit: str, metric: str) -> None:
     """Train until all updates are done, or until a signal, which saves a checkpoint first.
 
-    Raises KeyboardInterrupt if there was a signal.
-
-    Args:
-        run: the run, new or resumed.
-        stage: what the progress calls the training.
-        unit: the plural of what is counted.
-        metric: the metric of the run that stands beside the progress.
+    The progress counts `unit` (plural), and shows a `metric` of the run. Raises KeyboardInterrupt
+    if there was a signal.
     """
     first, began = run.step, time.perf_counter()
     shown = progress(stage, unit, SECONDS_BETWEEN_LINES_OF_TRAINING)

@@ -185,17 +185,10 @@ def practised(
     *,
     stop: Callable[[], bool],
 ) -> Iterator[Practising]:
-    """Practise in a folder, which is locked for the block.
+    """Practise in a folder, which is locked for the block; what was practised is kept there.
 
-    Args:
-        setup: of the planner.
-        folder: where practice is kept.
-        effort: how much in all, counting what was made before.
-        minutes: how long instead.
-        stop: is often asked whether that is enough.
-
-    Yields:
-        What was practised; it is kept.
+    The effort is that in all, counting what was made before; or practice lasts for some minutes.
+    `stop` is often asked whether it is enough.
     """
     from cadenza.performing.practising import Practising, check_is_practice, practice_folder
 

@@ -1,11 +1,9 @@
-"""Carries out many runs, and shows their progress in a table or line by line."""
+"""Carries out many runs, and shows how far they are."""
 
 from __future__ import annotations
 
 import shlex
-import shutil
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -15,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import tyro
 
 from cadenza.cli.console import stop_on_signal
-from cadenza.cli.progress import QUIET
+from cadenza.cli.progress import QUIET, SECONDS_BETWEEN_LINES_OF_TRAINING, progress
 from cadenza.cli.saving import check_writable
 from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
@@ -78,85 +76,49 @@ def run_all(command: _Command, jobs: Sequence[BenchJob], work: Work) -> None:
         KeyboardInterrupt: some runs are left.
         CadenzaError: some have failed.
     """
+    from tqdm import tqdm
+
     from cadenza.evaluation.bench import bench
     from cadenza.evaluation.processes import ProcessExecutor
     from cadenza.evaluation.results import write_plan
 
     check_writable(command.output)
     write_plan(command.output, shlex.join(["cadenza", *sys.argv[1:]]), jobs)
-    table, jobs_at_once = _Table(work), command.execution.jobs
     with (
-        closing(ProcessExecutor(command.num_threads, jobs_at_once, work.carry_out)) as executor,
-        closing(table),
+        closing(
+            ProcessExecutor(command.num_threads, command.execution.jobs, work.carry_out)
+        ) as executor,
+        progress("running", "runs", SECONDS_BETWEEN_LINES_OF_TRAINING) as advance,
         stop_on_signal(work.until) as stop,
     ):
         stop()  # from now on
 
         def should_continue(state: BenchState) -> bool:
-            table.show(state)
+            advance(state.done, state.total, ", ".join(_under_way(state)))
             return not stop()
+
+        def ended(state: BenchState, job: BenchJob) -> None:
+            if not QUIET.get():
+                line = f"{state.done} of {state.total}: {_outcome_line(state, job, work)}"
+                tqdm.write(line, file=sys.stderr)
 
         retry = command.execution.retry
         state = bench(
-            jobs, command.output, executor, table.ended, should_continue, retry, work.is_complete
+            jobs, command.output, executor, ended, should_continue, retry, work.is_complete
         )
     _print_summary(state, command.output, work.next_command)
 
 
-class _Table:
-    """The runs under way, drawn anew in place; without a terminal, a line for each that ends."""
+def _under_way(state: BenchState) -> Iterator[str]:
+    """Yield how far each run is that is under way here, and how many are elsewhere."""
+    from cadenza.evaluation.run_status import read_progress
 
-    def __init__(self, work: Work) -> None:
-        self._work = work
-        self._live = sys.stderr.isatty()
-        self._lines = 0
-        self._began: dict[str, float] = {}
-
-    def show(self, state: BenchState) -> None:
-        """Show how far the runs are now."""
-        if not self._live or QUIET.get():
-            return
-        columns, rows = shutil.get_terminal_size()
-        lines = [*self._rows(state, columns)][: rows - 2]
-        total = _counts(
-            state, under_way=len(state.running), under_way_elsewhere=len(state.elsewhere)
-        )
-        self.close()
-        print(*(line[: columns - 1] for line in [*lines, total]), sep="\n", file=sys.stderr)
-        self._lines = len(lines) + 1
-
-    def ended(self, state: BenchState, job: BenchJob) -> None:
-        """Print what became of a run that has finished or failed, or whose process has died."""
-        if QUIET.get():
-            return
-        self.close()
-        self._began.pop(job.spec.name, None)
-        done = "" if self._live else f"{state.finished + len(state.failed)} of {state.total}: "
-        print(f"{done}{_outcome_line(state, job, self._work)}", file=sys.stderr)
-
-    def close(self) -> None:
-        """Take away what `show` has drawn."""
-        if self._lines:
-            print(f"\x1b[{self._lines}F\x1b[J", end="", file=sys.stderr, flush=True)
-        self._lines = 0
-
-    def _rows(self, state: BenchState, columns: int) -> Iterator[str]:
-        from cadenza.evaluation.run_status import read_progress
-
-        now = time.monotonic()
-        for name, job in state.running.items():
-            seconds = now - self._began.setdefault(name, now)
-            at = read_progress(state.folder / name)
-            how_far = "beginning" if at is None else at.stage
-            if at is not None and at.total:
-                how_far += f" {100 * at.done // at.total} %"
-            yield f"{_fitted_label(job, columns - 31)} {how_far:<20} {seconds:5.0f} s"
-
-
-def _fitted_label(job: BenchJob, columns: int) -> str:
-    """Return the name of a run; without enough room, its beginning is left out."""
-    name = _label(job)
-    return f"…{name[1 - columns :]}" if len(name) > columns else name.ljust(columns)
+    for name, job in state.running.items():
+        at = read_progress(state.folder / name)
+        percent = f" {100 * at.done // at.total} %" if at is not None and at.total else ""
+        yield f"{_label(job)} {'beginning' if at is None else at.stage}{percent}"
+    if state.elsewhere:
+        yield f"{len(state.elsewhere)} elsewhere"
 
 
 def _label(job: BenchJob) -> str:
@@ -176,14 +138,6 @@ def _outcome_line(state: BenchState, job: BenchJob, work: Work) -> str:
     return f"{_label(job)}: {how}"
 
 
-def _counts(state: BenchState, **others: int) -> str:
-    """Return how many runs are finished, and how many failed and so on if there are any."""
-    counts = {"failed": len(state.failed), **others}
-    parts = [f"{state.finished} of {state.total} runs finished"]
-    parts += [f"{count} {what.replace('_', ' ')}" for what, count in counts.items() if count]
-    return ", ".join(parts)
-
-
 def _print_summary(state: BenchState, folder: Path, next_command: Sequence[str]) -> None:
     """Print how many runs are finished, and which command sums them up.
 
@@ -191,7 +145,9 @@ def _print_summary(state: BenchState, folder: Path, next_command: Sequence[str])
         KeyboardInterrupt: some runs are left.
         CadenzaError: some have failed.
     """
-    print(f"{_counts(state, left=state.left)}, in {folder}")
+    counts = {"failed": len(state.failed), "left": state.left}
+    others = "".join(f", {count} {what}" for what, count in counts.items() if count)
+    print(f"{state.finished} of {state.total} runs finished{others}, in {folder}")
     for name, why in state.failed.items():
         print(f"{name}: {why}", file=sys.stderr)
     if state.left:

@@ -17,11 +17,6 @@ _POLL_INTERVAL = 0.5  # [s]
 _MAX_ATTEMPTS = 3  # at a run whose process dies
 
 
-def has_result(_job: Any, folder: Path) -> bool:
-    """Return whether a run has left its result in its folder."""
-    return is_finished(folder)
-
-
 @dataclass
 class BenchState:
     """State of a bench; runs have the names of their folders."""
@@ -29,7 +24,7 @@ class BenchState:
     folder: Path  # the folder of all runs
     total: int
     # Whether nothing is left to do for a run in its folder
-    is_complete: Callable[[Any, Path], bool] = has_result
+    is_complete: Callable[[Any, Path], bool] = is_finished
     todo: deque[BenchJob] = field(default_factory=deque)
     running: dict[str, BenchJob] = field(default_factory=dict)
     elsewhere: list[BenchJob] = field(default_factory=list)  # runs that another process works on
@@ -39,9 +34,14 @@ class BenchState:
     died: dict[str, list[str]] = field(default_factory=dict)
 
     @property
+    def done(self) -> int:
+        """The number of runs that are finished or have failed."""
+        return self.finished + len(self.failed)
+
+    @property
     def left(self) -> int:
-        """The number of runs that are neither finished nor failed."""
-        return self.total - self.finished - len(self.failed)
+        """The number of the others."""
+        return self.total - self.done
 
 
 def bench(
@@ -51,19 +51,12 @@ def bench(
     ended: Callable[[BenchState, BenchJob], None],
     should_continue: Callable[[BenchState], bool],
     retry: bool = False,
-    is_complete: Callable[[Any, Path], bool] = has_result,
+    is_complete: Callable[[Any, Path], bool] = is_finished,
 ) -> BenchState:
-    """Carry out what is not complete yet.
+    """Carry out what is not complete yet, also runs that have failed before if `retry`.
 
-    Args:
-        jobs: All runs that there are to be.
-        folder: The folder of the bench.
-        executor: The executor that carries them out.
-        ended: The function that is called with a run that has finished or failed, or whose process
-            has died and that is tried again.
-        should_continue: The function that is often asked; once it says False, all runs are ended.
-        retry: True if runs that have failed before are carried out again.
-        is_complete: The function that tells whether nothing is left to do for a run in its folder.
+    `ended` is told of each run that has finished or failed, or whose process has died and that is
+    tried again. `should_continue` is often asked; once it says False, all runs are ended.
     """
     state = BenchState(folder / RUNS, len(jobs), is_complete)
     for job in jobs:

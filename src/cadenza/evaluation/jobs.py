@@ -120,12 +120,7 @@ def bench_jobs(
 ) -> list[BenchJob]:
     """Return all runs, each once: those of the first seed come first.
 
-    Args:
-        library: The songs that are played.
-        contenders: song -> who plays it.
-        seeds: The random seeds.
-        arrangement: The part of each song that is played.
-        pages: The runs that leave a page.
+    `contenders` tells who plays a song of this name, `pages` which runs leave a page.
     """
     songs = songs_of(library)
     by_song = {song.name: list(contenders(song.name)) for song, _ in songs}

@@ -163,8 +163,8 @@ def read_result(run: Path) -> Result:
     return Result(**vars(file), folder=run)
 
 
-def is_finished(run: Path) -> bool:
-    """Return whether there is a result that can be read; a damaged one is to be made again."""
+def is_finished(_job: object, run: Path) -> bool:
+    """Return whether a job has a result that can be read; a damaged one is to be made again."""
     if not (run / RESULT).exists():
         return False
     try:

@@ -30,7 +30,6 @@ from cadenza.evaluation.results import (
 from cadenza.evaluation.run_status import (
     check_song,
     claimed_run,
-    failure_recorded,
     progress_writer,
     versions,
 )
@@ -49,22 +48,14 @@ def carry_out(
 ) -> None:
     """Leave a result, or why there is none, in `folder`, unless another process works on it.
 
-    Args:
-        job: The run to carry out.
-        folder: The folder of the run.
-        num_threads: The number of threads that a planner or training may use.
-        stop: The function that is asked now and then whether training is to end, with a checkpoint.
+    `stop` is asked now and then whether training is to end, with a checkpoint.
     """
-    with claimed_run(job, folder, lambda: is_finished(folder)) as ours:
-        if not ours:
-            return
-        with failure_recorded(folder):
-            result = _result(job, folder, num_threads, stop)
-            if result is not None:
-                write_json(folder / RESULT, asdict(result))
-                training = RunFolder(folder / "training")
-                training.checkpoint.unlink(missing_ok=True)
-                shutil.rmtree(training.replay, ignore_errors=True)  # most of what training wrote
+    with claimed_run(job, folder, is_finished) as ours:
+        if ours and (result := _result(job, folder, num_threads, stop)) is not None:
+            write_json(folder / RESULT, asdict(result))
+            training = RunFolder(folder / "training")
+            training.checkpoint.unlink(missing_ok=True)
+            shutil.rmtree(training.replay, ignore_errors=True)  # most of what training wrote
 
 
 def _result(

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from cadenza.agents.agent import Progress
 from cadenza.errors import CadenzaError, in_a_line
@@ -46,31 +47,26 @@ def folder_of(job: BenchJob, path: Path) -> ResumableFolder:
 
 
 @contextmanager
-def claimed_run(job: BenchJob, path: Path, is_complete: Callable[[], bool]) -> Iterator[bool]:
+def claimed_run(job: Any, path: Path, is_complete: Callable[[Any, Path], bool]) -> Iterator[bool]:
     """Yield whether this process is to carry out a run, whose output goes to its log meanwhile.
 
-    It is not to where another process does, or where the run `is_complete`.
+    It is not to where another process does, or where the run `is_complete`. An error of the block
+    is recorded as the reason why the run has no result.
     """
     folder = folder_of(job, path)
     with folder.claimed(_LOCK_TIMEOUT) as ours:
-        if not ours or is_complete():
+        if not ours or is_complete(job, path):
             yield False
             return
         folder.write_manifest(job.spec.as_json())
         (path / FAILED).unlink(missing_ok=True)
         with _output_to(path / "log.txt"):
-            yield True
+            try:
+                yield True
+            except Exception as error:
+                traceback.print_exc()
+                write_failure(path, in_a_line(error))
         (path / _PROGRESS).unlink(missing_ok=True)
-
-
-@contextmanager
-def failure_recorded(path: Path) -> Iterator[None]:
-    """Record an error of the block as the reason why the run has no result."""
-    try:
-        yield
-    except Exception as error:
-        traceback.print_exc()
-        write_failure(path, in_a_line(error))
 
 
 def write_failure(folder: Path, error: str) -> None:

@@ -102,8 +102,7 @@ class ActionMapping:
             self._servos = servos_of(task.scene)
             self._low, self._high = task.action_low, task.action_high
             action = np.concatenate([reference.ctrl, reference.pedal[:, None]], axis=1)
-            centre, scale = (self._high + self._low) / 2, (self._high - self._low) / 2
-            self.reference = ((action - centre) / scale).astype(np.float32)
+            self.reference = task.unscale_action(action).astype(np.float32)
 
     def ctrl(
         self, action: Floats, steps: NDArray[np.intp], state: State, pedal: NDArray[np.bool_]

@@ -47,11 +47,8 @@ class Experience(Protocol):
     def round(self, learner: Any, state: Any, policy: Policy, step: int) -> Round:
         """Take `train_freq` control steps in every environment, and make updates.
 
-        Args:
-            learner: the learner.
-            state: its state.
-            policy: its policy, which collects experience.
-            step: control steps so far, of all environments together.
+        `policy`, that of the learner's `state`, collects; `step` counts the control steps so far of
+        all environments together.
         """
 
     def save(self, step: int) -> tuple[Chunk, ...]:

@@ -57,15 +57,12 @@ class Imitation(CheckpointedRun):
     command: ClassVar[str] = "cadenza clone"
 
     def __init__(self, config: ImitationConfig, demonstrations: Path, folder: Path) -> None:
-        """Go on with the run in `folder`, if there is one.
+        """Go on with the run in `folder`, where no other process works, or begin it.
+
+        It learns from what `cadenza dataset collect` has recorded in `demonstrations`.
 
         Raises CadenzaError if an option makes no sense, there are no such demonstrations or they do
         not go together, or the folder holds a run with other options.
-
-        Args:
-            config: The options of the run.
-            demonstrations: a folder of `cadenza dataset collect`.
-            folder: The folder of the run; no other process works in it.
         """
         config.check()
         rng = np.random.default_rng(config.seed)

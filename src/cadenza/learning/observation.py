@@ -10,6 +10,7 @@ of it has to be kept for every transition.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields
 from itertools import accumulate, pairwise
 from typing import Any
@@ -23,7 +24,6 @@ from cadenza.keyboards.loudness import VELOCITIES
 from cadenza.learning.ranges import Ranges
 from cadenza.music.goals import NO_ONSETS, Onsets
 from cadenza.tasks.goal_track import GoalTrack
-from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import TaskSpec, observed_onsets
 
 Floats = NDArray[np.float32]
@@ -99,8 +99,8 @@ class GoalTable:
     A score that comes again takes no room again.
     """
 
-    def __init__(self, task: TaskSpec) -> None:
-        """Begin with an empty table; `task` says how far ahead the score is observed."""
+    def __init__(self, task: TaskSpec, tracks: Iterable[GoalTrack] = ()) -> None:
+        """Begin with some tracks; `task` says how far ahead the score is observed."""
         spec = ObservationSpec.of(task)
         self._num_goals = spec.goals_of_a_step
         self._num_keys, self._control_timestep = spec.key_state, task.config.control_timestep
@@ -113,6 +113,8 @@ class GoalTable:
         self._rows = np.zeros((0, -(-self._num_bits // 8)), np.uint8)
         self._onsets = NO_ONSETS  # by row
         self._first: dict[bytes, int] = {}
+        for track in tracks:
+            self.add(track)
 
     def add(self, track: GoalTrack) -> int:
         """Add what is played, unless it is there; returns the row of its first step."""
@@ -132,11 +134,6 @@ class GoalTable:
     @property
     def _shows_onsets(self) -> bool:
         return len(self._onsets_seen) > 0
-
-    def add_all(self, task: PianoTask) -> None:
-        """Add what `task` draws from."""
-        for track in task.tracks:
-            self.add(track)
 
     def goals(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
         """What the task observes as goal from these rows (...) on, (..., len(kept))."""

@@ -62,8 +62,7 @@ def problem_of(config: TrainingConfig, scores: Sequence[Score]) -> Problem:
     threads = available_cores() if on_policy else 1
     scene = replace(config.scene, engine="c")
     task = PianoTask(scores, config.task, scene, num_envs, threads)
-    goals = GoalTable(task.spec)
-    goals.add_all(task)
+    goals = GoalTable(task.spec, task.tracks)
     observation = ObservationSpec.of(task.spec, config.residual)
     prune = config.prune_inputs and not draws_pitch(config.task)  # asks for the same keys
     inputs = pruned(observation, *goals.ever_wanted()) if prune else observation.inputs

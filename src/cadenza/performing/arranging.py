@@ -135,19 +135,14 @@ def arrange_song(song: LoadedSong, scene: Scene) -> HandArrangement:
 
     Raises CadenzaError if the scene has no hands.
     """
-    if song.written is None:
-        return arrange(song.score, song.arrangement, scene)
-    return arrange(song.written, song.arrangement, scene).performed(song.arrangement)
-
-
-def arrange(score: Score, arrangement: Arrangement, scene: Scene) -> HandArrangement:
-    """The arrangement for the hands of a scene, to a level; raises CadenzaError without any."""
     if not scene.sides:
         raise CadenzaError("without hands, nothing can be arranged: choose --hands both")
-    players = players_of(scene)
-    grade = _WELL_PLAYED if arrangement.level is None else arrangement.level
-    arranged = Arranger(players, scene.hand.jump_times).arrange(score, grade)
-    return HandArrangement(score, arranged, players.description)
+    players, level = players_of(scene), song.arrangement.level
+    grade = _WELL_PLAYED if level is None else level
+    original = song.written or song.score
+    arranged = Arranger(players, scene.hand.jump_times).arrange(original, grade)
+    made = HandArrangement(original, arranged, players.description)
+    return made if song.written is None else made.performed(song.arrangement)
 
 
 def _is_playable(track: GoalTrack, progress: Callable[[int, int], None]) -> bool:

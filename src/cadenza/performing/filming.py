@@ -81,15 +81,10 @@ def write_film(
 ) -> Path:
     """Write the film of a performance, or its sound alone if the ending of the name says so.
 
+    `folder` is what `Performance.save` wrote, `FILM` in it the film by default.
+
     Raises CadenzaError if the folder holds no performance, the file has another ending, there is
     nothing to show, or no browser that can draw it. Returns the file.
-
-    Args:
-        folder: what `Performance.save` wrote.
-        path: the file; `FILM` in the folder if there is none.
-        look: what the film shows; `Look()` if there is none.
-        voice: what makes the notes, see `synthesize`.
-        progress: is told how many pictures are drawn.
     """
     path, look, page = path or folder / FILM, look or Look(), folder / "report.html"
     is_film = path.suffix.lower() == _ENDING

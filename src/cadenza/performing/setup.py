@@ -86,8 +86,11 @@ def set_up(
     score = played.score if arranged is None else arranged.arranged.score
     with (
         closing(PianoTask([track], player.task, scene)) as task,
-        _with_threads(player.agent, num_threads),
+        closing(player.agent),
+        threadpool_limits(1),  # the last bits of linear algebra depend on how many there are
     ):
+        if num_threads is not None:
+            player.agent.num_threads = num_threads
         lost = [*_lost_between_steps(track), *_about_hands(track, chosen.score, played.score)]
         about = [] if arranged is None else [str(arranged)]  # it changes most
         for remark in (*lost, *(f"{each}; as written: --arrange off" for each in about)):
@@ -190,15 +193,3 @@ def _lost_between_steps(track: GoalTrack) -> Iterator[str]:
             f"{count} {changes} of the pedal within a control step of {dt:g} s {are} left out "
             "(with repeats shortened, it comes up)"
         )
-
-
-@contextmanager
-def _with_threads(agent: Agent, num_threads: int | None) -> Iterator[None]:
-    """Give the agent `num_threads` threads and linear algebra one; close the agent afterwards."""
-    if num_threads is not None:
-        agent.num_threads = num_threads
-    try:
-        with threadpool_limits(1):  # its last bits depend on how many threads share it
-            yield
-    finally:
-        agent.close()

@@ -72,14 +72,9 @@ def _ms(seconds: float) -> str:
 def advice(
     misses: Sequence[Miss], num_notes: int, f1: float, settings: dict[str, Any], arranged: bool
 ) -> Advice | None:
-    """What to try; None where a song was played well enough.
+    """What to try; None where a song of `num_notes` notes was played well enough.
 
-    Args:
-        misses: the notes that were missed or let go early.
-        num_notes: the number of notes that were to be played.
-        f1: of the performance.
-        settings: what was chosen for it.
-        arranged: whether the song was arranged for the hands.
+    `settings` are those of the performance, `arranged` whether the song was for the hands.
     """
     missed = [miss.cause for miss in misses if not miss.sounded]
     if not misses or (f1 >= _BAD and len(missed) <= _MANY * num_notes):

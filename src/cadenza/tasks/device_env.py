@@ -53,10 +53,7 @@ class DevicePianoVectorEnv(VectorEnv):
         option makes no sense or is missing here.
         """
         config, scene = configure(options, task, scene)
-        songs = list(song) if isinstance(song, list | tuple) else [song]
-        if songs == [None]:
-            raise CadenzaError("no song to play: give song='OdeToJoy', a path, a Score, or several")
-        self.task = FunctionalPianoTask(scores_of(songs), config, scene, num_envs, make_physics)
+        self.task = FunctionalPianoTask(scores_of(song), config, scene, num_envs, make_physics)
         self.num_envs = num_envs
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.render_mode = None

@@ -84,15 +84,12 @@ class DmEnvAdapter(dm_env.Environment):
         deque_size: int = 1,
         actuator_units: bool = False,
     ) -> None:
-        """Adapt an environment of Gymnasium, which must observe no pixels.
+        """Adapt an environment of Gymnasium, without pixels or wrappers that change observations.
+
+        `seed` is that of the first episode, and metrics are means over `deque_size` episodes. With
+        `actuator_units`, actions are in those instead of [-1, 1].
 
         Raises CadenzaError if observations are not those of a `PianoEnv`.
-
-        Args:
-            env: the environment, without pixels and without wrappers that change observations.
-            seed: the seed of the first episode; the following ones continue its random numbers.
-            deque_size: over how many episodes metrics and statistics are means.
-            actuator_units: take actions in the units of the actuators instead of [-1, 1].
         """
         piano = env.unwrapped
         if not isinstance(piano, PianoEnv):

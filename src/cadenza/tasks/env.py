@@ -36,12 +36,17 @@ _EPISODE_OPTIONS = ("song", "score", "step", "start", "randomization")
 _RESET_OPTIONS = {"reset_mask", *_EPISODE_OPTIONS}
 
 
-def scores_of(songs: Sequence[Any]) -> list[Score]:
-    """The scores of songs that are given as `PianoVectorEnv` takes them.
+def scores_of(song: Any) -> list[Score]:
+    """The scores of a song, or of several, that are given as `PianoVectorEnv` takes them.
 
-    Raises CadenzaError if there is no such song, or it cannot be read.
+    Raises CadenzaError if there is none, or one cannot be read.
     """
-    return [as_score(song) or load_score(song) for song in songs]
+    if song is None:
+        raise CadenzaError(
+            "no song to play: give song='OdeToJoy', the path of a MIDI file, a Score, or several"
+        )
+    songs = song if isinstance(song, list | tuple) else [song]
+    return [as_score(each) or load_score(each) for each in songs]
 
 
 def as_score(song: Any) -> Score | None:
@@ -61,7 +66,7 @@ def state_space(spec: TaskSpec) -> spaces.Box:
 
 
 def _make_task(
-    songs: list[Any],
+    song: Any,
     num_envs: int,
     num_threads: int,
     task: TaskConfig | PianoTask | None,
@@ -69,10 +74,9 @@ def _make_task(
     reward_terms: Mapping[str, RewardTerm] | None,
     options: dict[str, Any],
 ) -> PianoTask:
-    """The task of an environment, see `PianoVectorEnv`; without a song `songs` is [None]."""
-    no_song = songs == [None]
+    """The task of an environment, see `PianoVectorEnv`."""
     if isinstance(task, PianoTask):
-        if not no_song or scene is not None or reward_terms is not None or options:
+        if song is not None or scene is not None or reward_terms is not None or options:
             raise CadenzaError(
                 "a PianoTask already has its songs, scene, reward and options: pass nothing else, "
                 "or a TaskConfig instead"
@@ -81,11 +85,7 @@ def _make_task(
             raise CadenzaError(f"num_envs {num_envs}: the task has {task.num_envs}; give the same")
         return task
     config, scene = configure(options, task, scene)  # first: it may be the song that is misspelt
-    if no_song:
-        raise CadenzaError(
-            "no song to play: give song='OdeToJoy', the path of a MIDI file, a Score, or several"
-        )
-    return PianoTask(scores_of(songs), config, scene, num_envs, num_threads, reward_terms)
+    return PianoTask(scores_of(song), config, scene, num_envs, num_threads, reward_terms)
 
 
 class PianoVectorEnv(VectorEnv):
@@ -146,9 +146,7 @@ class PianoVectorEnv(VectorEnv):
         if not isinstance(picture, Picture | None):
             raise CadenzaError(f"picture {quoted(picture)}: give a cadenza.sim.render.Picture")
         self._given: list[Any] = list(song) if isinstance(song, list | tuple) else [song]
-        self.task = _make_task(
-            self._given, num_envs, num_threads, task, scene, reward_terms, options
-        )
+        self.task = _make_task(song, num_envs, num_threads, task, scene, reward_terms, options)
         self.num_envs = self.task.num_envs
         self.render_mode = render_mode
         self.metadata = {

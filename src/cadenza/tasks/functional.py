@@ -26,7 +26,7 @@ from cadenza.tasks.goal_track import UpcomingOnsets, onset_steps
 from cadenza.tasks.onset_matching import matched_onsets, no_notes_played
 from cadenza.tasks.piano_task import PEDAL_DOWN, Transition, offset_joints
 from cadenza.tasks.reward import Outcome, Reward, key_activation, key_state
-from cadenza.tasks.view import observed_touch, onset_parts, task_spec
+from cadenza.tasks.view import task_spec
 
 with extra_packages("gpu", "the engine warp"):
     import jax
@@ -274,23 +274,17 @@ class FunctionalPianoTask:
         """(N, D) observations, see `PianoTask.observation`."""
         song, row = episodes.song, self._row(episodes)
         ahead = row[:, None] + jnp.arange(self.config.lookahead_steps + 1)
-        keys, joints = key_state(state.key_qpos, self.scene.keyboard.travel), state.hand_qpos
+        keys = key_state(state.key_qpos, self.scene.keyboard.travel)
         if self._randomization is not None:
             keys = self._randomization.observed_keys(episodes.draws, keys)
-            joints = self._randomization.observed_joints(episodes.draws, joints)
-        parts = {
-            "goal": self.songs.goal[song[:, None], ahead],
-            "fingering": self.songs.fingers_wanted[song, row],
-            "key_state": keys,
-            "pedal": episodes.pedal,
-            "joints": joints,
-            "joint_velocities": state.hand_qvel,
-            "touch": observed_touch(state.touch[:, self.scene.present_fingers]),
-        }
-        if self.config.onset_goals:
-            due = self._onsets(song, row)
-            parts |= onset_parts(due, state, self.scene.keyboard, self.config)
-        return self.spec.observation(parts)
+            joints = self._randomization.observed_joints(episodes.draws, state.hand_qpos)
+            state = state._replace(hand_qpos=joints)
+        goal, fingering = (
+            self.songs.goal[song[:, None], ahead],
+            self.songs.fingers_wanted[song, row],
+        )
+        due = self._onsets(song, row) if self.config.onset_goals else None
+        return self.spec.observation(goal, fingering, keys, episodes.pedal, state, due)
 
     def _onsets(self, song: Array, row: Array) -> UpcomingOnsets:
         """The notes that begin around the steps `row` (N,) of songs (N,)."""

@@ -36,7 +36,7 @@ from cadenza.tasks.reward import (
     key_state,
     midi_velocity,
 )
-from cadenza.tasks.view import View, observed_touch, onset_parts, task_spec
+from cadenza.tasks.view import View, task_spec
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -327,20 +327,11 @@ class PianoTask:
         step, and how loud. What was due and what was played then tell which notes may still be
         played (`matched_onsets`), and so what the next step can earn.
         """
-        upcoming, state = self.goals.upcoming, self.sensed
-        parts = {
-            "goal": upcoming.goal,
-            "fingering": upcoming.fingers_wanted,
-            "key_state": key_state(state.key_qpos, self.scene.keyboard.travel),
-            "pedal": self._pedal,
-            "joints": state.hand_qpos,
-            "joint_velocities": state.hand_qvel,
-            "touch": observed_touch(state.touch[:, self.scene.present_fingers]),
-        }
-        if self.config.onset_goals:
-            due = self.goals.upcoming_onsets
-            parts |= onset_parts(due, state, self.scene.keyboard, self.config)
-        return self.spec.observation(parts)
+        goals, state = self.goals.upcoming, self.sensed
+        due = self.goals.upcoming_onsets if self.config.onset_goals else None
+        keys = key_state(state.key_qpos, self.scene.keyboard.travel)
+        seen = goals.goal, goals.fingers_wanted, keys, self._pedal
+        return self.spec.observation(*seen, state, due)
 
     def privileged(self) -> dict[str, Array]:
         """Name -> (N, size) what only a simulation knows, for critics; without noise.

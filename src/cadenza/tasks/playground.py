@@ -66,9 +66,8 @@ class PlaygroundPiano:
         The arguments are those of `PianoVectorEnv` and `FunctionalPianoTask`. Raises CadenzaError
         if a song cannot be played, or an option makes no sense or is missing here.
         """
-        songs = list(song) if isinstance(song, list | tuple) else [song]
-        scores = scores_of(songs)
-        self.task = FunctionalPianoTask(scores, *configure(options), make_physics=make_physics)
+        how = configure(options)
+        self.task = FunctionalPianoTask(scores_of(song), *how, make_physics=make_physics)
         self._tasks = {1: self.task}  # number of worlds -> task
         self.action_size = self.task.spec.action_size
         self.observation_size = self.task.spec.observation_size

@@ -56,11 +56,7 @@ def onset_parts(
 ) -> dict[str, NDArray[np.float32]]:
     """The parts of an observation that `TaskConfig.onset_goals` adds, by their names.
 
-    Args:
-        due: the notes around.
-        state: the state after the last step.
-        keyboard: the keys, which say how loud they are.
-        config: the task, which says how far ahead notes are observed.
+    `due` are the notes around, `state` is that after the last step.
     """
     dt, shown = config.control_timestep, config.lookahead_steps + 2
     notes = observed_onsets(due.time[:, :shown], due.velocity[:, :shown], dt)
@@ -112,12 +108,20 @@ class TaskSpec:
         """D, the number of values in an observation."""
         return max(part.stop for part in self.observation_layout.values())
 
-    def observation(self, parts: Mapping[str, Any]) -> NDArray[np.float32]:
-        """(N, D) observations from arrays (N, ...) by name; some may not be observed.
+    def observation(
+        self, goal: Any, fingering: Any, keys: Any, pedal: Any, state: State, due: Any
+    ) -> NDArray[np.float32]:
+        """(N, D) observations, see `PianoTask.observation`, of those that are asked for.
 
+        `keys` (N, K) are how far down they seem, `due` the notes around, if onsets are observed.
         The arrays are NumPy's or those of a library like it, which can compile this.
         """
-        xp = parts["key_state"].__array_namespace__()
+        parts = {"goal": goal, "fingering": fingering, "key_state": keys, "pedal": pedal}
+        parts |= {"joints": state.hand_qpos, "joint_velocities": state.hand_qvel}
+        parts["touch"] = observed_touch(state.touch[:, self.scene.present_fingers])
+        if due is not None:
+            parts |= onset_parts(due, state, self.scene.keyboard, self.config)
+        xp = keys.__array_namespace__()
         flat = [
             parts[name].reshape(-1, part.stop - part.start).astype(xp.float32)
             for name, part in self.observation_layout.items()

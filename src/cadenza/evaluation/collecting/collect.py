@@ -34,7 +34,6 @@ from cadenza.evaluation.jobs import BenchJob, JobSpec, digest_of_files, songs_of
 from cadenza.evaluation.run_status import (
     check_song,
     claimed_run,
-    failure_recorded,
     progress_writer,
     versions,
 )
@@ -131,10 +130,9 @@ def record(
     job: EpisodeJob, folder: Path, num_threads: int, _stop: Callable[[], bool] = lambda: False
 ) -> None:
     """Leave the episode in `folder`, as `cadenza.evaluation.run.carry_out` does a run."""
-    with claimed_run(job, folder, lambda: is_complete(job, folder)) as ours:
+    with claimed_run(job, folder, is_complete) as ours:
         if ours:
-            with failure_recorded(folder):
-                _record(job, folder, num_threads, progress_writer(folder))
+            _record(job, folder, num_threads, progress_writer(folder))
 
 
 def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress) -> None:

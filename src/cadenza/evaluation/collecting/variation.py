@@ -32,10 +32,7 @@ class Variation:
     ) -> tuple[Score, dict[str, Any]]:
         """Draw the part of a song to play, and the values `since`, `mirrored` and `noise`.
 
-        Args:
-            score: the song.
-            pitches: The pitches for which there are keys; a mirror image beyond them is not played.
-            rng: The source of randomness.
+        A mirror image beyond the `pitches` for which there are keys is not played.
         """
         begin, mirror, noise = rng.random(3).tolist()
         since = 0.0
@@ -49,12 +46,9 @@ class Variation:
 
 
 def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
-    """Return an excerpt of a score, and when it begins in the score [s].
+    """Return an excerpt of so many `seconds`, and when it begins in the score [s].
 
-    Args:
-        score: the whole song.
-        seconds: length of the excerpt [s].
-        where: the note at which it begins, from 0 for the first to 1 for the last possible one.
+    It begins `where` a note does, from 0 for the first to 1 for the last possible one.
     """
     starts, last = sorted({note.start for note in score.notes}), score.total_time - seconds
     possible = [start for start in starts if start <= last] or starts[:1]

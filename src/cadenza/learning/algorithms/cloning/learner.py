@@ -54,14 +54,7 @@ class Cloning(JaxLearner[CloningState]):
     def __init__(
         self, config: CloningConfig, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
     ) -> None:
-        """Build the actor and its optimiser; nothing is drawn yet.
-
-        Args:
-            config: the hyperparameters.
-            inputs: The entries that the actor observes.
-            action_size: A.
-            ends: The ends of the learning rate's decay, see `learning_rate_schedule`.
-        """
+        """Build the actor and its optimiser; for `ends` see `learning_rate_schedule`."""
         super().__init__()
         self._config, self._num_inputs = config, len(inputs.kept)
         self._actor = CloningActor(config, action_size)

@@ -79,16 +79,10 @@ class GeneralistCloning(CheckpointedRun):
         folder: Path,
         progress: Progress = silent,
     ) -> None:
-        """Resume the run in `folder`, if there is one.
+        """Resume the run in `folder`, or begin it; `progress` counts the episodes that are read.
 
         Raises CadenzaError if an option makes no sense, the demonstrations do not go together or
         are too few, or the folder holds a run with other options.
-
-        Args:
-            config: its options.
-            demonstrations: folders of `cadenza dataset collect`.
-            folder: The folder of the run.
-            progress: The function that is told how many episodes have been read.
         """
         config.check()
         updates, rng = len(NETWORKS) * _ENSEMBLE, np.random.default_rng(config.seed)

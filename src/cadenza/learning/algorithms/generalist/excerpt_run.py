@@ -36,18 +36,13 @@ class ExcerptRun(CheckpointedRun):
         weights: Path | None = None,
         progress: Progress = silent,
     ) -> None:
-        """Resume the run in `folder`, if there is one.
+        """Resume the run in `folder`, or begin it on `scores`, excerpts of songs of a `library`.
+
+        It begins with the networks in the file `weights`, by default those of Cadenza; `progress`
+        counts the excerpts that are planned.
 
         Raises CadenzaError if an option makes no sense, there is no score, the networks are of
         other hands, or the folder holds a run with other options.
-
-        Args:
-            config: its options.
-            library: the name of the library.
-            scores: excerpts of its songs.
-            folder: The folder of the run.
-            weights: file of the networks to begin with; by default those of Cadenza.
-            progress: The function that is told how many excerpts have been planned.
         """
         config.check()
         if not scores:

@@ -55,14 +55,7 @@ class HandPPO:
         scene: Scene,
         rng: np.random.Generator,
     ) -> None:
-        """Build the optimisers; nothing is drawn yet.
-
-        Args:
-            config: the hyperparameters.
-            weights: The initial networks.
-            scene: The scene with the hands.
-            rng: The source of randomness of the first values and of the batches.
-        """
+        """Build the optimisers, to begin with `weights`; `rng` draws values and batches."""
         fingers = servos_of(hand_alone(scene, scene.sides[0]).scene).finger
         self._config, self._weights, self._rng = config, weights, rng
         self._fingers = [fingers[network.servos[:, 0]] for network in weights.networks]

@@ -160,10 +160,7 @@ class TouchFit:
     def fit(self, of: Network, fingers: Array, strikes: Strikes) -> tuple[Network, float]:
         """The network for touches, and the mean cost that the critics predict with it.
 
-        Args:
-            of: The network of the same fingers, which sees the same.
-            fingers: (M,) the fingers.
-            strikes: Strikes of all fingers.
+        It sees the same as the network `of` the same fingers (M,).
         """
         part, mean, std = _part(of, fingers, strikes)
         sizes = (part.seen.shape[1], *self._config.hidden_sizes, 2)
