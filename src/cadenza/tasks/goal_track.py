@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -31,6 +31,7 @@ class GoalTrack:
     config: TaskConfig  # the task's options
     scene: Scene  # the hands and the keys
     found: bool = False  # whether a search found all fingers, because the song gives none
+    _cached: list[weakref.ref[Goals]] = field(default_factory=list, init=False, repr=False)
 
     def __repr__(self) -> str:
         return f"GoalTrack({self.score!r}, {self.scene!r})"
@@ -64,9 +65,19 @@ class GoalTrack:
         """The control step in which a `note` of the score begins."""
         return self.silent_steps + int(note.start * (1 / self.config.control_timestep))
 
-    @cached_property
+    @property
     def goals(self) -> Goals:
-        """The goals of every control step of the episode, without fingers that the hands lack."""
+        """The goals of every control step of the episode, without fingers that the hands lack.
+
+        They are computed on demand, and cached as long as they are referenced.
+        """
+        goals = self._cached[0]() if self._cached else None
+        if goals is None:
+            goals = self._compute_goals()
+            self._cached[:] = [weakref.ref(goals)]
+        return goals
+
+    def _compute_goals(self) -> Goals:
         config, silent = self.config, self.silent_steps
         shorten = config.repeats == "shortened"
         scene, dt = self.scene, config.control_timestep
@@ -84,7 +95,7 @@ class GoalTrack:
         )
 
     def __getstate__(self) -> dict[str, object]:
-        return {name: value for name, value in vars(self).items() if name != "goals"}
+        return {**vars(self), "_cached": []}  # weak references cannot be pickled
 
     def __deepcopy__(self, memo: dict[int, object]) -> GoalTrack:
         return self  # never changes
