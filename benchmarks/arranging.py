@@ -24,13 +24,13 @@ from cadenza.arranging.fidelity import pitch_classes
 from cadenza.arranging.moments import beats_of
 from cadenza.arranging.parts import sources_of
 from cadenza.errors import errors_in_a_line
-from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.midi import score_of
 from cadenza.music.formats.midi_messages import parsed
 from cadenza.music.libraries.library import load_score
 from cadenza.music.performance import played_in
 from cadenza.music.score import OCTAVE, Note, Score
-from cadenza.performing.arranging import HandArrangement, arrange
+from cadenza.performing.arranging import HandArrangement, arrange_song
+from cadenza.performing.loaded_song import LoadedSong
 from cadenza.performing.performance import perform
 from cadenza.performing.player import find_player
 from cadenza.performing.setup import set_up
@@ -82,7 +82,7 @@ def measure(
 ) -> tuple[float, ...]:
     """The values of `COLUMNS` for a song of which melody and bass are known."""
     started = time.process_time()
-    found = arrange(score, Arrangement(), build_scene())
+    found = arrange_song(LoadedSong(score.title, score), build_scene())
     took = time.process_time() - started
     begin = min(begin, max(score.total_time - seconds, 0.0))
     part = Score(excerpt(found.arranged.score.notes, begin, seconds))

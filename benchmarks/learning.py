@@ -93,8 +93,7 @@ class Experience(NamedTuple):
 def gather(score: Score) -> Experience:
     """Plays `PLAYED` control steps, and keeps them over and over."""
     task, rng = PianoTask([score], PAPERS), np.random.default_rng(0)
-    scores = GoalTable(task.spec)
-    scores.add_all(task)
+    scores = GoalTable(task.spec, task.tracks)
     spec = ObservationSpec.of(task.spec)
     inputs, short_inputs = spec.inputs, pruned(spec, *scores.ever_wanted())
     observer = Observer(task.spec, scores, inputs)
