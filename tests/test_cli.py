@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import av
@@ -20,7 +21,7 @@ from cadenza.agents.planner.planner import SongPlanner
 from cadenza.agents.playback import SavedPlan
 from cadenza.cli import COMMANDS, GROUPS, main
 from cadenza.episode import load_episode
-from cadenza.evaluation.run_status import failure_recorded
+from cadenza.evaluation.run_status import claimed_run
 from cadenza.files import ANY, read_tensors, write_json, write_tensors
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.formats.fingering_file import read_fingering
@@ -251,7 +252,8 @@ def test_a_full_disk_is_told_in_a_line(words, tune, tmp_path, monkeypatch, capsy
 
 
 def test_a_run_for_which_the_disk_is_full_says_so(tmp_path):
-    with failure_recorded(tmp_path):
+    job = SimpleNamespace(command="cadenza bench", spec=SimpleNamespace(as_json=dict))
+    with claimed_run(job, tmp_path, lambda *_: False):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "episode.npz")
     assert "episode.npz: the disk is full; free some" in (tmp_path / "failed.json").read_text()
 
