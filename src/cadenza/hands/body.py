@@ -7,7 +7,7 @@ links, but for the few figures that are given for it. Lengths in [m], masses in 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -21,10 +21,12 @@ from cadenza.hands.shell import Shell
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
-Colour = tuple[float, float, float, float]
+Shape = Literal["sphere", "capsule", "cylinder", "box", "ellipsoid"]
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 LINK_RGBA = (0.80, 0.82, 0.85, 1.0)
+CONTACT_SOLREF = (0.005, 1.0)
+CONTACT_SOLIMP = (0.5, 0.99, 0.0001, 0.5, 2.0)
 
 ROTOR = 2e-4
 """Inertia of a motor behind its gears [kg m^2], that of RoboPianist's hands (Zakka et al., 2023).
@@ -32,7 +34,7 @@ ROTOR = 2e-4
 Without it, finger links of a few grams chatter on keys, and slide off them.
 """
 
-GEOM_TYPES = {
+GEOM_TYPES: dict[Shape, tuple[mujoco.mjtGeom, int]] = {
     "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, 1),
     "capsule": (mujoco.mjtGeom.mjGEOM_CAPSULE, 2),
     "cylinder": (mujoco.mjtGeom.mjGEOM_CYLINDER, 2),
@@ -40,6 +42,9 @@ GEOM_TYPES = {
     "ellipsoid": (mujoco.mjtGeom.mjGEOM_ELLIPSOID, 3),
 }
 """Type of a `Geom` -> MuJoCo's type, and how many numbers its size has."""
+
+SHAPES = {int(kind): (name, count) for name, (kind, count) in GEOM_TYPES.items()}
+"""MuJoCo's type -> the type of a `Geom`, and how many numbers its size has."""
 
 SERVO = "A_"  # prefix of the names of servos, before the name of the joint or tendon that they move
 
@@ -53,7 +58,7 @@ def prefix(side: Side) -> str:
 class Geom:
     """A shape fixed to a link; `mirrored` is False for the few that are the same on both hands."""
 
-    type: Literal["sphere", "capsule", "cylinder", "box", "ellipsoid"]
+    type: Shape
     size: tuple[Positive, ...]
     pos: Vector = (0.0, 0.0, 0.0)
     quat: Quaternion = IDENTITY
@@ -102,19 +107,18 @@ class Link:
     """The shapes that collide instead if the fingertips are not to be primitive."""
     drawn: tuple[Shell, ...] = ()
     """What pages and films draw in place of the shapes that collide."""
-    rgba: Colour = LINK_RGBA
     hides_keys: bool = False
     """Whether it is drawn transparent while it hides keys that sound."""
 
 
 @dataclass(frozen=True)
 class Actuator:
-    """A position servo of gain `kp` [N m/rad] that can apply up to `force` [N m]."""
+    """A position servo of gain `kp` [N m/rad] that can apply up to `force` [N m], None: any."""
 
     target: str
     """A joint or a coupling."""
     kp: Positive
-    force: Positive
+    force: Positive | None
     kv: float = 0.0
     """The damping [N m s/rad]."""
 
@@ -194,8 +198,6 @@ class Body:
     """Rotor inertia of every joint [kg m^2], and of the forearm's slides [kg]."""
     friction_loss: float = 0.01
     """Dry friction of every joint [N m], and of the forearm's slides [N]."""
-    contact_solref: tuple[float, float] = (0.005, 1.0)
-    contact_solimp: tuple[float, float, float, float, float] = (0.5, 0.99, 0.0001, 0.5, 2.0)
 
 
 _CONTACT_BITS: dict[Side, int] = {"right": 8, "left": 16}  # bits of contype and conaffinity
@@ -211,28 +213,48 @@ class BodyBuilder:
         # Hands that play apart collide with themselves and with keys, but not with each other.
         self._own_bits = _CONTACT_BITS[side] if options.apart and options.hand_collisions else 0
         self._mount_y = forearm.mount_y(side, options.hand_spacing)
-        self._forearm_dofs = () if body.mount else options.forearm_dofs
+        dofs = () if body.mount else options.forearm_dofs
+        self._forearm_joints = [self._forearm_joint(name) for name in dofs]
+        self._forearm_actuators = [
+            Actuator(f"{forearm.FOREARM}_{name}", forearm.JOINTS[name].kp, None) for name in dofs
+        ]
 
     def build(self) -> None:
         """Add links, joints, geoms, tendons, actuators and exclusions."""
+        ranges = {each.name: each.control_range for each in self._body.couplings}
         for link in self._body.links:
             body = self._add_link(link)
             if not link.parent:
                 self._mount(body)
-            if link.joint and link.joint.name not in self._locked:
-                self._add_joint(body, link.joint)
+            for joint in self._joints_of(link):
+                ranges[joint.name] = joint.range
+                self._add_joint(body, joint)
             self._add_geoms(body, link)
-        self._add_actuators()
+        self._add_couplings()
+        for actuator in (*self._body.actuators, *self._forearm_actuators):
+            if actuator.target not in self._locked:
+                self._add_servo(actuator, ranges[actuator.target])
         for first, second in self._body.excluded:
             self._spec.add_exclude(bodyname1=self._prefix + first, bodyname2=self._prefix + second)
 
-    def _joint_range(self, joint: Joint) -> tuple[float, float]:
-        reduced = self._body.reduced_ranges if self._options.reduced_action_space else {}
-        return reduced.get(joint.name, joint.range)
+    def _forearm_joint(self, name: str) -> Joint:
+        dof = forearm.JOINTS[name]
+        x, y, z = dof.axis
+        return Joint(
+            f"{forearm.FOREARM}_{name}",
+            (-x, -y, -z) if dof.mirrored and self._side == "left" else dof.axis,
+            forearm.joint_range(name, self._mount_y, self._options.keyboard_half_length),
+            damping=0.0,
+            slide=not dof.hinge,
+        )
 
-    def _friction_loss(self, of_joint: float | None = None) -> float:
-        loss = self._body.friction_loss if of_joint is None else of_joint
-        return loss if self._options.dry_friction else 0.0
+    def _joints_of(self, link: Link) -> list[Joint]:
+        joints = [] if link.parent else list(self._forearm_joints)
+        if link.joint and link.joint.name not in self._locked:
+            reduced = self._body.reduced_ranges if self._options.reduced_action_space else {}
+            limits = reduced.get(link.joint.name, link.joint.range)
+            joints.append(replace(link.joint, range=limits))
+        return joints
 
     def _add_link(self, link: Link) -> mujoco.MjsBody:
         # Each hand hangs from a body of its own, as in the published scene: sums are taken per
@@ -254,7 +276,7 @@ class BodyBuilder:
         )
 
     def _mount(self, body: mujoco.MjsBody) -> None:
-        """Place the forearm, and give it the degrees of freedom that were asked for."""
+        """Place the first link."""
         sign = 1.0 if self._side == "right" else -1.0
         if (mount := self._body.mount) is not None:
             x, y, z = mount.pos
@@ -265,30 +287,18 @@ class BodyBuilder:
         turn = np.zeros(4)
         mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0, 1]), yaw)
         body.pos, body.quat = (x, self._mount_y, z), product(turn, np.array(forearm.MOUNT_QUAT))
-        for name in self._forearm_dofs:
-            dof = forearm.JOINTS[name]
-            mirrored = dof.mirrored and self._side == "left"
-            body.add_joint(
-                name=f"{self._prefix}{forearm.FOREARM}_{name}",
-                type=mujoco.mjtJoint.mjJNT_HINGE if dof.hinge else mujoco.mjtJoint.mjJNT_SLIDE,
-                axis=[-a for a in dof.axis] if mirrored else dof.axis,
-                range=self._forearm_range(name),
-                armature=self._body.armature,
-                frictionloss=self._friction_loss(),
-            )
-
-    def _forearm_range(self, name: str) -> tuple[float, float]:
-        return forearm.joint_range(name, self._mount_y, self._options.keyboard_half_length)
 
     def _add_joint(self, body: mujoco.MjsBody, joint: Joint) -> None:
+        armature, loss = joint.armature, joint.friction_loss
+        loss = self._body.friction_loss if loss is None else loss
         body.add_joint(
             name=self._prefix + joint.name,
             type=mujoco.mjtJoint.mjJNT_SLIDE if joint.slide else mujoco.mjtJoint.mjJNT_HINGE,
             axis=joint.axis,
-            range=self._joint_range(joint),
+            range=joint.range,
             damping=joint.damping,
-            armature=self._body.armature if joint.armature is None else joint.armature,
-            frictionloss=self._friction_loss(joint.friction_loss),
+            armature=self._body.armature if armature is None else armature,
+            frictionloss=loss if self._options.dry_friction else 0.0,
         )
 
     def _add_geoms(self, body: mujoco.MjsBody, link: Link) -> None:
@@ -296,27 +306,20 @@ class BodyBuilder:
         if link.round_geoms and not self._options.primitive_fingertips:
             geoms = link.round_geoms
         for geom in geoms:
-            self._add_geom(
-                body, geom,
-                rgba=link.rgba,
+            kind, count = GEOM_TYPES[geom.type]
+            body.add_geom(
+                type=kind,
+                pos=geom.pos,
+                quat=geom.quat,
+                size=(*geom.size, *[0.0] * (3 - count)),
+                rgba=LINK_RGBA,
                 contype=1 | self._own_bits,
                 conaffinity=self._own_bits or int(self._options.hand_collisions),
-                solref=self._body.contact_solref,
-                solimp=self._body.contact_solimp,
-            )  # fmt: skip
+                solref=CONTACT_SOLREF,
+                solimp=CONTACT_SOLIMP,
+            )
 
-    def _add_geom(self, body: mujoco.MjsBody, geom: Geom, **attributes: Any) -> None:
-        padded = np.zeros(3)
-        padded[: len(geom.size)] = geom.size
-        kind, _ = GEOM_TYPES[geom.type]
-        body.add_geom(type=kind, pos=geom.pos, quat=geom.quat, size=padded, **attributes)
-
-    def _add_actuators(self) -> None:
-        ranges = {
-            link.joint.name: self._joint_range(link.joint)
-            for link in self._body.links
-            if link.joint
-        }
+    def _add_couplings(self) -> None:
         for coupling in self._body.couplings:
             tendon = self._spec.add_tendon(name=self._prefix + coupling.name)
             for joint in coupling.joints:
@@ -327,47 +330,21 @@ class BodyBuilder:
                 objtype=mujoco.mjtObj.mjOBJ_JOINT,
                 name1=self._prefix + follower.joint,
                 name2=self._prefix + follower.leader,
-                solref=self._body.contact_solref,
+                solref=CONTACT_SOLREF,
             )
             equality.data[1] = follower.ratio
-        coupled = {coupling.name: coupling.control_range for coupling in self._body.couplings}
-        for actuator in self._body.actuators:
-            if actuator.target not in self._locked:
-                self._add_servo(
-                    name=actuator.target,
-                    tendon=actuator.target in coupled,
-                    kp=actuator.kp,
-                    ctrlrange=(coupled | ranges)[actuator.target],
-                    force=actuator.force,
-                    kv=actuator.kv,
-                )
-        for name in self._forearm_dofs:
-            self._add_servo(
-                name=f"{forearm.FOREARM}_{name}",
-                tendon=False,
-                kp=forearm.JOINTS[name].kp,
-                ctrlrange=self._forearm_range(name),
-                force=None,
-            )
 
-    def _add_servo(
-        self,
-        name: str,
-        tendon: bool,
-        kp: float,
-        ctrlrange: tuple[float, float],
-        force: float | None,
-        kv: float = 0.0,
-    ) -> None:
-        actuator = self._spec.add_actuator(
-            name=f"{self._prefix}{SERVO}{name}",
-            target=self._prefix + name,
-            trntype=mujoco.mjtTrn.mjTRN_TENDON if tendon else mujoco.mjtTrn.mjTRN_JOINT,
-            ctrlrange=ctrlrange,
+    def _add_servo(self, actuator: Actuator, control_range: tuple[float, float]) -> None:
+        coupled = actuator.target in {coupling.name for coupling in self._body.couplings}
+        servo = self._spec.add_actuator(
+            name=f"{self._prefix}{SERVO}{actuator.target}",
+            target=self._prefix + actuator.target,
+            trntype=mujoco.mjtTrn.mjTRN_TENDON if coupled else mujoco.mjtTrn.mjTRN_JOINT,
+            ctrlrange=control_range,
         )
-        actuator.set_to_position(kp=kp, kv=kv)
-        if force is not None:
-            actuator.forcerange = (-force, force)
+        servo.set_to_position(kp=actuator.kp, kv=actuator.kv)
+        if actuator.force is not None:
+            servo.forcerange = (-actuator.force, actuator.force)
 
 
 def mirror_image(body: Body) -> Body:

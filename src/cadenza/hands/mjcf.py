@@ -23,8 +23,8 @@ from cadenza.fingers import Side
 from cadenza.hands import forearm
 from cadenza.hands.arm_allegro import on_arm_as_on_forearm
 from cadenza.hands.body import (
-    GEOM_TYPES,
     ROTOR,
+    SHAPES,
     Actuator,
     Body,
     Coupling,
@@ -49,9 +49,6 @@ Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 TOML = ".toml"
 _MAX_LINKS = 3  # of a finger, as capsules that can meet others
 _THIN = 0.008  # [m] radius of a link without shapes
-_NAMES: dict[int, tuple[Any, int]] = {
-    kind: (name, count) for name, (kind, count) in GEOM_TYPES.items()
-}
 _APART = 0.001  # [m] between the origins of links, for a capsule between them
 _NO_MASS = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-9 1e-9 1e-9"}  # MuJoCo wants some
 _STIFF = 1.5  # [N m/rad] from which motions have to be gentle
@@ -111,9 +108,7 @@ class Measurement:
     # Finger -> where it presses white keys [m]
     on_white: dict[str, float] = field(default_factory=dict)
     # The arrays of `Reach`
-    reach: dict[Literal["rest", "least", "most", "outward", "inward"], list[Any]] = field(
-        default_factory=dict
-    )
+    reach: dict[ReachField, list[Any]] = field(default_factory=dict)
     sha256: str = ""  # the digest of the files that were measured
 
 
@@ -361,7 +356,7 @@ class HandFile:
     def _ends(self, geom: int) -> list[tuple[Array, float]]:
         """The centres of both ends of a shape [m], and their radius [m]."""
         size, pos = self._model.geom_size[geom], self._data.geom_xpos[geom]
-        name, count = _NAMES[mujoco.mjtGeom(self._model.geom_type[geom])]
+        name, count = SHAPES[int(self._model.geom_type[geom])]
         if name == "sphere":
             return [(pos, float(size[0]))]
         longest = 2 if count == 2 else int(np.argmax(size))
@@ -496,7 +491,7 @@ class HandFile:
         )
 
     def _geom(self, body: int, geom: int) -> Geom:
-        name, count = _NAMES[mujoco.mjtGeom(self._model.geom_type[geom])]
+        name, count = SHAPES[int(self._model.geom_type[geom])]
         return Geom(
             name,
             size=tuple(self._model.geom_size[geom, :count].tolist()),
@@ -543,7 +538,7 @@ class HandFile:
 
     def _half_width(self, body: int, geom: int) -> float:
         """Half of how wide a shape is across its link [m]; a box may be wider than long."""
-        name, _ = _NAMES[mujoco.mjtGeom(self._model.geom_type[geom])]
+        name, _ = SHAPES[int(self._model.geom_type[geom])]
         size, turn = self._model.geom_size[geom], self._data.geom_xmat[geom].reshape(3, 3)
         if name != "box":
             return _radius(name, size)

@@ -6,14 +6,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.hands.body import GEOM_TYPES, prefix
+from cadenza.hands.body import SHAPES, prefix
 from cadenza.hands.shell import METAL, Material, Shell, as_json, bevelled, surface
 from cadenza.keyboards.keyboard import Keyboard
 from cadenza.scene.furniture import FLOOR, IVORY, LACQUER, CasePiece, floor_height, furniture
 from cadenza.scene.scene import Scene, scene_spec
-
-# MuJoCo's type of a geom -> its name, and how many numbers its size has.
-_SHAPES = {kind: (name, count) for name, (kind, count) in GEOM_TYPES.items()}
 
 _DECIMALS = 6  # of lengths [m] and quaternions
 
@@ -106,7 +103,7 @@ def _body(scene: Scene, body: int, index: dict[int, int]) -> dict[str, Any]:
 
 
 def _shape(model: mujoco.MjModel, g: int, fixed: bool) -> dict[str, Any]:
-    name, num_sizes = _SHAPES[mujoco.mjtGeom(model.geom_type[g])]
+    name, num_sizes = SHAPES[int(model.geom_type[g])]
     pos = model.geom_pos[g] + (model.body_pos[model.geom_bodyid[g]] if fixed else 0.0)
     return {
         "type": name,
