@@ -1,6 +1,7 @@
 """Folders of work that is stopped and resumed: the lock, the manifest and what a kill leaves."""
 
 import resource
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -12,7 +13,7 @@ import pytest
 
 from cadenza.errors import CadenzaError
 from cadenza.files import TEMPORARY
-from cadenza.resumable import ResumableFolder
+from cadenza.resumable import RateLimited, ResumableFolder
 
 
 @dataclass(frozen=True)
@@ -134,3 +135,19 @@ def test_where_there_is_no_room_the_last_checkpoint_still_loads(folder, size):
     found = folder.load(Facts)
     assert found is not None
     assert found[0].step == 1
+
+
+def test_what_takes_long_is_done_less_often(monkeypatch):
+    clock, began = [0.0], list[float]()
+
+    def work() -> None:
+        began.append(clock[0])
+        clock[0] += 10.0
+
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    now_and_then = RateLimited(work, interval=5.0, share=0.1)
+    for clock[0] in (4.0, 6.0, 30.0, 115.0, 117.0):
+        now_and_then()
+    assert began == [6.0, 117.0]
+    now_and_then(at_once=True)
+    assert began[-1] == 127.0

@@ -88,24 +88,16 @@ def test_a_host_may_be_given_in_capitals(tmp_path):
         assert browser.get("/TOKEN/", headers={"host": "other:8000"}).status_code == 403
 
 
-@pytest.mark.parametrize(
-    ("path", "headers"),
-    [
-        ("/", {}),
-        ("/WRONG/", {}),
-        ("/TOKENx/", {}),
-        ("/t%C3%B6ken/", {}),
-        ("/TOKEN/", {"host": "evil.example:8000"}),
-        ("/TOKEN/", {"host": ""}),
+def test_others_are_refused(client):
+    for path, headers in (
+        *((path, {}) for path in ("/", "/WRONG/", "/TOKENx/", "/t%C3%B6ken/")),
+        *(("/TOKEN/", {"host": host}) for host in ("evil.example:8000", "")),
         ("/TOKEN/api/songs", {"origin": "http://evil.example"}),
         ("/TOKEN/api/songs", {"origin": "null"}),
         ("/TOKEN/api/songs", {"origin": "http://127.0.0.1:9000"}),
-    ],
-)
-def test_others_are_refused(client, path, headers):
-    answer = client.get(path, headers=headers)
-    assert answer.status_code == 403
-    assert answer.text.count("\n") == 1
+    ):
+        answer = client.get(path, headers=headers)
+        assert (answer.status_code, answer.text.count("\n")) == (403, 1), (path, headers)
 
 
 def test_nothing_changes_without_an_origin(client):
@@ -113,24 +105,18 @@ def test_nothing_changes_without_an_origin(client):
         assert client.request(method, f"/TOKEN/api/{path}").status_code == 403
 
 
-@pytest.mark.parametrize(
-    ("path", "headers"),
-    [
+def test_others_cannot_watch(client):
+    for path, headers in (
         ("/TOKEN/watch/x", {}),
         ("/TOKEN/watch/x", {"origin": "http://evil.example"}),
         ("/WRONG/watch/x", SAME),
         ("/TOKEN/watch/x", SAME | {"host": "evil.example"}),
-    ],
-)
-def test_others_cannot_watch(client, path, headers):
-    with (
-        pytest.raises(WebSocketDisconnect),
-        client.websocket_connect(f"ws://127.0.0.1:8000{path}", headers=headers),
     ):
-        pass
-
-
-def test_a_job_that_is_gone_is_said_to_be(client):
+        with (
+            pytest.raises(WebSocketDisconnect),
+            client.websocket_connect(f"ws://127.0.0.1:8000{path}", headers=headers),
+        ):
+            pass
     with client.websocket_connect("ws://127.0.0.1:8000/TOKEN/watch/x", headers=SAME) as told:
         assert told.receive_json() == {"state": "gone"}
 
@@ -141,50 +127,43 @@ def test_a_tone_is_made_for_who_asks(client):
     assert np.abs(samples).max() == 32767
     assert np.frombuffer(answer.content[:4], "<f4") > 0
     assert "immutable" in answer.headers["cache-control"]
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
+    for wrong in (
         *("60/4", "128/0", "60/99999", "9" * 5000 + "/1", "1/" + "9" * 5000, "-1/1", "1.5/1"),
         *("1e3/1", "NaN/1", "inf/1", "%D9%A3/1", "%C2%B2/1", "%00/1", "%20/1", "+1/1", "1_0/1"),
-    ],
-)
-def test_a_tone_that_there_is_not_is_refused(client, wrong):
-    answer = client.get(f"/TOKEN/tones/{wrong}")
-    assert answer.status_code == 400
-    assert answer.json() == {"error": "there is no such tone"}
+    ):
+        answer = client.get(f"/TOKEN/tones/{wrong}")
+        assert answer.status_code == 400, wrong
+        assert answer.json() == {"error": "there is no such tone"}
 
 
-@pytest.mark.parametrize("value", ["9" * 5000, "-1", "1e400", "NaN", "[" * 5000, "1.5", "true"])
 @pytest.mark.parametrize("name", ["seed", "transpose", "tempo", "tracks", "song"])
-def test_numbers_that_are_none_are_refused_in_a_line(client, name, value):
-    if (name, value) in (("tempo", "1.5"), ("transpose", "-1")):
-        return  # may be asked for
-    asked = {"song": '"OdeToJoy"', name: f"[{value}]" if name == "tracks" else value}
-    body = ",".join(f'"{key}":{text}' for key, text in asked.items())
-    answer = client.post("/TOKEN/api/jobs", content=f"{{{body}}}", headers=SAME)
-    assert answer.status_code == 400
-    assert "\n" not in answer.json()["error"]
+def test_numbers_that_are_none_are_refused_in_a_line(client, name):
+    allowed = {"tempo": "1.5", "transpose": "-1"}.get(name)
+    for value in {"9" * 5000, "-1", "1e400", "NaN", "[" * 5000, "1.5", "true"} - {allowed}:
+        asked = {"song": '"OdeToJoy"', name: f"[{value}]" if name == "tracks" else value}
+        body = ",".join(f'"{key}":{text}' for key, text in asked.items())
+        answer = client.post("/TOKEN/api/jobs", content=f"{{{body}}}", headers=SAME)
+        assert answer.status_code == 400, value
+        assert "\n" not in answer.json()["error"]
 
 
-@pytest.mark.parametrize("length", ["9" * 5000, "-1", "1e3", "+1", "\u00b2"])
-def test_a_length_that_is_none_is_refused(client, length):
-    headers = {**SAME, "content-length": length.encode("latin-1")}
-    answer = client.post("/TOKEN/api/songs?name=a.mid", content=b"MThd", headers=headers)
-    assert answer.status_code == 400
-    assert "larger than" in answer.json()["error"]
+def test_a_length_that_is_none_is_refused(client):
+    for length in "9" * 5000, "-1", "1e3", "+1", "\u00b2":
+        headers = {**SAME, "content-length": length.encode("latin-1")}
+        answer = client.post("/TOKEN/api/songs?name=a.mid", content=b"MThd", headers=headers)
+        assert answer.status_code == 400, length
+        assert "larger than" in answer.json()["error"]
 
 
-@pytest.mark.parametrize("name", ["a.mp3", "a.WAV", "a.mp4", "a.pdf", "a.mscz", "a.png", "a.webm"])
-def test_a_file_of_another_format_gets_the_answer_of_the_command_line(client, tmp_path, name):
+def test_a_file_of_another_format_gets_the_answer_of_the_command_line(client, tmp_path):
     content = b"\0" * (5 << 20)  # more than a file of music may have
-    answer = client.post(f"/TOKEN/api/songs?name={name}", content=content, headers=SAME)
-    (tmp_path / name).touch()
-    with pytest.raises(CadenzaError) as refused:
-        read_score(tmp_path / name)
-    assert answer.status_code == 400
-    assert answer.json()["error"] == str(refused.value).replace(f"{tmp_path}/", "")
+    for name in "a.WAV", "a.pdf", "a.mscz", "a.webm":
+        answer = client.post(f"/TOKEN/api/songs?name={name}", content=content, headers=SAME)
+        (tmp_path / name).touch()
+        with pytest.raises(CadenzaError) as refused:
+            read_score(tmp_path / name)
+        assert answer.status_code == 400
+        assert answer.json()["error"] == str(refused.value).replace(f"{tmp_path}/", "")
 
 
 def test_what_is_kept_is_told_again(client, tmp_path):
@@ -238,10 +217,8 @@ def test_no_link_leads_out_of_what_is_kept(client, tmp_path):
 
 
 WEIRD = {  # contents of a JSON file
-    "empty": b"",
     "not text": b"\xff\xfe\xff",
     "deep": b"[" * 100_000,
-    "number": b"9" * 5000,
     "another": b'{"id": "fedcba9876543210", "title": "x", "ending": ".mid", "seconds": 1, '
     b'"notes": 1}',
     "elsewhere": b'{"id": "0123456789abcdef", "title": "x", "ending": "/../../../etc/passwd", '
@@ -255,9 +232,7 @@ WEIRD = {  # contents of a JSON file
 def weird(path: Path, kind: str) -> None:
     """Puts something there that is not what it should be, an hour ago and more."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    if kind == "dangling":
-        path.symlink_to("/nowhere")
-    elif kind == "loop":
+    if kind == "loop":
         path.symlink_to(path)
     elif kind == "folder":
         path.mkdir()
@@ -268,7 +243,7 @@ def weird(path: Path, kind: str) -> None:
     os.utime(path, (0, 0), follow_symlinks=False)
 
 
-@pytest.mark.parametrize("kind", ["dangling", "loop", "folder", "pipe", *WEIRD])
+@pytest.mark.parametrize("kind", ["loop", "folder", "pipe", *WEIRD])
 def test_whatever_lies_in_the_folders_the_lists_are_there(client, tmp_path, kind):
     id, studio = "0123456789abcdef", tmp_path / "studio"
     for path in (

@@ -11,8 +11,8 @@ import shutil
 import signal
 import time
 import warnings
-from collections.abc import Callable
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from select import POLLIN, poll
@@ -52,10 +52,7 @@ _REPORT_INTERVAL = 0.2  # [s] between two reports on a stage
 
 def main() -> None:
     """Wait for orders, and play until a song is at its end."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which kills this
-    os.nice(_NICENESS)
-    with os.fdopen(os.dup(1), "wb") as out, open(0, "rb", buffering=0) as orders:
-        os.dup2(2, 1)  # what libraries print is no message
+    with messages_of(_NICENESS) as out, open(0, "rb", buffering=0) as orders:
         warm_up()
         dropped = 0
         while line := orders.readline():
@@ -69,6 +66,16 @@ def main() -> None:
                     break
                 with suppress(BrokenPipeError):  # the server has gone, and so do its orders
                     WireMessage(IDLE, b"").write(out)
+
+
+@contextmanager
+def messages_of(niceness: int) -> Iterator[IO[bytes]]:
+    """Make this a process of the server's; yield the stream of its messages."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which kills this
+    os.nice(niceness)
+    with os.fdopen(os.dup(1), "wb") as out:
+        os.dup2(2, 1)  # what libraries print is no message
+        yield out
 
 
 class Cancelled(BaseException):

@@ -7,7 +7,6 @@ is played better, its folder has the plan for it.
 """
 
 import os
-import signal
 import sys
 
 from cadenza.agents.planner.config import ENOUGH
@@ -19,7 +18,13 @@ from cadenza.performing.practising import Practising, practice_folder
 from cadenza.resumable import RateLimited
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.messages import Send, WireMessage, json_message
-from cadenza.studio.player import ProgressReporter, error_text, practice_folder_of, set_up_order
+from cadenza.studio.player import (
+    ProgressReporter,
+    error_text,
+    messages_of,
+    practice_folder_of,
+    set_up_order,
+)
 from cadenza.studio.request import Order
 
 _NICENESS = 10  # nobody waits for practice
@@ -28,10 +33,7 @@ _REPORT_INTERVAL = 1.0  # [s] between two reports
 
 def main() -> None:
     """Read an order, and practise it until all practice has been made."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which kills this
-    os.nice(_NICENESS)
-    with os.fdopen(os.dup(1), "wb") as out:
-        os.dup2(2, 1)  # what libraries print is no message
+    with messages_of(_NICENESS) as out:
         limit(PLAYING)
         order = parsed_json(sys.stdin.buffer.readline(), Order, "order")
 

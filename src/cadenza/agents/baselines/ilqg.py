@@ -8,7 +8,6 @@ complex behaviors through online trajectory optimization", IROS 2012; Tassa, Man
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,8 +18,7 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.agent import Array, EpisodePlanner, Ids, Mask, PlannerPerEnv
 from cadenza.agents.baselines.residuals import Residuals, flattened, residuals_of
 from cadenza.agents.planner.config import PLANNING_TIMESTEPS, ILQGConfig
-from cadenza.configs import check_ranges
-from cadenza.errors import CadenzaError
+from cadenza.configs import check_positive, check_ranges
 from cadenza.scene.scene import build_scene, in_steps_of
 from cadenza.sim.linearisation import Linearisation, Lineariser
 from cadenza.sim.mujoco_simulation import steps_of
@@ -51,9 +49,7 @@ class ILQG(PlannerPerEnv["ILQGPlanner"]):
                 "planning_timestep": PLANNING_TIMESTEPS,
             },
         )
-        for name in ("horizon", "control_weight"):
-            if not 0 < (value := getattr(self.config, name)) < math.inf:
-                raise CadenzaError(f"{name} {value}: choose more than 0")
+        check_positive(self.config, ["horizon", "control_weight"])
 
     def begin(self, view: View, rng: np.random.Generator) -> ILQGPlanner:
         return ILQGPlanner(view, self.config, self.threads)

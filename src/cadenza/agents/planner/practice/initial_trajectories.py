@@ -38,8 +38,6 @@ _MAX_ROLLOUTS = 4  # of each chunk, by hands that follow a spliced trajectory
 
 Parts = dict[str, dict[str, Any]]  # the arrays of a state by part and name
 
-"""The least and the greatest values by "part/name", of which `*` stands for any."""
-
 
 class _Chunk(NamedTuple):
     """A chunk that was played."""
@@ -143,13 +141,13 @@ class InitialTrajectories:
         self._begin(PlannedVariant(track, start, rng, context))
         self.seed = int(rng.integers(2**63))
         dt = track.config.control_timestep
-        self._chunk, self._max_delay = steps_in(_CHUNK, dt), steps_in(_MAX_DELAY, dt)
+        self._chunk = steps_in(_CHUNK, dt)
         # Costs that find other fingers; steps by which releases are delayed; None follows the best
         # of all trajectories, spliced together.
         refingers = found and track.config.fingering != "human"
         self._schedule: list[Costs | int | None] = [*OTHER_COSTS] if refingers else []
         self._schedule.append(None)
-        for delay in range(1, self._max_delay + 1):
+        for delay in range(1, steps_in(_MAX_DELAY, dt) + 1):
             self._schedule += [delay, None]
         self._schedule.append(None)
         self._num_tried = 0
