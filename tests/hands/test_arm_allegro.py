@@ -141,7 +141,7 @@ def test_a_melody_is_played_within_all_limits():
     within_limits(performance)
 
 
-def test_two_recordings_are_combined():
+def test_two_recordings_are_combined(tmp_path):
     """Its keys are those of either; and either is what its hand does with its actions alone."""
     agent = make_agent("icp", ICPConfig(rehearse=False))
     task = TaskConfig(initial_buffer_time=1.0)
@@ -158,6 +158,12 @@ def test_two_recordings_are_combined():
         np.testing.assert_array_equal(alone["key_qpos"], part["key_qpos"])
         np.testing.assert_array_equal(alone["hand_qpos"], part["hand_qpos"])
     within_limits(performance)
+    performance.save(tmp_path)
+    assert "of each hand by itself, combined" in (tmp_path / "report.html").read_text()
+    assert read_json(tmp_path / "metrics.json", dict[str, Any])["combined"] is True
+    for side, part in parts.items():
+        kept = load_episode(tmp_path / f"episode-{side}.npz")
+        np.testing.assert_array_equal(kept["key_activation"], part["key_activation"])
 
 
 def replayed(side: str, actions: np.ndarray, task: TaskConfig) -> dict[str, np.ndarray]:
@@ -191,16 +197,3 @@ def test_the_arm_brings_its_hand_level_to_where_it_is_said_to(side):
     np.testing.assert_allclose(points, at_home + moved, atol=0.004)
     assert (postures > servos.low + 0.02).all()
     assert (postures < servos.high - 0.02).all()
-
-
-def test_the_page_says_that_it_is_combined(tmp_path):
-    agent = make_agent("icp", ICPConfig(rehearse=False))
-    first = Score(DUET.notes[:2], title="Two notes")
-    performance = play(first, agent, scene=SceneConfig(hand="arm-allegro", hands="apart"))
-    performance.save(tmp_path)
-    assert "of each hand by itself, combined" in (tmp_path / "report.html").read_text()
-    assert read_json(tmp_path / "metrics.json", dict[str, Any])["combined"] is True
-    parts = [load_episode(tmp_path / f"episode-{side}.npz") for side in ("right", "left")]
-    whole = load_episode(tmp_path / "episode.npz")
-    sounding = [part["key_activation"] for part in parts]
-    np.testing.assert_array_equal(whole["key_activation"], sounding[0] | sounding[1])

@@ -39,9 +39,7 @@ def with_joint(joint: str, **changes: Any) -> Body:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"fingers": ()}, "has 0 fingers; give 1 to 8"),
         ({"fingers": (THUMB,) * 9}, "has 9 fingers; give 1 to 8"),
-        ({"fingers": SHADOW.fingers[:4]}, r"reach.rest: give an array of NumPy of shape \(4,\)"),
         ({"reach": replace(SHADOW.reach, most=np.zeros(5))}, r"reach.most: .* \(5, 5\)"),
         ({"fingers": with_thumb(links=("thproximal", "x", "y"))}, "no link 'x'"),
         ({"fingers": with_thumb(links=("thproximal",), radii=(0.01,))}, "ff has 3 links and th 1"),
@@ -57,7 +55,6 @@ def with_joint(joint: str, **changes: Any) -> Body:
         ({"servos": {}}, "servos has none for the actuator of 'WRJ2'"),
         ({"body": replace(BODY, links=BODY.links[1:])}, "the first link must be 'forearm'"),
         ({"body": replace(BODY, links=(*BODY.links[:2], BODY.links[3]))}, "'palm', its parent"),
-        ({"body": replace(BODY, couplings=())}, "no joint or coupling 'FFJ0'"),
         (
             {"body": replace(BODY, couplings=(Coupling("FFJ0", ("FFJ9",), (0, 1)),))},
             "coupling FFJ0: there is no joint 'FFJ9'",
@@ -77,21 +74,14 @@ def with_joint(joint: str, **changes: Any) -> Body:
             },
             "joint FFJ3 is moved by two actuators",
         ),
-        ({"body": replace(BODY, links=())}, "the first link must be 'forearm'"),
         ({"body": with_palm(mass=-1.0)}, "link palm: mass: Expected .* >= 0"),
         (
             {"body": with_palm(geoms=(Geom("sphere", (1,), left_size=(0,)),))},
             "palm: geoms: .* > 0.*left_size",
         ),
-        (
-            {"body": with_palm(geoms=(Geom("sphere", (1,), left_quat=(0, 0)),))},
-            r"palm: geoms: .* length 4 - at .\$\[0\]\.left_quat",
-        ),
         ({"fingers": with_thumb(tip=(0, 0))}, "finger th: tip: Expected .* length 3"),
         ({"body": with_joint("FFJ3", axis=(1, 0))}, "link ffproximal: joint: .* length 3"),
-        ({"body": with_joint("FFJ3", range=(1.5, -0.3))}, "rest is 0.75, outside its range"),
         ({"body": with_palm(quat=(0, 0, 0, 0))}, "link palm: quat 0 0 0 0 is no rotation"),
-        ({"body": with_palm(pos=(0, 0))}, "link palm: pos: Expected .* length 3"),
         ({"body": with_palm(pos=(0, 0, np.nan))}, "link palm: pos: Expected .float., got .null."),
         ({"body": with_palm(geoms=(Geom("cube", (1,)),))}, "palm: .* enum value 'cube'"),
         (

@@ -9,6 +9,7 @@ from contextlib import suppress
 import pytest
 
 from cadenza.errors import CadenzaError
+from cadenza.music.formats import verovio_reading
 from cadenza.music.formats.reading import ending_of, read_score
 
 DOCUMENT = """<mei xmlns="http://www.music-encoding.org/ns/mei" meiversion="5.0"><music><body><mdiv>
@@ -17,6 +18,14 @@ DOCUMENT = """<mei xmlns="http://www.music-encoding.org/ns/mei" meiversion="5.0"
 <section>{}</section></score></mdiv></body></music></mei>"""
 END, START = 'right="rptend"', 'left="rptstart"'
 TIE = '<tie startid="#x" endid="#y"/>'
+
+
+@pytest.fixture
+def at_once(monkeypatch):
+    """Verovio reads in this process, and takes less time."""
+    monkeypatch.setattr(
+        verovio_reading, "_played", lambda *file: verovio_reading.rendered(*file).encode()
+    )
 
 
 def note(name, dur=1, more=""):
@@ -81,6 +90,7 @@ def names(score):
          + bar(note("c", 2, 'xml:id="a"') + note("d", 2)), "cccd"),
     ],
 )  # fmt: skip
+@pytest.mark.usefixtures("at_once")
 def test_mei_is_played_in_its_order(tmp_path, content, played):
     score = mei(tmp_path, content)
     assert names(score) == played
@@ -99,10 +109,12 @@ def test_mei_is_played_in_its_order(tmp_path, content, played):
         ),
     ],
 )
+@pytest.mark.usefixtures("at_once")
 def test_what_is_not_played_is_said(tmp_path, content, remark):
     assert remark in mei(tmp_path, content).remarks[1]
 
 
+@pytest.mark.usefixtures("at_once")
 def test_a_jump_goes_back_to_the_tempo_the_metre_and_the_transposition_there(tmp_path):
     tempo = '<tempo tstamp="3" midi.bpm="120"/>'
     change = '<scoreDef meter.count="2"/><staffDef n="1" trans.semi="2"/>'
@@ -112,6 +124,7 @@ def test_a_jump_goes_back_to_the_tempo_the_metre_and_the_transposition_there(tmp
     assert [(b.time, len(b.beats)) for b in score.bars] == [(0, 4), (4, 4), (7, 4), (11, 4)]
 
 
+@pytest.mark.usefixtures("at_once")
 def test_bars_are_as_long_as_they_are_played(tmp_path):
     content = bar(note("c", 4)) + bar("d") + bar(note("e", 2, 'dots="1"'), END) + bar(note("f", 4))
     score = mei(tmp_path, content)
@@ -119,6 +132,7 @@ def test_bars_are_as_long_as_they_are_played(tmp_path):
     assert [len(b.beats) for b in score.bars] == [1, 4, 3, 1, 4, 3, 1]
 
 
+@pytest.mark.usefixtures("at_once")
 def test_ties_lead_into_the_ending_that_is_played(tmp_path):
     first = bar(note("c", 2) + note("d", 2, 'xml:id="x"'), "", TIE)
     endings = ending(1, bar(note("d", 1, 'xml:id="y"'), END))
@@ -127,6 +141,7 @@ def test_ties_lead_into_the_ending_that_is_played(tmp_path):
     assert names(mei(tmp_path, first + endings + ending(2, bar("d")))) == "cdcdd"
 
 
+@pytest.mark.usefixtures("at_once")
 def test_movements_follow_one_another_and_parts_sound_together(tmp_path):
     path = tmp_path / "a.mei"
     text = DOCUMENT.format(bar("c", END))
@@ -163,6 +178,7 @@ def kern(tmp_path, text):
         ("*tremolo =1 8c 8d 8c 8d 2e ==", "cdcde"),
     ],
 )
+@pytest.mark.usefixtures("at_once")
 def test_humdrum_is_played_in_its_order(tmp_path, text, played):
     score = kern(tmp_path, text)
     assert names(score) == played

@@ -185,8 +185,6 @@ def test_title_is_the_first_tracks_name_or_the_files(saved, name, title):
         ("Für Elise".encode("latin1"), "Für Elise"),
         ("Clair – l’été".encode("cp1252"), "Clair – l’été"),
         ("Катюша".encode("cp1251"), "song"),
-        ("Op. 5 Вальс".encode("cp1251"), "song"),
-        ("さくら".encode("shift_jis"), "song"),
         ("アイ".encode("shift_jis"), "song"),
         ("あい".encode("shift_jis"), "song"),
     ],
@@ -328,8 +326,8 @@ def sized(content, size):
 
 
 MISPLACED = [
-    *((sized(SONG, len(SONG) + wrong), []) for wrong in (1, 3, 8, 20, 999, -1, -4, -7, -len(SONG))),
-    *((sized(ENDLESS, len(ENDLESS) + wrong), []) for wrong in (3, 999, -1, -4, -len(ENDLESS))),
+    *((sized(SONG, len(SONG) + wrong), []) for wrong in (1, 8, 999, -1, -7, -len(SONG))),
+    *((sized(ENDLESS, len(ENDLESS) + wrong), []) for wrong in (3, 999, -1, -len(ENDLESS))),
     (chunk(b"MTrk", SONG) + bytes(5), []),
     (chunk(b"MTrk", SONG) + b"junk!", ["5 bytes after the end of a track left out"]),
     (sized(SONG, 999) + b"junk!", ["5 bytes after the end of a track left out"]),
@@ -627,18 +625,13 @@ def test_a_score_of_hours_is_not_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_of_two_notes_at_the_same_moment_the_finger_that_is_known_is_kept():
+def test_of_two_notes_at_the_same_moment_the_finger_and_the_end_that_are_known_are_kept():
     known = Finger(0, 2)
     for fingers in ((None, known), (known, None), (known, Finger(1, 0))):
         doubled = [RawNote(0, 480, 60, 80, True, finger) for finger in fingers]
         (note,), _ = repaired_notes(doubled, Counter(), ())
         assert note.finger == known
-
-
-@pytest.mark.parametrize("known_first", [True, False])
-def test_of_two_notes_at_the_same_moment_an_end_that_is_known_is_kept(known_first):
     doubled = [RawNote(0, 480, 60, 80, True), RawNote(0, 9600, 60, 90, False)]
-    found = doubled if known_first else doubled[::-1]
-    (note,), remarks = repaired_notes(found, Counter(), ())
-    assert (note.end, note.velocity) == (480, 90)
-    assert remarks == ("1 note doubled at the same moment merged",)
+    for found in doubled, doubled[::-1]:
+        (note,), remarks = repaired_notes(found, Counter(), ())
+        assert (note.end, note.velocity, remarks) == (480, 90, (MERGED,))

@@ -58,15 +58,10 @@ def test_it_is_known_by_how_it_begins(name, saved):
     assert played(score) == [(0.0, 0.5, 60)]
 
 
-def test_utf_16(saved):
-    text = document([FOUR_QUARTERS + note("C4", 4)], title="Präludium")
-    score = load_score(saved(text.replace("UTF-8", "UTF-16").encode("utf-16")))
-    assert score.title == "Präludium"
-
-
 @pytest.mark.parametrize(
     ("declared", "stored"),
     [
+        ("UTF-16", "utf-16"),
         ("UTF-16", "utf-8"),
         ("UTF-16", "latin-1"),
         ("UTF-8", "utf-16"),
@@ -120,28 +115,6 @@ def test_grace_notes_before_the_first_beat_come_first(saved):
     grace = note("B4", 0, grace=True)
     score = load_score(saved(document([FOUR_QUARTERS + grace + note("C5", 4)])))
     assert played(score) == [(0.0, 0.1, 71), (0.1, 0.6, 72)]
-
-
-@pytest.mark.parametrize(
-    ("mark", "quarters_a_minute"),
-    [
-        ("<beat-unit>quarter</beat-unit><per-minute>60</per-minute>", 60),
-        ("<beat-unit>half</beat-unit><per-minute>c. 60</per-minute>", 120),
-        ("<beat-unit>quarter</beat-unit><beat-unit-dot/><per-minute>40.5</per-minute>", 60.75),
-        ("<beat-unit>eighth</beat-unit><per-minute>480</per-minute>", 240),
-        ("<beat-unit>quarter</beat-unit><beat-unit>half</beat-unit>", 240),
-        ("<beat-unit>quarter</beat-unit><per-minute>fast</per-minute>", 120),
-        ("<beat-unit>quarter</beat-unit><per-minute>0</per-minute>", 120),
-    ],
-)
-def test_a_metronome_mark_counts_where_no_tempo_is_given_for_playback(
-    mark, quarters_a_minute, saved
-):
-    alone = direction(f"<metronome>{mark}</metronome>")
-    score = load_score(saved(document([FOUR_QUARTERS + alone + note("C4", 16)])))
-    assert score.total_time == pytest.approx(240 / quarters_a_minute)
-    score = load_score(saved(document([FOUR_QUARTERS + tempo(30) + alone + note("C4", 16)])))
-    assert score.total_time == pytest.approx(8)
 
 
 def test_a_change_of_the_pedal_lifts_it_and_presses_it_again(saved):
@@ -218,8 +191,7 @@ def test_da_capo_al_fine(fine, saved):
     assert pitches(load_score(saved(document(measures)))) == [60, 62, 60]
 
 
-@pytest.mark.parametrize("label", ["segno", "1", "S2"])
-@pytest.mark.parametrize("at_the_end", [False, True])
+@pytest.mark.parametrize(("label", "at_the_end"), [("1", False), ("S2", True)])
 def test_dal_segno_al_coda(label, at_the_end, saved):
     to_coda, dal_segno = jump('tocoda="c"'), jump(f'dalsegno="{label}"')
     measures = [
@@ -346,12 +318,8 @@ def test_scores_ordered_by_measures_are_read(saved):
 
 def test_a_namespace_makes_no_difference(saved):
     text = document([FOUR_QUARTERS + note("C4", 16)])
-    text = text.replace("<score-partwise", '<score-partwise xmlns="http://www.musicxml.org/ns"')
-    assert pitches(load_score(saved(text))) == [60]
-
-
-def test_a_prefix_makes_no_difference(saved):
-    text = document([FOUR_QUARTERS + note("C4", 16)])
+    named = text.replace("<score-partwise", '<score-partwise xmlns="http://www.musicxml.org/ns"')
+    assert pitches(load_score(saved(named))) == [60]
     text = re.sub(r"<(/?)(\w)", r"<\1m:\2", text).replace("partwise v", 'partwise xmlns:m="x" v')
     assert pitches(load_score(saved(text))) == [60]
 
@@ -450,24 +418,17 @@ def test_a_message_repeats_only_the_beginning_of_a_long_name(saved):
         load_score(saved(f"<{'x' * 5000}/>"))
 
 
-def test_transposing_instruments_sound_as_they_do(saved):
-    clarinet = "<transpose><diatonic>-1</diatonic><chromatic>-2</chromatic></transpose>"
-    attributes = FOUR_QUARTERS.replace("</attributes>", f"{clarinet}</attributes>")
-    assert [n.pitch for n in load_score(saved(document([attributes + note("C5", 4)]))).notes] == [
-        70
-    ]
-
-
 @pytest.mark.parametrize(
     ("transposition", "sounds"),
     [
+        ("<diatonic>-1</diatonic><chromatic>-2</chromatic>", 70),  # a clarinet
         ("<chromatic>0</chromatic><octave-change>-1</octave-change>", 60),  # a double bass
         ("<octave-change> 1 </octave-change>", 84),
         ("<chromatic>-2</chromatic><octave-change>-1</octave-change>", 58),  # a bass clarinet
         ("<chromatic>-2</chromatic><octave-change>low</octave-change>", 70),
     ],
 )
-def test_instruments_sound_octaves_higher_or_lower(transposition, sounds, saved):
+def test_transposing_instruments_sound_as_they_do(transposition, sounds, saved):
     attributes = f"<transpose>{transposition}</transpose></attributes>"
     attributes = FOUR_QUARTERS.replace("</attributes>", attributes)
     assert [n.pitch for n in load_score(saved(document([attributes + note("C5", 4)]))).notes] == [

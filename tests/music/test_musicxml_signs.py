@@ -42,6 +42,7 @@ def order(score):
 
 MIDDLE = '<barline location="middle"><bar-style>light-light</bar-style></barline>'
 SEGNO, CODA = direction("<segno/>"), direction("<coda/>")
+AFTER_JUMP = AGAIN.replace("<repeat", '<repeat after-jump="yes"')
 
 
 @pytest.mark.parametrize(
@@ -51,6 +52,7 @@ SEGNO, CODA = direction("<segno/>"), direction("<coda/>")
         (("", words(" FINE "), words("Da Capo al Fine")), "12312"),
         (("", words("Fin."), words("D.C.")), "12312"),
         (("", words("To Coda"), words("D. C. al Coda"), (words("Coda"), "")), "123124"),
+        (("", words("On D.C. to Coda"), words("D.C."), (words("Coda"), "")), "123124"),
         (("", words("to \U0001d10c"), words("D.C."), (words("\U0001d10c"), "")), "123124"),
         (("", direction("<words>To</words><coda/>"), words("D.C."), (CODA, "")), "123124"),
         (("", CODA, words("D.C. al Coda"), (CODA, "")), "123124"),  # a sign is where it leads from
@@ -87,9 +89,11 @@ def test_a_da_capo_is_of_its_movement(signs, expected, saved):
         ((jump('dacapo="yes" time-only="1"', "D.C."), AGAIN, ""), "11223"),
         (("", jump('dacapo="yes" time-only="3"', "D.C.") + AGAIN, ""), "12123"),
         (("", jump('tocoda="c" time-only="2"') + AGAIN, "", (CODA, "")), "12124"),
+        ((AFTER_JUMP, '<sound dacapo="yes"/>', ""), "1121123"),
+        (("", ('<sound forward-repeat="yes"/>', ""), AGAIN), "12323"),
     ],
 )
-def test_a_jump_may_say_when_it_is_taken(signs, expected, saved):
+def test_a_jump_or_repeat_may_say_when_it_is_taken(signs, expected, saved):
     assert order(load_score(saved(bars(*signs)))) == expected
 
 
@@ -109,18 +113,6 @@ def test_a_bar_with_too_much_in_one_part_is_as_long_as_in_others(saved):
         (2.0, 50),
         (2.0, 74),
     ]
-
-
-def test_repeats_may_be_taken_again_after_a_jump(saved):
-    again = AGAIN.replace("<repeat", '<repeat after-jump="yes"')
-    score = load_score(saved(bars(again, '<sound dacapo="yes"/>', "")))
-    assert order(score) == "1121123"
-
-
-def test_a_repeat_may_begin_where_a_sound_says(saved):
-    assert (
-        order(load_score(saved(bars("", ('<sound forward-repeat="yes"/>', ""), AGAIN)))) == "12323"
-    )
 
 
 def test_notes_may_be_for_some_passes_only(saved):
@@ -191,6 +183,8 @@ def unit(name, *more):
     [
         (metronome(unit("32nd"), per_minute=240), 30),
         (metronome(unit("breve"), per_minute=20), 160),
+        (metronome(unit("half"), per_minute="c. 60"), 120),
+        (metronome(unit("quarter"), per_minute=0), 120),
         (metronome(unit("quarter", "<beat-unit-dot/><beat-unit-dot/>"), per_minute=40), 70),
         (metronome(unit("eighth"), per_minute="120,5"), 60.25),
         (
@@ -204,6 +198,8 @@ def unit(name, *more):
 def test_metronome_marks_of_any_note(mark, quarters_a_minute, saved):
     score = load_score(saved(document([FOUR_QUARTERS + mark + note("C4", 16)])))
     assert score.total_time == pytest.approx(240 / quarters_a_minute)
+    score = load_score(saved(document([FOUR_QUARTERS + tempo(30) + mark + note("C4", 16)])))
+    assert score.total_time == pytest.approx(8)  # what is given for playback counts
 
 
 def test_a_metronome_mark_counts_after_a_tempo_for_playback(saved):
@@ -458,11 +454,6 @@ def test_mei_is_named(saved):
 )
 def test_words_may_mention_a_jump_that_is_none(words_at_the_end, expected, saved):
     assert order(load_score(saved(bars("", words("Fine"), words(words_at_the_end))))) == expected
-
-
-def test_when_to_go_to_the_coda_may_stand_beside(saved):
-    signs = ("", words("On D.C. to Coda"), words("D.C."), (words("Coda"), ""))
-    assert order(load_score(saved(bars(*signs)))) == "123124"
 
 
 def pitched(pitch, duration, tie="", ornament="", inside=""):

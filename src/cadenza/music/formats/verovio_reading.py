@@ -96,20 +96,24 @@ def _played(content: bytes, form: str) -> bytes:
 
 
 def main() -> None:
-    """Print the file on stdin as MIDI in base 64, its marks, and counts of what is left out."""
+    """Print what Verovio makes of the file on stdin."""
     import resource  # which only Unix has
 
+    resource.setrlimit(resource.RLIMIT_DATA, (_MEMORY, _MEMORY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    print(rendered(sys.stdin.buffer.read(), sys.argv[1]))
+
+
+def rendered(content: bytes, form: str) -> str:
+    """A file as MIDI in base 64, its marks, and counts of what is left out, as JSON."""
     from verovio import LOG_OFF, enableLog
 
     from cadenza.music.formats.mei_unfolding import unfolded
 
-    resource.setrlimit(resource.RLIMIT_DATA, (_MEMORY, _MEMORY))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     enableLog(LOG_OFF)
-    content = sys.stdin.buffer.read()
     encoding = "utf-16" if content.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
     text = content.decode(encoding, "replace")
-    if sys.argv[1] == "Humdrum":
+    if form == "Humdrum":
         text = _loaded(_plain(text), "humdrum").getMEI()
     text, bars, left_out = unfolded(text)
     toolkit = _loaded(text, "mei")
@@ -117,7 +121,7 @@ def main() -> None:
     places = toolkit.renderToTimemap({"includeMeasures": True})
     marks = _marks(bars, places, parsed(base64.b64decode(midi)).division)
     printed = [(tick, kind, base64.b64encode(data).decode()) for tick, kind, data, _ in marks]
-    print(json.dumps((midi, printed, left_out)))
+    return json.dumps((midi, printed, left_out))
 
 
 def _plain(text: str) -> str:
