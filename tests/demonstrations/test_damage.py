@@ -70,15 +70,14 @@ def changed(folder: Path, change: Callable[[np.ndarray], np.ndarray]) -> None:
 
 
 @pytest.mark.parametrize("name", [STEPS, PLAN, SCORE])
-@pytest.mark.parametrize("damage", ["bit", "cut", "gone"])
+@pytest.mark.parametrize("damage", ["bit", "gone"])
 def test_damaged_files(copied, name, damage):
     path = first(copied) / name
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
-    if damage == "gone":
-        path.unlink()
-    else:
-        path.write_bytes(content if damage == "bit" else content[: len(content) // 2])
+    path.unlink()
+    if damage == "bit":
+        path.write_bytes(content)
     for read in READERS[: 2 if name == PLAN else 3]:
         assert_refused(read, copied, f"{path}: .*delete its folder and collect again")
 
@@ -113,23 +112,17 @@ def test_an_episode_that_was_copied(copied):
     assert_refused(open_dataset, copied, f"{copy / RESULT}: its checksum is another")
 
 
-def test_values_that_cannot_be(copied):
+@pytest.mark.parametrize(
+    ("value", "saying"), [(np.nan, "is not finite"), (10.0, "beyond the actions' limits")]
+)
+def test_actions_that_no_servo_takes(copied, value, saying):
     def spoil(steps: np.ndarray) -> np.ndarray:
-        steps["action"][3] = np.nan
+        steps["action"][2, 5] = value
         return steps
 
     changed(copied, spoil)
     for read in (learn, export):
-        assert_refused(read, copied, r"steps\.npy: action is not finite")
-
-
-def test_actions_that_no_servo_takes(copied):
-    def spoil(steps: np.ndarray) -> np.ndarray:
-        steps["action"][2, 5] = 10.0
-        return steps
-
-    changed(copied, spoil)
-    assert_refused(learn, copied, r"steps\.npy: action beyond the actions' limits")
+        assert_refused(read, copied, rf"steps\.npy: action {saying}")
 
 
 def test_rows_that_are_missing(copied):
@@ -178,12 +171,9 @@ def test_a_pipe_is_not_waited_for(copied):
     ("part", "name", "value"),
     [
         ("metrics", "steps", -5),
-        ("metrics", "steps", None),
         ("metrics", "f1", 2.0),
         ("drawn", "mirrored", 5),
         ("task", "control_timestep", 0.0),
-        ("task", "control_timestep", 5e-324),
-        ("task", "initial_buffer_time", -1.0),
         ("task", "initial_buffer_time", 1e300),
     ],
 )

@@ -17,6 +17,7 @@ from cadenza.music.formats.midi import read_midi
 from cadenza.music.formats.reading import read_score
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.score import Bar, Note, Score, bar_at, describe_times
+from musicxml_documents import AGAIN, FOUR_QUARTERS, document, note, tempo
 
 TICKS = 96  # a quarter: a 64th is a whole number of them
 METRES = st.tuples(st.integers(1, 12), st.sampled_from([1, 2, 4, 8, 16, 32, 64]), st.integers(1, 4))
@@ -127,20 +128,11 @@ def test_a_song_of_a_million_bars_has_none(tmp_path):
 
 
 def test_bars_of_musicxml_have_their_printed_numbers_and_are_repeated(tmp_path):
-    def measure(number, more=""):
-        note = "<pitch><step>C</step><octave>4</octave></pitch><duration>3</duration>"
-        return f'<measure number="{number}">{more}<note>{note}<voice>1</voice></note>'
-
-    time = "<time><beats>3</beats><beat-type>4</beat-type></time>"
-    first = f"<attributes><divisions>1</divisions>{time}</attributes>"
-    tempo = '<sound tempo="90"/>'
-    again = '<barline location="right"><repeat direction="backward"/></barline>'
-    measures = [measure(7, first + tempo), measure(8) + again, measure(9)]
-    (tmp_path / "song.musicxml").write_text(
-        '<score-partwise version="3.1"><part-list><score-part id="P"><part-name>Piano</part-name>'
-        f'</score-part></part-list><part id="P">{"</measure>".join(measures)}</measure></part>'
-        "</score-partwise>"
-    )
+    first = FOUR_QUARTERS.replace("<beats>4", "<beats>3") + tempo(90) + note("C4", 12)
+    text = document([first, note("C4", 12) + AGAIN, note("C4", 12)])
+    for number in 3, 2, 1:
+        text = text.replace(f'measure number="{number}"', f'measure number="{number + 6}"')
+    (tmp_path / "song.musicxml").write_text(text)
     score = read_score(tmp_path / "song.musicxml")
     assert [bar.number for bar in score.bars] == [7, 8, 7, 8, 9]
     assert [bar.time for bar in score.bars] == pytest.approx([0, 2, 4, 6, 8])
@@ -148,14 +140,9 @@ def test_bars_of_musicxml_have_their_printed_numbers_and_are_repeated(tmp_path):
 
 
 def test_a_bar_that_its_beats_do_not_fill_has_finer_ones(tmp_path):
-    head = "<attributes><divisions>2</divisions><time><beats>3</beats><beat-type>4</beat-type>"
-    note = "<note><pitch><step>C</step><octave>4</octave></pitch><duration>{}</duration></note>"
-    (tmp_path / "song.musicxml").write_text(
-        '<score-partwise version="3.1"><part-list><score-part id="P"><part-name>Piano</part-name>'
-        f'</score-part></part-list><part id="P"><measure number="0">{head}</time></attributes>'
-        f'{note.format(1)}</measure><measure number="1">{note.format(6)}</measure></part>'
-        "</score-partwise>"
-    )
+    first = FOUR_QUARTERS.replace("<beats>4", "<beats>3") + note("C4", 2)
+    text = document([first, note("C4", 12)]).replace('number="1"', 'number="0"')
+    (tmp_path / "song.musicxml").write_text(text)
     pickup, whole = read_score(tmp_path / "song.musicxml").bars
     assert (pickup.beats, pickup.beat_type) == ((0.0,), 8)
     assert (whole.beats, whole.beat_type) == ((0.25, 0.75, 1.25), 4)

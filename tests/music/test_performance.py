@@ -3,7 +3,6 @@ import pytest
 from hypothesis import given
 
 from cadenza.episode import Episode
-from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.goals import score_to_goals
 from cadenza.music.performance import KeyEvent, key_events, performed_score, played_in
 from cadenza.music.score import Note, PedalEvent
@@ -131,14 +130,3 @@ def test_the_goals_played_to_the_letter_are_the_goals_again(score):
     for event in played.pedal:
         pedal[round(event.time / DT) :] = event.value == 127
     np.testing.assert_array_equal(pedal, goals.sustain)
-
-
-def test_what_was_played_goes_through_a_midi_file(tmp_path):
-    keys, sustain = silent(40)
-    keys[3:17, 30] = keys[10:20, 60] = True
-    sustain[5:15] = True
-    played = performed_score(keys, sustain, DT)
-    write_midi(played, tmp_path / "played.mid")
-    goals = score_to_goals(read_midi(tmp_path / "played.mid"), DT)
-    np.testing.assert_array_equal(goals.keys, keys[: goals.num_steps])
-    np.testing.assert_array_equal(goals.sustain, sustain[: goals.num_steps])

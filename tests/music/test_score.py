@@ -4,7 +4,6 @@ from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import LEFT, RIGHT
-from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.goals import MAX_STEPS, score_to_goals
 from cadenza.music.score import MAX_SCORE_LENGTH, MAX_SECONDS, Bar, Note, PedalEvent, Score
@@ -228,8 +227,3 @@ def test_notes_of_hardly_any_length_can_be_moved_stretched_and_played(times):
         assert all(note.start < note.end for note in changed.notes)
         find_fingering(changed)
         score_to_goals(changed, 0.05)
-
-
-def test_a_note_shorter_than_a_nanosecond_is_written_and_read(tmp_path):
-    write_midi(Score((Note(0.5, 0.5 + 1e-10, 60),)), tmp_path / "short.mid")
-    assert len(read_midi(tmp_path / "short.mid").notes) == 1

@@ -101,22 +101,6 @@ def test_keys_lie_where_the_simulation_has_them(scene):
         assert_allclose(key["travel"], model.jnt_range[joint, 1], atol=1e-6)
 
 
-def test_poses_put_the_fingertips_where_they_were_recorded(scene):
-    with np.load(EPISODE) as file:
-        of_side = [n[:3] in prefixes(scene) for n in file["hand_joint_names"]]
-        qpos = file["hand_qpos"][::10, of_side]
-        tips = file["fingertip_xpos"][::10, scene.present_fingers]
-    xpos, xquat = body_poses(scene, qpos)
-    assert xpos.shape == (len(qpos), len(scene.hand_bodies), 3)
-    assert xquat.shape == (len(qpos), len(scene.hand_bodies), 4)
-    for i, site in enumerate(scene.fingertip_sites):
-        body = np.flatnonzero(scene.hand_bodies == scene.model.site_bodyid[site])[0]
-        offset = np.zeros(3)
-        for t in range(len(qpos)):
-            mujoco.mju_rotVecQuat(offset, scene.model.site_pos[site], xquat[t, body].astype(float))
-            assert_allclose(xpos[t, body] + offset, tips[t, i], rtol=0, atol=1e-6)
-
-
 def test_poses_are_those_of_mujoco(scene):
     with np.load(EPISODE) as file:
         of_side = [n[:3] in prefixes(scene) for n in file["hand_joint_names"]]
