@@ -457,13 +457,6 @@ def test_the_same_seed_plays_the_same(tune, tmp_path):
     assert (a["action"] != c["action"]).any()
 
 
-def test_results_go_below_the_working_folder_by_default(tune, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    main(["play", str(tune), *QUICK])
-    folder = tmp_path / "played" / "tune" / "zero"
-    assert {path.name for path in folder.iterdir()} == PERFORMANCE
-
-
 def test_task_and_scene_options_arrive(tune, tmp_path):
     options = ["--initial-buffer-time", "0.25", "--hands", "left", "--no-reduced-action-space"]
     options += ["--forearm-dofs", "tx", "tz"]

@@ -40,20 +40,6 @@ def test_the_bootstrap_interval_is_that_of_a_plain_loop():
     assert high == pytest.approx(drawn[round(0.975 * resamples)], abs=0.01)
 
 
-def test_the_bootstrap_interval_is_that_of_scipy():
-    """SciPy draws each of several samples anew: the strata."""
-    scores = np.random.default_rng(1).random((5, 6))
-
-    def over_all(*pieces: np.ndarray, axis: int) -> np.ndarray:
-        return np.mean(np.stack(pieces), axis=(0, axis))
-
-    theirs = stats.bootstrap(
-        tuple(scores.T), over_all, n_resamples=8000, method="percentile", rng=1
-    ).confidence_interval
-    ours = bootstrap_interval(scores)
-    assert ours == pytest.approx(tuple(theirs), abs=0.01)
-
-
 def test_runs_are_drawn_within_their_piece():
     """Pieces differ here and their runs hardly do: drawing other pieces would change a figure."""
     scores = np.tile([0.1, 0.5, 0.9], (3, 1)) + np.array([[-1e-9], [0], [1e-9]])

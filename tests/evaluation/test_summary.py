@@ -246,6 +246,7 @@ def test_a_corrupt_run_is_reported_and_left_out(tmp_path, content):
         ({"job": {"agent": "a"}}, "Expected `int`, got `null` - at `$.seed`"),
         ({"job": {"agent": ["a"], "seed": 0}}, "Expected `str`, got `array` - at `$.agent`"),
         ({"metrics": {"f1": "high"}}, "its result holds no F1"),
+        ({"metrics": {"f1": None}}, "its result holds no F1"),
     ],
 )
 def test_a_run_of_nobody_or_of_no_number_is_left_out(tmp_path, change, said):
@@ -254,14 +255,6 @@ def test_a_run_of_nobody_or_of_no_number_is_left_out(tmp_path, change, said):
     (case,) = caveats(tmp_path)["1 run cannot be read, and is left out."]
     assert said in case
     assert len(summary_of(tmp_path).runs) == len(TWO_AGENTS)
-
-
-def test_a_run_without_f1_is_reported_and_left_out(tmp_path):
-    write(tmp_path, TWO_AGENTS)
-    odd = write_result(tmp_path, "odd", result("c", "good", 0, {"f1": None})).name
-    case = f"{odd}: its result holds no F1"
-    assert caveats(tmp_path)["1 run cannot be read, and is left out."] == [case]
-    assert len(summary_of(tmp_path).pieces) == 2
 
 
 def test_runs_that_are_not_finished_are_named(tmp_path):

@@ -19,7 +19,6 @@ from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
-from players import find_fingering
 
 SONG = melody(60, 64, 67, 55, length=0.4, pedal=True)
 BUFFER = {"initial_buffer_time": 0.5}
@@ -53,9 +52,7 @@ def performance(agent: Any, score: Score = SONG, **options: Any) -> EpisodeResul
     return play_episode(task, agent)
 
 
-@pytest.mark.parametrize(
-    "options", [{}, {"fingering": "off"}, {"fingering": "transport"}, {"hands": "left"}]
-)
+@pytest.mark.parametrize("options", [{}, {"fingering": "off"}, {"hands": "left"}])
 def test_without_corrections_it_plays_what_the_planner_plays(options):
     """This also holds where the task ignores fingers and the score names none."""
     ours, planner = performance(Following(), **options), performance(Planner(), **options)
@@ -129,9 +126,3 @@ def test_a_plan_is_for_one_score_and_for_hands():
     task = PianoTask([SONG], scene=SceneConfig(hands="none"))
     with pytest.raises(CadenzaError, match="this scene has no hands"):
         reference_of(task)
-
-
-def test_the_fingers_of_a_file_are_forgotten():
-    fingered, _ = find_fingering(SONG)
-    assert fingered.has_fingering
-    assert fingered.without_fingers() == SONG

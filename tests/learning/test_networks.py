@@ -39,23 +39,6 @@ def test_dropout_drops_its_share_and_scales_up_the_rest(rate):
     assert_allclose(out[out != 0], x[out != 0] / (1 - rate), rtol=1e-6)
 
 
-def test_dropout_is_the_same_for_the_same_key_only():
-    x = np.ones((64, 64), np.float32)
-    assert_array_equal(dropped(0.5, x, 3), dropped(0.5, x, 3))
-    agree = int((dropped(0.5, x, 3) == dropped(0.5, x, 4)).sum())
-    assert binomtest(agree, x.size, 0.5).pvalue > 1e-4
-
-
-@pytest.mark.parametrize("apart", [1, 2, 16, 64, 256, 257, 4096])
-def test_dropout_of_one_entry_says_nothing_about_another(apart):
-    """Entries side by side, of neighbouring rows, and so on: both fall a quarter of the time."""
-    fell = np.concatenate(
-        [dropped(0.5, np.ones((256, 256), np.float32), seed).ravel() == 0 for seed in range(4)]
-    )
-    both = fell[:-apart] & fell[apart:]
-    assert abs(both.mean() - 0.25) < 5 * np.sqrt(0.25 * 0.75 / len(both))
-
-
 @pytest.mark.parametrize("rate", [0.01, 0.1, 0.5])
 def test_dropout_scatters_what_it_drops(rate):
     """Rows, columns and blocks lose numbers that vary as those of independent coins do."""

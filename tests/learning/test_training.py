@@ -223,26 +223,12 @@ def test_a_policy_that_diverges_is_not_kept(runs):
     assert all(np.isfinite(array).all() for array in weights.values())
 
 
-def test_the_policy_is_trained(undisturbed):
-    run = undisturbed("in turn")
-    with closing(Training(problem_of(CONFIG, [SONG]), RunFolder(run.path / "unused"))) as fresh:
-        begun = fresh.learnt().policy.weights
-    for name, array in load_policy(run.path / "last").policy.weights.items():
-        assert (array != begun[name]).any(), name
-
-
 def test_keys_can_be_learnt_to_move_by_themselves(runs):
     """There is no forearm whose range could be the song's."""
     run = runs()
     train(replace(CONFIG, scene=SceneConfig(hands="none"), song_range=True, num_steps=64), run)
     assert load_policy(run.path / "best").ranges is None
     assert evaluations(run)[-1]["eval/steps"] > 0
-
-
-def test_another_seed_is_another_run(runs, undisturbed):
-    other = runs()
-    train(replace(CONFIG, seed=1), other)
-    assert evaluations(other) != evaluations(undisturbed("in turn"))
 
 
 # Interrupted
@@ -276,13 +262,6 @@ def test_checkpoints_on_the_way_change_nothing(way, runs, undisturbed):
     for run in (often, other):
         train(longer, run)
     assert_same_runs(often, other)
-
-
-def test_a_run_that_is_done_stays_as_it_is(runs, undisturbed):
-    done = runs()
-    train(CONFIG, done)
-    train(CONFIG, done)
-    assert_same_runs(done, undisturbed("in turn"))
 
 
 class Killed(BaseException):

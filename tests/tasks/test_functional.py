@@ -39,8 +39,11 @@ CASES = {
         "touch": True,
     },
     "published": {"onset_goals": False, "repeats": "published", "initial_buffer_time": 0.0},
-    "wrong keys end it": {"wrong_press_termination": True, "n_steps_lookahead": 0},
-    "without fingers": {"fingering": "off"},
+    "wrong keys end it": {
+        "wrong_press_termination": True,
+        "n_steps_lookahead": 0,
+        "fingering": "off",
+    },
 }
 
 

@@ -49,20 +49,6 @@ def test_hands_play_it():
     assert np.isfinite(reward).all()
 
 
-def test_the_planner_plays_it():
-    notes = (Note(0.25 * i, 0.25 * i + 0.25, pitch) for i, pitch in enumerate((60, 62, 64, 65)))
-    config, scene = (
-        TaskConfig(initial_buffer_time=0.5),
-        SceneConfig(hands="right", keyboard=KEYBOARD),
-    )
-    task, planner = PianoTask([Score(tuple(notes))], config, scene), Planner()
-    task.reset([np.random.default_rng(0)], [0])
-    planner.reset([0], [np.random.default_rng(0)])
-    while not task.step(planner.act(task.view())).truncated[0]:
-        pass
-    assert task.episode_metrics(0)["f1"] > 0.95
-
-
 @pytest.mark.parametrize("agent", ["zero", "planner"])
 def test_a_performance_on_it_is_saved_with_its_page(agent, tmp_path):
     tune = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, p) for i, p in enumerate((60, 61, 62))))

@@ -129,11 +129,8 @@ def test_initial_buffer(scenes, seconds, silent_steps):
         ({}, 11),
         ({"n_steps_lookahead": 0}, 1),
         ({"n_steps_lookahead": 3}, 4),
-        ({"n_steps_lookahead": 30}, 31),
         ({"n_seconds_lookahead": 0.5}, 11),
         ({"n_seconds_lookahead": 0.12, "n_steps_lookahead": 7}, 4),
-        ({"n_seconds_lookahead": 0.15}, 4),
-        ({"n_seconds_lookahead": 0.3}, 7),
         ({"n_seconds_lookahead": 0.0}, 1),
         ({"n_seconds_lookahead": 0.12, "control_timestep": 0.02}, 7),
     ],
@@ -372,14 +369,6 @@ def test_a_wrong_press_on_the_last_step_terminates_and_does_not_truncate(scenes)
     assert (last.terminated.tolist(), last.truncated.tolist()) == ([True], [False])
 
 
-@pytest.mark.parametrize("hands", ["right", "left"])
-def test_one_hand_plays_through(scenes, hands):
-    player, rng = Player(scenes[hands]), np.random.default_rng(0)
-    ends = [bool(player.act(rng).truncated[0]) for _ in range(10)]
-    assert ends == [False] * 9 + [True]
-    assert 0 <= player.task.episode_metrics(0)["f1"] <= 1
-
-
 def test_an_unstable_simulation_terminates_its_own_episode_only(scenes):
     player = Player(scenes["both"], seeds=(0, 1, 2))
     far_away = np.full(46, 1e12)  # [m, rad], which MuJoCo takes for a simulation that diverged
@@ -560,17 +549,6 @@ def seed_that_draws(task: PianoTask, song: Score) -> int:
     raise AssertionError("never drawn")
 
 
-def test_actions_are_scaled_to_the_actuators(scenes):
-    task = Player(scenes["both"]).task
-    ones = np.ones(task.spec.action_size)
-    assert_allclose(task.spec.scale_action(-ones), task.spec.action_low, atol=1e-12)
-    assert_allclose(task.spec.scale_action(ones), task.spec.action_high, atol=1e-12)
-    assert_allclose(
-        task.spec.scale_action(0 * ones), (task.spec.action_low + task.spec.action_high) / 2
-    )
-    assert_allclose(task.spec.scale_action(7 * ones[None]), task.spec.action_high[None], atol=1e-12)
-
-
 # Wrong options
 
 
@@ -580,25 +558,17 @@ def test_actions_are_scaled_to_the_actuators(scenes):
         ({"control_timestep": 0.0}, "control_timestep 0.0: choose more than 0"),
         ({"control_timestep": 0.012}, "not a multiple of the physics step"),
         ({"control_timestep": float("nan")}, "control_timestep nan"),
-        ({"control_timestep": float("inf")}, "control_timestep inf"),
         ({"n_steps_lookahead": -1}, "n_steps_lookahead -1: choose 0 to"),
-        ({"n_seconds_lookahead": -0.1}, "n_seconds_lookahead -0.1"),
         ({"n_seconds_lookahead": float("nan")}, "n_seconds_lookahead nan"),
         ({"initial_buffer_time": -1.0}, "initial_buffer_time -1.0"),
-        ({"initial_buffer_time": float("inf")}, "initial_buffer_time inf"),
         ({"fingering": "on"}, "fingering 'on': choose from auto, robot, human, transport, off"),
-        ({"repeats": "left out"}, "repeats 'left out': choose from published, shortened"),
-        ({"key_press": "soft"}, "key_press 'soft': choose from published, graded"),
         ({"fingering_margin": 0.0}, "fingering_margin 0.0: choose more than 0"),
         ({"energy_coefficient": -1.0}, "energy_coefficient -1.0"),
         ({"onset_goals": "on"}, "onset_goals 'on': give True or False"),
-        ({"loudness_coefficient": -1.0}, "loudness_coefficient -1.0"),
         ({"random_hand_position": -0.1}, "random_hand_position -0.1"),
         ({"random_hand_position": 0.5}, "end after 0.46 m; choose less"),
         ({"random_stretch": 1.0}, "random_stretch 1.0: choose 0 to 0.99"),
-        ({"random_stretch": float("nan")}, "random_stretch nan"),
         ({"random_pitch_shift": -1}, "random_pitch_shift -1: choose 0 to 88"),
-        ({"random_octave_shift": -1}, "random_octave_shift -1: choose 0 to 7"),
         ({"randomization_probability": 1.5}, "randomization_probability 1.5: choose 0 to 1"),
     ],
 )

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import ragged_reward
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
@@ -185,34 +184,6 @@ def test_optimal_transport_row_by_row():
     assert keys[1, [2, 8]].tolist() == [50, 3]
     ours = reward.transport_fingering(tips, centres, PRESS, keys)
     assert_allclose(ours, [1.0, 0.55, 1.0], rtol=1e-6)
-
-
-@few
-@given(st.data(), sizes)
-def test_dense_terms_have_the_bits_of_ragged_ones(data, n):
-    """Also with more keys to press than a plain sum adds up one after the other."""
-    state = reward.key_state(data.draw(key_angles(n)), PIANO.travel)
-    centres = data.draw(key_centres(n))
-    goal, sounds = data.draw(masks(n, NUM_KEYS)), data.draw(masks(n, NUM_KEYS))
-    goal[:, :40:2] |= data.draw(st.booleans())
-    tips, fingers = data.draw(fingertips(n)), data.draw(fingerings(n))
-    there = data.draw(st.sampled_from([slice(0, 10), slice(0, 5), slice(5, 10)]))
-    keys = reward.keys_by_transport(tips, centres, PRESS, goal, there)
-    pairs = ragged_reward.transport_pairs(tips, centres, PRESS, goal, there)
-    row, finger = (keys >= 0).nonzero()
-    assert_array_equal([row, finger, keys[row, finger]], pairs)
-    for dense, ragged in (
-        (reward.key_press(state, sounds, goal), ragged_reward.key_press(state, sounds, goal)),
-        (
-            reward.score_fingering(tips, centres, PRESS, fingers),
-            ragged_reward.nearness(tips, centres, PRESS, ragged_reward.score_pairs(fingers), 0.0),
-        ),
-        (
-            reward.transport_fingering(tips, centres, PRESS, keys),
-            ragged_reward.nearness(tips, centres, PRESS, pairs, 1.0),
-        ),
-    ):
-        assert_array_equal(dense, ragged)
 
 
 def test_jax_compiles_the_terms():
