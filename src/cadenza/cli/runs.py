@@ -72,9 +72,7 @@ class Work:
 def run_all(command: _Command, jobs: Sequence[BenchJob], work: Work) -> None:
     """Carry out the jobs that are not complete yet, until Ctrl-C, and print what is left.
 
-    Raises:
-        KeyboardInterrupt: some runs are left.
-        CadenzaError: some have failed.
+    Raises KeyboardInterrupt if some runs are left, or CadenzaError if some have failed.
     """
     from tqdm import tqdm
 
@@ -139,12 +137,7 @@ def _outcome_line(state: BenchState, job: BenchJob, work: Work) -> str:
 
 
 def _print_summary(state: BenchState, folder: Path, next_command: Sequence[str]) -> None:
-    """Print how many runs are finished, and which command sums them up.
-
-    Raises:
-        KeyboardInterrupt: some runs are left.
-        CadenzaError: some have failed.
-    """
+    """Print how many runs are finished, and which command sums them up; raises as `run_all`."""
     counts = {"failed": len(state.failed), "left": state.left}
     others = "".join(f", {count} {what}" for what, count in counts.items() if count)
     print(f"{state.finished} of {state.total} runs finished{others}, in {folder}")

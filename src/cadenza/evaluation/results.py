@@ -148,9 +148,7 @@ def _planned_runs(plans: Iterable[Path]) -> tuple[set[str], list[MissingRun]]:
 def read_result(run: Path) -> Result:
     """Return the result of a run that is finished.
 
-    Raises:
-        CadenzaError, OSError: it is not finished, or its result cannot be read, or belongs to
-            another run.
+    Raises CadenzaError or OSError if it is not, or its result cannot be read or is another run's.
     """
     path = run / RESULT
     file = read_json(path, ResultFile)
@@ -177,8 +175,7 @@ def is_finished(_job: object, run: Path) -> bool:
 def failure(run: Path) -> str | None:
     """Return why a run has failed, in a line; None if it has not.
 
-    Raises:
-        CadenzaError, OSError: the reason cannot be read.
+    Raises CadenzaError or OSError if that cannot be read.
     """
     path = run / FAILED
     return read_json(path, _Failure).error if path.exists() else None

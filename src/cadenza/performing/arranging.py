@@ -110,18 +110,22 @@ class HandArrangement:
 
 
 def arranged_for(
-    song: LoadedSong, scene: Scene, task: TaskConfig, progress: Progress = silent
+    song: LoadedSong,
+    scene: Scene,
+    task: TaskConfig,
+    progress: Progress = silent,
+    as_it_is: bool = False,
 ) -> tuple[GoalTrack, HandArrangement | None]:
     """What the hands of a scene play of a song, and its arrangement; None if it is as written.
 
-    That is so with `arrange="off"`, and with "auto" and no level where the plan of what the `task`
-    plays foresees few losses: 10 % of the notes are out of reach in music for one instrument, or 4
-    % missed in other music, of whose melody and bass 1 % may be left out. `progress` is told of
-    "fingers". Raises CadenzaError if the song has no notes, or is to be arranged, and the scene has
-    no hands.
+    That is so if it is played `as_it_is`, with `arrange="off"`, and with "auto" and no level where
+    the plan of what the `task` plays foresees few losses: 10 % of the notes are out of reach in
+    music for one instrument, or 4 % missed in other music, of whose melody and bass 1 % may be left
+    out. `progress` is told of "fingers". Raises CadenzaError if the song has no notes, or is to be
+    arranged, and the scene has no hands.
     """
     fingers, arrangement = partial(progress, "fingers"), song.arrangement
-    as_written = arrangement.arrange == "off" or not song.score.notes
+    as_written = as_it_is or arrangement.arrange == "off" or not song.score.notes
     if as_written or not arrangement.asks_for_hands:
         track = prepare_track(song.score, task, scene, fingers)
         if as_written or not scene.sides or _is_playable(track, fingers):

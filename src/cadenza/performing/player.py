@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cadenza.agents.agent import Agent
+from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.practice.practised_planner import PractisedHands
 from cadenza.agents.playback import Playback, SavedPlan, load_plan
 from cadenza.agents.registry import (
@@ -128,7 +129,7 @@ def _with_plan(plan: str | Path, configs: Mapping[str, Any]) -> Player:
 def _practised_hands(plan: SavedPlan, configs: Mapping[str, Any]) -> PractisedHands | None:
     if plan.practised is None:
         return None
-    config = make_agent(PLANNER, configs.get(PLANNER)).config
+    config = as_config(configs.get(PLANNER), PlannerConfig)
     if config.effort:
         raise CadenzaError(
             f"{plan.path}: is played as it was practised; leave out --planner.effort, or practise "

@@ -4,7 +4,6 @@ import warnings
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, is_dataclass, replace
-from functools import partial
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -21,7 +20,6 @@ from cadenza.performing.loaded_song import LoadedSong, SomeSong, load
 from cadenza.performing.player import Player
 from cadenza.scene.scene import build_scene
 from cadenza.sim.threads import MAX_THREADS
-from cadenza.tasks.augmentation import prepare_track
 from cadenza.tasks.config import task_identity
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
@@ -77,12 +75,9 @@ def set_up(
     options = task_identity(player.task, player.scene, seed, **asdict(chosen.arrangement))
     if player.plan is not None:
         player.plan.check(options)
-    scene, played, arranged = build_scene(player.scene), chosen, None
-    if is_known:
-        track = prepare_track(chosen.score, player.task, scene, partial(progress, "fingers"))
-    else:
-        played = chosen.written_for(player.scene.hands)
-        track, arranged = arranged_for(played, scene, player.task, progress)
+    scene = build_scene(player.scene)
+    played = chosen if is_known else chosen.written_for(player.scene.hands)
+    track, arranged = arranged_for(played, scene, player.task, progress, as_it_is=is_known)
     score = played.score if arranged is None else arranged.arranged.score
     with (
         closing(PianoTask([track], player.task, scene)) as task,

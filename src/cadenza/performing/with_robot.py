@@ -49,16 +49,9 @@ def practise(
 ) -> Iterator[tuple[RobotPlays, NDArray[np.float64]]]:
     """Practise with a robot what the planner plays on the nominal one.
 
-    Args:
-        setup: the song, and the planner.
-        robot: the seed of a simulated robot, or a driver as `module:Name`.
-        profile: what it is drawn from; of other robots, how late they are about.
-
-    Yields:
-        After each play, what became of all so far, and their actions (P, T, A).
-
-    Raises:
-        CadenzaError: there is no such robot.
+    `robot` is the seed of a simulated one, drawn from the profile, or a driver as `module:Name`,
+    about as late as the profile says. Yields after each play what became of all so far, and their
+    actions (P, T, A). Raises CadenzaError if there is no such robot.
     """
     began = cpu_seconds()
     nominal = play_episode(setup.task, setup.agent, setup.seed)
@@ -98,11 +91,7 @@ def simulated(setup: Setup, robot: int, profile: Profile) -> SimulatedRobot:
 
 
 def _driver(name: str) -> Robot:
-    """Somebody's driver.
-
-    Raises:
-        CadenzaError: there is none, or it cannot be made.
-    """
+    """Somebody's driver; raises CadenzaError if there is none, or it cannot be made."""
     driver = ROBOTS.load(name, type)
     with by_others(f"robot {name}: cannot be made"):
         made: Robot = driver()

@@ -32,9 +32,6 @@ class DeviceRandomization:
     """The randomization of the physics, actions and observations of N environments.
 
     The same seed draws the same models and latencies as in `Randomization`; noise has other bits.
-
-    Attributes:
-        scaled: names of the quantities that are scaled.
     """
 
     def __init__(

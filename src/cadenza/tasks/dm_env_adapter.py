@@ -186,11 +186,7 @@ class DmEnvAdapter(dm_env.Environment):
 
     @property
     def physics(self) -> Any:
-        """There is none of dm_control.
-
-        Raises:
-            CadenzaError: always; it says what there is instead.
-        """
+        """Raise a CadenzaError that says what there is instead of that of dm_control."""
         raise CadenzaError(
             "there is no physics of dm_control: task.state has positions, speeds and forces, "
             "task.scene.model the MjModel, and pixels=True of the environment or render() pictures"

@@ -88,8 +88,9 @@ class DrawRanges:
         )
         self.bias = self._of_senses(config.slide_bias, config.joint_bias, 0.0, config.touch_bias)
         own = {**dict.fromkeys(SERVO_RANGES, self.low.shape), GRAVITY_TILT: (2,), LATENCY: ()}
-        self.of_model = tuple(filter(self._is_on, shapes(scene)))
-        self.shapes = {n: s for n, s in (shapes(scene) | own).items() if self._is_on(n)}
+        of_scene = shapes(scene)
+        self.of_model = tuple(filter(self._is_on, of_scene))
+        self.shapes = {n: s for n, s in (of_scene | own).items() if self._is_on(n)}
         if self.bias.any():
             self.shapes[BIAS] = self.bias.shape
         if self._is_on(OBSERVATION_LATENCY):

@@ -95,11 +95,6 @@ class FunctionalPianoTask:
     `reset` and `step` are compiled, and move nothing to the host. All songs and options of
     `PianoTask` are there, but for what the constructor refuses. Domain randomization draws
     from `cadenza.tasks.device_randomization.VARIANTS` seeds.
-
-    Attributes:
-        spec: what is the same in all environments and episodes.
-        songs: the goals of all songs.
-        physics: the simulation.
     """
 
     def __init__(

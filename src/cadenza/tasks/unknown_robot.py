@@ -68,11 +68,7 @@ class UnknownRobotEnv(PianoEnv):
         return self._seen(observation), reward if scored else 0.0, *told
 
     def get_state(self) -> Any:
-        """Refuse: a real robot cannot go back to where it was.
-
-        Raises:
-            CadenzaError: always.
-        """
+        """Raise a CadenzaError: a real robot cannot go back to where it was."""
         raise CadenzaError("an unknown robot cannot go back to where it was: reset() it")
 
     def _seen(self, observation: Observation) -> NDArray[np.float32]:
