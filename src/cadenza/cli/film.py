@@ -15,7 +15,7 @@ class Film:
     Example: cadenza film played/OdeToJoy/planner --size 1080 1920 --seconds 20
 
     The film is the page of the performance, drawn by Chrome, Chromium or Edge: 60 pictures a
-    second with a graphics card, 30 without, each of which then takes seconds to draw.
+    second with a graphics card, 30 without, each of which then takes half a second of a core.
     """
 
     folder: tyro.conf.Positional[Path]

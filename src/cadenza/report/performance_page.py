@@ -18,7 +18,8 @@ from cadenza.report.sound import Samples, bit_rate_of, encode_opus
 
 STYLES = ("uplot.min.css", "page.css", "chart.css", "score.css")
 SCRIPTS = (
-    *("elements.js", "recording.js", "rows.js", "flat.js", "falling.js", "camera.js", "stage.js"),
+    *("elements.js", "recording.js", "rows.js", "flat.js", "falling.js", "camera.js"),
+    *("software.js", "stage.js"),
     *("chart.js", "arrangement.js", "explanations.js", "roll.js", "rewards.js"),
     *("expression.js", "controls.js", "score.js", "film.js", "page.js"),
 )

@@ -29,6 +29,7 @@ _SHARED = (  # scripts, of reports as well
         "flat.js",
         "falling.js",
         "camera.js",
+        "software.js",
         "stage.js",
         "chart.js",
     ),

@@ -1,8 +1,9 @@
 // The performance as a film: pictures of the stage at even times, encoded with the page's sound.
 
-const FILM_RATE = 60, SLOW_RATE = 30; // pictures a second; without a graphics card, which takes a second for each
+const FILM_RATE = 60, SLOW_RATE = 30; // pictures a second; without a graphics card, which takes half a second for each
 const BITS_PER_PIXEL = 0.1; // of a picture; 12 Mbit/s at 1080p
 const SOUND_BITS = 160_000, SOUND_RATE = 48_000; // a second; [Hz]
+const TIMED = 10; // pictures, after which one can say how long the rest takes
 const GROUP = 2; // [s] between two pictures that stand alone, to which players can jump
 const TITLE = { seconds: 4, fade: 0.6, size: 0.045 }; // [s]; of the shorter side
 const MARGIN_OF_SCORE = 0.02, BRACE = 400; // of its width, on either side; what is before a system, in units of a drawing
@@ -82,7 +83,7 @@ function createScoreBand(engraving, data, width, filmHeight) {
  */
 async function createFilm(data, engraving, { width, height, camera, falling = true, score, start = 0, end = Infinity, silent, live }) {
   const stage = createStage(make("canvas", [], { className: "view" }), data, VERDICTS.map((name) => css("--" + name)));
-  const canvas = make("canvas", [], { width, height }), context = canvas.getContext("2d", { alpha: false });
+  const canvas = make("canvas", [], { width, height }), context = canvas.getContext("2d", { alpha: false, willReadFrequently: !stage.byCard });
   const band = score && engraving ? createScoreBand(engraving, data, width, height) : null, tall = height - (band?.height ?? 0);
   const rate = stage.byCard ? FILM_RATE : SLOW_RATE, length = data.steps * data.dt;
   stage.setFlat(live && !stage.byCard);
@@ -103,6 +104,7 @@ async function createFilm(data, engraving, { width, height, camera, falling = tr
       drawn = time;
       drawSky(context, width, tall);
       context.drawImage(stage.picture, 0, 0, width, tall);
+      if (!stage.byCard && !stage.flat) smoothEdges(context, width, tall);
       await band?.draw(context, start + time, tall);
       drawTitle(context, time, width, height);
     },
@@ -181,7 +183,7 @@ function offerFilm(data, engraving) {
     if (began === null) return false;
     Object.assign($("film-done"), { max: total, value: done });
     const left = ((performance.now() - began) / 1000 / Math.max(done, 1)) * (total - done);
-    say(`${Math.floor((100 * done) / total)} %${done > FILM_RATE ? `, ${minutes(left).split(".")[0]} left` : ""}${how}`);
+    say(`${Math.floor((100 * done) / total)} %${done >= TIMED ? `, ${minutes(left).split(".")[0]} left` : ""}${how}`);
     return true;
   }
   const show = (making) => { $("film-make").disabled = !($("film-stop").hidden = $("film-done").hidden = !making); };
@@ -210,12 +212,12 @@ function offerFilm(data, engraving) {
   if (location.hash === "#film") dialog.showModal();
 }
 
-/** Makes the film that `cadenza film` has asked for in the address of the page, and sends it there. */
+/** Makes the film that `cadenza film` has asked for in the address of the page, and sends it there; time counts from the second picture on, as shaders are made for the first. */
 async function sendFilm(data, engraving, asked) {
   const send = (name, body) => fetch(name, { method: "POST", body });
   try {
     const film = await createFilm(data, engraving, asked);
-    await send("film", await encodeFilm(film, (done, total) => send(`progress/${done}/${total}`)));
+    await send("film", await encodeFilm(film, (done, total) => done === 0 || send(`progress/${done}/${total}`)));
   } catch (error) {
     await send("error", error.message);
   }

@@ -3,21 +3,10 @@
 
 /** From where cameras look, by their names: as the buttons have it from `cadenza.cameras`. */
 const VIEWS = Object.fromEntries([...document.querySelectorAll("[data-view]")].map(({ dataset: { view, from } }) => [view, from.split(" ").map(Number)]));
-const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 const DEPTH = 0.4; // [m] of keyboard and forearms as cameras see them, about; a picture may leave more to falling notes
 const FADED = 0.28; // opacity of a palm while it hides a key that sounds
 const ALONG_KEY = [-0.4, 0, 0.4, 0.8]; // halves of a key's length from its middle; half of these are to be seen
 const FADING = 0.15, APPEARING = 0.8; // [s] that a palm takes to fade, and to be solid again
-
-/** What draws WebGL here, such as the name of a graphics card; null where nothing does. */
-const graphics = lazily(() => {
-  const gl = document.createElement("canvas").getContext("webgl2");
-  if (!gl) return null;
-  const about = gl.getExtension("WEBGL_debug_renderer_info");
-  const name = String(gl.getParameter(about ? about.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
-  gl.getExtension("WEBGL_lose_context")?.loseContext();
-  return name;
-});
 
 /**
  * Poses of step rows, blended between rows: `move(time)` puts bodies and keys where they were.
@@ -28,7 +17,7 @@ function createStage(canvas, data, colours) {
   const scene = new THREE.Scene();
   const camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW, 1, 0.05, 20);
   camera.up.set(0, 0, 1);
-  const drawnBy = graphics(), overlay = canvas.cloneNode();
+  const overlay = canvas.cloneNode();
   for (const name of ["id", "tabindex", "role", "aria-label"]) overlay.removeAttribute(name);
   overlay.setAttribute("aria-hidden", "true");
   overlay.style.pointerEvents = "none";
@@ -181,16 +170,16 @@ function createStage(canvas, data, colours) {
     fit();
     return renderer === flatRenderer;
   }
-  setFlat(drawnBy === null || SOFTWARE.test(drawnBy));
+  setFlat(bySoftware());
 
   return {
     move,
     setFlat,
     get flat() { return renderer === flatRenderer; },
     /** Whether there is anything but the flat view. */
-    solid: drawnBy !== null,
+    solid: graphics() !== null,
     /** Whether a graphics card draws. */
-    byCard: drawnBy !== null && !SOFTWARE.test(drawnBy),
+    byCard: !bySoftware(),
     look(name) {
       view = name;
       place();
@@ -222,10 +211,6 @@ function createStage(canvas, data, colours) {
   };
 }
 
-function lazily(make) {
-  let made;
-  return () => (made ??= make());
-}
 /** The body from which a hand's body hangs, or itself. */
 const rootOf = (skeleton, body) => (skeleton[body].parent < 0 ? body : rootOf(skeleton, skeleton[body].parent));
 const quaternion = ([w, x, y, z]) => new THREE.Quaternion(x, y, z, w);
@@ -297,12 +282,33 @@ function createFollower(data) {
 
 /** A material as pages have it, of one as recordings have it. */
 const look = ({ rgba, roughness = 0.3, metalness = 0.05 }) => ({ colour: new THREE.Color().setRGB(...rgba.slice(0, 3), "srgb"), roughness, metalness });
-const materialOf = ({ colour, roughness, metalness = 0.05 }) => new THREE.MeshStandardMaterial({ color: colour, roughness, metalness });
+const materialOf = ({ colour, roughness, metalness = 0.05 }) => litCheaply(new THREE.MeshStandardMaterial({ color: colour, roughness, metalness }));
+
+const BENDS = 5, FEW_BENDS = 3; // of a box from corner to corner, of which the middle one is flat
+const ROUND = 0.0015; // [m] of its edges; of large boxes, one does not see that
+
+/** A box with round edges, of its halves [m]. */
+function roundedBox(halves) {
+  const least = Math.min(...halves), radius = Math.min(ROUND, 0.3 * least), bends = bySoftware() ? FEW_BENDS : BENDS;
+  if (radius < 0.01 * least) return new THREE.BoxGeometry(...halves.map((half) => 2 * half));
+  const geometry = new THREE.BoxGeometry(1, 1, 1, bends, bends, bends), { position, normal } = geometry.attributes;
+  const at = new THREE.Vector3(), corner = new THREE.Vector3(), middle = new THREE.Vector3(...halves).subScalar(radius);
+  for (let i = 0; i < position.count; i++) {
+    corner.set(...at.fromBufferAttribute(position, i).toArray().map(Math.sign));
+    normal.setXYZ(i, ...at.addScaledVector(corner, -0.5 / bends).normalize());
+    position.setXYZ(i, ...corner.multiply(middle).addScaledVector(at, radius));
+  }
+  return geometry;
+}
+const boxes = new Map(); // white keys share one
 
 function mesh(type, size, material) {
   const [a, b, c] = size;
   const geometry = {
-    box: () => new THREE.RoundedBoxGeometry(2 * a, 2 * b, 2 * c, 2, Math.min(0.0015, 0.3 * Math.min(a, b, c))),
+    box() {
+      if (!boxes.has(String(size))) boxes.set(String(size), roundedBox(size));
+      return boxes.get(String(size));
+    },
     capsule: () => new THREE.CapsuleGeometry(a, 2 * b, 8, 20).rotateX(Math.PI / 2),
     cylinder: () => new THREE.CylinderGeometry(a, a, 2 * b, 32).rotateX(Math.PI / 2),
     sphere: () => new THREE.SphereGeometry(a, 24, 16),
@@ -314,12 +320,15 @@ function mesh(type, size, material) {
   return solid;
 }
 
+const FEW_BALLS = 4, SMALL = 0.01; // [m]; such a hull looks round with fewer vertices, too
+
 /**
  * The convex hull of a shell's balls: of a globe's grid of directions, each vertex is the point
  * that lies farthest in its direction, which is also its normal.
  */
 function hull({ balls, ...material }) {
-  const geometry = new THREE.SphereGeometry(1, 24, 16);
+  const isFine = !bySoftware() || balls.length > FEW_BALLS || balls.some(([, , , radius]) => radius > SMALL);
+  const geometry = new THREE.SphereGeometry(1, ...(isFine ? [24, 16] : [12, 8]));
   const { position } = geometry.attributes, direction = new THREE.Vector3(), centre = new THREE.Vector3();
   for (let i = 0; i < position.count; i++) {
     direction.fromBufferAttribute(position, i);
@@ -381,7 +390,7 @@ const DIRECTIONS = Array.from({ length: 12 }, (_, i) => [Math.cos((Math.PI * i) 
 
 /** A floor that is seen by the shadows on it. */
 function floor(height) {
-  const plane = new THREE.Mesh(new THREE.PlaneGeometry(6, 6), new THREE.ShadowMaterial({ opacity: 0.28 }));
+  const plane = new THREE.Mesh(new THREE.PlaneGeometry(6, 6), litCheaply(new THREE.ShadowMaterial({ opacity: 0.28 })));
   plane.position.z = height;
   plane.receiveShadow = true;
   return plane;
@@ -396,7 +405,7 @@ function light(scene, renderer) {
   const sun = new THREE.DirectionalLight(0xfff4e6, 2.1);
   sun.position.set(0.5, -0.7, 1.6);
   sun.castShadow = true;
-  sun.shadow.mapSize.set(2048, 2048);
+  sun.shadow.mapSize.setScalar(bySoftware() ? SHADOW_PIXELS : 2048);
   Object.assign(sun.shadow.camera, { left: -0.85, right: 0.85, top: 0.7, bottom: -0.7, near: 0.3, far: 4 });
   sun.shadow.normalBias = 0.002;
   sun.shadow.radius = 5;
@@ -407,7 +416,7 @@ function light(scene, renderer) {
 function createSolidRenderer(canvas, scene) {
   let renderer;
   try {
-    renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
+    renderer = new THREE.WebGLRenderer({ canvas, antialias: !bySoftware(), alpha: true });
   } catch {
     return null;
   }
