@@ -152,23 +152,6 @@ def test_note_f1_is_that_of_mir_eval(seed, jitter):
     assert metrics["note_onset_velocity_f1"] == pytest.approx(velocity_f1)
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_as_many_notes_of_trills_are_matched_as_mir_eval_matches(seed):
-    rng = np.random.default_rng(seed)
-
-    def trill():
-        starts = np.round(np.sort(rng.uniform(0, 2, 40)), 2)
-        return [Note(start, start + 0.01, int(rng.integers(60, 62))) for start in starts]
-
-    written, played = trill(), trill()
-    *_, expected, _ = mir_eval.transcription.precision_recall_f1_overlap(
-        *arrays(written)[:2], *arrays(played)[:2], offset_ratio=None
-    )
-    metrics = expressive_metrics(Score(tuple(played)), Score(tuple(written)))
-    assert metrics["note_onset_f1"] == pytest.approx(expected)
-
-
 def test_time_grows_with_the_music_and_not_its_square():
     def seconds(count):
         music = score(*((k * 0.01, k * 0.01 + 0.005, 60) for k in range(count)))

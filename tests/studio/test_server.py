@@ -418,17 +418,13 @@ def frame(opcode: int, content: bytes, length: int | None = None, begin: int = 0
 
 FRAMES = {
     "text that is none": frame(1, b"\xff\xff"),
-    "text in parts": frame(1, b"\xe2", begin=0) + frame(0, b"\x28\xa1"),
     "text": frame(1, b"hello") * 1000,
-    "deep": frame(1, b"[" * 4000),
-    "bytes": frame(2, b"\xff\xff"),
     "long": frame(1, b"a" * 100_000),
     "longer than can be": frame(1, b"", 1 << 62),
     "of negative length": frame(2, b"", (1 << 64) - 1),
     "without end": frame(1, b"a" * 1000, begin=0) + frame(0, b"a" * 1000, begin=0) * 500,
     "unknown": frame(3, b"x") + frame(15, b"x"),
     "with reserved bits": frame(1, b"x", begin=0xF0),
-    "no beginning": frame(0, b"x"),
     "two beginnings": frame(1, b"x", begin=0) * 2,
     "pings": frame(9, b"x") * 100 + frame(10, b"x"),
     "long ping": frame(9, b"x" * 200),
