@@ -82,13 +82,6 @@ def test_tensorboard_has_the_figures(run):
             assert seen[row["eval_step"], "eval/f1"] == pytest.approx(row["eval/f1"])
 
 
-def test_the_policy_plays_as_it_was_evaluated(run, tmp_path, capsys):
-    best = max(row["eval/f1"] for row in rows(run) if "eval/f1" in row)
-    main(["play", "--agent", str(run), "--no-video", "-o", str(tmp_path)])
-    capsys.readouterr()
-    assert json.loads((tmp_path / "metrics.json").read_text())["f1"] == best
-
-
 def test_a_policy_learns_when_notes_begin_and_how_loud_and_plays(tune, tmp_path, capsys):
     """It is stopped, goes on, and is evaluated and played with the terms that it learnt by."""
     folder = tmp_path / "run"

@@ -204,14 +204,3 @@ def test_goes_on_after_a_stop_with_the_same_bits(config, residual):
         assert_array_equal(again.collector.observation, whole.collector.observation)
     for ours, theirs in zip(again.sample(0, 500), whole.sample(0, 500), strict=True):
         assert_array_equal(ours, theirs)
-
-
-def test_can_be_stopped_before_anything_was_done():
-    whole, again = Run(RANDOM), Run(RANDOM)
-    whole.collector.begin()
-    plain, arrays = whole.collector.state()
-    again.scores.restore(whole.scores.arrays())
-    again.replay.restore(whole.replay.since(0))
-    again.collector.restore(plain, arrays)
-    assert again.collector.collect(None, 15) == whole.collector.collect(None, 15)
-    assert_array_equal(again.collector.observation, whole.collector.observation)

@@ -12,7 +12,6 @@ from rl_examples import melody
 from cadenza.cli import main
 from cadenza.errors import CadenzaError
 from cadenza.files import ANY, read_tensors, write_tensors
-from cadenza.learning.config import TrainingConfig
 from cadenza.learning.learner import LearnerConfig
 from cadenza.learning.policy_folder import POLICY_FILE, load_policy, save_policy
 from cadenza.learning.run_folder import RunFolder
@@ -251,17 +250,6 @@ def test_who_is_no_learner_is_refused(tune, tmp_path, capsys):
     assert "NoLearner is no LearnerConfig of cadenza" in said("none")
     assert "cannot import 'nowhere'" in said("nowhere:Config")
     assert not (tmp_path / "run").exists()
-
-
-def test_a_run_of_a_learner_that_is_not_installed_says_so(package, tmp_path, capsys):
-    run = RunFolder(tmp_path / "run")
-    sys.path.insert(0, str(package))
-    from regression import RegressionConfig  # type: ignore[import-not-found]
-
-    run.begin(TrainingConfig(learner=RegressionConfig()), [melody(60)])
-    sys.path.remove(str(package))
-    (package / "regression-1.0.dist-info" / "entry_points.txt").write_text("")
-    assert "no learner 'regression'" in refused(capsys, "train", "--resume", run.path)
 
 
 def test_the_options_of_every_learner_are_checked():

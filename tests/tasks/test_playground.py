@@ -14,7 +14,6 @@ from cadenza.sim.protocol import State
 jax = pytest.importorskip("jax")
 import jax.numpy as jnp  # noqa: E402
 
-from cadenza.tasks.functional import FunctionalPianoTask  # noqa: E402
 from cadenza.tasks.playground import PlaygroundPiano, WorldState  # noqa: E402
 
 UP = Score(tuple(Note(i / 5, (i + 1) / 5, 60 + i) for i in range(4)), title="Up")
@@ -121,14 +120,6 @@ def test_steps_within_scans_and_what_wrappers_add_stays(env):
     assert rewards.shape == (4, 3)
     assert_array_equal(state.info["steps"], np.arange(3))
     assert_array_equal(state.metrics["reward"], np.ones(3))
-
-
-def test_another_number_of_environments_plays_the_same(env):
-    two = env.task.resized(2)
-    assert isinstance(two, FunctionalPianoTask)
-    assert two.tracks is env.task.tracks
-    assert two.reset(jax.random.key(0)).obs.shape[0] == 2
-    assert env.task.reset(jax.random.key(0)).obs.shape[0] == 1
 
 
 def test_renders_a_world_but_no_batch(env):
