@@ -18,7 +18,6 @@ from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.learner import Learner
 from cadenza.learning.observation import GoalTable
-from cadenza.learning.policy import Policy
 from cadenza.learning.replay_buffer import Batch, ReplayBuffer
 from cadenza.resumable import Arrays
 
@@ -44,11 +43,11 @@ class Experience(Protocol):
     def begin(self) -> None:
         """Begin an episode in every environment."""
 
-    def round(self, learner: Any, state: Any, policy: Policy, step: int) -> Round:
+    def round(self, learner: Any, state: Any, step: int) -> Round:
         """Take `train_freq` control steps in every environment, and make updates.
 
-        `policy`, that of the learner's `state`, collects; `step` counts the control steps so far of
-        all environments together.
+        The learner's policy of `state` collects; `step` counts the control steps so far of all
+        environments together.
         """
 
     def save(self, step: int) -> tuple[Chunk, ...]:
@@ -88,10 +87,13 @@ class ReplayExperience:
         self.begin, self.state = collector.begin, collector.state
         self._folder, self._chunks = folder, list[Chunk]()
 
-    def round(self, learner: Learner[Any], state: Any, policy: Policy, step: int) -> Round:
+    def round(self, learner: Learner[Any], state: Any, step: int) -> Round:
         collect, steps = self._collector.collect, self._config.train_freq
-        if (random := step < self._config.learning_starts) or not len(self._replay):
-            return state, {}, collect(None if random else policy, steps)
+        if step < self._config.learning_starts:
+            return state, {}, collect(None, steps)
+        policy = learner.behavior_policy(state)
+        if not len(self._replay):
+            return state, {}, collect(policy, steps)
         if not self._config.parallel:
             finished = collect(policy, steps)
             return *learner.update(state, self._batches()), finished

@@ -12,7 +12,6 @@ from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.experience import Chunk, Round
 from cadenza.learning.learner import EnvRollout, OnPolicyLearner
-from cadenza.learning.policy import Policy
 from cadenza.resumable import Arrays
 
 Array = Any  # of NumPy or of JAX
@@ -36,7 +35,7 @@ class RolloutExperience(ABC):
         Returns the rollout; the episodes that ended in it; and metrics by name.
         """
 
-    def round(self, learner: OnPolicyLearner[Any], state: Any, policy: Policy, step: int) -> Round:
+    def round(self, learner: OnPolicyLearner[Any], state: Any, step: int) -> Round:
         config = self._config
         seed = int(self._sample_rng.integers(MAX_SEED))
         rollout, finished, more = self.rollout(learner, state, config.train_freq, seed)

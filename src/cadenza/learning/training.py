@@ -101,7 +101,6 @@ class Training(CheckpointedRun):
     def _begin(self) -> None:
         self._make_learner((0, self.num_steps))
         self._state = self._learner.init(self.config.seed)
-        self._policy = self._learner.behavior_policy(self._state)
         self._experience.begin()
         if self.config.residual:
             self._evaluate()  # which plays what it corrects: only better policies are kept
@@ -130,7 +129,7 @@ class Training(CheckpointedRun):
         """Collect experience, and learn; raises CadenzaError if the policy is not finite."""
         config = self.config
         self._state, metrics, finished = self._experience.round(
-            self._learner, self._state, self._policy, self.step
+            self._learner, self._state, self.step
         )
         self._finished += finished
         self.step += config.train_freq * config.num_envs
@@ -138,8 +137,7 @@ class Training(CheckpointedRun):
             return
         self._metrics.append({name: np.asarray(values) for name, values in metrics.items()})
         self._updates += config.gradient_steps
-        self._policy = self._learner.behavior_policy(self._state)
-        _, arrays = self._policy.state()
+        _, arrays = self._learner.behavior_policy(self._state).state()
         if not all(np.isfinite(array).all() for array in arrays.values()):
             raise CadenzaError(
                 f"{self.folder.path}: the policy is no longer finite; start a new run with "
@@ -255,7 +253,6 @@ class Training(CheckpointedRun):
         self._finished += [Finished(*map(_or_nan, episode)) for episode in progress.finished]
         self._updates = progress.updates
         self._state = self._learner.from_arrays(parts["learner"])
-        self._policy = self._learner.behavior_policy(self._state)
         self._problem.goals.restore(parts["scores"])
         self._metrics = [parts["metrics"]] if "metrics" in parts else []
         self._experience.restore(progress.collector, parts["collector"], progress.replay)
