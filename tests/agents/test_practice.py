@@ -301,7 +301,7 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
     with_search = PlannerConfig(  # a short one, which leaves something to practise
         fingering="score", num_candidates=4, iterations=1, horizon=0.1, proposals="none"
     )
-    straight = practice(score=LONG, config=with_search, seed=1)
+    straight = practice(score=JUMPS, config=with_search, seed=1)
     restart, restarted = HandsInScene.restart, list[Any]()
     monkeypatch.setattr(
         HandsInScene, "restart", lambda *args: restarted.append(args) or restart(*args)
@@ -309,10 +309,10 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
     straight.run(0.3)
     assert restarted
     done = False
-    left = practice(2, score=LONG, config=with_search, seed=1)
+    left = practice(2, score=JUMPS, config=with_search, seed=1)
     while not done:
         done = left.run(0.3, on_and_off(6))
-        left = restored(practice(2, score=LONG, config=with_search, seed=1), left, tmp_path)
+        left = restored(practice(2, score=JUMPS, config=with_search, seed=1), left, tmp_path)
     assert_same(left, straight)
 
 
