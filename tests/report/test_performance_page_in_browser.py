@@ -600,8 +600,8 @@ def test_the_button_makes_a_film_with_sound(tmp_path, write, encodes):
     assert np.abs(sound).max() > 0.01
 
 
-# The share of the picture that is empty at each edge: nothing is drawn, and the sky shows.
-EMPTY = """(([view, width, height, time, falling]) => {
+# The colours of a picture as it is drawn flat; nothing is where the sky shows.
+PICTURE = """(([view, width, height, time, falling]) => {
     const { stage } = cadenza, copy = document.createElement("canvas");
     Object.assign(copy, { width, height });
     stage.setFlat(true);
@@ -612,16 +612,24 @@ EMPTY = """(([view, width, height, time, falling]) => {
     stage.draw();
     const context = copy.getContext("2d");
     context.drawImage(stage.picture, 0, 0, width, height);
-    const { data } = context.getImageData(0, 0, width, height);
-    const isDrawn = (x, y) => data[4 * (y * width + x) + 3] > 200;
-    const xs = [...Array(width).keys()], ys = [...Array(height).keys()];
-    const across = xs.filter((x) => ys.some((y) => isDrawn(x, y)));
-    const upwards = ys.filter((y) => xs.some((x) => isDrawn(x, y)));
-    return [
-        across[0] / width, 1 - (across.at(-1) + 1) / width,
-        upwards[0] / height, 1 - (upwards.at(-1) + 1) / height,
-    ];
+    return [...context.getImageData(0, 0, width, height).data];
 })"""
+
+
+def drawn(browser, view, shape, time, falling=True):
+    pixels = browser.evaluate(f"{PICTURE}({json.dumps([view, *shape, time, falling])})")
+    return np.array(pixels, np.uint8).reshape(*shape[::-1], 4).astype(int)
+
+
+def margins(shown):
+    """The share of a picture (H, W) at its left, right, upper and lower edge that is not shown."""
+    (ys, xs), (height, width) = np.nonzero(shown), shown.shape
+    return (
+        xs.min() / width,
+        1 - (xs.max() + 1) / width,
+        ys.min() / height,
+        1 - (ys.max() + 1) / height,
+    )
 
 
 @pytest.mark.slow
@@ -632,5 +640,20 @@ def test_piano_or_hands_fill_a_picture_of_any_shape(browser, write, falling, apa
     for view in VIEWS:
         for shape in ((320, 180), (180, 320), (240, 180), (240, 240)):
             for time in (0.2, 5):
-                empty = browser.evaluate(f"{EMPTY}({json.dumps([view, *shape, time, falling])})")
+                empty = margins(drawn(browser, view, shape, time, falling)[..., 3] > 200)
                 assert max(empty) <= 0.1, (view, shape, time, empty)
+
+
+@pytest.mark.slow
+def test_forearms_are_hardly_cut_in_tall_pictures(browser, write):
+    looks = [(view, time) for view in VIEWS if view not in ("close", "side") for time in (3, 5)]
+    with_hands = recorded_scale(-0.05)
+    shells = [shell | {"balls": [[0, 0, 0, 1e-5]]} for shell in with_hands.scene["shells"]]
+    pictures = []
+    for scene in (with_hands.scene, with_hands.scene | {"shells": shells}):
+        browser.open(write(replace(with_hands, scene=scene)))
+        pictures.append([drawn(browser, view, (180, 320), time) for view, time in looks])
+    for look, with_shells, without in zip(looks, *pictures, strict=True):
+        arms = np.abs(with_shells - without).max(axis=2) > 40
+        cut = max(arms[:, 0].mean(), arms[:, -1].mean(), arms[0].mean(), arms[-1].mean())
+        assert cut < 0.1, (look, cut)

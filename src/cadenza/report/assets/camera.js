@@ -1,4 +1,4 @@
-// Where a camera stands so that what it looks at fills the picture, as `cadenza.cameras` has it.
+// Where a camera stands so that what it looks at fills the picture, as `cadenza.cameras` has it, which knows of no forearms.
 
 const FIELD_OF_VIEW = 28; // [degree]
 const MARGINS = [0.97, 0.95]; // of width and height of the picture, that is for what it looks at
@@ -62,11 +62,12 @@ function placed(away, aspect, close, whole, hands, widest) {
     const [, [low, high]] = extent(sight);
     return (high - low) / 2;
   }
-  /** Moves so that as little as can be is empty, at both edges the same. */
+  /** Moves so that as little as can be is empty, at both edges the same; to the side, so that the ends of forearms are not cut if there is room. */
   function settle(sight) {
-    const places = sight.shown.map(seen);
+    const places = sight.shown.map(seen), whole = between([...places, ...(sight.arms ?? []).map(seen)], 0);
     move(extent(sight).map(([low, high], i) => {
-      const shift = high - low < 2 ? (low + high) / 2 : Math.min(high - 1, 0) + Math.max(low + 1, 0);
+      let shift = high - low < 2 ? (low + high) / 2 : Math.min(high - 1, 0) + Math.max(low + 1, 0);
+      if (i === 0) shift = Math.max(Math.min(shift, whole[0] + 1), whole[1] - 1);
       const [first, last] = between(places, i);
       return Math.min(Math.max(shift, Math.min(last - 1, 0)), Math.max(first + 1, 0));
     }));

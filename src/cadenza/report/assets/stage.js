@@ -89,7 +89,7 @@ function createStage(canvas, data, colours) {
   const outline = outlineOf(piano), follow = createFollower(data), away = new THREE.Vector3();
   /** What cameras look at: from afar, the keys in use and all that hands reach; close by, the hands now; and these as far apart as they get. */
   function sights() {
-    const { left, right, rear, reach, height, widest } = follow(Math.max(shown, 0)), whole = keyboard.clone().union(reach);
+    const { left, right, elbows, rear, reach, height, widest } = follow(Math.max(shown, 0)), whole = keyboard.clone().union(reach);
     const [low, high] = inUse.map((key) => parts.keys[key].pos[1]);
     [whole.min.y, whole.max.y] = [Math.min(low - 0.015, reach.min.y), Math.max(high + 0.015, reach.max.y)];
     const around = [...outline];
@@ -102,8 +102,9 @@ function createStage(canvas, data, colours) {
     if (reach.isEmpty()) return [whole, whole, whole].map((box) => ({ shown: pointsOf(box), around }));
     const between = (from, to) => new THREE.Box3(reach.min.clone().setY(from), reach.max.clone().setY(to));
     const middle = (left + right) / 2, farthest = between(middle - widest / 2, middle + widest / 2);
-    const ends = [left + HALF_HAND, right - HALF_HAND].flatMap((y) => [-THICK, THICK].map((z) => new THREE.Vector3(rear, y, height + z)));
-    return [whole, between(left, right), farthest].map((box) => ({ shown: pointsOf(box), around: [...around, ...ends] }));
+    const beside = (ys, thick) => ys.flatMap((y) => [-thick, thick].map((z) => new THREE.Vector3(rear, y, height + z)));
+    const ends = beside([left + HALF_HAND, right - HALF_HAND], THICK), arms = beside(elbows, ELBOW);
+    return [whole, between(left, right), farthest].map((box) => ({ shown: pointsOf(box), around: [...around, ...ends], arms }));
   }
 
   /** Looks from a named side, if there is one, as near as keeps in sight what is looked at; falling notes have a track as long as that leaves. */
@@ -218,12 +219,12 @@ const quaternion = ([w, x, y, z]) => new THREE.Quaternion(x, y, z, w);
 const SAMPLES = 0.2; // [s] between the poses of which a camera that follows the hands takes notice
 const REACTION = 0.4; // [s] over which it averages, before and after
 const FARTHEST = 6; // samples to either side; others would not count
-const HALF_HAND = 0.07, THICK = 0.02; // [m] half as wide as a hand; around the middles of fingers
+const HALF_HAND = 0.07, THICK = 0.02, ELBOW = 0.05; // [m] half as wide as a hand; around the middles of fingers; of the ends of forearms
 
 /**
  * Returns what says of a time [s] where the hands' `left` and `right` edges are along the keyboard [m]
- * and where they end at the `rear`, smoothed; of a hand that has reached no key that sounds, nothing,
- * if another has. Also the box that fingers and palms reach at any time, empty without hands, how far
+ * and where they end at the `rear`, between `elbows`, smoothed; of a hand that has reached no key
+ * that sounds, nothing, if another has. Also the box that fingers and palms reach at any time, empty without hands, how far
  * the edges are from each other at the `widest`, and the `height` of their rear end.
  */
 function createFollower(data) {
@@ -233,7 +234,7 @@ function createFollower(data) {
   const ofTips = bodiesOf(({ finger }) => finger !== null), palms = bodiesOf(({ palm }) => palm);
   const rootOfBody = (body) => rootOf(scene.skeleton, body), roots = [...new Set(ofTips.map(rootOfBody))];
   const tips = roots.map((root) => ofTips.filter((body) => rootOfBody(body) === root));
-  const edges = tips.map(() => ({ left: [], right: [], rear: [], plays: false }));
+  const edges = tips.map(() => ({ left: [], right: [], elbow: [], rear: [], plays: false }));
   const reach = new THREE.Box3();
   const place = (body) => at.setFromMatrixPosition(hands.bodies[body].matrixWorld);
   let count = 0, height = 0, widest = 0;
@@ -250,6 +251,7 @@ function createFollower(data) {
       edges[hand].left.push(left);
       edges[hand].right.push(right);
       edges[hand].rear.push(place(roots[hand]).x);
+      edges[hand].elbow.push(at.y);
       height = at.z;
       const within = ({ pos }, key) => [HIT, WRONG, COMING].includes(states[row * scene.keys.length + key]) && pos[1] > left - 0.01 && pos[1] < right + 0.01;
       edges[hand].plays ||= scene.keys.some(within);
@@ -276,7 +278,7 @@ function createFollower(data) {
       const [from, to] = [row, next].map((middle) => around(middle, side, choose, playing));
       return from + blend * (to - from);
     };
-    return { left: edge("left", Math.min) - THICK, right: edge("right", Math.max) + THICK, rear: edge("rear", Math.min), reach, height, widest: widest + 2 * THICK };
+    return { left: edge("left", Math.min) - THICK, right: edge("right", Math.max) + THICK, elbows: [edge("elbow", Math.min) - ELBOW, edge("elbow", Math.max) + ELBOW], rear: edge("rear", Math.min), reach, height, widest: widest + 2 * THICK };
   };
 }
 
