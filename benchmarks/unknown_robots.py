@@ -1,17 +1,17 @@
-"""Measures the planner on robots that nobody knows: at once, and after ten plays.
+"""Measures planner and generalist on robots that nobody knows: directly, and after ten plays.
 
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.unknown_robots [SONG ...]
-        [--profiles P ...] [--robots SEED ...] [--seconds S] [-o docs/results]
+        [--profiles P ...] [--robots SEED ...] [--ways W ...] [--seconds S] [-o docs/results]
 
-Plays the first seconds of each song on robots, by default 0 to 9. Writes robot-plays.csv, a row for
-each song and robot, from which it goes on, and robots.csv, with means and the 95 % intervals of the
-robots.
+Plays the first seconds of each song on robots, by default 0 to 9. Directly, agents know how late
+robots are by their profile. Writes robot-plays.csv, a row for each song and robot, from which it
+goes on, and robots.csv, with means and the 95 % intervals of the robots.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from itertools import product
@@ -21,11 +21,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arguments import parser_for
+from cadenza.agents.agent import Agent
+from cadenza.agents.generalist.generalist import Generalist
 from cadenza.agents.planner.planner import Planner
-from cadenza.agents.robot.practice import RobotPractice
-from cadenza.agents.robot.protocol import play
 from cadenza.agents.robot.simulated import SimulatedRobot
-from cadenza.agents.rollout import EpisodeResult, play_episode
+from cadenza.agents.robot.ten_plays import learn_in_ten_plays
+from cadenza.agents.rollout import EpisodeResult, begin_episodes, play_episode
 from cadenza.errors import errors_in_a_line
 from cadenza.evaluation.statistics import bootstrap_interval
 from cadenza.evaluation.tables import write_csv
@@ -34,7 +35,7 @@ from cadenza.music.score import Score
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.robots import PROFILES, Profile
-from cadenza.tasks.unknown_robot import PLAYS, UnknownRobotEnv
+from cadenza.tasks.unknown_robot import UnknownRobotEnv
 
 SONGS = (
     *("TwinkleTwinkleLittleStar", "OdeToJoy", "MinuetInG"),
@@ -42,35 +43,28 @@ SONGS = (
 )
 """From easy to hard."""
 METRICS = "f1", "note_onset_f1"
+DIRECT: Mapping[str, Callable[[], Agent]] = {"planner": Planner, "generalist": Generalist}
+PRACTICE, AFTER = "practice", "after ten plays"
 
 
-def planner() -> Planner:
-    """The planner, in one thread."""
-    agent = Planner()
-    agent.num_threads = 1
-    return agent
-
-
-def directly(score: Score, profile: Profile, robot: int) -> Mapping[str, Any]:
-    """How a robot is played at once, with feedback."""
+def directly(score: Score, agent: str, profile: Profile, robot: int) -> Mapping[str, Any]:
+    """How an agent plays a robot at once, with feedback."""
     config = TaskConfig(randomization=replace(PROFILES[profile], robot=robot))
-    return play_episode(PianoTask([score], config), planner(), 0).metrics
+    return play_episode(PianoTask([score], config), DIRECT[agent](), 0).metrics
 
 
 def practised(
     score: Score, nominal: EpisodeResult, profile: Profile, robot: int
 ) -> dict[str, Mapping[str, Any]]:
-    """How a robot is played without feedback at first, and after ten plays."""
-    there = SimulatedRobot(UnknownRobotEnv(score, robot, profile))
+    """How a robot is played at first, and after ten plays."""
+    there, task = SimulatedRobot(UnknownRobotEnv(score, robot, profile)), PianoTask([score])
+    begin_episodes(task, [0])
     assert nominal.plan is not None
-    practice = RobotPractice(nominal.plan, nominal.episode, PROFILES[profile])
-    first = practice.learn(play(there, practice.actions()))
-    for _ in range(PLAYS - 1):
-        practice.learn(play(there, practice.actions()))
-    assert practice.best is not None
-    play(there, practice.best.actions)
+    known = PROFILES[profile]
+    plan, episode = nominal.plan, nominal.episode
+    first, *_ = learn_in_ten_plays(there, task.view(), plan, episode, known)
     heard = {"f1": first.f1, "note_onset_f1": first.note_onset_f1}
-    return {"first of ten plays": heard, "after ten plays": there.scored}
+    return {"first of ten plays": heard, AFTER: there.scored}
 
 
 def summary(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -100,6 +94,8 @@ def main() -> None:
     parser.add_argument("songs", nargs="*", default=SONGS, help="bundled pieces or MIDI files")
     parser.add_argument("--profiles", nargs="+", choices=PROFILES, default=["realistic", "harsh"])
     parser.add_argument("--robots", nargs="+", type=int, default=range(10), help="their seeds")
+    ways = [*DIRECT, PRACTICE]
+    parser.add_argument("--ways", nargs="+", choices=ways, default=ways, help="of playing")
     parser.add_argument("--seconds", type=float, default=8.0)
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/results"))
     options = parser.parse_args()
@@ -109,12 +105,13 @@ def main() -> None:
             plays = list(csv.DictReader(file))
     done = {(row["profile"], row["song"], str(row["robot"]), row["how"]) for row in plays}
     scores = {song: load_score(song).until(options.seconds) for song in options.songs}
-    nominal = cache(lambda song: play_episode(PianoTask([scores[song]]), planner(), 0))
+    nominal = cache(lambda song: play_episode(PianoTask([scores[song]]), Planner(), 0))
     for robot, profile, song in product(options.robots, options.profiles, scores):
         measured = dict[str, Mapping[str, Any]]()
-        if (profile, song, str(robot), "direct") not in done:
-            measured["direct"] = directly(scores[song], profile, robot)
-        if (profile, song, str(robot), "after ten plays") not in done:
+        for agent in [way for way in DIRECT if way in options.ways]:
+            if (profile, song, str(robot), how := f"{agent}, directly") not in done:
+                measured[how] = directly(scores[song], agent, profile, robot)
+        if PRACTICE in options.ways and (profile, song, str(robot), AFTER) not in done:
             measured |= practised(scores[song], nominal(song), profile, robot)
         for how, metrics in measured.items():
             row = {"profile": profile, "how": how, "song": song, "robot": str(robot)}

@@ -49,6 +49,7 @@ HEADINGS = {
     "velocity_error": "velocity error",
 }
 DECIMALS = {
+    **dict.fromkeys(("robots", "songs"), 0),
     **{"cpu_per_music": 2, "onset_error": 1, "onset_error_ms": 1, "velocity_error": 1},
     **dict.fromkeys(("extra_notes", "missed_notes"), 1),
     **dict.fromkeys(("robot_hand", "robot_finger", "pianist_finger"), 2),

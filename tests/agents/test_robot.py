@@ -12,14 +12,16 @@ from numpy.testing import assert_allclose
 import cadenza
 from cadenza import CadenzaError, Note, Score
 from cadenza.agents.planner.planner import Planner
+from cadenza.agents.robot.closed_loop import ClosedLoop
 from cadenza.agents.robot.places import HandPlaces
-from cadenza.agents.robot.practice import RobotPractice
-from cadenza.agents.robot.protocol import Heard, notes_heard, play
-from cadenza.agents.robot.servo_response import Response, ServoResponse, identified
+from cadenza.agents.robot.practice import RobotPractice, Take
+from cadenza.agents.robot.protocol import Heard, in_turn, notes_heard, play
+from cadenza.agents.robot.servo_response import Response, ServoResponse, identified, usual_response
 from cadenza.agents.robot.simulated import SimulatedRobot
-from cadenza.agents.rollout import EpisodeResult, play_episode
+from cadenza.agents.rollout import EpisodeResult, begin_episodes, play_episode
 from cadenza.cli import main
 from cadenza.music.formats.midi import write_midi
+from cadenza.music.libraries.library import load_score
 from cadenza.scene.scene import build_scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
@@ -38,14 +40,25 @@ def nominal() -> EpisodeResult:
     return play_episode(PianoTask([TUNE]), Planner(), 0)
 
 
+def practice_of(nominal: EpisodeResult) -> RobotPractice:
+    plan = nominal.plan
+    assert plan is not None
+    usual = usual_response(servos_of(plan.scene), DT, REALISTIC)
+    return RobotPractice(plan, nominal.episode, REALISTIC, usual)
+
+
+def played(practice: RobotPractice, robot: SimulatedRobot) -> Take:
+    actions = practice.actions()
+    return practice.learn(play(robot, len(actions), in_turn(actions)))
+
+
 def test_practice_plays_better_than_at_first(nominal: EpisodeResult) -> None:
     robot = SimulatedRobot(UnknownRobotEnv(TUNE, robot=4))
-    assert nominal.plan is not None
-    practice = RobotPractice(nominal.plan, nominal.episode, REALISTIC)
-    takes = [practice.learn(play(robot, practice.actions())) for _ in range(PLAYS)]
+    practice = practice_of(nominal)
+    takes = [played(practice, robot) for _ in range(PLAYS)]
     assert practice.best is not None
     assert practice.best.score == max(take.score for take in takes)
-    play(robot, practice.best.actions)
+    play(robot, len(practice.best.actions), in_turn(practice.best.actions))
     first = takes[0]
     assert robot.scored["f1"] + robot.scored["note_onset_f1"] > first.score + 0.05
     assert robot.scored["note_onset_f1"] > 0.9
@@ -53,9 +66,8 @@ def test_practice_plays_better_than_at_first(nominal: EpisodeResult) -> None:
 
 def test_the_delay_is_found(nominal: EpisodeResult) -> None:
     env = UnknownRobotEnv(TUNE, robot=3)
-    assert nominal.plan is not None
-    practice = RobotPractice(nominal.plan, nominal.episode, REALISTIC)
-    practice.learn(play(SimulatedRobot(env), practice.actions()))
+    practice = practice_of(nominal)
+    played(practice, SimulatedRobot(env))
     drawn = env.task.drawn
     true = drawn["latency"][0] + drawn["observation_latency"][0]
     assert practice.response.late + practice.sensors_late == pytest.approx(true, abs=0.0051)
@@ -63,9 +75,7 @@ def test_the_delay_is_found(nominal: EpisodeResult) -> None:
 
 def test_what_is_heard_is_scored_as_what_is_true(nominal: EpisodeResult) -> None:
     env = UnknownRobotEnv(TUNE, robot=0)
-    assert nominal.plan is not None
-    practice = RobotPractice(nominal.plan, nominal.episode, REALISTIC)
-    take = practice.learn(play(SimulatedRobot(env), practice.actions()))
+    take = played(practice_of(nominal), SimulatedRobot(env))
     true = env.task.played(0).notes
     assert [note.pitch for note in take.notes] == [note.pitch for note in true]
     drawn = env.task.drawn["observation_latency"][0]
@@ -128,6 +138,23 @@ def test_it_is_found_how_late_and_slow_servos_are() -> None:
     found = identified(servos, DT, [(sent, moved)], 0.1 * same)
     assert found.late == pytest.approx(true.late, abs=0.011)
     assert_allclose(found.fastest, true.fastest)
+
+
+def test_the_generalist_finds_how_servos_respond_while_it_plays() -> None:
+    score = load_score("MinuetInG").until(4.0)
+    env, task = UnknownRobotEnv(score, robot=3), PianoTask([score])
+    begin_episodes(task, [0])
+    closed, robot = ClosedLoop(task.view(), REALISTIC), SimulatedRobot(env)
+    scores = [
+        closed.learn(play(robot, int(task.view().num_steps[0]), closed.acting(closed.response)))
+        for _ in range(2)
+    ]
+    assert scores[1][1] > 0.9
+    servos, drawn = servos_of(task.scene), env.task.drawn
+    own = (servos.joints > 0) / (servos.joints > 0).sum(axis=1, keepdims=True)
+    true = own @ drawn["joint_damping"][0][task.scene.hand_qvel] / drawn["servo_gain"][0]
+    unknown, left = (np.square(np.log(true / d)).sum() for d in (1.0, closed.response.damping))
+    assert left < 0.5 * unknown
 
 
 @pytest.mark.parametrize("right", [-0.008, 0.0, 0.005])

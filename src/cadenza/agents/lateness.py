@@ -123,7 +123,7 @@ class StateEstimator:
         if max(abs(off).max(), abs(keys_off).max()) < _AGREES:
             return
         qvel = self._model.coordinates()[0, self._scene.model.nq :]
-        fast = measured.hand_qvel[0] - model.hand_qvel[0]
+        fast = np.nan_to_num(measured.hand_qvel[0] - model.hand_qvel[0])
         self._model.set_joints(
             model.hand_qpos[0] + self._joint_gain * off,
             model.hand_qvel[0] + self._joint_gain * fast,

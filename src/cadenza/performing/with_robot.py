@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.robot.practice import RobotPractice, Take
-from cadenza.agents.robot.protocol import Robot, play
+from cadenza.agents.robot.protocol import Robot
 from cadenza.agents.robot.simulated import SimulatedRobot
-from cadenza.agents.rollout import play_episode
+from cadenza.agents.robot.ten_plays import Take, learn_in_ten_plays
+from cadenza.agents.rollout import begin_episodes, play_episode
 from cadenza.errors import CadenzaError, by_others
 from cadenza.files import write_json, write_tensors
 from cadenza.performing.setup import Setup
@@ -47,31 +47,32 @@ class RobotPlays:
 def practise(
     setup: Setup, robot: str, profile: Profile
 ) -> Iterator[tuple[RobotPlays, NDArray[np.float64]]]:
-    """Practise with a robot what the planner plays on the nominal one.
+    """Have a robot learn a song in ten plays, see `learn_in_ten_plays`.
 
     `robot` is the seed of a simulated one, drawn from the profile, or a driver as `module:Name`,
     about as late as the profile says. Yields after each play what became of all so far, and their
     actions (P, T, A). Raises CadenzaError if there is no such robot.
     """
     began = cpu_seconds()
+    begin_episodes(setup.task, [setup.seed])
+    view = setup.task.view()
     nominal = play_episode(setup.task, setup.agent, setup.seed)
     setup.agent.close()  # it has played, and what it started has ended and counts
     if nominal.plan is None:
         raise CadenzaError("a robot practises what the planner plays: choose no other agent")
-    practice = RobotPractice(nominal.plan, nominal.episode, PROFILES[profile])
     there = simulated(setup, int(robot), profile) if robot.isdigit() else _driver(robot)
-    takes, actions = list[Take](), list[NDArray[np.float64]]()
+    known = PROFILES[profile]
+    plays = learn_in_ten_plays(there, view, nominal.plan, nominal.episode, known)
+    takes = list[Take]()
     for number in range(1, PLAYS + 2):
-        best = practice.best if number > PLAYS else None
-        actions.append(best.actions if best else practice.actions())
         with by_others(f"robot {robot}: play {number} failed"):
-            played = play(there, actions[-1])
-        takes.append(practice.learn(played))
+            takes.append(next(plays))
         heard = tuple((take.f1, take.note_onset_f1) for take in takes)
         scored = there.scored if isinstance(there, SimulatedRobot) else {}
         metrics = dict(scored) or dict(zip(("f1", "note_onset_f1"), heard[-1], strict=True))
         song, seconds = str(setup.settings["song"]), cpu_seconds() - began
-        yield RobotPlays(song, robot, profile, heard, metrics, seconds), np.array(actions)
+        actions = np.array([take.actions for take in takes])
+        yield RobotPlays(song, robot, profile, heard, metrics, seconds), actions
 
 
 def save(folder: Path, plays: RobotPlays, actions: NDArray[np.float64]) -> None:

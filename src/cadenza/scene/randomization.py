@@ -3,12 +3,14 @@
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping
 from copy import copy
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.scene.scene import Scene
+from cadenza.scene.servos import servos_of
 
 Factors = Mapping[str, NDArray[np.float64]]
 """Name of a quantity, see `shapes` -> its factors, or offsets [m] or tilts [rad]."""
@@ -127,6 +129,16 @@ def scaled_fields(scene: Scene, each: Iterable[Factors]) -> dict[str, NDArray[np
         for name in affected_fields(factors):
             values[name].append(getattr(model, name).astype(np.float32))
     return {name: np.stack(rows) for name, rows in values.items()}
+
+
+def with_servo_damping(scene: Scene, factors: NDArray[np.float64]) -> Scene:
+    """The scene with the damping of what each servo moves multiplied by factors (A,)."""
+    moves = servos_of(scene).joints > 0  # (A, J)
+    of_dofs = np.ones(scene.model.nv)
+    of_dofs[scene.hand_qvel] = np.where(moves.any(axis=0), factors @ moves, 1.0)
+    model = copy(scene.model)
+    scale(model, scene, {"joint_damping": of_dofs}, mujoco.MjData(model))
+    return replace(scene, model=model)
 
 
 def sliding(scene: Scene) -> NDArray[np.bool_]:

@@ -14,11 +14,10 @@ import numpy as np
 from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.robot.corrections import NoteCorrections, PressCorrections
-from cadenza.agents.robot.protocol import Play, notes_heard
-from cadenza.agents.robot.servo_response import Response, ServoResponse, identified
+from cadenza.agents.robot.protocol import Play, notes_heard, scores_heard
+from cadenza.agents.robot.servo_response import Response, ServoResponse, identified, usual_response
 from cadenza.episode import Episode
-from cadenza.music.metrics import playing_metrics
-from cadenza.music.score import Note, Score
+from cadenza.music.score import Note
 from cadenza.scene.randomization import sliding
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import DomainRandomization
@@ -29,7 +28,6 @@ _GAIN = 0.8  # share of the errors of joints that is corrected
 _COST, _COST_OF_SLIDES = 0.1, 0.003
 _COST_OF_PLAN = 0.2  # the same before the first play
 _WORSE = 0.15  # below the best score, from which on it is hardly chance, and practice goes back
-_RECENT = 4  # plays from which it is found how servos respond
 _LESS = 0.5  # share of corrections after a play that was worse
 
 
@@ -69,10 +67,13 @@ class RobotPractice:
         sensors_late: for how long what is measured is on its way [s].
     """
 
-    def __init__(self, plan: SongPlan, nominal: Episode, known: DomainRandomization) -> None:
+    def __init__(
+        self, plan: SongPlan, nominal: Episode, known: DomainRandomization, response: Response
+    ) -> None:
         """Take what was played on the nominal robot, by a plan, and how robots are drawn.
 
-        Of this it takes the middle of delays and speeds, and how far keyboard and hands may be off.
+        Of this it takes how far keyboard and hands may be off, and how late sensors are; `response`
+        is what is known of the servos.
         """
         self._track, scene = plan.track, plan.scene
         self._dt, self._servos = self._track.config.control_timestep, servos_of(scene)
@@ -86,9 +87,7 @@ class RobotPractice:
         self._moved = self._nominal.to(planned)
         slides = sliding(scene) @ self._servos.of_joints > 0
         self._cost = np.where(slides, _COST_OF_SLIDES, _COST)
-        sweep = sum(known.sweep_time) / 2
-        fastest = (self._servos.high - self._servos.low) * self._dt / sweep if sweep else np.inf
-        self.response = Response(sum(known.latency) / 2, same, fastest * same)
+        self.response = response
         self.sensors_late = sum(known.observation_latency) / 2
         self._robot = self._responding(self.response)
         before = self._robot.limited(planned)
@@ -97,7 +96,8 @@ class RobotPractice:
         self._learnt, self._share = _Learnt(self._notes.none(), controls), 1.0
         self.best: Take | None = None
         self._plays = 0
-        self._usual, self._tracked = fastest * same, list[tuple[Array, Array]]()
+        self._usual = usual_response(self._servos, self._dt, known).fastest
+        self._tracked = list[tuple[Array, Array]]()
 
     def _responding(self, known: Response) -> ServoResponse:
         return ServoResponse(self._servos, self._dt, known)
@@ -114,7 +114,7 @@ class RobotPractice:
         measured = play.joints @ self._servos.of_joints
         # The hands begin where they are put, so that sensors show there by how much they are off.
         measured += self._postures[0] - measured[0]
-        f1, onsets = self._scores(notes)
+        f1, onsets = scores_heard(self._track, notes)
         take = Take(play.actions, f1, onsets, notes, measured, self._learnt)
         self._plays += 1
         self._notes.locate(notes, measured)
@@ -127,27 +127,12 @@ class RobotPractice:
         self._learnt = self._corrected(learn_from)
         return take
 
-    def _scores(self, notes: list[Note]) -> tuple[float, float]:
-        """F1 and note onset F1 of what was heard."""
-        goals, lowest = self._track.goals, self._track.scene.keyboard.lowest_pitch
-        ends = self._dt * (1 + np.arange(goals.num_steps))
-        sounding = np.zeros_like(goals.keys)
-        for note in notes:
-            sounding[:, note.pitch - lowest] |= (note.start <= ends) & (ends < note.end)
-        pedal = goals.sustain
-        metrics = playing_metrics(
-            *(sounding, pedal, goals.keys, pedal, self._dt, self._track.delayed_score, lowest),
-            played=Score(tuple(notes)),
-        )
-        return metrics["f1"], metrics["note_onset_f1"]
-
     def _identify(self, take: Take) -> None:
         """Find how servos respond, by which response joints have moved so late and so slowly."""
         sent = take.actions[:, :-1] - self._postures[0]
         self._tracked.append((sent, take.measured[1:] - self._postures[1:] + self._moved))
         late = self.response.late + self.sensors_late if self.best else None
-        recent = self._tracked[-_RECENT:]
-        found = identified(self._servos, self._dt, recent, self._usual, late)
+        found = identified(self._servos, self._dt, self._tracked, self._usual, late)
         self.sensors_late = min(self.sensors_late, found.late)
         self.response = found._replace(late=found.late - self.sensors_late)
         self._robot = self._responding(self.response)

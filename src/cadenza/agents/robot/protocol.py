@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from cadenza.agents.agent import Array
+from cadenza.music.metrics import playing_metrics
 from cadenza.music.performance import KeyEvent, SoundedNotes
-from cadenza.music.score import Note
+from cadenza.music.score import Note, Score
+from cadenza.tasks.goal_track import GoalTrack
 
 
 class Heard(NamedTuple):
@@ -55,18 +57,44 @@ class Play(NamedTuple):
     heard: tuple[Heard, ...]
 
 
-def play(robot: Robot, actions: Array) -> Play:
-    """Play actions (T, A), one in each control step."""
+Act = Callable[[int, Array], Array]
+"""Gives the action (A,) of a control step, by its number and the joints (J,) that were measured."""
+
+
+def play(robot: Robot, num_steps: int, act: Act) -> Play:
+    """Play as many control steps."""
     robot.start()
     try:
-        joints, heard = [robot.read()], list[Heard]()
-        for action in actions:
-            robot.send(action)
+        joints, actions, heard = [robot.read()], list[Array](), list[Heard]()
+        for step in range(num_steps):
+            actions.append(act(step, joints[-1]))
+            robot.send(actions[-1])
             joints.append(robot.read())
             heard += robot.heard()
     finally:
         robot.stop()
-    return Play(actions, np.array(joints), tuple(heard))
+    return Play(np.array(actions), np.array(joints), tuple(heard))
+
+
+def in_turn(actions: Array) -> Act:
+    """Give actions (T, A) one after the other, whatever is measured."""
+    return lambda step, _: np.asarray(actions[step])
+
+
+def scores_heard(track: GoalTrack, notes: Sequence[Note]) -> tuple[float, float]:
+    """F1 and note onset F1 of a track, whose pedal is as written, by the notes that were heard."""
+    goals, dt = track.goals, track.config.control_timestep
+    lowest = track.scene.keyboard.lowest_pitch
+    ends = dt * (1 + np.arange(goals.num_steps))
+    sounding = np.zeros_like(goals.keys)
+    for note in notes:
+        sounding[:, note.pitch - lowest] |= (note.start <= ends) & (ends < note.end)
+    pedal = goals.sustain
+    metrics = playing_metrics(
+        *(sounding, pedal, goals.keys, pedal, dt, track.delayed_score, lowest),
+        played=Score(tuple(notes)),
+    )
+    return metrics["f1"], metrics["note_onset_f1"]
 
 
 def notes_heard(heard: Iterable[Heard], seconds: float, late: float = 0.0) -> list[Note]:

@@ -13,6 +13,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.tracking import discretised
 from cadenza.scene.servos import Servos
+from cadenza.tasks.config import DomainRandomization
 
 _SETTLED = 2.0  # [s] after which nothing is left of the response to a control step
 _ITERATIONS = 100  # of the optimisation of controls
@@ -21,6 +22,8 @@ _PENALTY = 0.3  # of controls that a servo is too slow for, which decides how fa
 # Among what those of a robot are found: delays, and factors of the damping and the speed of servos.
 _DELAYS = np.arange(0.0, 0.15, 0.005)  # [s]
 _DAMPING = np.array([0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0])
+_FINER = np.geomspace(0.75, 1.33, 9)  # factors beside the best of these
+_RECENT = 4  # plays from which it is found
 _SPEEDS = 0.75, 0.85, 1.0, 1.2, 1.5
 
 
@@ -33,6 +36,13 @@ class Response(NamedTuple):
     """(A,) factors of their damping."""
     fastest: Array
     """(A,) by how much setpoints change at most in a control step [m, rad]."""
+
+
+def usual_response(servos: Servos, dt: float, known: DomainRandomization) -> Response:
+    """Response in the middle of what robots are drawn from."""
+    same, sweep = np.ones(len(servos.low)), sum(known.sweep_time) / 2
+    fastest = (servos.high - servos.low) * dt / sweep if sweep else np.inf * same
+    return Response(sum(known.latency) / 2, same, fastest)
 
 
 class ServoResponse:
@@ -103,14 +113,16 @@ def identified(
     usual: Array,
     late: float | None = None,
 ) -> Response:
-    """How servos respond that were sent controls (T, A) in `plays`, and have moved so (T, A).
+    """How servos respond that were sent controls (T, A) in the last `plays`, and moved so (T, A).
 
     The delay is the same for all, and contains that of sensors; `late` tells it if it is known [s].
     `usual` (A,) is by how much setpoints change at most in a control step, about.
     """
 
-    def errors(late: float, damping: float) -> Array:
-        known = Response(late, np.full_like(usual, damping), usual)
+    plays = plays[-_RECENT:]
+
+    def errors(late: float, damping: float | Array) -> Array:
+        known = Response(late, damping * np.ones_like(usual), usual)
         response = ServoResponse(servos, dt, known)
         off = [[play[1] - response.to(c) for play, c in zip(plays, s, strict=True)] for s in slow]
         return np.square(off).mean(axis=(1, 2))
@@ -124,4 +136,6 @@ def identified(
     found = np.array([errors(late, d) * (1.0 + np.log(d) ** 2) for d in _DAMPING])
     best = found.reshape(-1, len(usual)).argmin(axis=0)
     damping, speed = np.take(_DAMPING, best // len(_SPEEDS)), np.take(_SPEEDS, best % len(_SPEEDS))
+    finer = [errors(late, damping * f)[best % len(_SPEEDS), np.arange(len(usual))] for f in _FINER]
+    damping = damping * np.take(_FINER, np.argmin(finer, axis=0))
     return Response(float(late), damping, usual * speed)

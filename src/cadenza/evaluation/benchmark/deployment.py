@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.robot.protocol import play
+from cadenza.agents.robot.protocol import in_turn, play
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.benchmark.definition import METRICS, ROBOTS
 from cadenza.evaluation.benchmark.entry import EnteredRun, Metrics, actions_path
@@ -27,7 +27,7 @@ def played_on_robot(actions: NDArray[np.float64], robot: int, setup: Setup) -> M
     there = simulated(setup, robot, _PROFILE)
     for _ in range(PLAYS):
         there.start()  # what was learnt in these plays shows in the actions
-    play(there, actions)
+    play(there, len(actions), in_turn(actions))
     task = there.env.task
     metrics = expressive_metrics(task.played(0), task.score(0)) | task.episode_metrics(0)
     known = {name: metrics[name] for name in METRICS}

@@ -50,6 +50,7 @@ def song_plans(
     progress: Progress = silent,
     release_delays: Delays = 0,
     strikes: bool = False,
+    scene: Scene | None = None,
 ) -> Iterator[SongPlan]:
     """Plan what the hands of a task are to play.
 
@@ -62,12 +63,13 @@ def song_plans(
         release_delays: see `MotionPlanner`.
         strikes: whether keys are to sound at the times within control steps, and as loud, as the
             song has it; otherwise only in the right control steps.
+        scene: the hands to plan for, by default those of `planning_scene`.
 
     Yields:
         The plan as far as it goes, every time a few more seconds of music; the last one is of the
         whole song.
     """
-    scene = planning_scene(track)
+    scene = scene or planning_scene(track)
     track = track.fingered(partial(progress, "fingers"))
     goals, dt = track.goals, track.config.control_timestep
     struck = planned_strikes(goals.onsets, scene, dt) if strikes else NO_STRIKES
