@@ -49,10 +49,12 @@ class ClosedLoop:
 
     @staticmethod
     def knows(view: View) -> bool:
-        """Whether the generalist has learnt to play with the hands of a view."""
-        scene = planning_scene(view.tracks[0])
+        """Whether the generalist knows the hands at this piano, and has time to be early."""
+        (track,) = view.tracks
+        scene = planning_scene(track)
         weights = shipped_for(scene)
-        return weights is not None and weights.sizes == sizes_of(scene)
+        known = weights is not None and weights.sizes == sizes_of(scene)
+        return known and scene.config.hands != "apart" and track.silent_steps > 0
 
     def acting(self, response: Response) -> Act:
         """How to act in a play on a robot whose servos have this lag.
