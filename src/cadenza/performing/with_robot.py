@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.robot.protocol import Robot
 from cadenza.agents.robot.simulated import SimulatedRobot
-from cadenza.agents.robot.ten_plays import Take, learn_in_ten_plays
+from cadenza.agents.robot.ten_plays import ScoredPlay, learn_in_ten_plays
 from cadenza.agents.rollout import begin_episodes, play_episode
 from cadenza.errors import CadenzaError, by_others
 from cadenza.files import write_json, write_tensors
@@ -63,7 +63,7 @@ def practise(
     there = simulated(setup, int(robot), profile) if robot.isdigit() else _driver(robot)
     known = PROFILES[profile]
     plays = learn_in_ten_plays(there, view, nominal.plan, nominal.episode, known)
-    takes = list[Take]()
+    takes = list[ScoredPlay]()
     for number in range(1, PLAYS + 2):
         with by_others(f"robot {robot}: play {number} failed"):
             takes.append(next(plays))

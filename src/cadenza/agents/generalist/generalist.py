@@ -92,9 +92,8 @@ class Generalist(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
         """Number of changes of each half second of the plan; with 0, networks correct it."""
         if self.config.rehearsals is not None:
             return self.config.rehearsals
-        known = shipped_for(scene)
-        fits = known is not None and known.sizes == sizes_of(scene)
-        return 0 if self.config.weights is not None or fits else _DEFAULT_REHEARSALS
+        learnt = self.config.weights is not None or knows_hands(scene)
+        return 0 if learnt else _DEFAULT_REHEARSALS
 
     def _weights(self, scene: Scene) -> Weights:
         """Networks for the hands of a scene.
@@ -155,6 +154,12 @@ class SightReader(EpisodePlanner):
 def shipped_for(scene: Scene) -> Weights | None:
     """The networks that come with the package for the hands of a scene, if any do."""
     return shipped(_LEARNT).get(scene.hand.name)
+
+
+def knows_hands(scene: Scene) -> bool:
+    """Whether the networks that come with the package have learnt to play with these hands."""
+    known = shipped_for(scene)
+    return known is not None and known.sizes == sizes_of(scene)
 
 
 _REHEARSAL = RehearsalConfig(

@@ -13,11 +13,10 @@ import numpy as np
 
 from cadenza.agents.agent import Array
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
-from cadenza.agents.generalist.generalist import shipped_for
+from cadenza.agents.generalist.generalist import knows_hands, shipped_for
 from cadenza.agents.lateness import EarlyPlanner, Lateness
 from cadenza.agents.planner.plan.song_plan import planning_scene, song_plans
 from cadenza.agents.planner.planner import SongPlanner
-from cadenza.agents.planner.search.networks.inputs import sizes_of
 from cadenza.agents.robot.protocol import Act, Play, notes_heard, scores_heard
 from cadenza.agents.robot.servo_response import Response, ServoResponse, identified, usual_response
 from cadenza.scene.randomization import with_servo_damping
@@ -52,9 +51,7 @@ class ClosedLoop:
         """Whether the generalist knows the hands at this piano, and has time to be early."""
         (track,) = view.tracks
         scene = planning_scene(track)
-        weights = shipped_for(scene)
-        known = weights is not None and weights.sizes == sizes_of(scene)
-        return known and scene.config.hands != "apart" and track.silent_steps > 0
+        return knows_hands(scene) and scene.config.hands != "apart" and track.silent_steps > 0
 
     def acting(self, response: Response) -> Act:
         """How to act in a play on a robot whose servos have this lag.
@@ -73,17 +70,16 @@ class ClosedLoop:
             return SongPlanner(plans, lambda plan: [CorrectedHands(plan, weights)])
 
         player, off = EarlyPlanner(view, late, begin), np.zeros_like(self._start)
+        unmeasured = view.state._replace(
+            hand_qvel=np.full_like(view.state.hand_qvel, np.nan),
+            key_qpos=np.full_like(view.state.key_qpos, np.nan),
+        )
 
         def act(step: int, joints: Array) -> Array:
             nonlocal off
             if not step:  # the hands begin where they are put
                 off = joints - self._start
-            unknown = np.full_like(view.state.key_qpos, np.nan)
-            state = view.state._replace(
-                hand_qpos=(joints - off)[None],
-                hand_qvel=np.full((1, len(joints)), np.nan),
-                key_qpos=unknown,
-            )
+            state = unmeasured._replace(hand_qpos=(joints - off)[None])
             return player.act(replace(view, state=state, steps=np.array([step])))
 
         return act

@@ -21,7 +21,7 @@ from cadenza.tasks.view import View
 _CLOSED_LOOP = 2  # plays, after which little more is found of the servos
 
 
-class Take(NamedTuple):
+class ScoredPlay(NamedTuple):
     """A play, and how it was heard."""
 
     actions: Array
@@ -32,7 +32,7 @@ class Take(NamedTuple):
 
 def learn_in_ten_plays(
     robot: Robot, view: View, plan: SongPlan, nominal: Episode, known: DomainRandomization
-) -> Iterator[Take]:
+) -> Iterator[ScoredPlay]:
     """Play a song ten times on a robot, and once more as it was heard best.
 
     The first plays are the generalist's in closed loop, if it knows such hands. The others practise
@@ -54,7 +54,7 @@ def learn_in_ten_plays(
         for _ in range(_CLOSED_LOOP):
             how: Callable[[], Act] = partial(closed.acting, closed.response)
             played = play(robot, num_steps, how())
-            take = Take(played.actions, *closed.learn(played))
+            take = ScoredPlay(played.actions, *closed.learn(played))
             done.append((take.f1 + take.note_onset_f1, how))
             yield take
         response = closed.response
@@ -63,8 +63,8 @@ def learn_in_ten_plays(
         how = partial(in_turn, practice.actions())
         heard = practice.learn(play(robot, num_steps, how()))
         done.append((heard.score, how))
-        yield Take(heard.actions, heard.f1, heard.note_onset_f1)
+        yield ScoredPlay(heard.actions, heard.f1, heard.note_onset_f1)
     _, best = max(done, key=lambda each: each[0])
     played = play(robot, num_steps, best())
     notes = notes_heard(played.heard, num_steps * dt, practice.sensors_late)
-    yield Take(played.actions, *scores_heard(track, notes))
+    yield ScoredPlay(played.actions, *scores_heard(track, notes))
