@@ -172,11 +172,22 @@ def test_tracks_that_only_switch_something_are_no_tracks(saved):
 
 @pytest.mark.parametrize(
     ("name", "title"),
-    [("Für Elise", "Für Elise"), (" a\n\x07 b ", "a b"), ("", "song"), ("猫", "猫")],
-)
+    [
+        ("Für Elise", "Für Elise"), (" a\n\x07 b ", "a b"), ("", "song"), ("猫", "猫"),
+        ("The Right Stuff", "The Right Stuff"), ("1812", "1812"),
+        ("Right", "song"), ("Piano LH", "song"), ("Main gauche", "song"), ("Staff 1", "song"),
+    ],
+)  # fmt: skip
 def test_title_is_the_first_tracks_name_or_the_files(saved, name, title):
     name = mido.MetaMessage("track_name", name=name.encode().decode("latin1"))
     assert read_midi(saved([name, on(60), off(60, 10)], [])).title == title
+
+
+def test_karaoke_says_its_title_in_a_text(saved):
+    name = mido.MetaMessage("track_name", name="Soft Karaoke")
+    kind, title = (mido.MetaMessage("text", text=text) for text in ("@KMIDI", "@TOh, Susanna"))
+    assert read_midi(saved([name, kind], [title], [on(60), off(60, 10)])).title == "Oh, Susanna"
+    assert read_midi(saved([name, kind], [on(60), off(60, 10)])).title == "song"
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,14 @@ _ALONE = {RIGHT: r"upper|up|treble|m\.? ?d", LEFT: r"lower|down|bass|m\.? ?[gs]"
 _SAYS_NOTHING = "", "piano", "pianoforte", "klavier", "staff", "track", "part", "channel"
 _LOWER = 7  # semitones by which the left hand's track is lower, by its median: a fifth
 _FINGERED = 0.9  # share of notes with fingers from which on fingers say which hand plays what
+_PARTS = "|".join((*_NAMED.values(), *_ALONE.values(), *filter(None, _SAYS_NOTHING)))
+
+
+def names_only_a_part(name: str) -> bool:
+    """Whether the name of a track says no more than which hand, staff or channel it is."""
+    letter = r"[^\W\d_]"
+    rest, found = re.subn(rf"(?<!{letter})({_PARTS}|hand|main)(?!{letter})", "", name.lower())
+    return bool(found) and not re.search(letter, rest)
 
 
 def with_written_hands(score: Score) -> Score:

@@ -23,6 +23,7 @@ from cadenza.music.formats.midi_messages import (
     NAME,
     NOTE_ON,
     TEMPO,
+    TEXT,
     Message,
     MidiFile,
     parsed,
@@ -31,6 +32,7 @@ from cadenza.music.formats.midi_playing import Part, Playing
 from cadenza.music.formats.source import printable, read_bytes, title_of
 from cadenza.music.repair import merged_pedal, repaired_notes
 from cadenza.music.score import BEAT_TYPES, Bar, Note, PedalEvent, Score, Track, check_chosen
+from cadenza.music.written_hands import names_only_a_part
 
 # What is written: at 120 quarters a minute 48,000 ticks a second, in which both 1 ms and thirds of
 # a second are whole numbers. A time read back differs by at most half a tick (10.4 us).
@@ -120,8 +122,23 @@ def score_of(file: MidiFile, tracks: Collection[int], title: str) -> Score:
         remarks.append("the soft pedal is left out")
     played, all_remarks = repaired_notes(notes, counts, remarks, clock.seconds)
     bars = _bars(file.division, messages, clock, until=played[-1].start)
-    name = next((each.data for each in messages[0] if each.kind == NAME), b"")
-    return Score(played, pedal, _text(name) or title, all_remarks, listed, bars)
+    return Score(played, pedal, _title(messages) or title, all_remarks, listed, bars)
+
+
+_KARAOKE_TITLE, _KARAOKE = "@T", "soft karaoke"
+
+
+def _title(tracks: list[list[Message]]) -> str:
+    """The title that a file gives: the first of karaoke, else the name of its first track.
+
+    A track that is only called after a hand, or after the makers of karaoke, names no piece.
+    """
+    texts = (_text(each.data) for track in tracks for each in track if each.kind == TEXT)
+    for text in texts:
+        if text.startswith(_KARAOKE_TITLE):
+            return text.removeprefix(_KARAOKE_TITLE).strip()
+    name = next((_text(each.data) for each in tracks[0] if each.kind == NAME), "")
+    return "" if names_only_a_part(name) or name.lower() == _KARAOKE else name
 
 
 def write_midi(score: Score, path: str | Path) -> None:
