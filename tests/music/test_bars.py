@@ -148,6 +148,37 @@ def test_a_bar_that_its_beats_do_not_fill_has_finer_ones(tmp_path):
     assert (whole.beats, whole.beat_type) == ((0.25, 0.75, 1.25), 4)
 
 
+def test_bars_of_midi_have_the_key_signatures_of_the_file(tmp_path):
+    path = saved(tmp_path / "song.mid", [(4, 4, 4)])
+    assert [bar.key for bar in read_midi(path).bars] == [None] * 4
+    file = mido.MidiFile(path)
+    for key, ticks in ("C", 0), ("Fm", 2 * 4 * TICKS):
+        file.tracks.append(mido.MidiTrack([mido.MetaMessage("key_signature", key=key, time=ticks)]))
+    file.save(path)
+    score = read_midi(path)
+    assert [bar.key for bar in score.bars] == [0, 0, -4, -4]
+    assert [bar.key for bar in score.transposed(-1).bars] == [5, 5, 1, 1]
+    assert [bar.key for bar in score.transposed(12).mirrored.bars] == [0, 0, 4, 4]
+
+
+def test_a_midi_file_that_only_says_c_major_may_say_nothing(tmp_path):
+    path = saved(tmp_path / "song.mid", [(4, 4, 1)])
+    file = mido.MidiFile(path)
+    file.tracks[0].insert(0, mido.MetaMessage("key_signature", key="C"))
+    file.save(path)
+    assert [bar.key for bar in read_midi(path).bars] == [None]
+
+
+def test_bars_of_musicxml_have_their_keys_at_concert_pitch(tmp_path):
+    clarinet = FOUR_QUARTERS.replace("<time>", "<key><fifths>2</fifths></key><time>").replace(
+        "</attributes>", "<transpose><chromatic>-2</chromatic></transpose></attributes>"
+    )
+    change = "<attributes><key><fifths>-3</fifths></key></attributes>"
+    music = document([clarinet + note("D4", 16), note("D4", 16) + change, note("D4", 16)])
+    (tmp_path / "song.musicxml").write_text(music)
+    assert [bar.key for bar in read_score(tmp_path / "song.musicxml").bars] == [0, 0, -5]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_etudes_have_bars_up_to_their_last_note(kind):
     score = make_etude(kind, 4, 1)

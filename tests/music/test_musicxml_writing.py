@@ -19,7 +19,7 @@ from cadenza.music.formats.musicxml.reader import read_musicxml
 from cadenza.music.formats.musicxml_writing import write_musicxml
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.library import load_score
-from cadenza.music.score import Bar, Note, PedalEvent, Score
+from cadenza.music.score import Bar, Note, PedalEvent, Score, Track
 from music_strategies import monophonic_per_key, scores
 
 RIGHT, LEFT = 0, 1
@@ -318,6 +318,13 @@ def test_a_pickup_that_the_file_does_not_tell_is_found(tmp_path):
     assert values(root, 2) == ["half."] * 8
 
 
+def test_bar_lines_of_sheet_music_are_never_moved(tmp_path):
+    tune = [67, *[72, 74, 76] * 8]
+    listed = (Track(1, "Piano", "", None, len(tune), 67, 76),)
+    score = Score(tuple(line(tune, 0.5)), bars=bars(9, 3), tracks=listed)
+    assert write_musicxml(score, tmp_path / "song.musicxml") == ()
+
+
 def test_beats_are_estimated_without_bars(tmp_path):
     tune = line([72, 67, 67] * 8, 0.6)
     bass = line([48, 50] * 4, 1.8, hand=LEFT)
@@ -337,6 +344,21 @@ def test_a_major_scale_needs_no_accidentals(tonic, fifths, tmp_path):
     root = written(Score(tuple(line(scale * 2, 0.5)), bars=bars(8)), tmp_path)
     assert abs(int(root.findtext(".//fifths"))) == abs(fifths)
     assert root.find(".//accidental") is None
+
+
+def test_the_key_signatures_of_the_file_are_written_and_notes_named_by_them(tmp_path):
+    scale = (0, 2, 4, 5, 7, 9, 11, 12)
+    keys = {0: 60, -6: 66, 6: 66, -1: 65}
+    tune = [tonic + step for tonic in keys.values() for step in scale]
+    known = [
+        replace(bar, key=key)
+        for bar, key in zip(bars(8), [each for key in keys for each in (key, key)], strict=True)
+    ]
+    root = written(Score(tuple(line(tune, 0.5)), bars=tuple(known)), tmp_path)
+    assert [int(each.text) for each in root.iter("fifths")] == list(keys)
+    assert root.find(".//accidental") is None
+    names = [each.findtext("step") for each in root.iter("pitch")]
+    assert "".join(names[8:24]) == "GABCDEFG" + "FGABCDEF"
 
 
 def test_accidentals_hold_for_their_bar(tmp_path):

@@ -30,6 +30,8 @@ MAX_SCORE_LENGTH = 4 * 3600.0  # [s]; a part may be played, and bars of days wou
 MS_PER_SECOND = 1000  # times are in seconds, and shown to people in milliseconds
 CHORD_TOLERANCE = 0.03  # [s] within which notes begin together
 RELEASE_TIME = 0.05  # [s] a note with less left than this does not keep its finger from the next
+MAX_SIGNS = 7  # sharps or flats of a key signature
+_MAX_FLATS = 5  # of one that may be chosen: rather six sharps than six flats
 BEAT_TYPES = frozenset(1 << k for k in range(7))  # whole notes to 64ths
 _MIN_LENGTH = 1e-9  # [s] of a note when its times are changed
 _DECIMALS = 9  # of times [s] that are shifted
@@ -96,14 +98,16 @@ class Bar:
     """The bar of this `number` begins at `time` [s], which may lie before the song.
 
     Its beats begin at `beats` [s], the first of them with the bar; they are empty where the metre
-    is unknown. Each is written as the part `1 / beat_type` of a whole note. Raises CadenzaError if
-    a time is not finite, or there is no such part of a whole note.
+    is unknown. Each is written as the part `1 / beat_type` of a whole note. `key` is the number of
+    sharps of its key signature, negative for flats, if that is known. Raises CadenzaError if a time
+    is not finite, or there is no such part of a whole note.
     """
 
     time: float
     number: int
     beats: tuple[float, ...] = ()
     beat_type: int = 4
+    key: int | None = None
 
     def __post_init__(self) -> None:
         if not all(map(isfinite, (self.time, *self.beats))):
@@ -116,6 +120,10 @@ class Bar:
     def moved(self, move: Callable[[float], float]) -> Bar:
         """The bar with `move` applied to all of its times [s]."""
         return replace(self, time=move(self.time), beats=tuple(map(move, self.beats)))
+
+    def transposed(self, semitones: int) -> Bar:
+        """The bar with the key signature of music so much higher."""
+        return replace(self, key=None if self.key is None else key_above(self.key, semitones))
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +222,8 @@ class Score:
                 f"but MIDI has 0 to {MIDI_PITCHES[-1]}; choose less"
             )
         notes = (replace(n, pitch=p) for n, p in zip(self.notes, pitches, strict=True))
-        return replace(self, notes=tuple(notes))
+        bars = (bar.transposed(semitones) for bar in self.bars)
+        return replace(self, notes=tuple(notes), bars=tuple(bars))
 
     @property
     def mirrored(self) -> Score:
@@ -233,7 +242,8 @@ class Score:
             )
             for n in self.notes
         )
-        return replace(self, notes=tuple(notes))
+        bars = (replace(bar, key=None if bar.key is None else -bar.key) for bar in self.bars)
+        return replace(self, notes=tuple(notes), bars=tuple(bars))
 
     def with_silence_trimmed(self) -> Score:
         """The score from the start of the first note, at time 0, to the end of the last.
@@ -355,7 +365,16 @@ def check_chosen(chosen: Collection[int], tracks: Sequence[Track]) -> None:
         raise CadenzaError(f"there is no track {missing[0]}; the file has {there}")
 
 
-# Names of keys and bars
+# Keys of a piano and of music, and bars
+
+
+def key_above(key: int, semitones: int) -> int:
+    """The key signature of music that is `semitones` above that with `key` sharps, or -`key` flats.
+
+    Where it differs, it has at most six sharps or five flats.
+    """
+    fifths = (7 * semitones) % OCTAVE
+    return (key + fifths + _MAX_FLATS) % OCTAVE - _MAX_FLATS if fifths else key
 
 
 def is_black(pitch: int) -> bool:

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count, pairwise
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 
 import mido
@@ -18,6 +18,7 @@ from cadenza.files import write_atomically
 from cadenza.music.formats.general_midi import INSTRUMENTS, SUSTAIN
 from cadenza.music.formats.midi_channels import Channel
 from cadenza.music.formats.midi_messages import (
+    KEY,
     LONGEST,
     METRE,
     NAME,
@@ -31,7 +32,16 @@ from cadenza.music.formats.midi_messages import (
 from cadenza.music.formats.midi_playing import Part, Playing
 from cadenza.music.formats.source import printable, read_bytes, title_of
 from cadenza.music.repair import merged_pedal, repaired_notes
-from cadenza.music.score import BEAT_TYPES, Bar, Note, PedalEvent, Score, Track, check_chosen
+from cadenza.music.score import (
+    BEAT_TYPES,
+    MAX_SIGNS,
+    Bar,
+    Note,
+    PedalEvent,
+    Score,
+    Track,
+    check_chosen,
+)
 from cadenza.music.written_hands import names_only_a_part
 
 # What is written: at 120 quarters a minute 48,000 ticks a second, in which both 1 ms and thirds of
@@ -259,9 +269,9 @@ def _tracks(parts: Sequence[Part]) -> tuple[Track, ...]:
 
 
 def _bars(
-    division: int, tracks: Iterable[Iterable[Message]], clock: _Clock, until: float
+    division: int, tracks: Sequence[Iterable[Message]], clock: _Clock, until: float
 ) -> tuple[Bar, ...]:
-    """The bars from the first time signature to the time `until` [s].
+    """The bars from the first time signature to the time `until` [s], with key signatures.
 
     A time signature begins a new bar. There are no bars in SMPTE frames, which have no beats.
     """
@@ -271,6 +281,7 @@ def _bars(
             if kind == METRE and 1 << data[1] in BEAT_TYPES:
                 metres[tick] = data[0], 1 << data[1]
     bars: list[Bar] = []
+    keys = _keys(tracks)
     beats = 0
     begins = sorted(tick for tick, (numerator, _) in metres.items() if numerator > 0)
     for first, end in pairwise([*begins, sys.maxsize]):
@@ -284,8 +295,18 @@ def _bars(
             beats += numerator
             if len(bars) == _MAX_BARS or beats > _MAX_BEATS:
                 return ()
-            bars.append(Bar(times[0], len(bars) + 1, tuple(times), denominator))
+            known = bisect_right(keys, ticks[0], key=itemgetter(0))
+            key = keys[known - 1][1] if known else None
+            bars.append(Bar(times[0], len(bars) + 1, tuple(times), denominator, key))
     return tuple(bars)
+
+
+def _keys(tracks: Iterable[Iterable[Message]]) -> list[tuple[int, int]]:
+    """The key signatures [sharps] by ticks; none where all are C major, as of files without one."""
+    said = (each for track in tracks for each in track if each.kind == KEY and each.data)
+    keys = [(each.tick, int.from_bytes(each.data[:1], signed=True)) for each in said]
+    known = sorted((each for each in keys if abs(each[1]) <= MAX_SIGNS), key=itemgetter(0))
+    return known if any(key for _, key in known) else []
 
 
 def _text(written: bytes) -> str:

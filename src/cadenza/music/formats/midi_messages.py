@@ -12,9 +12,17 @@ from cadenza.music.repair import counted_remarks
 LONGEST = 2**28 - 1  # the most ticks from one event to the next that the format can say
 NOTE_OFF, NOTE_ON, CONTROL, PROGRAM, WHEEL = 0x8, 0x9, 0xB, 0xC, 0xE
 """The kinds of messages to channels: the upper halves of their status bytes."""
-SYSEX, TEXT, NAME, PORT, END, TEMPO, METRE = 0xF0, 0x01, 0x03, 0x21, 0x2F, 0x51, 0x58
+SYSEX, TEXT, NAME, PORT, END, TEMPO, METRE, KEY = 0xF0, 0x01, 0x03, 0x21, 0x2F, 0x51, 0x58, 0x59
 """The kinds of messages to a synthesizer, and of those to a player."""
-_MIN_BYTES = {TEXT: 0, NAME: 0, PORT: 0, END: 0, TEMPO: 3, METRE: 4}  # of the messages to a player
+_MIN_BYTES = {
+    TEXT: 0,
+    NAME: 0,
+    PORT: 0,
+    END: 0,
+    TEMPO: 3,
+    METRE: 4,
+    KEY: 0,
+}  # of the messages to a player
 _TRACK = b"MTrk"
 _META, _SYSEX_GOES_ON, _SYSTEM, _TO_CHANNELS = 0xFF, 0xF7, 0xF0, 0x80  # status bytes
 _SHORT = (PROGRAM, 0xD)  # messages with one byte after the status; others have two
@@ -191,7 +199,7 @@ class _Track:
                 self._read_message(tick, status >> 4, status & 0x0F)
 
     def _read_meta(self, tick: int) -> None:
-        """Read a message to a player: a text, name, port, end, tempo or metre."""
+        """Read a message to a player: a text, name, port, end, tempo, metre or key."""
         kind = self._bytes(1)[0]
         content = self._bytes(self._number())
         if kind not in _MIN_BYTES:

@@ -92,7 +92,6 @@ class _Writer:
     def __init__(self, sheet: Sheet) -> None:
         self._sheet = sheet
         self._unit = gcd(QUARTER, *_ticks(sheet))
-        self._in_key = {step: alteration(i, sheet.key) for i, step in enumerate(STEPS)}
         self._number = {id(note): i for i, note in enumerate(sheet.notes)}
         self._continued = Counter[int]()
 
@@ -104,7 +103,7 @@ class _Writer:
         before = self._sheet.measures[index - 1] if index else None
         self._attributes(measure, here, before)
         for hand, staff in enumerate(here.staves):
-            accidentals = self._accidentals(staff.voices)
+            accidentals = _accidentals(staff.voices, here.key)
             for number, symbols in enumerate(staff.voices, start=1):
                 if (hand, number) != (RIGHT, 1):
                     self._duration(SubElement(measure, "backup"), here.measure.length)
@@ -120,7 +119,8 @@ class _Writer:
         attributes = Element("attributes")
         if before is None:
             _text(attributes, "divisions", QUARTER // self._unit)
-            _text(SubElement(attributes, "key"), "fifths", self._sheet.key)
+        if before is None or before.key != here.key:
+            _text(SubElement(attributes, "key"), "fifths", here.key)
         if before is None or before.measure.written != here.measure.written:
             time = SubElement(attributes, "time")
             _text(time, "beats", here.measure.written[0])
@@ -221,20 +221,21 @@ class _Writer:
     def _duration(self, element: Element, ticks: int) -> None:
         _text(element, "duration", ticks // self._unit)
 
-    def _accidentals(self, voices: Sequence[Sequence[Symbol]]) -> dict[tuple[int, int], str]:
-        """The accidentals of a staff in a measure, by symbol and index of the note."""
-        now: dict[tuple[str, int], int] = {}
-        signs: dict[tuple[int, int], str] = {}
-        symbols = sorted((s for voice in voices for s in voice), key=lambda s: s.value.start)
-        for symbol in symbols:
-            for i, (_, name) in enumerate(symbol.notes):
-                place = name.step, name.octave
-                if symbol.tied:
-                    continue
-                if now.get(place, self._in_key[name.step]) != name.alter:
-                    signs[id(symbol), i] = _ACCIDENTALS[name.alter]
-                now[place] = name.alter
-        return signs
+
+def _accidentals(voices: Sequence[Sequence[Symbol]], key: int) -> dict[tuple[int, int], str]:
+    """The accidentals of a staff in a measure, by symbol and index of the note."""
+    now: dict[tuple[str, int], int] = {}
+    signs: dict[tuple[int, int], str] = {}
+    symbols = sorted((s for voice in voices for s in voice), key=lambda s: s.value.start)
+    for symbol in symbols:
+        for i, (_, name) in enumerate(symbol.notes):
+            place = name.step, name.octave
+            if symbol.tied:
+                continue
+            if now.get(place, alteration(STEPS.index(name.step), key)) != name.alter:
+                signs[id(symbol), i] = _ACCIDENTALS[name.alter]
+            now[place] = name.alter
+    return signs
 
 
 class _Voice(NamedTuple):

@@ -34,7 +34,8 @@ class Measure:
     """A measure from tick `start` to tick `end`, with a time signature.
 
     A measure that `is_part` is shorter than its time signature `written`, such as a pickup, which
-    is the end of a whole measure; such a one would begin at the tick `origin`.
+    is the end of a whole measure; such a one would begin at the tick `origin`. `key` is its number
+    of sharps, negative for flats, if the score tells.
     """
 
     number: int
@@ -43,6 +44,7 @@ class Measure:
     written: tuple[int, int]
     origin: int
     is_part: bool = False
+    key: int | None = None
 
     @property
     def length(self) -> int:
@@ -70,7 +72,8 @@ class Metre(NamedTuple):
 def metre_of(score: Score) -> Metre:
     """The measures of a score with notes, from the one of its first note to that of its last.
 
-    They follow `Score.bars`. A score without any gets bars of a metre that is estimated.
+    They follow `Score.bars`, but for a pickup that a MIDI file does not tell. A score without any
+    gets bars of a metre that is estimated.
     """
     timed = _timed(score.bars)
     is_estimated = not timed
@@ -90,7 +93,8 @@ def metre_of(score: Score) -> Metre:
     metre = _metre(_numbered(timed))
     if is_estimated:
         return metre._replace(remarks=("the song has no bars: beats and bars are estimated",))
-    return _with_pickup(metre, score.notes)
+    is_midi = not score.tracks or any(track.channel for track in score.tracks)
+    return _with_pickup(metre, score.notes) if is_midi else metre
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +104,7 @@ class _TimedBar:
     number: int
     times: tuple[float, ...]
     beat_type: int
+    key: int | None
 
     @property
     def last_beat(self) -> float:
@@ -130,7 +135,7 @@ def _timed(bars: Sequence[Bar]) -> list[_TimedBar]:
         starts = [bar.time, *(each for each in beats[1:] if each < end - _SHORTEST)]
         if end - bar.time < _SHORTEST:  # bars that begin together
             continue
-        timed.append(_TimedBar(bar.number, (*starts, end), bar.beat_type))
+        timed.append(_TimedBar(bar.number, (*starts, end), bar.beat_type, bar.key))
         beat = timed[-1].last_beat
     return timed
 
@@ -166,7 +171,7 @@ def _metre(bars: list[_TimedBar]) -> Metre:
             for cell in range(1, cells + 1):
                 times.append(begin + (end - begin) * cell / cells)
                 ticks.append(ticks[-1] + beat // cells)
-        measures.append(Measure(bar.number, start, ticks[-1], bar.signature, start))
+        measures.append(Measure(bar.number, start, ticks[-1], bar.signature, start, key=bar.key))
     return Metre(tuple(_with_parts(measures)), np.array(times), np.array(ticks))
 
 
@@ -235,9 +240,9 @@ def _moved(metre: Metre, pickup: int) -> Metre:
     measures = []
     for i, (start, stop) in enumerate(pairwise([*starts, end])):
         origin = start if i else stop - length
-        measures.append(
-            Measure(number - 1 + i, start, stop, written, origin, stop - start < length)
-        )
+        key = metre.measures[min(i, len(metre.measures) - 1)].key
+        is_part = stop - start < length
+        measures.append(Measure(number - 1 + i, start, stop, written, origin, is_part, key))
     cell = min(QUARTER, WHOLE // written[1])
     ticks = np.unique([0, *range(pickup % cell, end, cell), end])
     times = np.interp(ticks, metre.ticks, metre.times)

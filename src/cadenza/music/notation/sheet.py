@@ -23,7 +23,7 @@ from cadenza.music.notation.marks import (
 from cadenza.music.notation.metre import Measure, Metre, metre_of
 from cadenza.music.notation.note_values import Divisions, Value, tuplet_values, values
 from cadenza.music.notation.quantising import Stream, are_exact, quantised
-from cadenza.music.notation.spelling import Spelling, spelled
+from cadenza.music.notation.spelling import Spelling, spelled, spelled_in
 from cadenza.music.notation.voices import LOWER, UPPER, Timed, staves, voices
 from cadenza.music.repair import counted_remarks
 from cadenza.music.score import Note, Score
@@ -57,10 +57,12 @@ class Staff:
 class WrittenMeasure:
     """A measure with its staves, the upper first, its dynamic mark if any, tempos and pedal.
 
-    It begins at the time `begin` [s] and ends at `end`.
+    It begins at the time `begin` [s] and ends at `end`. `key` is the number of sharps of its key
+    signature, negative for flats.
     """
 
     measure: Measure
+    key: int
     begin: float
     end: float
     divisions: Divisions
@@ -74,12 +76,10 @@ class WrittenMeasure:
 class Sheet:
     """A written score; `remarks` say in plain words where it differs from what is played.
 
-    `key` is the number of sharps of its key signature, negative for flats. `is_sure` unless the
-    song has no bars, and its onsets do not fit the estimated ones.
+    It `is_sure` unless the song has no bars, and its onsets do not fit the estimated ones.
     """
 
     title: str
-    key: int
     measures: tuple[WrittenMeasure, ...]
     remarks: tuple[str, ...]
     is_sure: bool
@@ -107,14 +107,13 @@ def sheet_of(score: Score) -> Sheet:
     onsets = metre.place([note.start for note in score.notes]).tolist()
     is_exact = are_exact(onsets, metre)
     streams, left_out = _streams(score.notes, onsets, metre, is_exact)
-    key, spellings = spelled(score.notes)
-    names = {id(note): name for note, name in zip(score.notes, spellings, strict=True)}
+    every = [stream for pair in streams for stream in pair]
+    keys, names = _keys_and_names(score.notes, every, metre.measures)
     divisions = [Divisions(measure) for measure in metre.measures]
     begins = [measure.start for measure in metre.measures]
     of_hands = [
         _staves(streams[hand], _USUAL_CLEF[hand], metre, divisions, names) for hand in (RIGHT, LEFT)
     ]
-    every = [stream for pair in streams for stream in pair]
     marks = dynamics(_by_measure(begins, every, "velocity"))
     of_tempo = _grouped(begins, tempos(metre))
     of_pedal = _grouped(begins, pedal_marks(score.pedal, metre))
@@ -123,6 +122,7 @@ def sheet_of(score: Score) -> Sheet:
     measures = tuple(
         WrittenMeasure(
             measure,
+            keys[i],
             times[i],
             times[i + 1],
             divisions[i],
@@ -136,7 +136,25 @@ def sheet_of(score: Score) -> Sheet:
     quantised = [] if is_exact else ["quantised: notes are moved to the nearest note values"]
     lost = counted_remarks([(left_out, "note", "left out, struck again too soon to be written")])
     remarks, is_sure = (*metre.remarks, *quantised, *lost), bool(score.bars) or is_exact
-    return Sheet(score.title, key, measures, remarks, is_sure)
+    return Sheet(score.title, measures, remarks, is_sure)
+
+
+def _keys_and_names(
+    notes: Sequence[Note], streams: Sequence[Stream], measures: Sequence[Measure]
+) -> tuple[list[int], dict[int, Spelling]]:
+    """The key of each measure, estimated where the score tells none, and the names of notes.
+
+    Names are by the ids of notes.
+    """
+    estimated, spellings = spelled(notes)
+    names = {id(note): name for note, name in zip(notes, spellings, strict=True)}
+    begins = [measure.start for measure in measures]
+    for stream in streams:
+        for chord in stream.chords:
+            key = measures[bisect_right(begins, chord.start) - 1].key
+            if key is not None:
+                names |= ((id(n), spelled_in(key, names[id(n)])) for n in chord.notes)
+    return [estimated if m.key is None else m.key for m in measures], names
 
 
 def _streams(

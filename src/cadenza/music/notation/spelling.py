@@ -25,6 +25,7 @@ _LETTER_IN_KEY = np.array([0, 1, 1, 2, 2, 3, 3, 4, 5, 5, 6, 6])  # of semitones 
 _MAJOR = np.array([6.35, 2.23, 3.48, 2.33, 4.38, 4.09, 2.52, 5.19, 2.39, 3.66, 2.29, 2.88])
 _MINOR = np.array([6.33, 2.68, 3.52, 5.38, 2.60, 3.53, 2.54, 4.75, 3.98, 2.69, 3.34, 3.17])
 _MIDDLE = 2  # fifths of the middle of a major scale's notes above its key
+_FAR = 8  # fifths from there on which a name is strange in the key: in C major, beyond G♭ and A♯
 
 
 class Spelling(NamedTuple):
@@ -60,6 +61,12 @@ def spelled(notes: Sequence[Note]) -> tuple[int, list[Spelling]]:
         shift = -_ENHARMONIC if key > 0 else _ENHARMONIC
         key, spellings = key + shift, [_renamed(spelling, shift) for spelling in spellings]
     return key, [_simplified(spelling) for spelling in spellings]
+
+
+def spelled_in(key: int, spelling: Spelling) -> Spelling:
+    """The spelling of a note in a key, by another name if it would be far from the key."""
+    away = spelling.fifths - key - _MIDDLE
+    return _simplified(_renamed(spelling, _nearest(0, -away))) if abs(away) > _FAR else spelling
 
 
 def _ps13(pitches: NDArray[np.int_]) -> Iterator[Spelling]:

@@ -14,7 +14,7 @@ from cadenza.errors import CadenzaError
 from cadenza.music.formats.musicxml.dynamics import Move
 from cadenza.music.formats.musicxml.notes import SheetNote
 from cadenza.music.formats.musicxml.timeline import ZERO, Placed, number, numbers_in
-from cadenza.music.score import BEAT_TYPES, PITCHES
+from cadenza.music.score import BEAT_TYPES, MAX_SIGNS, PITCHES, key_above
 from cadenza.music.signs.notes import SignedNote
 from cadenza.music.signs.tempo_map import Swing
 
@@ -59,6 +59,7 @@ class WrittenBar:
     """A measure, or the part of one up to or from a repeat sign within it, in quarters.
 
     A beat is `1 / beat_type` of a whole note. At a fine within the bar, the music ends at `cut`.
+    `key` is the number of sharps at concert pitch, negative for flats, if known.
     """
 
     measure: int
@@ -68,6 +69,7 @@ class WrittenBar:
     beat_type: int
     signs: Signs = field(default_factory=Signs)
     cut: Fraction | None = None
+    key: int | None = None
 
     @property
     def beats(self) -> list[Fraction]:
@@ -103,6 +105,8 @@ class _BarReader:
         self._bracket: frozenset[int] = frozenset()  # of the ending that goes on
         self._is_repeat_next = False
         self._beat_type = 4
+        self._written_key: int | None = None
+        self._semitones = 0  # that the part sounds above what is written
 
     def read(self, placed: Placed) -> None:
         measure, element = placed.measure, placed.element
@@ -114,13 +118,32 @@ class _BarReader:
             beat_type = int(number(element.findtext("time/beat-type")))
             self._beat_type = beat_type if beat_type in BEAT_TYPES else self._beat_type
             self.bars[-1].beat_type = self._beat_type
+            self._read_key(element)
+            if placed.quarter <= self.bars[-1].begin:
+                self.bars[-1].key = self._key
         elif element.tag == "barline":
             self._read_barline(element, placed.quarter)
 
     def _begin(self, measure: int, quarter: Fraction, printed: str) -> None:
         counted = int(number(printed, Fraction(measure + 1)))
         end, signs = self._begins[measure + 1], Signs(ending=self._bracket)
-        self.bars.append(WrittenBar(measure, quarter, end, counted, self._beat_type, signs))
+        self.bars.append(
+            WrittenBar(measure, quarter, end, counted, self._beat_type, signs, key=self._key)
+        )
+
+    def _read_key(self, attributes: Element) -> None:
+        """Read a key signature, and how the instrument transposes."""
+        if (transpose := attributes.find("transpose")) is not None:
+            self._semitones = int(number(transpose.findtext("chromatic")))
+        if (fifths := attributes.findtext("key/fifths")) is not None:
+            self._written_key = int(number(fifths))
+
+    @property
+    def _key(self) -> int | None:
+        """The key signature at concert pitch, if there is a usual one."""
+        if self._written_key is None or abs(self._written_key) > MAX_SIGNS:
+            return None
+        return key_above(self._written_key, self._semitones)
 
     def _read_barline(self, barline: Element, quarter: Fraction) -> None:
         """Read a repeat and an ending; within a measure, a repeat begins a new bar."""

@@ -168,7 +168,7 @@ def _bars(passages: Iterable[Passage], tempo: TempoMap) -> Iterator[Bar]:
         bar, later = passage.bar, passage.later
         places = [place + later for place in (bar.begin, *bar.beats)]
         begin, *beats = np.round(tempo.onsets(places), _DECIMALS).tolist()
-        yield Bar(begin, bar.number, tuple(beats), bar.beat_type)
+        yield Bar(begin, bar.number, tuple(beats), bar.beat_type, bar.key)
 
 
 @dataclass(frozen=True, slots=True)
