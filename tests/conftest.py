@@ -6,6 +6,8 @@ import tempfile
 
 import pytest
 
+# Processes of tests share the cores; threads of linear algebra would wait for each other there.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import cadenza  # noqa: F401 - before any test imports NumPy, and so as commands do
 
 # JAX compiles many programs here, each of which runs for moments: every one once, into a folder

@@ -11,7 +11,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import cadenza
 from cadenza import DomainRandomization, Note, SceneConfig, Score, TaskConfig, TrainingConfig
@@ -124,7 +124,7 @@ def test_an_agent_of_ones_own_plays():
 def test_no_agent_takes_more_than_two_cores_unasked(monkeypatch):
     monkeypatch.setattr("cadenza.sim.threads.available_cores", lambda: 16)
     for wanted, used in ((None, 2), (3, 3)):
-        with set_up(TUNE, find_player(), num_threads=wanted) as setup:
+        with threadpool_limits(16), set_up(TUNE, find_player(), num_threads=wanted) as setup:
             assert setup.agent.threads == used
             assert max(pool["num_threads"] for pool in threadpool_info()) <= used
 

@@ -94,12 +94,17 @@ def in_short(results: BenchResults) -> dict[str, object]:
     }
 
 
-def test_those_that_crash_take_nothing_else_with_them(folder):
+def test_those_that_crash_take_nothing_else_with_them(folder, monkeypatch, capsys):
     (folder / "songs" / "64.mid").unlink()
-    said = of(started("bench_agents:Aborts,bench_agents:IsToldToEnd,zero"), status=1)
-    assert "1 of 3 runs finished, 2 failed" in said
-    assert "2 of 3 runs failed, as told above; once the causes are mended, add --retry" in said
-    assert "3 of 3: " in said
+    monkeypatch.syspath_prepend(AGENTS)
+    monkeypatch.setattr("cadenza.evaluation.bench._MAX_ATTEMPTS", 1)
+    with pytest.raises(SystemExit) as stop:
+        main(options("bench_agents:Aborts,bench_agents:IsToldToEnd,zero"))
+    assert stop.value.code == 1
+    out, err = capsys.readouterr()
+    assert "1 of 3 runs finished, 2 failed" in out
+    assert "2 of 3 runs failed, as told above; once the causes are mended, add --retry" in err
+    assert "3 of 3: " in err
     found = read_results(folder / "out")
     assert [result.agent for result in found.results] == ["zero"]
     reasons = sorted(run.reason for run in found.unfinished)

@@ -13,16 +13,19 @@ for name in (
     "symusic tensorboardX uvicorn warp websockets"
 ).split():
     sys.modules[name] = None  # importing it fails
+from multiprocessing import get_context
 from cadenza.cli import main
+from cadenza.evaluation import processes
+processes._SPAWN = get_context("fork")  # where nothing can be imported either
 for words in (
+    "bench --songs songs --agents zero -o bench",
+    "dataset collect --songs songs --agent zero --episodes 1 -o demonstrations",
     "info songs/tune.mid",
     "play songs/tune.mid -o played",
     "film played -o tune.mp3",
     "arrange songs/tune.mid -o tune.musicxml",
-    "practice songs/tune.mid --effort 0.01 -o practised",
-    "bench --songs songs --agents zero -o bench",
+    "practice songs/tune.mid --effort 0 -o practised",
     "results bench",
-    "dataset collect --songs songs --agent zero --episodes 1 -o demonstrations",
 ):
     main(words.split())
 """
