@@ -89,7 +89,21 @@ def test_arrange_says_what_it_did(tmp_path, monkeypatch, capsys):
     main(["arrange", "cmajorscaleonehand"])  # the file has the letters of the piece's own name
     line = capsys.readouterr().out.splitlines()[-1]
     assert line.startswith("CMajorScaleOneHand.musicxml: 15 notes for the right hand, grade ")
-    assert line.endswith(": all notes kept")
+    assert line.endswith(": as written, which hands can play")
+    main(["arrange", "cmajorscaleonehand", "--arrange", "always"])
+    assert capsys.readouterr().out.endswith(": all notes kept\n")
+
+
+@pytest.mark.parametrize("how", [(), ("--arrange", "off"), ("--arrange", "always")])
+def test_what_hands_can_play_is_arranged_only_if_one_asks(how, tmp_path, capsys):
+    melody = [Note(n / 2, n / 2 + 0.25, 72) for n in range(8)]
+    leaps = [Note(n / 2, n / 2 + 0.5, 48 if n % 2 else 36) for n in range(8)]
+    inner = [Note(n / 2 + 0.25, n / 2 + 0.5, 60) for n in range(8)]
+    write_midi(Score((*melody, *leaps, *inner)), tmp_path / "song.mid")
+    main(["arrange", str(tmp_path / "song.mid"), *how, "-o", str(tmp_path / "sheet.mid")])
+    kept = len(read_midi(tmp_path / "sheet.mid").notes)
+    assert (kept < 24) == ("always" in how)
+    assert ("as written" in capsys.readouterr().out) == ("always" not in how)
 
 
 def test_info_lists_the_tracks(trio, capsys):

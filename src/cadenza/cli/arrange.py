@@ -1,6 +1,6 @@
 """`cadenza arrange`: a song as two hands can play it, as sheet music or MIDI."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -22,6 +22,7 @@ from cadenza.tasks.setups import NamedSetup, setup_named
 class Arrange:
     """Arrange a song for the hands, and write it as sheet music with fingers, or as MIDI.
 
+    What the hands can play as written stays as it is, unless there is a level.
     Example: cadenza arrange song.mid -o song.musicxml --level 4
     """
 
@@ -30,7 +31,7 @@ class Arrange:
     output: Output[Path | None] = None
     """The arrangement: a .pdf to print, a .musicxml file to edit, an .svg picture, or a .mid file,
     with its fingers as text beside it; SONG.musicxml by default."""
-    arrangement: Flat[Arrangement] = field(default_factory=lambda: Arrangement(arrange="always"))
+    arrangement: Flat[Arrangement] = field(default_factory=Arrangement)
     fingering: Literal["robot", "human"] = "robot"
     """Fingers that suit the robot's hands, or those that a pianist would use."""
     hands_as_written: bool = False
@@ -46,23 +47,30 @@ def default(chosen: Chosen) -> Arrange:
 
 
 def run(command: Arrange) -> None:
-    from cadenza.performing.arranging import arrange_song
+    from cadenza.fingering.difficulty import grade
+    from cadenza.performing.arranging import arranged_for
     from cadenza.performing.loaded_song import load
     from cadenza.scene.scene import build_scene
     from cadenza.tasks.config import TaskConfig
-    from cadenza.tasks.goal_track import GoalTrack
 
     song = load(command.song, command.arrangement)
     path = command.output or Path(f"{folder_name(name_without_ending(song.name))}{SHEET}")
     check_sheet(path, "--output")
     scene = build_scene(command.scene)
-    arranged = arrange_song(song.written_for(command.scene.hands), scene).arranged
-    how = TaskConfig(fingering=command.fingering, hands_as_written=command.hands_as_written)
-    score = GoalTrack(arranged.score, None, how, scene).fingered().score
+    if any(note.pitch not in scene.keyboard.pitches for note in song.score.notes):
+        song = replace(song, arrangement=replace(song.arrangement, arrange="always"))
+    how = TaskConfig(
+        fingering=command.fingering, hands_as_written=command.hands_as_written, trim_silence=False
+    )
+    track, made = arranged_for(song.written_for(command.scene.hands), scene, how)
+    score = track.fingered().score
     write_sheet(score, path, command.song)
+    if made:
+        reached, what = made.arranged.grade, str(made.arranged.fidelity)
+    else:
+        reached, what = grade(score), "as written, which hands can play"
+        if track.dropped:
+            what = f"as written, {counted(len(track.dropped), 'note')} of it out of reach"
     hands = {note.finger.hand for note in score.notes if note.finger}
     whose = "both hands" if len(hands) > 1 else "".join(f"the {SIDES[i]} hand" for i in hands)
-    print(
-        f"{path}: {counted(len(score.notes), 'note')} for {whose}, grade {arranged.grade:.1f}: "
-        f"{arranged.fidelity}"
-    )
+    print(f"{path}: {counted(len(score.notes), 'note')} for {whose}, grade {reached:.1f}: {what}")
