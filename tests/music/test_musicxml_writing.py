@@ -361,6 +361,33 @@ def test_the_key_signatures_of_the_file_are_written_and_notes_named_by_them(tmp_
     assert "".join(names[8:24]) == "GABCDEFG" + "FGABCDEF"
 
 
+@pytest.mark.parametrize(
+    ("count", "quarters", "types"),
+    [
+        (3, 2, ["quarter/3"] * 6),
+        (5, 1, ["16th/5"] * 20),
+        (7, 2, ["eighth/7"] * 14),
+    ],
+)
+def test_tuplets_of_one_beat_or_two_are_written_without_ties(count, quarters, types, tmp_path):
+    step = 0.5 * quarters / count
+    score = Score(tuple(line([72, 74] * 10, step)[: 4 // quarters * count]), bars=bars(1))
+    root = written(score, tmp_path)
+    assert (values(root), root.find(".//tie")) == (types, None)
+    again = read_back(score, tmp_path)
+    assert [n.start for n in again.notes] == pytest.approx([n.start for n in score.notes], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("beats", "groups"), [(3, [3]), (4, [2, 2]), (5, [2, 3]), (7, [2, 2, 3]), (8, [2, 2, 2, 2])]
+)
+def test_eighths_are_beamed_also_where_beats_are_eighths(beats, groups, tmp_path):
+    score = Score(tuple(line([72] * beats, 0.25)), bars=bars(1, beats, 0.25, 8))
+    beams = [beam.text for beam in written(score, tmp_path).iter("beam")]
+    expected = [["begin", *["continue"] * (group - 2), "end"] for group in groups]
+    assert beams == [beam for group in expected for beam in group]
+
+
 def test_accidentals_hold_for_their_bar(tmp_path):
     tune = [60, 62, 64, 65, 66, 66, 65, 65, 66, 67, 65, 67, 64, 65, 62, 60]
     root = written(Score(tuple(line(tune, 0.5)), bars=bars(4)), tmp_path)

@@ -49,6 +49,7 @@ class Divisions:
             self._levels.append((strength, beat))
             strength, beat = strength - 1, beat // 2
         self._beam = _beam(measure, self.is_compound)
+        self._last_group = beats * (WHOLE // beat_type) // self._beam - 1
 
     def strength(self, tick: int) -> int:
         """How strong a position is."""
@@ -66,16 +67,19 @@ class Divisions:
 
     def beam_group(self, tick: int) -> int:
         """The number of the group whose notes share a beam."""
-        return (tick - self.origin) // self._beam
+        return min((tick - self.origin) // self._beam, self._last_group)
 
 
 def _beam(measure: Measure, is_compound: bool) -> int:
-    """The ticks that notes under one beam fill: a beat, or three, or a measure such as 3/8."""
+    """The ticks that notes under one beam fill: a beat, or three, or a measure such as 3/8.
+
+    Of short beats it is two, and three at the end of an odd number of them: 7/8 is 2 + 2 + 3.
+    """
     beats, beat_type = measure.written
     beat = WHOLE // beat_type
     if is_compound or (beat < QUARTER and beats <= _COMPOUND):
         return beat * min(beats, _COMPOUND)
-    return beat
+    return 2 * beat if beat < QUARTER else beat
 
 
 def values(start: int, end: int, divisions: Divisions, is_rest: bool) -> Iterator[Value]:

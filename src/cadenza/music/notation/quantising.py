@@ -1,6 +1,6 @@
 """Quantisation: onsets and ends on a grid of note values."""
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -17,8 +17,8 @@ _GRIDS = {1: 0.0, 2: 0.3, 4: 0.8, 3: 1.2, 8: 2.0, 6: 2.2, 5: 4.0, 12: 6.0, 16: 4
 _SPREAD = 0.05  # standard deviation of onsets that are played, in cells ...
 _MIN_SPREAD, _MAX_SPREAD = 0.025, 0.04  # [s] ... within these
 _EXACT_SPREAD = 0.012  # [s] of onsets that are not
-_COMMON = 12  # parts of a cell, on which onsets are that nobody has played ...
-_NEAR = 0.02  # ... up to so much of a part
+_COMMON = 12, 16, 5, 7  # parts of a cell, on which onsets are that nobody has played ...
+_NEAR = 0.02 / 12  # ... up to so much of it
 _MOSTLY = 0.8  # of the onsets of such a file are there
 _SHORTEST = 0.025  # [s] of a part of a grid
 _FINEST = QUARTER // 16  # a 64th, which is a whole number of ticks
@@ -40,10 +40,24 @@ class WrittenChord:
 
 @dataclass(slots=True)
 class Stream:
-    """A voice: its chords in time, and by cell the number of parts if that is no power of two."""
+    """A voice: its chords in time, and by cell the number of parts if that is no power of two.
+
+    From a cell in `wide` on, such parts divide two cells, as triplets of quarters do.
+    """
 
     chords: list[WrittenChord] = field(default_factory=list)
     tuplets: dict[int, int] = field(default_factory=dict)
+    wide: set[int] = field(default_factory=set)
+
+    def tuplet_at(self, cell: int) -> tuple[int, int, int] | None:
+        """The parts of the tuplet in a cell, the first cell that it divides and the one after it.
+
+        None where there is no tuplet.
+        """
+        if cell not in self.tuplets:
+            return None
+        first = cell - 1 if cell - 1 in self.wide else cell
+        return self.tuplets[cell], first, first + 1 + (first in self.wide)
 
 
 @dataclass(slots=True)
@@ -58,12 +72,12 @@ class _OnsetGroup:
 def are_exact(onsets: Sequence[float], metre: Metre) -> bool:
     """Whether `onsets` [ticks] are where notation has them, and not as somebody played."""
     ticks = metre.ticks.tolist()
-    deviations = []
+    num_exact = 0
     for onset in onsets:
         cell = _cell(ticks, onset)
-        at = _COMMON * (onset - ticks[cell]) / (ticks[cell + 1] - ticks[cell])
-        deviations.append(abs(at - round(at)))
-    return sum(each < _NEAR for each in deviations) >= _MOSTLY * len(deviations)
+        at = (onset - ticks[cell]) / (ticks[cell + 1] - ticks[cell])
+        num_exact += any(abs(at - round(at * parts) / parts) < _NEAR for parts in _COMMON)
+    return num_exact >= _MOSTLY * len(onsets)
 
 
 def quantised(
@@ -100,6 +114,7 @@ def quantised(
         merged, lost = _merged(of_voice, starts[v])
         left_out += lost
         streams.append(_stream(merged, grids[v], ticks))
+        _widen(streams[-1], metre, ticks)
     return streams, left_out
 
 
@@ -184,6 +199,25 @@ def _stream(merged: list[WrittenChord], grids: dict[int, int], ticks: list[int])
             end = following if is_short else end
         chord.end = min(end, ticks[-1])
     return Stream(merged, {cell: grid for cell, grid in grids.items() if grid & (grid - 1)})
+
+
+def _widen(stream: Stream, metre: Metre, ticks: list[int]) -> None:
+    """Find tuplets that divide two cells: of the parts of each, every other one is used.
+
+    The two are in one measure, and as long; of four beats, they are the first two or the last.
+    """
+    places = sorted({tick for chord in stream.chords for tick in (chord.start, chord.end)})
+    starts = [measure.start for measure in metre.measures]
+    for cell, parts in sorted(stream.tuplets.items()):
+        if parts % 2 == 0 or stream.tuplets.get(cell + 1) != parts or cell - 1 in stream.wide:
+            continue
+        begin, middle, end = ticks[cell : cell + 3]
+        measure = metre.measures[bisect_right(starts, begin) - 1]
+        is_halved = measure.written[0] % 2 or (begin - measure.origin) % (end - begin) == 0
+        inside = places[bisect_right(places, begin) : bisect_left(places, end)]
+        used = all((tick - begin) * parts % (end - begin) == 0 for tick in inside)
+        if is_halved and used and middle - begin == end - middle and middle < measure.end:
+            stream.wide.add(cell)
 
 
 def _end(at: int, grids: dict[int, int], ticks: list[int]) -> int:

@@ -258,13 +258,13 @@ def _values(
     """Yield the note values of a stretch, which is broken where tuplets begin and end."""
     cell = bisect_right(cells, start) - 1
     while start < end:
-        first = cell
-        parts = stream.tuplets.get(cell)
-        cell += 1
-        while not parts and cells[cell] < end and cell not in stream.tuplets:
+        tuplet = stream.tuplet_at(cell)
+        cell = tuplet[2] if tuplet else cell + 1
+        while not tuplet and cells[cell] < end and cell not in stream.tuplets:
             cell += 1
         stop = min(end, cells[cell])
-        if parts:
+        if tuplet:
+            parts, first, _ = tuplet
             yield from tuplet_values(start, stop, cells[first], cells[cell], parts)
         else:
             yield from values(start, stop, divisions, is_rest)
