@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.misses import Miss
+from cadenza.agents.planner.planner import Planner
 from cadenza.music.metrics import expressive_metrics
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import play
@@ -58,7 +60,7 @@ def test_what_is_played_well_needs_no_advice():
 def test_advice_is_among_the_notices():
     """Of a chord of twelve keys, the hands have fingers for ten."""
     chords = tuple(Note(at, at + 0.4, pitch) for at in (0.0, 0.5) for pitch in range(60, 72))
-    played = play(Score(chords))
+    played = play(Score(chords), Planner(PlannerConfig(method="none")))
     assert played.advice is not None
     assert played.settings["notices"] == [f"{played.advice}."]
     assert played.advice.option == "--level 10"
