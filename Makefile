@@ -18,7 +18,7 @@ help:
 	@echo "make smoke   a minute of them, and the linter, before each commit"
 	@echo "make check   lint, formatting, types"
 	@echo "make docs    the documentation as a site, with the reference"
-	@echo "make films   the same with films of what was practised; twenty minutes without a graphics card"
+	@echo "make films   the same with films of what was practised; ten minutes without a graphics card"
 	@echo "make tables  write the tables of the documentation anew from docs/results"
 	@echo "make bench   measure speed, as ratios in one run"
 	@echo "make release-check  all that must hold before a release; half an hour, and needs uv"

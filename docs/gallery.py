@@ -2,8 +2,8 @@
 
 `make docs` runs it when Cadenza has changed. It takes a minute and a half of one core.
 
-`make films` adds films of what was practised, where a Chrome or Chromium is. That takes three
-minutes a film without a graphics card, so that `make docs` leaves it out.
+`make films` adds films of what was practised, where a Chrome or Chromium is. That takes a minute
+or more a film without a graphics card, so that `make docs` leaves it out.
 
 What was practised lies in `practised/`, made by `cadenza practice SONG --first-seconds 12 --effort
 2 --num-threads 1 -o FOLDER/SONG` (the last two: 10 s, effort 0.8) and `python docs/gallery.py keep
@@ -35,7 +35,7 @@ from cadenza.sim.threads import available_cores
 
 LISTED = "gallery.json"
 PRACTISED = Path(__file__).with_name("practised")
-_PICTURE = Picture(480, 270, "close")
+_SIZE = 480, 270  # [px] of pictures
 _FILM = Look(960, 540, seconds=8.0)
 _PICTURED = 5.0  # [s] of music at which it is taken
 
@@ -49,6 +49,8 @@ class Played:
     song: str
     options: dict[str, Any] = field(default_factory=dict)
     """Arguments of `cadenza.play`."""
+    camera: str = "close"
+    """Of its picture."""
 
     def play(self) -> Performance:
         return cadenza.play(load_score(self.song), **self.options)
@@ -60,6 +62,7 @@ class Practised:
 
     song: str
     who: str = "The planner, after practice"
+    camera: str = "close"
 
     @property
     def name(self) -> str:
@@ -81,7 +84,7 @@ GALLERY = (
     Practised("InTheHallOfTheMountainKing"),
     Played("planner", "The planner, at first sight", "JingleBells"),
     Played("generalist", "The generalist", "Greensleeves", {"agent": "generalist"}),
-    Played("arms", "Allegro Hands on arms", "OdeToJoy", {"setup": "arm-allegro"}),
+    Played("arms", "Allegro Hands on arms", "OdeToJoy", {"setup": "arm-allegro"}, "audience"),
     Played(
         "sampling",
         "Predictive sampling, to compare with",
@@ -104,7 +107,7 @@ def add(played: Played | Practised, folder: Path) -> dict[str, Any]:
         performance.save(results)
         (folder / f"{played.name}.html").write_bytes((Path(results) / "report.html").read_bytes())
     try:
-        with closing(Renderer(performance.scene, _PICTURE)) as renderer:
+        with closing(Renderer(performance.scene, Picture(*_SIZE, played.camera))) as renderer:
             shown = ("hand_qpos", "key_qpos", "key_activation", "goal_keys")
             row = min(round(_PICTURED / episode.dt), episode.num_steps - 1)
             frame = renderer.frame(*(episode[name][row] for name in shown))

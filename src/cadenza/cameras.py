@@ -12,14 +12,14 @@ VIEWS = {
     "close": (0.45, 0.0, 0.9),
     "top": (0.005, 0.0, 1.0),
     "audience": (-0.66, 0.0, 0.75),
-    "side": (-0.55, -0.75, 0.6),
+    "side": (0.2, -0.8, 0.55),
 }
 """Name of each -> the direction in which it stands, of any length. `close` looks at the hands; the
 others at the whole keyboard, or at the hands where a picture is too tall to be filled by it."""
 FIELD_OF_VIEW = 28.0  # of all of them, from the lower edge of the picture to the upper one [degree]
 
 _ROOM = np.array([0.97, 0.95])  # of width and height of the picture, that is for what it looks at
-_FILLED = 0.88  # of the height, at least, with what is around; or it turns
+_FILLED = 0.88  # of width and height, at least, with what is around; or it turns
 _ALONG = 65  # points of a long edge; some are beside the picture
 _CLOSEST = 0.05  # [m] in front of the camera that is seen
 _ROUNDS = 8  # of fitting, after which nothing moves by a pixel
@@ -77,28 +77,28 @@ class Camera:
         self._turn(0.0)
         sight, (target, distance) = whole, self._fit(whole.shown)
         nearest = distance
-        if self._follows or self._height(whole, target, distance) < _FILLED:
+        if self._follows or self._share(whole, target, distance) < _FILLED:
             sight, (target, nearest) = hands, self._fit_turning(hands)
         if self._follows:
             distance = nearest
         for _ in range(_ROUNDS):
             if distance > nearest:
-                filled = self._height(sight, target, distance)
-                distance = max(nearest, distance * filled / _FILLED)
+                share = self._share(sight, target, distance)
+                distance = max(nearest, distance * share / _FILLED)
             target = target + self._shift(sight, target, distance)
         return target, distance
 
     def _fit_turning(self, sight: Sight) -> tuple[Points, float]:
-        """Fit what is seen, turned as little as fills the height of the picture."""
+        """Fit what is seen, turned as little as fills the picture."""
         target, distance = self._fit(sight.shown)
-        if self._height(sight, target, distance) >= _FILLED:
+        if self._share(sight, target, distance) >= _FILLED:
             return target, distance
         low, high = 0.0, _MAX_TURN
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
             self._turn(middle)
             target, distance = self._fit(sight.shown)
-            if self._height(sight, target, distance) < _FILLED:
+            if self._share(sight, target, distance) < _FILLED:
                 low = middle
             else:
                 high = middle
@@ -113,10 +113,10 @@ class Camera:
         shift = np.clip(shift, np.minimum(seen.max(0) - 1, 0), np.maximum(seen.min(0) + 1, 0))
         return (shift * self._slope * distance) @ self.axes[:2]
 
-    def _height(self, sight: Sight, target: Points, distance: float) -> float:
-        """How much of the height of the picture is filled."""
+    def _share(self, sight: Sight, target: Points, distance: float) -> float:
+        """How much of width or height of the picture, whichever is less, is filled."""
         low, high = self._extent(sight, target, distance)
-        return float(high[1] - low[1]) / 2
+        return float((high - low).min()) / 2
 
     def _seen(self, points: Points, target: Points, distance: float) -> Points:
         """(N, 2) where points are in the picture, which reaches from -1 to 1 both ways."""
@@ -134,9 +134,9 @@ class Camera:
         return target, distance
 
     def _extent(self, sight: Sight, target: Points, distance: float) -> tuple[Any, Any]:
-        """Return the bounds (2,) of what is seen; those of heights leave out what is beside."""
+        """Return the bounds (2,) of what is seen, each without what is outside the other way."""
         seen = self._seen(np.concatenate(sight), target, distance)
-        low, high = seen.min(0), seen.max(0)
-        if (inside := np.abs(seen[:, 0]) <= 1).any():
-            low[1], high[1] = seen[inside, 1].min(), seen[inside, 1].max()
-        return low, high
+        inside = np.abs(seen[:, ::-1]) <= 1
+        inside |= ~inside.any(0)
+        low, high = (np.where(inside, seen, far) for far in (np.inf, -np.inf))
+        return low.min(0), high.max(0)

@@ -635,13 +635,21 @@ def margins(shown):
 @pytest.mark.slow
 @pytest.mark.parametrize("falling", [False, True])
 @pytest.mark.parametrize("apart", [-0.05, 0.1])
-def test_piano_or_hands_fill_a_picture_of_any_shape(browser, write, falling, apart):
-    browser.open(write(recorded_scale(apart)))
+def test_piano_or_hands_fill_a_picture_of_any_shape_and_none_is_cut(browser, write, falling, apart):
+    played = recorded_scale(apart)
+    for part in [*played.scene["geoms"], *played.scene["shells"]]:
+        if part["palm"] or part.get("finger") is not None:
+            part["rgba"] = [1, 0, 1, 1]
+    browser.open(write(played))
     for view in VIEWS:
         for shape in ((320, 180), (180, 320), (240, 180), (240, 240)):
             for time in (0.2, 5):
-                empty = margins(drawn(browser, view, shape, time, falling)[..., 3] > 200)
+                picture = drawn(browser, view, shape, time, falling)
+                empty = margins(picture[..., 3] > 200)
                 assert max(empty) <= 0.1, (view, shape, time, empty)
+                hands = picture[..., [0, 2]].min(axis=2) > picture[..., 1] + 70
+                assert hands.any()
+                assert min(margins(hands)) > 0, (view, shape, time)
 
 
 @pytest.mark.slow

@@ -191,7 +191,8 @@ class _View:
         low, high = case_bounds(scene.keyboard)
         self._case = outline_of(low, high)
         near, far = scene.keyboard.bounds
-        ends = (near[0], low[1], near[2]), (far[0], high[1], far[2])
+        front = max(far[0], self._shown(data)[:, 0].max())  # hands reach out of it
+        ends = (near[0], low[1], near[2]), (front, high[1], far[2])
         self._whole = Sight(points_of_box(*ends), self._around(data))
 
     def _shown(self, data: mujoco.MjData) -> Points:

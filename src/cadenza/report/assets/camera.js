@@ -2,7 +2,7 @@
 
 const FIELD_OF_VIEW = 28; // [degree]
 const MARGINS = [0.97, 0.95]; // of width and height of the picture, that is for what it looks at
-const FILLED = 0.88; // of the height, at least, with what is around; or it turns
+const FILLED = 0.88; // of width and height, at least, with what is around; or it turns
 const CLOSEST = 0.05; // [m] in front of the camera that is seen
 const ROUNDS = 8; // of fitting, after which nothing moves by a pixel
 const MAX_TURN = (70 * Math.PI) / 180; // around hands that are too far apart to fill a tall picture
@@ -53,15 +53,16 @@ function placed(away, aspect, close, whole, hands, widest) {
     }
     return distance;
   }
-  /** Return the bounds of what is seen; those of heights leave out what is beside. */
+  /** Returns the bounds of what is seen, each way without what is outside the other way. */
   function extent({ shown, around }) {
-    const places = [...shown, ...around].map(seen), inside = places.filter(([x]) => Math.abs(x) <= 1);
-    return [between(places, 0), between(inside.length ? inside : places, 1)];
+    const places = [...shown, ...around].map(seen);
+    return axes.map((_, i) => {
+      const inside = places.filter((place) => Math.abs(place[1 - i]) <= 1);
+      return between(inside.length ? inside : places, i);
+    });
   }
-  function filled(sight) {
-    const [, [low, high]] = extent(sight);
-    return (high - low) / 2;
-  }
+  /** How much of width or height, whichever is less, is filled. */
+  const filled = (sight) => Math.min(...extent(sight).map(([low, high]) => (high - low) / 2));
   /** Moves so that as little as can be is empty, at both edges the same; to the side, so that the ends of forearms are not cut if there is room. */
   function settle(sight) {
     const places = sight.shown.map(seen), whole = between([...places, ...(sight.arms ?? []).map(seen)], 0);
@@ -72,7 +73,7 @@ function placed(away, aspect, close, whole, hands, widest) {
       return Math.min(Math.max(shift, Math.min(last - 1, 0)), Math.max(first + 1, 0));
     }));
   }
-  /** Turns as little as fills the height of the picture. */
+  /** Turns as little as fills the picture. */
   function turnToFill(sight) {
     let low = 0, high = MAX_TURN;
     const isFilled = (angle) => (turn(angle), fit(sight.shown), filled(sight) >= FILLED);

@@ -2,7 +2,8 @@
 // arrive in the colour of their hand and with the number of their finger, or grey if these are not
 // known; then in the colour of what became of them.
 
-const TRACK = { ahead: 2.4, past: 0.35, slope: 0.5 }; // [s], [s], [rad]
+const TRACK = { ahead: 2.4, past: 0.35, slope: 0.5, drawn: 1.15 }; // [s], [s], [rad]; more than its length, so that notes come from outside the picture
+const LANE = 0.0004; // [m] half as wide as lines between B and C, and E and F, where no black key is
 const SHORTEST_TRACK = 0.2, LONGEST_TRACK = 2; // [m]; in tall pictures it is longer, and notes are faster
 // Of notes on white and on black keys: of the right hand, of the left, of an unknown one.
 const COMING_NOTES = [[0x9db8f5, 0x6f8fe0], [0xf0b0d4, 0xc777a9], [0xcdd4e0, 0x8d97a8]];
@@ -33,16 +34,21 @@ function createFallingNotes(data, keys, keyboard, colours) {
   track.quaternion.setFromAxisAngle(new THREE.Vector3(0, 1, 0), Math.PI + TRACK.slope); // x is away
   let speed, length; // [m/s], [m]
   const [left, right] = [keyboard.min.y - 0.015, keyboard.max.y + 0.015];
-  const [ground, line] = [0x15171b, 0xd5dbe6].map((colour) => {
-    const solid = mesh("box", [0.5, (right - left) / 2, 0.001], { colour: new THREE.Color(colour), roughness: 0.8 });
+  /** A strip of the track, `half` as wide to either side of `y`. */
+  function strip(colour, y, half) {
+    const solid = mesh("box", [0.5, half, 0.001], { colour: new THREE.Color(colour), roughness: 0.8 });
     solid.castShadow = false;
     solid.userData.order = 0.5;
+    solid.position.y = y;
     track.add(solid);
     return solid;
-  });
+  }
+  const [ground, line] = [0x15171b, 0xd5dbe6].map((colour) => strip(colour, (left + right) / 2, (right - left) / 2));
+  const whites = keys.filter(({ black }, i) => !black && !keys[i - 1]?.black).map(({ pos, size }) => pos[1] - size[1]);
+  const lanes = whites.map((y) => strip(0x343a45, y, LANE));
   function lay(solid, from, long, height) {
     solid.scale.x = long;
-    solid.position.set(from + long / 2, (left + right) / 2, height);
+    solid.position.setX(from + long / 2).setZ(height);
   }
 
   const coming = COMING_NOTES.map((colours) => colours.map((colour) => new THREE.Color(colour)));
@@ -98,7 +104,8 @@ function createFallingNotes(data, keys, keyboard, colours) {
     extend(wished) {
       length = Math.min(Math.max(wished, SHORTEST_TRACK), LONGEST_TRACK);
       speed = length / (TRACK.ahead + TRACK.past);
-      lay(ground, 0, length, 0.004);
+      lay(ground, 0, TRACK.drawn * length, 0.004);
+      for (const lane of lanes) lay(lane, 0, TRACK.drawn * length, 0.0035);
       lay(line, TRACK.past * speed - 0.001, 0.002, 0.0025);
       return [length * Math.cos(TRACK.slope), length * Math.sin(TRACK.slope)];
     },
@@ -107,7 +114,7 @@ function createFallingNotes(data, keys, keyboard, colours) {
       numbered = data.fingers;
       solids.begin();
       strokes.begin();
-      const end = time + TRACK.ahead, start = time - TRACK.past;
+      const end = time + TRACK.drawn * TRACK.ahead, start = time - TRACK.past;
       within(goal, longest, time, end, (note) => putComing(note, time, end));
       notesBetween(data, start, time, (note) => put(note, start, time, time, colours[note.state - 1]));
       solids.end();

@@ -104,7 +104,6 @@ async function createFilm(data, engraving, { width, height, camera, falling = tr
       drawn = time;
       drawSky(context, width, tall);
       context.drawImage(stage.picture, 0, 0, width, tall);
-      if (!stage.byCard && !stage.flat) smoothEdges(context, width, tall);
       await band?.draw(context, start + time, tall);
       drawTitle(context, time, width, height);
     },

@@ -95,7 +95,7 @@ function createStage(canvas, data, colours) {
     const around = [...outline];
     if (falling.track.visible) {
       const wide = view === "close" ? widest : whole.max.y - whole.min.y, { x, z } = falling.track.position;
-      const [back, up] = falling.extend(VIEWS[view][0] > 0 ? wide / camera.aspect - DEPTH : 0), end = new THREE.Vector3(x - back, 0, z + up);
+      const [back, up] = falling.extend(VIEWS[view][0] > Math.abs(VIEWS[view][1]) ? wide / camera.aspect - DEPTH : 0), end = new THREE.Vector3(x - back, 0, z + up);
       whole.expandByPoint(end);
       around.push(...pointsOf({ min: end.clone().setY(keyboard.min.y), max: end.clone().setY(keyboard.max.y) }, ALONG));
     }
@@ -390,6 +390,8 @@ function createPalm() {
 }
 const DIRECTIONS = Array.from({ length: 12 }, (_, i) => [Math.cos((Math.PI * i) / 6), Math.sin((Math.PI * i) / 6)]);
 
+const SHADOW_PIXELS = 2048; // of a side of what the sun sees
+
 /** A floor that is seen by the shadows on it. */
 function floor(height) {
   const plane = new THREE.Mesh(new THREE.PlaneGeometry(6, 6), litCheaply(new THREE.ShadowMaterial({ opacity: 0.28 })));
@@ -407,7 +409,7 @@ function light(scene, renderer) {
   const sun = new THREE.DirectionalLight(0xfff4e6, 2.1);
   sun.position.set(0.5, -0.7, 1.6);
   sun.castShadow = true;
-  sun.shadow.mapSize.setScalar(bySoftware() ? SHADOW_PIXELS : 2048);
+  sun.shadow.mapSize.setScalar(SHADOW_PIXELS);
   Object.assign(sun.shadow.camera, { left: -0.85, right: 0.85, top: 0.7, bottom: -0.7, near: 0.3, far: 4 });
   sun.shadow.normalBias = 0.002;
   sun.shadow.radius = 5;
@@ -418,7 +420,7 @@ function light(scene, renderer) {
 function createSolidRenderer(canvas, scene) {
   let renderer;
   try {
-    renderer = new THREE.WebGLRenderer({ canvas, antialias: !bySoftware(), alpha: true });
+    renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
   } catch {
     return null;
   }
