@@ -11,6 +11,7 @@ import pytest
 from cadenza.errors import CadenzaError
 from cadenza.music.formats import verovio_reading
 from cadenza.music.formats.reading import ending_of, read_score
+from cadenza.music.libraries.library import composer_of
 
 DOCUMENT = """<mei xmlns="http://www.music-encoding.org/ns/mei" meiversion="5.0"><music><body><mdiv>
 <score><scoreDef meter.count="4" meter.unit="4" midi.bpm="60"><staffGrp>
@@ -237,6 +238,33 @@ def test_mei_is_played(tmp_path, name, encoding):
     path = tmp_path / name
     path.write_bytes(MEI.format(encoding=encoding).encode(encoding))
     assert played(path) == [(0, 1, 60), (1, 1, 66)]
+
+
+TITLED = DOCUMENT.replace(
+    "<music>",
+    "<meiHead><fileDesc><titleStmt><title>Lied &amp; <rend>Tanz</rend></title>"
+    "<composer>Clara</composer></titleStmt></fileDesc></meiHead><music>",
+).format(bar("c"))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "title", "composer"),
+    [
+        ("a.mei", TITLED, "Lied & Tanz", "Clara"),
+        ("a.mei", DOCUMENT.format(bar("c")), "a", ""),
+        (
+            "a.krn",
+            "!!!COM: Wieck, Clara\n!!!OTL@@DE: Lied\n**kern\n*M4/4\n1c\n*-\n",
+            "Lied",
+            "Clara Wieck",
+        ),
+    ],
+)
+@pytest.mark.usefixtures("at_once")
+def test_the_title_and_the_composer_are_those_of_the_file(tmp_path, name, text, title, composer):
+    path = tmp_path / name
+    path.write_text(text)
+    assert (read_score(path).title, composer_of(str(path))) == (title, composer)
 
 
 def test_files_without_music_are_refused_in_a_line(tmp_path):

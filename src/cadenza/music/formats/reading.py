@@ -60,11 +60,7 @@ def read_score(path: Path, tracks: Collection[int] = (), plain: bool = False) ->
     from cadenza.music.formats.musicxml.reader import read_musicxml
     from cadenza.music.formats.verovio_reading import read_by_verovio
 
-    check_format(path)
-    beginning = _beginning(path)
-    form, suffix = ending_of(beginning), path.suffix.lower()
-    if form in _MIDI and suffix in MUSIC and not beginning.startswith(_BEGINS_MIDI):
-        form = suffix  # its bytes say nothing
+    form = _form_of(path)
     if form in _BY_VEROVIO:
         score = read_by_verovio(path, _BY_VEROVIO[form], tracks)
     elif form in _MIDI:
@@ -75,6 +71,27 @@ def read_score(path: Path, tracks: Collection[int] = (), plain: bool = False) ->
     if not os.path.isfile(sidecar):  # also where that name is too long
         return score
     return read_fingering(sidecar, score, all_there=not tracks)
+
+
+def composer_in(path: Path) -> str:
+    """Name who wrote what a file has, if it says so; raises CadenzaError as `read_score` does."""
+    from cadenza.music.formats.musicxml.reader import composer_of_sheet
+    from cadenza.music.formats.verovio_reading import composer_of_file
+
+    form = _form_of(path)
+    if form in _BY_VEROVIO:
+        return composer_of_file(path, _BY_VEROVIO[form])
+    return "" if form in _MIDI else composer_of_sheet(path)
+
+
+def _form_of(path: Path) -> str:
+    """The ending that files of its format have; raises CadenzaError if that is not read."""
+    check_format(path)
+    beginning = _beginning(path)
+    form, suffix = ending_of(beginning), path.suffix.lower()
+    if form in _MIDI and suffix in MUSIC and not beginning.startswith(_BEGINS_MIDI):
+        return suffix  # its bytes say nothing
+    return form
 
 
 def ending_of(content: bytes) -> str:

@@ -14,6 +14,7 @@ import sys
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from html import unescape
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.music.formats.midi import score_of
 from cadenza.music.formats.midi_messages import METRE, TEMPO, Message, parsed
-from cadenza.music.formats.source import read_bytes, title_of
+from cadenza.music.formats.source import printable, read_bytes, title_of
 from cadenza.music.repair import counted_remarks
 from cadenza.music.score import BEAT_TYPES, Score
 
@@ -37,6 +38,15 @@ _FOR_ENGRAVING = re.compile(r"(?m)(^|\t)\*(?:I?Tr[-dc\d]|tremolo|rep\b)[^\t\r\n]
 _LIST = re.compile(r"(?m)^(?:\*\t)*\*>\[")
 _SECTION = re.compile(r"(?:^|\t)\*>(?!\w*\[)")  # the beginning of one
 _LABEL = re.compile(r"(?<=[>\[,])[^\[\],\t]+(?=[\],\t]|$)")  # also each in a list
+_HEAD = 1 << 16  # letters of a file, among which it names its title and composer
+_TITLE = {
+    "Humdrum": re.compile(r"(?m)^!!!OTL[^:\n]*:(.*)$"),
+    "MEI": re.compile(r"(?s)<titleStmt\b[^>]*>\s*<title\b[^>/]*>(.*?)</title>"),
+}
+_COMPOSER = {
+    "Humdrum": re.compile(r"(?m)^!!!COM[^:\n]*:(.*)$"),
+    "MEI": re.compile(r'(?s)<(composer|persName [^>]*role="composer")[^>/]*>(.*?)</'),
+}
 _NEAR = 1e-3  # beats by which Verovio may round
 _MAX_BEATS = 255  # of a time signature in MIDI
 _MINUTE = 60_000_000  # microseconds
@@ -49,7 +59,8 @@ def read_by_verovio(path: Path, form: str, tracks: Collection[int] = ()) -> Scor
     velocities for us, nor fingers. Raises CadenzaError if it is not there, or Verovio makes no
     music of it, or what `read_midi` refuses.
     """
-    played = _played(read_bytes(path), form)
+    content = read_bytes(path)
+    played = _played(content, form)
     if not played:
         raise CadenzaError(
             f"{path}: cannot be read as {form}; open it in a notation program such as "
@@ -61,9 +72,27 @@ def read_by_verovio(path: Path, form: str, tracks: Collection[int] = ()) -> Scor
     music = [[each for each in track if each.kind not in (METRE, TEMPO)] for track in file.tracks]
     marked = [Message(tick, kind, base64.b64decode(content)) for tick, kind, content in marks]
     with errors_in(path):
-        score = score_of(file._replace(tracks=[*music, marked]), tracks, title_of(path))
+        title = _named(_TITLE[form], content) or title_of(path)
+        score = score_of(file._replace(tracks=[*music, marked]), tracks, title)
     remark = f"read by Verovio as {form}: without loudness, pedal and fingers"
     return replace(score, remarks=(remark, *_remarks(Counter(left_out)), *score.remarks))
+
+
+def composer_of_file(path: Path, form: str) -> str:
+    """Name who wrote what a file has; raises CadenzaError if it cannot be read."""
+    name = _named(_COMPOSER[form], read_bytes(path))
+    return " ".join(reversed(name.split(", "))) if name.count(", ") == 1 else name
+
+
+def _named(what: re.Pattern[str], content: bytes) -> str:
+    """What the head of a file calls something, without tags; empty if it does not."""
+    found = what.search(_text(content)[:_HEAD])
+    return printable(unescape(re.sub("<[^>]*>", "", found[found.re.groups]))) if found else ""
+
+
+def _text(content: bytes) -> str:
+    encoding = "utf-16" if content.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+    return content.decode(encoding, "replace")
 
 
 def _remarks(left_out: Counter[str]) -> list[str]:
@@ -111,8 +140,7 @@ def rendered(content: bytes, form: str) -> str:
     from cadenza.music.formats.mei_unfolding import unfolded
 
     enableLog(LOG_OFF)
-    encoding = "utf-16" if content.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
-    text = content.decode(encoding, "replace")
+    text = _text(content)
     if form == "Humdrum":
         text = _loaded(_plain(text), "humdrum").getMEI()
     text, bars, left_out = unfolded(text)

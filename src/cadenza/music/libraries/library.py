@@ -101,8 +101,8 @@ def open_library(spec: str | Path) -> Library:
 
 
 def composer_of(song: str) -> str:
-    """Name who wrote a song; "" if no library that is here says so, nor its MusicXML file."""
-    from cadenza.music.formats.musicxml.reader import composer_in
+    """Name who wrote a song; "" if no library that is here says so, nor its file."""
+    from cadenza.music.formats.reading import composer_in
 
     try:
         return find_song(song).composer or composer_in(Path(song))

@@ -70,7 +70,7 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = (), plain: bool = 
         return _score(root, tracks, plain, title_of(path))
 
 
-def composer_in(path: Path) -> str:
+def composer_of_sheet(path: Path) -> str:
     """Name who wrote what a MusicXML file has; raises CadenzaError as `read_musicxml` does."""
     root = tree_of(path)
     return next((text for each in _COMPOSERS if (text := printable(root.findtext(each, "")))), "")
