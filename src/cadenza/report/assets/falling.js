@@ -34,18 +34,18 @@ function createFallingNotes(data, keys, keyboard, colours) {
   track.quaternion.setFromAxisAngle(new THREE.Vector3(0, 1, 0), Math.PI + TRACK.slope); // x is away
   let speed, length; // [m/s], [m]
   const [left, right] = [keyboard.min.y - 0.015, keyboard.max.y + 0.015];
-  /** A strip of the track, `half` as wide to either side of `y`. */
-  function strip(colour, y, half) {
+  /** A strip of the track, `half` as wide to either side of `y`, drawn flat in such an `order`. */
+  function strip(colour, y, half, order) {
     const solid = mesh("box", [0.5, half, 0.001], { colour: new THREE.Color(colour), roughness: 0.8 });
     solid.castShadow = false;
-    solid.userData.order = 0.5;
+    solid.userData.order = order;
     solid.position.y = y;
     track.add(solid);
     return solid;
   }
-  const [ground, line] = [0x15171b, 0xd5dbe6].map((colour) => strip(colour, (left + right) / 2, (right - left) / 2));
+  const [ground, line] = [0x15171b, 0xd5dbe6].map((colour) => strip(colour, (left + right) / 2, (right - left) / 2, 0.5));
   const whites = keys.filter(({ black }, i) => !black && !keys[i - 1]?.black).map(({ pos, size }) => pos[1] - size[1]);
-  const lanes = whites.map((y) => strip(0x343a45, y, LANE));
+  const lanes = whites.map((y) => strip(0x343a45, y, LANE, 0.55));
   function lay(solid, from, long, height) {
     solid.scale.x = long;
     solid.position.setX(from + long / 2).setZ(height);
