@@ -300,12 +300,12 @@ def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return value
 
 
-def checked(value: Any, kind: type[T], where: object) -> T:
+def checked(value: Any, kind: type[T], where: object, advice: str = _ANOTHER) -> T:
     """Convert what JSON has to a dataclass, a named tuple, or lists and dictionaries of some.
 
     Nothing is converted but lists to tuples and whole numbers to floats. Fields that are missing
     get their defaults. Raises CadenzaError if it is of another type, has fields that `kind` has
-    not, or numbers that are not finite; `where` and which value it is are named.
+    not, or numbers that are not finite: `where`, which value it is, and the `advice`.
     """
     try:
         _check_values(value, "$")
@@ -313,9 +313,9 @@ def checked(value: Any, kind: type[T], where: object) -> T:
         _check_names(value, msgspec.to_builtins(result), "$")
     except (msgspec.ValidationError, CadenzaError) as error:
         wrong = shortened(str(error))  # it may quote what it found
-        raise CadenzaError(f"{where}: {wrong}; {_ANOTHER}") from error
+        raise CadenzaError(f"{where}: {wrong}; {advice}") from error
     except RecursionError as error:
-        raise CadenzaError(f"{where}: too deeply nested; {_ANOTHER}") from error
+        raise CadenzaError(f"{where}: too deeply nested; {advice}") from error
     return result
 
 

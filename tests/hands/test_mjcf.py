@@ -103,7 +103,8 @@ def drawn(old: str, new: str) -> Callable[[Path], None]:
     [
         (described('"ring_tip"', '"ring"'), "finger ring: no body of leap.xml is named 'ring'"),
         (described('palm = "palm"', 'palm = "hand"'), "palm: no body of leap.xml is named 'hand'"),
-        (described("kp = 2.0", "kpp = 2.0"), "Unknown field 'kpp'"),
+        (described("kp = 2.0", "kpp = 2.0"), "Unknown field 'kpp'.*; docs/how-to/hand.md says"),
+        (described("kp = 2.0", "kp = two"), "Invalid value.*; docs/how-to/hand.md says"),
         (described('"ring_tip"', '"palm"'), "finger ring has no joint of its own"),
         (described('"leap.xml"', '"other.xml"'), "other.xml"),
         (

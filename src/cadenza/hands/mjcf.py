@@ -47,6 +47,7 @@ ReachField = Literal["rest", "least", "most", "outward", "inward"]
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 TOML = ".toml"
+_HOW_TO = "docs/how-to/hand.md says what such a file has"
 _MAX_LINKS = 3  # of a finger, as capsules that can meet others
 _THIN = 0.008  # [m] radius of a link without shapes
 _APART = 0.001  # [m] between the origins of links, for a capsule between them
@@ -143,8 +144,8 @@ def description_of(path: Path) -> Description:
     try:
         content = tomllib.loads(content_of(path).decode())
     except ValueError as error:
-        raise CadenzaError(f"{path}: {error}") from None
-    return checked(content, Description, path)
+        raise CadenzaError(f"{path}: {error}; {_HOW_TO}") from None
+    return checked(content, Description, path, _HOW_TO)
 
 
 class HandFile:
