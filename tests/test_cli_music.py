@@ -112,6 +112,13 @@ def test_info_lists_the_tracks(trio, capsys):
     assert lines[heading + 3] == ["3", "4", "A2", "to", "C3", "3", "clarinet", "Cello"]
 
 
+def test_chords_that_follow_one_another_within_a_step_are_not_at_once(tmp_path, capsys):
+    chords = [Note(0.33 * i, 0.33 * (i + 1), pitch + i) for i in range(3) for pitch in (60, 64, 90)]
+    write_midi(Score(tuple(chords)), tmp_path / "song.mid")
+    main(["info", str(tmp_path / "song.mid")])
+    assert "at once    up to 3 keys" in capsys.readouterr().out
+
+
 def test_info_tells_of_the_tracks_that_are_chosen(trio, capsys):
     main(["info", str(trio), "--tracks", "1", "3"])
     said = capsys.readouterr().out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
@@ -54,7 +55,6 @@ def _song_facts(score: Score) -> dict[str, Any]:
 
     trimmed = score.with_silence_trimmed()
     goals = score_to_goals(trimmed, TaskConfig().control_timestep)
-    most = int(goals.keys.sum(axis=1).max())
     pitches = [note.pitch for note in score.notes]
     ends = min(pitches), max(pitches)
     return {
@@ -63,11 +63,17 @@ def _song_facts(score: Score) -> dict[str, Any]:
         **({"bars": len(score.bars)} if score.bars else {}),
         "notes": len(score.notes),
         "range": f"{_notes(*ends)} (MIDI {ends[0]} to {ends[1]})",
-        "at once": f"up to {counted(most, 'key')}",
+        "at once": f"up to {counted(_most_at_once(score), 'key')}",
         "fingering": _about_fingering(score),
         **_about_hands(score),
         "pedal": counted(len(score.pedal), "movement"),
     } | {f"repaired {i}": remark for i, remark in enumerate(score.remarks, start=1)}
+
+
+def _most_at_once(score: Score) -> int:
+    """The most keys that are down at a time, of which one may go up when another goes down."""
+    moves = [(time, down) for n in score.notes for time, down in ((n.start, 1), (n.end, -1))]
+    return max(accumulate(down for _, down in sorted(moves)))
 
 
 def _notes(lowest: int, highest: int) -> str:
