@@ -2,6 +2,9 @@
 
 import pytest
 
+from cadenza.music.libraries.library import load_score
+from musicxml_documents import document
+
 
 @pytest.fixture
 def saved(tmp_path):
@@ -11,3 +14,9 @@ def saved(tmp_path):
         return path
 
     return save
+
+
+@pytest.fixture
+def read(saved):
+    """Reads a MusicXML file of one part, of its bars."""
+    return lambda *bars: load_score(saved(document(bars)))
