@@ -1,8 +1,8 @@
 """For all tests."""
 
+import hashlib
 import os
-import shutil
-import tempfile
+from pathlib import Path
 
 import pytest
 
@@ -11,9 +11,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import cadenza  # noqa: F401 - before any test imports NumPy, and so as commands do
 
 # JAX compiles many programs here, each of which runs for moments: every one once, into a folder
-# that all processes of these tests share, and without optimizing it.
+# that all tests on such a processor share, also later ones, and without optimizing it.
 COMPILED = "JAX_COMPILATION_CACHE_DIR"
 FOR_JAX = {
+    "JAX_COMPILATION_CACHE_MAX_SIZE": str(2**26),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
     "JAX_DISABLE_MOST_OPTIMIZATIONS": "true",
@@ -22,9 +23,12 @@ FOR_JAX = {
 
 def pytest_configure(config: pytest.Config) -> None:
     """Processes of xdist inherit the folder from the one that starts them."""
-    if COMPILED not in os.environ:
-        os.environ |= {COMPILED: tempfile.mkdtemp(prefix="cadenza-tests-"), **FOR_JAX}
-        config.add_cleanup(lambda: shutil.rmtree(os.environ.pop(COMPILED), ignore_errors=True))
+    if COMPILED not in os.environ and config.pluginmanager.has_plugin("cacheprovider"):
+        about = Path("/proc/cpuinfo").read_text()
+        processor = hashlib.sha256(about[about.find("flags") :].partition("\n")[0].encode())
+        folder = config.cache.mkdir(f"jax-{processor.hexdigest()[:8]}")
+        os.environ |= {COMPILED: str(folder), **FOR_JAX}
+        config.add_cleanup(lambda: os.environ.pop(COMPILED))
 
 
 @pytest.fixture(autouse=True, scope="session")
