@@ -233,6 +233,13 @@ def test_a_page_has_title_composer_and_the_finger_of_each_note(tmp_path):
     assert [text for text in texts if text in "12345"] == ["1", "2", "3", "4"] * 4
 
 
+def test_what_times_lacks_in_titles_of_music_is_spelled(tmp_path):
+    write_pdf(song(1, "Nocturne in E♭ and C♯ minor, № 2"), tmp_path / "a.pdf", "Łódź")
+    (page,) = pages_of(tmp_path / "a.pdf")
+    title, composer, *_ = re.findall(r"Tm \((.*)\) Tj", page)
+    assert (title, composer) == ("Nocturne in E-flat and C-sharp minor, No. 2", "Lódz")
+
+
 @pytest.mark.parametrize("num_bars", range(8, 20))
 def test_no_bar_is_left_to_a_system_of_its_own(tmp_path, num_bars):
     write_pdf(song(num_bars), tmp_path / "a.pdf")

@@ -30,6 +30,18 @@ _GAP, _MAX_GAP = 18, 40  # [pt] between systems: at least, and where a page has 
 _FONTS = {"": "Times-Roman", "bold": "Times-Bold", "italic": "Times-Italic"}
 _STYLES = {"fing": "bold", "tempo": "bold", "number": "italic", "mark": "italic"}
 _ENCODING, _UNITS_PER_EM = "cp1252", 2048  # of these fonts, and of Verovio's table of widths
+_SPELLED = str.maketrans(
+    {
+        "♭": "-flat",
+        "♯": "-sharp",
+        "♮": "-natural",
+        "№": "No.",
+        "Ł": "L",
+        "ł": "l",
+        "Đ": "D",
+        "đ": "d",
+    }
+)
 _NUMBER, _COMMAND = re.compile(r"-?[\d.]+"), re.compile(r"([A-Za-z])([^A-Za-z]*)")
 _COUNTS = {"h": 1, "v": 1, "m": 2, "l": 2, "s": 4, "c": 6}  # of numbers after a command of a path
 
@@ -173,7 +185,8 @@ def _text(
 
 
 def _known(text: str) -> str:
-    """Return a text in letters that Times has: others without their accents, or as a "?"."""
+    """Return a text in letters that Times has: others spelled, without accents, or as a "?"."""
+    text = text.translate(_SPELLED)
     pairs = ((letter, unicodedata.normalize("NFKD", letter)[0]) for letter in text)
     known = (letter if letter.encode(_ENCODING, "ignore") else base for letter, base in pairs)
     return "".join(known).encode(_ENCODING, "replace").decode(_ENCODING)
