@@ -273,6 +273,17 @@ def test_a_steady_tempo_is_written_once(tmp_path):
     assert [sound.get("tempo") for sound in root.iter("sound")] == ["120.0000"]
 
 
+@pytest.mark.parametrize(
+    ("beats", "beat_type", "unit", "per_minute"),
+    [(4, 4, "quarter", "120"), (2, 2, "half", "60"), (7, 8, "quarter", "120")],
+)
+def test_the_tempo_is_that_of_the_beats(beats, beat_type, unit, per_minute, tmp_path):
+    step = 2 / beat_type
+    song = Score(tuple(line([60] * 2 * beats, step)), bars=bars(2, beats, step, beat_type))
+    mark = written(song, tmp_path).find(".//metronome")
+    assert (mark.findtext("beat-unit"), mark.findtext("per-minute")) == (unit, per_minute)
+
+
 def test_a_pickup_precedes_the_first_bar(tmp_path):
     begins = (Bar(0.0, 0, (0.0,)), *bars(3, 3, start=0.5))
     notes = line([67, 72, 72, 72, 74, 74, 74, 76, 76, 76], 0.5)

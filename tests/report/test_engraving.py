@@ -233,6 +233,16 @@ def test_a_page_has_title_composer_and_the_finger_of_each_note(tmp_path):
     assert [text for text in texts if text in "12345"] == ["1", "2", "3", "4"] * 4
 
 
+def test_metronome_marks_of_half_notes_are_drawn(tmp_path):
+    bars = tuple(Bar(2.0 * i, i + 1, (2.0 * i, 2.0 * i + 1), 2) for i in range(2))
+    notes = tuple(Note(i, i + 1, 60) for i in range(4))
+    write_pdf(Score(notes, title="Alla breve", bars=bars), tmp_path / "a.pdf")
+    (page,) = pages_of(tmp_path / "a.pdf")
+    texts = re.findall(r"Tm \((.*)\) Tj", page)
+    assert texts[-1].split() == ["=", "60"]
+    assert "?" not in "".join(texts)
+
+
 def test_what_times_lacks_in_titles_of_music_is_spelled(tmp_path):
     write_pdf(song(1, "Nocturne in E♭ and C♯ minor, № 2"), tmp_path / "a.pdf", "Łódź")
     (page,) = pages_of(tmp_path / "a.pdf")

@@ -50,7 +50,8 @@ _PLACED = re.compile(r"translate\((-?\d+), (-?\d+)\) scale\(([\d.]+), [\d.]+\)")
 _LINE = re.compile(r"M(-?\d+) (-?\d+) L(-?\d+) (-?\d+)")
 _LEFT_OUT = {"label", "placeholder"}  # the name of the instrument, and what is not seen
 _CLASSES = {"fing": "fing", "tempo": "tempo", "mNum": "number", "dynam": "mark", "dir": "mark"}
-_IN_TEXT = {"\ueca5": 302, "\uecb7": 97}  # metronome notes and dots, and how wide they are ...
+# Halves and quarters of metronome marks, and dots, and how wide they are ...
+_IN_TEXT = {"\ueca3": 310, "\ueca5": 302, "\uecb7": 97}
 _EM = 1000  # ... in parts of the size of the font
 _STYLES = (
     "text{font-family:Times,serif}.fing,.tempo{font-weight:bold}.number,.mark{font-style:italic}"

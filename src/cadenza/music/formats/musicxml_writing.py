@@ -33,6 +33,7 @@ _ACCIDENTALS = {-2: "flat-flat", -1: "flat", 0: "natural", 1: "sharp", 2: "doubl
 _UNFLAGGED = 3  # the first note values have no flags
 _MINUTE = 60  # seconds
 _DOTTED = 1.5  # quarters of a dotted one
+_HALF = 2  # the lower number of a time signature whose beats are half notes
 
 
 def write_musicxml(score: Score, path: str | Path) -> tuple[str, ...]:
@@ -323,7 +324,10 @@ def _tempo(tempo: TempoMark, here: WrittenMeasure) -> Element:
         return sound
     direction = Element("direction", placement="above")
     mark = SubElement(SubElement(direction, "direction-type"), "metronome")
-    _text(mark, "beat-unit", "quarter")
+    is_cut = here.measure.written[1] == _HALF
+    _text(mark, "beat-unit", "half" if is_cut else "quarter")
+    if is_cut:
+        per_minute /= 2
     if here.divisions.is_compound:
         SubElement(mark, "beat-unit-dot")
         per_minute /= _DOTTED
