@@ -77,28 +77,28 @@ class Camera:
         self._turn(0.0)
         sight, (target, distance) = whole, self._fit(whole.shown)
         nearest = distance
-        if self._follows or self._share(whole, target, distance) < _FILLED:
+        if self._follows or self._filled(whole, target, distance).min() < _FILLED:
             sight, (target, nearest) = hands, self._fit_turning(hands)
         if self._follows:
             distance = nearest
         for _ in range(_ROUNDS):
             if distance > nearest:
-                share = self._share(sight, target, distance)
-                distance = max(nearest, distance * share / _FILLED)
+                share = self._filled(sight, target, distance).min() / _FILLED
+                distance = max(nearest, distance * share)
             target = target + self._shift(sight, target, distance)
         return target, distance
 
     def _fit_turning(self, sight: Sight) -> tuple[Points, float]:
-        """Fit what is seen, turned as little as fills the picture."""
+        """Fit what is seen, turned as little as fills the height of the picture."""
         target, distance = self._fit(sight.shown)
-        if self._share(sight, target, distance) >= _FILLED:
+        if self._filled(sight, target, distance)[1] >= _FILLED:
             return target, distance
         low, high = 0.0, _MAX_TURN
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
             self._turn(middle)
             target, distance = self._fit(sight.shown)
-            if self._share(sight, target, distance) < _FILLED:
+            if self._filled(sight, target, distance)[1] < _FILLED:
                 low = middle
             else:
                 high = middle
@@ -113,10 +113,10 @@ class Camera:
         shift = np.clip(shift, np.minimum(seen.max(0) - 1, 0), np.maximum(seen.min(0) + 1, 0))
         return (shift * self._slope * distance) @ self.axes[:2]
 
-    def _share(self, sight: Sight, target: Points, distance: float) -> float:
-        """How much of width or height of the picture, whichever is less, is filled."""
+    def _filled(self, sight: Sight, target: Points, distance: float) -> Points:
+        """How much of width and height (2,) of the picture is filled."""
         low, high = self._extent(sight, target, distance)
-        return float((high - low).min()) / 2
+        return (high - low) / 2
 
     def _seen(self, points: Points, target: Points, distance: float) -> Points:
         """(N, 2) where points are in the picture, which reaches from -1 to 1 both ways."""

@@ -641,8 +641,10 @@ def test_piano_or_hands_fill_a_picture_of_any_shape_and_none_is_cut(browser, wri
         if part["palm"] or part.get("finger") is not None:
             part["rgba"] = [1, 0, 1, 1]
     browser.open(write(played))
+    shapes = (320, 180), (180, 320), (240, 180), (240, 240)
     for view in VIEWS:
-        for shape in ((320, 180), (180, 320), (240, 180), (240, 240)):
+        wide = [(400, 104)] * (not falling and view != "side")
+        for shape in (*shapes, *wide):
             for time in (0.2, 5):
                 picture = drawn(browser, view, shape, time, falling)
                 empty = margins(picture[..., 3] > 200)

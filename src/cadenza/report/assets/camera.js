@@ -23,7 +23,7 @@ const outlineOf = (box) => pointsOf(box, ALONG).filter(({ x, z }) => x < box.max
  * is in the middle of the picture, how far it is [m], and the direction: turned, where hands would
  * not fill a tall picture while they are farthest apart (`widest`). It looks at the points `shown`
  * of `whole`, or of `hands` if it is `close` or the picture would not be filled, also by the points
- * `around`.
+ * `around`: from side to side only if it has no notes that fall (`hasNotes`), which would be cut.
  */
 function placed(away, aspect, close, whole, hands, widest) {
   const slope = Math.tan((FIELD_OF_VIEW * Math.PI) / 360), slopes = [aspect * slope, slope], up = new THREE.Vector3(0, 0, 1);
@@ -61,8 +61,8 @@ function placed(away, aspect, close, whole, hands, widest) {
       return between(inside.length ? inside : places, i);
     });
   }
-  /** How much of width or height, whichever is less, is filled. */
-  const filled = (sight) => Math.min(...extent(sight).map(([low, high]) => (high - low) / 2));
+  /** How much of width and height is filled. */
+  const filled = (sight) => extent(sight).map(([low, high]) => (high - low) / 2);
   /** Moves so that as little as can be is empty, at both edges the same; to the side, so that the ends of forearms are not cut if there is room. */
   function settle(sight) {
     const places = sight.shown.map(seen), whole = between([...places, ...(sight.arms ?? []).map(seen)], 0);
@@ -73,10 +73,10 @@ function placed(away, aspect, close, whole, hands, widest) {
       return Math.min(Math.max(shift, Math.min(last - 1, 0)), Math.max(first + 1, 0));
     }));
   }
-  /** Turns as little as fills the picture. */
+  /** Turns as little as fills the height of the picture. */
   function turnToFill(sight) {
     let low = 0, high = MAX_TURN;
-    const isFilled = (angle) => (turn(angle), fit(sight.shown), filled(sight) >= FILLED);
+    const isFilled = (angle) => (turn(angle), fit(sight.shown), filled(sight)[1] >= FILLED);
     if (isFilled(0)) return;
     for (let halving = 0; halving < HALVINGS; halving++) {
       const middle = (low + high) / 2;
@@ -86,15 +86,15 @@ function placed(away, aspect, close, whole, hands, widest) {
   }
   turn(0);
   let sight = whole;
-  const afar = fit(whole.shown);
-  if (close || filled(whole) < FILLED) {
+  const afar = fit(whole.shown), [wide, high] = filled(whole);
+  if (close || high < FILLED || (wide < FILLED && !whole.hasNotes)) {
     sight = hands;
     turnToFill(widest);
   }
   const nearest = sight === hands ? fit(hands.shown) : afar;
   distance = close ? nearest : afar;
   for (let round = 0; round < ROUNDS; round++) {
-    if (distance > nearest) distance = Math.max(nearest, (distance * filled(sight)) / FILLED);
+    if (distance > nearest) distance = Math.max(nearest, (distance * Math.min(...filled(sight))) / FILLED);
     settle(sight);
   }
   return { target, distance, towards };

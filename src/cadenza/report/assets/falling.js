@@ -2,7 +2,7 @@
 // arrive in the colour of their hand and with the number of their finger, or grey if these are not
 // known; then in the colour of what became of them.
 
-const TRACK = { ahead: 2.4, past: 0.35, slope: 0.5, drawn: 1.15 }; // [s], [s], [rad]; more than its length, so that notes come from outside the picture
+const TRACK = { ahead: 2.4, past: 0.35, slope: 0.5, drawn: 1.25 }; // [s], [s], [rad]; more than its length, so that notes come from outside the picture
 const LANE = 0.0004; // [m] half as wide as lines between B and C, and E and F, where no black key is
 const SHORTEST_TRACK = 0.2, LONGEST_TRACK = 2; // [m]; in tall pictures it is longer, and notes are faster
 // Of notes on white and on black keys: of the right hand, of the left, of an unknown one.

@@ -92,10 +92,11 @@ function createStage(canvas, data, colours) {
     const { left, right, elbows, rear, reach, height, widest } = follow(Math.max(shown, 0)), whole = keyboard.clone().union(reach);
     const [low, high] = inUse.map((key) => parts.keys[key].pos[1]);
     [whole.min.y, whole.max.y] = [Math.min(low - 0.015, reach.min.y), Math.max(high + 0.015, reach.max.y)];
-    const around = [...outline];
+    const around = [...outline], [x, y] = VIEWS[view], isBefore = x > Math.abs(y); // the track, on the player's side
     if (falling.track.visible) {
-      const wide = view === "close" ? widest : whole.max.y - whole.min.y, { x, z } = falling.track.position;
-      const [back, up] = falling.extend(VIEWS[view][0] > Math.abs(VIEWS[view][1]) ? wide / camera.aspect - DEPTH : 0), end = new THREE.Vector3(x - back, 0, z + up);
+      const wide = view === "close" ? widest : whole.max.y - whole.min.y;
+      const [back, up] = falling.extend(isBefore ? wide / camera.aspect - DEPTH : 0);
+      const end = falling.track.position.clone().add(new THREE.Vector3(-back, 0, up));
       whole.expandByPoint(end);
       around.push(...pointsOf({ min: end.clone().setY(keyboard.min.y), max: end.clone().setY(keyboard.max.y) }, ALONG));
     }
@@ -104,7 +105,8 @@ function createStage(canvas, data, colours) {
     const middle = (left + right) / 2, farthest = between(middle - widest / 2, middle + widest / 2);
     const beside = (ys, thick) => ys.flatMap((y) => [-thick, thick].map((z) => new THREE.Vector3(rear, y, height + z)));
     const ends = beside([left + HALF_HAND, right - HALF_HAND], THICK), arms = beside(elbows, ELBOW);
-    return [whole, between(left, right), farthest].map((box) => ({ shown: pointsOf(box), around: [...around, ...ends], arms }));
+    const hasNotes = falling.track.visible && isBefore;
+    return [whole, between(left, right), farthest].map((box) => ({ shown: pointsOf(box), around: [...around, ...ends], arms, hasNotes }));
   }
 
   /** Looks from a named side, if there is one, as near as keeps in sight what is looked at; falling notes have a track as long as that leaves. */
