@@ -204,30 +204,14 @@ def expressive_metrics(played: Score, written: Score) -> dict[str, float | None]
     other. Notes that are left over are paired if they begin within 0.2 s. Each time, as many pairs
     are made as can be, the first note with the first. A written note without a pair was missed.
 
-    - `onset_delay` [s]: the median of played minus written onset; positive is late.
-    - `onset_error_median`, `onset_error_90` [s]: median and 90th percentile of the absolute onset
-      error that remains after subtracting `onset_delay`.
-    - `ioi_error_median`, `ioi_error_90` [s]: absolute error of the inter-onset intervals between
-      successive written onsets that have pairs. A chord is played at the mean of its onsets.
-    - `chord_spread_median`, `chord_spread_90` [s]: latest minus earliest onset of paired notes that
-      are written at exactly the same time.
-    - `duration_error_median` [s]: absolute error of the time for which a key is held.
-    - `velocity_error`: mean absolute error of the MIDI velocities of pairs.
-    - `velocity_error_with_misses`: mean over all written notes, where a missed note counts its
-      whole velocity, as if it had been played with velocity 0.
-    - `velocity_correlation`: Pearson's correlation of the velocities of pairs; None where either
-      side is constant.
-    - `note_onset_f1`: F1 of the pairs that begin within 0.05 s, as in `mir_eval.transcription`
-      without offsets (Raffel et al., ISMIR 2014).
-    - `extra_notes_per_100`, `missed_notes_per_100`: notes that are in none of these pairs, played
-      and written ones, for every hundred that are written.
-    - `note_onset_velocity_f1`: the same of those pairs whose velocities also agree, as in
-      `mir_eval.transcription_velocity` (Hawthorne et al., ISMIR 2018): the played velocities are
-      fitted to the written ones by linear regression, and may then be off by less than a tenth of
-      the range of the written velocities. Where repeated notes allow several largest matchings,
-      mir_eval may choose another.
-    - `onset_f1_times_velocity_accuracy`: `note_onset_f1` times one minus the mean absolute velocity
-      error of the pairs within 0.05 s divided by 127.
+    The page on results says what each metric is. A chord is played at the mean of its onsets, and
+    spreads if its notes are written at exactly the same time. In `velocity_error_with_misses`, a
+    missed note counts its whole velocity; `velocity_correlation` is None where either side is
+    constant. `note_onset_f1` is that of `mir_eval.transcription` without offsets (Raffel et al.,
+    ISMIR 2014), `note_onset_velocity_f1` that of `mir_eval.transcription_velocity` (Hawthorne et
+    al., ISMIR 2018): the played velocities are fitted to the written ones by linear regression, and
+    may then be off by less than a tenth of the range of the written velocities. Where repeated
+    notes allow several largest matchings, mir_eval may choose another.
 
     Where nothing was written and nothing was played, the three F1 are 1.
 

@@ -107,7 +107,8 @@ def _figure(summary: BenchSummary) -> dict[str, Any]:
     order = np.argsort(-tables[0][0], kind="stable").tolist()  # what has none comes last
     chart_width = _WIDTH - _LEFT - _RIGHT
     column = chart_width / len(order)
-    names = [_shortened(columns[i]) for i in order] if column >= _MIN_NAMED_COLUMN else []
+    titles = (columns[i] for i in order if column >= _MIN_NAMED_COLUMN)
+    names = [t if len(t) <= _MAX_TITLE else f"{t[: _MAX_TITLE - 1]}…" for t in titles]
     longest = _CHARACTER * max(map(len, names), default=0)
     is_turned = longest > column
     below = (_TITLE + _HEIGHT + _GAP) * len(rows)
@@ -150,7 +151,3 @@ def _means_text(summary: BenchSummary, agent: str) -> str:
         text = f"{METRICS[name].title} ({mark}) {value}"
         parts.append(f"{text} (95 %: {interval})" if interval else text)
     return f"means: {', '.join(parts)}"
-
-
-def _shortened(title: str) -> str:
-    return title if len(title) <= _MAX_TITLE else f"{title[: _MAX_TITLE - 1]}…"

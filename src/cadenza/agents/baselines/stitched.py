@@ -21,7 +21,6 @@ from cadenza.agents.planner.plan.presses import RISE, Press
 from cadenza.agents.planner.plan.rest_poses import forearm_places, rest_posture
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.errors import CadenzaError
-from cadenza.hands.reach import JumpTimes
 from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import Scene, build_scene, hand_alone
 from cadenza.scene.servos import servos_of
@@ -62,7 +61,8 @@ def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
             "agent stitched moves hands along the keyboard, which these cannot: "
             "add tx to --forearm-dofs, or choose another agent"
         )
-    planner = MotionPlanner(scene, dt, _slower(scene.hand.jump_times))
+    open_loop = replace(scene.hand.jump_times.accelerated(_ACCELERATION), next_key=RISE)
+    planner = MotionPlanner(scene, dt, open_loop)
     presses = planner.presses(goals.fingers)
     before, states = planner.still(start, 0), goals.num_steps + 1
     postures = np.empty((states, len(scene.actuator_names)))
@@ -77,11 +77,6 @@ def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
             targets.force[press.first : press.last, press.finger] *= _WHITE_KEY_FORCE
     solved = PostureTrajectory(postures, postures, targets)
     return SongPlan(scene, track, goals, planner.track(before, presses, solved))
-
-
-def _slower(times: JumpTimes) -> JumpTimes:
-    """Jump times of hands that play open loop, given those of the planner's hands."""
-    return replace(times.accelerated(_ACCELERATION), next_key=RISE)
 
 
 Held = tuple[tuple[int, int], ...]  # pairs of finger and key, of each finger that is down

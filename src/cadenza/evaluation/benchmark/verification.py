@@ -256,10 +256,6 @@ def _run(result: Result, folder: Path, digest: str, low: Any, high: Any) -> Ente
         song=result.song.name,
         seed=result.seed,
         song_digest=digest,
-        metrics={name: _number(result.metrics.get(name)) for name in METRICS},
+        metrics={n: None if (of := result.metrics.get(n)) is None else float(of) for n in METRICS},
         cpu_seconds=result.timing.cpu_seconds,
     )
-
-
-def _number(value: Any) -> float | None:
-    return None if value is None else float(value)

@@ -192,7 +192,8 @@ def _merged(groups: list[_OnsetGroup], starts: list[int]) -> tuple[list[WrittenC
 def _stream(merged: list[WrittenChord], grids: dict[int, int], ticks: list[int]) -> Stream:
     """The chords with their ends on the grid."""
     for chord, following in zip_longest(merged, [chord.start for chord in merged[1:]]):
-        end = max(_end(chord.end, grids, ticks), chord.start + _least(chord, grids, ticks))
+        least = _unit(_cell(ticks, chord.start), grids, ticks)
+        end = max(_end(chord.end, grids, ticks), chord.start + least)
         if following is not None:
             gap = following - end
             is_short = gap <= _FILLED * (following - chord.start) and gap < _MAX_FILLED
@@ -225,11 +226,6 @@ def _end(at: int, grids: dict[int, int], ticks: list[int]) -> int:
     cell = _cell(ticks, at)
     unit = _unit(cell, grids, ticks)
     return ticks[cell] + round((at - ticks[cell]) / unit) * unit
-
-
-def _least(chord: WrittenChord, grids: dict[int, int], ticks: list[int]) -> int:
-    """The least length of a chord [ticks]."""
-    return _unit(_cell(ticks, chord.start), grids, ticks)
 
 
 def _unit(cell: int, grids: dict[int, int], ticks: list[int]) -> int:
