@@ -173,15 +173,14 @@ def _drawn(page: str, browser: str, asked: dict[str, Any], progress: Progress) -
             flags.append("--no-sandbox")  # it refuses to run as root otherwise; the page is our own
         address = f"http://127.0.0.1:{server.server_port}/{token}/?film={quote(json.dumps(asked))}"
         process = subprocess.Popen([browser, *flags, address], stdout=DEVNULL, stderr=DEVNULL)
+        ends.enter_context(process)
+        ends.callback(process.terminate)
 
         def watch() -> None:
             process.wait()
             events.put((["error"], b"it has ended"))
 
-        watching = threading.Thread(target=watch)
-        watching.start()
-        ends.callback(watching.join)
-        ends.callback(process.terminate)
+        threading.Thread(target=watch, daemon=True).start()
         while True:
             try:
                 (kind, *words), body = events.get(timeout=_PATIENCE)

@@ -3,6 +3,7 @@
 // known; then in the colour of what became of them.
 
 const TRACK = { ahead: 2.4, past: 0.35, slope: 0.5, drawn: 1.25 }; // [s], [s], [rad]; more than its length, so that notes come from outside the picture
+const GLOW = { before: 0.35, now: 1.1, after: 0.15 }; // of its colour that a note sends out, until it sounds, then, and thereafter
 const LANE = 0.0004; // [m] half as wide as lines between B and C, and E and F, where no black key is
 const SHORTEST_TRACK = 0.2, LONGEST_TRACK = 2; // [m]; in tall pictures it is longer, and notes are faster
 // Of notes on white and on black keys: of the right hand, of the left, of an unknown one.
@@ -75,13 +76,13 @@ function createFallingNotes(data, keys, keyboard, colours) {
   }
   const solids = pool(0.6), strokes = pool(0.7);
 
-  function put({ key, from, to }, start, end, now, colour) {
+  function put({ key, from, to }, start, end, now, colour, glow = GLOW.before) {
     const solid = solids.next(), x = (time) => (time - now + TRACK.past) * speed;
     const near = x(Math.max(from, start)), far = x(Math.min(to, end));
     solid.scale.set(Math.max(far - near - 0.001, 5e-4), keys[key].black ? 0.009 : 0.013, 0.003);
     solid.position.set((near + far) / 2, keys[key].pos[1], keys[key].black ? -0.001 : 0);
     solid.material.color.copy(colour);
-    solid.material.emissive.copy(colour).multiplyScalar(0.35);
+    solid.material.emissive.copy(colour).multiplyScalar(glow);
     return [near, far];
   }
 
@@ -116,7 +117,7 @@ function createFallingNotes(data, keys, keyboard, colours) {
       strokes.begin();
       const end = time + TRACK.drawn * TRACK.ahead, start = time - TRACK.past;
       within(goal, longest, time, end, (note) => putComing(note, time, end));
-      notesBetween(data, start, time, (note) => put(note, start, time, time, colours[note.state - 1]));
+      notesBetween(data, start, time, (note) => put(note, start, time, time, colours[note.state - 1], note.to < time ? GLOW.after : GLOW.now));
       solids.end();
       strokes.end();
     },

@@ -60,8 +60,7 @@ const SUNLIGHT = `
 const SOLID = `
   varying vec3 inSun, inShadow;
   void main() {
-    vec3 sun = inSun - inShadow;
-    gl_FragColor = vec4(inShadow + (sun.g > ${LEAST_LIGHT} ? sunlight() : 1.0) * sun, opacity);
+    gl_FragColor = vec4(mix(inShadow, inSun, inSun.g - inShadow.g > ${LEAST_LIGHT} ? sunlight() : 1.0), opacity);
   }`;
 const SHADOW = "void main() { gl_FragColor = vec4(0.0, 0.0, 0.0, opacity * (1.0 - sunlight())); }";
 
