@@ -284,6 +284,22 @@ def test_the_tempo_is_that_of_the_beats(beats, beat_type, unit, per_minute, tmp_
     assert (mark.findtext("beat-unit"), mark.findtext("per-minute")) == (unit, per_minute)
 
 
+def test_very_high_and_very_low_bars_are_written_an_octave_nearer(tmp_path):
+    high, low = [84, 96, 98, 96], [33, 24, 21, 24]
+    right = line([72, 74, 76, 77, *high, *high, 67, 84, 96, 84], 0.5)
+    left = line([48] * 4 + low + [48] * 8, 0.5, hand=LEFT)
+    song = Score((*right, *left), bars=bars(4))
+    root = written(song, tmp_path)
+    shifts = [
+        (measure.get("number"), direction.findtext("staff"), shift.get("type"))
+        for measure in root.iter("measure")
+        for direction in measure.iter("direction")
+        for shift in direction.iter("octave-shift")
+    ]
+    assert shifts == [("2", "1", "down"), ("2", "2", "up"), ("2", "2", "stop"), ("3", "1", "stop")]
+    assert by_pitch(read_back(song, tmp_path)) == by_pitch(song)
+
+
 def test_a_pickup_precedes_the_first_bar(tmp_path):
     begins = (Bar(0.0, 0, (0.0,)), *bars(3, 3, start=0.5))
     notes = line([67, 72, 72, 72, 74, 74, 74, 76, 76, 76], 0.5)

@@ -101,7 +101,10 @@ class _Writer:
         measure = SubElement(part, "measure", number=str(here.measure.number))
         if here.measure.is_part:
             measure.set("implicit", "yes")
-        before = self._sheet.measures[index - 1] if index else None
+        before, following = (
+            self._sheet.measures[i] if 0 <= i < len(self._sheet.measures) else None
+            for i in (index - 1, index + 1)
+        )
         self._attributes(measure, here, before)
         for hand, staff in enumerate(here.staves):
             accidentals = _accidentals(staff.voices, here.key)
@@ -109,7 +112,12 @@ class _Writer:
                 if (hand, number) != (RIGHT, 1):
                     self._duration(SubElement(measure, "backup"), here.measure.length)
                 voice = _Voice(number, hand, symbols, accidentals)
+                others = [each and each.staves[hand].octave for each in (before, following)]
+                if voice.is_first and staff.octave and others[0] != staff.octave:
+                    measure.append(_octave_shift("down" if staff.octave > 0 else "up", hand))
                 self._voice(measure, here, voice)
+                if voice.is_first and staff.octave and others[1] != staff.octave:
+                    measure.append(_octave_shift("stop", hand))
         if index == len(self._sheet.measures) - 1:
             barline = SubElement(measure, "barline", location="right")
             _text(barline, "bar-style", "light-heavy")
@@ -342,6 +350,15 @@ def _pedal(mark: PedalMark) -> Element:
     kind = "start" if mark.is_down else "stop"
     SubElement(SubElement(direction, "direction-type"), "pedal", type=kind, line="yes")
     _text(direction, "staff", 2)
+    return direction
+
+
+def _octave_shift(kind: str, hand: int) -> Element:
+    """An 8va, "down" from what sounds to what is written, or 8vb, or where either stops."""
+    direction = Element("direction", placement="above" if hand == RIGHT else "below")
+    shift = SubElement(SubElement(direction, "direction-type"), "octave-shift", type=kind)
+    shift.set("size", "8")
+    _text(direction, "staff", hand + 1)
     return direction
 
 

@@ -17,6 +17,9 @@ _STAFF = 9  # semitones from the middle line that need at most one ledger line
 _UNUSUAL = 4  # weight of these in the clef of the other hand
 _CHANGE_OF_CLEF = 30.5  # semitones beyond the staff, summed over notes, that one outweighs
 
+_LEDGERS = 25  # semitones from the middle line from which on notes are written an octave nearer ...
+_BESIDE = 8  # ... if all of their measure are this far on that side
+
 _TEMPO_ERROR = 0.01  # [s] by which times that follow from the tempos may differ
 _FASTEST = 1e-3  # [s] of a quarter
 _SHOWN = 0.12  # relative change of tempo of two measures that is shown
@@ -54,6 +57,20 @@ def clefs(pitches: Sequence[Sequence[int]], usual: str) -> list[str]:
     change = _CHANGE_OF_CLEF * (1 - np.eye(2))
     costs[0] = costs[0] + change[0]
     return [kinds[i] for i in cheapest_sequence(costs, [change] * (len(costs) - 1))]
+
+
+def octaves(pitches: Sequence[Sequence[int]], clefs: Sequence[str]) -> list[int]:
+    """The octaves that each measure sounds above what is written: 1 for an 8va, -1 for an 8vb.
+
+    `pitches` are those of its notes.
+    """
+    shifts = []
+    for here, clef in zip(pitches, clefs, strict=True):
+        beyond = [pitch - _MIDDLE_LINE[clef] for pitch in here] or [0]
+        is_high = clef == TREBLE and max(beyond) >= _LEDGERS and min(beyond) >= _BESIDE
+        is_low = clef == BASS and min(beyond) <= -_LEDGERS and max(beyond) <= -_BESIDE
+        shifts.append(is_high - is_low)
+    return shifts
 
 
 def tempos(metre: Metre) -> list[TempoMark]:

@@ -17,6 +17,7 @@ from cadenza.music.notation.marks import (
     TempoMark,
     clefs,
     dynamics,
+    octaves,
     pedal_marks,
     tempos,
 )
@@ -46,11 +47,13 @@ class Symbol:
 class Staff:
     """A staff of a measure: its clef, and one or two voices, each a list of symbols.
 
+    It sounds `octave` octaves above what is written.
     A voice without symbols rests. The second voice has no symbols where it rests.
     """
 
     clef: str
     voices: tuple[tuple[Symbol, ...], ...]
+    octave: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,12 +188,15 @@ def _staves(
 ) -> list[Staff]:
     """The staff of a hand in each measure."""
     begins = [measure.start for measure in metre.measures]
-    changing = clefs(_by_measure(begins, streams, "pitch"), usual_clef)
+    pitches = _by_measure(begins, streams, "pitch")
+    changing = clefs(pitches, usual_clef)
     cells = metre.ticks.tolist()
     written = [_written(stream, metre.measures, divisions, cells, names) for stream in streams]
     return [
-        Staff(clef, _used(upper, lower))
-        for clef, upper, lower in zip(changing, *written, strict=True)
+        Staff(clef, _used(upper, lower), octave)
+        for clef, octave, upper, lower in zip(
+            changing, octaves(pitches, changing), *written, strict=True
+        )
     ]
 
 
