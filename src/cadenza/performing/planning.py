@@ -56,6 +56,13 @@ class Plan:
         return tuple(note.finger for note in self.score.notes)
 
     @property
+    def score_played(self) -> Score:
+        """The score in the tempo and the key in which it is played."""
+        track = self.performance.track
+        assert track is not None
+        return self.score.stretched(track.config.stretch).transposed(track.config.transpose)
+
+    @property
     def metrics(self) -> dict[str, Any]:
         """The scores of the plan: see `cadenza.agents.rollout.EpisodeResult`."""
         return self.performance.metrics
