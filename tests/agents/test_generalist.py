@@ -462,7 +462,7 @@ print("jax" in sys.modules)"""
 # What is in sight only
 
 
-@pytest.mark.parametrize("look_ahead", [0.5, 2.0])
+@pytest.mark.parametrize("look_ahead", [0.5, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_plays_the_same_whatever_comes_beyond_what_it_sees(look_ahead):
     known = load_score("BachPreludeInCMajor").beginning(4.5)
     others = tuple(Note(4 + i / 4, 5 + i / 4, 40 + i, 80) for i in range(12))
