@@ -570,7 +570,7 @@ def test_a_plan_is_written_as_sheet_music(tune, tmp_path, capsys):
 
 def test_the_sheet_music_of_a_plan_is_in_its_key_and_tempo(tune, tmp_path):
     how = "--transpose", "3", "--stretch", "2"
-    path, sheet = tmp_path / "plan.safetensors", tmp_path / "tune.mid"
+    path, sheet = tmp_path / "plan.safetensors", tmp_path / "sheet.mid"
     main(["plan", str(tune), *how, "-o", str(path), "--score", str(sheet)])
     written, tuned = read_midi(sheet), read_midi(tune)
     assert [n.pitch for n in written.notes] == [n.pitch + 3 for n in tuned.notes]
