@@ -371,9 +371,22 @@ def test_hands_that_do_not_slide_practise():
 def test_the_only_passage_of_a_short_song_is_told():
     done = practice(score=Score(HARD.notes[:1]))
     done.run(0.01)
-    done.trajectory.loss[:] = 0.0
-    done.trajectory.loss[0, 0] = 1.0
-    assert done.passages_with_loss() == [0]
+    done.trajectory.faults[:] = 0
+    done.trajectory.faults[0, 0] = 1
+    assert done.passages_with_faults() == [0]
+
+
+def test_only_notes_that_are_wrong_are_not_yet_right(tmp_path, capsys):
+    """A hand that lets go early to leap plays every note, and one neighbour where it leaps far."""
+    for far, is_right in (22, True), (24, False):
+        leaps = (Note(t, t + 1.0, 48 + i % 2 * far) for i, t in enumerate((0.0, 1.0, 2.0, 3.0)))
+        write_midi(Score(tuple(leaps)), tmp_path / "leaps.mid")
+        options = ["--effort", "0", "--hands", "right", "--planner.method", "none", "-o"]
+        main(["practice", str(tmp_path / "leaps.mid"), *options, str(tmp_path / str(far))])
+        said = capsys.readouterr().out
+        assert "F1 1.000, note" not in said  # keys are silent that should sound
+        assert ("note onsets F1 1.000" in said) == is_right
+        assert ("not yet right" in said) != is_right
 
 
 def test_the_planner_practises_before_it_plays():

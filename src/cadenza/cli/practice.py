@@ -232,7 +232,7 @@ def _practise(
         should_continue()
     if not practice.history:
         print("stopped within the first take; what follows is played as planned, without a search")
-    elif left := practice.steps_with_loss() if score.bars else practice.passages_with_loss():
+    elif left := practice.steps_with_faults() if score.bars else practice.passages_with_faults():
         print(f"not yet right: {_places(practice, score, left)}")
 
 
@@ -253,8 +253,9 @@ def _remark(practice: Practice, score: Score) -> str:
     """Return what stands beside the progress: the scores, what is practised, what is left."""
     so_far = f"{_scores(practice.history[-1])}, " if practice.history else ""
     how = "another take, " if practice.plays_variant else ""
-    left = counted(len(practice.passages_with_loss()), "passage")
-    return f"{so_far}{how}{_places(practice, score, practice.current_steps)}, {left} left"
+    num_left = len(practice.passages_with_faults())
+    left = f"{counted(num_left, 'passage')} left" if num_left else "all notes right"
+    return f"{so_far}{how}{_places(practice, score, practice.current_steps)}, {left}"
 
 
 def _scores(row: tuple[float, float, float]) -> str:

@@ -147,13 +147,13 @@ class Practice:
             return True
         return self.effort < effort and bool(self.trajectory.all_loss.any())
 
-    def steps_with_loss(self) -> list[int]:
-        """The steps with a loss."""
-        return np.flatnonzero(self.trajectory.loss.any(axis=1)).tolist()
+    def steps_with_faults(self) -> list[int]:
+        """The steps in which a note was missed, or struck and not written."""
+        return np.flatnonzero(self.trajectory.faults.any(axis=1)).tolist()
 
-    def passages_with_loss(self) -> list[int]:
-        """The first step of each passage with a loss."""
-        steps = np.array(self.steps_with_loss(), np.intp)
+    def passages_with_faults(self) -> list[int]:
+        """The first step of each passage with such a note."""
+        steps = np.array(self.steps_with_faults(), np.intp)
         apart = np.diff(steps, prepend=-self._apart - 1) > self._apart
         return list(map(int, steps[apart]))
 
