@@ -399,6 +399,19 @@ def test_of_songs_chosen_at_once_the_last_is_played(browser, address):
     assert browser.problems() == []
 
 
+def test_what_is_being_prepared_goes_on_when_it_is_asked_for_again(browser, address):
+    visit(browser, address)
+    play = "document.querySelector('[data-song=OdeToJoy]').click()"
+    browser.evaluate(f"{play}; {play}")  # before the server has answered
+    wait(browser, "cadenza.state !== 'idle'")
+    browser.evaluate(f"cadenza.live || {play}")
+    wait(browser, "cadenza.began && document.title.startsWith('Ode to Joy')")
+    sent = [e["params"] for e in browser.events if e["method"] == "Network.requestWillBeSent"]
+    asked = [each["request"] for each in sent if "/api/jobs" in each["request"]["url"]]
+    assert [request["method"] for request in asked] == ["POST"]
+    cancel(browser)
+
+
 @pytest.mark.parametrize("name", ["a.pdf", "a.mp4", "folder"])
 def test_each_file_that_is_refused_is_told_why_in_a_line(browser, address, tmp_path, name):
     visit(browser, address)

@@ -131,13 +131,24 @@ async function upload(file) {
   }
   await playChosen();
 }
-/** Plays the chosen song, instead of one that is being planned for this page. */
+let asked = ""; // what the server is being asked to play
+/** Plays the chosen song, instead of one that is being planned for this page; what is being prepared already goes on. */
 async function playChosen() {
   instrument.wake();
-  const wanted = JSON.stringify(playRequest()), choiceNumber = ++numChoices;
-  if (current && !current.over && !current.complete) await fetchJson(`api/jobs/${current.id}`, "DELETE");
-  if (choiceNumber !== numChoices) return;
-  const { id } = await fetchJson("api/jobs", "POST", wanted);
-  if (choiceNumber === numChoices) watch(id);
-  else await fetchJson(`api/jobs/${id}`, "DELETE"); // something else was chosen meanwhile
+  const wanted = JSON.stringify(playRequest());
+  if (wanted === asked || (wanted === current?.wanted && !current.over && !isReady())) return;
+  const choiceNumber = ++numChoices;
+  asked = wanted;
+  try {
+    if (current && !current.over && !current.complete) await fetchJson(`api/jobs/${current.id}`, "DELETE");
+    if (choiceNumber !== numChoices) return;
+    const { id } = await fetchJson("api/jobs", "POST", wanted);
+    if (choiceNumber !== numChoices) await fetchJson(`api/jobs/${id}`, "DELETE"); // something else was chosen meanwhile
+    else {
+      watch(id);
+      current.wanted = wanted;
+    }
+  } finally {
+    if (asked === wanted) asked = "";
+  }
 }
