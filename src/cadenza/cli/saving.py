@@ -50,7 +50,7 @@ def write_sheet(score: Score, path: Path, song: str) -> None:
     Fingers of a .mid file are written beside it; who wrote the `song` stands in a PDF.
     """
     from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
-    from cadenza.music.formats.midi import write_midi
+    from cadenza.music.formats.midi_sheet import write_midi_sheet
     from cadenza.music.formats.musicxml_writing import write_musicxml
     from cadenza.music.libraries.library import composer_of
     from cadenza.report.engraving import write_svg
@@ -58,7 +58,7 @@ def write_sheet(score: Score, path: Path, song: str) -> None:
 
     remarks: tuple[str, ...] = ()
     if path.suffix == ".mid":
-        write_midi(score, path)
+        write_midi_sheet(score, path)
         write_fingering(score, path.with_suffix(SUFFIX))
     elif path.suffix == ".pdf":
         remarks = write_pdf(score, path, composer_of(song))

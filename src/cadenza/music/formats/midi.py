@@ -166,14 +166,19 @@ def write_midi(score: Score, path: str | Path) -> None:
             f"{path}: cannot write a song of {max(score.total_time, last) / 60:.4g} minutes, "
             f"the longest is {LONGEST // _TICKS_PER_SECOND // 60}"
         )
-    title = score.title.encode("utf-8", "replace").decode("utf-8")
-    track = mido.MidiTrack([mido.MetaMessage("track_name", name=title)] if title else [])
+    track = mido.MidiTrack(title_messages(score))
     track.append(mido.MetaMessage("set_tempo", tempo=_DEFAULT_TEMPO))
     track += messages(score.notes, score.pedal, _ticks)
     file = mido.MidiFile(type=0, ticks_per_beat=_TICKS_PER_QUARTER, charset="utf-8")
     file.tracks.append(track)
     with write_atomically(Path(path)) as out:
         file.save(file=out)
+
+
+def title_messages(score: Score) -> list[mido.MetaMessage]:
+    """The message that names the song, if it has a title."""
+    title = score.title.encode("utf-8", "replace").decode("utf-8")
+    return [mido.MetaMessage("track_name", name=title)] if title else []
 
 
 def messages(
