@@ -213,6 +213,16 @@ MEI = """<?xml version="1.0" encoding="{encoding}"?>
 </layer></staff></measure></section></score></mdiv></body></music></mei>"""
 
 
+def test_words_have_their_usual_tempo_in_mei_without_any(tmp_path):
+    text = MEI.format(encoding="UTF-8").replace("</layer></staff>", "</layer></staff>{}")
+    words = '<tempo tstamp="1" staff="1"><rend>Andante</rend></tempo>'
+    for tempo, seconds in ("midi.bpm='60'", 1.0), ("", 60 / 92):
+        (tmp_path / "tune.mei").write_text(text.format(words).replace('midi.bpm="60"', tempo))
+        score = read_score(tmp_path / "tune.mei")
+        assert score.notes[1].start == pytest.approx(seconds, abs=1e-3)
+        assert ("1 tempo word played as usual" in " ".join(score.remarks)) == (not tempo)
+
+
 def played(path):
     return [(round(n.start, 3), round(n.end - n.start, 1), n.pitch) for n in read_score(path).notes]
 

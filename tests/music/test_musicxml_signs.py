@@ -235,6 +235,27 @@ def test_a_metronome_mark_that_gives_no_tempo_is_told(read):
     assert score.remarks == ("1 metronome mark without a tempo left out",)
 
 
+@pytest.mark.parametrize(
+    ("words", "quarters_a_minute"),
+    [
+        ("Andante con moto", 92),
+        ("ANDANTINO", 94),
+        ("Allegro moderato", 118),
+        ("Più allegro", 1.15 * 120),
+        ("Largely by heart", 120),
+    ],
+)
+def test_words_have_their_usual_tempo_in_a_file_without_any(read, words, quarters_a_minute):
+    mark = direction(f"<words>{words}</words>")
+    score = read(FOUR_QUARTERS + mark + note("C4", 16))
+    assert score.total_time == pytest.approx(4 * 60 / quarters_a_minute)
+    told = ("1 tempo word played as usual, as the file gives no tempo",)
+    assert score.remarks == (told if quarters_a_minute in (92, 94, 118) else ())
+    given = read(FOUR_QUARTERS + mark + note("C4", 16), tempo(60) + note("C4", 4))
+    assert given.total_time == pytest.approx(2 / (1.15 if "Più" in words else 1) + 1)
+    assert given.remarks == ()
+
+
 def test_swing_and_what_is_plain(saved):
     swing = "<swing><first>2</first><second>1</second><swing-type>eighth</swing-type></swing>"
     path = saved(document([TEMPO + f"<sound>{swing}</sound>" + note("C4", 2) + note("D4", 2)]))

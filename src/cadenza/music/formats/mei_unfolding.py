@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element, SubElement, fromstring, tostring
 
 from cadenza.music.formats.musicxml.bars import Signs, WrittenBar, played_order, without_goal
 from cadenza.music.formats.musicxml.jumps import JumpReader
+from cadenza.music.signs.words import usual_tempo
 
 _ID = "xml:id"
 _NAMESPACE = "http://www.music-encoding.org/ns/mei"
@@ -27,6 +28,7 @@ _TEMPO = 120.0  # quarters a minute where nothing is said, as in MIDI
 _LENGTHS = {"breve": Fraction(2), "long": Fraction(4), "maxima": Fraction(8)}  # whole notes
 _SIGNS = {"common": (4, 4), "cut": (2, 2)}
 _WORDS = {"daCapo": "da capo", "dalSegno": "dal segno"}
+_TEMPOS = frozenset(("scoreDef", "staffDef", "tempo"))
 _EVENTS = frozenset(("note", "chord", "rest", "space"))
 _REPEATED_BARS = {"mRpt": 1, "mRpt2": 2, "multiRpt": 0}  # the last has @num
 _REPEATS = ("rptend", "rptboth"), ("rptstart", "rptboth")
@@ -154,6 +156,7 @@ class _Unfolding:
         self._held: dict[Element, range] = {}  # the bars that an element holds
         self._changes: list[Element] = []  # scoreDefs
         self._metre, self._tempo = (4, 4), _TEMPO
+        self._says_tempo = any(_tempo(each) for each in score.iter() if each.tag in _TEMPOS)
         self._read(score, frozenset())
         for first in self._changes[:1]:
             for staff in first.iter("staffDef"):  # also after a jump back
@@ -190,7 +193,7 @@ class _Unfolding:
     def _read_measure(self, measure: Element, ending: frozenset[int]) -> None:
         tempos = [(_ZERO, self._tempo)]
         for element in measure.iter("tempo"):
-            if tempo := _tempo(element):
+            if tempo := _tempo(element) or self._usual_tempo(element):
                 place = ((_number(element.get("tstamp")) or Fraction(1)) - 1) * 4 / self._metre[1]
                 tempos.append((max(place, _ZERO), tempo))
         tempos.sort(key=lambda each: each[0])
@@ -198,6 +201,12 @@ class _Unfolding:
         signs = Signs(ending=ending)
         self._held[measure] = range(len(self._bars), len(self._bars) + 1)
         self._bars.append(MeiBar(measure, len(self._changes), self._metre, tempos, signs))
+
+    def _usual_tempo(self, element: Element) -> float | None:
+        """The usual tempo for the words of an element, if the score has no other."""
+        tempo = None if self._says_tempo else usual_tempo("".join(element.itertext()))
+        self._counts["tempo"] += tempo is not None
+        return tempo
 
     def _spell_out(self, number: int, staff: Element) -> None:
         """Put music in the place of signs for it in a staff of a bar."""

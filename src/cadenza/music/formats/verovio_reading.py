@@ -25,6 +25,7 @@ from cadenza.music.formats.midi_messages import METRE, TEMPO, Message, parsed
 from cadenza.music.formats.source import printable, read_bytes, title_of
 from cadenza.music.repair import counted_remarks
 from cadenza.music.score import BEAT_TYPES, Score
+from cadenza.music.signs.words import AS_USUAL
 
 if TYPE_CHECKING:
     from cadenza.music.formats.mei_unfolding import MeiBar
@@ -96,7 +97,7 @@ def _text(content: bytes) -> str:
 
 
 def _remarks(left_out: Counter[str]) -> list[str]:
-    """Remarks on what is not played."""
+    """Remarks on what is not played, or not as it is written."""
     return counted_remarks(
         (
             (left_out["copy"], "copy", "of what is not there left out"),
@@ -104,6 +105,7 @@ def _remarks(left_out: Counter[str]) -> list[str]:
             (left_out["section"], "section", "that is to be played but not there left out"),
             (left_out["jump"], "jump", "without a segno or coda to go to left out"),
             (left_out["bar"], "bar", "passed over by all repeats and jumps"),
+            (left_out["tempo"], "tempo word", AS_USUAL),
         )
     )
 

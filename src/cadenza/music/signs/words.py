@@ -20,6 +20,24 @@ _CHANGES = (
     ),
     (TempoChange.ACCELERANDO, r"(accel|string(endo|\b)|affrett|precipit|serrez|beschleunig)"),
 )
+# Quarters a minute, those of MuseScore's palette; words of two tempos come first.
+_USUAL_TEMPOS = {
+    "allegro moderato": 118,
+    "grave": 35,
+    "largo": 50,
+    "lento": 52.5,
+    "larghetto": 63,
+    "adagio": 71,
+    "andante": 92,
+    "andantino": 94,
+    "moderato": 114,
+    "allegretto": 116,
+    "allegro": 144,
+    "vivace": 172,
+    "presto": 187,
+    "prestissimo": 200,
+}
+AS_USUAL = "played as usual, as the file gives no tempo"  # what is done with such words
 _LOUDER = r"(cresc|rinforzando|dal niente)"
 _SOFTER = r"(decresc|dim\b|dimin|calando|morendo|smorz|perdendosi|al niente)"
 _TRIPLETS = 2, 1  # "Swing": the first note is about twice as long (MuseScore's handbook)
@@ -29,6 +47,14 @@ _EVEN = 1, 1
 def tempo_change(text: str) -> TempoChange | None:
     """The change of tempo that words such as "poco rit." ask for, if any."""
     return next((change for change, words in _CHANGES if _has(text, words)), None)
+
+
+def usual_tempo(text: str) -> float | None:
+    """The quarters a minute that are usual for words such as "Andante con moto", if any."""
+    if tempo_change(text) is not None:
+        return None
+    tempos = _USUAL_TEMPOS.items()
+    return next((tempo for word, tempo in tempos if _has(text, rf"{word}\b")), None)
 
 
 def loudness_step(text: str) -> int | None:

@@ -39,6 +39,7 @@ from cadenza.music.repair import RawNote, counted_remarks, merged_pedal, repaire
 from cadenza.music.score import Bar, PedalEvent, Score, Track, check_chosen
 from cadenza.music.signs.realising import realised
 from cadenza.music.signs.tempo_map import Swing, TempoMap, says_tempo
+from cadenza.music.signs.words import AS_USUAL
 
 _DECIMALS = 9  # of times [s]: what ends where another begins does so exactly
 _DRUM_CHANNEL = 10
@@ -221,6 +222,7 @@ def _remarks(
             (counts["fingering"], "unreadable fingering", "left out"),
             (tempo_marks.impossible, "impossible tempo", "left out"),
             (tempo_marks.unclear, "metronome mark without a tempo", "left out"),
+            (tempo_marks.num_usual, "tempo word", AS_USUAL),
             (counts["microtone"], "microtone", "rounded to a semitone"),
             (counts["unpitched"], "unpitched note", "left out"),
             (counts["silent"], "note", "of no volume left out"),

@@ -25,7 +25,7 @@ from cadenza.music.signs.tempo_map import (
     TempoMark,
     TempoWord,
 )
-from cadenza.music.signs.words import swing, tempo_change
+from cadenza.music.signs.words import swing, tempo_change, usual_tempo
 
 _SLOWEST, _FASTEST = 1, 10_000  # quarters a minute
 _PER_MINUTE = re.compile("[0-9]{1,5}([.,][0-9]{1,3})?")
@@ -47,7 +47,8 @@ class TempoMarks:
 
     A metronome mark counts where there is no tempo for playback. `marks` and `swings` have their
     places in quarters; `impossible` counts tempos for playback that cannot be, and `unclear`
-    metronome marks that give no tempo. `begins` is as `timeline` returns it.
+    metronome marks that give no tempo. If there are none of either, words such as "Andante" have
+    their usual tempos, and `num_usual` counts them. `begins` is as `timeline` returns it.
     """
 
     def __init__(self, parts: Sequence[Sequence[Placed]], begins: Sequence[Fraction]) -> None:
@@ -57,6 +58,7 @@ class TempoMarks:
         self._begins = begins
         self._for_playback: dict[Fraction, Fraction] = {}  # quarters a minute
         self._metronome: dict[Fraction, Fraction] = {}
+        self._usual: dict[Fraction, Fraction] = {}
         fermatas: list[Fermata] = []
         for part in reversed(parts):
             end_of_line = ends_of_lines(part)
@@ -72,7 +74,9 @@ class TempoMarks:
             if is_chorale and fermata.factor == FERMATA:
                 fermata = replace(fermata, factor=CHORALE_FERMATA)
             self.marks.append(fermata)
-        for onset, speed in (self._metronome | self._for_playback).items():
+        given = self._metronome | self._for_playback
+        self.num_usual = 0 if given else len(self._usual)
+        for onset, speed in (given or self._usual).items():
             self.marks.append(Tempo(max(ZERO, onset), _MINUTE / float(speed)))
 
     def _is_chorale(self, ends: Iterable[Fraction]) -> bool:
@@ -114,6 +118,8 @@ class TempoMarks:
             text = words.text or ""
             if not tempos and (change := tempo_change(text)):
                 self.marks.append(TempoWord(placed.sounds_at(), change, end_of_line))
+            if speed := usual_tempo(text):
+                self._usual[placed.sounds_at()] = Fraction(speed)
             if (ratio := swing(text)) and placed.element.find("sound/swing") is None:
                 self._swing(placed, *ratio, NOTE_VALUES["eighth"])
 
