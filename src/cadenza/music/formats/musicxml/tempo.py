@@ -118,8 +118,8 @@ class TempoMarks:
             text = words.text or ""
             if not tempos and (change := tempo_change(text)):
                 self.marks.append(TempoWord(placed.sounds_at(), change, end_of_line))
-            if speed := usual_tempo(text):
-                self._usual[placed.sounds_at()] = Fraction(speed)
+            if usual := usual_tempo(text):
+                self._usual[placed.sounds_at()] = Fraction(usual)
             if (ratio := swing(text)) and placed.element.find("sound/swing") is None:
                 self._swing(placed, *ratio, NOTE_VALUES["eighth"])
 
