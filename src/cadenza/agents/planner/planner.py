@@ -63,7 +63,8 @@ class Planner(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
                     progress(stage, done, total)
 
             processes = self._processes(len(view.task.scene.sides))
-            plans = song_plans(track, view.state.hand_qpos[0], report, strikes=True)
+            start, searches = view.state.hand_qpos[0], self.config.method != "none"
+            plans = song_plans(track, start, report, strikes=True, late=searches)
             plans = context.threads.ahead(plans)
             return SongPlanner(plans, lambda plan: [HandsInScene(plan, rng, context, processes)])
         practice = Practice(view, rng, context)
