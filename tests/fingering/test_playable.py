@@ -76,10 +76,14 @@ def written_out(score: Score, players: Players) -> set[int]:
                 continue
             able = {f for f in players.fingers if players.forearms[f.hand]}
             able &= {stroke.finger} if stroke.finger else able
-            more = [way | {stroke: finger} for way in ways for finger in able]
-            if more := [way for way in more if possible(way, players)]:
-                ways = more
-                played |= set(stroke.notes)
+            sounding = sorted(ways[0], key=lambda p: p.start)
+            for other in (None, *(p for p in sounding if p.start < stroke.start)):
+                without = [{p: f for p, f in way.items() if p is not other} for way in ways]
+                more = [way | {stroke: finger} for way in without for finger in able]
+                if more := [way for way in more if possible(way, players)]:
+                    ways = more
+                    played |= set(stroke.notes)
+                    break
     return played
 
 
@@ -136,15 +140,19 @@ def test_what_can_be_played_is_played(score, players):
 
 @settings(deadline=None)
 @given(score=crowded, sides=sides)
-def test_what_begins_is_pressed_until_it_ends(score, sides):
+def test_what_begins_is_pressed_until_it_ends_or_is_let_go_of(score, sides):
     found = playable(score, shadow_hands(sides))
+    begins = {note.start for i, note in enumerate(score.notes) if i not in found.reasons}
+    for i, until in found.released.items():
+        assert score.notes[i].start < until < score.notes[i].end
+        assert until in begins
     assert [moment.begun for moment in found.moments][-1] == len(score.notes)
     for moment in found.moments:
         keys = [stroke.key for stroke in moment.strokes]
         assert keys == sorted(set(keys))
         sounding = {
             i
-            for i, note in enumerate(score.notes)
+            for i, note in enumerate(found.held(score).notes)
             if i not in found.reasons
             and note.start <= moment.time
             and (note.start == moment.time or note.end > moment.time + RELEASE_TIME)

@@ -1,7 +1,7 @@
 """The fingers found for a score, against what hands can do and what pianists write."""
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cadenza.fingering.pianist import pianist_fingering
+from cadenza.fingering.playable import playable
 from cadenza.fingering.players import players_at
-from cadenza.fingers import LEFT, RIGHT
+from cadenza.fingers import LEFT, RIGHT, SIDES, Side
 from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score, songs
@@ -50,8 +51,9 @@ def test_keys_lie_where_the_model_has_them():
 # What hands can do
 
 
-def check_hands(score: Score) -> None:
-    """Whenever a note begins, what sounds lies in the order of the fingers, within their reach."""
+def check_hands(score: Score, sides: Collection[Side] = SIDES, as_written: bool = False) -> None:
+    """Whenever a note begins, what is held lies in the order of the fingers, within their reach."""
+    score = playable(bare(score), shadow_hands(sides), as_written).held(score)
     played = [note for note in score.notes if note.finger]
     for time in {note.start for note in played}:
         sounding = [n for n in played if n.start <= time and (n.end > time + RELEASE_TIME)]
@@ -70,7 +72,7 @@ def check_hands(score: Score) -> None:
 @given(score=unfingered, sides=st.sampled_from([("right", "left"), ("right",), ("left",)]))
 def test_any_score_can_be_played_or_says_why_not(score, sides):
     found, dropped = find_fingering(score, sides)
-    check_hands(found)
+    check_hands(found, sides)
     assert bare(found) == score
     assert [d.note for d in dropped] == [note for note in found.notes if note.finger is None]
     assert all(d.reason for d in dropped)
@@ -120,15 +122,19 @@ def test_a_note_held_keeps_its_finger_from_others():
     assert 0 not in numbers(found)[2:]
 
 
-def test_a_note_held_stays_in_its_hand():
+def test_a_held_note_that_is_in_the_way_is_let_go_of():
     """The little finger has no finger beyond it, and the other hand cannot take the note over."""
     for little, beyond in ((4, 62), (9, 58)):
-        _, dropped = find_fingering(
-            Score((Note(0, 2, 60, finger=finger(little)), Note(1, 2, beyond)))
-        )
-        assert [(d.note.pitch, d.reason) for d in dropped] == [
-            (beyond, "too far from what is held by both hands")
-        ]
+        score = Score((Note(0, 2, 60, finger=finger(little)), Note(1, 2, beyond)))
+        assert not find_fingering(score)[1]
+        assert playable(score, shadow_hands()).released == {0: 1}
+
+
+def test_only_the_held_note_that_is_in_the_way_is_let_go_of():
+    """Without the thumb, which was there first, the hand would still have no finger beyond."""
+    held = (Note(0, 4, 60, finger=finger(0)), Note(1, 4, 67, finger=finger(4)))
+    found = playable(Score((*held, Note(2, 4, 71))), shadow_hands(["right"]))
+    assert (found.reasons, found.released) == ({}, {1: 2})
 
 
 # What is dropped
@@ -202,7 +208,7 @@ def test_a_note_that_is_written_for_both_hands_goes_to_either():
 @given(unfingered, st.lists(st.sampled_from([RIGHT, LEFT]), min_size=1))
 def test_hands_as_written_are_within_what_hands_can_do(score, hands):
     found, dropped = find_fingering(written_for(score, hands), as_written=True)
-    check_hands(found)
+    check_hands(found, as_written=True)
     assert [d.note for d in dropped] == [note for note in found.notes if note.finger is None]
 
 
@@ -293,7 +299,7 @@ def test_a_pianists_fingers_of_scales(pitches, side, fingers, seconds):
 @given(score=unfingered, sides=st.sampled_from([("right", "left"), ("right",), ("left",)]))
 def test_a_pianists_fingers_are_those_that_the_hands_can_play_with(score, sides):
     found, dropped = pianist_fingering(score, shadow_hands(sides))
-    check_hands(found)
+    check_hands(found, sides)
     split, left_out = find_fingering(score, sides)
     assert dropped == left_out
     assert [n.finger and n.finger.hand for n in found.notes] == [

@@ -297,7 +297,7 @@ def test_a_song_without_fingering_gets_one(scenes, hands, fingers):
     there = range(fingers) if hands == "right" else range(10 - fingers, 10)
     played = [f for f in numbers(player.task.goals.scores[0]) if f >= 0]
     assert set(played) <= set(there)
-    assert len(played) == (3 if hands == "both" else 2)  # a third note is out of one hand's reach
+    assert len(played) == 3  # one hand lets go of what it holds to reach the third
     assert np.flatnonzero(player.seen("fingering")[0]).tolist() == [FIVE.number(notes[0].finger)]
     assert "fingering" in player.rest().terms
 

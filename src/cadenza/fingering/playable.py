@@ -11,10 +11,11 @@ Hands and keyboard limit what can be played:
 Notes may be held to the hands that they are written for. Where that hand cannot play one, the other
 may; where more notes can be played if any hand plays what begins together, any may.
 
-Where notes cannot all be played, what sounds already goes on, and of the notes that begin the
-outer ones are taken first: the highest and the lowest, then the next from outside, and so on; of
-two equally far inside the louder, then the longer, then the higher. A note is dropped if it
-cannot be played along with those taken before it.
+Where notes cannot all be played, of those that begin the outer ones are taken first: the highest
+and the lowest, then the next from outside, and so on; of two equally far inside the louder, then
+the longer, then the higher. For a note that cannot be played along with those taken before it, a
+held one is let go of, if that is enough: of several, the one that began first. Otherwise it is
+dropped.
 
 For this, all sets of fingers that can play what sounds are followed through the song, in whole
 numbers. A set of fingers that are down is a number of ten bits (of two for each finger of a hand),
@@ -66,11 +67,19 @@ class Playable:
         moments: the moments at which notes begin.
         reasons: index of each note that is not played -> why.
         ignored: index of each note whose given finger contradicts others, or these hands -> finger.
+        released: index of each note that is let go of before its end, for another -> when [s].
     """
 
     moments: tuple[Moment, ...]
     reasons: dict[int, str]
     ignored: dict[int, Finger]
+    released: dict[int, float]
+
+    def held(self, score: Score) -> Score:
+        """The score with each note as long as it is held."""
+        ends = (self.released.get(i, note.end) for i, note in enumerate(score.notes))
+        notes = zip(score.notes, ends, strict=True)
+        return replace(score, notes=tuple(replace(note, end=end) for note, end in notes))
 
 
 def playable(score: Score, players: Players, as_written: bool = False) -> Playable:
@@ -90,7 +99,7 @@ def playable(score: Score, players: Players, as_written: bool = False) -> Playab
                 ignored |= dict.fromkeys(stroke.notes, stroke.finger)
         begun = 1 + max(stroke.notes[-1] for stroke in begin)
         moments.append(Moment(time, tuple(sounding.strokes), begun))
-    return Playable(tuple(moments), reasons, ignored)
+    return Playable(tuple(moments), reasons, ignored, sounding.released)
 
 
 class SoundingNotes:
@@ -98,10 +107,12 @@ class SoundingNotes:
 
     Attributes:
         strokes: the notes in the order of their keys.
+        released: index of each note that was let go of before its end, for another -> when [s].
     """
 
     def __init__(self, players: Players) -> None:
         self.strokes: list[Stroke] = []
+        self.released: dict[int, float] = {}
         self._whose = players.description
         self._limits = _limits(players)
         self._sets = _ONLY_EMPTY
@@ -112,24 +123,37 @@ class SoundingNotes:
         for stroke in list(self.strokes):
             if stroke.end <= time + RELEASE_TIME or stroke.key in struck:
                 self._release(stroke)
-        before = list(self.strokes), self._sets
+        before = list(self.strokes), self._sets, self.released
         dropped = self._add(begin)
         if dropped and any(stroke.hand is not None for stroke in begin):
-            as_written = self.strokes, self._sets
-            self.strokes, self._sets = before
+            as_written = self.strokes, self._sets, self.released
+            self.strokes, self._sets, self.released = before
             by_any_hand = self._add([replace(stroke, hand=None) for stroke in begin])
             if len(by_any_hand) < len(dropped):
                 return by_any_hand
-            self.strokes, self._sets = as_written
+            self.strokes, self._sets, self.released = as_written
         return dropped
 
     def _add(self, begin: Sequence[Stroke]) -> list[tuple[Stroke, str]]:
         """Add strokes as far as they can be played; return the others, and why they cannot."""
         dropped = []
         for stroke in outer_first(begin, self.strokes):
-            if not any(map(self._try_to_add, (stroke, replace(stroke, hand=None)))):
+            ways = (stroke, replace(stroke, hand=None))
+            if not any(map(self._try_to_add, ways)) and not self._replace_held_by(ways[1]):
                 dropped.append((stroke, self._reason_to_drop(stroke)))
         return dropped
+
+    def _replace_held_by(self, stroke: Stroke) -> bool:
+        """Let go of a held note, if `stroke` can then be played, and return whether it can."""
+        held = [other for other in self.strokes if other.start < stroke.start]
+        for other in sorted(held, key=attrgetter("start")):
+            strokes, sets = list(self.strokes), self._sets
+            self._release(other)
+            if self._try_to_add(stroke):
+                self.released = self.released | dict.fromkeys(other.notes, stroke.start)
+                return True
+            self.strokes, self._sets = strokes, sets
+        return False
 
     def _release(self, stroke: Stroke) -> None:
         n = self.strokes.index(stroke)
