@@ -8,7 +8,6 @@ import pytest
 from one_hand import OneHand
 
 from cadenza.agents.planner.config import PlannerConfig
-from cadenza.agents.planner.plan.song_plan import song_plans
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.search import hand_search
 from cadenza.agents.planner.search.fingertip_correction import servo_corrections
@@ -76,33 +75,6 @@ def test_caught_fingers_get_free(side, white, black):
         play(hand, search)
         heard.append(sound())
     assert any(heard)
-
-
-@pytest.mark.parametrize(("chord", "leap", "length"), [((0, 12), 2, 0.4), ((0, 4, 7), 12, 0.6)])
-def test_a_hand_lets_go_later_where_it_still_lands_in_time(chord, leap, length):
-    notes = (
-        Note(i * length, (i + 1) * length, 60 + leap * (i % 2) + pitch)
-        for i in range(4)
-        for pitch in chord
-    )
-    hand = OneHand(Score(tuple(notes)))
-    start = hand.joint_state
-    *_, plan = song_plans(hand.plan.track, start[0], strikes=True, late=True)
-    written, right_steps = plan.goals.keys, list[int]()
-    begins = written & ~np.roll(written, 1, axis=0)
-    config = PlannerConfig(proposals="none")
-    for each in (plan._replace(late=None), plan):
-        search = HandSearch(each, "right", np.random.default_rng(0), config)
-        hand.simulation.set_joints(*start)
-        sounding = np.zeros_like(written)
-        for step in range(len(written)):
-            play(hand, search)
-            sounding[step] = hand.joint_state[2] >= PIANO.sounds_from
-        assert sounding[begins].all()
-        assert not (sounding & ~written).any()
-        right_steps.append(int(sounding.sum()))
-    usual, late = right_steps
-    assert late > usual
 
 
 @pytest.mark.slow

@@ -63,8 +63,7 @@ class Planner(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
                     progress(stage, done, total)
 
             processes = self._processes(len(view.task.scene.sides))
-            start, searches = view.state.hand_qpos[0], self.config.method != "none"
-            plans = song_plans(track, start, report, strikes=True, late=searches)
+            plans = song_plans(track, view.state.hand_qpos[0], report, strikes=True)
             plans = context.threads.ahead(plans)
             return SongPlanner(plans, lambda plan: [HandsInScene(plan, rng, context, processes)])
         practice = Practice(view, rng, context)

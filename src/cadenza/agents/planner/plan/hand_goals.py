@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Mask, steps_in
-from cadenza.agents.planner.plan.nominal_trajectory import NominalTrajectory
 from cadenza.agents.planner.plan.presses import RISE
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.strike_model import PlannedStrikes
@@ -44,9 +43,9 @@ class HandGoals:
         dt = plan.track.config.control_timestep
         keys, fingers, nominal = plan.goals.keys, plan.goals.fingers, plan.nominal
         self.fingers = plan.scene.fingers.of_hand(SIDES.index(side))
-        self._side, count = side, plan.scene.fingers.per_hand
-        self.keys = keys & (fingers >= self.fingers.start) & (fingers < self.fingers.stop)
-        self.finger = fingers - np.int8(self.fingers.start)
+        thumb, count = self.fingers.start, plan.scene.fingers.per_hand
+        self.keys = keys & (fingers >= thumb) & (fingers < self.fingers.stop)
+        self.finger = fingers - np.int8(thumb)
         others = keys & ~self.keys
         others_or_before = np.any(
             [delayed(others, steps) for steps in range(steps_in(_LEAVING, dt) + 1)], axis=0
@@ -58,27 +57,16 @@ class HandGoals:
         self.strikes = PlannedStrikes._make(values[own] for values in plan.strikes)
         self.dt = dt
         row = count * plan.scene.sides.index(side)
-        self._tips = slice(row, row + count)
-        self._follow(nominal)
-
-    def _follow(self, nominal: NominalTrajectory) -> None:
-        """Take from a trajectory which keys are held, and where fingertips go."""
-        self.fingertips = nominal.fingertips[:, self._tips]
+        self.fingertips = nominal.fingertips[:, row : row + count]
         self.planned = np.zeros_like(self.keys)
-        self.playing = np.zeros((len(self.keys) + 1, self.fingertips.shape[1]), bool)
-        about_to_press, rise = steps_in(ABOUT_TO_PRESS, self.dt), steps_in(RISE, self.dt)
+        self.playing = np.zeros((len(keys) + 1, count), bool)
+        about_to_press, rise = steps_in(ABOUT_TO_PRESS, dt), steps_in(RISE, dt)
         for press in nominal.presses:
-            if press.side == self._side:
+            if press.side == side:
                 self.planned[press.first - 1 : press.last - 1, press.key] = True
                 begin = max(press.first - about_to_press, 0)
-                self.playing[begin : press.last + rise, press.finger - self.fingers.start] = True
+                self.playing[begin : press.last + rise, press.finger - thumb] = True
         self.weight = np.where(self.playing, TIP_WEIGHT, _IDLE_TIP_WEIGHT)
-
-    def following(self, nominal: NominalTrajectory) -> HandGoals:
-        """These goals, of a hand that follows another trajectory of the same song."""
-        part = copy(self)
-        part._follow(nominal)
-        return part
 
     def holding(self, sounding: Mask) -> HandGoals:
         """These goals, with the keys planned that are `sounding` (T, K)."""

@@ -2,18 +2,15 @@
 
 from collections.abc import Iterator
 from functools import partial
-from itertools import repeat
 from typing import NamedTuple
 
-from cadenza.agents.agent import Array, Progress, silent, steps_in
+from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planner.plan.nominal_trajectory import Delays, MotionPlanner, NominalTrajectory
 from cadenza.agents.planner.plan.strike_model import NO_STRIKES, PlannedStrikes, planned_strikes
 from cadenza.errors import CadenzaError
 from cadenza.music.goals import Goals
 from cadenza.scene.scene import Scene, shared_scene
 from cadenza.tasks.goal_track import GoalTrack
-
-_LATER = 0.05  # [s] than usual
 
 
 class SongPlan(NamedTuple):
@@ -24,8 +21,6 @@ class SongPlan(NamedTuple):
     goals: Goals  # goals of the whole track
     nominal: NominalTrajectory  # the trajectory of the first steps
     strikes: PlannedStrikes = NO_STRIKES  # how keys are to begin to sound, as far as it matters
-    # The same, of hands that let go `_LATER` before they jump: F1 is higher where they land in time
-    late: NominalTrajectory | None = None
 
     @property
     def complete(self) -> bool:
@@ -56,7 +51,6 @@ def song_plans(
     release_delays: Delays = 0,
     strikes: bool = False,
     scene: Scene | None = None,
-    late: bool = False,
 ) -> Iterator[SongPlan]:
     """Plan what the hands of a task are to play.
 
@@ -70,7 +64,6 @@ def song_plans(
         strikes: whether keys are to sound at the times within control steps, and as loud, as the
             song has it; otherwise only in the right control steps.
         scene: the hands to plan for, by default those of `planning_scene`.
-        late: whether to plan hands that let go later, too.
 
     Yields:
         The plan as far as it goes, every time a few more seconds of music; the last one is of the
@@ -81,11 +74,8 @@ def song_plans(
     goals, dt = track.goals, track.config.control_timestep
     struck = planned_strikes(goals.onsets, scene, dt) if strikes else NO_STRIKES
     planner = MotionPlanner(scene, dt)
-    plans = planner.plans(goals.fingers, start, progress, release_delays, struck)
-    delays = release_delays + steps_in(_LATER, dt)
-    later = planner.plans(goals.fingers, start, silent, delays, struck) if late else repeat(None)
-    for nominal, other in zip(plans, later, strict=False):
-        yield SongPlan(scene, track, goals, nominal, struck, other)
+    for nominal in planner.plans(goals.fingers, start, progress, release_delays, struck):
+        yield SongPlan(scene, track, goals, nominal, struck)
 
 
 def planning_scene(track: GoalTrack) -> Scene:

@@ -54,15 +54,11 @@ class HandRehearsal:
 
     Attributes:
         lookahead: the number of steps of the plan that a rehearsal needs.
-        cost_steps: the number of these that count in the cost.
-        rollout: the rollout that was kept.
         tail: (N, A) controls of the steps from `end` on, of the rollout that was kept.
         keys: the keys near the hand.
         keys_at_end: (2, K) positions and speeds of these keys before the step `end`, in the
             rollout that was kept [rad, rad/s].
     """
-
-    rollout: Rollout
 
     def __init__(
         self, scene: Scene, simulator: HandRollouts, dt: float, config: RehearsalConfig = _DEFAULT
@@ -72,7 +68,7 @@ class HandRehearsal:
         self._servos, self._keyboard = servos_of(scene), scene.keyboard
         self._window = steps_in(config.window, dt)
         self._refinement = StrikeRefinement(self._servos, strike_model(scene, dt))
-        self.cost_steps = self._window + steps_in(config.cost_after, dt)
+        self._cost_steps = self._window + steps_in(config.cost_after, dt)
         self.lookahead = self._window + steps_in(config.updated_after, dt)
         self.reset()
 
@@ -124,10 +120,10 @@ class HandRehearsal:
             simulated += len(steps)
             if rollout.cost < best.cost and rollout.mistakes <= max_mistakes:
                 kept, best = ctrl, rollout
-        seen = steps[: self.cost_steps + 1]  # strikes of the last that counts may be late
+        seen = steps[: self._cost_steps + 1]  # strikes of the last that counts may be late
         keys = self._simulator.keys
         silent = horizon.start.silent
-        strikes = HorizonStrikes(goals, seen, self._keyboard, keys, self.cost_steps, silent)
+        strikes = HorizonStrikes(goals, seen, self._keyboard, keys, self._cost_steps, silent)
         changing = sorted({step - 1 for step in strikes.step.tolist() if step > 1})
         last: tuple[Array, Rollout] | None = None
 
@@ -160,7 +156,7 @@ class HandRehearsal:
     def _keep(self, first: int, hand_qpos: Array, ctrl: Array, rollout: Rollout) -> None:
         window = self._window
         expected = [] if rollout.mistakes else [hand_qpos, *rollout.hand_qpos[: window - 1]]
-        self._expected, self.rollout = np.array(expected), rollout
+        self._expected = np.array(expected)
         self._first, self._ctrl, self.tail = first, ctrl[:window], ctrl[window:]
         last = min(window, len(ctrl)) - 1
         self.keys = self._simulator.keys
@@ -187,7 +183,7 @@ class HandRehearsal:
             self._simulator,
             horizon,
             with_feedback(),
-            cost_steps=self.cost_steps,
+            cost_steps=self._cost_steps,
             begun=begun,
             first=first,
             kept=kept,

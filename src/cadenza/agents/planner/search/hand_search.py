@@ -67,10 +67,7 @@ _SEEDS = 1 << 32  # of the random numbers from a step on
 _MAX_DRIFT = 1e-5  # [m, rad] between the model and the scene, above which the model is reset
 
 # What changes as it plays, beside its model and its random numbers.
-_CHANGING = (
-    *("_step", "_in_sync", "_rehearsal", "_followed"),
-    *("_warm_start", "_refined", "_is_refined", "_previous"),
-)
+_CHANGING = "_step", "_in_sync", "_rehearsal", "_warm_start", "_refined", "_is_refined", "_previous"
 
 
 class PlayedStep(NamedTuple):
@@ -97,13 +94,6 @@ class Snapshot(NamedTuple):
     model: Any
     changing: dict[str, Any]
     budget: int
-
-
-class _Followed(NamedTuple):
-    """A plan that a hand can follow."""
-
-    goals: HandGoals
-    tracking: Tracking
 
 
 class HandSearch:
@@ -143,7 +133,6 @@ class HandSearch:
         self._rehearsed = 0
         self._path = Path.still(self._model.state, self._model.num_substeps + 1)
         self._step, self._in_sync, self._rehearses = 0, True, self._searches
-        self._followed = 0  # which plan
         weights = shipped().get(plan.scene.hand.name) if config.proposals == "learnt" else None
         fits = weights is not None and weights.sizes == sizes_of(plan.scene)
         self._weights = weights if fits else None  # else other hands have trained them
@@ -154,11 +143,8 @@ class HandSearch:
 
         Where the plan ends within the horizon, the song is taken to end.
         """
-        goals = HandGoals(plan, self._side)
-        self._plans = [_Followed(goals, plan.nominal.tracking.of(self.servos))]
-        if plan.late:
-            late = goals.following(plan.late)
-            self._plans.append(_Followed(late, plan.late.tracking.of(self.servos)))
+        self._goals = HandGoals(plan, self._side)
+        self._tracking = plan.nominal.tracking.of(self.servos)
         self._network = (
             NetworkCandidate(plan, self._side, self._weights, step) if self._weights else None
         )
@@ -171,7 +157,7 @@ class HandSearch:
         It need not be rehearsed, and has no network candidate. The goals are to hold the keys that
         sounded.
         """
-        self._plans, self._network = [_Followed(goals, tracking)], None
+        self._goals, self._tracking, self._network = goals, tracking, None
         self._rehearses = False
         self._rehearsed, self._rollouts.simulated = 0, 0
         self.go_back(step)
@@ -181,14 +167,6 @@ class HandSearch:
     def simulated(self) -> int:
         """Control steps in rollouts and rehearsals, since it began or was restarted."""
         return self._rollouts.simulated + self._rehearsed
-
-    @property
-    def _goals(self) -> HandGoals:
-        return self._plans[self._followed].goals
-
-    @property
-    def _tracking(self) -> Tracking:
-        return self._plans[self._followed].tracking
 
     @property
     def _budget(self) -> int:
@@ -260,7 +238,6 @@ class HandSearch:
         self._step, self._in_sync, self._is_refined = step, False, False
         self._warm_start[:], self._previous[:] = 0.0, 0.0
         self._rehearsal.reset()
-        self._followed = 0
         self._rng = np.random.default_rng([self._seed, step])
         self._granted = self._rollouts.simulated
         self._granted += self._income * steps_in(_INITIAL_BUDGET, self._dt)
@@ -269,33 +246,17 @@ class HandSearch:
         """The cost of steps from a snapshot on, of all keys; less than `num_steps` at the end."""
         steps = np.arange(saved.step, min(saved.step + num_steps, len(self._tracking.ctrl)))
         every = slice(0, self._keyboard.num_keys)
-        return cost_from(saved.state, self._plans[0].goals, steps, self._keyboard, every)
+        return cost_from(saved.state, self._goals, steps, self._keyboard, every)
 
     def _rehearse(self) -> None:
-        """Rehearse the next steps, unless that has been done.
-
-        The late plan is followed if that makes no mistakes, or is cheaper for no more of them.
-        """
+        """Rehearse the next steps, unless that has been done."""
         if not self._rehearses or self._step < self._rehearsal.end:
             return
         last = min(self._step + self._rehearsal.lookahead, len(self._tracking.ctrl))
-        if not (steps := np.arange(self._step, last)).size:
-            return
-        late = copy(self._rehearsal) if self._lets_go_later(steps) else None
-        if late:
-            self._rehearsed += late.rehearse(*self._plans[1], steps, self._model)
-        if late is None or late.rollout.mistakes:
-            self._followed = 0
-            self._rehearsed += self._rehearsal.rehearse(*self._plans[0], steps, self._model)
-            if late is None or not late.rollout.better_than(self._rehearsal.rollout):
-                return
-        self._rehearsal, self._followed = late, 1
-
-    def _lets_go_later(self, steps: Steps) -> bool:
-        """Whether the late plan, if there is one, holds more keys in steps that count."""
-        seen = steps[: self._rehearsal.cost_steps]
-        usual, *late = (plan.goals.planned[seen] for plan in self._plans)
-        return any((planned != usual).any() for planned in late)
+        if (steps := np.arange(self._step, last)).size:
+            self._rehearsed += self._rehearsal.rehearse(
+                self._goals, self._tracking, steps, self._model
+            )
 
     def _optimise(self) -> Array:
         """First controls (A,) of the best sequence that was found for the horizon."""

@@ -41,10 +41,6 @@ class Rollout(NamedTuple):
         """(K,) after each step, of the keys that are simulated [rad]."""
         return [path[-1] for path in self.key_paths]
 
-    def better_than(self, other: Rollout) -> bool:
-        """Whether it is cheaper, and makes no more mistakes."""
-        return self.cost < other.cost and self.mistakes <= other.mistakes
-
     def until(self, step: int) -> Rollout:
         """The steps before `step`, in lists of their own."""
         cost, mistakes, _ = self.totals[step - 1] if step else (0.0, 0, None)
