@@ -364,7 +364,8 @@ def test_mirrored_music_costs_the_same(played):
         for pitches in (WHITE_PITCHES, WHITE_PITCHES[::-1])
     )
     a, b = solve(there), solve(mirrored)
-    if not a.dropped and not b.dropped:
+    released = [playable(each, shadow_hands()).released for each in (there, mirrored)]
+    if not any((a.dropped, b.dropped, *released)):  # of two alike, the higher is taken
         assert a.cost == pytest.approx(b.cost)
 
 
