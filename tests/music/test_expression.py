@@ -317,9 +317,12 @@ def test_a_chorale_keeps_its_notes_and_gets_dynamics():
 def test_time_grows_with_the_music():
     def seconds(count):
         music = line([60 + k % 24 for k in range(count)], [0.05] * count)
-        begun = time.process_time()
-        performed(music)
-        return time.process_time() - begun
+        taken = []
+        for _ in range(3):  # the least, as other tests leave garbage that is collected meanwhile
+            begun = time.process_time()
+            performed(music)
+            taken.append(time.process_time() - begun)
+        return min(taken)
 
     seconds(1000)
     assert seconds(20_000) < 40 * max(seconds(2_000), 1e-3)
