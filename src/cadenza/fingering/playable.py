@@ -77,9 +77,8 @@ class Playable:
 
     def held(self, score: Score) -> Score:
         """The score with each note as long as it is held."""
-        ends = (self.released.get(i, note.end) for i, note in enumerate(score.notes))
-        notes = zip(score.notes, ends, strict=True)
-        return replace(score, notes=tuple(replace(note, end=end) for note, end in notes))
+        notes = (replace(n, end=self.released.get(i, n.end)) for i, n in enumerate(score.notes))
+        return replace(score, notes=tuple(notes))
 
 
 def playable(score: Score, players: Players, as_written: bool = False) -> Playable:
@@ -138,8 +137,8 @@ class SoundingNotes:
         """Add strokes as far as they can be played; return the others, and why they cannot."""
         dropped = []
         for stroke in outer_first(begin, self.strokes):
-            ways = (stroke, replace(stroke, hand=None))
-            if not any(map(self._try_to_add, ways)) and not self._replace_held_by(ways[1]):
+            free = replace(stroke, hand=None)
+            if not any(map(self._try_to_add, (stroke, free))) and not self._replace_held_by(free):
                 dropped.append((stroke, self._reason_to_drop(stroke)))
         return dropped
 

@@ -19,24 +19,7 @@ _TICKS = _FINER * QUARTER  # of a quarter
 _LATE = 1e-3  # [s] by which a beat may be early or late before the tempo is given anew
 _SECOND = 1e6  # [us]
 _SLOWEST = 2**24 - 1  # [us] of a quarter
-# From `MAX_SIGNS` flats on.
-_KEYS = [
-    "Cb",
-    "Gb",
-    "Db",
-    "Ab",
-    "Eb",
-    "Bb",
-    "F",
-    "C",
-    "G",
-    "D",
-    "A",
-    "E",
-    "B",
-    "F#",
-    "C#",
-]  # from `MAX_SIGNS` flats on
+_KEYS = [step + sign for sign in ("b", "", "#") for step in "FCGDAEB"][1:]  # from C flat on
 
 
 def write_midi_sheet(score: Score, path: Path) -> None:
