@@ -1,8 +1,8 @@
 """Trains Stable-Baselines3's SAC on the environments, single and vectorised.
 
 The single environment is used as it is; `VecEnvAdapter` gives the vectorised one the interface that
-Stable-Baselines3 has for such. docs/learning.md has what this printed. Stable-Baselines3 installs
-gigabytes; this gives it a virtual environment of its own, tests this program there, and runs it:
+Stable-Baselines3 has for such. Stable-Baselines3 installs gigabytes; this gives it a virtual
+environment of its own, tests this program there, and runs it:
 
     make sb3
     .venv-sb3/bin/python examples/train_with_stable_baselines3.py --steps 4000
